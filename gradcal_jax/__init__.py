@@ -62,7 +62,7 @@ _GONE: dict[str, str] = {
 
 def __getattr__(name: str) -> Any:
     if name in _OLD_NAMES:
-        sentence = f"gradcal_jax.{name} is now gradcal_jax.{_OLD_NAMES[name]}; the old name goes with the next release"
+        sentence = f"gradcal_jax.{name} is now gradcal_jax.{_OLD_NAMES[name]}; the next release removes the old name"
         warnings.warn(sentence, DeprecationWarning, stacklevel=2)
         return __getattr__(_OLD_NAMES[name])
     if name == "plots":

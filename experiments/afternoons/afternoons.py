@@ -27,9 +27,9 @@ HEAD = """# {title}
 {words}
 
 Made by `experiments/afternoons/afternoons.py`: every command from an empty folder to the header for the firmware, with
-what it prints. **All devices are simulated**; `--simulate` stands where your rig would be (`--rig mine/rig.toml`). The
-middle of long outputs is left out, and marked `[…]`. Seconds are those of a busy machine of two cores; the chamber's
-hours pass in no time here.
+its output. **All devices are simulated**: replace `--simulate` by your rig (`--rig mine/rig.toml`). The middle of long
+outputs is left out and marked `[…]`. The durations are those of a busy computer with two cores; the hours of the
+simulated chamber take no time.
 """
 COMMANDS = """\
 gradcal start --preset {preset} -o mine
@@ -119,22 +119,23 @@ DEVICES = (
     (
         "A BMI088 on a table of ±170°",
         "bmi088",
-        "A home-made table of one axis, turned by a stepper behind GRBL, whose cable ends it at ±170°; a fridge and a\n"
-        "hair dryer, by the clock; the board prints lines of text. Three ramps, the IMU hung anew in between.",
+        "A home-made one-axis table with a stepper on a GRBL board, whose cable allows ±170°; a fridge and a hair\n"
+        "dryer, operated by the clock; a board that prints lines of text. Three ramps, with a change of mounting in\n"
+        "between.",
         False,
     ),
     (
-        "An ICM-42688 that logs by itself, on a GRBL stepper",
+        "An ICM-42688 with its own logger, on a GRBL stepper",
         "drone-imu",
-        "The flight controller keeps its own log; the run turns the table and holds the chamber. Its recording is\n"
-        "laid on the run's clock by the motion. In this rehearsal parts of the data disagree (heating against\n"
-        "cooling, half against half), so the calibration is not valid; why is not known yet.",
+        "The flight controller has its own logger; the run controls the table and the chamber. The motion aligns the\n"
+        "recording with the run's clock. In this rehearsal parts of the data disagree (heating and cooling, first and\n"
+        "second half), so the calibration is not valid; the cause is not known yet.",
         True,
     ),
     (
         "A tactical IMU on a two-axis table",
         "tactical-imu",
-        "A table of two axes (Zaber), a chamber (Weiss), an IMU that streams (STIM300); one ramp shows everything.",
+        "A two-axis table (Zaber), a chamber (Weiss), an IMU that streams (STIM300); one ramp is enough.",
         False,
     ),
 )

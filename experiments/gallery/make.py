@@ -182,7 +182,7 @@ def page(notebooks: list[Path]) -> str:
     lines = [
         "# Gallery",
         "",
-        "Made by `experiments/gallery/make.py`. Every picture is of simulated devices but that of the notebook on",
+        "Made by `experiments/gallery/make.py`. Every picture shows simulated devices, except that of the notebook on",
         "a real sensor.",
         "",
         "## Notebooks",
@@ -196,8 +196,8 @@ def page(notebooks: list[Path]) -> str:
         lines.append(f"| ![{title}](gallery/{path.stem}.png) | [{title}](../notebooks/{path.name}) |")
     lines += ["", "## Functions of `gradcal_jax.plots`", ""]
     lines += [
-        "Each draws on `ax` (on `figure`, a figure or a part of one, where it needs several axes), or on a new figure,",
-        "and returns what it drew; `plots.save(figure, path)` writes it.",
+        "Each function draws on `ax`, or on `figure` (a figure or subfigure) if it needs several axes; without either",
+        "it makes a new figure. It returns what it drew, and `plots.save(figure, path)` writes the file.",
         "",
     ]
     lines += ["| | |", "|---|---|"]

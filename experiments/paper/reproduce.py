@@ -43,7 +43,7 @@ def static_rows() -> list[tuple[str, str, str, str]]:
             "static, standard, 9 h: bias over −30…70 °C",
             "not given as a number",
             f"mean {standard.mean:.3f}, max {standard.max:.3f} deg/h",
-            "the mean rate of each half hour, 0.38 deg/h, through a cubic",
+            "cubic fitted to the mean rate of each half hour, 0.38 deg/h",
         )
     )
     readings = [
@@ -62,7 +62,7 @@ def static_rows() -> list[tuple[str, str, str, str]]:
 def dynamic_rows() -> list[tuple[str, str, str, str]]:
     rows = []
     for estimator, reading in (
-        ("least squares", "unweighted least squares on the rate errors, as the paper's figure"),
+        ("least squares", "unweighted least squares on the rate errors, as in the paper's figure"),
         ("best linear", "the best linear estimator"),
     ):
         full, reduced = left(spec("dynamic_standard", {"plan.estimator": estimator}))

@@ -98,7 +98,7 @@ class _Window(NamedTuple):
         else:
             result, relaxed = self._of_functionals(criterion)
         if criterion.alone is not None:
-            relaxed = (*relaxed, "what the data say of the discrepancy is part of the calibration")
+            relaxed = (*relaxed, "the calibration contains the discrepancy as far as the data determine it")
         return Proof(requirement, result.certified, result.reached, relaxed, self.kept)
 
     def _of_scale_factor(self, criterion: Criterion, sure: np.ndarray) -> Limit:
@@ -129,11 +129,14 @@ class _Window(NamedTuple):
         if np.any(of_bias):
             if self.used:
                 floor = bias_floor(model, self.used, self.temperature, of_bias)
-                relaxed = ("the angle is read all the time and without noise",)
+                relaxed = ("the angle is read continuously and without noise",)
             else:
                 ends = float(np.min(self.temperatures)), float(np.max(self.temperatures))
                 floor = bias_floor_anywhere(model, self.every, ends, of_bias)
-                relaxed = ("the time is spread over the temperatures as is best", "of the noise only the random walk")
+                relaxed = (
+                    "the time is distributed optimally over the temperatures",
+                    "the only noise is the random walk",
+                )
             relaxed += ("the scale factor is known",) if model.scale is not None else ()
             bounds.append((_exactly(statistic(criterion.statistic, np.sqrt(floor).reshape(criterion.shape))), relaxed))
             known = self._seen_continuously(of_bias) if self.used and not np.any(of_scale) else None
@@ -247,7 +250,7 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
     tied = alone or ("cycle" not in free and len(visits) <= _MOST_WINDOWS)
     density, relaxed = noise_density(built.model, *_spacing(built, cycle), visits if tied else None)
     if not tied:
-        relaxed.append("the axis has its time at the table when it likes")
+        relaxed.append("the axis may turn at any time within its share of the time")
     followed = sensor_course(chamber, built.thermal_lag)
     fixed, windows, used = "gradient" not in free, [], []
     if fixed:
@@ -259,9 +262,9 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
     else:
         assert one_ramp is not None
         temperatures = np.linspace(*one_ramp, _PARTS)
-        relaxed.append("the time is spread over the temperatures as is best")
+        relaxed.append("the time is distributed optimally over the temperatures")
         if np.any(built.model.processes.rate_gain):
-            relaxed.append("errors that multiply the rate are left out, but for constant ones")
+            relaxed.append("errors that multiply the rate are left out, except for constant ones")
     kept = kept_in_words(total, when=tied and not alone, fixed=fixed)
     looks = windows, used, spans, chamber.times(), followed
     return _Window(spec, built, total, every, temperatures, fixed, density, *looks, tuple(relaxed), kept)
@@ -270,7 +273,7 @@ def _window(spec: Spec, built: Assembled, motion: float | None) -> _Window:
 def kept_in_words(time: float, *, when: bool = False, fixed: bool = True) -> tuple[str, ...]:
     """What the plans of a proof have in common: the `time` at the table (s), `when` it is there, the programme."""
     at_table = f"{time_text(float(round(time)))} at the table" + (", when this plan has it" if when else "")
-    return (at_table, *(["the chamber's course of this plan"] if fixed else []))
+    return (at_table, *(["the chamber follows the temperatures of this plan"] if fixed else []))
 
 
 def noise_density(model: SensorModel, spacing: float, apart: float, visits: Windows | None) -> tuple[float, list[str]]:
@@ -279,8 +282,8 @@ def noise_density(model: SensorModel, spacing: float, apart: float, visits: Wind
     reference = model.reference
     relaxed = ["acceleration and travel"]
     if float(reference.reading_noise) > 0.0:
-        often = f"the angle is read every {spacing:.3g} s at most"
-        relaxed.append(f"{often}, on the move, too (read more often, a plan may leave less)")
+        often = f"the angle is read at most every {spacing:.3g} s"
+        relaxed.append(f"{often}, also during moves (a plan with more frequent readings may leave less)")
     if visits is not None and float(reference.reading_noise) > 0.0:
         density = gated_noise_density(model, spacing, visits)
     else:

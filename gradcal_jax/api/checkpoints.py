@@ -24,17 +24,19 @@ def write_checkpoint(path: Path, spec: Spec, checkpoint: Mapping[str, np.ndarray
 def read(path: Path, spec: Spec) -> dict[str, np.ndarray]:
     """Read the checkpoint of a spec. Errors: `ValueError` for a file of another spec or format."""
     if not path.exists():
-        raise ValueError(f"there is no interrupted search to go on from: {path} does not exist")
+        raise ValueError(f"there is no interrupted search to continue: {path} does not exist")
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         if str(arrays["format"]) != _FORMAT:
-            raise ValueError(f"{path} is not a search kept by optimise")
+            raise ValueError(f"{path} is not a search saved by optimise")
         if str(arrays["spec"]) != _fingerprint(spec):
-            raise ValueError(f"{path} was kept for another spec: start anew, without --resume")
+            raise ValueError(f"{path} was saved for another spec: start again, without --resume")
         return arrays
     except (OSError, KeyError, zipfile.BadZipFile, EOFError) as error:
-        raise ValueError(f"{path} cannot be read as a search kept by optimise: start anew, without --resume") from error
+        raise ValueError(
+            f"{path} cannot be read as a search saved by optimise: start again, without --resume"
+        ) from error
 
 
 def _fingerprint(spec: Spec) -> str:

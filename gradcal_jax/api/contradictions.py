@@ -62,15 +62,16 @@ def refuse_other_units(spec: Spec, temperature: np.ndarray, unit: str) -> None:
     for name, convert in _OTHER_UNITS:
         if cold - _FITS <= convert(low) and convert(high) <= warm + _FITS:
             raise LogError(
-                f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are outside of the plan's, {cold:g} … "
-                f"{warm:g} °C, and inside if they are in {name} ({convert(low):.4g} … {convert(high):.4g} °C): is the "
-                f"column in {name}? Name its unit in the column map"
+                f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are outside of the plan's, {cold:g} "
+                f"… {warm:g} °C, but inside if the column is in {name} ({convert(low):.4g} … {convert(high):.4g} "
+                f"°C): is the column in {name}? State its unit in the column map"
             )
     coldest, warmest = (float(t) for t in spec.rig.chamber.range)
     if low < coldest - _COLDER or high > warmest + _WARMER:
         raise LogError(
-            f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are not those of a chamber of {coldest:g} … "
-            f"{warmest:g} °C (rig.chamber.range): is the unit of the column, or the column, another one?"
+            f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are not those of a chamber of "
+            f"{coldest:g} … {warmest:g} °C (rig.chamber.range): does the column map name the wrong unit, or the "
+            "wrong column?"
         )
 
 
@@ -80,19 +81,19 @@ def beyond_the_data(requirement: Requirement, temperature_c: Sequence[float], ra
     low, high = (float(t) for t in requirement.temperature)
     short = max(_SHORT_K, _SHORT * (high - low))
     if low < temperature_c[0] - short or high > temperature_c[1] + short:
-        parts.append(f"{low:g} … {high:g} °C, and the data cover {temperature_c[0]:.4g} … {temperature_c[1]:.4g} °C")
+        parts.append(f"{low:g} … {high:g} °C, but the data cover {temperature_c[0]:.4g} … {temperature_c[1]:.4g} °C")
     asked = getattr(requirement, "rate", None)
     if isinstance(asked, tuple):
         slow, fast = (float(w) for w in asked)
         short = max(_SHORT_RATE, _SHORT * (fast - slow))
         if slow < rate[0] - short or fast > rate[1] + short:
             ends = (f"{np.degrees(w):.4g}" for w in (slow, fast, *rate))
-            parts.append("{} … {} deg/s, and the data cover {} … {} deg/s".format(*ends))
+            parts.append("{} … {} deg/s, but the data cover {} … {} deg/s".format(*ends))
     if not parts:
         return None
     return (
-        f"requirement '{requirement.name}' asks for {'; '.join(parts)}: there is no verdict beyond the data; narrow "
-        "the requirement, or record the rest"
+        f"requirement '{requirement.name}' asks for {'; '.join(parts)}: there is no verdict outside the range of "
+        "the data; narrow the requirement, or record the missing range"
     )
 
 
@@ -104,16 +105,16 @@ def omitted_sentences(spec: Spec, temperature: np.ndarray, lag_is_fitted: bool =
     sentences: list[str] = []
     if absent:
         sentences.append(
-            "not in the spec, and so counted with figures typical of the class: "
+            "not in the spec, so typical figures of the class count: "
             + ", ".join(f"{term.key} {term.typical}" for term in absent)
-            + "; put in your own, or 0 where there is none"
+            + "; enter your own, or 0 if there is none"
         )
     if any(term.key == EARTH for term in absent):
         sentences.append(EARTH_IS_UNKNOWN)
     if lagging and _goes_one_way(temperature):
         sentences.append(
-            "the temperature goes one way only, so a lag between the measured temperature and the dies' cannot be "
-            "seen: it is taken as zero, and counts as an error"
+            "the temperature changes in one direction only, so the data do not show a lag between the measured "
+            "temperature and the dies: it is taken as zero, and counts as an error"
         )
     return sentences
 
@@ -131,15 +132,15 @@ def diagnosis_sentences(residual: np.ndarray, time_s: np.ndarray, moved: np.ndar
     if len(seen.events):
         when = ", ".join(f"{a:.5g} s" if b - a < 1.0 else f"{a:.5g} … {b:.5g} s" for a, b in seen.events[:3])
         sentences.append(
-            f"{seen.readings} of {len(residual)} readings do not fit the others, at {when}"
+            f"{seen.readings} of {len(residual)} readings do not agree with the others, at {when}"
             + (" and at other times" if len(seen.events) > 3 else "")
-            + ": has the encoder slipped, the bias jumped, or was the unit knocked? --robust counts them less"
+            + ": did the encoder slip, did the bias jump, or was the IMU bumped? --robust gives them less weight"
         )
     if seen.motion_tells:
         sentences.append(
-            f"readings after moves differ {seen.moving:.3g} times as much as the spec's noise says, those at rest "
-            f"{seen.resting:.3g} times: vibration on the move, wobble or angle errors of the table, its timing, or a "
-            "scale factor that changes"
+            f"readings after moves differ by {seen.moving:.3g} times the noise of the spec, those at rest by "
+            f"{seen.resting:.3g} times: vibration during moves, wobble or angle errors of the table, its timing, "
+            "or a changing scale factor"
         )
     return sentences
 
@@ -157,8 +158,8 @@ def refuse_implausible(where: str, names: Sequence[str], values: np.ndarray, pri
     worst = int(np.argmax(ratios)) if len(ratios) else 0
     if len(ratios) and ratios[worst] > _PRIORS:
         raise LogError(
-            f"{where}: {names[worst]} is {ratios[worst]:.3g} times the standard deviation that the spec gives it "
-            "before the calibration: is the unit of the column another one, or the prior too small?"
+            f"{where}: {names[worst]} is {ratios[worst]:.3g} times its prior standard deviation in the spec: does "
+            "the column have another unit, or is the prior too small?"
         )
 
 
@@ -178,8 +179,9 @@ def refuse_misaligned(name: str, fits: Mapping[str, CoarseFit], channels: Sequen
     turned = len(both) == 2 and all(_is_rotation(m) for m in both) and np.max(np.abs(both[0] - both[1])) < _MISALIGNED
     if turned:
         raise LogError(
-            f"{name}, {', '.join(channel for channel, _ in wrong)}: gyros and accelerometers agree that the body is "
-            "turned against the spec's mounting, by a quarter turn or so: is [rig.table.mounting] that of the log?"
+            f"{name}, {', '.join(channel for channel, _ in wrong)}: gyros and accelerometers agree that the body "
+            "is rotated from the spec's mounting by about a quarter turn: is [rig.table.mounting] that of the "
+            "log?"
         )
     raise LogError(f"{name}, " + "; ".join(f"{channel}: {sentence}" for channel, sentence in wrong[:3]))
 
@@ -193,24 +195,24 @@ def _no_device(own: float, across: Mapping[str, float]) -> str:
     large = [axis for axis, value in across.items() if abs(value) > _MISALIGNED * max(1.0, abs(own))]
     if abs(own - 1.0) <= SCALE_FACTOR_ERROR and not large:
         return ""
-    shown = f"it shows {own:.3g} times what is along its axis"
+    shown = f"it shows {own:.3g} times the input along its axis"
     if large:
         parts = ", ".join(f"{across[axis]:.3g} times what is along {axis}" for axis in large)
         return (
-            f"{shown}, and {parts}: are the axes of the unit, or of the table, swapped, or is the body turned "
-            "against the spec's mounting by a quarter turn?"
+            f"{shown}, and {parts}: are the axes of the IMU or of the table swapped, or is the body rotated by a "
+            "quarter turn from the spec's mounting?"
         )
     if abs(own + 1.0) < SCALE_FACTOR_ERROR:
-        return f"{shown}: its sign is the opposite of the table's; turn the sign of the column, or the mounting"
+        return f"{shown}: its sign is the opposite of the table's; change the sign of the column, or the mounting"
     for ratio, words in (
-        (1.0 / 9.80665, "is the column in g, where m/s^2 are expected?"),
-        (9.80665, "is the column in m/s^2, where g are expected?"),
-        (180.0 / np.pi, "is the column in deg/s, where rad/s are expected?"),
-        (np.pi / 180.0, "is the column in rad/s, where deg/s are expected?"),
+        (1.0 / 9.80665, "is the column in g instead of m/s^2?"),
+        (9.80665, "is the column in m/s^2 instead of g?"),
+        (180.0 / np.pi, "is the column in deg/s instead of rad/s?"),
+        (np.pi / 180.0, "is the column in rad/s instead of deg/s?"),
     ):
         if abs(abs(own) / ratio - 1.0) < 0.1:
             return f"{shown}: {words}"
-    return f"{shown}: is the column of another axis, unit or sign?"
+    return f"{shown}: does the column have another axis, unit or sign?"
 
 
 # An angle within a standstill is no chance at this many standard deviations, and matters at this many of a reading.
@@ -244,7 +246,7 @@ def without_bad_rows(
         clean, found = without_faults(log, channels)
         for name, faults in found.items():
             if not clean.usable(name).any():
-                raise LogError(f"{name}: no row is left that may be used: {'; '.join(faults.sentences)}")
+                raise LogError(f"{name}: no usable row is left: {'; '.join(faults.sentences)}")
         cleaned.append(clean)
         for name, faults in found.items():
             left_out.setdefault(name, []).extend(faults.sentences)
@@ -266,13 +268,13 @@ def _ends_of_standstills(spec: Spec, log: Log, name: str, channels: Collection[s
         if seen is None:
             continue
         for angle, std, end, words in (
-            (seen.after, seen.after_std, "beginnings", "after the table is said to stand"),
-            (seen.before, seen.before_std, "ends", "before the table is said to move"),
+            (seen.after, seen.after_std, "beginnings", "after the table is marked as at rest"),
+            (seen.before, seen.before_std, "ends", "before the table is marked as moving"),
         ):
             if abs(angle) > max(_NO_CHANCE * std, _MATTERS * known):
                 found[f"gyro {label} at the {end} of standstills"] = (
-                    f"gyro {label} turns {np.degrees(abs(angle)):.2g} deg {words}, in the mean of all standstills: its "
-                    "samples are delayed or filtered, or standstills are marked where the table still moves"
+                    f"gyro {label} turns {np.degrees(abs(angle)):.2g} deg {words}, averaged over all standstills: "
+                    "its samples are delayed or filtered, or standstills are marked while the table still moves"
                 )
     return found
 
@@ -381,7 +383,7 @@ def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str])
     if not len(low):
         return []
     named = ", ".join(f"{names[k]} at {time_s[k]:.6g} s" for k in low[:5])
-    return [f"{len(low)} of {len(weights)} readings have less than full weight, the least {named}"]
+    return [f"{len(low)} of {len(weights)} readings have less than full weight, the smallest {named}"]
 
 
 def excess_of(tests: Consistency) -> float:
@@ -400,12 +402,12 @@ def noise_sentences(tests: Consistency, larger: bool, what: str) -> list[str]:
     """A sentence where the residuals are `larger`, or far smaller, than the spec's noise says."""
     if larger:
         return [
-            f"the residuals are {tests.noise_scale:.3g} times as large as the spec's noise says: the model lacks "
-            "something, or the noise figures are too small; requirements are judged with the larger noise"
+            f"the residuals are {tests.noise_scale:.3g} times the noise of the spec: the model is incomplete, or "
+            "the noise figures are too small; requirements are judged with the larger noise"
         ]
     if tests.fit.probability <= 1.0 - 1e-3:
         return []
     return [
-        f"the residuals are only {tests.noise_scale:.3g} times what the spec's noise says: its figures are larger than "
-        f"this {what}'s"
+        f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: its figures are larger than "
+        f"those of this {what}'s"
     ]

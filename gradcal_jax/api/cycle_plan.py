@@ -67,8 +67,8 @@ _SLACK = 1e-9
 # Shortest soak that a programme may begin with, s.
 _BRIEF = 1.0
 NO_COURSE = (
-    'design.free = ["programme"] needs a plan of ramps whose data are used, after at most a soak whose data are not, '
-    "with one mounting, of a run that has not begun"
+    'design.free = ["programme"] needs a plan with one mounting, of ramps with used data after at most one soak '
+    "with unused data, and no executed part"
 )
 
 
@@ -91,7 +91,9 @@ class CyclePlan:
         plain = self.built.model
         models = [b.model if notice is None else imu_with_hidden(b.spec, b.model) for b in builts]
         if len({model.size for model in models}) > 1:
-            raise ValueError("a design.scenario changes which parameters there are: all must have those of the spec")
+            raise ValueError(
+                "a design.scenario changes the set of parameters: every scenario must have the parameters of the spec"
+            )
         self._executed = executed_motion(self.built)
         known = [_gram(m.prior_rows()) + _past(b._replace(model=m)) for b, m in zip(builts, models, strict=True)]
         believed, self._points = np.arange(plain.size), self.built.points
@@ -156,7 +158,7 @@ class CyclePlan:
             own = self.free_course.coordinates.vector(*_own_course(self._schedule))
             self.start = self.start._replace(course=tuple(own.tolist()))
         elif not self.turns_free:
-            raise ValueError(f"nothing of the plan is free: the table stands, and {NO_COURSE}")
+            raise ValueError(f"no part of the plan is free: the table is at rest, and {NO_COURSE}")
         self.descent = Descent(self._value)
 
     def _joint(self, cases: Sequence[PlanCase], model: ImuModel) -> Together | None:

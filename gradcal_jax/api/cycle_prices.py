@@ -81,7 +81,7 @@ def active_limits(plan: CyclePlan, cycle: RepeatedCycle) -> tuple[str, ...]:
         turns = [t for t in cycle.turns if t.axis == k]
         fastest = sum(t.rate >= near * limits.rates[k] for t in turns)
         if fastest:
-            binding.append(f"the largest rate of {axis.name}, in {fastest} of {len(turns)} turns")
+            binding.append(f"the maximum rate of {axis.name}, in {fastest} of {len(turns)} turns")
         low, high = limits.reach[k]
         at = limits.start[k] + np.cumsum([t.angle for t in turns])
         if np.isfinite(high) and turns and np.max(np.abs(2.0 * at - low - high)) >= near * (high - low):

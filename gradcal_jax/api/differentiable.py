@@ -142,11 +142,11 @@ def differentiable(spec: Spec) -> Differentiable | DifferentiableCycle:
     if spec.done:
         raise goes_on("a function of the plan's figures")
     if not spec.requirement:
-        raise ValueError("the spec has no [[requirement]], so there is nothing to compute: add one")
+        raise ValueError("the spec has no [[requirement]], so there is no result to compute: add one")
     if not spec.turns_one_gyro:
         plan = CyclePlan(changed(spec, {"design": None}))
         if not plan.turns_free:
-            raise ValueError("the table stands, so that there is no cycle whose numbers could change")
+            raise ValueError("the table does not move, so there is no cycle to change")
         angle, rate, rest = (np.array(x, dtype=float) for x in list(zip(*plan.start.turns, strict=True))[1:])
         return DifferentiableCycle({"turns": angle, "peak rates": rate, "rests": rest}, plan)
     built = assemble(spec)

@@ -207,7 +207,7 @@ def of_log(spec: Spec, log: Log, axis: str | None = None) -> Spec:
     is named, or the log has no other. Errors: `LogError` and `ValueError`."""
     if axis is not None:
         if log.axes[log.axis_index(axis)] not in AXIS_NAMES:
-            raise LogError(f"gyros are along x, y and z, and '{axis}' is none of them: name it so in the column map")
+            raise LogError(f"gyro axes are x, y and z, not '{axis}': rename it in the column map")
         return along_axis(spec, cast("Axis", axis))
     gyro = spec.sensor.gyro
     alone = gyro is not None and len(gyro.axes) == 1 and spec.is_one_axis and len(log.axes) == 1
@@ -270,7 +270,7 @@ def estimate_sensors(
         return [ready.report(name, fitted, sources or {}) for name, fitted in ready.fits().items()]
     names = dict.fromkeys(name for log in logs for name in log.units)
     if unknown := [name for name in units if name not in names]:
-        raise LogError(f"no unit is called {unknown[0]}: the logs have {', '.join(names)}")
+        raise LogError(f"no IMU has the name {unknown[0]}: the logs have {', '.join(names)}")
     where, at = places_of(spec, list(names)), specs_at_places(spec)
     each = {
         name: _prepared(at[where[name]], [log for log in logs if name in log.units], [name], options)
@@ -285,12 +285,12 @@ def _prepared(spec: Spec, logs: Sequence[Log], units: Sequence[str], options: Op
     mountings = len(spec.rig.table.mounting)
     if len(logs) != mountings and (len(logs) > 1 or logs[0].mounting is None):
         raise LogError(
-            f"the spec hangs the unit in {mountings} mounting(s), one after the other, and there are {len(logs)} "
-            "log(s): give one log for each, in the spec's order"
+            f"the spec has {mountings} mounting(s), one after the other, and there are {len(logs)} log(s): give "
+            "one log for each mounting, in the order of the spec"
         )
     names = list(units) or [name for name in logs[0].units if all(name in log.units for log in logs)]
     if not names:
-        raise LogError("no unit is in all of the logs")
+        raise LogError("no IMU is in all of the logs")
     lacks = lacks_of(spec, logs)
     if options.earth_rate is not None:
         spec = with_earth(spec, options.earth_rate)
@@ -376,7 +376,7 @@ def report_of(
     neighbours, alone = {}, ()
     if options.neighbours_k is not None:
         neighbours = estimation.neighbours_of(readings, solution, options.neighbours_k)
-        alone = () if neighbours else ("no move has a rest right before and after it, so there are no neighbours",)
+        alone = () if neighbours else ("no move has a rest directly before and after it, so there are no neighbours",)
     counts = _counts(logs, name, done) if points is None else {"used": int(np.count_nonzero(~points.line.gap))}
     beside_tests = lag, path, smoothness, neighbours, counts, structure, bias_curves(readings, solution)
     report = SensorEstimate(
@@ -392,7 +392,10 @@ def report_of(
     told = _words(report, solution), looks if contradicted else []
     hidden = (f"{channel.replace('_', ' ')}: {structure_in_words(test)}" for channel, test in structure if test.noticed)
     if smoothness is not None and smoothness.at_edge:
-        messages = *messages, "the data do not determine the smoothness of the maps: it is at the edge of its range"
+        messages = (
+            *messages,
+            "the data do not determine the smoothness of the maps: the estimate is at the edge of its range",
+        )
     return report._replace(
         messages=(*messages, *alone, *lag.sentences, *lesser, *hidden, *itertools.chain(*told), *beside)
     )
@@ -484,7 +487,7 @@ def _words(report: SensorEstimate, solution: ImuEstimate) -> list[str]:
         where = name.replace("_", " ")
         if f"{name}: chi-squared" in failed:
             scale = np.sqrt(size.statistic / max(size.degrees, 1))
-            sentences.append(f"{where}: its residuals are {scale:.3g} times what the spec's noise says")
+            sentences.append(f"{where}: its residuals are {scale:.3g} times the noise of the spec")
         if f"{name}: whiteness" in failed:
             sentences.append(
                 f"{where}: its residuals are not white: the spec's noise does not explain their correlation"
@@ -499,8 +502,8 @@ def _words(report: SensorEstimate, solution: ImuEstimate) -> list[str]:
     for error in report.calibration.table:
         if abs(error.value) > _CONTRADICTED * error.prior:
             sentences.append(
-                f"the table's {error.name.replace('_', ' ')} is {error.value / error.prior:+.1f} times its standard "
-                "deviation by the spec: is the spec of the table right?"
+                f"the table's {error.name.replace('_', ' ')} is {error.value / error.prior:+.1f} times its "
+                "standard deviation in the spec: is the spec of the table correct?"
             )
     if report.calibration.unobservable:
         sentences.append(f"the data say nothing of {', '.join(report.calibration.unobservable)}")

@@ -43,10 +43,13 @@ class Lag(NamedTuple):
             return []
         said: list[str] = []
         if self.seconds > 0.99 * LONGEST_LAG_S:
-            said.append(f"the lag is at the longest allowed, {self.seconds:.0f} s: the data do not determine it")
+            said.append(
+                f"the lag reaches the longest allowed value, {self.seconds:.0f} s: the data do not determine it"
+            )
         if self.seconds < 2.0 * self.std:
             said.append(
-                f"no lag of the maps shows: the estimate is {self.seconds:.2g} s, its uncertainty (1σ) {self.std:.2g} s"
+                f"no lag of the maps is significant: the estimate is {self.seconds:.2g} s, its uncertainty "
+                f"(1σ) {self.std:.2g} s"
             )
         return said
 

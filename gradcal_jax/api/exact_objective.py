@@ -25,7 +25,7 @@ from gradcal_jax.information import Posterior
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import BIAS, SCALE_FACTOR, SensorModel
 
-MISSED = "the chance to miss a hidden map"
+MISSED = "the probability of missing a hidden map"
 # The smallest chance that counts.
 _NEVER = 1e-12
 
@@ -101,7 +101,7 @@ class Aim(NamedTuple):
 
 class ExactObjective:
     """What the [design] of a spec minimises: the logarithms of the residuals over their `aims`, in each of its `cases`:
-    of the requirements in order, then the chance to miss a hidden map and an optimality, where the design has them.
+    of the requirements in order, then the probability of missing a hidden map, and an optimality, if there are any.
 
     Of several counted aims the mean or the `worst`; over the cases the worst, or the mean: of ratios to targets the
     geometric one.

@@ -217,9 +217,9 @@ def _read(
             break
         if number == _LINEARISED:
             raise LogError(
-                f"{name}: the angles that gravity gives do not stand still ({np.degrees(largest):.2g} deg from one "
-                f"linearisation to the next, after {number}): are the standstills at rest, and do the plan's turns and "
-                "the axes' directions agree with the log?"
+                f"{name}: the angles from gravity do not converge ({np.degrees(largest):.2g} deg from one "
+                f"linearisation to the next, after {number}): is the IMU at rest in the standstills, and do the "
+                "plan's turns and the directions of the axes agree with the log?"
             )
         share = 0.5 if number >= _HALF_FROM else 1.0
         angles = rows.angles + share * np.where(np.isfinite(errors), errors, 0.0)
@@ -232,8 +232,8 @@ def _read(
     scale = float(np.sqrt(solution.estimate.chi_squared / max(solution.estimate.degrees, 1)))
     if scale > _ABSURD:
         raise LogError(
-            f"{name}: the unit's readings differ from the table's by {scale:.3g} times what noise explains: are the "
-            "mounting, the unit's axes and signs and the table's angles those of the spec?"
+            f"{name}: the readings of the IMU differ from those of the table by {scale:.3g} times the noise: do "
+            "the mounting, the axes and signs of the IMU and the table's angles agree with the spec?"
         )
     return Fit(done, readings, solution, seen.rates)
 
@@ -315,7 +315,7 @@ def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> 
         lag = Lag(float(options.lag))
     elif stable:
         lag = Lag(0.0)
-        messages = *messages, "at stable temperatures a lag cannot be estimated: it is taken as zero"
+        messages = *messages, "a lag cannot be estimated at constant temperatures: it is taken as zero"
     else:
         lag = lag_of_maps(built, name, rows, temperature_of)
     temperature = temperature_of(lag.seconds)
@@ -342,9 +342,9 @@ def together(spec: Spec, fits: Mapping[str, FittedRows]) -> dict[str, FittedRows
         messages = [common]
         if test is not None and not test.passed:
             messages.append(
-                f"contradicts the other IMUs: the table that it sees differs from theirs (χ² {test.statistic:.4g}, "
-                f"{test.degrees} degrees of freedom): does it sit firmly, and at the right "
-                "place? Estimate the others without it"
+                "contradicts the other IMUs: its estimate of the table differs from theirs (χ² "
+                f"{test.statistic:.4g}, {test.degrees} degrees of freedom): is the IMU fixed firmly, and at the "
+                "correct place? Estimate the others without it"
             )
         recorded = of.recorded
         for message in messages:
@@ -429,7 +429,7 @@ def calibration_of(
 
 
 def _estimator(solution: ImuEstimate, lag: Lag, options: Options) -> str:
-    parts = [f"Gauss-Newton through the finite geometry, {solution.rounds} rounds"]
+    parts = [f"Gauss-Newton with finite rotations, {solution.rounds} iterations"]
     if np.any(solution.weights < 1.0):
         parts.append("robust (Huber)")
     if lag.std is not None:
@@ -482,7 +482,7 @@ def _terms(spec: Spec, channel: Channel, values: np.ndarray) -> Iterator[Calibra
 
 
 def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarray) -> Iterator[PathCoefficient]:
-    """What depends on the path of temperature and was estimated beside the maps, from all reported parameters."""
+    """Path-of-temperature terms, estimated in addition to the maps, from all reported parameters."""
     begin = 0
     for c in built.model.channels:
         for term in c.model.terms:

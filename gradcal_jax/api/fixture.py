@@ -32,4 +32,4 @@ def known_together(
     try:
         return posteriors_together(plans, counts, clock=builts[0].spec.sensor.takes_host_clock), ""
     except MemoryError as error:
-        return list(alone), f"{error}: each place is that of an IMU alone"
+        return list(alone), f"{error}: each place is predicted for an IMU alone"

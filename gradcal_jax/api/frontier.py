@@ -10,9 +10,7 @@ from gradcal_jax.api.search_results import Optimised, SearchStep
 from gradcal_jax.display import summary
 from gradcal_jax.files.spec_sections import Spec
 
-_BLIND: Final = (
-    "no plan found for this duration observes all that is required: try more moves at each turn at the table"
-)
+_BLIND: Final = "no plan found for this duration observes all requirements: try more moves in each visit"
 
 
 class FrontierPoint(NamedTuple):

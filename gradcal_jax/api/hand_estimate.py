@@ -97,8 +97,8 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     usable = log.usable(number) & np.isfinite(rates).all(axis=1) & np.isfinite(force).all(axis=1)
     if not usable.any():
         raise LogError(
-            f"{name}: no row has both the rates and the specific forces: are gyros and accelerometers in rows of their "
-            "own? Write interpolate = true in the column map, or join the two streams first"
+            f"{name}: no row has both rates and specific forces: are gyros and accelerometers in separate rows? "
+            "Write interpolate = true in the column map, or join the two streams first"
         )
     temperature = bridged_temperature(log, number, options.temperature_c)
     filled = fill_short_gaps(
@@ -113,15 +113,16 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     time, usable, rates, force = filled.time, filled.usable, filled.values[:, :3], filled.values[:, 3:]
     if filled.number:
         messages.append(
-            f"{filled.number} rows in gaps of one or two are filled by cubics: an angle may be off by "
-            f"{filled.error[:3].max():.2g} rad each, what the straight line differs by"
+            f"{filled.number} rows in gaps of one or two are filled by cubics: each may change an angle by "
+            f"{filled.error[:3].max():.2g} rad, the difference from linear interpolation"
         )
     try:
         standing = filled.standing
         if standing is None:
             standing = find_positions(rates, force, log.sample_interval_s, usable)
             messages.append(
-                f"the log marks no standstills: {int(standing.max()) + 1} were found where rates and forces are quiet"
+                f"the log marks no standstills: {int(standing.max()) + 1} were detected where rates and "
+                "forces are steady"
             )
         solution = solve_by_hand(HandRows(time, rates, force, usable, standing), gravity, options.earth_rate or 0.0)
     except ValueError as error:
@@ -234,36 +235,36 @@ def _words(
     force, gyro, held = solution.accelerometer, solution.gyro, solution.positions
     for fit, what, unit in ((force, "forces", "m/s²"), (gyro, "rates", "rad/s")):
         if fit.gain != 1.0:
-            yield f"the {what} are counts, about {fit.gain:.4g} of them one {unit}: the scale factors hold that, too"
+            yield f"the {what} are counts, about {fit.gain:.4g} of them one {unit}: the scale factors include this"
     up = (held.force - force.centre) / np.linalg.norm(held.force - force.centre, axis=1, keepdims=True)
     spread, axes = np.linalg.eigh(up.T @ up / len(up))
     if spread[0] < _FLAT:
         normal = ", ".join(f"{v:+.2f}" for v in axes[:, 0])
         yield (
-            f"all positions lie near one plane: gravity was never along ({normal}) of the unit's x, y, z; hold it with "
-            "that direction up, and down"
+            f"all positions are close to one plane: gravity was never along ({normal}) in the IMU's x, y, z; hold "
+            "the IMU with that direction up, and down"
         )
     for k, a in enumerate("xyz"):
         for words, most in (("up", up[:, k].max()), ("down", -up[:, k].min())):
             if most < 0.5:
                 yield f"axis {a} was never held within 60° of {words}"
     if unseen:
-        yield f"the data say nothing of {', '.join(unseen)}: the file has their values of an ideal unit"
+        yield f"not observable: {', '.join(unseen)}; the file has the values of an ideal IMU for them"
     if force.beyond > 0.0:
         yield (
-            f"|f| - g differs from position to position by {force.beyond / G * 1e6:.3g} µg more than noise explains: "
-            "did the unit stand still, and is its error proportional to the force? The covariance includes it"
+            f"|f| - g differs between positions by {force.beyond / G * 1e6:.3g} µg more than noise explains: was "
+            "the IMU at rest, and is its error proportional to the force? The covariance includes this difference"
         )
     if gyro.beyond > 0.0:
         yield (
-            f"gravity's direction after a turn has {gyro.beyond * 1e6:.3g} µrad more error than noise explains: the "
-            "gyros have errors besides scale factor, misalignment and sensitivity to acceleration, or the unit "
-            "moved in a standstill. The covariance includes it"
+            f"gravity's direction after a turn has {gyro.beyond * 1e6:.3g} µrad more error than noise explains: "
+            "the gyros have errors other than scale factor, misalignment and acceleration sensitivity, or the "
+            "IMU moved during a standstill. The covariance includes it"
         )
     if solution.unsteady > 0.0:
         yield (
-            f"the gyros' rates at rest differ by {solution.unsteady * DEG_PER_H:.3g} deg/h more than noise and their "
-            "sensitivity to acceleration explain, probably by drift. The covariance includes it"
+            f"the gyros' rates at rest differ by {solution.unsteady * DEG_PER_H:.3g} deg/h more than noise and "
+            "acceleration sensitivity explain, probably because of drift. The covariance includes it"
         )
     if not (white := tests["accelerometers: whiteness from position to position"]).passed:
         yield f"|f| - g is correlated from position to position (chance {white.probability:.1g}): it warms or ages"

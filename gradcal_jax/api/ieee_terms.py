@@ -82,7 +82,7 @@ def term_map(
 ) -> TermMap:
     """A term at temperatures (°C) and rates (rad/s), both `(n,)`. Errors: `ValueError` for a term that is not there."""
     if (term := channel.term_of(name)) is None:
-        raise ValueError(f"the calibration of {channel.label} holds no {name.replace('_', ' ')}")
+        raise ValueError(f"the calibration of {channel.label} has no {name.replace('_', ' ')}")
     one = np.ones((len(temperature_c), 1))
     cold = one if term.temperature is None else term.temperature.values(temperature_c)
     fast = one if term.rate is None else term.rate.values(rate)
@@ -155,7 +155,7 @@ def _terms_of(
     plain = term.name.replace("_", " ")
     if term.name == "bias_temperature_gradient":
         of = term_map(calibration, channel, term.name, np.array([at]), np.zeros(1))
-        yield _term(of, _NAMES[term.name], "bias for each °C/min of the temperature's rate")
+        yield _term(of, _NAMES[term.name], "bias for each °C/min of temperature change")
         return
     rates = np.zeros(1)
     if term.rate is not None:
@@ -175,7 +175,7 @@ def _terms_of(
         centred = temperatures - temperatures.mean()
         slope = np.kron(centred / (centred @ centred), mean)
         what = "M's mean over rate" if term.rate is not None else words
-        words = f"slope of the straight line through {what}, {low:g} … {high:g} °C"
+        words = f"slope of the best straight line through {what}, {low:g} … {high:g} °C"
         yield _term(everywhere.weighted(slope), f"{plain} temperature sensitivity", words, "/°C")
 
 
@@ -184,7 +184,7 @@ def _over_rate(here: TermMap, rates: Floats, at: float) -> Iterator[IeeeTerm]:
     if slow < 0.0 < fast:
         positive, negative = (sign * rates > 0.0 for sign in (1.0, -1.0))
         difference = positive / positive.sum() - negative / negative.sum()
-        words = f"mean of M over positive rates less that over negative ones, at {at:g} °C"
+        words = f"mean of M over positive rates minus that over negative rates, at {at:g} °C"
         yield _term(here.weighted(difference[None]), "scale factor asymmetry", words)
     if fast > slow:
         # Output error M·ω less its best straight line, over the largest rate.

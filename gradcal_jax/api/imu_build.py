@@ -114,8 +114,8 @@ def build_imu(
     `ValueError` for a fixture of several IMUs."""
     if spec.rig.table.place:
         raise ValueError(
-            "the spec has a fixture of several IMUs: predict, optimise and estimate take it; for anything else write "
-            "the mounting of one of its places as rig.table.mounting, and leave rig.table.place out"
+            "the spec has a fixture of several IMUs, which only predict, optimise and estimate support; for "
+            "other commands, write the mounting of one place as rig.table.mounting, and remove rig.table.place"
         )
     if too := too_large(spec):
         raise MemoryError(too)
@@ -134,7 +134,7 @@ def build_imu(
     if until_s < np.inf:
         broken = plan.between(-np.inf, until_s, whole=_reads_segments(spec))
         if broken is None and not parts:
-            raise ValueError(f"nothing of the plan was executed until {until_s:.6g} s")
+            raise ValueError(f"no part of the plan was executed before {until_s:.6g} s")
         plan = broken
     parts = [*parts, *([] if plan is None else [(plan, 0.0)])]
     return BuiltImu(spec, model_, _motion(parts, spec, model_), points, rough, sources, until_s)

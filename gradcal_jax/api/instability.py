@@ -64,7 +64,7 @@ class RestRecord:
         if temperature_c is None and branch is None:
             return self
         if self.temperature_c is None:
-            raise LogError("the log has no temperature, so no range or branch of it can be looked at")
+            raise LogError("the log has no temperature, so it has no temperature ranges or branches")
         valid, words = self.valid, list[str]()
         if temperature_c is not None:
             low, high = temperature_c
@@ -83,10 +83,11 @@ class RestRecord:
         all the others, folded. Raises `LogError` where their number is not known."""
         if not np.isfinite(self.samples_per_row):
             raise LogError(
-                f"axis {self.axis} of {self.unit}: rows at {1.0 / self.sample_interval_s:.3g} Hz of a raw channel, "
-                "which is sampled much faster: are they means of the samples between, or every n-th of them? Their "
-                "angle random walk is the sensor's for means only. State it by --sensor-rate means, or by the "
-                'sensor\'s own rate, such as --sensor-rate "400 Hz"; better, log at the full rate'
+                f"axis {self.axis} of {self.unit}: rows at {1.0 / self.sample_interval_s:.3g} Hz of a raw "
+                "channel, which is sampled much faster: are they means of the samples between, or every n-th of "
+                "them? Only for means is the angle random walk of the rows that of the sensor. State "
+                '--sensor-rate means, or the sensor\'s own rate, such as --sensor-rate "400 Hz"; it is better to '
+                "log at the full rate"
             )
         return walk / float(np.sqrt(self.samples_per_row))
 
@@ -100,12 +101,12 @@ def allan_of(
         return deviation, identify.fit_allan(deviation, terms=terms, confidence=confidence)
     except np.linalg.LinAlgError:
         raise LogError(
-            f"axis {rest.axis} of {rest.unit}: its rows repeat a pattern, and are no noise: --plot shows it"
+            f"axis {rest.axis} of {rest.unit}: its rows repeat a pattern and are not noise: --plot shows it"
         ) from None
     except ValueError as error:
         if confidence <= 0.0 or confidence >= 1.0 or not set(terms) <= set(TERMS):
             raise
-        help_ = rest.lost or "a longer record, or fewer terms of the fit, would do"
+        help_ = rest.lost or "use a longer record, or fewer terms in the fit"
         raise LogError(f"axis {rest.axis} of {rest.unit}: {error}; {help_}") from None
 
 
@@ -153,7 +154,7 @@ class Instability:
         walk = f'angle_random_walk = "{number(walk)} deg/sqrt(h)"'
         if not self.bound.drift_shows:
             hidden = number(self.bound.hidden_drift_std * DEG_PER_H)
-            return f"# {walk}\n# no drift shows above the angle random walk; one of up to {hidden} deg/h could hide"
+            return f"# {walk}\n# no drift is visible above the angle random walk; up to {hidden} deg/h could be present"
         return "\n".join(
             [
                 f"# {walk}",
@@ -210,13 +211,13 @@ def at_rest(
     for first, last in without:
         out = valid & (time >= first) & (time <= last)
         valid &= ~out
-        messages.append(f"{np.count_nonzero(out)} rows from {first:g} s to {last:g} s are left out as asked")
+        messages.append(f"{np.count_nonzero(out)} rows from {first:g} s to {last:g} s are left out as requested")
     if not valid.any():
         lost = ", ".join(f"{count} {reason}" for reason, count in log.counts(unit).items() if reason != "used")
         raise LogError(
             f"of {log.rows_read} rows none is usable: {lost}"
             if not even.valid.any()
-            else "no usable row of the record is marked as standing still: an instability is seen at rest only"
+            else "no usable row of the record is marked as at rest: an instability is visible only at rest"
         )
     rate, named = even.rate_rad_per_s.copy(), (label, name)
     temperature = even.temperature_c
@@ -225,7 +226,9 @@ def at_rest(
     if bias_degree is None:
         bias_degree = 3 if span >= _TELLING_SPAN else 0
     if bias_degree > 0 and not known:
-        raise LogError("the log has no temperature for every usable row, so no bias over temperature can be taken off")
+        raise LogError(
+            "some usable rows of the log have no temperature, so a bias over temperature cannot be subtracted"
+        )
     thermal = None
     if bias_degree == 0 or (bias_degree > 0 and temperature is None):
         rate = rate - rate[valid].mean()
@@ -236,13 +239,13 @@ def at_rest(
         rate = rate - thermal.bias(np.interp(rows, rows[where], temperature[where]), even.sample_interval_s)
         if thermal.lag_time_s > 0.0 and lag == "auto":
             messages.append(
-                f"the bias follows the temperature {thermal.lag_time_s:.0f} s late: that leaves "
-                f"{thermal.residual_rms / at_once.residual_rms:.0%} of what B(T) without a lag leaves"
+                f"the bias follows the temperature {thermal.lag_time_s:.0f} s late: the residual is then "
+                f"{thermal.residual_rms / at_once.residual_rms:.0%} of that of B(T) without a lag"
             )
         if lag in ("auto", "fit") and thermal.lag_time_s > 0.99 * _LONGEST_LAG_S:
             messages.append(
-                f"that lag is the longest allowed, {_LONGEST_LAG_S / 60:.0f} min: the record does not determine it; "
-                "it may be drift"
+                f"this is the longest lag allowed, {_LONGEST_LAG_S / 60:.0f} min: the record does not determine "
+                "it; it may be drift"
             )
     rate[~valid] = 0.0
     per_row, words = samples_per_row(log, even.sample_interval_s)
@@ -271,14 +274,14 @@ def samples_per_row(log: Log, interval_s: float) -> tuple[float, list[str]]:
     if stated in (None, "means"):
         slow = stated is None and interval_s * _SLOW_HZ > 1.0
         return 1.0, [
-            f"rows at {1.0 / interval_s:.3g} Hz are taken as means of the sensor's samples between them; if they are "
-            "every n-th of them, their angle random walk is too large: state the sensor's rate as sensor_rate in the "
-            "column map, or by --sensor-rate"
+            f"rows at {1.0 / interval_s:.3g} Hz are taken as means of the sensor's samples; if each row is a "
+            "single sample, the angle random walk is too large: state the sensor's rate as sensor_rate in the "
+            "column map, or with --sensor-rate"
         ] * slow
     samples = max(units.parse(stated, "frequency") * interval_s, 1.0)
     return samples, [
-        f"rows are every {samples:.4g}th sample of {stated}: the angle random walk is the rows' divided by "
-        f"{np.sqrt(samples):.3g}, as for noise that is white up to the sensor's rate"
+        f"rows are every {samples:.4g}th sample of {stated}: the angle random walk of the rows is divided by "
+        f"{np.sqrt(samples):.3g}, which assumes white noise up to the sensor's rate"
     ]
 
 
@@ -291,10 +294,10 @@ def _lost(log: Log, read: Mapping[str, int], valid: np.ndarray, interval_s: floa
     lost = [f"{count} {reason}" for reason, count in read.items() if reason != "used"]
     lost += [finding.message for finding in log.findings if finding.kind == "gap"]
     return (
-        f"of {log.rows_read} rows {np.count_nonzero(valid)} are usable, in {len(runs)} stretches of at most {longest} "
-        f"rows ({longest * interval_s:.3g} s): {'; '.join(lost) or 'others were left out'}. A longer record with the "
-        "same losses does not help; one without them does, and so does sample_rate in the place of uneven stamps, or "
-        "interpolate = true in the column map where channels have rows of their own"
+        f"of {log.rows_read} rows {np.count_nonzero(valid)} are usable, in {len(runs)} stretches of at most "
+        f"{longest} rows ({longest * interval_s:.3g} s): {'; '.join(lost) or 'others were left out'}. A longer "
+        "record with the same losses does not help. Record without losses, or use sample_rate instead of uneven "
+        "time stamps, or interpolate = true in the column map if channels have separate rows"
     )
 
 
@@ -360,8 +363,8 @@ def instability(
     walk = fit.angle_random_walk.value if angle_random_walk is None else angle_random_walk
     if angle_random_walk is None and walk <= fit.angle_random_walk.standard_error:
         raise LogError(
-            f"the Allan deviation of axis {rest.axis} shows no angle random walk, which the bound needs: give the "
-            'data sheet\'s with --random-walk, such as "0.1 deg/sqrt(h)"'
+            f"the Allan deviation of axis {rest.axis} shows no angle random walk, which the bound needs: state "
+            'that of the data sheet with --random-walk, such as "0.1 deg/sqrt(h)"'
         )
     times = identify.integration_times(max(shortest_s, interval), longest, interval, count=count)
     times = times[times <= room * (1 + 1e-12)]
@@ -482,8 +485,8 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
     elif 0.0 < fit.angle_random_walk.value < _QUIETEST:
         notes.append(
             f"an angle random walk of {fit.angle_random_walk.value * DEG_PER_SQRT_H:.2g} deg/sqrt(h) is that of a "
-            "large fibre-optic or ring laser gyro: is it one, or are increments of angle taken as rates, or rates in "
-            "rad/s stated as deg/s, or stamps in s as ms?"
+            "large fibre-optic or ring laser gyro: is it one, or does the column map take angle increments as "
+            "rates, or state deg/s for rates in rad/s, or ms for time stamps in s?"
         )
     if fit.low_passed:
         notes.append(
@@ -493,9 +496,10 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
     if fit.chance < identify.MISFIT:
         last = fit.fitted_time_s[-1]
         notes.append(
-            f"the fitted terms do not follow the curve (χ² {fit.chi_squared:.4g} of {fit.chi_squared_degrees} degrees; "
-            f"{identify.MISFIT:.0%} of records of such noise are as far off), least of all near "
-            f"{fit.farthest_time_s:.3g} s: the record holds something else (a trend, a period, a thermal effect); "
+            f"the fitted terms do not follow the curve (χ² {fit.chi_squared:.4g} of {fit.chi_squared_degrees} "
+            f"degrees; {identify.MISFIT:.0%} of records of such noise differ as much), least of all near "
+            f"{fit.farthest_time_s:.3g} s: the record has other effects (a trend, an oscillation, a thermal "
+            "effect); "
             + (
                 f"times above {last:.3g} s are left out of the fit"
                 if last < fit.averaging_time_s[-1] / 2
@@ -508,8 +512,9 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
 def too_noisy(fit: identify.AllanFit) -> str:
     """The questions on a record with an implausible angle random walk."""
     return (
-        f"an angle random walk of {fit.angle_random_walk.value * DEG_PER_SQRT_H:.3g} deg/sqrt(h) is more than any gyro "
-        "has: are rates in deg/s stated as rad/s, or stamps in ms as s, or did the sensor move?"
+        f"an angle random walk of {fit.angle_random_walk.value * DEG_PER_SQRT_H:.3g} deg/sqrt(h) is more than any "
+        "gyro has: does the column map state rad/s for rates in deg/s, or s for time stamps in ms, or did the "
+        "sensor move?"
     )
 
 
@@ -548,7 +553,7 @@ def noise_of_imu(log: Log, unit: str | int = 0, *, lag: float | str = "auto") ->
 def noise_file(channels: Sequence[ChannelNoise], form: NoiseFormat, sample_rate_hz: float, source: str) -> str:
     """The text of the file. **Raises:** `LogError` where an axis shows no white noise."""
     lines = [
-        f"# noise of {source} at rest, by its Allan deviation: densities of continuous time, of the noisiest axis;",
+        f"# noise of {source} at rest, from its Allan deviation: continuous-time densities of the noisiest axis;",
         "# then each axis ± one standard error",
     ]
     if form == "kalibr":
@@ -567,7 +572,7 @@ def noise_file(channels: Sequence[ChannelNoise], form: NoiseFormat, sample_rate_
         ):
             values = [getattr(channel.fit, term) for channel in own]
             if name == "noise_density" and not all(value.value > 0.0 for value in values):
-                raise LogError(f"an {kind} shows no white noise, which the file needs: log at a higher rate")
+                raise LogError(f"an {kind} has no visible white noise, which the file needs: log at a higher rate")
             largest = values[int(np.argmax([value.value for value in values]))]
             each = ", ".join(
                 f"{channel.axis} {value.value:.4g} ± {value.standard_error:.2g}"
@@ -578,5 +583,7 @@ def noise_file(channels: Sequence[ChannelNoise], form: NoiseFormat, sample_rate_
             else:
                 # (With no random walk at all a filter stops to learn the bias: the limit stands in its place.)
                 limit = max(value.value + value.standard_error for value in values)
-                lines.append(f"{kind}_{name}: {limit:.4e}  # {words}; does not show, an upper limit (1σ); {each}")
+                lines.append(
+                    f"{kind}_{name}: {limit:.4e}  # {words}; not visible, so this is an upper limit (1σ); {each}"
+                )
     return "\n".join(lines) + "\n"

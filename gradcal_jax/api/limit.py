@@ -123,8 +123,8 @@ _ALONG = 1e-12
 _APART = 1e-6
 _RELAXED = (
     "everything else is known exactly",
-    "the unit is read at every instant, moving or not, with the best distribution of turns and poses",
-    "the noise is white, except for biases",
+    "the IMU is read continuously, at rest and during moves, with the best distribution of turns and poses",
+    "the noise is white, except for that of biases",
 )
 
 
@@ -135,9 +135,9 @@ def proofs_of_imu(spec: Spec) -> list[Proof]:
     proven = [(r, *bound) for r in spec.requirement if (bound := _certified(window, r)) is not None]
     if not proven:
         raise ValueError(
-            "a limit of an IMU is proven for biases, scale factors that are polynomials, misalignments to the table or "
-            "the case, acceleration sensitivity and second order; the spec has no "
-            "requirement on one of these"
+            "for an IMU, limits are proven for biases, polynomial scale factors, misalignments to the table or "
+            "the case, acceleration sensitivity and second-order terms; the spec has no requirement on any of "
+            "these"
         )
     return [Proof(r, *bound, relaxed, kept) for r, bound, relaxed in proven]
 

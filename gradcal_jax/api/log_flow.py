@@ -23,7 +23,7 @@ def _log_of(log: Log | np.ndarray, rate: float | None) -> Log:
             raise ValueError("rate: a log has its own times; leave it out")
         return log
     if rate is None or not rate > 0.0:
-        raise ValueError("rate: say how many samples a second the array has, such as rate=100.0")
+        raise ValueError("rate: state the samples per second of the array, such as rate=100.0")
     return log_from(np.arange(len(log)) / rate, log)
 
 

@@ -33,7 +33,7 @@ _QUARTZ, _APART = 2e-5, 2.0
 _AS_COUNTED = 1.1
 # Stamps this near to each other are one, s.
 _SAME_STAMP_S = 1e-6
-_CLOCK_MEND = '[sensor] clock = "sensor" predicts what such a log gives'
+_CLOCK_MEND = '[sensor] clock = "sensor" gives the prediction for such a log'
 
 
 class TableReadings(NamedTuple):
@@ -85,10 +85,10 @@ def table_readings(
     if column is not None:
         known = np.isfinite(column)
         if standing.any() and not known[standing].any():
-            raise LogError("the table's angle is missing wherever it stands: it is the reference")
+            raise LogError("the table's angle is missing at every standstill: it is the reference")
         if not known[standing].all():
             count = int(np.count_nonzero(standing & ~known))
-            messages.append(f"{count} rows of rest without a table angle are no reference, and are not read")
+            messages.append(f"{count} rows at rest without a table angle cannot be a reference, and are not used")
             standing = standing & known
     rows = np.flatnonzero(estimation.column_readings(log.time_s, column, standing, every))
     angle = np.full(len(rows), np.nan) if column is None else column[rows]
@@ -114,7 +114,7 @@ class ClockFit(NamedTuple):
     def sentence(self) -> str:
         """The comparison in words."""
         known = (
-            f"1σ {self.std * 1e6:.2g} ppm" if self.std is not None else "how well that is known the log does not say"
+            f"1σ {self.std * 1e6:.2g} ppm" if self.std is not None else "the log does not state the uncertainty of this"
         )
         return f"one second of the sensor's clock is {self.slope:.9f} s of the computer's ({known}{self.since})"
 
@@ -131,7 +131,7 @@ def host_time(log: Log) -> tuple[np.ndarray, str]:
     """The sensor's time stamps in seconds of the host clock, and a sentence on the comparison of the clocks."""
     fit = clock_fit(log)
     time = log.time_s[0] + fit.slope * (log.time_s - log.time_s[0])
-    return time, f"{fit.sentence}; rates are integrated over the computer's time"
+    return time, f"{fit.sentence}; rates are integrated over the computer's clock"
 
 
 def default_clock(log: Log) -> Literal["sensor", "host"]:
@@ -153,14 +153,15 @@ def clock_fit(log: Log) -> ClockFit:
     """
     if log.host_time_s is None:
         raise LogError(
-            "the log has no host time, so the sensor's clock cannot be held against it: --clock sensor takes its "
-            "stamps as they are"
+            "the log has no host time to compare the sensor's clock with: --clock sensor uses its time stamps unchanged"
         )
     starts, stds = _clock_fits(log)
     sensor, host = _centred(log.time_s, starts), _centred(log.host_time_s, starts)
     levers = np.add.reduceat(sensor * sensor, starts)
     if not levers.any():
-        raise LogError("no two rows of the log belong together, so the sensor's clock cannot be held against another")
+        raise LogError(
+            "no two consecutive rows of the log are usable, so the sensor's clock cannot be compared with another"
+        )
     if stds is None:
         slope = float(sensor @ host / levers.sum())
         spread = float(np.std(host - slope * sensor))
@@ -177,7 +178,7 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
     """The spec and the options of an estimate, each with what the other says of the clock; and sentences on a clock
     that contradicts the computer's. A lever arm of gyros that matters and is not in the spec is estimated, too.
 
-    Where rates are integrated over the computer's time, the clock's error is that of the comparison and of the
+    Where rates are integrated over the computer's clock, the clock's error is that of the comparison and of the
     computer's own clock. A rate of the Earth that an option gives is no omitted term of the spec.
     """
     clock, error, said = options.clock or spec.sensor.clock, spec.sensor.sample_clock_error, list[str]()
@@ -191,8 +192,8 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
         clock = "host" if both and better else "sensor"
         if clock == "sensor" and spec.sensor.takes_host_clock:
             said.append(
-                f"the log does not compare the sensor's clock with the computer's: its {error} count, where a "
-                f"prediction of the spec counts {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
+                f"the log does not compare the sensor's clock with the computer's: its {error} count, while a "
+                f"prediction from the spec counts {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
             )
     # Every log has a slope of its own to the host's clock; the error that they share is at most the largest.
     std = max((float(np.hypot(fit.std or 0.0, HOST_CLOCK)) for fit in fits), default=np.inf)
@@ -206,8 +207,8 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
     for fit in apart:
         used = "the computer's is used" if clock == "host" else "the sensor's is used: --clock host takes the other"
         said.append(
-            f"the log's two clocks contradict each other by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more than "
-            f"{_APART:g} times what the sensor's clock is good to: {used}"
+            f"the log's two clocks contradict each other: they differ by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more "
+            f"than {_APART:g} times the uncertainty of the sensor's clock: {used}"
         )
     if (arm := absent_lever_arm(spec)) is not None:
         spec = changed(spec, {arm.key: arm.value})
@@ -225,8 +226,8 @@ def with_earth(spec: Spec, earth_rate: float) -> Spec:
     along = "" if gyro is None or not spec.is_one_axis else str(getattr(hung, gyro.axes[0]))
     if along not in ("+z", "-z"):
         raise ValueError(
-            "--earth-rate and --latitude are for one gyro along a table's only axis that points up: for others the "
-            "spec has [rig.site] latitude"
+            "--earth-rate and --latitude are only for one gyro along the only axis of a table, pointing up; for "
+            "others, the spec has [rig.site] latitude"
         )
     up = earth_rate if along == "+z" else -earth_rate
     latitude = math.asin(max(-1.0, min(up / EARTH_RATE, 1.0)))
@@ -265,7 +266,7 @@ def bridged_temperature(log: Log, unit: int, constant_c: float | None) -> np.nda
     values = log.bridged_temperature(unit)
     if values is None:
         if constant_c is None:
-            raise LogError('the log has no temperature: give that of the recording, such as --temperature "23 degC"')
+            raise LogError('the log has no temperature: state that of the recording, such as --temperature "23 degC"')
         return np.full(len(log.time_s), constant_c)
     if constant_c is not None:
         raise LogError("--temperature is for logs without one: this log has its own")
@@ -340,8 +341,8 @@ def imu_rows(built: BuiltImu, logs: Sequence[Log], name: str, options: Options) 
         end = shifted[-1]
     if len(logs) > 1 and built.model.knows_path:
         messages.append(
-            "between the logs the course of the temperature is not known: plays go straight from one to the next, and "
-            "power-on is at the beginning of the first"
+            "the temperature between the logs is not known: plays assume a direct change from one log to the "
+            "next, and power-on is at the beginning of the first log"
         )
     fields = ([getattr(part, field) for part in parts] for field in ImuRows._fields)
     whole: Any = (None if any(x is None for x in field) else np.concatenate(field) for field in fields)
@@ -393,7 +394,7 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
         )
         standing = standstill >= 0
         messages.append(
-            f"the log marks no standstills: {int(standstill.max()) + 1} were found where the rates are quiet"
+            f"the log marks no standstills: {int(standstill.max()) + 1} were detected where the rates are steady"
         )
     else:
         raise LogError("a log without gyros must mark its standstills (a column standstill in the column map)")
@@ -421,7 +422,8 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
         place = _places_of(built, log, options.table_axis)[0] if known or options.table_axis else None
         if not known:
             messages.append(
-                "the log has no table angle: only rates at rest are used, and the scale factor is not observable"
+                "the log has no table angle: the estimate uses only rates at rest, and the scale factor is "
+                "not observable"
             )
         noise = float(built.model.encoder.reading[0])
         read, standing = table_readings(log, place, standing, _spacing(built, options), messages, noise)
@@ -435,8 +437,8 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
         second = estimation.smoothed_temperature(time, second, **over)
     elif any(of.name == SECOND for of in built.model.others):
         raise LogError(
-            "the log has no second temperature, on whose difference from the first the spec has a "
-            "thermometer_difference; a column map gives it as second_temperature"
+            "the spec has a thermometer_difference, but the log has no second temperature; a column map names it "
+            "second_temperature"
         )
     return ImuRows(
         time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop, worth, rate, at_end, second
@@ -464,7 +466,7 @@ def _table_rate(built: BuiltImu, log: Log, chosen: str | None) -> np.ndarray:
     schedule = built.spec.schedule
     assert isinstance(schedule, StandardSchedule)
     if any(schedule.rates):
-        raise LogError("the log has no table rate, which is the reference of the standard method")
+        raise LogError("the log has no table rate, the reference of the standard method")
     return np.zeros(len(log.time_s))
 
 
@@ -473,13 +475,13 @@ def _places_of(built: BuiltImu, log: Log, chosen: str | None) -> list[int]:
     names = [axis.name for axis in built.spec.rig.table.axis]
     if chosen is not None:
         if len(names) > 1:
-            raise LogError("--table-axis is for a table of one axis: name the axes alike in spec and log")
+            raise LogError("--table-axis is only for a table of one axis: use the same names of axes in spec and log")
         names = [chosen]
     if missing := [name for name in names if name not in log.table_axes]:
         if chosen is not None or not len(names) == len(log.table_axes) == 1:
             raise LogError(
-                f"the log has no table axis {', '.join(missing)}: it has {', '.join(log.table_axes) or 'none'}. Name "
-                "the axes alike in the spec's [[rig.table.axis]] and in the log's column map"
+                f"the log has no table axis {', '.join(missing)}: it has {', '.join(log.table_axes) or 'none'}. "
+                "Use the same names in the spec's [[rig.table.axis]] and in the log's column map"
             )
         names = list(log.table_axes)
     return [log.table_axes.index(name) for name in names]
@@ -491,7 +493,7 @@ def _table_angles(built: BuiltImu, log: Log, chosen: str | None) -> tuple[np.nda
     count = len(log.time_s)
     if log.table_angle_rad is None and log.readings is None:
         names = ", ".join(axis.name for axis in built.spec.rig.table.axis)
-        raise LogError(f"the log has no angles of the table ({names}), which are the reference")
+        raise LogError(f"the log has no table angles ({names}), which are the reference")
     places = _places_of(built, log, chosen)
     if log.readings is None:
         assert log.table_angle_rad is not None
@@ -556,7 +558,9 @@ def with_turns(
             if unlike is not None and unlike <= len(turns_rad)
             else f"{len(turns_rad)} turns are listed"
         )
-        raise LogError(f"{wrong}, and about {name} the sensor has {listed or 'none'}: are order, signs and axis right?")
+        raise LogError(
+            f"{wrong}, and about {name} the sensor has {listed or 'none'}: are order, signs and axis correct?"
+        )
     marked = replace(
         log, table_axes=(name,), table_angle_rad=angle[:, None], table_rate_rad_per_s=None, standstill=number
     )

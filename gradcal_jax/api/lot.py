@@ -103,12 +103,12 @@ def lot(calibrations: Sequence[Calibration]) -> Lot:
     chosen = [(key, _with_term(calibrations, *key)) for key in names]
     wanted = [(key, having) for key, (having, _) in chosen if len(having) >= 3]
     if not wanted:
-        raise ValueError("no map has a covariance in three or more of the calibrations: estimate them from logs anew")
+        raise ValueError("no map has a covariance in three or more of the calibrations: estimate them again from logs")
     maps = [_map_of(having, *key, tests=len(wanted)) for key, having in wanted]
     notes = [note for _, (_, note) in chosen if note]
     notes += [
-        f"{one.serial_number}: its data contradict its model ({', '.join(one.contradicted[:3])}), so its covariance, "
-        "and what follows from it, is not valid"
+        f"{one.serial_number}: its data contradict its model ({', '.join(one.contradicted[:3])}), so its "
+        "covariance, and results based on it, are not valid"
         for one in calibrations
         if one.contradicted
     ]
@@ -120,9 +120,9 @@ def lot(calibrations: Sequence[Calibration]) -> Lot:
 def _few(count: int) -> str:
     low, high = (float(np.sqrt(x)) for x in (lots.spread_factor(count, tail) for tail in (0.975, 0.025)))
     return (
-        f"{count} IMUs do not say whether one is a stranger, whether there are groups, or what the next one will be "
-        f"like: a spread of {count} is known between {low:.2g} and {high:.2g} times its value, and at most "
-        f"{count - 2} shapes can be tested; {lots.FEW} or more are needed for a prior"
+        f"{count} IMUs are too few to detect outliers or groups, or to predict the next IMU: the 95 % interval of "
+        f"the spread of {count} is {low:.2g} to {high:.2g} times its value, and at most {count - 2} shapes can be "
+        f"tested; {lots.FEW} or more are needed for a prior"
     )
 
 
@@ -155,8 +155,9 @@ def _with_term(calibrations: Sequence[Calibration], kind: str, axis: str, name: 
     for one in having[1:]:
         if not all(_same(getattr(one.term, k), getattr(having[0].term, k)) for k in ("temperature", "rate")):
             raise ValueError(
-                f"{kind}_{axis}: the {name.replace('_', ' ')} of {one.calibration.serial_number} has another basis "
-                f"than that of {having[0].calibration.serial_number}: estimate all of a lot by one spec"
+                f"{kind}_{axis}: the {name.replace('_', ' ')} of {one.calibration.serial_number} has a different "
+                f"basis than that of {having[0].calibration.serial_number}: estimate all IMUs of a lot with the "
+                "same spec"
             )
     note = f"{kind}_{axis}: {', '.join(lacking)} without an observable {name.replace('_', ' ')}" if lacking else None
     return having, note
@@ -265,7 +266,7 @@ def _strangers(values: Floats, own: Floats, serials: np.ndarray, tests: int) -> 
 def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
     """What a map says of the type, in sentences."""
     what, last = f"{of.channel} {of.term.replace('_', ' ')}", of.tests[-1]
-    test = f"what they leave has χ² {last.chi_squared:.4g}, {last.degrees} degrees of freedom"
+    test = f"the remainder has χ² {last.chi_squared:.4g}, {last.degrees} degrees of freedom"
     size = len(of.shares)
     n = len(of.serial_numbers) - len(of.strangers)
     place = int(np.argmax(np.abs(of.mean) / np.maximum(of.mean_half, 1e-300)))
@@ -275,16 +276,20 @@ def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
         most = last.shapes
         shapes = f"{in_words(most)} shape{'' if most == 1 else 's'}" if most else "one map for all"
         yield (
-            f"{what}: the shapes do not repeat ({shapes} and {n} IMUs: {test}), so the lot says of the next IMU's map "
-            "no more than its size; no prior is written"
+            f"{what}: the shapes do not repeat ({shapes} and {n} IMUs: {test}), so the lot predicts only the size "
+            "of the next IMU's map; no prior is written"
             if of.shapes_in_words == "do not repeat"
             else f"{what}: {n} IMUs are too few to say whether its shapes repeat ({shapes}: {test})"
         )
     elif size == 1:
-        alike = "all are alike within their calibrations" if of.shape_count == 0 else "a constant, with a spread"
+        alike = (
+            "all are equal within the uncertainty of their calibrations"
+            if of.shape_count == 0
+            else "a constant, with a spread"
+        )
         yield f"{what}: {alike} ({test.replace('they leave', 'one value leaves') if last.shapes == 0 else test})"
     elif of.shape_count == 0:
-        yield f"{what}: no spread is seen beyond the calibrations' own uncertainty (one map for all: {test})"
+        yield f"{what}: no spread is visible beyond the uncertainty of the calibrations (one map for all: {test})"
     else:
         repeat = "shape repeats" if of.shape_count == 1 else "shapes repeat"
         share = 100.0 * sum(of.shares[: of.shape_count])
@@ -293,23 +298,23 @@ def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
         yield f"{what}: {n} IMUs are too few for a prior"
     elif beyond == "unclear":
         yield (
-            f"{what}: what may be beyond is as large as what repeats, since the calibrations are too uncertain or do "
-            "not share their range; no prior is written"
+            f"{what}: the allowance for other deviations is as large as the repeating part, because the "
+            "calibrations are too uncertain or have different ranges; no prior is written"
         )
     if of.groups:
         sizes = ", ".join(str(len(group)) for group in of.groups)
         yield f"{what}: {len(of.groups)} groups, of {sizes} IMUs: make a lot of each; no prior is written"
     for one in of.strangers:
         yield (
-            f"{what}: {one.serial_number} is a stranger (chance of one of the type as far from all others: "
-            f"{one.chance:.2g}); it does not count in mean, spread and shapes"
+            f"{what}: {one.serial_number} is an outlier (probability of an IMU of this type as far from all "
+            f"others: {one.chance:.2g}); it does not count in mean, spread and shapes"
         )
 
 
 _HEADER: Final = """\
-Priors of a type of IMU by a lot of {n} calibrations{simulated}, for the spec of the next one: put these tables in
-the place of those of the same names. A shape is a function of which every IMU has another multiple, of mean 0 and
-variance 1; the mean map is one of them, and the last ones are what may be beyond."""
+Priors for a type of IMU from a lot of {n} calibrations{simulated}, for the spec of the next IMU: replace the tables
+of the same names by these. A shape is a function with a random factor for each IMU, of mean 0 and variance 1; the
+first is the mean map, and the last ones allow for other deviations."""
 
 
 def lot_priors(of: Lot) -> str:

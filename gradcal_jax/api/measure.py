@@ -72,7 +72,7 @@ def design_of(spec: Spec) -> Design:
     """The spec's [design]. Errors: `ValueError` where it has none."""
     if spec.design is None:
         raise ValueError(
-            f"the spec has no [design]: say what to minimise and what is free. To paste:\n\n{design_block(spec)}"
+            f"the spec has no [design]: state the objective and the free parts. To paste:\n\n{design_block(spec)}"
         )
     return spec.design
 

@@ -80,8 +80,8 @@ def minimise_time(
             raise KeyboardInterrupt
         if best is None and time == longest and plan is not None:
             raise ValueError(
-                f"no plan found meets the target in {longest / 60.0:.4g} min: "
-                f"the best leaves {plan.now:.3g} times as much"
+                f"no plan found meets the target in {longest / 60.0:.4g} min: the best one leaves {plan.now:.3g} "
+                "times the target"
             )
     assert best is not None
     yield _as_time(spec, best, long, longest)
@@ -99,8 +99,9 @@ def _refuse_what_no_plan_meets(spec: Spec, longest: float) -> None:
         limit = limit_of(requirement)
         if row is not None and limit is not None and row.certified > limit[1]:
             raise ValueError(
-                f"no plan meets {row.name!r}: its target allows {limit[1]:.4g} {row.unit} (1σ), and it is proven "
-                f"that none leaves less than {row.certified:.4g} {row.unit} in {longest / 60.0:.4g} min on this rig"
+                f"no plan meets {row.name!r}: its target allows {limit[1]:.4g} {row.unit} (1σ), and proven limits "
+                f"show that no plan leaves less than {row.certified:.4g} {row.unit} in {longest / 60.0:.4g} min "
+                "on this rig"
             )
 
 

@@ -18,11 +18,11 @@ from gradcal_jax.files.spec import expect_spec
 from gradcal_jax.files.spec_sections import Spec
 
 BY_HAND = (
-    'rig.table.drive is "hand": the search makes turns of a motor. Search the plan with drive = "motor" and moves '
-    'without shape = "hand", then write its turns as ones by hand, with the durations that a person needs'
+    'rig.table.drive is "hand": the search plans turns of a motor. Search the plan with drive = "motor" and '
+    'moves without shape = "hand", then write its turns as turns by hand, with the durations that a person needs'
 )
 """Why no plan of turns by hand is searched."""
-NO_UNTIL_MET = "a search for the shortest plan ends where its targets are just met: leave --until-met out"
+NO_UNTIL_MET = "a search for the shortest plan ends when its targets are just met: leave --until-met out"
 
 
 def optimise(
@@ -53,7 +53,7 @@ def optimise(
         if until_met:
             raise ValueError(NO_UNTIL_MET)
         if checkpoint is not None:
-            raise ValueError("a search for the shortest plan is not kept: start anew, without --resume")
+            raise ValueError("a search for the shortest plan is not saved: start again, without --resume")
         yield from minimise_time(spec, partial(optimise, spec, steps=steps, quick=quick, stop=stop), stop)
         return
     if spec.turns_one_gyro:

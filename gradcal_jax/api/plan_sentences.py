@@ -148,9 +148,9 @@ def one_way_sentences(built: BuiltImu, known: Posterior, line: Trajectory | None
                 left[c.kind, kind, unit] = max(size, after * factor), max(most, wide), axes
     course, spec = _course_in_words(line or built.motion.line), built.spec
     return [
-        f"{course}: hysteresis is not observable, ±{size:.3g} {unit} of it remain in the {kind} of {of} "
-        f"{', '.join(axes)}: let the temperature "
-        f"return by {2.0 * wide:g} K or more{minutes_of_change(spec, 2.0 * wide)}"
+        f"{course}: hysteresis is not observable; ±{size:.3g} {unit} of it remain in the {kind} of {of} "
+        f"{', '.join(axes)}: reverse the temperature by {2.0 * wide:g} K or "
+        f"more{minutes_of_change(spec, 2.0 * wide)}"
         for (of, kind, unit), (size, wide, axes) in left.items()
     ]
 
@@ -173,10 +173,10 @@ def _one_way_of_class(built: BuiltImu) -> list[str]:
 
 
 # Name of an installation's parameter, unit of its prior, and a remedy other than a plan.
-_HANG = "hang the unit in several ways, or count misalignments from the table's axes"
+_HANG = "use several mountings, or refer misalignments to the table's axes"
 _FREEDOMS = {
     "sample_clock": ("the sample clock", "ppm", 1e6, "compare the clock with a better one"),
-    "gravity": ("gravity", "ug", 1e6 / G, "have it measured at the site"),
+    "gravity": ("gravity", "ug", 1e6 / G, "measure it at the site"),
     "azimuth": ("the azimuth of the base", "mrad", 1e3, "survey it"),
     "tilt_east": ("the tilt of the base", "urad", 1e6, "level it"),
     "tilt_north": ("the tilt of the base", "urad", 1e6, "level it"),
@@ -218,8 +218,8 @@ def _limited_by_priors(built: BuiltImu, known: Posterior) -> list[str]:
                 limited = reasons.setdefault((words, unit, factor, float(priors[i]), cure), [])
                 limited.append(f"the {kind}s' {family}")
     return [
-        f"{words} stays as uncertain as it was ({prior * factor:.3g} {unit}) and alone limits "
-        f"{' and '.join(dict.fromkeys(limited))}, however long this plan goes on: {cure}"
+        f"the plan does not reduce the uncertainty of {words} ({prior * factor:.3g} {unit}), which alone limits "
+        f"{' and '.join(dict.fromkeys(limited))}, however long the plan is: {cure}"
         for (words, unit, factor, prior, cure), limited in reasons.items()
     ]
 
@@ -232,7 +232,7 @@ def _as_before(built: BuiltImu, known: Posterior) -> list[str]:
         then, now = (quantity.residual(k).statistic() for k in (before, known))
         if then is not None and now is not None and now > NOT_OBSERVED * then:
             sentences.append(
-                f"requirement '{requirement.name}' stays as the priors have it: the plan does not observe it"
+                f"requirement '{requirement.name}' depends only on the priors: the plan does not observe it"
             )
     return sentences
 
@@ -243,7 +243,7 @@ def _saturated(built: BuiltImu, fastest: np.ndarray) -> list[str]:
     if gyro is None or gyro.usable_rate is None:
         return []
     return [
-        f"gyro {name} sees up to {np.degrees(rate):.4g} deg/s, beyond its full scale less the margin, "
+        f"gyro {name} has rates up to {np.degrees(rate):.4g} deg/s, beyond its full scale minus the margin, "
         f"{np.degrees(gyro.usable_rate):.4g} deg/s: turn more slowly"
         for name, rate in zip(AXIS_NAMES, fastest, strict=True)
         if name in gyro.axes and rate > gyro.usable_rate * (1.0 + 1e-6)
@@ -272,8 +272,8 @@ def _beyond_rates(built: BuiltImu, fastest: np.ndarray) -> list[str]:
             least = np.degrees(min(fastest[k] for k in slow))
             about = "" if len(gyros) == 1 else f" about {', '.join(AXIS_NAMES[k] for k in slow)}"
             sentences.append(
-                f"requirement '{r.name}' asks for rates up to {np.degrees(widest):.4g} deg/s, but the plan reaches "
-                f"{least:.4g} deg/s only{about}: beyond that the structure of the map is trusted"
+                f"requirement '{r.name}' has rates up to {np.degrees(widest):.4g} deg/s, but the plan reaches "
+                f"only {least:.4g} deg/s{about}: beyond that, the structure of the map is assumed"
             )
     return sentences
 
@@ -286,8 +286,9 @@ def _of_this_run(built: BuiltImu) -> list[str]:
         if triad is not None and triad.bias is not None and triad.turn_on_bias:
             unit, factor = UNITS_OF_TERMS[si]
             sentences.append(
-                f"within one run the turn-on bias of the {kind}s cannot be told from a0: the bias map is this run's, "
-                f"and another run's differs by {float(triad.turn_on_bias) * factor:.4g} {unit} (standard deviation)"
+                f"within one run the turn-on bias of the {kind}s cannot be separated from a0: the bias map is for "
+                f"this run, and that of another run differs by {float(triad.turn_on_bias) * factor:.4g} {unit} "
+                "(standard deviation)"
             )
     return sentences
 
@@ -304,9 +305,9 @@ def _both_ways(built: BuiltImu) -> list[str]:
         if triad is not None and triad.gradient_sensitivity is None and triad.gradient_std:
             figure = triad.bias_temperature_gradient.text
             sentences.append(
-                f"the plan heats and cools, where a bias of {figure} is no constant: an estimate will say that the "
-                f"data contradict the model; have it estimated: "
-                f'[sensor.{kind}] bias_temperature_gradient = {{ prior = "{figure}" }}'
+                f"the plan heats and cools, so a bias of {figure} is not constant: an estimate will report that "
+                f"the data contradict the model; have it estimated: [sensor.{kind}] bias_temperature_gradient = "
+                f'{{ prior = "{figure}" }}'
             )
     return sentences
 
@@ -321,8 +322,8 @@ def _beyond(built: BuiltImu) -> list[str]:
             beyond.setdefault((float(r.temperature[0]), float(r.temperature[1])), []).append(f"'{r.name}'")
     return [
         (f"requirement {names[0]} asks" if len(names) == 1 else f"requirements {', '.join(names)} ask")
-        + f" for {cold:g} … {warm:g} °C, but the sensor goes through {low:.4g} … {high:.4g} °C only: beyond that the "
-        "structure of the maps is trusted"
+        + f" for {cold:g} … {warm:g} °C, but the sensor covers only {low:.4g} … {high:.4g} °C: outside, the "
+        "structure of the maps is assumed"
         for (cold, warm), names in beyond.items()
     ]
 
@@ -352,8 +353,8 @@ def _cures(built: BuiltImu, axes: np.ndarray, names: set[str]) -> list[str]:
         spread = np.linalg.svd(np.column_stack([np.ones(len(up)), up]), compute_uv=False)
         if spread[-1] < _FLAT * spread[0]:
             sentences.append(
-                "the directions that point up while the table rests lie in one plane, so bias and acceleration "
-                "sensitivity cannot be told apart: four directions are needed that do not"
+                "the directions that point up at rest are in one plane, so bias and acceleration sensitivity "
+                "cannot be separated: use four directions that are not in one plane"
             )
     return sentences
 
@@ -415,8 +416,8 @@ def _unseen_by_gravity(built: BuiltImu) -> list[str]:
         if k == 0:
             cure = f'tilt the axis "{axis.name}" by {_TILT_DEG:g} deg{_when_tilted(built)}'
         sentences.append(
-            f'gravity does not see turns of "{axis.name}", which is vertical in all of them, nor the azimuth: without '
-            f"an encoder the scale factor of gyros along it is not observable: {cure}"
+            f'gravity does not show turns of "{axis.name}", which is vertical in all of them, nor the azimuth: '
+            f"without an encoder the scale factor of gyros along this axis is not observable: {cure}"
         )
     return sentences
 
@@ -459,11 +460,14 @@ def _reversals(built: BuiltImu, axes: np.ndarray) -> list[str]:
     for k in range(len(table.axis) - 1):
         turning = np.unique(np.round(axes[motion.axis == k][:, k], 6), axis=0)
         if not len(turning):
-            sentences.append(f'the axis "{table.axis[k].name}" never turns: misalignments towards it are not seen')
+            sentences.append(
+                f'the axis "{table.axis[k].name}" never turns: misalignments towards it are not observable'
+            )
         elif not np.any(turning @ turning.T < -_ALONG):
             inner = table.axis[k + 1].name
             sentences.append(
-                f'no turn of "{table.axis[k].name}" is repeated with "{inner}" half a turn further: misalignments '
-                f"cannot be told from the non-orthogonality of the two axes; add 180 deg of {inner}"
+                f'no turn of "{table.axis[k].name}" is repeated with "{inner}" rotated by half a turn: '
+                "misalignments cannot be separated from the non-orthogonality of the two axes; add 180 deg of "
+                f"{inner}"
             )
     return sentences

@@ -393,7 +393,7 @@ def _enough(runs: int, parameters: int) -> None:
 
 
 _VERSIONS = ("jax", "numpy", "equinox")
-NOT_OPTIMISED = "not optimised: the plan as it stands in the spec"
+NOT_OPTIMISED = "not optimised: the plan of the spec"
 
 
 def recipe(

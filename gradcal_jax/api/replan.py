@@ -29,7 +29,7 @@ _ROUNDING = 1e-6
 _BRIEF_S = 1.0
 # The share of a turn at the table for which the axis rests in the first plan of a search.
 _STANDS = 0.2
-_GO_ON = "go on with the run as it is, gradcal run --resume"
+_GO_ON = "continue the run with its plan, gradcal run --resume"
 Span = tuple[float, float]
 """Start and end on a plan's clock (s)."""
 
@@ -81,17 +81,17 @@ def rest_of(spec: Spec, done: Sequence[Span], *, left_s: float | None = None, pa
     for several mountings.
     """
     if len(spec.rig.table.mounting) > 1:
-        raise ValueError(f"of a plan with several mountings the rest is not planned anew: {_GO_ON}")
+        raise ValueError(f"a plan with several mountings cannot be replanned: {_GO_ON}")
     schedule = spec.executable_schedule
     seam_s = done[-1][1] if done else 0.0
     left = [s for s in schedule.segments if s.end > seam_s + _BRIEF_S]
     ramps = [s for s in left if s.kind == "ramp"]
     if not ramps:
-        raise ValueError(f"nothing of the ramp is left: {_GO_ON}")
+        raise ValueError(f"the ramp is complete: {_GO_ON}")
     slopes = [s.slope for s in ramps]
     waits = any(s.kind == "step" or not s.used for s in (left if done else left[1:]))
     if waits or min(slopes) * max(slopes) < 0.0:
-        raise ValueError(f"what is left of the plan is not one ramp, up or down: {_GO_ON}")
+        raise ValueError(f"the remaining plan is not a single ramp, up or down: {_GO_ON}")
     begins_c = ramps[0].temperature_start + ramps[0].slope * max(seam_s - ramps[0].start, 0.0)
     ends_c = ramps[-1].temperature_end
     lasts_s = sum(s.end - max(s.start, seam_s) for s in left if s.used) if left_s is None else left_s
@@ -104,7 +104,7 @@ def rest_of(spec: Spec, done: Sequence[Span], *, left_s: float | None = None, pa
     slope = fine * min(math.ceil(span_k / least / fine - _ROUNDING), math.floor(steepest / fine + _ROUNDING))
     span_k = grid_k * math.floor(min(span_k, slope * lasts_s) / grid_k + _ROUNDING)
     if span_k <= 0.0:
-        raise ValueError(f"no time is left for a ramp: {_GO_ON}")
+        raise ValueError(f"there is no time for a ramp: {_GO_ON}")
     ends_c, lasts_s = begins_c + math.copysign(span_k, ends_c - begins_c), span_k / slope
     plan: dict[str, Any] = {
         "plan.programme": None,

@@ -98,7 +98,7 @@ def search_plans(
             improve(point)
         if own or best.point is not None:
             missed = objective.missed(best.left).items()
-            words = ", ".join(f"{n} is {math.exp(by):.3g} times what it may be" for n, by in missed)
+            words = ", ".join(f"{n} is {math.exp(by):.3g} times its limit" for n, by in missed)
             now = objective.shown(best.left)
             yield SearchStep(name, unit, start, now, share, best.words, words, search.state(best.point))
             if met := until_met and objective.met(best.left):
@@ -114,11 +114,11 @@ def search_plans(
     result = result._replace(**search.record(result, None if met else best.point, last))
     sentence = result.sentence
     if not searched:
-        sentence = f"the plan as it was: {MET}, and nothing was searched"
+        sentence = f"the plan in the file: {MET}, without a search"
     elif met:
         sentence = f"stopped early: {MET}" + (f"; {sentence}" if sentence else "")
     elif kept:
-        sentence = f"nothing better than the plan as it was ({now:.4g} {unit}), which is kept; {sentence}"
+        sentence = f"no plan is better than the plan in the file ({now:.4g} {unit}), which remains; {sentence}"
     if missed:
         sentence += f"; no plan was found that meets the target of {', '.join(missed)}"
     yield result._replace(sentence=sentence, converged=met or (result.converged and not missed))

@@ -78,7 +78,7 @@ def sensitivity(spec: Spec) -> Sensitivities:
     if spec.done:
         raise goes_on("a sensitivity")
     if not spec.requirement:
-        raise ValueError("the spec has no [[requirement]], so there is nothing to be sensitive: add one")
+        raise ValueError("the spec has no [[requirement]], so there are no sensitivities: add one")
     built = build_imu(spec)
     nominal = _residuals(built)
     hidden = [r.name for r, value in zip(spec.requirement, nominal, strict=True) if not np.isfinite(value)]

@@ -153,7 +153,7 @@ def structures(spec: Spec, scenarios: list[Spec], *, motion: float | None = None
         return _standard(spec, scenarios, design, motion)
     cycle = cycle_of(spec)
     if cycle is None:
-        _only(design, ("programme", "gradient"), "a gradient plan whose axis stands")
+        _only(design, ("programme", "gradient"), "a gradient plan with the axis at rest")
         return _programmes(spec, scenarios, design, motion)
     _only(design, ("duration", "rest", "turn", "peak_rate", "ramp", "gradient", "cycle"), "a gradient plan with moves")
     return _cycles(spec, scenarios, cycle, design, motion)
@@ -218,7 +218,7 @@ def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float |
     if not counts:
         raise ValueError(
             f"{fewest} temperatures are needed, each with a soak of {soak / 60.0:.4g} min: the time of "
-            f"{time / 60.0:.4g} min leaves nothing to integrate in"
+            f"{time / 60.0:.4g} min leaves no time for the integration"
         )
     low, high = temperatures_of(spec, scenarios)
     numbers = [np.asarray(float(v)) for v in (soak, time, low, high, largest_rate(spec, scenarios))]
@@ -237,7 +237,7 @@ def _programmes(spec: Spec, scenarios: list[Spec], design: Design, motion: float
     first = schedule.segments[0]
     soak = first.duration if first.kind == "soak" else 0.0
     if soak == 0.0:
-        raise ValueError("a programme for a standing axis begins with a soak: give plan.soak")
+        raise ValueError("a programme for an axis at rest begins with a soak: give plan.soak")
     time = motion_time(spec, design) if motion is None else motion
     low, high = temperatures_of(spec, scenarios)
     every = [spec, *scenarios]
@@ -293,7 +293,7 @@ def _cycles(
     else:
         choices = [(repetitions(time, own, own + other)[0], own, other)]
         if choices[0][0] == 0:
-            raise ValueError(f"one turn at the table takes {own:.4g} s, the ramp only {time:.4g} s: give it more time")
+            raise ValueError(f"one visit takes {own:.4g} s, the ramp only {time:.4g} s: give it more time")
     candidates = []
     # Many short visits have more numbers than a search can tell apart: they begin with the same moves in each.
     many = choices[0][0] > _MOST_OWN and "cycles" not in design.model_fields_set
@@ -398,8 +398,8 @@ def _unsuited(moves: Sequence[ResolvedMove]) -> str:
         {"at the end" if m.read_every is None else f"every {m.read_every:g} s" for m in moves if m.is_rest}
     )
     if len(spacings) > 1 or any(m.other_axes for m in moves):
-        several = f"are read {' and '.join(spacings)}" if len(spacings) > 1 else "are for other axes in part"
-        return f"optimise reads all rests alike, and these {several}: give them one read_every"
+        several = f"are read {' and '.join(spacings)}" if len(spacings) > 1 else "are partly for other axes"
+        return f"optimise reads all rests in the same way, and these {several}: give them one read_every"
     return ""
 
 
@@ -426,4 +426,4 @@ def _spec_cycle(
     )
     span = float(frame.temperature_end) - float(frame.temperature_start)
     begin = nominal._replace(steps=span * np.asarray(coordinates.lasting()) / time)
-    return Structure(coordinates, f"{visits} cycles with the moves of the spec", coordinates.vector(begin))
+    return Structure(coordinates, f"{visits} cycles with the moves in the spec", coordinates.vector(begin))

@@ -279,7 +279,7 @@ def _channel_row(channel: Channel, triad: GyroTriad | AccelerometerTriad | None)
     if isinstance(triad, GyroTriad):
         own["rate_random_walk"] = triad.rate_random_walk or 0.0
     if outside := [term.name for term in channel.model.terms if isinstance(term, OwnTerm)]:
-        raise ValueError(f"a timeline cannot hold an error by a class of your own, such as {outside[0]}: leave it out")
+        raise ValueError(f"a timeline cannot contain an error term of your own, such as {outside[0]}: leave it out")
     terms = [_term_row(channel, term, triad) for term in channel.model.terms if isinstance(term, Map | SignalMap)]
     own["path"] = tuple(_path_row(channel, term) for term in channel.model.terms if isinstance(term, PathTerm))
     axis = AXIS_NAMES[channel.axis]

@@ -62,7 +62,7 @@ def belief_of(spec: Spec) -> str:
     if not sure:
         return ""
     return (
-        f"assumed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure of the "
+        f"assumed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure in the "
         "spec; a discrepancy in the spec allows deviations from it, and gives a plan that is robust against them"
     )
 
@@ -158,11 +158,15 @@ class TurnSearch:
             hint = "give finer ones"
             name = design_of(spec).minimise
             if any(r.name == name and r.quantity in ("heading", "north") for r in spec.requirement):
-                hint = "give the maps priors, or other requirements targets: a mission alone constrains little else"
+                hint = (
+                    "add priors for the maps, or targets for other requirements: a mission alone constrains little else"
+                )
             sentence = f"rounded to the controllers' steps, the plan does not observe enough: {hint}; {sentence}"
         elif last.value > (1.0 + _DEAR) * optimum.value:
             more = 100.0 * (last.value / optimum.value - 1.0)
-            sentence += f"; the controllers' steps and whole readings cost {more:.2g} % of it: give finer ones"
+            sentence += (
+                f"; rounding to the controllers' steps and whole readings costs {more:.2g} % of it: give finer ones"
+            )
         compiled = self._of.compiled(self._choices[self._best.structure].coordinates)
         ends = [exactly(compiled, end) for end in self._best.state.points]
         turns = coordinates if point is not None and isinstance(coordinates, Coordinates) else None
@@ -255,7 +259,7 @@ def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...
     fastest = int(np.sum(peaks > float(coordinates.limits.max_rate) * (1.0 - _AT_LIMIT)))
     binding = ["the time at the table"]
     if fastest:
-        binding.append(f"the largest rate, in {fastest} of {len(peaks)} turns")
+        binding.append(f"the maximum rate, in {fastest} of {len(peaks)} turns")
     if coordinates.travels:
         angles = np.cumsum(coordinates.angles(cycle))
         if np.max(np.abs(angles)) > float(coordinates.limits.travel) * (1.0 - _AT_LIMIT):

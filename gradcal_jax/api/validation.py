@@ -107,8 +107,8 @@ def validate(
     number = log.unit_index(unit)
     if calibration.provenance.get(LOG_HASH) == log.fingerprint(number):
         raise LogError(
-            "the calibration was estimated from this log, so its residuals here are those of the fit. Validate "
-            "with another log"
+            "the calibration was estimated from this log, so these residuals are those of the fit. Validate with "
+            "another log"
         )
     corrected = correction.apply(calibration, log, unit)
     how = _Ranges(temperature_parts, bin_k, by_branch)
@@ -119,7 +119,7 @@ def validate(
         if f"gyro {name}" not in corrected.left_alone:
             result.append(_axis(log, corrected.log, number, name, how, earth_rate, table_axis))
     if not any(one.moves or one.rests for one in result):
-        raise LogError("the log holds neither a move with a table angle nor a rest: there is nothing to compare with")
+        raise LogError("the log has neither a move with a table angle nor a rest, so there is no reference")
     return result
 
 
@@ -150,7 +150,9 @@ def _judged(result: Result, cell: Cell) -> Acceptance:
     if result.risk is None:
         rule = f"simple acceptance: the mean error within {target:g} {result.unit}"
     else:
-        rule = f"guarded: an error beyond {target:g} {result.unit} with a chance of {100.0 * result.risk:g} % at most"
+        rule = (
+            f"guarded: an error beyond {target:g} {result.unit} with a probability of at most {100.0 * result.risk:g} %"
+        )
     verdict = "met" if met else "missed"
     risk = specific_risk(error, std, target)
     return Acceptance(result.name, result.axis, result.unit, target, error, std, risk, limit, verdict, rule)
@@ -161,7 +163,7 @@ def _standstills(log: Log, unit: int) -> tuple[np.ndarray, list[str]]:
     if log.standstill is not None:
         return log.standstill, []
     found = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
-    return found, ["the log marks no standstills: they were found where the rates are quiet"]
+    return found, ["the log marks no standstills: they were detected where the rates are steady"]
 
 
 def _axis(
@@ -178,7 +180,7 @@ def _axis(
     stops = [np.flatnonzero(reading[a:b]) + a for a, b in formulas.runs(standing | reading)]
     stops = [rows for rows in stops if len(rows)]
     if sum(map(len, stops)) < 2:
-        raise LogError("nothing can be estimated: in this log the table never stands still for two readings")
+        raise LogError("nothing can be estimated: in this log the table is never at rest for two readings")
     unusable, time = np.cumsum(~usable), log.time_s
 
     def whole(spans: Iterable[tuple[int, int]]) -> np.ndarray:

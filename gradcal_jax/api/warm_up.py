@@ -66,7 +66,7 @@ def estimate_warm_up(
     ]
     if missing := [unit for unit in units if not any(unit in log.units for log in logs)]:
         known = ", ".join(unit for log in logs for unit in log.units)
-        raise LogError(f"there is no unit '{missing[0]}' in this log; it has {known}")
+        raise LogError(f"there is no IMU '{missing[0]}' in this log; it has {known}")
     parts, sensors = zip(*parts, strict=True)
     return EstimateReport(tuple(one for own in sensors for one in own), (), parts)
 
@@ -77,8 +77,8 @@ def _unit(
     """The calibration of all axes of a unit, and the estimate of each."""
     log, sensors, noises = _marked(log, unit), list[SensorEstimate](), list[GyroTriad]()
     before = [
-        f"the rate of the vehicle is taken as zero: of the Earth's up to {_EARTH:.0f} deg/h is in the bias, unless "
-        "--earth-rate takes it off"
+        f"the rate of the vehicle is taken as zero: the bias includes up to {_EARTH:.0f} deg/h of the Earth's "
+        "rate, unless --earth-rate states it"
     ] * (not options.earth_rate)
     for axis in axes or log.axes:
         spec, words = warm_up_spec(log, axis, unit)
@@ -103,8 +103,8 @@ def _unit(
         )
     else:
         words = (
-            "the calibration states no noise: rows this far apart are single samples, whose noise is larger than the "
-            'sensor\'s; --sensor-rate "400 Hz" (its own rate) or --sensor-rate means would say by how much'
+            "the calibration states no noise: with this spacing, rows may be single samples, with larger noise "
+            'than the sensor\'s: state --sensor-rate "400 Hz" (its own rate) or --sensor-rate means'
         )
         sensors[0] = sensors[0]._replace(messages=(*sensors[0].messages, words))
     named = ", ".join(channel.axis for c in calibrations for channel in c.channel)
@@ -135,9 +135,9 @@ def _marked(log: Log, unit: str) -> Log:
     """The log with standstills marked, and the steps of a coarse thermometer interpolated."""
     index = log.unit_index(unit)
     if log.table_axes:
-        raise LogError("the log has a table's motion: its calibration needs a spec (--spec), which says what it is")
+        raise LogError("the log has a table's motion: its calibration needs a spec (--spec) that describes it")
     if log.temperature_c is None or not np.isfinite(temperature := log.temperature_c[index]).any():
-        raise LogError(f"the log has no temperature of unit {unit}, and a bias over temperature needs one")
+        raise LogError(f"the log has no temperature of IMU {unit}, which a bias over temperature needs")
     usable = log.usable(unit)
     standing = log.standstill
     if standing is None:
@@ -148,8 +148,8 @@ def _marked(log: Log, unit: str) -> Log:
     span = float(np.ptp(there)) if len(there) else 0.0
     if span < _LEAST_SPAN:
         raise LogError(
-            f"the temperature of unit {unit} changes by {span:.2g} K while it stands still: a bias over temperature "
-            f"needs {_LEAST_SPAN:g} K or more, so cool the vehicle before it is switched on, and let it warm for longer"
+            f"the temperature of IMU {unit} changes by {span:.2g} K at rest: a bias over temperature needs "
+            f"{_LEAST_SPAN:g} K or more, so cool the vehicle before you switch it on, and let it warm up longer"
         )
     levels = np.unique(temperature[known])
     if len(levels) > 1 and float(np.min(np.diff(levels))) > _COARSE_K:
@@ -186,11 +186,11 @@ def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
     walk = fit.angle_random_walk
     if not walk.value > walk.standard_error:
         raise LogError(
-            f"the Allan deviation of axis {axis} of unit {unit} shows no angle random walk, which the estimate "
+            f"the Allan deviation of axis {axis} of IMU {unit} shows no angle random walk, which the estimate "
             "needs: log at a higher rate, or give a spec with --spec"
         )
     if not plausible(fit):
-        raise LogError(f"axis {axis} of unit {unit}: {too_noisy(fit)}")
+        raise LogError(f"axis {axis} of IMU {unit}: {too_noisy(fit)}")
     assert rest.temperature_c is not None
     known = rest.temperature_c[rest.valid]
     low, high = float(np.floor(known.min() * 10) / 10), float(np.ceil(known.max() * 10) / 10)
@@ -280,9 +280,9 @@ def estimate_points(
     Errors: `LogError` for a spec without a standard plan or of other channels, and for too few points.
     """
     if not isinstance(spec.plan, StandardPlan):
-        raise LogError('a table of points is of the standard method: give a spec with method = "standard"')
+        raise LogError('a table of points needs the standard method: give a spec with method = "standard"')
     if spec.sensor.accelerometer is not None or spec.sensor.gyro is None or spec.sensor.gyro.axes != (points.axis,):
-        raise LogError(f"the points are of gyro {points.axis}: give a spec of that gyro alone")
+        raise LogError(f"the points are for gyro {points.axis}: give a spec of that gyro alone")
     count = len(points.output_rad_per_s)
     if count < 2:
         raise LogError(f"{points.source}: {count} points are too few")
@@ -308,11 +308,11 @@ def estimate_points(
     )  # fmt: skip
     rows, _ = imu_rows(built, [log], points.unit, options)
     own = (
-        "the points' order and times are not known: each has independent noise by the spec, and errors that they share "
-        "(the clock, the turn-on bias) are not in the covariance"
+        "the order and times of the points are not known: each has independent noise from the spec, and common "
+        "errors (the clock, the turn-on bias) are not in the covariance"
     )
     if points.sigma_rad_per_s is not None:
-        own = "the points' own sigma replaces the spec's noise; errors that the points share are not in it"
+        own = "the sigma of the points replaces the noise of the spec; it does not include errors that the points share"
     sigma = points.sigma_rad_per_s
     own_sigma = None if sigma is None else np.where(between, 0.0, both(sigma)[:-1])
     table = TablePoints(line, np.arange(2 * count), own_sigma)

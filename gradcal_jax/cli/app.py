@@ -26,7 +26,7 @@ from gradcal_jax.cli.rig import rig_app
 from gradcal_jax.cli.run import run as run_command
 from gradcal_jax.cli.user_config import own_defaults
 
-_HELP: Final = """Calibration plans for gyros, with their residual errors predicted beforehand.
+_HELP: Final = """Calibration plans for gyros, accelerometers and IMUs, with their residual errors predicted beforehand.
 
 A spec file describes sensor, rig and plan. Begin with `gradcal start`, or `gradcal new --list`.
 """
@@ -62,8 +62,9 @@ def _today(tokens: list[str]) -> list[str]:
     """A command line with today's name of its command, said where it has changed."""
     if tokens[:1] == ["recipes"]:
         raise ValueError(
-            "gradcal recipes is gone, with catalogues: gradcal sweep FILE -o results.nc --recipes FOLDER makes recipes "
-            'of a sweep with do = "optimise", whose axes may take sections of other specs (gradcal schema sweep)'
+            "gradcal recipes and catalogues were removed: gradcal sweep FILE -o results.nc --recipes FOLDER "
+            'writes the recipes of a sweep with do = "optimise", whose axes may be sections of other specs '
+            "(gradcal schema sweep)"
         )
     if not tokens or tokens[0] not in _OLD_COMMANDS:
         return tokens
@@ -72,7 +73,7 @@ def _today(tokens: list[str]) -> list[str]:
         at = tokens.index("--rows")
         after, tokens = ("--timeline", tokens[at + 1]), [*tokens[:at], *tokens[at + 2 :]]
     words = " ".join(["gradcal", *before, "…", *after] if after else ["gradcal", *before])
-    complain(f"gradcal {tokens[0]} is now {words}; the old name goes with the next release")
+    complain(f"gradcal {tokens[0]} is now {words}; the next release removes the old name")
     return [*before, *tokens[1:], *after]
 
 
@@ -147,8 +148,8 @@ def _too_large(error: BaseException) -> str:
         return text  # a message of this program
     detail = f" ({text[:160]})" if text else ""
     return (
-        f"out of memory{detail}: read less often, take a shorter plan or a part of the log (--rows), or fewer units at "
-        "once; gradcal check says what a plan needs"
+        f"out of memory{detail}: read less often, use a shorter plan or a part of the log (--rows), or fewer IMUs "
+        "at once; gradcal check says what a plan needs"
     )
 
 

@@ -45,19 +45,19 @@ def apply(
     force: ForceOutput = False,
     json: Json = False,
 ) -> int:
-    """Correct the rates and specific forces of a log by a calibration, and write them as a log.
+    """Correct the rates and specific forces of a log with a calibration, and write them as a log.
 
-    A hysteresis in the calibration follows the temperature along the log.
-    The exit status is 1 where rows lie outside the range of the calibration; there its value at the edge is used.
+    A hysteresis in the calibration follows the temperature along the log. The exit status is 1 if rows are outside
+    the range of the calibration; for these rows its value at the edge is used.
 
     Parameters
     ----------
     output
         The corrected log (.nc).
     unit
-        Which unit of the log; without it the one of the calibration's serial number, or the only one.
+        Which IMU of the log; by default the one with the calibration's serial number, or the only one.
     json
-        Print the name of the log, and how many rows lie outside, as JSON.
+        Print the name of the log, and the number of rows outside, as JSON.
     """
     from gradcal_jax.files.calibration import read_calibration
     from gradcal_jax.files.calibration.correction import apply as correct
@@ -78,16 +78,16 @@ def apply(
         print(described(corrected.log, str(log)))
         for what, count in outside.items():
             if count:
-                print(f"note: {count} {what} lie outside the range of the calibration: its value at the edge was used")
+                print(f"note: {count} {what} outside the range of the calibration: its value at the edge was used")
         if corrected.unknown_branch:
             print(
-                f"note: in {corrected.unknown_branch} rows the temperature has not gone far enough to tell the state "
-                "of the hysteresis: the middle of what it may be was used"
+                f"note: in {corrected.unknown_branch} rows the temperature has not changed enough to determine "
+                "the state of the hysteresis: the middle of its possible range was used"
             )
         if corrected.left_alone:
             print(f"note: not calibrated, and left unchanged: {', '.join(corrected.left_alone)}")
         if corrected.left_in:
-            print(f"note: known, and not taken off: {', '.join(corrected.left_in)}")
+            print(f"note: known, and not subtracted: {', '.join(corrected.left_in)}")
         print(f"wrote {output}")
     return NOT_AS_WISHED if any(outside.values()) else DONE
 
@@ -107,25 +107,25 @@ def validate(
     source: Recording = WHOLE,
     json: JsonNumbers = False,
 ) -> int:
-    """Compare a calibration with another log than its own: the errors that are left, by temperature and rate.
+    """Test a calibration on a different log, and print the remaining errors by temperature and rate.
 
-    The targets that the calibration carries are judged by their rule, guard band included. The exit status is 1 where
-    one is missed, and where the calibration makes the errors larger instead of smaller.
+    The targets in the calibration are judged by their decision rule, guard band included. The exit status is 1 if a
+    target is missed, or if the calibration makes the errors larger instead of smaller.
 
     Parameters
     ----------
     unit
-        Which unit of the log; without it the one of the calibration's serial number, or the only one.
+        Which IMU of the log; by default the one with the calibration's serial number, or the only one.
     table_axis
         The axis of the table that turns the sensor's.
     earth_rate
-        The Earth rate along the sensor's axis, such as "10.4 deg/h"; it is taken off.
+        The Earth's rate along the sensor's axis, such as "10.4 deg/h"; it is taken off.
     gravity
-        The gravity at the place, such as "9.8123 m/s^2", for accelerometers; without it standard gravity.
+        Local gravity, such as "9.8123 m/s^2", for accelerometers; without it standard gravity.
     parts
         Number of ranges of temperature.
     bins
-        Width of the ranges, such as "2 K", in the place of their number.
+        Width of the ranges, such as "2 K", instead of their number.
     branches
         Heating and cooling apart.
     """
@@ -192,9 +192,9 @@ def export(
     format
         The format: ardupilot, px4, kalibr, matrices, c-header or csv; without it that of --template.
     template
-        A template of your own, in the language of Jinja; gradcal new export-gains writes one to start from.
+        Your own template in the Jinja language; gradcal new export-gains writes an example.
     output
-        Write here; without it the text is printed, and the report goes to stderr.
+        Write here; by default the text is printed, and the report goes to stderr.
     temperature
         The temperature of a kalibr or matrices file, or of a template's matrices, such as "25 degC".
     instance
@@ -244,7 +244,7 @@ def _unit(log, serial_number: str, unit: str | None) -> str | int:
     if len(log.units) == 1:
         return 0
     raise ValueError(
-        f"the calibration is of {serial_number}, and the log has {', '.join(log.units)}: say which with --unit"
+        f"the calibration is for {serial_number}, and the log has {', '.join(log.units)}: say which with --unit"
     )
 
 
@@ -255,8 +255,8 @@ def _acceptance_text(row: "Acceptance") -> str:
     limit = "none is accepted" if row.acceptance is None else f"at most {row.acceptance:.4g} {row.unit} is accepted"
     return (
         f"{row.name}, axis {row.axis}: {strong(row.verdict)}, {row.rule}\n"
-        f"  at the largest risk: {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ of the scatter, without errors of the "
-        f"table that all moves share); {limit}; specific risk {percent(row.specific_risk)}"
+        f"  at the largest risk: {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ of the scatter, without errors of "
+        f"the table common to all moves); {limit}; specific risk {percent(row.specific_risk)}"
     )
 
 
@@ -271,7 +271,7 @@ def _validation_text(row: "AxisValidation") -> str:
         lines.append(f"angle of the moves: {before:.5g} ppm rms without, {after:.4g} ppm with the calibration")
     if row.bias_deg_per_h is not None:
         before, after = row.bias_deg_per_h
-        what = "norm of the rate at rest, less the Earth's" if together else "rate at rest"
+        what = "norm of the rate at rest, minus the Earth's rate" if together else "rate at rest"
         lines.append(f"{what}: {before:.5g} deg/h rms without, {after:.4g} deg/h with the calibration")
     if row.gravity_ug is not None:
         before, after = row.gravity_ug
@@ -309,20 +309,20 @@ def lot(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """Say what the calibrations of a number of IMUs of one type say of the type, map by map.
+    """Compute the mean and the spread of a type of IMU from calibrations of several IMUs, map by map.
 
-    The mean and the spread of every map, with the uncertainty of each calibration taken off; how many shapes repeat, by
-    a chi-squared test at 1 %; groups; and strangers, at 1 % over the whole lot. The exit status is 1 where there are
-    strangers or groups, or where priors are asked for and no shape repeats.
+    The spread excludes the uncertainty of each calibration. A chi-squared test at 1 % gives the number of shapes that
+    repeat; further tests report groups, and outliers at 1 % over the whole lot. The exit status is 1 if there are
+    outliers or groups, or if priors are requested and no shape repeats.
 
     Parameters
     ----------
     calibrations
-        Calibration files, one of each IMU, estimated by one spec; three or more.
+        Calibration files, one for each IMU, estimated with the same spec; three or more.
     output
-        Write priors for the spec of the next IMU here (.toml), where the shapes repeat.
+        Write priors for the spec of the next IMU to this file (.toml), if the shapes repeat.
     plot
-        Draw the maps of all IMUs, their mean and shapes into this file (.png, .svg, .pdf).
+        Draw the maps of all IMUs, their mean and their shapes into this file (.png, .svg, .pdf).
     """
     from gradcal_jax.files.calibration import read_calibration
 

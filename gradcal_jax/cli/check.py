@@ -41,7 +41,7 @@ def check(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """List all errors of a spec, or print what its plan does and what it cannot observe; print a recipe as a table.
+    """List all errors of a spec, or describe its plan and what the plan cannot observe; print a recipe as a table.
 
     Parameters
     ----------
@@ -49,16 +49,16 @@ def check(
         The spec file, or a recipe, whose table has the steps of the chamber, those of the table, and the predicted
         residuals.
     timeline
-        Print every segment, or reading, of the plan instead.
+        Print every segment, or every reading, of the plan instead.
     csv
         Print the rows of the timeline as comma-separated values, in SI.
     upgrade
-        Write a spec, recipe or calibration of an earlier version in today's form, with the same contents; every command
-        reads the earlier forms, too.
+        Write a spec, recipe or calibration of an earlier version in the current format, with the same contents; every
+        command reads the earlier formats as well.
     output
-        The file that --upgrade writes; without it FILE is replaced, and kept as FILE.old.
+        The file that --upgrade writes; by default FILE is replaced, and saved as FILE.old.
     files_only
-        Leave out what the plan cannot observe, which takes a few seconds to work out.
+        Leave out what the plan cannot observe, which takes a few seconds to compute.
     json
         Print the plan's times, notes, and what it cannot observe, as JSON; of a recipe its contents; with --timeline
         gradcal-timeline/2: segments, readings and the sensor's model, in SI (of an IMU gradcal-unit-timeline/1, with
@@ -70,9 +70,9 @@ def check(
     if upgrade:
         return upgrade_file(file, output, force=force)
     if output is not None:
-        raise ValueError("--output is the file of --upgrade")
+        raise ValueError("--output is only for --upgrade")
     if csv and timeline is None:
-        raise ValueError("--csv is of the rows of --timeline segments or --timeline readings")
+        raise ValueError("--csv is only for --timeline segments or --timeline readings")
     contents = spec_or_recipe(file)
     specification = contents.spec if isinstance(contents, Recipe) else contents
     if timeline is not None:
@@ -104,7 +104,7 @@ def check(
 
 
 def blind_of(spec: "Spec") -> list[str]:
-    """All warnings of `check`: what the plan cannot observe, and what requirements ask for beyond it."""
+    """All warnings of `check`: what the plan cannot observe, and requirements beyond its range."""
     use_float64()
     from gradcal_jax.api.flow import check as check_of
 
@@ -148,7 +148,7 @@ def _sensors(spec: "Spec") -> "Iterator[str]":
                 for key, part in triad
                 if isinstance(part[0] if isinstance(part, tuple) and part else part, Section) and key not in skipped
             ]
-            yield f"to be found: {name} {', '.join(triad.axes)}: {', '.join(own)}"
+            yield f"to estimate: {name} {', '.join(triad.axes)}: {', '.join(own)}"
 
 
 def _required(requirement: "Requirement") -> str:
@@ -246,23 +246,25 @@ def notes(spec: "Spec") -> list[str]:
     if isinstance(schedule, StandardSchedule):
         visited = list(schedule.temperatures)
         if any(schedule.rates) and spec.rig.table.rate_accuracy is None:
-            sentences.append("rig.table.rate_accuracy is absent: the reference rate counts as exact")
+            sentences.append("rig.table.rate_accuracy is absent: the reference rate is taken as exact")
     else:
         used = [segment for segment in schedule.segments if segment.used]
         visited = [t for segment in used for t in (segment.temperature_start, segment.temperature_end)]
         left = sum(stretch.leftover for stretch in schedule.stretches)
         if schedule.steps and left > 0.0:
-            sentences.append(f"after the last cycle's moves the table stands for {time_text(left)}")
+            sentences.append(f"after the moves of the last cycle the table is at rest for {time_text(left)}")
     low, high = min(visited), max(visited)
     for requirement in spec.requirement:
         if requirement.temperature[0] < low - 1e-6 or requirement.temperature[1] > high + 1e-6:
-            sentences.append(f'requirement "{requirement.name}" goes beyond the plan\'s {low:.5g} to {high:.5g} degC')
+            sentences.append(
+                f'requirement "{requirement.name}" exceeds the plan\'s range, {low:.5g} to {high:.5g} degC'
+            )
     return sentences
 
 
 def upgrade_file(file: Path, output: Path | None, *, force: bool) -> int:
-    """Write a spec, recipe or calibration in today's form to `output`; without it, in the place of the file, which is
-    kept as FILE.old."""
+    """Write a spec, recipe or calibration in the current format to `output`; by default it replaces the file, which is
+    saved as FILE.old."""
     from gradcal_jax.files.document import read_text, read_toml
     from gradcal_jax.files.writing import write_toml, write_whole
 
@@ -280,7 +282,7 @@ def upgrade_file(file: Path, output: Path | None, *, force: bool) -> int:
     print("\n".join(f"  {line}" for line in done))
     if any(line.lstrip().startswith("#") or " #" in line for line in text.splitlines()):
         print(f"note: the comments of {kept or file} are not in {goal}")
-    print(f"wrote {goal}" + (f"; the file as it was is {kept}" if kept is not None else ""))
+    print(f"wrote {goal}" + (f"; the original file is now {kept}" if kept is not None else ""))
     return DONE
 
 
@@ -319,7 +321,7 @@ def _moved(spec: dict[str, Any], above: str) -> list[str]:
     if "earth_rate" in spec["rig"]:
         moved.append(f"{above}rig.earth_rate -> {above}rig.site.latitude")
     if spec.get("requirement"):
-        moved.append(f'[[{above}requirement]]: quantities have the sensor\'s name, such as "gyro_bias"')
+        moved.append(f'[[{above}requirement]]: quantities begin with the sensor\'s name, such as "gyro_bias"')
     if spec.get("done"):
         moved.append(f"[[{above}done]]: plans likewise")
     return moved
@@ -340,7 +342,7 @@ def print_timeline(spec: "Spec", rows: str, *, csv: bool, json: bool) -> None:
     contents = api.timeline(spec)
     if not isinstance(contents, Timeline):
         if rows == "readings":
-            raise ValueError("of an IMU every segment says which channels have a row of it: --timeline segments")
+            raise ValueError("for an IMU every segment lists the channels with a row in it: --timeline segments")
         if json:
             print(contents.model_dump_json(exclude_none=True))
         else:
@@ -393,7 +395,7 @@ def _table(plan: "Timeline", rows: str) -> str:
 
 def _table_of_imu(unit: "ImuTimeline") -> str:
     axes = [f"{axis.name}, deg" for axis in unit.table]
-    table: list[tuple[str, ...]] = [("start", "what", "lasts", *axes, "up, from the unit", "chamber, degC", "read")]
+    table: list[tuple[str, ...]] = [("start", "what", "lasts", *axes, "up, from the IMU", "chamber, degC", "read")]
     for s in unit.segments[:_MOST_PRINTED]:
         what = s.shape if s.axis is None else f"{s.axis}: {s.shape}, {math.degrees(s.angle):+.4g} deg"
         pairs = zip(s.angles_before, s.angles_after, strict=True)

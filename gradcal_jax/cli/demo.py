@@ -76,31 +76,32 @@ def demo(
     seed: int = 1,
     json: Json = False,
 ) -> int:
-    """Do the whole job in about two minutes, from a spec to a calibrated sensor on simulated devices and a page of it.
+    """Run the whole procedure in about two minutes, from a spec to a calibrated (simulated) sensor and a report.
 
-    Each step says which command does it alone. With --imu it is an IMU on a two-axis table: a better plan, the
-    run, the calibration of all axes, in some minutes. With --data the sensor is a recorded one: its drift is found in
-    a thermal cycle at rest, and a plan is designed for it. The exit status is 1 where a target is missed in the end.
+    Each step prints the command that does it. With --imu the sensor is an IMU on a two-axis table: a better plan, the
+    run, and the calibration of all axes, in a few minutes. With --data the sensor is a recorded one: its drift is
+    estimated from a thermal cycle at rest, and a plan is designed for it. The exit status is 1 if a target is missed
+    at the end.
 
     Parameters
     ----------
     output
-        The folder for everything that is made.
+        The folder for all files.
     data
         A folder with the recorded thermal cycle, tofupilot_imu_thermal_cycle.npz.
     imu
-        An IMU, three gyros and three accelerometers, in the place of one gyro.
+        Use an IMU (three gyros and three accelerometers) instead of one gyro.
     seed
-        What the simulated devices' hidden errors are drawn by.
+        The seed of the simulated devices' hidden errors.
     json
-        Print every number as JSON, as demo.json in the folder has it.
+        Print every number as JSON, as in demo.json in the folder.
     """
     if data is not None and imu:
-        raise ValueError("--data is of a recorded gyro, --imu of an IMU: take one of them")
+        raise ValueError("--data is for a recorded gyro, --imu for an IMU: take one of them")
     if data is not None and not (data / RECORDING).is_file():
         raise ValueError(f"{data} has no {RECORDING}: name the folder with the recorded thermal cycle")
     if output.exists() and not (output.is_dir() and not any(output.iterdir())):
-        raise ValueError(f"{output} exists; name a folder that does not, with -o")
+        raise ValueError(f"{output} exists; name another folder with -o")
     if not output.absolute().parent.is_dir():
         raise ValueError(f"there is no directory {output.parent}; make it first")
     output.mkdir(exist_ok=True)
@@ -124,10 +125,10 @@ def demo(
 
 
 def _whole_job(sitting: "_Sitting", seed: int) -> dict[str, Any]:
-    sitting.step("The paper's spec: its sensor, its table, its chamber, its plan")
+    sitting.step("The paper's spec: sensor, table, chamber and plan")
     sitting.run(new, "paper-dynamic-gradient", output=str(_PAPER))
 
-    sitting.step("What the paper's plan will leave")
+    sitting.step("The residual of the paper's plan")
     paper = sitting.numbers(predict, (_PAPER,))
     row, hours = paper["requirements"][0], time_text(paper["duration_s"])
     sitting.say(f"{row['name']}, {row['statistic']}: {amount(row['mean_of_max'], row['unit'])} in {hours}")
@@ -138,7 +139,7 @@ def _whole_job(sitting: "_Sitting", seed: int) -> dict[str, Any]:
     optimisation, designed = sitting.optimise(spec)
     sitting.say(optimisation["sentence"])
 
-    sitting.step("What no plan can beat, proven")
+    sitting.step("A proven limit for all plans")
     bounds = sitting.numbers(limit, _RECIPE)
     (sitting.folder / limits).write_text(as_json(bounds) + "\n", encoding="utf-8")
     bound = next(entry for entry in bounds if entry["name"] == designed["name"])
@@ -175,16 +176,16 @@ def _whole_imu(sitting: "_Sitting", seed: int) -> dict[str, Any]:
     sitting.step("An IMU of three gyros and three accelerometers, and a plan for a two-axis table")
     sitting.run(new, "two-axis-table", output=str(spec))
 
-    sitting.step("What that plan will leave of every quantity")
+    sitting.step("The residual of every quantity with this plan")
     before = sitting.numbers(predict, (spec,))
     for row in before["requirements"]:
         sitting.say(f"{row['name']}: {amount(row[row['statistic'].replace(' ', '_')], row['unit'])}")
 
     sitting.step("Better poses and moves in the same time: a short search")
     optimisation, designed = sitting.optimise(spec, steps=_IMU_STEPS)
-    sitting.say(f"{optimisation['gain']:.2f} times better in the geometric mean of all")
+    sitting.say(f"better by a factor of {optimisation['gain']:.2f} in the geometric mean of all")
 
-    title = "The calibration of all axes, and what the run says of the table"
+    title = "The calibration of all axes, and the errors of the table found in the run"
     calibration = sitting.calibration(seed, "table and IMU", title)
     sitting.step("The page")
     page = sitting.numbers(report, (_RUN,), output=_REPORT)
@@ -216,7 +217,7 @@ def _recorded_sensor(sitting: "_Sitting", recording: Path) -> dict[str, Any]:
     sitting.say(f"axis y: {drift:.4g} deg/h with a correlation time of {lasting:.4g} s; random walk {walk:.4g} deg/√h")
     sitting.say("the recording names no units: it is read as µs and rad/s")
 
-    sitting.step("A spec of that sensor, on the paper's rig; its maps are cubic, and their size is unknown")
+    sitting.step("A spec of that sensor, on the paper's rig; the maps are cubic, and their size is unknown")
     sitting.design(
         spec,
         _HEADLINE
@@ -230,11 +231,11 @@ def _recorded_sensor(sitting: "_Sitting", recording: Path) -> dict[str, Any]:
             "design.moves": 6,
             "design.cycles": "alike",
         },
-        "Noise as recorded; the rest is the paper's, with a [design].",
+        "Noise as recorded; everything else is from the paper, with a [design].",
     )
     before = sitting.numbers(predict, (spec,))
     row, hours = before["requirements"][0], time_text(before["duration_s"])
-    sitting.say(f"a plan by hand leaves {amount(row['mean_of_max'], row['unit'])} of {row['name']} in {hours}")
+    sitting.say(f"a plan made by hand leaves {amount(row['mean_of_max'], row['unit'])} of {row['name']} in {hours}")
 
     sitting.step("A plan designed for it")
     optimisation, designed = sitting.optimise(spec)

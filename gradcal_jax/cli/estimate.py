@@ -70,59 +70,61 @@ def estimate(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """Estimate a calibration from a log by the model of a spec, and test whether the data agree with that model.
+    """Estimate a calibration from a log with the model of a spec, and test whether the data agree with the model.
 
-    Without a spec: the bias over temperature of a vehicle at rest that warms by itself, with the noise of its log;
-    with --gravity, a whole unit that was laid down in many positions and turned by hand between them.
+    Without a spec: the bias over temperature of a vehicle that warms up at rest, with the noise from its log; with
+    --gravity, an IMU that was laid down in many positions and turned by hand between them.
 
-    The exit status is 1 where a target is missed, something cannot be observed, or the data contradict the model.
+    The exit status is 1 if a target is missed, a parameter cannot be observed, or the data contradict the model.
 
     Parameters
     ----------
     more
-        Of a unit in several mountings on the table: the logs of the other mountings, in the spec's order.
+        For an IMU in several mountings on the table: the logs of the other mountings, in the order of the spec.
     spec
         The spec: noise, table and maps of the sensor. The motion is read from the log itself.
     recipe
-        The recipe that was run, in the place of its spec.
+        The recipe that was run, instead of its spec.
     output
-        Write the calibration here; with several units, a file for each, named after the unit.
+        Write the calibration here; with several IMUs, one file for each, with the name of the IMU.
     axis
-        The sensor's axis that the table turned, if the spec has one gyro on a table of one axis; by default that of the
-        spec, or the log's only one. Without a spec: which axes; may be repeated.
+        The sensor's axis that the table turned, if the spec has one gyro on a table of one axis; by default that of
+        the spec, or the only one of the log. Without a spec: which axes; may be repeated.
     unit
-        Which unit; may be repeated. All, without it.
+        Which IMU; may be repeated. All, without it.
     table_axis
-        The log's name of the axis of a table that has only one.
+        The name in the log of the axis of a one-axis table.
     earth_rate
-        The Earth rate along the sensor's axis, such as "10.4 deg/h"; it is taken off.
+        The Earth's rate along the sensor's axis, such as "10.4 deg/h"; it is taken off.
     latitude
-        In the place of --earth-rate, for an axis that points straight up.
+        Instead of --earth-rate, for an axis that points straight up.
     lag
         The lag of the maps behind the measured temperature: a time, or "fit".
     smoothness
-        The smoothness of bins and B-splines: "spec", or "auto": the one at which the data are most probable.
+        The smoothness of bins and B-splines: "spec", or "auto": the value with the largest probability of the data.
     robust
         Give readings that the model cannot explain less weight (Huber), and list them.
     clock
-        The clock over which rates are integrated: "sensor", or "host" (the computer's). Without it that of the spec,
-        or else the computer's where the log has both.
+        The clock over which rates are integrated: "sensor", or "host" (the computer's). By default that of the spec,
+        or else the computer's clock if the log has both.
     read_every
-        Spacing of the readings while the table stands, in a log with its angle at every row; without it the spec's.
+        Spacing of the readings while the table is at rest, in a log with its angle at every row; without it the
+        spec's.
     neighbours
-        Also without a structure: moves of one rate within, say, "5 K" taken together, beside the map's values.
+        Also without a structure: average moves of the same rate within, for example, "5 K", and compare them with the
+        map.
     temperature
-        The temperature of a log without a thermometer, such as "23 degC".
+        The temperature, if the log has none, such as "23 degC".
     gravity
-        The gravity at the place, such as "9.80665 m/s^2": calibrate three accelerometers and three gyros by it alone,
-        without table and spec. The unit lay still in some twenty positions in all directions, and was turned by hand
-        between them; readings may be raw counts.
+        Local gravity, such as "9.80665 m/s^2": calibrate three accelerometers and three gyros with it alone, without
+        table and spec. The IMU lay still in some twenty positions in all directions, and was turned by hand between
+        them; readings may be raw counts.
     parameters
-        Write the bias over temperature here too, as parameters of the flight controller (PX4, ArduPilot) whose log this
-        is.
+        Also write the bias over temperature here, as parameters of the flight controller (PX4, ArduPilot) that wrote
+        the log.
     points
-        The point map of a table of points (gradcal-points/1), in the place of a log: its columns of temperature, rate
-        of the table, output and standard deviation; see gradcal new point-map.
+        The point map of a table of points (gradcal-points/1), instead of a log: its columns of temperature, rate of
+        the table, output and standard deviation; see gradcal new point-map.
     plot
         Draw the fit into this file (.png, .svg, .pdf).
     """
@@ -131,7 +133,7 @@ def estimate(
     in_use |= {"--robust": robust, "--lag": lag != "none", "--read-every": read_every}
     in_use |= {"--neighbours": neighbours, "--parameters": parameters, "--points": points, "a second log": more}
     if gravity is not None:
-        _refuse(in_use, ("--latitude",), "not for a unit that was turned by hand (--gravity)")
+        _refuse(in_use, ("--latitude",), "not for an IMU that was turned by hand (--gravity)")
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours, temperature)
     drawable(plot)
     if gravity is not None:
@@ -141,13 +143,13 @@ def estimate(
         return _by_hand(log, recorded, g, unit, options, files, plot, json)
     model = None if spec is None and recipe is None else _spec(spec, recipe)
     if len(axis) > 1 and model is not None:
-        raise ValueError("a table of one axis turns one axis of a body: give --axis once")
+        raise ValueError("a table of one axis turns one axis of an IMU: give --axis once")
     table_of_points, logs = None, list["Log"]()
     if points is not None:
         from gradcal_jax.files.points import read_points
 
         if model is None or source != WHOLE or axis or unit or more or temperature is not None:
-            raise ValueError("--points needs the spec (--spec), and no option that chooses a part of a log")
+            raise ValueError("--points needs the spec (--spec), and does not allow options that select a part of a log")
         table_of_points = read_points(log, points)
         names = [table_of_points.unit]
     elif model is None:
@@ -163,7 +165,7 @@ def estimate(
     if parameters is not None:
         if firmware is None:
             raise ValueError(
-                "--parameters is for logs of PX4 (.ulg) and ArduPilot (.bin): see gradcal export for others"
+                "--parameters is only for logs of PX4 (.ulg) and ArduPilot (.bin): see gradcal export for others"
             )
         writable(parameters, force)
     files = _files(output, names, force)
@@ -212,7 +214,7 @@ def _by_hand(
     plot: Path | None,
     json: bool,
 ) -> int:
-    """The estimate of units that were laid down in many positions, without a table."""
+    """The estimate of IMUs that were laid down in many positions, without a table."""
     from gradcal_jax.api.estimate_options import Options
     from gradcal_jax.api.hand_estimate import estimate_by_hand, hand_estimate_rows
 
@@ -257,7 +259,7 @@ def _options(
     name."""
     earth = None
     if earth_rate is not None and latitude is not None:
-        raise ValueError("--earth-rate and --latitude both give the Earth rate: use one of them")
+        raise ValueError("--earth-rate and --latitude both state the Earth's rate: use one of them")
     if earth_rate is not None:
         earth = quantity(earth_rate, "angular rate", "--earth-rate")
     elif latitude is not None:
@@ -292,7 +294,7 @@ def _spec(spec: Path | None, recipe: Path | None) -> "Spec":
 
 
 def _files(output: Path | None, units: Sequence[str], force: bool) -> dict[str, Path]:
-    """The output file of each unit, checked to be writable; those of several units have their names added."""
+    """The output file of each IMU, checked to be writable; for several IMUs, with the name of the IMU added."""
     if output is None:
         return {}
     files = {units[0]: output}
@@ -359,9 +361,9 @@ def text_of_estimate(report: "SensorEstimate") -> str:
         words = ", ".join(f"{name} {std * factor:.3g} {unit}" for name, std, unit, factor in stds)
         lines.append(f"smoothness (1σ of neighbours' differences): {words}")
     spread = _sizes(report)
-    lines += ["", "the terms, at most over the temperatures:", table(spread, right=(1, 2))]
+    lines += ["", "the largest value of each term over the temperatures:", table(spread, right=(1, 2))]
     if calibration.path:
-        of_path: list[tuple[str, ...]] = [("beside the maps", "value", "1σ", "")]
+        of_path: list[tuple[str, ...]] = [("in addition to the maps", "value", "1σ", "")]
         for one in calibration.path:
             unit, factor = UNITS_OF_TERMS.get(one.unit, (one.unit, 1.0))
             numbers = f"{one.value * factor:.4g}", f"{one.standard_deviation * factor:.2g}"
@@ -381,8 +383,8 @@ def text_of_estimate(report: "SensorEstimate") -> str:
     tests = report.consistency
     lines += [
         _tests(report),
-        f"  residuals are {tests.noise_scale:.3f} times what the spec says; {tests.beyond_three:.2%} beyond 3σ, the "
-        f"largest {tests.largest:.1f}σ",
+        f"  residuals are {tests.noise_scale:.3f} times the noise of the spec; {tests.beyond_three:.2%} beyond "
+        f"3σ, the largest {tests.largest:.1f}σ",
     ]
     lines += [_neighbours(name, groups) for name, groups in report.neighbours.items()]
     if report.gravity is not None:
@@ -402,7 +404,7 @@ def _neighbours(channel: str, groups: "Sequence[Group]") -> str:
 
 def discrepancy_lines(row: "MeasuredDiscrepancy") -> list[str]:
     """The size of a measured discrepancy, and its table for a spec."""
-    several = f", {row.units} units together" if row.units > 1 else ""
+    several = f", {row.units} IMUs together" if row.units > 1 else ""
     high = "∞" if row.high is None else f"{row.high:.3g}"
     heading = (
         f"discrepancy of the {row.quantity.replace('_', ' ')}, axis {row.axis}{several}: {row.standard_deviation:.3g} "

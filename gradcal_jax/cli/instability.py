@@ -36,15 +36,15 @@ if TYPE_CHECKING:
 Axes = Annotated[
     tuple[str, ...], Parameter(name="--axis", negative="", help="Which axis; may be repeated. All, without it.")
 ]
-Unit = Annotated[str | None, Parameter(name="--unit", help="Which unit, where the log holds several.")]
+Unit = Annotated[str | None, Parameter(name="--unit", help="Which IMU, if the log has several.")]
 _DEGREE = (
-    "Degree of the bias over temperature that is taken off first; -1: nothing. Without it 3 where the temperature\n"
-    "spans 5 K, otherwise the mean."
+    "Degree of the bias over temperature that is subtracted first; -1: nothing. By default 3 if the temperature\n"
+    "spans 5 K, otherwise 0, the mean."
 )
 BiasDegree = Annotated[int | None, Parameter(name="--bias-degree", help=_DEGREE)]
 _LAG = 'Lag of the bias behind the temperature: a time, "fit", "none", or "auto": used where it fits better.'
 Lag = Annotated[str, Parameter(help=_LAG)]
-_SPAN = 'A span of the record\'s time to leave out, such as "123 s..130 s"; may be repeated.'
+_SPAN = 'A time span of the record to leave out, such as "123 s..130 s"; may be repeated.'
 Without = Annotated[tuple[str, ...], Parameter(name="--without", negative="", help=_SPAN)]
 
 
@@ -70,15 +70,15 @@ def instability(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """Find the smallest drift that bounds a record at rest: the paper's Direct Bound, as a block for a spec.
+    """Find the smallest drift that bounds a record at rest (the paper's Direct Bound), as a block for a spec.
 
-    The exit status is 1 if no drift is visible above the angle random walk, or if the angle random walk is larger than
-    that of any gyro.
+    The exit status is 1 if no drift is visible above the angle random walk, or if the angle random walk is larger
+    than any gyro has.
 
     Parameters
     ----------
     delta
-        Time of the average from which the drift is counted.
+        Averaging time before the drift is measured.
     shortest
         Shortest integration time.
     longest
@@ -88,13 +88,13 @@ def instability(
     random_walk
         Angle random walk, such as "0.1 deg/sqrt(h)"; without it the Allan deviation's.
     temperature
-        Only rows between two temperatures: --temperature "20 degC" "40 degC".
+        Use only rows between two temperatures: --temperature "20 degC" "40 degC".
     ranges
-        Also for each of this many equal ranges of temperature.
+        Number of equal temperature ranges to compute separately as well.
     bins
-        Also for each range of temperature of this width, such as "2 K".
+        Width of temperature ranges to compute separately as well, such as "2 K".
     branches
-        Fit heating and cooling separately, too: each as a whole, and each in the temperature ranges.
+        Also fit heating and cooling separately, each as a whole and in the temperature ranges.
     plot
         Draw the largest drifts with their bound into this file (.png, .svg, .pdf).
     """
@@ -206,7 +206,7 @@ def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
     bound = result.bound
     times = bound.integration_time_s
     lines = [
-        strong(f"axis {result.rest.axis}, unit {result.rest.unit}"),
+        strong(f"axis {result.rest.axis}, IMU {result.rest.unit}"),
         f"angle random walk {result.rest.walk_of_sensor(bound.angle_random_walk) * DEG_PER_SQRT_H:.4g} deg/sqrt(h); "
         f"drift after an average of {bound.averaging_time_s:g} s, over {times[0]:.4g} to {times[-1]:.4g} s",
     ]
@@ -222,20 +222,20 @@ def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
             )
         first, last = result.deciding_span_s
         lines.append(
-            f"decided over {bound.deciding_time_s:.4g} s, by the drift from {first:.6g} s to {last:.6g} s of the "
+            f"determined at {bound.deciding_time_s:.4g} s, by the drift from {first:.6g} s to {last:.6g} s of the "
             f'record; without it: --without "{first:.6g} s..{last:.6g} s"'
         )
     if (markov := result.markov) is not None:
         sigma_error, tau_error = (float(markov.covariance[k, k]) ** 0.5 for k in (1, 2))
         lines.append(
-            f"as one Markov process, by maximum likelihood: {markov.sigma * DEG_PER_H:.4g} deg/h (1σ "
+            f"as a single Markov process, by maximum likelihood: {markov.sigma * DEG_PER_H:.4g} deg/h (1σ "
             f"{100.0 * sigma_error:.2g} %) with a correlation time of {markov.tau:.4g} s, within a factor of "
             f"{math.exp(tau_error):.2g}"
         )
     if result.rest.thermal is not None:
         thermal = result.rest.thermal
         lines.append(
-            f"B(T) of degree {len(thermal.coefficients) - 1} taken off"
+            f"B(T) of degree {len(thermal.coefficients) - 1} subtracted"
             + (f", {thermal.lag_time_s:.0f} s late" if thermal.lag_time_s > 0 else "")
             + f"; it leaves {thermal.residual_rms * DEG_PER_H:.4g} deg/h rms, noise included"
         )
@@ -259,7 +259,7 @@ def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
                 std = one.bound.drift_std * DEG_PER_H
                 rows.append((where, f"{std:.4g} deg/h", f"{one.bound.correlation_time_s:.4g} s"))
             else:
-                rows.append((where, f"does not show (up to {one.bound.hidden_drift_std * DEG_PER_H:.3g} deg/h)", ""))
+                rows.append((where, f"not visible (up to {one.bound.hidden_drift_std * DEG_PER_H:.3g} deg/h)", ""))
         lines.append(columns(rows))
     return "\n".join([*lines, "", result.drift_block()])
 
@@ -293,26 +293,26 @@ def allan(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """The overlapping Allan deviation with its confidence, and the coefficients that generalised least squares finds.
+    """The overlapping Allan deviation with its confidence interval, and the fitted coefficients.
 
-    The exit status is 1 where the angle random walk is more than any gyro has: a unit may be wrong. With --plan, before
-    anything is recorded: the errors that a record of some length leaves, or how long it must be.
+    The exit status is 1 if the angle random walk is larger than any gyro has: a unit may be wrong. With --plan,
+    before recording: the errors for a given length of the record, or the length for a given error.
 
     Parameters
     ----------
     terms
         The terms of the fit: Q quantisation, N angle random walk, B bias instability, K rate random walk.
     confidence
-        The confidence of the interval about each point.
+        The confidence level of the interval about each point.
     delta
-        Time of the average of the Direct Bound in the figure.
+        Averaging time of the Direct Bound in the figure.
     form
-        Write the noise of all gyros and accelerometers for another program into --output: kalibr's imu.yaml, or
-        densities and bias instability for an INS.
+        Write the noise of all gyros and accelerometers to --output, in the format of another program: kalibr's
+        imu.yaml, or densities and bias instability for an INS.
     output
         The file of --format.
     plan
-        No record: expected relative errors of N, B, K and of a drift's σ and τ. Takes the options below.
+        Without a record: print the expected relative errors of N, B, K and a drift's σ and τ, from the options below.
     noise
         Angle random walk, such as "0.1 deg/sqrt(h)".
     bias_instability
@@ -324,13 +324,13 @@ def allan(
     duration
         The record's length; several, without it.
     error
-        The wanted relative error of each, such as "5 %": prints how long the record must be.
+        The required relative error of each, such as "5 %": prints how long the record must be.
     rate
         Sample rate.
     bins
-        Also for each range of temperature of this width, such as "2 K".
+        Width of temperature ranges to compute separately as well, such as "2 K".
     branches
-        Fit heating and cooling separately, too: each as a whole, and each in the temperature ranges.
+        Also fit heating and cooling separately, each as a whole and in the temperature ranges.
     plot
         Draw the deviation, its fit and the Direct Bound's curve into this file.
     """
@@ -344,7 +344,7 @@ def allan(
     if used := [name for name, value in asked.items() if value is not None]:
         raise ValueError(f"{used[0]} goes with --plan")
     if log is None:
-        raise ValueError("LOG is missing: name a record at rest, or plan one with --plan")
+        raise ValueError("LOG is missing: name a record at rest, or plan a record with --plan")
     if form is not None:
         if output is None:
             raise ValueError(f"--format {form} needs the file to write: --output imu.yaml")
@@ -383,7 +383,7 @@ def allan(
         print(described(recorded, str(log)))
         for rest, _, of_rows in drawn:
             fit = work.of_sensor(rest, of_rows)
-            print("\n" + strong(f"axis {rest.axis}, unit {rest.unit}" + (f", {rest.part}" if rest.part else "")))
+            print("\n" + strong(f"axis {rest.axis}, IMU {rest.unit}" + (f", {rest.part}" if rest.part else "")))
             print(_allan_text(fit))
             for message in (*work.allan_notes(fit), *rest.messages):
                 print(f"note: {message}")
@@ -409,7 +409,7 @@ _TERMS = {"q": "quantisation", "n": "angle_random_walk", "b": "bias_instability"
 def _terms(text: str) -> list[str]:
     letters = text.lower().replace(" ", "").split(",")
     if not set(letters) <= set(_TERMS):
-        raise ValueError(f"--terms {text!r}: expected some of Q, N, B, K with commas between")
+        raise ValueError(f"--terms {text!r}: expected some of Q, N, B, K, separated by commas")
     return [_TERMS[letter] for letter in letters]
 
 
@@ -444,7 +444,7 @@ def plan_record(
     rate: str,
     json: bool,
 ) -> int:
-    """Print the expected relative errors of N, B, K, σ and τ, or the record that leaves an `error`."""
+    """Print the expected relative errors of N, B, K, σ and τ, or the length of the record for a given `error`."""
     if noise is None:
         raise ValueError('--plan needs the sensor\'s angle random walk: --noise "0.1 deg/sqrt(h)"')
     walk = quantity(noise, "angle random walk", "--noise")

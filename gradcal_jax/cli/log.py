@@ -29,18 +29,18 @@ def turns(
     force: ForceOutput = False,
     json: Json = False,
 ) -> int:
-    """Find turns by hand in a recording, and write it with angle and rests, for estimate.
+    """Detect turns by hand in a recording, and write it with angles and rests, for estimate.
 
     Parameters
     ----------
     turns
-        The turns in their order, such as "360 deg, 360 deg, -720 deg": those below zero go the other way.
+        The turns in their order, such as "360 deg, 360 deg, -720 deg"; negative turns go in the opposite direction.
     output
         The log to write (.nc).
     axis
         The axis of the sensor about which it was turned; the first one, without it.
     unit
-        Which unit; the first one, without it.
+        Which IMU; the first one, without it.
     json
         Print the turns as JSON.
     """
@@ -85,21 +85,21 @@ def log(
     Parameters
     ----------
     output
-        The log file (netCDF); absent: log.nc in the folder. An older log is replaced. With several units, one file
-        each, named after the unit.
+        The log file (netCDF); absent: log.nc in the folder. An older log is replaced. With several IMUs, one file for
+        each, with the name of the IMU.
     unit
-        The unit whose log to write, where several were on the table; without it, the logs of all.
+        The IMU whose log to write, if several were on the table; by default, the logs of all.
     recording
-        Another logger's recording of the unit in this run: its clock is found by the motion.
+        A recording of the IMU by its own logger in this run: its clock is aligned by the motion.
     columns
-        What the recording's columns mean (gradcal-columns/1); see gradcal new column-map.
+        The column map of the recording (gradcal-columns/1); see gradcal new column-map.
     json
         Print the contents of the log as JSON.
     """
     from gradcal_jax.decoding.run_log import units_in
 
     if columns is not None and recording is None:
-        raise ValueError("--columns says what a --recording's columns mean, and there is none")
+        raise ValueError("--columns is the column map of a --recording, and there is no --recording")
     recorded = None if recording is None else load(recording, Recording(columns=columns), unit=unit)
     target = output or run / "log.nc"
     names = [unit] if unit is not None or recorded is not None else units_in(run)
@@ -114,7 +114,7 @@ def log(
 
 
 def _written(run: Path, unit: str | None, recorded: "Log | None", target: Path, *, quiet: bool) -> dict[str, Any]:
-    """Write the log of a unit; what `--json` prints of it."""
+    """Write the log of an IMU; what `--json` prints of it."""
     from gradcal_jax.decoding.run_log import log_in_blocks
     from gradcal_jax.files.log_file import write_log
 

@@ -8,9 +8,9 @@ from gradcal_jax.cli.output import DONE, Flag, as_json
 from gradcal_jax.display import columns
 
 _COMMANDS_END: Final = """\
-Exit statuses: 0 done; 1 done, with a result that is not as requested (a target is missed); 2 wrong input; 3 a device
-or a run failed; 130 interrupted; 141 the reader of the output closed it. An error is a sentence that names the key, its
-value and what was expected. Output is plain away from a terminal, or if `NO_COLOR` is set.
+Exit statuses: 0 done; 1 done, with an unsatisfactory result (a target is missed); 2 wrong input; 3 a device or a
+run failed; 130 interrupted; 141 the program that reads the output closed the pipe. An error message names the key,
+its value and what was expected. Output has no colours if it does not go to a terminal, or if `NO_COLOR` is set.
 """
 
 
@@ -28,11 +28,11 @@ def schema(
     name
         Its name; see --list. "words" for the glossary.
     term
-        Of the glossary, only terms with these words in them.
+        Only glossary terms that contain these words.
     listing
         List the names.
     markdown
-        Print a page for people: every key with its value, default and meaning; of the name "commands", every command
+        Print a page for people: every key with its value, default and meaning; for the name "commands", every command
         in full.
     """
     from gradcal_jax.files import schemas
@@ -44,7 +44,7 @@ def schema(
         print(_words(" ".join(term)))
         return DONE
     if term:
-        raise ValueError(f'"{" ".join(term)}": terms are of the glossary alone: gradcal schema words {" ".join(term)}')
+        raise ValueError(f'"{" ".join(term)}": terms are only for the glossary: gradcal schema words {" ".join(term)}')
     if name is None:
         raise ValueError(f"which one? Known: {', '.join(schemas.schema_names())}")
     if name == "commands" and markdown:
@@ -74,7 +74,7 @@ def _words(wanted: str) -> str:
         if wanted.lower() in name.lower()
     ]
     if not rows:
-        raise ValueError(f'the glossary has no term with "{wanted}" in it; gradcal schema words lists all of them')
+        raise ValueError(f'the glossary has no term that contains "{wanted}"; gradcal schema words lists all of them')
     return columns(rows, indent="")
 
 

@@ -46,7 +46,7 @@ class Workers:
     Parameters
     ----------
     scheduler
-        Address of a Dask scheduler, such as tcp://host:8786; without it the cores of this machine do the work.
+        Address of a Dask scheduler, such as tcp://host:8786; by default the cores of this computer are used.
     workers
         Worker processes on this machine; as many as cores.
     """
@@ -59,7 +59,7 @@ class Workers:
         if self.workers is not None and not 1 <= self.workers <= 1024:
             raise ValueError(f"--workers {self.workers}: give a number from 1 to 1024")
         if self.workers is not None and self.scheduler is not None:
-            raise ValueError("--workers or --scheduler: a cluster has its own number of workers")
+            raise ValueError("--workers or --scheduler: the number of workers is set by the cluster")
 
     def runner(self) -> "LocalPool | Cluster":
         """Worker processes of this machine, with the compilation cache of the other commands, or of a cluster."""
@@ -90,20 +90,20 @@ def sweep(
 ) -> int:
     """Predict (or optimise) a spec for many values of its keys; labelled results with units in a netCDF file.
 
-    Finished points are kept beside the output: after an interruption, the same command goes on from there. The exit
-    status is 1 where some points could not be computed; the results have the reasons.
+    Finished points are saved next to the output: after an interruption, the same command continues. The exit status
+    is 1 if some points could not be computed; the results have the reasons.
 
     Parameters
     ----------
     file
-        The sweep file (gradcal-sweep/1): a base spec, and which keys take which values.
+        The sweep file (gradcal-sweep/1): a base spec, and values for its keys.
     output
         The results to write (.nc).
     recipes
-        Write a recipe of each optimised plan, summary.csv and summary.md into this folder; it is made where there is
-        none.
+        Write a recipe for each optimised plan, summary.csv and summary.md to this folder, which is created if
+        necessary.
     dry_run
-        Print the size of the sweep and how long it will take, extrapolated from one chunk; write nothing.
+        Print the size of the sweep and its duration, extrapolated from one chunk; write nothing.
     json
         Print the summary as JSON.
     plot
@@ -130,11 +130,11 @@ def sweep(
     assert output is not None
     if jobs.already_finished(job, output):
         if not json:
-            print(f"{output} is finished: it holds the results of just this sweep")
+            print(f"{output} is finished: it has the results of this sweep")
     else:
         writable(output, force=True)
         if output.exists():
-            raise ValueError(f"{output} exists and is not of this sweep; choose another output, or delete it")
+            raise ValueError(f"{output} exists and belongs to another sweep; choose another output, or delete it")
         try:
             with by.runner() as runner, Bars() as bars:
                 jobs.sweep(job, output, runner=runner, progress=bars.show)
@@ -143,7 +143,8 @@ def sweep(
             return FAILED
         except KeyboardInterrupt:
             complain(
-                f"interrupted; what is finished is kept in {output}.parts, and the same command goes on from there"
+                f"interrupted; the finished points are saved in {output}.parts, and the same command "
+                "continues from there"
             )
             return INTERRUPTED
     from gradcal_jax.jobs.dataset import read_dataset

@@ -12,7 +12,7 @@ from gradcal_jax.display import columns
 _COLUMN_MAP: Final = "column-map"
 _POINT_MAP: Final = "point-map"
 _TEMPLATES: Final = {
-    "export-gains": "Zeros and gains of a flight controller, for export --template",
+    "export-gains": "Offsets and gains of a flight controller, for export --template",
     "export-tracker": "Matrices of a body or head tracker in JSON, for export --template",
     "export-ins": "Noise and errors for an inertial navigation filter, for export --template",
 }
@@ -26,7 +26,7 @@ def new(
     listing: Annotated[bool, Parameter(name="--list", negative="")] = False,
     force: Force = False,
 ) -> int:
-    """Write a commented spec, or a column map for a recording of another program, to start from.
+    """Write a commented example of a spec, or of a column map for recordings of other programs.
 
     Parameters
     ----------
@@ -76,16 +76,17 @@ def new(
 
 
 def start(*, output: Output, preset: str | None = None, force: Flag = False) -> int:
-    """Answer some questions, and get a spec with a plan, a rig file and a column map, each commented.
+    """Ask questions about sensor and rig, and write a commented spec with a plan, a rig file and a column map.
 
-    An empty line takes the answer in brackets; "<" goes back to the question before.
+    An empty line accepts the answer in brackets; "<" returns to the previous question.
 
     Parameters
     ----------
     output
-        The directory for spec.toml, rig.toml and columns.toml; it is made where there is none.
+        The directory for spec.toml, rig.toml and columns.toml; it is created if necessary.
     preset
-        Ask nothing, and take the answers for drone-imu, bmi088, tactical-imu, drone-gyro, tactical-gyro or no-encoder.
+        Ask no questions, and use the answers for drone-imu, bmi088, tactical-imu, drone-gyro, tactical-gyro or
+        no-encoder.
     force
         Overwrite existing files.
     """
@@ -106,7 +107,7 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
     print(f"wrote {', '.join(str(output / name) for name in texts)}")
     typical = begin.typical_terms(answers)
     if typical:
-        print("not asked, and so in spec.toml with a figure typical of the class and its source:")
+        print("without a question, so spec.toml has a typical figure of the class and its source:")
         print("\n".join(f"  {line}" for line in typical))
     print("next, in this order:")
     print("\n".join(f"  {line}" for line in _next(answers, str(output))))

@@ -61,56 +61,57 @@ def optimise(
 ) -> int:
     """Minimise a plan's residual by gradient descent, within the limits of sensor, rig and time; write it as a recipe.
 
-    Of one gyro along the only axis of a table, the spec's [design] says what to minimise and what is free. Of any other
-    IMU, the turns, poses, rates and rests of many cycles are changed along the gradient and, with a hysteresis in the
-    spec, the chamber's legs, turning points and slopes. Ctrl-C once finishes with the best plan so far; twice stops at
-    once. The exit status is 1 where the search did not converge.
+    For one gyro along the only axis of a table, the spec's [design] states the objective and the free parts. For any
+    other IMU, the search changes the turns, poses, rates and rests of many cycles along the gradient. With a
+    hysteresis in the spec it also changes the chamber's legs, turning points and slopes. Ctrl-C once finishes with
+    the best plan so far; twice stops at once. The exit status is 1 if the search did not converge.
 
-    Of the folder of an interrupted run, plan the rest: the part that was done counts in every prediction,
-    and the ramp begins where the chamber's course stopped. The unit must not have been switched off meanwhile: both
-    parts are one run, with one turn-on bias. Go on with: gradcal run NEW --resume RUN.
+    With the folder of an interrupted run, plan the rest: the executed part counts in every prediction, and the ramp
+    begins where the chamber stopped. The IMU must not have been switched off meanwhile: both parts are one run, with
+    one turn-on bias. Go on with: gradcal run NEW --resume RUN.
 
-    A recipe is rounded to the controllers' steps, those of [rig.resolution] in the spec; where it names none, 0.1 K,
-    0.1 s, 0.01 deg/s and 0.001 deg, and always 0.01 K/min. `gradcal check` prints it as a table.
+    A recipe is rounded to the controllers' steps in [rig.resolution] of the spec. The default steps are 0.1 K, 0.1 s,
+    0.01 deg/s and 0.001 deg; slopes are always rounded to 0.01 K/min. `gradcal check` prints it as a table.
 
     Parameters
     ----------
     spec
         The spec file, a recipe, or the folder of an interrupted run.
     output
-        The recipe file to write; with --motion the folder for the recipes, if they are wanted; with --steps 0, - prints
-        the recipe.
+        The recipe file to write; with --motion, the folder for the recipes, if any. With --steps 0, "-" prints the
+        recipe instead.
     json
         Print the result for other programs.
     plot
         Draw the residual before and after, or those of all durations, into this file (.png, .svg, .pdf).
     steps
-        Iterations of each start, by default 240; of poses, gradients that are computed in all, by default 14000: some
-        minutes. 0: the recipe of the spec's own plan, without a search.
+        Iterations of each start, by default 240; for poses, the total number of gradients, by default 14000 (some
+        minutes). 0: the recipe of the spec's own plan, without a search.
     quick
-        Few starts, or gradients: within some per cent of the best, in seconds.
+        Few starts, or gradients: within a few per cent of the best, in seconds.
     until_met
-        Stop at the first plan that meets every target with a margin of 10 %; no search where the spec's own plan does.
+        Stop at the first plan that meets every target with a margin of 10 %; no search if the spec's own plan already
+        does.
     resume
-        Go on with an interrupted search of the same spec, which is kept beside the output.
+        Continue an interrupted search of the same spec, which is saved next to the output.
     motion
         Find the best residual for each of these durations without soaks, and the shortest plan for each target:
         50min..300min, or a list such as 60min,100min,3h.
     points
-        Number of durations in a range of --motion, ends included, evenly in their logarithm; by default 5.
+        Number of durations in a range of --motion, ends included, with logarithmic spacing; by default 5.
     keep_shapes
         The table follows any shape of motion; without this, turns of the recipe become trapezoids.
     stable_within
-        A temperature of the recipe counts as stable within this of its goal, such as "0.5 K".
+        A temperature of the recipe counts as stable within this tolerance of its goal, such as "0.5 K".
     stable_for
         The time for which it must stay there, such as "5 min".
     timeout
-        The run ends when the first temperature is not stable after so long, such as "4 h".
+        The run ends if the first temperature is not stable after this time, such as "4 h".
     time
-        How long the rest of a run may take, waiting not counted, such as "40 min"; absent: the recipe's time that is
-        left.
+        Duration of the rest of a run without waiting, such as "40 min"; absent: the remaining time of the recipe.
     pause
-        Time from the end of a run to where it goes on, by default "30 min"; an IMU's drifts begin anew.
+        Time between the interruption and the continuation of a run, by default "30 min"; the drifts of an IMU start
+        again.
     """
     drawable(plot)
     if (steps is not None and 0 < steps < 20) or (steps or 0) < 0:
@@ -147,7 +148,7 @@ def optimise(
     if str(output) != "-":
         writable(output, force or resume)
     elif steps != 0 or json:
-        raise ValueError("-o - prints the recipe of --steps 0 itself: leave --json out, or name a file")
+        raise ValueError("with -o - the recipe of --steps 0 is printed: leave --json out, or name a file")
     use_float64()
     if steps == 0:
         write_recipe(specification, output, stability, keep_shapes=keep_shapes, json=json)
@@ -175,7 +176,7 @@ def optimise(
     drawn = [("before", specification), ("optimised", best.spec)]
     save_figure(lambda plots: plots.draw_comparison(drawn), plot, quiet=json)
     if interrupted:
-        again = f"; go on with: gradcal optimise {spec} -o {output} --resume" if kept.exists() else ""
+        again = f"; next step: gradcal optimise {spec} -o {output} --resume" if kept.exists() else ""
         complain(f"interrupted{again}")
         return INTERRUPTED
     return DONE if best.converged else NOT_AS_WISHED
@@ -199,14 +200,15 @@ def _read(path: Path) -> "Spec":
         with missions_from(path.parent):
             mended = spec_of(within_travel(tomllib.loads(path.read_text(encoding="utf-8"))), str(path))
         complain(
-            f"{error}\nThe search begins with these moves made to fit: turns go the other way or as far as the travel "
-            "allows, and a last one goes back."
+            f"{error}\n"
+            "The search starts from a plan in which these moves fit: turns go in the other direction or as far "
+            "as the travel allows, and a last turn goes back."
         )
         return mended
 
 
 def _refuse(where: str, options: Mapping[str, object]) -> None:
-    """Raise `ValueError` for options that are given and that nothing looks at."""
+    """Raise `ValueError` for stated options without an effect."""
     if given := [name for name, value in options.items() if value is not None and value is not False]:
         raise ValueError(f"{', '.join(given)}: no effect {where}; leave {'it' if len(given) == 1 else 'them'} out")
 
@@ -239,7 +241,7 @@ def optimum_text(best: "Optimised") -> str:
     """An optimised plan as text."""
     from gradcal_jax.api.turn_search import belief_of
 
-    before = "the plan of the spec observes too little" if best.before is None else amount(best.before, best.unit)
+    before = "the plan of the spec does not observe enough" if best.before is None else amount(best.before, best.unit)
     lines = [
         strong(f"{best.name}: {before} -> {amount(best.now, best.unit)} (rounded to the controllers' steps)"),
         f"{best.structure}; {amount(best.optimum, best.unit)} before rounding",
@@ -249,7 +251,7 @@ def optimum_text(best: "Optimised") -> str:
         kept = [value for value in best.starts if value < math.inf]
         those = f"{len(best.starts)} starts"
         if len(kept) < len(best.starts):
-            those = f"{len(kept)} of {those} kept the limits and" if kept else f"none of {those} kept the limits"
+            those = f"{len(kept)} of {those} met the limits and" if kept else f"none of {those} met the limits"
         lines.append(those + (f" ended between {kept[0]:.4g} and {kept[-1]:.4g} {best.unit}" if kept else ""))
     if belief := belief_of(best.spec):
         lines.append(belief)
@@ -327,12 +329,13 @@ def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quic
         print(as_json(record_of(best) | {"done": spans, "recipe": str(output)}))
     else:
         print(optimum_text(best))
-        print(f"wrote {output}, {remark}; go on with: gradcal run {output} --resume {run}")
+        print(f"wrote {output}, {remark}; next step: gradcal run {output} --resume {run}")
     return code
 
 
 _HEADER: Final = (
-    "Made by gradcal; `gradcal check` prints it as a table. To change the plan, change the spec and make it anew."
+    "Made by gradcal; `gradcal check` prints it as a table. To change the plan, change the spec and make the "
+    "recipe again."
 )
 
 

@@ -47,7 +47,7 @@ def drawable(plot: Path | None) -> None:
     if plot is None:
         return
     if plot.suffix.lower() not in _FIGURES:
-        raise ValueError(f"{plot}: a figure's name ends in .png, .svg or .pdf")
+        raise ValueError(f"{plot}: the name of a figure must end in .png, .svg or .pdf")
     writable(plot, force=True)
 
 

@@ -32,28 +32,28 @@ def predict(
     seed: int = 0,
     sensitivity: Flag = False,
 ) -> int:
-    """Predict the residual of every requirement after a spec's plan, before anyone books a chamber.
+    """Predict the residual of every requirement after the plan of a spec, before anyone books a chamber.
 
-    Of several specs, compare the plans: hours, residuals, and the errors that limit each. The exit status is 1 where a
-    target of a single spec is missed or a requirement cannot be observed.
+    Of several specs, compare the plans: duration, residuals, and the errors that limit each. The exit status is 1 if
+    a target of a single spec is missed or a requirement cannot be observed.
 
     Parameters
     ----------
     specs
         The spec file; several to compare their plans.
     json
-        Print the prediction as gradcal-prediction/1 (of several specs a list of these); with --monte-carlo, both as
-        parts of one object.
+        Print the prediction as gradcal-prediction/1 (for several specs, a list); with --monte-carlo, both results in
+        one object.
     plot
         Draw the residual maps, those of all plans against rate or temperature, or the sensitivities as bars, into this
         file (.png, .svg, .pdf).
     monte_carlo
-        Simulate this many calibrations, too, and compare them with the prediction.
+        Also simulate this number of calibrations, and compare them with the prediction.
     seed
         The seed of the simulated calibrations.
     sensitivity
-        Print the change of the residual, in per cent, for one per cent more of every figure of sensor, rig and plan.
-        Of an optimised recipe it is the same after the plan is optimised again.
+        Print the change of the residual, in per cent, for an increase of one per cent in each figure of sensor, rig
+        and plan. For an optimised recipe, this change also applies after optimising again.
     """
     from gradcal_jax.files.recipe import spec_in
 
@@ -62,7 +62,7 @@ def predict(
     drawable(plot)
     plans = [(path.stem, spec_in(path)) for path in specs]
     if len(plans) > 1 and (sensitivity or monte_carlo is not None):
-        raise ValueError("--sensitivity and --monte-carlo are of one spec")
+        raise ValueError("--sensitivity and --monte-carlo are for a single spec")
     use_float64()
     if sensitivity:
         return _sensitivity(plans[0][1], str(specs[0]), json=json, plot=plot)
@@ -141,8 +141,8 @@ def _fixture(prediction: "Prediction") -> list[str]:
         f"{len(prediction.places)} IMUs at once: {prediction.minutes_per_imu:.3g} min for each, "
         f"{prediction.imus_per_shift:.4g} in a shift",
         *([columns(rows, indent="", right=tuple(range(1, len(names) + 1))), units] if names else []),
-        f"below, the worst place: {prediction.place}"
-        + (f"; estimated without the others it would have {others}" if others else ""),
+        f"below, the worst point: {prediction.place}"
+        + (f"; estimated without the other IMUs: {others}" if others else ""),
     ]
 
 
@@ -185,12 +185,12 @@ def omitted_lines(spec: "Spec") -> list[str]:
         return of_branches
     sensor, table = sensor_grade(spec.sensor), table_grade(spec)
     lines = [
-        "not in the file, and so counted with figures typical of the class:",
+        "not in the file, so typical figures of the class count:",
         columns([(term.key, term.typical) for term in absent]),
         f"  sensor: {sensor.name} grade ({sensor.like}), by {sensor.reason}",
         f"  table: {table.name} ({table.like}), by {table.reason}",
-        "put your own figures into the file; 0 (or an empty list) says that there is none. Sources of the figures: "
-        "gradcal check --json",
+        "enter your own figures in the file; 0 (or an empty list) means that there is no such error. Sources of "
+        "the figures: gradcal check --json",
     ]
     return lines + [EARTH_IS_UNKNOWN] * any(term.key == EARTH for term in absent) * spec.is_one_axis + of_branches
 
@@ -225,10 +225,10 @@ def _judged(row: "RequirementRow", several: bool) -> list[str]:
     if row.rule and row.verdict != "unobservable":
         lines.append(f"{name}: {row.verdict} by {row.rule}")
         if row.specific_risk is not None:
-            lines.append(f"  error beyond it at the worst place: {percent(row.specific_risk)}")
+            lines.append(f"  error beyond it at the worst point: {percent(row.specific_risk)}")
         if row.chance is not None and row.chance_everywhere is not None:
             own = "" if row.statistic == "max" else f"; by {row.statistic}: {percent(row.chance, 1e-3)}"
-            lines.append(f"  a unit keeps it everywhere: {percent(row.chance_everywhere, 1e-3)}{own}")
+            lines.append(f"  a sensor meets it everywhere: {percent(row.chance_everywhere, 1e-3)}{own}")
         if row.check is not None:
             lines.append(
                 f"  a second run as a check: accepts {percent(row.check.accepted)}, falsely "
@@ -247,7 +247,7 @@ def another_run_line(row: "RequirementRow", name: str) -> str:
 
 
 def own_noise_lines(row: "RequirementRow", name: str) -> list[str]:
-    """The noise that no calibration takes off, beside the residual; with several missions, a row for each."""
+    """The noise that no calibration corrects, next to the residual; with several missions, a row for each."""
     if row.own is None or row.own_sources is None:
         return []
     parts = ", ".join(f"{source} {value:.3g}" for source, value in row.own_sources.items() if value >= 0.05 * row.own)
@@ -280,16 +280,16 @@ def _simulated(rows, tests, runs: int, seed: int) -> str:
 
 
 def limit(spec: Path, /, *, json: Json = False) -> int:
-    """Prove a lower limit on the residual of any plan on this rig in this time, and print the plan's efficiency.
+    """Prove a lower limit for all plans on this rig in this time, and print the efficiency of this plan.
 
     The proof leaves out some limits of the rig, and lists them, so a real plan may not reach the limit; no plan lies
-    below it. An efficiency of 67 % means that no plan leaves less than 0.67 of what this one does.
+    below it. An efficiency of 67 % means that no plan leaves less than 0.67 of the residual of this one.
 
     Parameters
     ----------
     spec
-        The spec file, or a recipe. Its [design] says what a better plan might change; of a whole unit, the limit is for
-        every plan that takes as long at the same temperatures.
+        The spec file, or a recipe. Its [design] states what a better plan might change; for an IMU, the limit is for
+        every plan of the same duration at the same temperatures.
     json
         Print the limits for other programs.
     """
@@ -313,7 +313,7 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     for row in rows:
         if row.judged is not None and row.judged != row.value:
             print(
-                f"{row.name}: with what the file leaves out, at typical figures, no plan leaves less than "
+                f"{row.name}: including the omitted terms with typical figures, no plan leaves less than "
                 f"{amount(row.counted, row.unit)}, and this one leaves {amount(row.judged, row.unit)}"
             )
     for kept in dict.fromkeys(row.kept for row in rows if row.kept):

@@ -11,7 +11,7 @@ from gradcal_jax.display import columns
 if TYPE_CHECKING:
     from gradcal_jax.files.log import Log
 
-LOG_HELP: Final = "A log (.nc), a flight log, or another program's table with --columns."
+LOG_HELP: Final = "A log (.nc), a flight log, or a table of another program with --columns."
 LogFile = Annotated[Path, Parameter(help=LOG_HELP)]
 
 _NETCDF: Final = (".nc", ".nc4", ".h5", ".hdf5")
@@ -20,18 +20,18 @@ _NETCDF: Final = (".nc", ".nc4", ".h5", ".hdf5")
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Recording:
-    """How to read a log, and which part of it.
+    """How to read a log, and which part to read.
 
     Parameters
     ----------
     columns
-        What the columns of another program's table mean (gradcal-columns/1); see gradcal new column-map.
+        The column map of a table of another program (gradcal-columns/1); see gradcal new column-map.
     begin
-        Only from this time of the record on, such as "90 s".
+        Start at this time of the record, such as "90 s".
     end
-        Only up to this time of the record.
+        End at this time of the record.
     rows
-        Only these rows of the source, counted from 0: "1000..250000", or open as in "1000..".
+        Read only these rows of the source, counted from 0: "1000..250000", or open as in "1000..".
     sensor_rate
         Rate of the sensor's own samples, such as "400 Hz", if each row is one of them; "means" if each row is the
         mean of several.
@@ -50,7 +50,7 @@ WHOLE: Final = Recording()
 def load(path: Path, source: Recording = WHOLE, *, unit: str | None = None) -> "Log":
     """Read the requested part of a log of this program (netCDF), a flight log, or a table with its column map.
 
-    `unit` is needed for a flight log with several units at different clocks. Raises `ValueError`.
+    `unit` is needed for a flight log with several IMUs on different clocks. Raises `ValueError`.
     """
     return _stated(_load(path, source, unit), source)
 
@@ -76,7 +76,7 @@ def _load(path: Path, source: Recording, unit: str | None) -> "Log":
     rows = None if source.rows is None else _rows(source.rows)
     if path.suffix.lower() in _NETCDF:
         if source.columns is not None:
-            raise ValueError(f"{path} is a log of this program, which needs no --columns: leave the option out")
+            raise ValueError(f"{path} is a log of this program, and needs no --columns: leave the option out")
         return part_of(read_log(path), begin_s=begin, end_s=end, rows=rows)
     from gradcal_jax.files.importers import import_log, read_column_map
 
@@ -90,7 +90,7 @@ def _load(path: Path, source: Recording, unit: str | None) -> "Log":
 
 
 def load_all(path: Path, source: Recording = WHOLE) -> "list[Log]":
-    """As `load`, of a vehicle's log with every gyro: a log for each clock."""
+    """Like `load`, for a vehicle's log with every gyro: a log for each clock."""
     from gradcal_jax.files.log import part_of
     from gradcal_jax.files.vehicle import is_vehicle_log, read_vehicle_logs
 

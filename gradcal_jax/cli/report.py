@@ -32,25 +32,26 @@ def report(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Make one HTML page of a plan, a run or a calibration: nothing is fetched, and it prints well.
+    """Make one HTML page of a plan, a run or a calibration. It needs no network and can be printed.
 
     Parameters
     ----------
     sources
-        The folder of a run, a recipe or a spec, a calibration, or those of them that belong together. A calibration in
-        the folder of a run is taken with it, calibration.toml before others; of several, each has a page of its own.
+        The folder of a run, a recipe or a spec, a calibration, or several of these that belong together. A
+        calibration in the folder of a run is included, preferably calibration.toml; if there are several, each has a
+        separate page.
     output
-        The page (.html); of several, the rest of each calibration's name is added to the file's.
+        The page (.html); for several pages, the rest of each calibration's name is added to the file name.
     before
-        A spec or recipe whose plan to compare with; without it, the spec's priors.
+        A spec or recipe for comparison; without it, the spec's priors.
     limits
-        The output of `gradcal limit --json` for the plan, in a file: the page shows the plan's efficiency.
+        A file with the output of `gradcal limit --json` for the plan; the page then shows the plan's efficiency.
     panel
-        Sliders on the page: the residuals for another time, encoder or slope, from 75 predictions.
+        Sliders on the page: residuals for another time, encoder or slope, from 75 predictions.
     certificate
-        A certificate of a calibration for a laboratory to sign, in the place of the whole page.
+        Make a certificate for a laboratory to sign, instead of the whole page.
     rig
-        The rig file, whose [laboratory] and [[reference]] a certificate names.
+        The rig file with [laboratory] and [[reference]] for the certificate.
     number
         The number of the certificate.
     customer
@@ -58,9 +59,9 @@ def report(
     operator
         The operator of the calibration; without it the rig file's.
     performed
-        The date of the calibration, such as 2026-11-22 or 2026-11-21..2026-11-22; without it the day of the run.
+        The date of the calibration, such as 2026-11-22 or 2026-11-21..2026-11-22; by default the day of the run.
     dcc
-        Write the certificate as a Digital Calibration Certificate (PTB's XML), too.
+        Also write the certificate as a Digital Calibration Certificate (PTB's XML).
     json
         Print every number of the page as JSON.
     """

@@ -39,14 +39,15 @@ _LOOKS_S = 1.0
 
 
 def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Json = False) -> int:
-    """Show the state of a run until it ends: step, temperature against its course, angles, samples, residuals so far.
+    """Show the state of a run until it ends: step, temperature, planned temperature, angles, samples, residuals.
 
-    It only reads, and may be closed at any time. The exit status is 3 where the run ended badly, or is silent.
+    It only reads the status file, and may be closed at any time. The exit status is 3 if the run ended badly, or does
+    not respond.
 
     Parameters
     ----------
     once
-        Show it once, and do not wait for the end.
+        Show the state once, and do not wait for the end.
     known
         Print only the residuals: after the part that was executed (by the journal), and after the whole run.
     json
@@ -127,13 +128,18 @@ def status_text(status: dict[str, Any]) -> str:
     return "; ".join(part for part in parts if part)
 
 
+_UNITS = {
+    "_k_per_min": "K/min", "_dps2": "deg/s^2", "_dps": "deg/s", "_deg": "deg", "_hz": "Hz", "_c": "degC", "_k": "K",
+}  # fmt: skip
+_ABILITIES = {"by_hand": "turned by hand", "typed": "the operator types its angle", "told": "nothing reads its angle"}
+
 rig_app = App(name="rig", help="The rig: which device is on which port, whether each answers, and the state of a run.")
 rig_app.command(watch)
 
 
 @rig_app.command
 def new(*, output: OutputOrPrint, force: Force = False) -> int:
-    """Write a commented rig file to start from.
+    """Write a commented example of a rig file.
 
     Parameters
     ----------
@@ -148,14 +154,13 @@ def new(*, output: OutputOrPrint, force: Force = False) -> int:
         return DONE
     writable(output, force)
     write_whole(output, TEMPLATE)
-    print(f"wrote {output}; put in your ports and devices, then: gradcal rig check {output}")
+    print(f"wrote {output}; enter your ports and devices, then: gradcal rig check {output}")
     return DONE
 
 
 @rig_app.command
 def protocols(name: str | None = None, /) -> int:
-    """List the devices that the drivers "lines" and "registers" know, or print the description of one, to start your
-    own from.
+    """List the devices that the drivers "lines" and "registers" know, or print the description of one as an example.
 
     Parameters
     ----------
@@ -182,16 +187,16 @@ def protocols(name: str | None = None, /) -> int:
 def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
     """Read the identity and the limits of every device of a rig. Nothing moves, unless --move is given.
 
-    With --recipe everything is tried that its run needs: a reading of each device, the rate of each unit's samples, the
-    recipe against the devices' limits; with --move each axis finds its reference, and makes its longest turn there and
-    back. The exit status is 3 where a device does not answer as it should.
+    With --recipe, test everything that its run needs: a reading of each device, the sample rate of each IMU, and the
+    recipe against the devices' limits. With --move, each axis also finds its reference, and makes its longest turn
+    and returns. The exit status is 3 if a device does not answer correctly.
 
     Parameters
     ----------
     rig
-        The rig file; without it, that of the user's configuration.
+        The rig file; by default that of the user's configuration.
     recipe
-        Try what the run of this recipe needs.
+        Test what the run of this recipe needs.
     move
         Move the axes, too: the operator stands by.
     json
@@ -221,26 +226,26 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
         for one in tried:
             print(f"  {one.name}: {one.what}" + ("" if one.good else "  NOT AS IT SHOULD BE"))
         good = all(entry.good for entry in (*reports, *tried))
-        print("every device answers as the rig file says" if good else "the rig is not ready")
+        print("every device answers as the rig file states" if good else "the rig is not ready")
     return DONE if all(entry.good for entry in (*reports, *tried)) else FAILED
 
 
 @rig_app.command
 def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, force: Force = False) -> int:
-    """Talk to every device of a rig, and keep all bytes both ways in one file, which shows whether a driver fits it.
+    """Communicate with every device of a rig, and record all bytes in both directions in one file.
 
-    Send that file with a report: it is replayed as the device. Nothing moves, unless --move is given. The exit status
-    is 3 where a device did not answer as it should.
+    The file shows whether a driver fits the device. Send it with a report: it can be replayed in place of the device.
+    Nothing moves, unless --move is given. The exit status is 3 if a device did not answer correctly.
 
     Parameters
     ----------
     rig
-        The rig file; without it, that of the user's configuration.
+        The rig file; by default that of the user's configuration.
     output
         The transcript to write.
     move
-        Condition the chamber at its present temperature, home each axis and turn it by 10 deg, too: the operator stands
-        by.
+        Also condition the chamber at its present temperature, home each axis and turn it by 10 deg: the operator
+        stands by.
     """
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
@@ -273,6 +278,15 @@ def _tried(rig: "RigFile", recipe: Path, move: bool) -> "list[Tried]":
             put_back(bench)
 
 
+def _limit(name: str, value: object) -> str:
+    """A limit in words, with its unit; empty for one that the device does not have."""
+    none = value in (None, float("inf")) or (value == 0.0 and ("step" in name or "slowest" in name))
+    if isinstance(value, bool) or none:
+        return _ABILITIES.get(name, name.replace("_", " ")) if value is True else ""
+    words, unit = next((name.removesuffix(end), unit) for end, unit in _UNITS.items() if name.endswith(end))
+    return f"{words.replace('_', ' ')} {value:g} {unit}"
+
+
 def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
     head = (report.name, report.driver, report.port)
     if report.problem:
@@ -283,6 +297,6 @@ def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
     )
     limits = {} if report.limits is None else asdict(report.limits)
     limits.pop("registers", None)
-    rows = [f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in limits.items()]
+    rows = [words for name, value in limits.items() if (words := _limit(name, value))]
     rows += [report.remark] if report.remark else []
     return [(*head, described), *(("", "", "", row) for row in rows)]

@@ -43,54 +43,57 @@ def run(
     units: int = 1,
     json: Json = False,
 ) -> int:
-    """Execute a recipe, and leave the rig safe in every case.
+    """Execute a recipe, and leave the rig in a safe state in every case.
 
-    Ctrl-C once pauses after the step; again, it makes everything safe and ends. --resume goes on with a run that was
-    ended or killed. With --simulate the same run goes through simulated devices and is marked as simulated
-    everywhere. The exit status is 3 when a device or the run failed.
+    Ctrl-C pauses the run after the step; a second Ctrl-C makes everything safe and ends the run. --resume continues a
+    run that was ended or killed. With --simulate the run uses simulated devices, and all its results are marked as
+    simulated. The exit status is 3 if a device or the run failed.
 
     Parameters
     ----------
     recipe
         The recipe file.
     rig
-        The rig file; without it, that of the user's configuration.
+        The rig file; by default that of the user's configuration.
     output
         The folder of the run; it is made.
     resume
-        Go on with the run in this folder; give a recipe only where `gradcal optimise RUN` made one for the rest, and
-        a rig only to compare it with the run's.
+        Continue the run in this folder; give a recipe only if `gradcal optimise RUN` made one for the rest, and a rig
+        only to compare it with that of the run.
     simulate
-        Use simulated devices in the place of a rig.
+        Use simulated devices instead of a rig.
     speed
-        Of a simulated run: how many times faster than real time; absent: as fast as possible.
+        Of a simulated run: the speed relative to real time; absent: as fast as possible.
     seed
         The seed of the simulated devices' hidden errors.
     sample_rate
         The sample rate of a simulated sensor: "125 Hz", "250 Hz", "500 Hz", "1000 Hz" or "2000 Hz".
     dry_run
-        Read the limits of the rig's devices, print the commands that each would get, and stop; nothing moves.
+        Read the limits of the rig's devices, print the commands for each, and stop; nothing moves.
     yes
-        Begin without the question after the list of checks.
+        Begin without asking for confirmation of the checklist.
     operator
-        The operator of the run; kept in the run and its log, as are --unit and --note.
+        The operator of the run; stored in the run and its log, like --unit and --note.
     unit
-        Which unit is on the table.
+        Name of the IMU on the table.
     note
         Anything to remember.
     units
-        Of a simulated run of a whole unit: how many units are on the table.
+        For a simulated run: the number of IMUs on the table.
     json
-        Print only how the run ended, as JSON.
+        Print only the result of the run, as JSON.
     """
     if resume is not None:
         if output is not None or simulate:
-            raise ValueError("--resume takes nothing but the folder: rig and simulation are those of its run")
+            raise ValueError("--resume needs only the folder: rig and simulation are those of the run")
         return _resume(resume, recipe, rig, json)
     if recipe is not None and dry_run:
         return _dry_run(recipe, rig_or_own(rig), json)
     if recipe is None or output is None:
-        raise ValueError("what to run, and where to? gradcal run RECIPE --rig RIG -o RUN/, or --simulate for --rig")
+        raise ValueError(
+            "the recipe and the output folder are missing: gradcal run RECIPE --rig RIG -o RUN/, or --simulate "
+            "for --rig"
+        )
     either = "on what? Give either --rig RIG, or --simulate"
     if simulate and rig is not None:
         raise ValueError(either)
@@ -137,7 +140,7 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
             waits = ", once it is ready" if step.waits else ""
             print(f"{time_text(step.begins_s)}  {step.name}, {time_text(step.duration_s)}{waits}")
             print("".join(f"    {command}\n" for command in step.commands), end="")
-        print(f"{len(plan.steps)} steps, {time_text(plan.duration_s)} and what they wait for")
+        print(f"{len(plan.steps)} steps, {time_text(plan.duration_s)} plus waiting times")
         for text in plan.rounded:
             print(f"rounded: {text}")
         print("\n".join(problems) if problems else "every device accepts it; nothing was moved")
@@ -152,19 +155,22 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
     temperatures = [course.temperature_c for step in track.steps for course in step.courses]
     temperatures += [step.temperature_c for step in track.steps if step.temperature_c is not None]
     rows = [f"{name}: {text}" for name, text in about.items()]
-    rows.append(f"takes {time_text(float(round(track.duration_s)))}, and what it waits for")
+    rows.append(f"takes {time_text(float(round(track.duration_s)))} plus waiting times")
     if rig.chamber is not None and temperatures:
         low, high = min(temperatures), max(temperatures)
-        rows.append(f"the chamber goes from {low:g} to {high:g} degC; can everything in it stand that?")
+        rows.append(f"the chamber goes from {low:g} to {high:g} degC; does everything in it tolerate this?")
     for axis in rig.axis:
         moves = [move for step in track.steps for move in step.moves if move.axis == axis.name]
         if moves:
             fastest = max(abs(move.rate_dps) for move in moves)
-            rows.append(f"axis {axis.name} turns at up to {fastest:.4g} deg/s; is it clear, its cables long enough?")
+            rows.append(
+                f"axis {axis.name} turns at up to {fastest:.4g} deg/s; is its path clear, and are its cables long "
+                "enough?"
+            )
     safe = [f'axis {axis.name} "{axis.safe}"' for axis in rig.axis]
     safe += [] if rig.chamber is None else [f'the chamber "{rig.chamber.safe}"']
     rows.append("if it ends badly: " + ", ".join(safe))
-    rows.append("units: " + (", ".join(unit.name for unit in rig.imu) or "none; does its own logger record by now?"))
+    rows.append("units: " + (", ".join(unit.name for unit in rig.imu) or "none; is its own logger recording?"))
     if rig.alarm is not None:
         rows.append(f"an alarm calls: {' '.join(rig.alarm.command)}")
     print("before it begins:\n" + "\n".join(f"  {row}" for row in rows), flush=True)
@@ -213,8 +219,8 @@ def _say(folder: Path, result: "RunResult", json: bool) -> int:
         )
     else:
         complain(
-            f"the run did not begin, nothing was commanded: {result.reason}\n"
-            f"Mend that, then: gradcal run --resume {folder}"
+            f"the run did not begin, and no command was sent: {result.reason}\n"
+            f"Correct this, then: gradcal run --resume {folder}"
         )
     by_operator = result.reason in ("Ctrl-C", "interrupted from the keyboard")
     return INTERRUPTED if by_operator and result.verified_safe else FAILED

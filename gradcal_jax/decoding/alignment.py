@@ -114,30 +114,33 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
     places = [_refined(pairs, middle_s, lag_s + middle_s, outside) for lag_s, outside in _places(pairs)]
     if not places:
         raise NoAlignment(
-            "nothing in the recording turns as the table did: it is of another run, or of another axis, or begins "
-            "after the table has turned"
+            "no rate in the recording agrees with the motion of the table: the recording is from another run or "
+            "another axis, or begins after the table has turned"
         )
     places.sort(key=lambda place: place.misfit)
     best = places[0]
     if best.scale < 0.0:
-        raise NoAlignment("the recording turns as the table did, but the other way: give its axis the other sign")
+        raise NoAlignment(
+            "the rates in the recording have the opposite sign of the table's motion: change the sign of its axis"
+        )
     if best.misfit > _MISFIT or not 0.8 < best.scale < 1.25:
         raise NoAlignment(
-            f"the recording does not show what the table did: at the best place {100.0 * best.misfit:.0f} % of it are "
-            f"not there, and it senses {1.0 / best.scale:.2f} of the turns; it is of another run, or of another axis"
+            "the recording does not agree with the motion of the table: at the best alignment "
+            f"{100.0 * best.misfit:.0f} % of the motion is missing, and the sensor measures "
+            f"{1.0 / best.scale:.2f} of the turns; the recording is from another run or another axis"
         )
     others = [place for place in places[1:] if abs(place.offset_s - best.offset_s) > _APART_S]
     if others and others[0].misfit < max(_AS_GOOD * best.misfit, 0.5 * _MISFIT):
         apart_s = abs(others[0].offset_s - best.offset_s)
         raise NoAlignment(
-            f"the recording fits at two places {apart_s:.1f} s apart (or more): it must hold the run's first turn or "
-            "its last, or turns that are not alike"
+            f"the recording agrees with the run at two times that are {apart_s:.1f} s apart (or more): it must "
+            "contain the first or the last turn of the run, or turns that differ"
         )
     alignment = _exactly(pairs, middle_s, best)
     if not alignment.offset_std_s < _MOST_UNSURE_S:
         raise NoAlignment(
-            f"the recording's clock is known to {alignment.offset_std_s:.2g} s only: too few readings were taken while "
-            "the table turned"
+            f"the recording's clock is determined only to {alignment.offset_std_s:.2g} s: too few readings were "
+            "taken while the table turned"
         )
     return alignment
 
@@ -279,8 +282,8 @@ class _Fit:
 def _fit(bursts: list[_Burst], noise_deg: float, jitter_s: float) -> _Fit:
     if len(bursts) < _FEWEST_BURSTS:
         raise NoAlignment(
-            f"the recording shows {len(bursts)} of the table's turns with readings in them; {_FEWEST_BURSTS} are the "
-            "fewest that tell its clock"
+            f"the recording shows {len(bursts)} of the table's turns with readings; at least {_FEWEST_BURSTS} are "
+            "needed to determine its clock"
         )
     weighted = [_projected(burst, noise_deg, jitter_s) for burst in bursts]
     slopes, left = (np.concatenate(parts) for parts in zip(*weighted, strict=True))

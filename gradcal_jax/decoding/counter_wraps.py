@@ -197,11 +197,14 @@ def _lost_rounds(arrivals: Spool, round_s: float) -> tuple[dict[int, int], tuple
                     # A trace that follows within the window is the place of the loss.
                     alone = not window.traces[number : number + int(window.follow[number])].any()
                     if alone and _agree(window, number, behind_s + rounds * round_s, round_s):
-                        why = f"all stamps after it are later by {step - before:.2f} rounds and nothing shows a loss"
+                        why = (
+                            f"all time stamps after it are later by {step - before:.2f} counter periods, without "
+                            "any sign of a loss"
+                        )
                         doubts.append(Doubt(before_row + 1, rounds - before, False, why))
                         reported.append((host_s + WINDOW_S, rounds - before))
             elif traces:
-                why = "nothing came before it that stamps could tell it by"
+                why = "there are no earlier time stamps to compare with"
                 doubts.append(Doubt(int(trace[number]), 0, True, why))
             late_s = float(window.late_s[number]) - shift_s
             while quickest and quickest[-1][1] >= late_s:
@@ -215,11 +218,11 @@ def _doubtful(window: _Window, number: int, behind_s: float, step: float, round_
     """Why the number of rounds lost in an arrival is doubtful; empty where it is not."""
     rounds = max(0, round(step))
     if abs(step - rounds) > _SURE:
-        return f"the quickest stamps after it are later by {step:.2f} rounds than those before"
+        return f"the earliest time stamps after it are later by {step:.2f} counter periods than those before"
     if not _agree(window, number, behind_s + rounds * round_s, round_s):
-        return f"fewer than {_FEWEST_ARRIVALS} quick stamps after it agree"
+        return f"fewer than {_FEWEST_ARRIVALS} early time stamps after it agree"
     if rounds and traces > 1:
-        return f"of {traces} losses that were read together the last is taken to be the long one"
+        return f"of {traces} losses that were read together, the last is taken to be the long one"
     return ""
 
 

@@ -9,7 +9,7 @@ turns follows the commanded trapezoid between its readings before and after; eve
 
 The time stamp of a row is the sensor's clock, aligned with the computer's where data begin. `host_time` is the
 computer's clock, by a straight line through the quickest arrivals, whose slope and residuals are in the log's
-provenance. Where a run was resumed or a unit restarted, the computer's clock gives the length of the interruption.
+provenance. Where a run was resumed or an IMU restarted, the computer's clock gives the length of the interruption.
 
 A log is made block by block from a spool on the disk, so that a run of days takes no more memory than one of an hour.
 """
@@ -119,7 +119,7 @@ def _of_unit(
         aside += left
     if not parts:
         raise HardwareError(
-            "The journal holds no samples of a stretch with data: the run ended before its first stretch began."
+            "The journal has no samples of a stretch with data: the run ended before its first stretch began."
         )
     provenance = _provenance(parts, sessions, recipe, (device.name, device.driver))
     events = (event for session in sessions for event in session.events)
@@ -170,14 +170,14 @@ def _of_recording(
             part = part_with_table(session, samples, first, len(samples), clock, axes, every_s)
             parts += [] if part is None else [part]
     if not parts:
-        raise HardwareError("The recording holds no samples of a stretch of the run with data.")
+        raise HardwareError("The recording has no samples of a stretch of the run with data.")
     who = recorded.units[number]
     provenance = _provenance(parts, sessions, recipe, (who, "recorded elsewhere"))
     provenance["clock_offset_std_s"] = ", ".join(f"{one.offset_std_s:.1e}" for one in alignments)
     log = _joined(parts, labels, who, provenance, 0, tuple(rates))
     message = "; ".join(
-        f"the recording's clock is known by {one.readings} readings of {one.bursts} turns to {one.offset_std_s:.2g} s "
-        f"and {1e6 * one.rate_std:.2g} ppm (1σ), delays of the table's readings not reckoned"
+        f"the recording's clock is determined by {one.readings} readings of {one.bursts} turns to "
+        f"{one.offset_std_s:.2g} s and {1e6 * one.rate_std:.2g} ppm (1σ), without delays of the table's readings"
         for one in alignments
     )
     findings = (*log.fields["findings"], Finding("clock found by the motion", "keep", 0, message))
@@ -250,7 +250,7 @@ def _device(rig: RigFile, unit: str | None) -> ImuDevice:
     if unit is None and len(names) == 1:
         return rig.imu[0]
     if unit not in names:
-        raise HardwareError(f"Which unit? The run has {', '.join(names) or 'none'}.")
+        raise HardwareError(f"Which IMU? The run has {', '.join(names) or 'none'}.")
     return rig.imu[names.index(unit)]
 
 
@@ -385,13 +385,16 @@ def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
     unsure = max(part.clock.residual_max_s for part in parts)
     anew = sum(part.restarted for part in parts)
     bad, twice = (sum(getattr(part, name) for part in parts) for name in ("bad_bytes", "repeated"))
-    lateness = f"the computer was so busy that its stamps are sure to {unsure:.2g} s only: so much more is left away"
-    times = f"{anew} time{'s' * (anew > 1)} in the run; what it would have sent is not counted"
+    lateness = (
+        f"the computer was so busy that its time stamps are accurate only to {unsure:.2g} s: this margin is left "
+        "out in addition"
+    )
+    times = f"{anew} time{'s' * (anew > 1)} in the run; samples that it would have sent are not counted"
     others = [
         (unsure > SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
-        (anew, Finding("unit restarted", "split", anew, f"the unit began anew {times}")),
-        (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no sound datagram")),
-        (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams came twice and count once")),
+        (anew, Finding("unit restarted", "split", anew, f"the IMU restarted {times}")),
+        (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no valid datagram")),
+        (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice and count once")),
     ]
     findings = [Finding("gap", "split", gaps, f"{missing} samples are missing in {gaps} places")] if missing else []
     findings += _findings_of_rounds(parts)
@@ -406,9 +409,12 @@ def _findings_of_rounds(parts: Sequence[Part]) -> Iterator[Finding]:
             part, first_s, first = places[0]
             samples = part.round_samples
             message = (
-                f"{len(places)} of the gaps may be longer or shorter by a round of the counter ({samples} samples)"
+                f"{len(places)} of the gaps may be longer or shorter by one period of the counter ({samples} samples)"
                 if traced
-                else f"in {len(places)} places {samples} samples or a multiple of it may be missing; none are counted"
+                else (
+                    f"in {len(places)} places {samples} samples or a multiple of this number may be missing; none "
+                    "are counted"
+                )
             )
             where = f"the first {abs(first_s):.1f} s {'before' if first_s < 0.0 else 'after'} data begin: {first.why}"
             yield Finding(kind, "split" if traced else "keep", len(places), f"{message}; {where}")

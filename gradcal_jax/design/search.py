@@ -338,7 +338,7 @@ def polish(
     held = bool(np.all(excess <= KEPT))
     converged = norm < CONVERGED and held
     if not held:
-        sentence = f"not converged: {missed_limit(excess, names)}: no plan of this kind may meet it"
+        sentence = f"not converged: {missed_limit(excess, names)}: perhaps no plan of this kind can meet it"
     elif converged:
         sentence = f"converged: the largest gradient component is {norm:.1e} of the objective"
     else:
@@ -353,7 +353,7 @@ def missed_limit(excess: np.ndarray, names: Sequence[str]) -> str:
     if np.all(excess <= KEPT):
         return ""
     worst = int(np.argmax(excess))
-    return f"{names[worst] if names else 'a limit'} is {np.exp(excess[worst]):.3g} times what it may be"
+    return f"{names[worst] if names else 'a limit'} is {np.exp(excess[worst]):.3g} times the allowed value"
 
 
 def exactly(compiled: Compiled, point: np.ndarray) -> tuple[float, np.ndarray]:

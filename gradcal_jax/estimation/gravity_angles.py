@@ -93,7 +93,10 @@ def angles_by_gravity(log: ImuRows, geometry: Geometry, start: np.ndarray) -> Gr
             doubtful[near[0] : near[1]] = True
     large = [s for s in scales.values() if abs(s) > _LARGE]
     said = [
-        f"the gyros' scale is off by {100.0 * s:+.3g} %: whole turns are counted with it; is it in rad/s?"
+        (
+            f"the scale factor of the gyros is wrong by {100.0 * s:+.3g} %: the estimate counts whole turns with "
+            "it; is it in rad/s?"
+        )
         for s in large
     ]
     return GravityAngles(result, doubtful, tuple(dict.fromkeys(said)))
@@ -112,7 +115,7 @@ def _standstills(log: ImuRows) -> _Still:
         total = np.sum(np.where(known, log.rates[a:b], 0.0), axis=0)
         rates.append(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))
     if len(rows) < 2:
-        raise ValueError("the table stands still less than twice in the log, so gravity tells no angle")
+        raise ValueError("the table is at rest less than twice in the log, so gravity gives no angle")
     where = np.array(rows)
     return _Still(where, np.array(rates), np.array(up), log.mounting[where[:, 0]])
 
@@ -273,8 +276,9 @@ def _scales(turns: list[_Turn | None], still: _Still, log: ImuRows) -> dict[tupl
             begin = log.time_s[still.rows[members[int(np.argmax(np.abs(integral)))]][1]]
             raise ValueError(
                 f"whole turns cannot be counted: scale-factor errors of {100 * scale[best]:+.2g} % and "
-                f"{100 * other:+.2g} % explain the turns about one direction equally, the longest of "
-                f"{np.degrees(largest):.4g} deg, {begin:.6g} s into the log; add a turn of half a turn or less about it"
+                f"{100 * other:+.2g} % explain the turns about one direction equally well, the longest of "
+                f"{np.degrees(largest):.4g} deg, {begin:.6g} s after the start of the log; add a turn of half a "
+                "revolution or less about this direction"
             )
         result[key] = float(scale[best])
     return result

@@ -129,8 +129,8 @@ def positions(rows: HandRows) -> Positions:
         standstills.append((both.mean(axis=0), len(good) * step, here[0], here[-1]))
     if len(standstills) < _LEAST:
         raise ValueError(
-            f"{len(standstills)} standstills of a second and more were found, and at least {_LEAST} are needed: lay "
-            "the unit down in some twenty positions, in all directions, for five seconds each"
+            f"{len(standstills)} standstills of a second or more were detected, and at least {_LEAST} are needed: "
+            "lay the IMU down in some twenty positions, in all directions, for five seconds each"
         )
     means = np.array([f[0] for f in standstills])
     noise = np.concatenate(squares).mean(axis=0) * block * step
@@ -166,8 +166,8 @@ def _accelerometers(held: Positions, gravity: float) -> Fitted:
         solution, _, _, singular = np.linalg.lstsq(table, np.sum(x**2, axis=1), rcond=None)
         if singular[-1] < 1e-2 * singular[0]:
             raise ValueError(
-                "the forces are not in m/s², and the positions are too close to one plane to determine zero and scale: "
-                "hold the unit in all directions, or give scale and zero in the column map"
+                "the forces are not in m/s², and the positions are too close to one plane to determine zero and "
+                "scale: hold the IMU in all directions, or give scale and zero in the column map"
             )
         radius = float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))
         centre, gain = middle + size * solution[:3], size * radius / gravity
@@ -384,14 +384,14 @@ def _rate_scale(held: Positions, moves: _Moves, u: np.ndarray) -> tuple[np.ndarr
     angle = np.arccos(np.clip(np.sum(u[moves.start] * u[moves.start + 1], axis=1), -1.0, 1.0))
     far = angle > 0.3
     if not far.any() or not (way[far] > 0.0).all():
-        raise ValueError("the unit was not turned far enough between standstills to determine the gyros' scale")
+        raise ValueError("the IMU was not turned far enough between standstills to determine the gyros' scale factor")
     gains = np.quantile(way[far] / angle[far], 0.1) * 1.025 ** np.arange(8, -48, -1)
     values = [off(float(gain)) for gain in gains]
     best = int(np.argmin(values))
     if values[best] > 3.0 * _STRANGE:
         raise ValueError(
-            "no scale of the gyros turns gravity from position to position as the accelerometers see it: have both "
-            "triads the same axes, with the same signs, and the same clock?"
+            "no scale factor of the gyros explains the change of gravity between positions that the "
+            "accelerometers measure: do both triads have the same axes, with the same signs, and the same clock?"
         )
     return centre, float(gains[best])
 

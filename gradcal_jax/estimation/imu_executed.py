@@ -106,7 +106,7 @@ def executed_imu(
     # Standstills of a run, whose readings are events, have margins already.
     spans = stands if log.at_a_stop.any() else [_inner(log.time_s, *stand) for stand in stands]
     if len(spans) < 2:
-        raise ValueError("the table stands still less than twice in the log, so there is no pose to compare")
+        raise ValueError("the table is at rest less than twice in the log, so there is no pose to compare")
     if read_every < PIECE_S and log.at_a_stop.any():
         # Every reading is a reference: a standstill is that from its first to its last.
         read = [np.flatnonzero(log.at_a_stop[a : b + 1]) + a for a, b in stands]
@@ -141,7 +141,8 @@ def mean_angles(log: ImuRows, spans: list[tuple[int, int]]) -> list[np.ndarray]:
         mean = np.sum(np.where(known, read, 0.0), axis=0) / np.maximum(known.sum(axis=0), 1)
         if not known.any(axis=0).all() and not (result and log.at_a_stop.any()):
             raise ValueError(
-                f"the table's angles are not known where it stands, {log.time_s[first]:.6g} s into the log"
+                f"the table's angles are not known at the standstill {log.time_s[first]:.6g} s after the "
+                "start of the log"
             )
         for k in np.flatnonzero(~known.any(axis=0)):
             stops = np.flatnonzero(np.isfinite(log.angles[after:first, k]))
@@ -217,9 +218,9 @@ def _legs(
             size = max(float(step[rest.begin + 1 : first + 1] @ np.linalg.norm(rates, axis=1)), 1e-9)
             if np.max(np.abs(at - means[k + 1])) > _FOLLOWS * size + _BIAS:
                 raise ValueError(
-                    f"between {log.time_s[last]:.6g} and {log.time_s[first]:.6g} s the gyros and the table's angles do "
-                    "not agree: one axis after the other must turn; is the table of the spec the one of the log, with "
-                    "its axes in that order, and the unit mounted as in the spec?"
+                    f"between {log.time_s[last]:.6g} and {log.time_s[first]:.6g} s the gyros and the table's "
+                    "angles do not agree: the axes must turn one after the other; does the log have the table of "
+                    "the spec, with its axes in the same order, and the mounting of the spec?"
                 )
         result += legs[1:]
     return result

@@ -118,7 +118,7 @@ def installed(geometry: Geometry, model: ImuModel, values: np.ndarray) -> Instal
             else:
                 clock = {"gyro": float(own[0]), "accelerometer": float(own[0]) * term.forces}
         else:
-            raise TypeError(f"no finite form of {type(term).__name__} is known")
+            raise TypeError(f"{type(term).__name__} has no form for finite angles")
 
     def error_of(axis: int, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         error, slope = np.zeros(angle.shape), np.zeros(angle.shape)
@@ -395,9 +395,9 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
     steps, columns = readings.linear(about)
     used = np.asarray(segments_of(readings.done.motion, readings.model).used)
     if not used.any():
-        raise ValueError("no reading is left between two rows that may be used")
+        raise ValueError("no reading is left between two usable rows")
     if not np.isfinite(readings.observed[used]).all():
-        raise ValueError("a reading that is used is not finite")
+        raise ValueError("a used reading is not finite")
     estimate = _solved(readings, steps, columns, used, about)
     if threshold is None:
         return estimate

@@ -94,7 +94,7 @@ def closest_neighbours(moves: MovesBetweenRests, width_k: float) -> tuple[Group,
     Errors: `ValueError` for a width that is not positive.
     """
     if not width_k > 0.0:
-        raise ValueError(f"neighbours must be allowed to be some kelvins apart, not {width_k}")
+        raise ValueError(f"the temperature difference of neighbours must be positive, not {width_k}")
     if not len(moves.angle_rad):
         return ()
     like = like_rates(moves.rate_rad_per_s, _ALIKE)

@@ -47,8 +47,8 @@ class TablePoints(NamedTuple):
             )
         if self.unplanned:
             said.append(
-                f"the log has {self.unplanned} points, at held rates and stable temperatures, that are not in the "
-                "plan: they are used"
+                f"the log has {self.unplanned} points, at constant rates and stable temperatures, that are not in "
+                "the plan: they are used"
             )
         return said
 
@@ -91,8 +91,8 @@ def plateaus(
         last.append(int(b))
     if not first:
         raise ValueError(
-            f"the log holds no rate at a stable temperature for {_LEAST_SHARE * integration_s:g} s or longer, none of "
-            "the plan's points among them: give the spec's integration as it was"
+            f"the log has no rate at a stable temperature for {_LEAST_SHARE * integration_s:g} s or longer, and "
+            "none of the plan's points: state the integration time of the recording in the spec"
         )
     present = {int(label[b]) for b in last}
     missing = tuple(

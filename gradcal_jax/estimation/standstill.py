@@ -52,7 +52,7 @@ def find_standstills(
     """
     width = max(round(window_s / sample_interval_s), _FEWEST_ROWS)
     if len(rate_rad_per_s) < 2 * width:
-        raise ValueError("the record is shorter than two windows: nothing can be said of standstills")
+        raise ValueError("the record is shorter than two windows: standstills cannot be detected")
     usable = np.ones(len(rate_rad_per_s), bool) if valid is None else valid
     mean, spread = _about_each_row(rate_rad_per_s, usable, width)
     # The output of a quantised sensor may be constant: then a share of one count is the level.
@@ -78,8 +78,8 @@ def find_standstills(
                 count += 1
     if not count:
         raise ValueError(
-            f"nothing in the record is quiet for {shortest_s:g} s: is the sensor ever at rest? Otherwise mark the "
-            "standstills yourself"
+            f"no part of the record is steady for {shortest_s:g} s: is the sensor ever at rest? Otherwise mark "
+            "the standstills yourself"
         )
     return number
 

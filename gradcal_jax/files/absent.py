@@ -29,8 +29,8 @@ _OF_RAMPS: Final = frozenset({"thermal_lag", "bias_temperature_gradient", "tempe
 _OF_UNIT_TABLES: Final = ("tilt", "azimuth")
 EARTH: Final = "rig.site.latitude"
 EARTH_IS_UNKNOWN: Final = (
-    "the Earth's rate along the axis is not stated, and up to 15.04 deg/h of it counts in the bias: give "
-    "[rig.site] latitude, or estimate with --latitude (an axis that points up) or --earth-rate"
+    "the Earth's rate along the axis is not stated, so up to 15.04 deg/h count in the bias: give [rig.site] "
+    "latitude, or estimate with --latitude (an axis that points up) or --earth-rate"
 )
 
 
@@ -122,7 +122,7 @@ def _of_axis(spec: Spec) -> Iterator[AbsentTerm]:
     yield from _unnamed(spec.rig.table, "rig.table", [t for t in of_table if t.key == "rate_accuracy"])
     yield from _unnamed(spec.rig.table.axis[0].angle, "rig.table.axis[0].angle", of_angle)
     if spec.rig.site.latitude is None:
-        reason = "the Earth turns 15.04 deg/h, and the direction of the axis is not stated"
+        reason = "the Earth turns at 15.04 deg/h, and the direction of the axis is not stated"
         yield AbsentTerm(EARTH, "unknown", reason)
 
 
@@ -205,12 +205,12 @@ def branch_sentences(spec: Spec) -> list[str]:
         size, per = prior.split(" ")
         left = f"{float(size) * width:.3g} {per.removesuffix('/K')}"
         sentences.append(
-            f"{words}: heating and cooling are not told apart; hysteresis, ±{left} in this class, is not counted: give "
-            'the requirement branch = "both" (or "heating", "cooling")'
+            f"{words}: heating and cooling are not distinguished; hysteresis, ±{left} in this class, does not "
+            'count: give the requirement branch = "both" (or "heating", "cooling")'
         )
         widest = max(widest, width)
     if sentences and _goes_one_way(spec):
-        returns = f"let the temperature return by {2.0 * widest:g} K or more{minutes_of_change(spec, 2.0 * widest)}"
+        returns = f"reverse the temperature by {2.0 * widest:g} K or more{minutes_of_change(spec, 2.0 * widest)}"
         sentences.append(f"one-way ramp: the plan observes no hysteresis: {returns}")
     return sentences
 
@@ -372,7 +372,7 @@ def _of_clock(term: AbsentTerm, sensor: Sensor) -> AbsentTerm:
     """The computer's clock counts, with which a run compares the sensor's, unless the spec takes the sensor's."""
     if term.key != "sample_clock_error" or sensor.clock == "sensor":
         return term
-    return term._replace(value=f"{HOST_CLOCK * 1e6:g} ppm", source="the computer's clock, with which a run compares it")
+    return term._replace(value=f"{HOST_CLOCK * 1e6:g} ppm", source="the computer's clock, which a run compares with it")
 
 
 def _words(value: Any) -> str:

@@ -37,7 +37,7 @@ _MOUNTINGS: Final[Mapping[str, Tables]] = {
     "z": {"x": "+x", "y": "+y", "z": "+z"},
 }
 _NO_SUCH_TABLE: Final = (
-    "turns sensor axes {} as if each had a table of its own; no gimbal does: take a table of two axes "
+    "turns sensor axes {} as if each had a separate table, which no gimbal has: use a table of two axes "
     "(gradcal new two-axis-table)"
 )
 _SECONDS: Final = "s"
@@ -255,10 +255,10 @@ def _plan(of_file: object, axis: Axis, table: Tables, problems: list[Problem]) -
         problems.append(Problem(("plan", "reference"), 'expected "angle"', reference))
     every = plan.pop("read_every", None)
     if plan.get("method") == "gradient" and "cycle" not in plan and every is None:
-        message = 'this key is missing: without a cycle it says how often the standing axis is read, such as "1 s"'
+        message = 'this key is missing: without a cycle it states how often the axis is read at rest, such as "1 s"'
         problems.append(Problem(("plan", "read_every"), message, kind="missing"))
     if "cycle" in plan and every is not None:
-        message = "with a cycle, the moves say when the axis is read; leave this key out"
+        message = "with a cycle, the moves state when the axis is read; leave this key out"
         problems.append(Problem(("plan", "read_every"), message, every))
     if not _is_table(plan.get("cycle")) or not (moves := _moves_of(plan)):
         return plan, every or "rest"
@@ -268,7 +268,7 @@ def _plan(of_file: object, axis: Axis, table: Tables, problems: list[Problem]) -
     every = next(filter(_is_time, spacings), "rest")
     if (others := _table(cycle.get("other_axes"))).get("read"):
         if not spacings and "read_every" not in others:
-            message = "this key is missing: no rest of the cycle says how often a standing axis is read"
+            message = "this key is missing: no rest of the cycle states how often the axis is read"
             problems.append(Problem(("plan", "cycle", "other_axes", "read_every"), message, kind="missing"))
         every = others.get("read_every", every)
         of_others = {"read_every": every} if _is_time(every) else {}

@@ -34,7 +34,7 @@ class PolynomialKeys(Section):
     centre: q.Quantity
     scale: q.Quantity
     internal: Literal["legendre", "chebyshev"] = "legendre"
-    """Orthogonal polynomials in which it is computed; results are in powers."""
+    """Orthogonal polynomials used for the computation; results are in powers."""
 
     @property
     def size(self) -> int:
@@ -100,18 +100,18 @@ class TemperatureSpline(SplineKeys):
     """B-splines of `degree` on increasing knots, both ends included."""
 
     knots: Annotated[tuple[q.Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
-    """Temperatures at which pieces meet, both ends included, rising."""
+    """Knots: temperatures at which pieces meet, both ends included, increasing."""
 
 
 class RateSpline(SplineKeys):
     """B-splines of `degree` on increasing knots, both ends included."""
 
     knots: Annotated[tuple[q.Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
-    """Rates at which pieces meet, both ends included, rising."""
+    """Knots: rates at which pieces meet, both ends included, increasing."""
 
 
 class BinsKeys(Section):
-    """One constant between each two neighbouring edges."""
+    """One constant between each pair of neighbouring edges."""
 
     basis: Literal["bins"]
     """Kind of functions."""
@@ -136,17 +136,17 @@ class BinsKeys(Section):
 
 
 class TemperatureBins(BinsKeys):
-    """One constant between each two neighbouring edges."""
+    """One constant between each pair of neighbouring edges."""
 
     edges: Annotated[tuple[q.Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
-    """Temperatures between which the value is constant, rising."""
+    """Edges of the bins: temperatures, increasing."""
 
 
 class RateBins(BinsKeys):
-    """One constant between each two neighbouring edges."""
+    """One constant between each pair of neighbouring edges."""
 
     edges: Annotated[tuple[q.Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
-    """Rates between which the value is constant, rising."""
+    """Edges of the bins: rates, increasing."""
 
 
 TemperatureBasis = Annotated[

@@ -112,7 +112,7 @@ _CHOICES: Final[Mapping[str, Callable[[], tuple[str, ...]]]] = {
 def preset(name: str) -> dict[str, str]:
     """The answers of a preset. Errors: `ValueError` with the nearest right spelling."""
     if name not in PRESETS:
-        raise ValueError(f"there is no preset '{name}' to start from: {instead(name, PRESETS)}")
+        raise ValueError(f"there is no preset '{name}': {instead(name, PRESETS)}")
     return dict(PRESETS[name])
 
 
@@ -130,7 +130,7 @@ def understood(question: Question, answer: str) -> tuple[float | str, ...]:
         return ()
     parts = [part.strip() for part in answer.split(",")] if len(question.kinds) > 1 else [answer.strip()]
     if len(parts) != len(question.kinds):
-        raise ValueError(f"expected {len(question.kinds)} answers with commas between them, got {len(parts)}")
+        raise ValueError(f"expected {len(question.kinds)} answers, separated by commas, got {len(parts)}")
     return tuple(_one(kind, part) for kind, part in zip(question.kinds, parts, strict=True))
 
 
@@ -203,7 +203,7 @@ def _refuse_impossible(answers: Answers, known: Mapping[str, tuple[Any, ...]]) -
         asks = next(q.asks for q in QUESTIONS if q.name == "chamber")
         raise ValueError(f"{asks} a range of at least 10 K is needed, and this has {warm - cold:g} K")
     if math.isinf(known["angle"][0]) and kind != "imu":
-        raise ValueError("without an encoder the accelerometers of an IMU tell the angles: answer imu, or an angle")
+        raise ValueError("without an encoder, the accelerometers of an IMU measure the angles: answer imu, or an angle")
     if table == "switch" and not math.isinf(known["angle"][0]):
         raise ValueError('a motor that is only switched reports no angle: answer "none" for its angle')
     if kind != "gyro" and axes == "2" and table not in ("zaber", "odrive"):

@@ -16,7 +16,7 @@ NO_TIME: Final = q.Quantity(0.0, "0 s", "time")
 
 
 class Harmonic(Section):
-    """Repeatable error of the encoder: the angle's error repeats with the angle."""
+    """Repeatable error of the encoder: the error is periodic in the angle."""
 
     order: Annotated[q.Count, Field(le=100_000)]
     """Periods in one turn."""
@@ -30,21 +30,21 @@ class AngleReference(Section):
     reading_noise: q.SizeOfAngle = q.Quantity(0.0, "0 deg", "angle")
     """Standard deviation of each reading, independent of all others."""
     standstill_offset: q.SizeOfAngle = q.Quantity(0.0, "0 deg", "angle")
-    """Standard deviation of what is common to all readings of one standstill and new in the next."""
+    """Standard deviation of the error common to all readings of one standstill and independent in the next."""
     timing_error: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
-    """Standard deviation of the time of a reading on the move, which the rate turns into angle."""
+    """Standard deviation of the time of a reading during a move; the rate converts it to an angle error."""
     scale_error: q.SizeOfScaleFactor | None = None
-    """Standard deviation of the scale of the angle (a gear's ratio, counts for a turn), a ratio."""
+    """Standard deviation of the relative scale error of the angle (gear ratio, counts per revolution)."""
     harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
-    """Errors that repeat with the angle."""
+    """Errors that are periodic in the angle."""
 
     def _problems(self) -> Iterable[Problem]:
-        message = "this order stands above already: give one amplitude for each order"
+        message = "this order already exists above: give one amplitude for each order"
         return repeated_names("harmonics", "order", [str(harmonic.order) for harmonic in self.harmonics], message)
 
 
 class Chamber(Section):
-    """The climatic chamber: where it can go and how fast."""
+    """The climatic chamber: its range and its rates."""
 
     range: tuple[q.Temperature, q.Temperature]
     """Coldest and hottest temperature of the chamber."""
@@ -53,8 +53,9 @@ class Chamber(Section):
     max_cooling: q.PositiveTemperatureSlope
     """Steepest slope downwards, as a size."""
     control: Literal["chamber", "none"] = "chamber"
-    """"none": a fridge, a hair dryer, a bag of ice. A run commands and awaits no temperature, needs no chamber in its
-    rig file and goes on by the clock; the operator tries to follow the plan's course, and what comes is recorded."""
+    """"none": a fridge, a hair dryer, a bag of ice. The run follows the clock: it neither commands nor waits for
+    temperatures, and needs no chamber in its rig file. The operator tries to follow the planned temperature, and the
+    actual temperature is recorded."""
 
     def _problems(self) -> Iterable[Problem]:
         return increasing(self.range, "range")
@@ -97,7 +98,7 @@ class Site(Section):
     """Geodetic latitude, north positive. For gyros along the only axis of a table it may be absent or "unknown": up to
     15.04 deg/h of the Earth's rate then count in their bias."""
     gravity: q.PositiveSpecificForce | None = None
-    """Local gravity as it is used; absent: normal gravity at sea level of the latitude."""
+    """Local gravity; absent: normal gravity at sea level for the latitude."""
     gravity_accuracy: q.SizeOfSpecificForce = q.Quantity(0.0, "0 mg", "acceleration")
     """Standard deviation of gravity; its error is common to all accelerometers."""
 
@@ -125,28 +126,28 @@ class AxisEncoder(AngleReference):
     """Error budget of an axis's angle."""
 
     reference: Literal["encoder", "gravity"] = "encoder"
-    """"gravity": there is no encoder, on any axis. The device's accelerometers tell the angle of every standstill, and
-    its gyros count whole turns; the plan's angles need not be kept, each is estimated. All other keys but `read_every`
-    are then left out."""
+    """"gravity": there is no encoder, on any axis. The IMU's accelerometers measure the angle of every standstill,
+    and its gyros count whole turns. The actual angles may differ from the plan, and each is estimated. Leave out all
+    other keys except `read_every`."""
     read_every: Spacing = q.Quantity(1.0, "1 s", "time")
-    """Spacing of the readings while the axis stands; "rest": one, at the end of each rest."""
+    """Spacing of the readings at rest; "rest": one, at the end of each rest."""
 
 
 class TableAxis(Section):
     """An axis of the table, outermost first."""
 
     name: Name
-    """Its name, which moves refer to."""
+    """Name of the axis, used by moves."""
     direction: Vector
-    """Direction while all stand at zero, in the frame that the axis outside carries (outermost: East, North, up)."""
+    """Direction with all axes at zero, in the frame that the next outer axis carries (outermost: East, North, up)."""
     max_rate: q.PositiveRate
     """Largest rate."""
     max_acceleration: q.PositiveAcceleration
     """Largest acceleration."""
     travel: q.Travel = q.Quantity(float("inf"), "unlimited", "angle")
-    """How far it may turn each way from zero; "unlimited" where no cable winds up."""
+    """Travel in each direction from zero; "unlimited" if no cable winds up."""
     keep_out: tuple[q.Angle, q.Angle] | None = None
-    """Angles between which it must never stand or pass, such as ["120 deg", "150 deg"]; zero lies outside of them."""
+    """Range of angles that it must never enter, such as ["120 deg", "150 deg"]; zero is outside of it."""
     orthogonality: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of the angle to the next axis inside."""
     angle: AxisEncoder = AxisEncoder()
@@ -158,7 +159,9 @@ class TableAxis(Section):
         if self.keep_out is not None:
             low, high = self.keep_out
             if not (0.0 < low < high < _TURN or -_TURN < low < high < 0.0):
-                message = "expected two angles of one sign within a turn, the smaller one first, with zero outside"
+                message = (
+                    "expected two angles of the same sign within one turn, the smaller one first, with zero outside"
+                )
                 yield Problem(("keep_out",), message, [str(low), str(high)])
 
     @property
@@ -184,10 +187,10 @@ def _determinant(matrix: Iterable[Sequence[float]]) -> float:
 
 
 class Mounting(Section):
-    """How the unit hangs on the innermost axis."""
+    """The mounting of the IMU on the innermost axis."""
 
     name: q.Text | None = None
-    """A name for people."""
+    """A title for tables and pages."""
     x: Direction = "+x"
     """Axis of the innermost table axis's frame along which the body's x points."""
     y: Direction = "+y"
@@ -195,7 +198,7 @@ class Mounting(Section):
     z: Direction = "+z"
     """The same of the body's z."""
     rotation: tuple[q.Angle, q.Angle, q.Angle] | None = None
-    """Rotation vector (body) by which it is turned further."""
+    """Additional rotation, as a rotation vector in the body frame."""
     accuracy: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of each of the three angles."""
 
@@ -211,13 +214,13 @@ class Mounting(Section):
 
 
 class Place(Mounting):
-    """`[[rig.table.place]]`: where an IMU sits in a fixture that holds several; its directions are in the fixture's
+    """`[[rig.table.place]]`: the place of an IMU in a fixture with several IMUs. Its directions are in the fixture's
     frame, and the table's mountings are those of the fixture."""
 
     name: q.Text  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
-    """Its name; the IMU of this name in a run or log sits here."""
+    """Name of the place; the IMU of this name in a run or log is here."""
     matrix: tuple[Vector, Vector, Vector] | None = None
-    """In the place of x, y and z: the rotation from the body to the fixture, row by row."""
+    """Instead of x, y and z: the rotation matrix from the body to the fixture, row by row."""
     lever_arm: tuple[Length, Length, Length] | None = None
     """Position of the IMU in the fixture's frame, from the intersection of the table's axes."""
 
@@ -232,7 +235,7 @@ class Place(Mounting):
             ):
                 yield Problem(("matrix",), "is no rotation: its rows must be orthogonal, of length 1 and right-handed")
             if self.model_fields_set & {"x", "y", "z"}:
-                yield Problem(("matrix",), "is in the place of x, y and z: leave these out")
+                yield Problem(("matrix",), "replaces x, y and z: leave these out")
 
 
 _Mountings = Annotated[tuple[Mounting, ...], Field(min_length=1, max_length=12)]
@@ -246,11 +249,11 @@ class RigTable(Section):
     """The table."""
 
     standing: Literal["held", "read"] = "held"
-    """"held": a standing axis is known not to turn; "read": its angle is what each reading says, every `read_every`."""
+    """"held": an axis at rest does not turn; "read": its angle is known only from readings, every `read_every`."""
     drive: Literal["motor", "hand"] = "motor"
     """"hand": a gimbal that the operator turns."""
     answer_time: q.SizeOfTime = NO_TIME
-    """What an operator needs for each turn by hand beside its duration: half to read the request, half to answer."""
+    """Operator's time for each turn in addition to its duration: half to read the request, half to answer."""
     tilt: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of the base's two tilts."""
     azimuth: q.SizeOfAngle = NO_ANGLE
@@ -262,7 +265,7 @@ class RigTable(Section):
     mounting: Annotated[_Mountings, BeforeValidator(_one_or_more, json_schema_input_type=Mounting | _Mountings)] = (
         Mounting(),
     )
-    """One mounting, or several that are used one after the other."""
+    """One mounting, or several used one after the other."""
     place: Annotated[tuple[Place, ...], Field(max_length=64)] = ()
     """Places of a fixture that holds several IMUs; absent: one IMU, in the table's mounting."""
 
@@ -281,38 +284,38 @@ class RigTable(Section):
         yield from repeated_names("axis", "name", [axis.name for axis in self.axis], "two axes have this name")
         yield from repeated_names("place", "name", [place.name for place in self.place], "two places have this name")
         if self.axis[-1].orthogonality:
-            message = "is told to the next axis inside, and there is none; leave it out of the innermost one"
+            message = "refers to the next axis inside; leave it out of the innermost axis"
             yield Problem(("axis", len(self.axis) - 1, "orthogonality"), message, str(self.axis[-1].orthogonality))
         if any(axis.angle.reference == "gravity" for axis in self.axis):
             yield from self._without_encoder()
         every = [axis.angle.read_every for axis in self.axis]
         if self.standing == "read" and any(e != every[0] for e in every):
-            message = 'the axes of a table whose standing is "read" are read together; expected one time for all'
+            message = 'if standing is "read", all axes of the table are read together; expected one time for all'
             k = next(i for i, e in enumerate(every) if e != every[0])
             yield Problem(("axis", k, "angle", "read_every"), message, str(every[k]))
 
     def _without_encoder(self) -> Iterator[Problem]:
         """Keys that speak of an encoder where an axis has none."""
-        message = 'is of an encoder, and the angle\'s reference is "gravity": leave it out'
+        message = 'is for an encoder, but the angle\'s reference is "gravity": leave it out'
         if self.standing == "read":
             yield Problem(("standing",), message, self.standing)
         if self.rate_accuracy is not None:
             yield Problem(("rate_accuracy",), message, str(self.rate_accuracy))
         for k, axis in enumerate(self.axis):
             if axis.angle.reference != "gravity":
-                one = 'gravity is the reference of all axes or of none; expected "gravity"'
+                one = 'gravity must be the reference of all axes or of none; expected "gravity"'
                 yield Problem(("axis", k, "angle", "reference"), one, axis.angle.reference)
             for name in sorted(axis.angle.model_fields_set - {"read_every", "reference"}):
                 yield Problem(("axis", k, "angle", name), message)
 
 
 class SimulatedLoop(Section):
-    """`[[rig.simulated_loop]]`: a loop over the temperature that simulated sensors have in the place of one of the size
-    of the spec's `hysteresis`; several add. No prediction and no estimate reads it. A size is the standard deviation of
-    half of what heating and cooling differ by, over a wide cycle (relays) or at 1 K/min (thermal masses)."""
+    """`[[rig.simulated_loop]]`: a hysteresis loop of simulated sensors, which replaces that of the spec's `hysteresis`;
+    several are added. Predictions and estimates ignore it. A size is the standard deviation of half the difference
+    between heating and cooling, over a wide cycle (relays) or at 1 K/min (thermal masses)."""
 
     law: Literal["relays", "thermal masses"]
-    """"relays": Preisach's, many of them; "thermal masses": two with a gradient across them."""
+    """"relays": many Preisach relays; "thermal masses": two with a gradient between them."""
     gyro_bias: q.PositiveRate | None = None
     """Size of the gyros' bias."""
     gyro_scale_factor: q.PositiveScaleFactor | None = None
@@ -322,7 +325,7 @@ class SimulatedLoop(Section):
     accelerometer_scale_factor: q.PositiveScaleFactor | None = None
     """Size of the accelerometers' scale factor."""
     width: q.PositiveTemperatureDifference = q.Quantity(10.0, "10 K", "temperature difference")
-    """About the half-width of the relays, which have 0.3 to 2 times it."""
+    """Typical half-width of the relays, which vary from 0.3 to 2 times this value."""
     time_constants: tuple[q.Time, q.Time] = (q.Quantity(60.0, "1 min", "time"), q.Quantity(600.0, "10 min", "time"))
     """Of the two masses."""
 
@@ -340,7 +343,7 @@ class Rig(Section):
     """The bench of a whole unit."""
 
     name: q.Text | None = None
-    """A name for people."""
+    """A title for tables and pages."""
     site: Site = Site()
     """Where the rig stands."""
     table: RigTable
@@ -352,4 +355,4 @@ class Rig(Section):
     shift: q.Time = q.Quantity(28800.0, "8 h", "time")
     """Duration of a shift, for the number of IMUs that a fixture calibrates in one."""
     simulated_loop: Annotated[tuple[SimulatedLoop, ...], Field(max_length=10)] = ()
-    """Loops over the temperature of simulated sensors."""
+    """Hysteresis loops of simulated sensors."""

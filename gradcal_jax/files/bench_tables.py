@@ -37,11 +37,12 @@ def chamber_rows(recipe: Recipe) -> list[tuple[str, ...]]:
 def chamber_words(recipe: Recipe) -> list[str]:
     """The duration and the conditions of waiting, in sentences."""
     stable = recipe.stability
-    lines = [f"in all {time_text(recipe.duration_s)}, and what is waited for stable temperatures"]
+    lines = [f"{time_text(recipe.duration_s)} in total, plus waiting for stable temperatures"]
     if any(segment.begins == "when stable" for segment in recipe.chamber.programme):
         lines.append(
-            f"stable: within {stable.within} of the temperature where the segment begins, and steady by as much, "
-            f"for {stable.for_at_least}; give up after {stable.timeout}, at the first after {stable.first_timeout}"
+            f"stable: within {stable.within} of the initial temperature of the segment, and constant to the same "
+            f"tolerance, for {stable.for_at_least}; timeout after {stable.timeout}, for the first segment after "
+            f"{stable.first_timeout}"
         )
     return lines
 
@@ -50,7 +51,7 @@ def _course(segment: ChamberSegment) -> str:
     if segment.kind == "soak":
         return f"stay at {segment.temperature_end}"
     way = f"from {segment.temperature_start} to {segment.temperature_end}"
-    return f"{way} at {segment.slope}" if segment.slope is not None else f"{way} as fast as the chamber can"
+    return f"{way} at {segment.slope}" if segment.slope is not None else f"{way} at the chamber's maximum rate"
 
 
 def block_heading(block: MotionBlock) -> str:
@@ -63,7 +64,7 @@ def block_heading(block: MotionBlock) -> str:
         text += f"; before, {', '.join(f'{name} to {angle}' for name, angle in block.start.items())}"
     if block.standing_after > 0.0:
         read = "not read" if block.read_every_after is None else f"read every {block.read_every_after}"
-        text += f"; then stand for {block.standing_after} ({read})"
+        text += f"; then rest for {block.standing_after} ({read})"
     return text
 
 

@@ -60,7 +60,7 @@ def along_axis(spec: Spec, axis: Axis) -> Spec:
     the gyro's own did. Errors: `ValueError` for other specs."""
     axes: Sequence[Axis] = () if spec.sensor.gyro is None else spec.sensor.gyro.axes
     if not spec.is_one_axis or len(axes) != 1:
-        raise ValueError("an axis may be chosen where the spec has one gyro along the only axis of a table")
+        raise ValueError("an axis may be chosen only if the spec has one gyro along the only axis of a table")
     if (own := axes[0]) == axis:
         return spec
     tables = tables_of(spec)

@@ -234,7 +234,7 @@ def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, ke
     if span is None:
         return []
     return [
-        Problem((*key, i), f"lies outside the {key[-1]} basis (its first and last entries)", end.text)
+        Problem((*key, i), f"is outside the range of the {key[-1]} basis (its first and last entries)", end.text)
         for i, end in enumerate(box)
         if not span[0] <= end <= span[1]
     ]
@@ -244,14 +244,14 @@ def _standard(plan: StandardPlan, table: RigTable, chamber: Chamber) -> Iterator
     """Where a standard plan exceeds chamber or table; keys relative to the plan."""
     axis, *others = table.axis
     if others:
-        yield Problem(("method",), "the standard method holds the rate of a table of one axis", "standard")
+        yield Problem(("method",), "the standard method needs a table of one axis", "standard")
     for i, temperature in enumerate(plan.temperatures):
         yield from _in_chamber(temperature, chamber, ("temperatures", i))
     for before, after in zip(plan.temperatures, plan.temperatures[1:], strict=False):
         slope = chamber.max_heating if after > before else chamber.max_cooling
         needed = abs(after - before) / slope
         if needed > plan.soak * (1.0 + _SLACK):
-            message = f"is too short: from {before} to {after} the chamber alone needs {needed / 60.0:.4g} min"
+            message = f"is too short: from {before} to {after} the chamber needs at least {needed / 60.0:.4g} min"
             yield Problem(("soak",), message, plan.soak.text)
             break
     for i, rate in enumerate(plan.rates or ()):
@@ -295,7 +295,7 @@ def _course(
             for i, segment in enumerate(s for s in segments if s.kind == "ramp"):
                 end = segment.temperature_end
                 if not low - 1e-6 <= end <= high + 1e-6:
-                    message = f"takes the chamber to {end:.4g} degC, outside its range, {low} to {high}"
+                    message = f"sets the chamber to {end:.4g} degC, outside its range, {low} to {high}"
                     yield Problem(("gradient", i), message, plan.gradient[i].text)
                     break
     elif plan.gradient is not None and plan.temperature is not None and len(plan.temperature) == 2:
@@ -305,7 +305,7 @@ def _course(
 def _in_chamber(value: Quantity, chamber: Chamber, key: Key) -> Iterator[Problem]:
     low, high = chamber.range
     if not low <= value <= high:
-        yield Problem(key, f"lies outside the chamber's range, {low} to {high}", value.text)
+        yield Problem(key, f"is outside the chamber's range, {low} to {high}", value.text)
 
 
 def _slope(slope: Quantity, heats: bool, chamber: Chamber, key: Key) -> Iterator[Problem]:
@@ -336,7 +336,7 @@ def _frame(spec: "Spec") -> Iterator[Problem]:
 
 def _done(spec: "Spec") -> Iterator[Problem]:
     if spec.done and isinstance(spec.plan, StandardPlan):
-        yield Problem(("done",), 'what was done counts beside a plan of method = "gradient" alone')
+        yield Problem(("done",), 'an executed part needs a plan of method = "gradient"')
     for number, part in enumerate(spec.done):
         segments = None
         try:
@@ -351,7 +351,7 @@ def _done(spec: "Spec") -> Iterator[Problem]:
 def _done_of_sensor(spec: "Spec") -> Iterator[Problem]:
     for kind in ("gyro", "accelerometer") if spec.done else ():
         if (triad := _table_of(spec, kind)) is not None and triad.turn_on_transient:
-            message = "the time since power-on is not known in a run that goes on ([[done]]); leave the key out"
+            message = "the time since power-on is not known in a continued run ([[done]]); leave the key out"
             yield Problem(("sensor", kind, "turn_on_transient"), message)
 
 
@@ -362,7 +362,7 @@ def _accelerometer(spec: "Spec") -> Iterator[Problem]:
     slow = float(accelerometer.read_on_moves_below or 0.0)
     turning = [float(step.move.fastest) for step in steps if step.axis >= 0]
     if len(turning) == len(steps) and min(turning) > slow:
-        message = "never rests, where accelerometers are read; add { rest = … }"
+        message = "has no rest, and accelerometers are read only at rest; add { rest = … }"
         yield Problem(("plan", "cycle", "moves"), message)
     if slow and turning and min(turning) > slow:
         message = f"has no effect: the slowest move reaches {math.degrees(min(turning)):.4g} deg/s; raise it, or "
@@ -387,8 +387,8 @@ def _without_encoder(spec: "Spec") -> Iterator[Problem]:
     for step in _steps(spec) * 2:
         if step.axis in turned or (step.axis >= 0 and step.move.repeat > 1):
             message = (
-                "no rest lies between this turn and one of the same axis: without an encoder the angle in between is "
-                "not known; add { rest = … }"
+                "there is no rest between this turn and another turn of the same axis: without an encoder the "
+                "angle in between is not known; add { rest = … }"
             )
             yield Problem(("plan", "cycle", "moves", step.source), message)
             return

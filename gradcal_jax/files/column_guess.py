@@ -47,7 +47,7 @@ _SENTENCES: Final = {
     "$VNIMU": {"rate": (7, 8, 9), "force": (4, 5, 6), "temperature": (10,)},
 }
 _RAWIMUS: Final = """time = { column = 3, unit = "s" }
-# counts of increments of angle and velocity; the factor of your IMU (rad and m/s a count), times its rate in Hz
+# counts of angle and velocity increments; the factor of your IMU (rad and m/s per count) times its rate in Hz
 rate.x = { column = 10, unit = "rad/s", scale = ??? }
 rate.y = { column = 9, unit = "rad/s", scale = -??? }
 rate.z = { column = 8, unit = "rad/s", scale = ??? }
@@ -86,7 +86,7 @@ _QUANTITIES: Final = {
 
 def without_a_map(path: Path) -> LogError:
     """The error for a recording without a column map: what to do, with a guess from its header if possible."""
-    problem = f"{path} is no log of this program (.nc): say what its columns mean in a file and give it with --columns"
+    problem = f"{path} is no log of this program (.nc): describe its columns in a column map and give it with --columns"
     example = "gradcal new column-map -o columns.toml writes one to start from"
     try:
         columns = guess(path)
@@ -94,7 +94,7 @@ def without_a_map(path: Path) -> LogError:
         columns = None
     if columns is None:
         return LogError(f"{problem}; {example}")
-    return LogError(f"{problem}; {example}. A guess from its header, to be completed where it says ???:\n\n{columns}")
+    return LogError(f"{problem}; {example}. A guess from its header; complete it at ???:\n\n{columns}")
 
 
 def guess(path: Path) -> str | None:
@@ -156,7 +156,7 @@ def contradiction(column: str, unit: str) -> str | None:
     with contextlib.suppress(units.UnitError):
         if abs(units.convert(1.0, named, unit) - 1.0) < 1e-9:
             return None
-    return f"the name of column '{column}' says {text}, and the map says {unit}: which of them is right?"
+    return f"the name of column '{column}' states {text}, and the map states {unit}: which of them is correct?"
 
 
 def question_of(name: str, source: Measured) -> str | None:
@@ -165,12 +165,12 @@ def question_of(name: str, source: Measured) -> str | None:
     plain = _BRACKET.sub("", name).strip()
     for quantity, pattern in _QUANTITIES.items():
         if own and quantity != own and pattern.fullmatch(plain):
-            return f"the name of column '{name}' says {quantity}, and the map says {own}: which of them is right?"
+            return f"the name of column '{name}' states {quantity}, and the map states {own}: which of them is correct?"
     bracket = _BRACKET.search(name)
     if source.scale != 1.0:
         return None
     if bracket and _COUNTS.fullmatch(bracket[1].strip()):
-        return f"the name of column '{name}' says counts, and the map says {source.unit}: give the scale of a count"
+        return f"the name of column '{name}' states counts, and the map states {source.unit}: give the scale of a count"
     return contradiction(name, source.unit)
 
 

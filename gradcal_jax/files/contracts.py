@@ -29,8 +29,8 @@ Functions = Literal["monomial", "legendre", "chebyshev", "b-spline", "bins"]
 class BasisRow(Section):
     """A basis: polynomials in x = (value − centre)/scale, splines or bins.
 
-    B-splines are clamped: the end knots are repeated, and beyond them the value at the end holds; beyond the outer
-    edges the outer bins hold.
+    B-splines are clamped: the end knots are repeated, and beyond them the value at the end applies; beyond the outer
+    edges the outer bins apply.
     """
 
     basis: Literal["polynomial", "b-spline", "bins"]
@@ -46,9 +46,9 @@ class BasisRow(Section):
     edges: tuple[Finite, ...] | None = None
     """Where bins meet (°C or rad/s)."""
     prior_functions: Functions
-    """Functions whose coefficients the map's `prior` is on, and a prediction's `std`."""
+    """Functions whose coefficients have the map's `prior` and the prediction's `std`."""
     smoothness_functions: Functions | None = None
-    """Functions whose coefficients its `smoothness` is on; null without one."""
+    """Functions whose coefficients have its `smoothness`; null without one."""
 
 
 class ProcessRow(Section):
@@ -83,7 +83,7 @@ class MapRow(Section):
     prior: Size | None = None
     """Standard deviation of each coefficient, independent; null: flat."""
     shapes: tuple[tuple[Finite, ...], ...] | None = None
-    """In the place of `prior`: coefficients of functions whose amplitudes are independent with variance 1; null:
+    """Instead of `prior`: coefficients of functions whose amplitudes are independent with variance 1; null:
     none."""
     smoothness: Size | None = None
     """Standard deviation of each difference of neighbouring coefficients; null: flat."""
@@ -180,29 +180,29 @@ class CourseRow(Section):
     angle: Finite = 0.0
     """Angle turned, signed (rad)."""
     ramp: Size | None = None
-    """Time from rest to the peak rate (s); of a turn by hand, how long it stands before and after turning."""
+    """Time from rest to the peak rate (s); for a turn by hand, the rest before and after turning."""
     unevenness: Size | None = None
-    """Of a turn by hand, as a share of the rate."""
+    """For a turn by hand, as a fraction of the rate."""
     used: bool = True
-    """False where the data are not part of the calibration; a reading that ends it is the angle's new origin."""
+    """False if the data are not part of the calibration; a reading at its end is the new origin of the angle."""
     temperature_start: Finite
     """The chamber's at the start (°C)."""
     temperature_end: Finite
     """The chamber's at the end (°C), linear in between."""
     temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
-    """Points (time in s, °C) through which it goes in between."""
+    """Points (time in s, °C) in between."""
 
 
 class SegmentRow(CourseRow):
-    """The motion of one sensor axis and the chamber's course from `start` for `duration`.
+    """The motion of one sensor axis and the chamber's temperature from `start` for `duration`.
 
-    Where a segment begins at another temperature than the one before it ended, the chamber steps.
+    If a segment begins at a different temperature than the end of the previous one, the temperature steps.
     """
 
     axis: Axis
     """Axis of the sensor."""
     table_axis: Axis | None = None
-    """Axis that the table turns meanwhile; null: none."""
+    """Axis that the table turns during this segment; null: none."""
     read: bool
     """Whether a reading of this axis falls into the segment, its start excepted."""
     standstill_id: int | None = None
@@ -244,7 +244,7 @@ class HarmonicRow(Section):
 
 
 class Timeline(Section):
-    """gradcal-timeline/2: all that another program needs to compute the information matrix. Axes share nothing."""
+    """gradcal-timeline/2: all inputs for another program to compute the information matrix. Axes share no errors."""
 
     format: Literal["gradcal-timeline/2"] = "gradcal-timeline/2"
     """Name and version of this contract."""
@@ -259,20 +259,20 @@ class Timeline(Section):
     harmonics: tuple[HarmonicRow, ...] = ()
     """Errors of the angle that repeat with it."""
     segments: tuple[SegmentRow, ...]
-    """Motion of axes, and course of the chamber."""
+    """Motion of axes, and temperature of the chamber."""
     readings: tuple[ReadingRow, ...]
     """What is read."""
 
 
 class CheckRow(Section):
-    """Chances, before either run, of holding one unit's calibration against a second run of the same plan."""
+    """Probabilities, before either run, for a test of one sensor's calibration by a second run of the same plan."""
 
     accepted: Size
     """Chance that it is accepted."""
     false_accept: Size
-    """Chance that it is accepted although its error is beyond the target (global risk)."""
+    """Probability that it is accepted although its error exceeds the target (global risk)."""
     false_reject: Size
-    """Chance that it is rejected although its error is within (global risk)."""
+    """Probability that it is rejected although its error is within the target (global risk)."""
 
 
 class MissionRow(Section):
@@ -285,16 +285,16 @@ class MissionRow(Section):
     after_s: Size
     """When its error is taken (s)."""
     left: Size | None = None
-    """Error that the calibration leaves then (deg, 1σ)."""
+    """Error of the calibration at this time (deg, 1σ)."""
     own: Size
-    """Error of the unit's own noise then (deg, 1σ)."""
+    """Error from the IMU's own noise at this time (deg, 1σ)."""
 
 
 class RequirementRow(Section):
     """The residual of a requirement, in `unit`. Null: this plan cannot observe it, or it was not requested.
 
-    The statistics are of this run, by the terms that the spec names. The verdict and the risks also count the terms
-    that it omits (`with_typical`) and the bias of another power-on (`another_run`).
+    The statistics are for this run, with the terms that the spec names. The verdict and the risks also include the
+    terms that it omits (`with_typical`) and the bias of another power-on (`another_run`).
     """
 
     name: str
@@ -304,17 +304,17 @@ class RequirementRow(Section):
     unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
     """Unit of all figures."""
     axis: Axis | Literal["all", "worst"] = "x"
-    """Axis; of a whole unit also how its elements are summed up."""
+    """Axis; for an IMU also how its elements are combined."""
     temperature_c: tuple[Finite, Finite]
     """Range of temperature (°C)."""
     rate_dps: tuple[Finite, Finite] | None = None
     """Range of rate (deg/s); null without one."""
     grid: tuple[int, ...]
-    """Points at which it was evaluated."""
+    """Number of points at which it was evaluated."""
     statistic: Literal["mean of max", "max", "mean", "rms"]
     """The one that decides."""
     mean_of_max: Size | None = None
-    """Mean over rate of the largest over temperature."""
+    """Maximum over temperature, averaged over rate."""
     max: Size | None = None
     """Largest."""
     mean: Size | None = None
@@ -324,34 +324,33 @@ class RequirementRow(Section):
     target: Size | None = None
     """Limit on the error."""
     verdict: Literal["met", "missed", "unobservable", "not covered", "not valid"] | None = None
-    """Whether the target is met; "not covered": the requirement asks for what the data of an estimate lack."""
+    """Whether the target is met; "not covered": the data of an estimate lack part of the requirement's range."""
     coverage: Size = 1.0
-    """Standard deviations that must be within the target."""
+    """Number of standard deviations that must be within the target."""
     risk: Size | None = None
-    """Largest chance that a sensor beyond the target passes; null: simple acceptance."""
+    """Largest probability that a sensor beyond the target passes; null: simple acceptance."""
     rule: str | None = None
     """Rule of the verdict, in words."""
     specific_risk: Size | None = None
-    """Chance that the error is beyond the target at the box's worst place."""
+    """Probability that the error exceeds the target at the worst point of the box."""
     chance: Size | None = None
-    """Chance that a unit's error keeps the target by the requirement's statistic."""
+    """Probability that the error of a sensor meets the target by the requirement's statistic."""
     chance_everywhere: Size | None = None
-    """Chance that it keeps the target at every place of the box."""
+    """Probability that it meets the target at every point of the box."""
     check: CheckRow | None = None
     """Global risks (JCGM 106) of a second run."""
     limited_by: str | None = None
     """The limiting errors of the residual, in words."""
     uncertain: tuple[Size, Size] | None = None
-    """Least and largest of the deciding statistic, where noise figures are uncertain."""
+    """Smallest and largest value of the deciding statistic if noise figures are uncertain."""
     with_typical: Size | None = None
-    """The deciding statistic with every term that the spec omits at its class's typical value; null: it omits none."""
+    """The deciding statistic with every omitted term at the typical value of its class; null: none is omitted."""
     another_run: Size | None = None
     """The same with the bias of another power-on; null: none counts (`of = "this run"`, or no turn-on bias)."""
     worst: Size | None = None
-    """Largest standard deviation of what the verdict judges."""
+    """Largest standard deviation of the quantity that the verdict judges."""
     own: Size | None = None
-    """For heading and north: the contribution of the unit's own noise (root sum of squares), which no calibration
-    removes."""
+    """For heading and north: the contribution of the IMU's own noise (root sum of squares), which remains."""
     own_sources: dict[str, Size] | None = None
     """Its parts."""
     missions: tuple[MissionRow, ...] | None = None
@@ -369,7 +368,7 @@ class RequirementRow(Section):
 
 
 class AbsentRow(Section):
-    """An error term that the spec omits, and that counts at its class's typical value."""
+    """An error term that the spec omits, and that counts with the typical value of its class."""
 
     key: str
     """Its key."""
@@ -382,7 +381,7 @@ class AbsentRow(Section):
 class ParameterRow(Section):
     """A coefficient in the paper's names: ``a0…`` (bias), ``b{rate power}{temperature power}`` (scale factor).
 
-    Of a whole unit, `axis` is "unit", and the name begins with the channel's: ``gyro_x.b00``.
+    For an IMU, `axis` is "unit", and the name begins with that of the channel: ``gyro_x.b00``.
     """
 
     name: str
@@ -396,7 +395,7 @@ class ParameterRow(Section):
 
 
 class NoticeRow(Section):
-    """Detection by a test of the log of structure that the model lacks: the polynomials after the map's."""
+    """Detection of structure that the model lacks (the next polynomials of the map) by a test of the log."""
 
     quantity: Literal["scale_factor", "bias"]
     """Which map."""
@@ -413,13 +412,13 @@ class NoticeRow(Section):
     false_alarm: Size
     """Level of the test."""
     standard_deviation: Size | None = None
-    """Size of each coefficient for `power`; null where the spec has none."""
+    """Size of each coefficient for `power`; null if the spec has none."""
     power: Size | None = None
     """Probability of detection."""
     sure_power: Size
     """Probability that counts as sure."""
     sure_from: Size | None = None
-    """Size from which on the probability is reached; null: never."""
+    """Smallest size with this probability; null: none."""
 
     @property
     def sentence(self) -> str:
@@ -457,14 +456,14 @@ def notice_sentences(rows: Sequence[NoticeRow]) -> list[str]:
 
 
 class PlaceRow(Section):
-    """What the plan leaves of the IMU at one place of a fixture."""
+    """The residual of the IMU at one place of a fixture."""
 
     name: str
     """Of the place."""
     values: dict[str, Finite | None]
     """The residual of each requirement, by its name, in its unit; null: not observable."""
     alone: dict[str, Finite | None] | None = None
-    """The same of an IMU that is estimated without the others, from which it does not learn of the table."""
+    """The same for an IMU that is estimated without the others."""
 
 
 class Prediction(Section):
@@ -491,15 +490,15 @@ class Prediction(Section):
     warnings: tuple[str, ...] = ()
     """Warnings, in sentences."""
     omitted: tuple[AbsentRow, ...] = ()
-    """Error terms that the spec does not name; they count in the verdicts."""
+    """Error terms that the spec omits; they count in the verdicts."""
     places: tuple[PlaceRow, ...] = ()
-    """Of a fixture of several IMUs, every place; all else is of the worst one."""
+    """For a fixture of several IMUs: every place; all other results are for the worst place."""
     place: str | None = None
     """Its name."""
     minutes_per_imu: Size | None = None
     """Duration of the plan over the number of places (min)."""
     imus_per_shift: Size | None = None
-    """Number of IMUs in a shift: of whole runs, without the time to change them, or the share of a longer run."""
+    """Number of IMUs in a shift: from complete runs, without changing times, or the fraction of a longer run."""
 
     _repr_html_ = html
 

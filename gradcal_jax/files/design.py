@@ -31,10 +31,10 @@ and poses: `cycle` (all of it) and `programme` (the chamber's legs, turning poin
 
 
 class Scenario(Section):
-    """A variant of sensor or rig for which the plan must be good too: changes of single keys, and a weight."""
+    """A variant of sensor or rig for which the plan must also be good: changes of single keys, and a weight."""
 
     name: q.Text | None = None
-    """A name for people."""
+    """A title for tables and pages."""
     weight: Annotated[q.Number, Field(gt=0.0)] = 1.0
     """Its weight in the mean over scenarios."""
     sensor: dict[str, Any] = Field(default_factory=dict)
@@ -44,16 +44,16 @@ class Scenario(Section):
 
 
 class Notice(Section):
-    """What a design must notice: a scale factor's polynomials beyond the structure, up to these degrees."""
+    """Structure that a design must detect: polynomials of the scale factor beyond the model, up to these degrees."""
 
     standard_deviation: q.PositiveScaleFactor
     """Standard deviation of each hidden coefficient, a ratio."""
     temperature_degree: Degree | None = None
     """Highest hidden degree in temperature; absent: the discrepancy's, or two more than the structure's."""
     rate_degree: Degree | None = None
-    """Highest hidden degree in rate; absent: likewise."""
+    """Highest hidden degree in rate; absent: as for temperature."""
     power: q.Probability = q.Quantity(0.9, "90 %", "scale factor")
-    """Probability with which it must be noticed."""
+    """Required probability of detection."""
     false_alarm: q.Probability = q.Quantity(0.01, "1 %", "scale factor")
     """Level of the test that `estimate` makes of the log."""
 
@@ -63,38 +63,38 @@ WORST = "worst ratio"
 
 
 class Design(Section):
-    """What `optimise` may change, and what for."""
+    """What `optimise` may change, and the objective."""
 
     minimise: q.Text = ALL
-    """A requirement's name, "motion time" or "total time". Of an axis also "A-optimality", "D-optimality" or
-    "E-optimality"; of other IMUs "all requirements" (geometric mean of residual over target) or "worst ratio". Where it
-    is one requirement, the targets of the others are limits."""
+    """A requirement's name, "motion time" or "total time". For a single axis also "A-optimality", "D-optimality" or
+    "E-optimality"; for other IMUs also "all requirements" (geometric mean of residual over target) or "worst ratio".
+    If it is one requirement, the targets of the others are limits."""
     free: Annotated[tuple[Free, ...], Field(min_length=1)] = ()
-    """Which parts of the plan may change. Of cycles of turns and poses "cycle" and "programme"; absent: the cycle and,
-    with a `hysteresis` in the spec, the programme."""
+    """Which parts of the plan may change. For cycles of turns and poses: "cycle" and "programme"; absent: the cycle
+    and, with a `hysteresis` in the spec, the programme."""
     max_motion: q.Time | None = None
     """Longest ramp."""
     max_total: q.Time | None = None
     """Longest plan, soaks included."""
     cycles: Literal["own", "alike"] = "own"
-    """Whether every turn at the table has moves of its own, or all the same; absent: the same where turns are many."""
+    """Whether every visit has its own moves, or all visits the same; absent: the same if there are many visits."""
     moves: Annotated[q.Count, Field(le=400)] | None = None
-    """Of an axis the turns in each turn at the table, 40 at most; absent: as many as are likely to help. Of other IMUs
-    the most turns in a cycle; absent: 80."""
+    """For a single axis: the number of turns in each visit, 40 at most; absent: as many as are likely to help. For
+    other IMUs: the largest number of turns in a cycle; absent: 80."""
     starts: q.Count = 16
     """Number of searches from different plans."""
     seed: q.Whole = 0
     """Seed of the search."""
     notice: Notice | None = None
-    """What the design must notice; of an IMU, in the scale factor of each gyro."""
+    """The structure that the design must detect; for an IMU, in the scale factor of each gyro."""
     whole_turns: q.Flag = False
-    """Whether every turn must be a whole number of revolutions, where encoder errors repeat."""
+    """Whether every turn must be a whole number of revolutions, after which encoder errors repeat."""
     robust: Literal["mean", "worst"] = "mean"
     """Whether the mean or the worst counts: over the scenarios, and over the ranges of `uncertain` noise figures."""
     scenario: Annotated[tuple[Scenario, ...], Field(max_length=1000)] = ()
-    """Variants of sensor or rig that the plan must serve too."""
+    """Variants of sensor or rig for which the plan must also be good."""
     angle_step: q.PositiveAngle | None = None
-    """Turns are whole numbers of it; absent: any angle."""
+    """Turns are multiples of this angle; absent: any angle."""
     shortest_rest: q.Time = q.Quantity(2.0, "2 s", "time")
     """Shortest rest."""
     longest_rest: q.Time = q.Quantity(120.0, "2 min", "time")
@@ -106,8 +106,8 @@ class Design(Section):
         table = dict(cast("Mapping[str, object]", value)) if isinstance(value, Mapping) else dict[str, object]()
         if "min_distinct_rates" in table:
             message = (
-                "is gone: distinct rates do not make a plan notice a wrong model; say what it must notice, such as "
-                'notice = { standard_deviation = "10 ppm", power = "90 %" }'
+                "is gone: distinct rates do not make a plan detect a wrong model; state what it must detect, "
+                'such as notice = { standard_deviation = "10 ppm", power = "90 %" }'
             )
             refuse(Problem(("min_distinct_rates",), message, table["min_distinct_rates"]))
         return cast("object", value)
@@ -135,10 +135,10 @@ def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> I
             kind = "the turns of one axis" if of_axis else "a cycle of turns and poses"
             yield Problem((name,), f"has no effect on a search of {kind}; leave it out")
     if of_axis and not design.free:
-        yield Problem(("free",), "this key is missing: it says which parts of the plan may change", kind="missing")
+        yield Problem(("free",), "this key is missing: it states which parts of the plan may change", kind="missing")
     for k, name in enumerate(() if of_axis else design.free):
         if name not in _FREE_OF_POSES:
-            message = f"a search of a cycle of turns and poses frees {' and '.join(_FREE_OF_POSES)}"
+            message = f"a search of a cycle of turns and poses can change {' and '.join(_FREE_OF_POSES)}"
             yield Problem(("free", k), message, name)
     if design.moves is not None:
         if of_axis and design.moves > _MOVES_OF_AXIS:
@@ -150,10 +150,10 @@ def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> I
 def notice_problems(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
     """A hidden map that cannot be noticed; keys relative to `notice`. `scale`: the sensor's scale factor."""
     if scale is None or not isinstance(scale.temperature, TemperaturePolynomial):
-        yield Problem((), "is of a scale factor that is a polynomial; the sensor has none")
+        yield Problem((), "needs a scale factor that is a polynomial; the sensor has none")
         return
     if not isinstance(scale.rate, RatePolynomial):
-        yield Problem((), "is of a scale factor that is a polynomial in rate; the sensor's is not")
+        yield Problem((), "needs a scale factor that is a polynomial in rate; the sensor's is not")
         return
     own = {"temperature_degree": scale.temperature.degree, "rate_degree": scale.rate.degree}
     for name, degree in own.items():
@@ -163,4 +163,6 @@ def notice_problems(notice: Notice, scale: ScaleFactor | None) -> Iterator[Probl
         if scale.discrepancy is not None and hidden != getattr(scale.discrepancy, name):
             yield Problem((name,), "must be that of the scale factor's discrepancy; leave it out", hidden)
         elif hidden <= degree:
-            yield Problem((name,), f"must exceed the map's degree, {degree}: only what is beyond it is hidden", hidden)
+            yield Problem(
+                (name,), f"must exceed the map's degree, {degree}: only structure beyond it is hidden", hidden
+            )

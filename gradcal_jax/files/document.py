@@ -29,7 +29,7 @@ class TitledFile(Section):
     format: Any
     """Name and version of this file format."""
     title: Text | None = None
-    """A name for people."""
+    """A title for tables and pages."""
 
 
 def read_text(path: str | Path, what: str = "TOML file") -> str:

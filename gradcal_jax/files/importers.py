@@ -40,13 +40,13 @@ from gradcal_jax.files.tables import (
 _LOG = logging.getLogger(__name__)
 
 FORMAT: Final = "gradcal-columns/1"
-_MEND: Final = '(mend the map, or have it say [policy] wrong_units = "keep")'
+_MEND: Final = '(correct the map, or set [policy] wrong_units = "keep")'
 _MANY: Final = 200
 """Rows of which it is no chance that all rates are whole numbers."""
 
 
 class StatusColumn(Source):
-    """The device's own status; rows whose status is not `good` are marked bad."""
+    """The status of the device; rows with another status than `good` are marked as bad."""
 
     good: Number = 0.0
     """Value of a usable row."""
@@ -77,40 +77,40 @@ class ColumnMap(SensorColumns):
     name: Name = "sensor"
     rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
     sample_rate: Frequency | None = None
-    """As stated; needed where there is no time."""
+    """Stated sample rate; required if there is no time."""
     sensor_rate: Frequency | None = None
     """Rate of the sensor's own samples, if each row is one of them, such as every 400th; leave it out if each row is
     the mean of several."""
     full_scale: PositiveRate | None = None
     """Rate at which the sensor saturates."""
     skip_first: Whole = 0
-    """Rows left out at the beginning."""
+    """Number of rows to leave out at the beginning."""
     simulated: Flag = False
-    """Whether no real sensor made the data."""
+    """Whether the data are simulated."""
     time: TimeColumn | None = None
     """Column of the sensor's time."""
     host_time: TimeColumn | None = None
     """Column of the computer's time."""
     standstill: Source | None = None
-    """Column of truth values, or of the standstill's number (negative: moving)."""
+    """Column with true/false at rest, or with the number of the standstill (negative: moving)."""
     table_angle: Annotated[dict[Name, AngleColumn], Field(max_length=20, default_factory=dict[str, AngleColumn])]
     """Columns of the table's angles, by axis."""
     table_rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
     """Columns of the table's rates, by axis."""
     sensor: Annotated[tuple[SensorColumns, ...], Field(max_length=1000)] = ()
-    """Several sensors, in the place of `rate`, `force`, `temperature` and `status`."""
+    """Several sensors, instead of `rate`, `force`, `temperature` and `status`."""
     interpolate: Flag = False
-    """Where channels have rows of their own: the rows with rates are taken, and the other channels interpolated."""
+    """If channels have separate rows: use the rows with rates, and interpolate the other channels."""
     where: Where | None = None
-    """Of several sensors in the same columns the rows of one, such as `{ column = "id", equals = 1 }`."""
+    """If several sensors share the columns: the rows of one sensor, such as `{ column = "id", equals = 1 }`."""
     csv: TextTable = TextTable()
-    """How a text file is laid out."""
+    """Layout of a text file."""
     policy: Policy = Policy()
-    """What to do with each fault."""
+    """Action for each fault."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.sensor and (self.rate or self.force or self.temperature or self.status):
-            text = "stands in each [[sensor]], or at the top where there is one sensor only"
+            text = "belongs in each [[sensor]], or at the top if there is only one sensor"
             yield Problem(("sensor",), f"rate, force, temperature and status {text}")
         if not self.sensor and not self.rate:
             yield Problem(("rate",), "this key is missing; name at least one axis", kind="missing")
@@ -123,7 +123,7 @@ class ColumnMap(SensorColumns):
             yield Problem(("time",), 'give the time\'s column, or sample_rate = "100 Hz"', kind="missing")
         own = self.sources() if self.rate or self.sensor else ()
         if not self.interpolate and any(isinstance(one, Measured) and one.where is not None for one in own):
-            text = "expected true: columns that are told apart by where have rows of their own"
+            text = "expected true: columns that are selected by where have separate rows"
             yield Problem(("interpolate",), text, self.interpolate)
         if self.table_angle and self.table_rate and list(self.table_angle) != list(self.table_rate):
             yield Problem(("table_rate",), "names other axes than table_angle")
@@ -204,7 +204,7 @@ def _refuse_counts(table: Numbers, columns: ColumnMap) -> None:
             values = table.numbers(source)
             known = values[np.isfinite(values)]
             if len(known) > _MANY and np.ptp(known) > 1.0 and np.all(known == np.rint(known)):
-                words = f"{source.words()} holds whole numbers alone: are they counts? Then give the scale of one"
+                words = f"{source.words()} has only whole numbers: are they counts? Then state the scale of one count"
                 raise LogError(f"{words} {_MEND}")
 
 

@@ -1,4 +1,4 @@
-"""gradcal-unit-timeline/1: all that another program needs to compute a whole unit's covariance by itself. SI, °C.
+"""gradcal-unit-timeline/1: all inputs for another program to compute the covariance of an IMU. SI, °C.
 
 Every channel has one row of each segment that lists it in `read`: its own integral over the segment, in the body, less
 what is known,
@@ -40,19 +40,19 @@ class TableAxisRow(Section):
     name: str
     """Of the axis."""
     direction: Vector3
-    """While all stand at zero, in the frame that the axis outside carries (outermost: East, North, up)."""
+    """With all axes at zero, in the frame that the next outer axis carries (outermost: East, North, up)."""
     reading_noise: rows.Size
     """Standard deviation of a reading (rad)."""
     standstill_offset: rows.Size
-    """Standard deviation of what a standstill's readings share (rad)."""
+    """Standard deviation of the error common to the readings of a standstill (rad)."""
     read_every: rows.Size | None = None
     """Spacing of readings (s); absent: one reading in each standstill."""
     harmonics: tuple[rows.HarmonicRow, ...] = ()
-    """Errors that repeat with the angle."""
+    """Errors that are periodic in the angle."""
 
 
 class MountingRow(Section):
-    """How the body hangs on the innermost axis."""
+    """The mounting of the body on the innermost axis."""
 
     name: str | None = None
     """Of the mounting."""
@@ -73,17 +73,18 @@ class ImuTermRow(rows.MapRow):
     unit: str
     """Of each coefficient, in SI."""
     lag: rows.Size | None = None
-    """Time constant (s) of a first-order lag of the temperature, which the function follows in its place; L = T at the
-    begin of the plan."""
+    """Time constant (s) of a first-order lag of the temperature, which replaces it in the function; L = T at the
+    beginning of the plan."""
 
 
 class PathTermRow(Section):
     """A function of the path of temperature times the product of `signals`, as of `ImuTermRow`. By `kind`:
 
     "hysteresis": of the two extreme states of a play, `P = max(T − width, min(T + width, P⁻))` from P = T ± width at
-    the begin of the course, soaks included: the functions (high + low)/2 − T and (high − low)/(2 width). "temperature
-    gradient": dT/dt. "transient": exp(−t/time_constant), t from the begin of the plan. "temperature difference":
-    gain·(L − T), L a first-order lag of T with the time constant, L = T at the begin of the plan.
+    the beginning of the temperature profile, soaks included: the functions (high + low)/2 − T and
+    (high − low)/(2 width). "temperature gradient": dT/dt. "transient": exp(−t/time_constant), t from the beginning of
+    the plan. "temperature difference": gain·(L − T), L a first-order lag of T with the time constant, L = T at the
+    beginning of the plan.
     """
 
     kind: Literal["hysteresis", "temperature gradient", "transient", "temperature difference"]
@@ -134,14 +135,15 @@ class ChannelRow(Section):
 
 
 class InstallationRow(Section):
-    """An error that all channels see, with a prior for each parameter. By `kind` the rotation p inserted (body):
+    """An error common to all channels, with a prior for each parameter. `kind` gives the inserted rotation p (in the
+    body frame) and the part outside of it, which p turns relative to the body.
 
-    "base": Rᵀ times East, North, up (tilt, tilt, azimuth); outside it turns the Earth. "orthogonality" of axes l and
-    l + 1: about e_{l+1} × e_l, carried by axis l; outside it turn the Earth and the axes up to l. "harmonics" of `axis`
-    l: a_l times cosine and sine of `orders` times its angle; outside, the axes before l; besides, a_li times their
-    change where l turns. "mounting": the body's x, y, z, of each mounting while it is used; outside, everything.
-    "gravity" (m/s²): along up, for accelerometers. "sample_clock": the rate itself and, with
-    `forces`, the force itself.
+    "base": p = Rᵀ times East, North, up (tilt, tilt, azimuth); outside: the Earth. "orthogonality" of axes l and l + 1:
+    p about e_{l+1} × e_l, carried by axis l; outside: the Earth and the axes up to l. "harmonics" of `axis` l: p = a_l
+    times cosine and sine of `orders` times its angle; outside: the axes before l; in addition, a_li times their change
+    while l turns. "mounting": p about the body's x, y, z, for each mounting while it is used; outside: everything.
+    "gravity" (m/s²): a force along up, for accelerometers. "sample_clock": the rate itself and, with `forces`, the
+    force itself.
     """
 
     kind: Literal["base", "orthogonality", "harmonics", "mounting", "gravity", "sample_clock"]
@@ -157,30 +159,30 @@ class InstallationRow(Section):
     orders: tuple[int, ...] | None = None
     """Periods in one turn, of harmonics."""
     forces: bool | None = None
-    """Of "sample_clock": whether accelerometers see it, too."""
+    """Of "sample_clock": whether it also affects accelerometers."""
 
 
 class ImuSegmentRow(rows.CourseRow):
     """A rest, or the move of one axis."""
 
     axis: str | None = None
-    """The axis that moves; null: all stand."""
+    """The axis that moves; null: all are at rest."""
     angles_before: tuple[rows.Finite, ...]
-    """Angles of all axes as it begins, outermost first (rad)."""
+    """Angles of all axes at its beginning, outermost first (rad)."""
     angles_after: tuple[rows.Finite, ...]
-    """Angles of all axes as it ends (rad)."""
+    """Angles of all axes at its end (rad)."""
     attitude: Matrix3
-    """Matrix from the body to East, North, up as it begins."""
+    """Matrix from the body to East, North, up at its beginning."""
     mounting: int
     """The mounting, counted from 0."""
     standstill_ids: tuple[int | None, ...]
     """Number of each axis's standstill; null while it moves."""
     read: tuple[str, ...]
-    """Channels that have a row of it."""
+    """Channels with a row for it."""
 
 
 class ImuTimeline(Section):
-    """gradcal-unit-timeline/1: all that another program needs to compute a whole unit's covariance by itself.
+    """gradcal-unit-timeline/1: all inputs for another program to compute the covariance of an IMU.
 
     With `standing` "read" every segment ends with a reading of all axes, whose error is its standstill's draw of
     `standstill_offset` and a draw of `reading_noise`, and a rest from reading to reading is a segment; a gyro's row has
@@ -201,7 +203,7 @@ class ImuTimeline(Section):
     standing: Literal["held", "read"]
     """The model of axes at rest: see above."""
     mountings: tuple[MountingRow, ...]
-    """How the unit hangs on the innermost axis."""
+    """The mounting of the IMU on the innermost axis."""
     thermal_lag: rows.Size | None = None
     """Time constant (s), first order, between the chamber and what all terms see; equilibrium at the start."""
     channels: tuple[ChannelRow, ...]
@@ -209,4 +211,4 @@ class ImuTimeline(Section):
     installation: tuple[InstallationRow, ...]
     """Errors that all channels see."""
     segments: tuple[ImuSegmentRow, ...]
-    """Motion of the table, and course of the chamber."""
+    """Motion of the table, and temperature of the chamber."""

@@ -37,7 +37,7 @@ Replies = Annotated[tuple[Annotated[str, Field(strict=True, max_length=2000)], .
 
 
 class Line(Section):
-    """`[line]`. `frame` "stx-etx-xor8": STX, `address`, the text with its eighth bits set, their exclusive or, ETX."""
+    """`[line]`. `frame` "stx-etx-xor8": STX, `address`, the text with bit 7 set, their exclusive or, ETX."""
 
     baudrate: q.Count = 9600
     """Bits per second."""
@@ -50,25 +50,25 @@ class Line(Section):
     frame: Literal["plain", "stx-etx-xor8"] = "plain"
     """"plain" lines, or frames of STX, address, text, checksum and ETX."""
     address: Annotated[int, Field(strict=True, ge=128, le=255)] = 129
-    """Of the device, in such frames."""
+    """Address of the device in such frames."""
     prefix: Annotated[str, Field(strict=True, max_length=20)] = ""
-    """What begins a line that is sent, such as the device's address."""
+    """Beginning of every sent line, such as the device's address."""
     ends: Annotated[str, Field(strict=True, max_length=4)] = "\r\n"
-    """What ends a line that is sent."""
+    """End of every sent line."""
     reply_ends: Annotated[str, Field(strict=True, max_length=4)] = ""
-    """What ends a reply; empty: the same."""
+    """End of a reply; empty: the same."""
     timeout: q.Time = q.Quantity(2.0, "2 s", "time")
-    """How long a reply is waited for."""
+    """Timeout for a reply."""
     pause: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
     """Least time between two messages."""
     boot: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
-    """Time that the device is given after its port was opened, which restarts many boards."""
+    """Waiting time after opening the port, which restarts many boards."""
     pause_after_command: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
-    """Time that a command is given before the next message."""
+    """Waiting time after a command before the next message."""
     refusal: q.Text | None = None
     """How a reply begins that refuses."""
     hint: q.Text | None = None
-    """What to look at where nothing answers."""
+    """What to check if the device does not answer."""
 
 
 def unit_problems(table: Section, kinds: Mapping[str, str]) -> Iterator[Problem]:
@@ -81,7 +81,7 @@ def unit_problems(table: Section, kinds: Mapping[str, str]) -> Iterator[Problem]
 
 
 class DeviceUnits(Section):
-    """`[units]`: what the device's own numbers are in."""
+    """`[units]`: units of the numbers of the device."""
 
     temperature: q.Text = "degC"
     """Of temperatures."""
@@ -100,7 +100,7 @@ class DeviceUnits(Section):
 
 
 class DeviceLimits(Section):
-    """`[limits]`, of a chamber or of an axis. `free_ramp`: the number that stands for "as fast as it can"."""
+    """`[limits]`, of a chamber or of an axis. `free_ramp`: the number that means "as fast as possible"."""
 
     lowest: q.Temperature | None = None
     """Coldest temperature that it takes."""
@@ -113,7 +113,7 @@ class DeviceLimits(Section):
     fastest: q.PositiveTemperatureSlope | None = None
     """Fastest ramp that it takes."""
     free_ramp: q.Number | None = None
-    """Number that stands for "as fast as it can"."""
+    """Number that means "as fast as possible"."""
     max_rate: q.PositiveRate | None = None
     """Fastest that the axis turns."""
     max_acceleration: q.PositiveAcceleration | None = None
@@ -129,15 +129,15 @@ class DeviceLimits(Section):
 
 
 class LineQuestion(Section):
-    """`[ask.NAME]`. `last`: the line that ends a reply of several; `bare`: nothing ends the question. Without `last`
-    several replies are other forms of one: a text that a form lacks is empty."""
+    """`[ask.NAME]`. `last`: the last line of a reply of several lines; `bare`: the question has no terminator. Without
+    `last`, several replies are alternative forms; a text that a form lacks is empty."""
 
     send: q.Text
     """The question."""
     reply: Annotated[Texts, Field(min_length=1)]
-    """Its reply with fields in braces; several: lines of one reply, or other forms of it."""
+    """Its reply with fields in braces; several: lines of one reply, or alternative forms."""
     last: q.Text | None = None
-    """The line that ends a reply of several."""
+    """The last line of a reply of several lines."""
     bare: q.Flag = False
     """Nothing ends the question."""
 
@@ -151,15 +151,15 @@ class LineQuestion(Section):
         fields = ((match for match in _FIELD.finditer(reply) if match[1]) for reply in self.reply)
         forms = [sorted(match[1] for match in form if match[2] != "text") for form in fields]
         if self.last is None and any(form != forms[0] for form in forms):
-            yield Problem(("last",), "this key is missing; it ends a reply of several lines", kind="missing")
+            yield Problem(("last",), "this key is missing; it is only for a reply of several lines", kind="missing")
 
 
 class Command(Section):
-    """`[tell.NAME]`. `reply`: what acknowledges it, if anything does; `shown_by`: the fields that show its value;
-    `reply_when_done`: it is acknowledged only when it has been done, as a homing may be."""
+    """`[tell.NAME]`. `reply`: the acknowledgement, if any; `shown_by`: the fields that show its value;
+    `reply_when_done`: the acknowledgement comes only after completion, for example of a homing."""
 
     send: Annotated[Texts, Field(min_length=1)]
-    """What is sent, with values in braces."""
+    """The text to send, with values in braces."""
     reply: Replies = ()
     """What acknowledges it; empty: nothing."""
     shown_by: Texts = ()
@@ -167,32 +167,32 @@ class Command(Section):
     bare: q.Flag = False
     """Nothing ends the command."""
     reply_when_done: q.Flag = False
-    """Whether it is acknowledged only when it has been done, as a homing may be."""
+    """Whether the acknowledgement comes only after completion, for example of a homing."""
 
 
 class Condition(Section):
-    """`[state.NAME]`: it is so where a field equals one of these texts, equals none, begins with one, has a
-    bit set, or is below a number."""
+    """`[state.NAME]`: the state is true if a field equals one of these texts, equals none of them, begins with one,
+    has a bit set, or is below a number."""
 
     field: q.Text
     """Which field of a reply."""
     equals: Texts = ()
-    """It is so where the field is one of these."""
+    """True if the field equals one of these."""
     not_equals: Texts = ()
-    """It is so where the field is none of these."""
+    """True if the field equals none of these."""
     begins: Texts = ()
-    """It is so where the field begins with one of these."""
+    """True if the field begins with one of these."""
     bit: q.Whole | None = None
-    """It is so where this bit of the field is set, counted from 0."""
+    """True if this bit of the field is set, counted from 0."""
     below: q.Number | None = None
-    """It is so where the field is a number below this."""
+    """True if the field is a number below this value."""
 
     def _problems(self) -> Iterator[Problem]:
         if (
             sum(map(bool, (self.equals, self.not_equals, self.begins, self.bit is not None, self.below is not None)))
             != 1
         ):
-            yield Problem((), "give one of equals, not_equals, begins, bit and below")
+            yield Problem((), "use exactly one of equals, not_equals, begins, bit and below")
 
     def holds(self, text: str) -> bool:
         """Whether the state holds, by the device's reply. An invalid number raises `ValueError`."""
@@ -206,7 +206,7 @@ class Condition(Section):
 
 
 class RequiredSetting(Section):
-    """`[[require]]`: how the device must be set before anything is told to it, and why."""
+    """`[[require]]`: a setting that the device must have before the first command, and the reason."""
 
     field: q.Text
     """Which field of a reply."""
@@ -217,28 +217,28 @@ class RequiredSetting(Section):
 
 
 class LineProtocol(Section):
-    """A whole description of a device that speaks in lines."""
+    """A complete description of a device that speaks in lines of text."""
 
     format: Literal["gradcal-lines/1"]
     """Name and version of this file format."""
     role: Literal["chamber", "axis"]
     """What the device is."""
     title: q.Text
-    """A name for people."""
+    """A title for tables and pages."""
     line: Line = Line()
     """How a message is spoken."""
     units: DeviceUnits = DeviceUnits()
-    """What the device's own numbers are in."""
+    """Units of the numbers of the device."""
     limits: DeviceLimits = DeviceLimits()
     """What it can do."""
     ask: dict[str, LineQuestion]
-    """What can be read, by name."""
+    """Questions, by name."""
     tell: dict[str, Command]
-    """What can be told, by name."""
+    """Commands, by name."""
     state: dict[str, Condition]
-    """What fields say of the device, by name."""
+    """States of the device that fields show, by name."""
     require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
-    """How it must be set before anything is told to it."""
+    """Settings that it must have before the first command."""
 
     def _problems(self) -> Iterator[Problem]:
         yield from self._missing()
@@ -269,7 +269,7 @@ class LineProtocol(Section):
             if getattr(self.limits, name) is None
         ]
         if "ramp" in self.tell and self.limits.free_ramp is None:
-            message = "this key is missing; a ramp must be taken off again"
+            message = "this key is missing; a command is needed to end a ramp"
             yield Problem(("limits", "free_ramp"), message, kind="missing")
 
     def _unreadable(self) -> Iterator[Problem]:
@@ -278,18 +278,18 @@ class LineProtocol(Section):
             key = ("tell", name)
             known = _ROLES[self.role].values
             if name not in known:
-                yield Problem(key, f"a {self.role} is told {', '.join(known)}; {instead(name, known)}")
+                yield Problem(key, f"a {self.role} needs the command {', '.join(known)}; {instead(name, known)}")
                 continue
             written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
             if (name == "setpoint" or command.shown_by) and len(written) != 1:
-                yield Problem((*key, "send"), "expected one value, written alike in all lines")
+                yield Problem((*key, "send"), "expected the same value in all lines")
             if wrong := {value for value, _ in written} - set(known[name]):
                 allowed = ", ".join(f"{{{value}}}" for value in known[name]) or "no values"
                 yield Problem((*key, "send"), f"{{{sorted(wrong)[0]}}} is not known here; it takes {allowed}")
             if command.reply and len(command.reply) not in (1, len(command.send)):
                 yield Problem((*key, "reply"), f"expected one, or {len(command.send)}: one for each line")
             if name in _SHOWN_BY_THEMSELVES and not command.shown_by:
-                message = "a set value that cannot be read back is not set: expected the fields of replies that show it"
+                message = "a set value must be read back: expected the fields of replies that show it"
                 yield Problem((*key, "shown_by"), message, kind="missing")
             yield from [
                 Problem((*key, "shown_by"), f"no reply has the field {{{field}}}", field)
@@ -297,7 +297,7 @@ class LineProtocol(Section):
                 if field not in self.fields
             ]
         if "on" in self.tell and self.role == "axis" and "powered" not in self.state:
-            yield Problem(("state", "powered"), "this key is missing; nothing else shows what tell.on did")
+            yield Problem(("state", "powered"), "this key is missing; no reply shows the effect of tell.on")
         for key, field in [
             *((("state", name, "field"), entry.field) for name, entry in self.state.items()),
             *((("require", index, "field"), entry.field) for index, entry in enumerate(self.require)),
@@ -315,11 +315,11 @@ class LineProtocol(Section):
                 if {"{", "}"} & set(_VALUE.sub("", send)):
                     yield Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send)
         if "end_program" in self.tell and "program" not in self.state:
-            yield Problem(("state", "program"), "this key is missing; nothing else shows what end_program did")
+            yield Problem(("state", "program"), "this key is missing; no reply shows the effect of end_program")
         line = self.line
         spoken = [*(question.send for question in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
         if any(ord(letter) > 255 for text in (*spoken, line.prefix, line.ends, line.reply_ends) for letter in text):
-            yield Problem((), "only characters of one byte can be sent")
+            yield Problem((), "only single-byte characters can be sent")
 
 
 class _Role:
@@ -417,7 +417,7 @@ def changed_tables(tables: Mapping[str, Any], changes: object) -> dict[str, Any]
     if changes is None:
         return dict(tables)
     if not isinstance(changes, Mapping):
-        raise ValueError("changes are tables of the description that differ from it")
+        raise ValueError("changes must be tables of the description")
     result = dict(tables)
     for name, change in cast("Mapping[str, Any]", changes).items():
         before = result.get(name)

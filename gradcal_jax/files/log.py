@@ -69,7 +69,7 @@ def quietly(kind: str) -> Generator[None]:
         raise
     except Exception as error:  # whatever a reader makes of bytes that are something else
         name = type(error).__name__
-        raise LogError(f"cannot be read as {kind} ({name}): is it damaged, or of another kind?") from None
+        raise LogError(f"cannot be read as {kind} ({name}): is it damaged, or a file of another kind?") from None
 
 
 class Reason(IntFlag):
@@ -160,7 +160,7 @@ VARIABLES: Final[Mapping[str, LogVariable]] = {
     name: LogVariable(field, tuple(dimensions.split()), kind, unit, words)
     for name, field, dimensions, kind, unit, words in (
         ("time", "time_s", "time", np.float64, "s", "stamp of the sensor's clock"),
-        ("rate", "rate_rad_per_s", "unit time axis", np.float64, "rad s-1", "mean angular rate since the row before"),
+        ("rate", "rate_rad_per_s", "unit time axis", np.float64, "rad s-1", "mean angular rate since the previous row"),
         ("specific_force", "specific_force_m_per_s2", "unit time force_axis", np.float64, "m s-2", "specific force"),
         ("temperature", "temperature_c", "unit time", np.float64, "degC", "temperature of the sensor"),
         ("second_temperature", "second_temperature_c", "unit time", np.float64, "degC", "of its second thermometer"),
@@ -180,7 +180,7 @@ OF_READINGS: Final[Mapping[str, LogVariable]] = {
     f"reading_{name}": LogVariable(field, ("reading",), kind, unit, words)
     for name, field, kind, unit, words in (
         ("time", "time_s", np.float64, "s", "when the table's angle was read, by the log's clock"),
-        ("row", "row", np.int64, "1", "row at whose end the axis stands at this angle"),
+        ("row", "row", np.int64, "1", "row at whose end the axis is at this angle"),
         ("axis", "axis", np.int64, "1", "number of the table axis, from 0"),
         ("angle", "angle_rad", np.float64, "rad", "angle read, not wrapped"),
         ("std", "standard_deviation_rad", np.float64, "rad", "standard deviation; NaN: as the spec says"),
@@ -448,7 +448,7 @@ def part_of(
         last = min(last, int(np.searchsorted(log.time_s, end_s, side="right")))
     if last - first < 2:
         raise LogError(
-            f"fewer than two rows are left of the part that was asked for: the record has {len(log.time_s)} rows, from "
+            f"the selected part has fewer than two rows: the record has {len(log.time_s)} rows, from "
             f"{log.time_s[0]:g} s to {log.time_s[-1]:g} s"
         )
     left_out = len(log.time_s) - (last - first)

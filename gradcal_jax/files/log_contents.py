@@ -40,7 +40,7 @@ class Labels(Section):
     unit: Annotated[tuple[Text, ...], Field(min_length=1)]
     """Serial numbers or names of the sensors."""
     axis: tuple[Text, ...]
-    """Names of their gyro axes; none where they have accelerometers alone."""
+    """Names of their gyro axes; empty if they have only accelerometers."""
     force_axis: tuple[Text, ...] = ()
     """Names of their accelerometers' axes."""
     table_axis: tuple[Text, ...] = ()
@@ -50,8 +50,8 @@ class Labels(Section):
 class LogContents(Section):
     """gradcal-log/1: a netCDF-4 file with these variables and global attributes.
 
-    `rows_removed` (JSON in the file) counts by reason the rows of the source that could not be kept; `findings` (JSON)
-    are the faults found, `provenance` (JSON) texts by name. `simulated` is 1 where no real sensor made the data.
+    `rows_removed` (JSON in the file) counts by reason the rows of the source that could not be kept; `findings`
+    (JSON) are the faults found, `provenance` (JSON) texts by name. `simulated` is 1 if the data are simulated.
     Specific forces are +1 g along an axis that points up at rest, and as rates the mean since the row before.
     """
 
@@ -66,8 +66,8 @@ class LogContents(Section):
     rows_read: Whole
     """Rows of the source."""
     rows_removed: dict[str, Whole] = Field(default_factory=dict)
-    """Rows of the source that could not be kept, counted by reason (JSON in the file)."""
+    """Number of rows of the source that were removed, by reason (JSON in the file)."""
     simulated: Literal[0, 1]
-    """1 where no real sensor made the data."""
+    """1 if the data are simulated."""
     provenance: dict[str, str] = Field(default_factory=dict)
     """Texts by name (JSON in the file)."""

@@ -63,37 +63,37 @@ _FACTORS: Final[Mapping[str, float]] = {
 
 
 class Policy(Section):
-    """The action for each fault: "mask" takes the rows out of use and counts them, "split" makes two stretches, "keep"
-    reports alone, "refuse" is an error."""
+    """The action for each fault: "mask" excludes the rows and counts them, "split" makes two stretches, "keep" only
+    reports, "refuse" is an error."""
 
     unreadable_rows: Literal["mask", "refuse"] = "mask"
-    """Rows whose time is no number."""
+    """Rows whose time is not a number."""
     duplicate_stamps: Literal["mask", "refuse"] = "mask"
     """Rows with the time of an earlier one."""
     unordered_stamps: Literal["mask", "refuse"] = "mask"
     """Rows with a time before that of an earlier one."""
     gaps: Literal["split", "refuse"] = "split"
-    """Intervals that later stamps do not make up for."""
+    """Gaps: intervals that later time stamps do not compensate for."""
     missing_rates: Literal["mask", "refuse"] = "mask"
-    """Rates that are no finite number."""
+    """Rates that are not finite numbers."""
     missing_forces: Literal["mask", "refuse"] = "mask"
-    """Specific forces that are no finite number."""
+    """Specific forces that are not finite numbers."""
     saturated: Literal["mask", "keep", "refuse"] = "mask"
-    """Rates at full scale, or stuck at their own extreme."""
+    """Rates at full scale, or stuck at their extreme."""
     marked: Literal["mask", "keep", "refuse"] = "mask"
-    """Rows that the device itself calls bad."""
+    """Rows that the device itself marks as bad."""
     missing_temperatures: Literal["mask", "keep", "refuse"] = "mask"
-    """Temperatures that are no finite number."""
+    """Temperatures that are not finite numbers."""
     frozen_temperatures: Literal["mask", "keep", "refuse"] = "mask"
-    """Temperatures that stay unchanged for long in a record where they change."""
+    """Temperatures that are constant for a long time in a record where they change."""
     wrong_units: Literal["keep", "refuse"] = "refuse"
-    """Sizes that no sensor has, and factors against the table or the stated rate."""
+    """Values that no sensor has, and factors relative to the table or the stated rate."""
     rows_in_turns: Literal["keep", "refuse"] = "refuse"
-    """Rows that are alike in turns, as those of several sensors in one column are."""
+    """Rows that repeat alternately, as if several sensors shared one column."""
     changed_rate: Literal["keep", "refuse"] = "refuse"
-    """Rows that come at one rate in a part of the record, and at another in the rest."""
+    """Different sample rates in different parts of the record."""
     clock_drift: Literal["keep", "refuse"] = "keep"
-    """Sample rates against the stated one, against the host, or wandering."""
+    """Sample rates that differ from the stated one or the host's clock, or that vary."""
 
 
 _BY_UNIT: Final = ("rate_rad_per_s", "specific_force_m_per_s2", "temperature_c", "second_temperature_c", "marked")
@@ -137,7 +137,7 @@ class Columns:
         count = self.rate_rad_per_s.shape[1]
         first, last = rows[0], count if rows[1] is None else min(rows[1], count)
         if last - first < 2:
-            raise LogError(f"of {count} rows fewer than two lie from row {first} on, as asked for")
+            raise LogError(f"of {count} rows, fewer than two are in the requested part from row {first}")
         return replace(self.of_rows(slice(first, last)), rows_before=first, rows_after=count - last)
 
     def of_rows(self, kept: slice | Bools | Whole) -> "Columns":
@@ -171,7 +171,9 @@ def at_rows_with_rates(columns: Columns) -> Columns:
     rated: Bools = np.isfinite(columns.rate_rad_per_s).all(axis=(0, 2)).astype(bool)
     count = len(rated)
     if np.count_nonzero(rated) < 2:
-        raise LogError("interpolate: no two rows have all rates; leave out what has rows of its own, or join it first")
+        raise LogError(
+            "interpolate: fewer than two rows have all rates; leave out channels with separate rows, or join them first"
+        )
     time = np.arange(count) * 1.0 if columns.time_s is None else columns.time_s
 
     def between(values: Floats) -> Floats:
@@ -271,7 +273,7 @@ class _Examination:
             return
         self.raw = raw.of_rows(held)
         self.removed["empty row"] = count
-        text = f"{_rows(count)} hold none of the map's channels, and are left out"
+        text = f"{_rows(count)} have none of the map's channels, and are left out"
         self.findings.append(Finding("empty row", "mask", count, text))
 
     def note_fault(self, kind: str, action: str, count: int, message: str) -> None:
@@ -309,10 +311,14 @@ class _Examination:
             back = float(np.max((before - time)[unordered]))
             if back > _SHUFFLED * float(np.ptp(time[readable])):
                 raise LogError(
-                    f"{_rows(count)} are stamped before an earlier row, by up to {back:.6g} s: are two clocks, or the "
-                    "rows of several sensors, in one column? Then where says whose are meant; or mend the stamps"
+                    f"{_rows(count)} have a time stamp before that of an earlier row, by up to {back:.6g} s: does "
+                    "the column mix two clocks, or rows of several sensors? Then select those of one sensor with "
+                    "where; or correct the time stamps"
                 )
-            text = f"{_rows(count)} are stamped before an earlier row, by up to {back:.3g} s: rows are taken by stamps"
+            text = (
+                f"{_rows(count)} have a time stamp before that of an earlier row, by up to {back:.3g} s: rows are "
+                "ordered by time stamp"
+            )
             action = "refuse" if self.policy.unordered_stamps == "refuse" else "sort"
             self.note_fault("rows out of order", action, count, text)
             order = np.argsort(np.where(readable, time, np.inf), kind="stable")
@@ -322,13 +328,14 @@ class _Examination:
             span = float(np.max(time[readable]) - np.min(time[readable]))
             own = f'"{(np.count_nonzero(readable) - 1) / span:.6g} Hz"' if span > 0.0 else "what it was"
             raise LogError(
-                f"of {rows} rows {np.count_nonzero(duplicate)} have the stamp of an earlier row: do the stamps count "
-                f"too coarsely to tell rows apart? Then leave time out and give sample_rate = {own}, by the record's "
-                "own rows and span. Or are rows of several sensors mixed? Then where says whose are meant"
+                f"of {rows} rows {np.count_nonzero(duplicate)} have the time stamp of an earlier row: are the "
+                f"time stamps too coarse to distinguish rows? Then leave time out and give sample_rate = {own}, "
+                "which is the number of rows over the time span. Or are rows of several sensors mixed? Then "
+                "select those of one sensor with where"
             )
         for kind, where, action, words in (
             ("unreadable row", ~readable, self.policy.unreadable_rows, "without a readable time"),
-            ("duplicate stamp", duplicate, self.policy.duplicate_stamps, "with the stamp of an earlier row"),
+            ("duplicate stamp", duplicate, self.policy.duplicate_stamps, "with the time stamp of an earlier row"),
             ("unordered stamp", unordered, self.policy.unordered_stamps, "stamped before an earlier row"),
         ):
             count = int(np.count_nonzero(where))
@@ -347,8 +354,8 @@ class _Examination:
         if (changed := changed_rate(interval)) is not None:
             row, first, second = changed
             text = (
-                f"rows come at {first:.6g} Hz up to row {row}, and at {second:.6g} Hz behind it; a record has one: "
-                f'read the parts one by one, --rows "0..{row}" and --rows "{row}.."'
+                f"rows come at {first:.6g} Hz up to row {row}, and at {second:.6g} Hz after it; a record must "
+                f'have a single rate: read the parts one by one, --rows "0..{row}" and --rows "{row}.."'
             )
             self.note_fault("changed rate", self.policy.changed_rate, 0, text)
         usual = float(np.median(interval))
@@ -368,9 +375,9 @@ class _Examination:
             rate = 1.0 / mean_interval(even, intervals_within(even, starts))
             words = "most rows are there" if lost_rows else "no row is lost"
             text = (
-                f"the stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * inside.max():.3g} ms apart, "
-                f"and {words}: they are taken as even, {rate:.6g} Hz in the mean (sample_rate states it, in the place "
-                "of time)"
+                f"the time stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * inside.max():.3g} "
+                f"ms apart, and {words}: they are taken as even, {rate:.6g} Hz on average (state it as "
+                "sample_rate instead of time)"
             )
             self.note_fault("uneven stamps", "keep", 0, text)
             if lost_rows:
@@ -399,7 +406,7 @@ class _Examination:
             where = np.zeros(rate.shape[:2], bool)
             for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
                 where[unit] |= at_a_limit(rate[unit, :, axis])
-            words = "stuck at the largest or least rate of the record"
+            words = "stuck at the largest or smallest rate of the record"
         self.mask(where, Reason.SATURATED, self.policy.saturated, words)
 
     def temperatures(self, time: Floats, temperature: Floats, starts: NDArray[np.int64]) -> None:
@@ -407,7 +414,9 @@ class _Examination:
         self.mask(missing, Reason.MISSING_TEMPERATURE, policy.missing_temperatures, "without a temperature")
         known = np.where(missing, np.nan, temperature)
         jumped = np.stack([jumped_temperature(values, starts) for values in known])
-        words = "with a temperature that jumps away for a while, as of a thermometer that restarts or loses contact"
+        words = (
+            "with a temperature that changes abruptly for a while, like a thermometer that restarts or loses contact"
+        )
         self.mask(jumped, Reason.MISSING_TEMPERATURE, policy.missing_temperatures, words)
         known[jumped] = np.nan
         frozen = np.stack([frozen_temperature(time, values, starts) for values in known])
@@ -416,7 +425,7 @@ class _Examination:
             text = f"the temperature of {', '.join(whole)} never changes: constant, or not connected?"
             self.note_fault("constant temperature", "keep", 0, text)
             frozen[frozen.all(axis=1)] = False
-        words = "with a temperature that stands still while others of the record move"
+        words = "with a constant temperature while others of the record change"
         self.mask(frozen, Reason.FROZEN_TEMPERATURE, policy.frozen_temperatures, words)
 
     def sizes(self, time: Floats, kept: Columns, starts: Whole) -> None:
@@ -429,7 +438,7 @@ class _Examination:
             large = float(np.percentile(np.abs(rate[unit, rows]), 99))
             if large > _FASTEST_RATE:
                 reached = f"{np.degrees(large):.3g} deg/s"
-                self.wrong_unit(f"the rates of {name} reach {reached}: are they stated in too large a unit?")
+                self.wrong_unit(f"the rates of {name} reach {reached}: is the unit in the map too large?")
             if temperature is not None:
                 known = temperature[unit, rows & np.isfinite(temperature[unit])]
                 middle = float(np.median(known)) if len(known) else 20.0
@@ -441,25 +450,27 @@ class _Examination:
         if stated is not None:
             ratio = interval * stated
             decimal = round(float(np.clip(np.log10(ratio), -300, 300)))
-            apart = f"stamps are {ratio:.3g} times as far apart as at the stated rate"
+            apart = f"the intervals of the time stamps are {ratio:.3g} times those of the stated rate"
             if decimal != 0 and abs(ratio / 10.0**decimal - 1) < 0.1:
                 self.wrong_unit(f"{apart}: are they in another unit?")
             elif abs(mean_interval(time, intervals_within(time, starts)) * stated - 1) >= _OTHER_RATE:
-                self.wrong_unit(f"{apart}: are they ticks of a clock, or is every n-th sample recorded?")
+                self.wrong_unit(f"{apart}: are they clock ticks, or is only every n-th sample recorded?")
         elif not (_INTERVALS[0] < interval < _INTERVALS[1] and time[-1] - time[0] < _LONGEST_S):
             longest, whole = float(np.max(np.diff(time))), f"{time[-1] - time[0]:.3g} s in all"
             if interval < _INTERVALS[1] and longest > 0.5 * (time[-1] - time[0]):
                 raise LogError(
-                    f"stamps jump by {longest:.6g} s behind row {np.argmax(np.diff(time))}: do they go over "
-                    "to another clock, as from the time since the start to that of day? Read the parts by --rows"
+                    f"time stamps jump by {longest:.6g} s after row {np.argmax(np.diff(time))}: do they change to "
+                    "another clock, for example from the time since start to the time of day? Read the parts "
+                    "with --rows"
                 )
             self.wrong_unit(f"stamps are {interval:.3g} s apart, {whole}: are they in another unit?")
         for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
             walk = _least_walk(rate[unit, usable[unit], axis], interval)
             if walk > _NOISIEST:
                 self.wrong_unit(
-                    f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} is noisier than {np.degrees(walk) * 60:.3g} "
-                    "deg/sqrt(h), which no gyro is: are deg/s stated as rad/s, or ms as s?"
+                    f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} is noisier than "
+                    f"{np.degrees(walk) * 60:.3g} deg/sqrt(h), which no gyro is: does the map state rad/s for "
+                    "deg/s, or s for ms?"
                 )
         if table_rate is None and kept.table_angle_rad is not None:
             table_rate = np.gradient(kept.table_angle_rad, time, axis=0)
@@ -506,8 +517,9 @@ class _Examination:
             best = int(np.argmax(np.array(apart) <= 1.2 * min(apart)))
             if best and min(apart[:best]) > _IN_TURNS * apart[best] > 0.0:
                 text = (
-                    f"axis {self.raw.axes[axis]} of {self.raw.units[unit]}: every {best + 1} rows are alike, and "
-                    "neighbours are not: rows of several sensors in turns? Say whose are meant with where"
+                    f"axis {self.raw.axes[axis]} of {self.raw.units[unit]}: rows {best + 1} apart are similar, "
+                    "and neighbouring rows are not: do rows of several sensors alternate? Then select those of "
+                    "one sensor with where"
                 )
                 self.note_fault("rows in turns", self.policy.rows_in_turns, 0, text)
                 return
@@ -531,7 +543,7 @@ class _Examination:
                 self.note_fault("clock drift", action, 0, text)
         wander = _wander(within)
         if wander > _DRIFT:
-            text = f"the sample interval wanders by {wander * 1e6:.0f} ppm (rms) in the course of the record"
+            text = f"the sample interval varies by {wander * 1e6:.0f} ppm (rms) during the record"
             self.note_fault("clock drift", action, 0, text)
 
 

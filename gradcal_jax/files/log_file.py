@@ -149,7 +149,7 @@ def read_log(path: str | Path) -> Log:
         raise LogError(f"{path} cannot be read: {error.strerror or error}") from None
     version = str(dataset.attrs.get("format"))
     if version != FORMAT:
-        raise LogError(f'{path} has the format "{version}", where this program reads "{FORMAT}"')
+        raise LogError(f'{path} has the format "{version}", and this program reads "{FORMAT}"')
     try:
         log = _from_dataset(dataset)
     except LogError as error:

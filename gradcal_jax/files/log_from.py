@@ -88,7 +88,7 @@ def log_from(
     }
     for name, values in (*rates.items(), *angles.items(), *forces.items(), *whole.items()):
         if values is not None and values.shape != stamps.shape:
-            raise LogError(f"{name}: has the shape {values.shape}, and the times {stamps.shape}")
+            raise LogError(f"{name}: has the shape {values.shape}, and the times have {stamps.shape}")
     return examine(
         Columns(
             rate_rad_per_s=np.stack(list(rates.values()), axis=-1)[None],
@@ -114,7 +114,7 @@ def _column(value: Any, data: Any) -> Any:
     if not isinstance(value, str):
         return value
     if data is None:
-        raise LogError(f"{value!r} is a name: give data, whose column it is")
+        raise LogError(f"{value!r} is a name: give data, the table that has this column")
     try:
         return data[value]
     except KeyError:

@@ -43,6 +43,6 @@ def too_large(spec: Spec) -> str:
     if needed <= there:
         return ""
     return (
-        f"the plan's readings need about {needed / 1e9:.3g} GB of memory, and this machine has {there / 1e9:.3g} GB "
-        "free: read less often (read_every), or plan fewer cycles"
+        f"the plan's readings need about {needed / 1e9:.3g} GB of memory, and this computer has {there / 1e9:.3g} "
+        "GB free: read less often (read_every), or plan fewer cycles"
     )

@@ -62,14 +62,14 @@ class MissionRows(NamedTuple):
 
 
 class Mission(Section):
-    """One mission: the `file` of its table, the text of it once it was read (`table`), its `weight` among others."""
+    """One mission: the `file` of its table, the text of the table once it is read (`table`), and its `weight`."""
 
     file: Text
     """Table of time, rate and temperature with units in its header (CSV), seen from the spec's folder."""
     weight: Annotated[Number, Field(gt=0.0, le=1e6)] = 1.0
     """Its weight among others."""
     table: str = ""
-    """Text of the table, once it was read; filled in by the program."""
+    """Text of the table, filled in by the program."""
 
     @model_validator(mode="before")
     @classmethod
@@ -137,7 +137,7 @@ def _rows_or_faults(text: str) -> Iterator[MissionRows | str]:
     if faults:
         return
     if len(numbers) < 2:
-        yield f"line {at}: there are fewer than two rows below the header"
+        yield f"line {at}: there are fewer than two rows after the header"
         return
     time, rate, temperature = series
     yield MissionRows(tuple(t - time[0] for t in time), tuple(rate), tuple(temperature), tuple(numbers))
@@ -181,10 +181,7 @@ def _columns(head: str) -> Iterator[tuple[int, float, float] | str]:
 def _row(fields: list[str], places: list[tuple[int, float, float]], count: int) -> list[float] | str:
     """Time, rate and temperature of a row; or its problem."""
     if len(fields) != count:
-        return (
-            f"{len(fields)} columns, and the header has {count}; "
-            "numbers are written with a point, not with a decimal comma"
-        )
+        return f"{len(fields)} columns, and the header has {count}; write numbers with a decimal point, not a comma"
     row: list[float] = []
     for (place, zero, factor), (column, (_, least, most)) in zip(places, _COLUMNS.items(), strict=True):
         text = fields[place]
@@ -194,7 +191,7 @@ def _row(fields: list[str], places: list[tuple[int, float, float]], count: int) 
             return f"{column} is '{text[:40]}', which is no number" if text else f"{column} is empty"
         value = float(text) * factor + zero
         if not (math.isfinite(value) and least <= value <= most):
-            return f"{column} is {text}, beyond anything that a mission has"
+            return f"{column} is {text}, which is not plausible for a mission"
         row.append(value)
     return row
 

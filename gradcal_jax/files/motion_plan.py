@@ -26,7 +26,7 @@ from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refus
 BEYOND_TRAVEL: Final = "travel"
 """The kind of the problems of moves beyond an axis's travel, which `files.travel` mends."""
 _SLACK = 1e-6
-_HELD = 'has no effect where the table holds its angle; leave it out, or set rig.table.standing = "read"'
+_HELD = 'has no effect if the table holds its angle; leave it out, or set rig.table.standing = "read"'
 _ONE_REST = "a rest is of all axes; leave this key out"
 # Spacing of the readings of a rest that is read at its end alone.
 _AT_END = math.inf
@@ -38,7 +38,7 @@ class Pose(Section):
     """Move the named axes to these angles, one axis after the other, outermost first."""
 
     pose: dict[Text, Angle]
-    """Angles by the name of the axis; others stay."""
+    """Angles by name of the axis; other axes do not move."""
     peak_rate: PositiveRate | None = None
     """Largest rate; absent: the axis's own."""
     rest: Time | None = None
@@ -46,14 +46,14 @@ class Pose(Section):
 
 
 class QuickTurn(Angled):
-    """A turn of one axis with cosine ramps, as fast as the axis goes."""
+    """A turn of one axis with cosine ramps, at the axis's maximum rate and acceleration."""
 
     axis: Text | None = None
     """Name of the table axis; absent: the only one."""
     peak_rate: PositiveRate | None = None
     """Largest rate; absent: the axis's own. A short turn does not reach it."""
     repeat: Count = 1
-    """How often the move is made."""
+    """Number of repetitions of the move."""
 
 
 class AxisMove(Section):
@@ -111,25 +111,25 @@ class MotionCycle(Section):
     moves: Annotated[tuple[PlanMove, ...], Field(min_length=1, max_length=2000)]
     """Rests, turns and poses, in order."""
     start: dict[Text, Angle] = Field(default_factory=dict)
-    """Angles of the axes as it begins, by name; absent: zero."""
+    """Initial angles of the axes, by name; absent: zero."""
     other_axes: OtherAxes | None = None
-    """Time at the end of each cycle in which the table serves other sensors, for a table whose standing is "read"."""
+    """Time at the end of each cycle in which the table serves other sensors; for a table with standing = "read"."""
     duration: Time | None = None
-    """Length of a cycle; absent: that of its moves and other axes; longer: the table stands for the rest, unread where
-    its standing is "read"."""
+    """Length of a cycle; absent: that of its moves and other axes; longer: the table rests for the remaining time,
+    without readings if standing = "read"."""
 
 
 class MotionPlan(ChamberCourse):
-    """The plan of a whole unit. With several mountings each used stretch of the course has the next one; a single ramp
-    is repeated with each, and the chamber returns in between."""
+    """The plan of a whole unit. With several mountings, each part of the programme with used data has the next
+    mounting; a single ramp is repeated for each, and the chamber returns in between."""
 
     method: Literal["gradient"]
     """The method."""
     cycle: MotionCycle | None = None
-    """Motion that repeats; absent: the table stands, and is read every `read_every` of its axes."""
+    """Motion that repeats; absent: the table is at rest, and is read every `read_every` of its axes."""
     before: Annotated[tuple[Temperature, ...], Field(max_length=100)] = ()
-    """Turning points of the unit's temperature before the plan, in order, such as that of the room: a hysteresis begins
-    in the state that they leave. Absent: in an unknown one."""
+    """Turning points of the sensor's temperature before the plan, in order, such as room temperature; they determine
+    the initial state of a hysteresis. Absent: in an unknown one."""
 
     def _problems(self) -> Iterable[Problem]:
         return self.course_problems(with_cycle=self.cycle is not None)
@@ -230,7 +230,7 @@ def plan_schedule(plan: MotionPlan, rig: Rig) -> PlanSchedule:
         message = f"its moves take {moving:.4g} s; the longest stretch of used data is {longest:.4g} s"
         raise SpecError([Problem(("cycle",), message)])
     if sum(s.cycles for s in stretches) * len(steps) > 200_000:
-        raise SpecError([Problem(("cycle",), "makes more than 200000 moves in all; lengthen its rests or turns")])
+        raise SpecError([Problem(("cycle",), "makes more than 200000 moves in total; lengthen its rests or turns")])
     schedule = PlanSchedule(segments, stretches, steps, start, after)
     problems = [*_travel(schedule, rig)]
     if len(stretches) > 1 and (mountings > 1 or len(rig.table.axis) > 1):
@@ -239,7 +239,7 @@ def plan_schedule(plan: MotionPlan, rig: Rig) -> PlanSchedule:
             for k, angle in enumerate(start)
         ]
         names = [axis.name for axis in rig.table.axis]
-        problems += _unclosed(ends, start, names, "it begins anew in every stretch of used data")
+        problems += _unclosed(ends, start, names, "it starts again in every stretch of used data")
     refuse(*problems)
     return schedule
 
@@ -259,7 +259,7 @@ def _after(cycle: MotionCycle, moving: float, rig: Rig) -> tuple[PlanStep, ...]:
     if cycle.duration is not None:
         idle = cycle.duration - moving - other
         if idle < -_SLACK * cycle.duration:
-            message = f"is shorter than the moves and the other axes together, {moving + other:.6g} s"
+            message = f"is shorter than the moves and the time of the other axes together, {moving + other:.6g} s"
             refuse(Problem(("cycle", "duration"), message, cycle.duration.text))
         if idle > 0.0:
             rests.append(PlanStep(-1, ResolvedMove("rest", idle, read_end=not read), -1))
@@ -445,7 +445,7 @@ def _beyond_drive(drive: str, key: tuple[str | int, ...], shape: str) -> Problem
     if shape == "hand":
         return Problem(key, f'needs a table that is turned by hand; rig.table.drive is "{drive}"', shape)
     message = (
-        'cannot be made by hand, and rig.table.drive is "hand"; expected a turn with shape = "hand" and a duration'
+        'cannot be turned by hand, and rig.table.drive is "hand"; expected a turn with shape = "hand" and a duration'
     )
     return Problem(key, message, shape)
 

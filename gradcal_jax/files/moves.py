@@ -96,7 +96,7 @@ class ResolvedMove:
 
 class _Move(Section):
     repeat: Count = 1
-    """How often the move is made."""
+    """Number of repetitions of the move."""
     read: Literal["end", "none"] | None = None
     """One reading at its end, or none."""
     read_every: Time | None = None
@@ -104,7 +104,7 @@ class _Move(Section):
 
     def _problems(self) -> Iterator[Problem]:
         if self.read is not None and self.read_every is not None:
-            yield Problem(("read_every",), 'cannot stand beside "read"; keep one of them', self.read_every.text)
+            yield Problem(("read_every",), 'cannot be combined with "read"; keep one of them', self.read_every.text)
 
     @abstractmethod
     def resolve(self, max_acceleration: float) -> ResolvedMove:
@@ -136,12 +136,12 @@ class Angled(Section):
     turn: Angle | None = None
     """Angle, signed."""
     turns: Number | None = None
-    """Number of revolutions, signed, in the place of an angle."""
+    """Number of revolutions, signed, instead of an angle."""
 
     @model_validator(mode="after")
     def _one_angle(self) -> "Angled":
         if self.turn is not None and self.turns is not None:
-            refuse(Problem(("turns",), 'cannot stand beside "turn"; keep one of them', self.turns))
+            refuse(Problem(("turns",), 'cannot be combined with "turn"; keep one of them', self.turns))
         if self.turn == 0.0:
             refuse(Problem(("turn",), "must not be zero; a rest is written { rest = … }", "0"))
         if abs(self.turn or 0.0) > 1e6 * FULL_TURN:
@@ -182,7 +182,7 @@ class _RampedTurn(_Turn):
         if peak is not None and peak == 0.0:
             refuse(Problem(("peak_rate",), "must not be zero", peak.text))
         if peak is not None and peak < 0.0 and self.angle is not None:
-            message = f'must be positive: the direction is the sign of "{self.angle_key}"'
+            message = f'must be positive: the sign of "{self.angle_key}" is the direction'
             refuse(Problem(("peak_rate",), message, peak.text))
         return self
 
@@ -193,7 +193,7 @@ class _RampedTurn(_Turn):
         angle, peak = (None if value is None else abs(value) for value in (signed, fastest))
         duration, ramp = _number(self.duration), _number(self.ramp)
         if sum(value is not None for value in (angle, peak, duration)) < 2:
-            message = "the motion is not determined; give two of turn, peak_rate and duration (and ramp if it matters)"
+            message = "the motion is not determined; give two of turn, peak_rate and duration (and optionally ramp)"
             raise SpecError([Problem((), message)])
         least = self.STEEPNESS / max_acceleration  # ramp time for each unit of peak rate
         if angle is not None and peak is not None and duration is not None:
@@ -287,7 +287,7 @@ class Hand(_Turn):
     @model_validator(mode="after")
     def _ends_only(self) -> "Hand":
         if self.read_every is not None:
-            message = "a turn by hand is known at its ends only; leave this key out"
+            message = "a turn by hand is known only at its ends; leave this key out"
             refuse(Problem(("read_every",), message, self.read_every.text))
         return self
 

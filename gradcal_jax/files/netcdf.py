@@ -29,7 +29,7 @@ def load_netcdf(path: str | Path) -> Any:
             opened.seek(0)
             begin = opened.read(4096)
             text = bool(begin) and all(byte >= 32 or byte in b"\t\r\n" for byte in begin)
-            hint = ", but text: name it .csv, and say with --columns what its columns mean" if text else ""
+            hint = ", but text: name it .csv, and describe its columns with --columns" if text else ""
             raise NetcdfError(f"it is no netCDF 4 file{hint}")
     try:
         return _load(path)

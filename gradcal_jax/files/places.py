@@ -32,7 +32,7 @@ def places_of(spec: Spec, names: Sequence[str]) -> dict[str, str]:
     if some := [name for name in names if name in places]:
         others = ", ".join(name for name in names if name not in places)
         raise ValueError(
-            f"{some[0]} is the name of a place and {others} is none: name all IMUs as their places, or none"
+            f"{some[0]} is the name of a place, but {others} is not: name all IMUs after their places, or none"
         )
     if len(names) > len(places):
         raise ValueError(f"the log has {len(names)} IMUs and rig.table.place {len(places)}: add the others")

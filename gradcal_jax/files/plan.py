@@ -37,7 +37,7 @@ class SoakItem(Section):
     soak: q.Time
     """How long."""
     at: q.Temperature | None = None
-    """Temperature; of the first item alone."""
+    """Temperature; only for the first item."""
     used: q.Flag = False
     """Whether its readings are part of the data."""
 
@@ -54,7 +54,7 @@ class RampItem(Section):
 
 
 class StepItem(Section):
-    """An item of a programme: go to another temperature as fast as the chamber can."""
+    """An item of a programme: go to another temperature at the chamber's maximum rate."""
 
     step_to: q.Temperature
     """Temperature at its end."""
@@ -78,12 +78,12 @@ ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, read_by(_choose_item)]
 
 
 class OtherAxes(Section):
-    """The time that the other axes take in each cycle, during which this axis stands."""
+    """The time for other axes in each cycle, during which this axis is at rest."""
 
     duration: q.Time
     """How long."""
     read: q.Flag = False
-    """Whether this axis is read meanwhile."""
+    """Whether this axis is read during this time."""
     read_every: q.Time | None = None
     """Spacing of these readings; absent: as in the first rest of the cycle that has one."""
 
@@ -139,20 +139,20 @@ class ChamberCourse(Section):
     soak: Soak | None = None
     """Waiting at the start."""
     programme: Annotated[tuple[ProgrammeItem, ...], Field(min_length=1, max_length=10_000)] | None = None
-    """Soaks, ramps and steps one after the other, in the place of the keys above."""
+    """Soaks, ramps and steps in order, instead of the keys above."""
 
     def course_problems(self, *, with_cycle: bool) -> Iterator[Problem]:
         """Problems of the course. `with_cycle`: whether there may be a slope for each cycle."""
         if self.programme is not None:
             for key in ("temperature", "gradient", "soak"):
                 if getattr(self, key) is not None:
-                    yield Problem((key,), 'cannot stand beside "programme", which says it all')
+                    yield Problem((key,), 'cannot be combined with "programme"')
             first = self.programme[0]
             if not isinstance(first, SoakItem) or first.at is None:
-                message = 'the first item must be a soak that says where it begins: { soak = "1 h", at = "-30 degC" }'
+                message = 'the first item must be a soak with a temperature: { soak = "1 h", at = "-30 degC" }'
                 yield Problem(("programme", 0), message)
             elif not any(item.used for item in self.programme):
-                yield Problem(("programme",), "none of its items is used; there would be no data")
+                yield Problem(("programme",), "no item has used data; there would be no data")
             return
         missing = [key for key in ("temperature", "gradient") if getattr(self, key) is None]
         yield from (Problem((key,), 'this key is missing (or give a "programme")', kind="missing") for key in missing)
@@ -160,9 +160,9 @@ class ChamberCourse(Section):
             return
         if isinstance(self.gradient, tuple):
             if not with_cycle:
-                yield Problem(("gradient",), "a list has one slope for each cycle, and has no place here")
+                yield Problem(("gradient",), "a list has one slope for each cycle, and is not possible here")
             if len(self.temperature) == 2:
-                message = "with a list of gradients, the ramp ends where they take it; give the start alone"
+                message = "with a list of gradients, these determine the end of the ramp; give the start alone"
                 yield Problem(("temperature",), message, [t.text for t in self.temperature])
         elif len(self.temperature) == 1:
             yield Problem(("temperature",), "expected [start, end]", [t.text for t in self.temperature])
@@ -178,15 +178,15 @@ class StandardPlan(Section):
     temperatures: Annotated[tuple[q.Temperature, ...], Field(min_length=1, max_length=1000)]
     """Set points, in order."""
     soak: q.Time
-    """Waiting at each before it counts."""
+    """Waiting time at each temperature before its data count."""
     integration: q.Time
     """Time of each mean."""
     rates: Annotated[tuple[q.Rate, ...], Field(min_length=1, max_length=1000)] | None = None
-    """Reference rates at each set point; absent: the axis stands."""
+    """Reference rates at each set point; absent: the axis is at rest."""
     estimator: Literal["best linear", "least squares"] = "best linear"
     """Generalised least squares with all priors, or unweighted least squares as in the paper."""
     points: Literal["one run", "independent"] = "one run"
-    """Whether the points share clock, turn-on bias, drifts and walks ("one run"), or draw all anew (the paper)."""
+    """Whether the points share clock, turn-on bias, drifts and walks ("one run"), or are independent (the paper)."""
 
     def _problems(self) -> Iterator[Problem]:
         for i in range(1, len(self.temperatures)):

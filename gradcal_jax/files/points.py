@@ -34,7 +34,7 @@ class PointMap(Section):
     axis: Name = "x"
     """Name of the axis."""
     simulated: Flag = False
-    """Whether no real sensor made the data."""
+    """Whether the data are simulated."""
     temperature: TemperatureColumn
     """Column of the temperature."""
     reference_rate: RateColumn
@@ -44,7 +44,7 @@ class PointMap(Section):
     sigma: RateColumn | None = None
     """Column of the output's standard deviation; absent: the spec's noise counts."""
     csv: TextTable = TextTable()
-    """How a text file is laid out."""
+    """Layout of a text file."""
 
     def sources(self) -> Iterator[Source]:
         """Every column that the map names."""
@@ -90,7 +90,9 @@ def read_points(path: str | Path, columns: PointMap | str | Path) -> RatePoints:
         # Except for its bias, a sensor's output is the table's rate: a factor of a hundred is a wrong unit.
         slope = float(output @ reference / (reference @ reference)) if reference.any() else 1.0
         if not 0.5 < abs(slope) < 2.0:
-            raise LogError(f"the output is {slope:.3g} times the reference: is one of them in another unit or scale?")
+            raise LogError(
+                f"the output is {slope:.3g} times the reference: does one of them have another unit or scale?"
+            )
     return RatePoints(
         columns.name, columns.axis, temperature, reference, output, sigma, path.name, columns.simulated
     )  # fmt: skip

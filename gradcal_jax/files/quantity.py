@@ -98,7 +98,7 @@ class Of:
 
     def _bounded(self, value: Quantity) -> None:
         if value != 0.0 and not _SMALLEST <= abs(value) <= _LARGEST:
-            raise ValueError("is beyond anything that this program plans for")
+            raise ValueError("is outside the range of this program")
         tests = (
             (self.above, "above", operator.gt),
             (self.at_least, "at least", operator.ge),

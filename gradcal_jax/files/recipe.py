@@ -48,7 +48,7 @@ class PredictedParameter(ParameterRow):
 
 
 class Predicted(Section):
-    """The residual of the rounded plan, as by `gradcal predict` for the spec inside; without the covariance."""
+    """The residual of the rounded plan, as `gradcal predict` computes it, without the covariance."""
 
     duration_s: Size
     """Duration of the whole plan (s)."""
@@ -65,7 +65,7 @@ class Predicted(Section):
     warnings: tuple[Text, ...] = ()
     """Warnings, in sentences."""
     places: tuple[PlaceRow, ...] = ()
-    """Of a fixture of several IMUs, every place; all else is of the worst one."""
+    """For a fixture of several IMUs: every place; all other results are for the worst place."""
     place: Text | None = None
     """Its name."""
     minutes_per_imu: Size | None = None
@@ -104,7 +104,7 @@ class Recipe(TitledFile):
     made: RecipeOrigin
     """The origin of the file."""
     resolution: ControllerSteps
-    """Steps of the controllers that it is rounded to."""
+    """Steps of the controllers to which it is rounded."""
     stability: Stability
     """When a temperature counts as stable."""
     chamber: ChamberTrack
@@ -116,7 +116,7 @@ class Recipe(TitledFile):
     optimisation: dict[str, Any] | None = None
     """The optimiser's own record: objective, before, now, starts, limits."""
     spec: Spec = Field(title="gradcal-spec/1")
-    """The spec whose plan these tracks are."""
+    """The spec with the plan of these tracks."""
 
     __str__ = whole_text
     _repr_html_ = html
@@ -128,9 +128,7 @@ class Recipe(TitledFile):
             {"chamber": track.model_dump(mode="json"), "motion": [block.model_dump(mode="json") for block in blocks]}
             for track, blocks in ((chamber, motion), (self.chamber, self.motion))
         )
-        message = (
-            "does not follow from the spec inside the recipe; change the plan in the spec and make the recipe anew"
-        )
+        message = "does not follow from the spec in the recipe; change the plan in the spec and make the recipe again"
         return [Problem(key, message, value) for key, _, value in differences(expected, written, ())][:5]
 
     def _shown(self) -> list[str]:

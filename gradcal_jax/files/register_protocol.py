@@ -35,22 +35,22 @@ class ModbusLine(Section):
     stopbits: Literal[1, 2] = 1
     """Stop bits of a character."""
     low_word_first: Flag = False
-    """Whether of numbers of two registers the first has the lower 16 bits."""
+    """Whether the first register of a two-register number has the lower 16 bits."""
     timeout: Time = Quantity(1.0, "1 s", "time")
-    """How long a reply is waited for."""
+    """Timeout for a reply."""
     pause: SizeOfTime = Quantity(0.03, "0.03 s", "time")
     """Least time between two messages."""
 
 
 class Register(Section):
-    """`[registers.NAME]`. A text is in `count` registers, a character in each."""
+    """`[registers.NAME]`. A text occupies `count` registers with one character in each."""
 
     address: Annotated[int, Field(strict=True, ge=0, le=65535)]
     """Its number in the message, counted from 0: a manual's 40001 or 4x0001 is 0."""
     type: Literal["int16", "uint16", "int32", "uint32", "float32", "text"] = "int16"
     """What it holds."""
     decimals: Annotated[int, Field(strict=True, ge=0, le=6)] | Text = 0
-    """A whole number is the value times ten to this power; or the name of the register that holds that power."""
+    """Decimals: the register has the value times ten to this power; or the name of the register with the power."""
     count: Annotated[int, Field(strict=True, ge=1, le=60)] = 1
     """How many registers a text has."""
     input: Flag = False
@@ -62,32 +62,32 @@ class Register(Section):
 
 
 class RegisterProtocol(Section):
-    """A whole description of a chamber that is read and commanded by registers."""
+    """A complete description of a chamber with registers."""
 
     format: Literal["gradcal-registers/1"]
     """Name and version of this file format."""
     role: Literal["chamber"]
     """What the device is."""
     title: Text
-    """A name for people."""
+    """A title for tables and pages."""
     line: ModbusLine = ModbusLine()
     """How a message is framed."""
     units: DeviceUnits = DeviceUnits()
-    """What the device's own numbers are in."""
+    """Units of the numbers of the device."""
     limits: DeviceLimits = DeviceLimits()
-    """What it can do, where no registers `lowest` and `highest` say it."""
+    """Limits of the device, if no registers `lowest` and `highest` state them."""
     on_first: Flag = False
-    """Whether it takes a set point only while it conditions."""
+    """Whether it accepts a set point only while it conditions."""
     registers: dict[str, Register]
     """Its registers, by name. Known names: air, setpoint, product, mode, lowest, highest, model, serial, firmware."""
     tell: dict[str, dict[str, int | float | Text]]
-    """What can be told, by name: the registers that are written and their values."""
+    """Commands, by name: the registers that are written and their values."""
     state: dict[str, Condition] = Field(default_factory=dict[str, Condition])
     """States of the device that registers report, by name: conditioning, program, ramps."""
     alarm: dict[str, Condition] = Field(default_factory=dict[str, Condition])
     """Its alarms, by name."""
     require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
-    """How it must be set before anything is told to it."""
+    """Settings that it must have before the first command."""
 
     @property
     def fields(self) -> dict[str, str]:
@@ -107,12 +107,12 @@ class RegisterProtocol(Section):
                 yield Problem(("limits", name), message, kind="missing")
         for tells, state in ((("on", "off"), "conditioning"), (("end_program",), "program"), (("no_ramp",), "ramps")):
             if any(name in self.tell for name in tells) and state not in self.state:
-                message = f"this key is missing; nothing else shows what tell.{tells[0]} did"
+                message = f"this key is missing; no reply shows the effect of tell.{tells[0]}"
                 yield Problem(("state", state), message, kind="missing")
         if ("on" in self.tell) is not ("off" in self.tell):
             yield Problem(("tell",), "expected both on and off, or neither")
         if "ramp" in self.tell and "no_ramp" not in self.tell and self.limits.free_ramp is None:
-            message = "this key is missing; a ramp must be taken off again"
+            message = "this key is missing; a command is needed to end a ramp"
             yield Problem(("tell", "no_ramp"), message, kind="missing")
         yield from self._badly_written()
 
@@ -127,7 +127,9 @@ class RegisterProtocol(Section):
                 yield Problem(key, f"there is no such register; {instead(str(name), known)}", name)
         for name, writes in self.tell.items():
             if name not in _VALUES:
-                yield Problem(("tell", name), f"a chamber is told {', '.join(_VALUES)}; {instead(name, _VALUES)}")
+                yield Problem(
+                    ("tell", name), f"a chamber needs the command {', '.join(_VALUES)}; {instead(name, _VALUES)}"
+                )
                 continue
             for register, value in writes.items():
                 entry = known.get(register)

@@ -29,15 +29,15 @@ class _OfElements(Section):
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y", "z")
 
     name: q.Text
-    """Its name, which verdicts and [design] refer to."""
+    """Name of the requirement in verdicts and [design]."""
     axis: Elements = "worst"
     """One element, the worst of them, or all (root mean square)."""
     target: Any = None
     """Limit on the error, which gives a verdict; absent: none."""
     coverage: Coverage = 1.0
-    """Standard deviations that must be within the target."""
+    """Number of standard deviations that must be within the target."""
     risk: Risk | None = None
-    """Largest chance that a unit beyond the target passes; absent: simple acceptance."""
+    """Largest probability that a sensor beyond the target passes; absent: simple acceptance."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.axis not in self.ELEMENTS:
@@ -59,7 +59,7 @@ class _OverTemperature(_InARange):
     grid: tuple[Points] = (101,)
     """Number of temperatures, ends included."""
     statistic: Over = "mean"
-    """How the standard deviation of each element is summed up over temperature."""
+    """Statistic of each element's standard deviation over temperature."""
     quantity: Any
     """What must be good."""
 
@@ -68,10 +68,10 @@ class _OnAPath(Section):
     """On which path of the temperature a quantity must be good."""
 
     branch: Literal["heating", "cooling", "both"] | None = None
-    """Branch of the temperature on which the error counts; "both": the worst of the two at every temperature. Absent:
-    the mean of both, without hysteresis."""
+    """Branch of the temperature on which the error counts; "both": the larger error at every temperature. Absent: the
+    mean of both, without hysteresis."""
     slope: tuple[q.TemperatureSlope, q.TemperatureSlope] | None = None
-    """Lowest and highest dT/dt of the service, whose errors count; absent: the temperature stands."""
+    """Lowest and highest dT/dt in service, whose errors count; absent: constant temperature."""
 
     @model_validator(mode="after")
     def _path(self) -> "_OnAPath":
@@ -80,7 +80,7 @@ class _OnAPath(Section):
             if low > high:
                 refuse(Problem(("slope",), "expected the lowest first", [str(low), str(high)]))
             if (self.branch == "heating" and high < 0.0) or (self.branch == "cooling" and low > 0.0):
-                refuse(Problem(("slope",), f"there is no {self.branch} in this range", [str(low), str(high)]))
+                refuse(Problem(("slope",), f"this range has no {self.branch}", [str(low), str(high)]))
         return self
 
     def service(self) -> tuple[tuple[float, float], ...]:
@@ -109,7 +109,7 @@ class GyroScaleFactorRequirement(_InARange, _OnAPath):
     grid: tuple[Points, Points] = (101, 121)
     """Numbers of temperatures and of rates, ends included."""
     statistic: Literal["mean of max", "mean", "max", "rms"] = "mean of max"
-    """How the standard deviation is summed up over the box."""
+    """Statistic of the standard deviation over the box."""
     target: q.PositiveScaleFactor | None = None
 
     def _problems(self) -> Iterator[Problem]:
@@ -124,13 +124,13 @@ class MisalignmentRequirement(_OverTemperature):
 
     quantity: Literal["gyro_misalignment", "accelerometer_misalignment"]
     relative_to: Literal["table", "case", "internal"] = "table"
-    """The table's axes, the case (adds the mounting's accuracy), or the unit itself."""
+    """The table's axes, the case (adds the mounting's accuracy), or the IMU itself."""
     axis: Elements = "all"
     target: q.PositiveAngle | None = None
 
 
 class SensitivityRequirement(_OverTemperature):
-    """Drift of the gyros for a unit of specific force."""
+    """Drift of the gyros per unit of specific force."""
 
     quantity: Literal["g_sensitivity"]
     axis: Elements = "all"
@@ -159,7 +159,7 @@ class SecondOrderRequirement(_OverTemperature):
 
 
 class PositionRequirement(_OverTemperature, _OfRuns):
-    """Horizontal position after free-inertial navigation at rest, level: the calibration's part."""
+    """Horizontal position error after free-inertial navigation at rest and level, from the calibration alone."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
 
@@ -170,7 +170,7 @@ class PositionRequirement(_OverTemperature, _OfRuns):
 
 
 class TiltRequirement(_OverTemperature, _OfRuns):
-    """Error of the vertical that levelled accelerometers give, the worse of two directions."""
+    """Error of the vertical from levelled accelerometers, in the worse of two directions."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
 
@@ -194,8 +194,8 @@ class TurnRequirement(_OverTemperature, _OfRuns):
 class MissionHeadingRequirement(_OfElements):
     """The calibration's error in the integrated rate of a gyro at the end of a `mission`, or `after` a time in it.
 
-    For several missions the weighted root mean square, or the "max". `target` limits the calibration's part alone,
-    because no calibration removes the sensor's own noise.
+    For several missions the weighted root mean square, or the "max". `target` limits only the contribution of the
+    calibration, because no calibration removes the sensor's own noise.
     """
 
     quantity: Literal["mission_heading"]
@@ -205,7 +205,7 @@ class MissionHeadingRequirement(_OfElements):
     after: q.Time | None = None
     """When the error is taken; absent: at the end of each mission."""
     statistic: Literal["rms", "max"] = "rms"
-    """How several missions are summed up."""
+    """Statistic over several missions."""
     target: q.PositiveAngle | None = None
 
     def _problems(self) -> Iterator[Problem]:
@@ -237,13 +237,13 @@ class MissionHeadingRequirement(_OfElements):
 
 
 class NorthRequirement(_OverTemperature):
-    """The error of a gyrocompass: of a gyro's bias, over the Earth's rate across the meridian at the `latitude`."""
+    """The error of a gyrocompass: the error of a gyro's bias divided by the horizontal Earth rate at the `latitude`."""
 
     quantity: Literal["north"]
     latitude: Annotated[q.Quantity, q.Of("angle", at_least="-89 deg", at_most="89 deg")]
     """Where north is sought."""
     after: q.Time
-    """How long it stands to find north, on which the sensor's own noise depends."""
+    """Duration of the rest to find north, which determines the effect of the sensor's own noise."""
     target: q.PositiveAngle | None = None
 
 

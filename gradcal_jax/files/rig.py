@@ -48,28 +48,28 @@ def _adapter(port: str) -> str:
 
 
 class ChamberDevice(Section):
-    """`[chamber]`: the device that makes the temperature."""
+    """`[chamber]`: the device that controls the temperature."""
 
     driver: Text
     """Name of its driver: espec, weiss, or registers or lines with a protocol."""
     port: Port
     """Where it is connected: a device path, COM3, or a socket:// or rfc2217:// address."""
     safe: Literal["standby", "hold", "ambient"]
-    """What it does when a run ends badly."""
+    """Its state after a run that ends badly."""
     ambient: Temperature = Quantity(23.0, "23 degC", "temperature")
     """Temperature to which "ambient" goes."""
     lag: Time = Quantity(300.0, "5 min", "time")
-    """By how long the air may lag behind its set point's ramp before a run pauses."""
+    """Allowed lag of the air behind the ramp of the set point before a run pauses."""
     band: PositiveTemperatureDifference = Quantity(3.0, "3 K", "temperature difference")
-    """How far the air may be beside its course before a run pauses."""
+    """Allowed deviation of the air from the temperature profile before a run pauses."""
     never_above: Temperature | None = None
     """Air or load warmer than this ends a run in every state; absent: the chamber's own limit and `band`."""
     never_below: Temperature | None = None
     """Air or load colder than this ends a run in every state; absent: the chamber's own limit and `band`."""
     serial_number: Text | None = None
-    """The device's own number; another device on the same cable is refused."""
+    """Serial number of the device; a different device at the port is refused."""
     options: Options = Field(default_factory=dict)
-    """What the driver leaves open; its documentation says which."""
+    """Options of the driver; see its documentation."""
 
     def _problems(self) -> Iterator[Problem]:
         above, below = self.never_above, self.never_below
@@ -80,8 +80,7 @@ class ChamberDevice(Section):
 
 
 class EncoderDevice(Section):
-    """`[axis.encoder]` of an axis that is turned by hand: a device that could drive an axis, of which only the angle is
-    read."""
+    """`[axis.encoder]` of an axis turned by hand: a device with an axis driver, of which only the angle is read."""
 
     driver: Text
     """Name of its driver."""
@@ -94,36 +93,38 @@ class EncoderDevice(Section):
 class AxisDevice(Section):
     """`[[axis]]`, outermost first: the device that turns an axis of the table.
 
-    The driver "operator" asks a person to turn the axis and type its angle; with an `encoder` that is read.
+    The driver "operator" asks a person to turn the axis and type its angle; with an `encoder` the angle is read.
     """
 
     name: Name
-    """Its name, which runs and logs refer to."""
+    """Name of the device in runs and logs."""
     driver: Text
     """Name of its driver: zaber, odrive, switch or operator."""
     port: Port
     """Where it is connected; "terminal" for an operator."""
     safe: Literal["hold", "controlled stop", "unpower"]
-    """What it does when a run ends badly."""
+    """Its state after a run that ends badly."""
     gravity_loaded: Flag
     """Whether it moves by itself without power."""
     serial_number: Text | None = None
-    """The device's own number; another device on the same cable is refused."""
+    """Serial number of the device; a different device at the port is refused."""
     options: Options = Field(default_factory=dict)
-    """What the driver leaves open; its documentation says which."""
+    """Options of the driver; see its documentation."""
     encoder: EncoderDevice | None = None
-    """Device that reads the angle of an axis that is turned by hand."""
+    """Encoder of an axis that is turned by hand."""
 
     def _problems(self) -> Iterator[Problem]:
         by_hand = self.driver == OPERATOR
         if by_hand and self.gravity_loaded:
-            message = "a person lets go of it now and then, and it would fall; expected false, or another driver"
+            message = "a person does not hold it all the time, and it would fall; expected false, or another driver"
             yield Problem(("gravity_loaded",), message, "true")
         if self.encoder is not None and not (by_hand and self.encoder.driver != OPERATOR):
-            message = f'an encoder belongs to an axis whose driver is "{OPERATOR}", and has another one itself'
+            message = (
+                f'an encoder is only for an axis with the driver "{OPERATOR}", and needs a different driver itself'
+            )
             yield Problem(("encoder", "driver"), message, self.encoder.driver)
         if self.port == TERMINAL and not by_hand:
-            yield Problem(("port",), f'only the driver "{OPERATOR}" speaks with a terminal', self.port)
+            yield Problem(("port",), f'only the driver "{OPERATOR}" uses a terminal', self.port)
         if self.safe == "unpower" and self.gravity_loaded:
             yield Problem(
                 ("safe",), 'an axis that is loaded by gravity falls without power; expected "hold"', self.safe
@@ -134,22 +135,22 @@ class ImuDevice(Section):
     """`[[imu]]`: a unit under calibration."""
 
     name: Name
-    """Its name, which runs and logs refer to."""
+    """Name of the device in runs and logs."""
     driver: Text
     """Name of its driver: stim300 or vectornav."""
     port: Port
     """Where it is connected."""
     serial_number: Text | None = None
-    """The device's own number; another unit on the same cable is refused."""
+    """Serial number of the IMU; a different IMU at the port is refused."""
     options: Options = Field(default_factory=dict)
-    """What the driver leaves open; its documentation says which."""
+    """Options of the driver; see its documentation."""
 
 
 class OperatorPlace(Section):
-    """`[operator]`: where the operator is asked to hang the units anew."""
+    """`[operator]`: where the operator is asked to change the mounting."""
 
     port: Port = TERMINAL
-    """The terminal, or where its own is connected."""
+    """The port of the operator's terminal."""
 
 
 class Laboratory(Section):
@@ -160,13 +161,13 @@ class Laboratory(Section):
     address: Text | None = None
     """Its address."""
     country: Annotated[str, Field(strict=True, pattern=r"^[A-Z]{2}$")] | None = None
-    """Two letters of ISO 3166, such as "DE"; a digital certificate asks for it."""
+    """Two letters of ISO 3166, such as "DE"; a digital certificate needs it."""
     operator: Text | None = None
     """Who makes the calibration."""
 
 
 class TraceableReference(Section):
-    """`[[reference]]`: what a certificate's values are traced to."""
+    """`[[reference]]`: a reference that a certificate's values are traced to."""
 
     device: Literal["table", "encoder", "chamber", "thermometer", "clock"]
     """Which device of the rig."""
@@ -179,10 +180,10 @@ class TraceableReference(Section):
 
 
 class Alarm(Section):
-    """`[alarm]`: a program that a run calls where it pauses by itself or ends badly, as the guard does."""
+    """`[alarm]`: a program that the run, or its guard, calls if the run pauses by itself or ends badly."""
 
     command: Annotated[tuple[Text, ...], Field(min_length=1, max_length=20)]
-    """Program and its words; the sentence that says why is added as the last. No shell reads it."""
+    """Program and its arguments; the reason is added as the last argument. No shell reads it."""
 
 
 class RigFile(TitledFile):
@@ -194,17 +195,17 @@ class RigFile(TitledFile):
     axis: Annotated[tuple[AxisDevice, ...], Field(max_length=6)] = ()
     """Axes of the table."""
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
-    """Units under calibration."""
+    """IMUs under calibration."""
     longest_pause: Time = Quantity(1800.0, "30 min", "time")
-    """How long a run that paused by itself waits for the operator before it ends with everything safe."""
+    """How long a run that paused by itself waits for the operator; then it makes everything safe and ends."""
     alarm: Alarm | None = None
     """The command that calls the operator."""
     operator: OperatorPlace | None = None
-    """Where the operator is asked to hang the units anew; absent: the terminal where the run was started."""
+    """Where the operator is asked to change the mounting; absent: the terminal where the run was started."""
     laboratory: Laboratory | None = None
     """Who signs a certificate."""
     reference: Annotated[tuple[TraceableReference, ...], Field(max_length=20)] = ()
-    """What a certificate's values are traced to."""
+    """The references that a certificate's values are traced to."""
 
     def _problems(self) -> Iterator[Problem]:
         yield from self._doubles()

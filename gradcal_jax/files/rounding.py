@@ -174,7 +174,7 @@ class _Rounder:
     def shape(self, move: ResolvedMove) -> str:
         """The shape of a turn's ramps; noted where it is not the plan's."""
         shape = "cosine ramps" if self.keep_shapes and move.shape == "cosine ramps" else "linear ramps"
-        note = f'turns of shape "{move.shape}" are made as trapezoids of the same angle, peak rate and duration'
+        note = f'turns of shape "{move.shape}" are executed as trapezoids of the same angle, peak rate and duration'
         if move.shape != shape and note not in self.notes:
             self.notes.append(note)
         return shape

@@ -149,7 +149,7 @@ def _programme(plan: ChamberCourse, chamber: Chamber) -> tuple[TemperatureSegmen
     for i, item in enumerate(plan.programme):
         if isinstance(item, SoakItem):
             if item.at is not None and item.at != here:
-                message = f"the chamber is at {here:.6g} degC by then; ramp or step there first"
+                message = f"the chamber is already at {here:.6g} degC; ramp or step there first"
                 problems.append(Problem(("programme", i, "at"), message, item.at.text))
             segments.append(TemperatureSegment("soak", clock, float(item.soak), here, here, item.used))
         else:

@@ -16,7 +16,7 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "rig": ("rig", "RigFile"),
     "lines": ("line_protocol", "LineProtocol"),
     "registers": ("register_protocol", "RegisterProtocol"),
-    "text": ("text_unit", "TextUnit"),
+    "text": ("text_unit", "TextSensor"),
     "timeline": ("contracts", "Timeline"),
     "unit-timeline": ("imu_timeline", "ImuTimeline"),
     "prediction": ("contracts", "Prediction"),

@@ -21,22 +21,22 @@ from gradcal_jax.files.uncertain import UncertainSection, figures_of
 
 
 class BiasShape(Section):
-    """A function of which every IMU of a type has another multiple, of mean 0 and variance 1."""
+    """A function with a random factor for each IMU of a type, of mean 0 and variance 1."""
 
     axis: Literal["x", "y", "z"] | None = None
-    """Of which channel; absent: of all."""
+    """Its channel; absent: all channels."""
     coefficients: Annotated[tuple[Rate, ...], Field(min_length=1, max_length=40_000)]
     """Its coefficients, in the order of a calibration file."""
 
 
 class ScaleFactorShape(BiasShape):
-    """The same table, for the scale factor."""
+    """The same, for the scale factor."""
 
     coefficients: Annotated[tuple[Annotated[Quantity, Of("scale factor")], ...], Field(min_length=1, max_length=40_000)]
 
 
 class SpecificForceShape(BiasShape):
-    """The same table, for an accelerometer."""
+    """The same, for an accelerometer."""
 
     coefficients: Annotated[tuple[Annotated[Quantity, Of("acceleration")], ...], Field(min_length=1, max_length=40_000)]
 
@@ -58,7 +58,10 @@ def shape_problems(shapes: Sequence[BiasShape], size: int, prior: Quantity | Non
         rows = np.array([shape.coefficients for shape in shapes if shape.axis in (None, axis)], dtype=float)
         largest = np.max(np.abs(rows), axis=0, initial=0.0)
         if len(rows) and np.linalg.matrix_rank(rows / np.where(largest > 0.0, largest, 1.0)) < size:
-            message = f"those of {axis} do not span all {size} coefficients; add what the map may have beyond them"
+            message = (
+                f"the shapes of {axis} do not span all {size} coefficients; add shapes for the other deviations "
+                "of the map"
+            )
             yield Problem(("shape",), message)
 
 
@@ -79,7 +82,7 @@ class Drift(_Process):
 
 
 class ScaleFactorInstability(_Process):
-    """Residual scale-factor instability: a first-order Gauss–Markov process multiplied by the rate, or the force."""
+    """Scale-factor instability: a first-order Gauss–Markov process multiplied by the rate, or the force."""
 
     standard_deviation: q.PositiveScaleFactor
     """Stationary standard deviation of the scale factor's error, a ratio."""
@@ -93,7 +96,7 @@ class TemperatureError(UncertainSection):
     standard_deviation: q.SizeOfTemperatureDifference
     """Standard deviation of the temperature's error; 0 K: none."""
     correlation_time: q.Time | None = None
-    """Time constant of its autocorrelation; absent: one draw for the whole run."""
+    """Time constant of its autocorrelation; absent: constant during the run."""
     bias_slope: q.BiasSlope | None = None
     """Typical slope of the bias over temperature, through which the error acts."""
     scale_factor_slope: q.ScaleFactorSlope | None = None
@@ -109,20 +112,20 @@ class TemperatureError(UncertainSection):
 
 
 class BiasTemperatureGradient(Section):
-    """Bias sensitivity to dT/dt; the table's presence makes it a parameter to estimate."""
+    """Bias sensitivity to dT/dt; with this table it is estimated."""
 
     prior: q.SizeOfGradientSensitivity | None = None
     """Standard deviation of the coefficient before the calibration; absent: unknown; 0: there is none to estimate."""
 
 
 class ForceTemperatureError(TemperatureError):
-    """The same table, for an accelerometer."""
+    """The same, for an accelerometer."""
 
     bias_slope: q.AccelerationSlope | None = None
 
 
 class ForceTemperatureGradient(BiasTemperatureGradient):
-    """The same table, for an accelerometer."""
+    """The same, for an accelerometer."""
 
     prior: q.ForceGradientSensitivity | None = None
 
@@ -140,8 +143,8 @@ def _gradient_of_bias(table: type[BiasTemperatureGradient], dimension: str, leas
 
 class _Lagging(Section):
     lag: q.Time | None = None
-    """First-order lag, known, with which this map follows the sensor's temperature; absent: at once. It begins in
-    equilibrium, as after a soak."""
+    """Known first-order lag of this map behind the sensor's temperature; absent: no lag. It starts in equilibrium, as
+    after a soak."""
 
     @model_validator(mode="after")
     def _smooth(self) -> "_Lagging":
@@ -183,8 +186,7 @@ class Bias(_Lagging):
     discrepancy: BiasDiscrepancy | None = None
     """Structure beyond the basis."""
     shape: Annotated[tuple[BiasShape, ...], Field(max_length=600)] = ()
-    """In the place of `prior`: functions that add, as `gradcal lot` finds them. A channel without any has a flat
-    prior."""
+    """Instead of `prior`: a sum of functions, as written by `gradcal lot`. A channel without them has a flat prior."""
 
     def _problems(self) -> Iterable[Problem]:
         yield from _smoothness(self.smoothness, self.temperature.basis)
@@ -197,7 +199,7 @@ class Bias(_Lagging):
 
 
 class ScaleFactor(_Lagging):
-    """M(T, ω), to be estimated: a tensor basis in temperature and rate."""
+    """M(T, ω), estimated: a tensor-product basis in temperature and rate."""
 
     temperature: TemperatureBasis
     """Basis over temperature."""
@@ -210,8 +212,7 @@ class ScaleFactor(_Lagging):
     discrepancy: ScaleFactorDiscrepancy | None = None
     """Structure beyond the basis."""
     shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
-    """In the place of `prior`: functions that add, as `gradcal lot` finds them. A channel without any has a flat
-    prior."""
+    """Instead of `prior`: a sum of functions, as written by `gradcal lot`. A channel without them has a flat prior."""
 
     def _problems(self) -> Iterable[Problem]:
         yield from _smoothness(self.smoothness, self.temperature.basis, self.rate.basis)
@@ -225,7 +226,7 @@ class ScaleFactor(_Lagging):
 
 def _smoothness(value: q.Quantity | None, *bases: str) -> list[Problem]:
     if value is not None and all(basis == "polynomial" for basis in bases):
-        message = 'neighbouring coefficients have a meaning for "b-spline" and "bins" only; leave this key out'
+        message = 'neighbouring coefficients exist only for "b-spline" and "bins"; leave this key out'
         return [Problem(("smoothness",), message, value.text)]
     return []
 
@@ -241,14 +242,14 @@ class _Instrument(Section):
     thermal_lag: q.SizeOfTime | None = None
     """Time constant, first order, between the chamber's air and the sensor's dies."""
     clock: Literal["sensor", "host"] | None = None
-    """Clock over which rates are integrated. "host": the computer's, which counts 1 ppm in the place of
+    """Clock over which rates are integrated. "host": the computer's, which counts 1 ppm instead of
     `sample_clock_error`; absent: the better of the two, since a run's log has both."""
     sample_clock_error: q.SizeOfScaleFactor | None = None
-    """Standard deviation of the clock that stamps all samples, a ratio; it acts as a scale factor."""
+    """Standard deviation of the relative error of the sample clock; it acts as a scale factor."""
     temperature_offset: q.SizeOfTemperatureDifference | None = None
-    """Standard deviation of the constant difference between the dies' temperature and the measured one."""
+    """Standard deviation of the constant difference between the temperature of the dies and the measured one."""
     temperature_lag: q.SizeOfTime | None = None
-    """Standard deviation of the time by which the dies' temperature follows the measured one."""
+    """Standard deviation of the delay of the dies' temperature relative to the measured one."""
     second_thermometer: path_terms.SecondThermometer | None = None
     """A second thermometer, for `thermometer_difference`; its column in logs is `second_temperature`."""
 
@@ -281,14 +282,14 @@ class _Channel(UncertainSection):
     """What every channel may have beside its own terms."""
 
     turn_on_bias: q.Quantity | None = None
-    """Standard deviation of the bias that is new at every power-on and not part of the map."""
+    """Standard deviation of the part of the bias that changes at every power-on and is not part of the map."""
     scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
     """In-run instabilities of the scale factor, which add."""
     temperature_error: TemperatureError | None = None
     """Error of the measured temperature."""
     bias_temperature_gradient: BiasTemperatureGradient | q.Quantity | None = None
-    """Bias in proportion to dT/dt: a table, of a coefficient that is estimated, or its standard deviation, which counts
-    and is not estimated."""
+    """Bias proportional to dT/dt: a table, for a coefficient that is estimated, or a standard deviation, which counts
+    but is not estimated."""
 
     @property
     def gradient_sensitivity(self) -> BiasTemperatureGradient | None:
@@ -316,14 +317,14 @@ class _Gyro(_Channel):
     FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk", "turn_on_bias")
 
     angle_random_walk: q.AngleRandomWalk
-    """White noise of the rate, as the angle's growth with the square root of time."""
+    """White noise of the rate, as the growth of the angle with the square root of time."""
     rate_random_walk: q.RateRandomWalk | None = None
     """Random walk of the rate."""
     turn_on_bias: q.SizeOfRate | None = None
     full_scale: q.PositiveRate | None = None
     """Largest rate that a gyro measures."""
     full_scale_margin: q.Margin = q.Quantity(0.05, "5 %", "scale factor")
-    """Share of the full scale that plans keep away from."""
+    """Fraction of the full scale that plans do not use."""
     drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
     """In-run bias instabilities, which add."""
     bias_temperature_gradient: Annotated[
@@ -361,13 +362,13 @@ class _ErrorTerm(_Lagging):
 
 
 class Misalignment(_ErrorTerm):
-    """Small angles of an input axis towards the two others."""
+    """Small angles of an input axis towards the other two axes."""
 
     prior: q.PositiveAngle | None = None
 
 
 class AccelerationSensitivity(_ErrorTerm):
-    """Drift of a gyro in proportion to the specific force, three coefficients each (IEEE 528)."""
+    """Drift of a gyro proportional to the specific force, with three coefficients for each gyro (IEEE 528)."""
 
     prior: q.PositiveAccelerationSensitivity | None = None
     lever_arm: q.PositiveLength | None = None
@@ -386,7 +387,7 @@ class AccelerationSensitivity(_ErrorTerm):
 
 
 class SquaredSensitivity(_ErrorTerm):
-    """Drift of a gyro in proportion to the square of the specific force along each axis."""
+    """Drift of a gyro proportional to the square of the specific force along each axis."""
 
     prior: q.PositiveSquareSensitivity | None = None
 
@@ -402,7 +403,7 @@ class SpecificForceBias(_ErrorTerm):
 
     prior: q.PositiveSpecificForce | None = None
     shape: Annotated[tuple[SpecificForceShape, ...], Field(max_length=600)] = ()
-    """In the place of `prior`: functions that add, as `gradcal lot` finds them."""
+    """Instead of `prior`: a sum of functions, as written by `gradcal lot`."""
 
     def _problems(self) -> Iterable[Problem]:
         return shape_problems(self.shape, self.size, self.prior)
@@ -414,7 +415,7 @@ class SpecificForceScale(_ErrorTerm):
     prior: q.PositiveScaleFactor | None = None
     """Standard deviation before the calibration, a ratio; absent: unknown."""
     shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
-    """In the place of `prior`: functions that add, as `gradcal lot` finds them."""
+    """Instead of `prior`: a sum of functions, as written by `gradcal lot`."""
 
     def _problems(self) -> Iterable[Problem]:
         return shape_problems(self.shape, self.size, self.prior)
@@ -440,16 +441,16 @@ class LeverArm(Section):
 
 
 class GyroTriad(_Gyro, path_terms.TemperaturePath):
-    """`[sensor.gyro]`: common properties of the IMU's gyros. An absent table is not estimated: known."""
+    """`[sensor.gyro]`: common properties of the gyros. The term of an absent table is known, not estimated."""
 
     axes: BodyAxes = ("x", "y", "z")
     """Which gyros the unit has."""
     misalignment: Misalignment | None = None
     """Directions of the input axes."""
     g_sensitivity: AccelerationSensitivity | None = None
-    """Drift in proportion to the specific force."""
+    """Drift proportional to the specific force."""
     g_squared: SquaredSensitivity | None = None
-    """Drift in proportion to the square of the specific force."""
+    """Drift proportional to the square of the specific force."""
 
     @model_validator(mode="after")
     def _something_to_find(self) -> "GyroTriad":
@@ -462,8 +463,8 @@ class GyroTriad(_Gyro, path_terms.TemperaturePath):
 
 
 class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
-    """`[sensor.accelerometer]`: common properties of the unit's accelerometers. Read where the table stands, and on
-    moves no faster than `read_on_moves_below`."""
+    """`[sensor.accelerometer]`: common properties of the IMU's accelerometers. They are read at rest, and during
+    moves not faster than `read_on_moves_below`."""
 
     FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk", "turn_on_bias")
 
@@ -493,22 +494,24 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     misalignment: Misalignment | None = None
     """Directions of the input axes."""
     second_order: SecondOrder | None = None
-    """K2, output in proportion to the square of the force."""
+    """K2, output proportional to the square of the force."""
     third_order: ThirdOrder | None = None
-    """K3, output in proportion to its cube."""
+    """K3, output proportional to its cube."""
     asymmetry: SpecificForceScale | None = None
-    """Scale factor of positive force less that of negative."""
+    """Scale factor for positive force minus that for negative force."""
     read_on_moves_below: q.PositiveRate | None = None
-    """Read on moves no faster than this, too; absent: at rest alone."""
+    """Also read during moves not faster than this; absent: only at rest."""
     lever_arm: LeverArm | None = None
     """Positions of the accelerometers, from the intersection of the table's axes."""
     cross_coupling: SecondOrder | None = None
-    """Output in proportion to products of the force along two axes."""
+    """Output proportional to products of the force along two axes."""
 
     @model_validator(mode="after")
     def _seen(self) -> "AccelerometerTriad":
         if self.lever_arm is not None and self.read_on_moves_below is None:
-            message = "has no effect at rest, where alone accelerometers are read; leave it out, or read them on slow "
+            message = (
+                "has no effect at rest, and accelerometers are read only at rest; leave it out, or read them on slow "
+            )
             refuse(Problem(("lever_arm",), message + 'moves, too: read_on_moves_below = "5 deg/s"'))
         if self.asymmetry is not None and self.read_on_moves_below is not None:
             message = "is observable only at rest; remove it, or remove read_on_moves_below"
@@ -520,19 +523,19 @@ class BodyFrame(Section):
     """The reference of the misalignments."""
 
     fixed_by: Literal["table axes", "case"] = "table axes"
-    """"table axes": the table's at zero, through the nominal mounting; "case": the case, known to the mounting's
+    """"table axes": the table's axes at zero, through the nominal mounting; "case": the case, known to the mounting's
     accuracy."""
 
 
 class Sensor(UncertainSection, _Instrument):
-    """A whole unit: gyros, accelerometers, or both."""
+    """An IMU: gyros, accelerometers, or both."""
 
     FIGURES: ClassVar[tuple[str, ...]] = ("sample_clock_error",)
 
     name: q.Text | None = None
-    """A name for people."""
+    """A title for tables and pages."""
     grade: Grade | None = None
-    """Class that gives typical figures for the gyros' absent terms; absent: by drift or random walk."""
+    """Class with the typical figures for omitted terms of the gyros; absent: chosen by drift or random walk."""
     gyro: GyroTriad | None = None
     """Common properties of the gyros."""
     accelerometer: AccelerometerTriad | None = None

@@ -121,33 +121,33 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
     most = int(np.argmax(counts))
     if len(known) > _WINDOW and counts[most] > 0.5 * len(known):
         raise LogError(
-            f"{where}: {counts[most] / len(known):.3g} of its rows at rest have one value ({distinct[most]:.4g}, SI): "
-            "a dead band, or steps that are coarse for its noise, and what lies within them no record can tell; log "
-            "more digits, without a dead band"
+            f"{where}: {100.0 * counts[most] / len(known):.3g} % of its rows at rest have the same value "
+            f"({distinct[most]:.4g}, SI): it has a dead band, or steps that are coarse compared with its noise, "
+            "which hide smaller changes; log more digits, without a dead band"
         )
     steps = coarse_steps(known)
     if steps.off > 0.0:
         raise LogError(
-            f"{where}: its steps ({steps.step:.4g}, SI) are coarse for its noise, which no record of it can tell; log "
-            "more digits, or take a smaller full scale"
+            f"{where}: its steps ({steps.step:.4g}, SI) are coarse compared with its noise, so the record does "
+            "not show the noise; log more digits, or use a smaller full scale"
         )
     if len(known) > 10 * _WINDOW and distinct[0] * distinct[-1] >= 0.0 and _reaches_zero(np.abs(known)):
         raise LogError(
-            f"{where}: no row at rest is {'below' if distinct[-1] > 0.0 else 'above'} zero, and many are near it: is "
-            "the sign lost, or a magnitude logged? Log the signed rates"
+            f"{where}: no row at rest is {'below' if distinct[-1] > 0.0 else 'above'} zero, and many are close to "
+            "zero: is the sign missing, or is it a magnitude? Log the signed rates"
         )
     middle = float(np.median(known))
     far = np.abs(distinct - middle) > FAR * 1.4826 * float(np.median(np.abs(known - middle)))
     if np.sum(counts[far]) > _RARE * len(known) and (some := int(np.max(counts[far]))) > 0.5 * np.sum(counts[far]):
         raise LogError(
-            f"{where}: {some / len(known):.2g} of its rows at rest have the value "
-            f"{distinct[far][np.argmax(counts[far])]:.6g} (SI), far from all others: does it stand for a missing one? "
-            "Leave those cells empty"
+            f"{where}: {100.0 * some / len(known):.2g} % of its rows at rest have the value "
+            f"{distinct[far][np.argmax(counts[far])]:.6g} (SI), far from all others: does it mark a missing "
+            "value? Leave those cells empty"
         )
     if counts[most] > _ONE_VALUE * len(known) and counts[most] > _UNUSUAL * np.max(np.delete(counts, most), initial=0):
         return (
-            f"{where}: {counts[most] / len(known):.2g} of its rows at rest have one value ({distinct[most]:.4g}, SI), "
-            "and no other is as frequent: a dead band? It takes from the noise"
+            f"{where}: {100.0 * counts[most] / len(known):.2g} % of its rows at rest have the same value "
+            f"({distinct[most]:.4g}, SI), and no other value is as frequent: a dead band? It takes from the noise"
         )
     # (The resolution may change in the course of a record.)
     for part in (known, *np.array_split(known, _PARTS)):
@@ -155,7 +155,7 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
         spread = float(np.sqrt(np.median(quiet.var(axis=1)))) if len(quiet) else 0.0
         step = steps.step if part is known else coarse_steps(part).step
         if step > _ADDS * spread > 0.0 and len(np.unique(part)) < len(part) // 4:
-            return f"{where}: its steps are {step / spread:.2g} of its noise, and add to it"
+            return f"{where}: its steps are {step / spread:.2g} of its noise, and increase it"
     return None
 
 
@@ -176,8 +176,8 @@ def changing_noise(where: str, values: Floats) -> str | None:
     if low > 0.0 and high < _CHANGES * low:
         return None
     return (
-        f"{where}: the noise changes in the course of the record, by a factor of "
-        f"{high / low if low > 0.0 else np.inf:.2g}; what is found is a mean of it"
+        f"{where}: the noise changes during the record, by a factor of {high / low if low > 0.0 else np.inf:.2g}; "
+        "the result is an average"
     )
 
 
@@ -320,9 +320,9 @@ def refuse_clipped(where: str, values: Floats) -> None:
         size, noise = np.abs(values[limit] - middle), 1.4826 * float(np.median(np.abs(known - middle)))
         if float(np.max(size)) < FAR * noise:
             raise LogError(
-                f"{where}: {share:.2g} of its rows at rest are at a limit {float(np.min(size)) / noise:.2g} standard "
-                "deviations from the middle, which cuts off its noise: no record of it tells how large that is; take a "
-                "larger full scale, or the values before they are limited"
+                f"{where}: {100.0 * share:.2g} % of its rows at rest are at a limit {float(np.min(size)) / noise:.2g} "
+                "standard deviations from the middle, which cuts off its noise: the record does not show how "
+                "large the noise is; use a larger full scale, or the values before limiting"
             )
 
 
@@ -361,8 +361,8 @@ def after_gaps(log: Log) -> tuple[Whole, list[str]]:
         return log.stretch_starts, []
     lost, longest = np.sum(interval[new - 1] / usual - 1.0), float(np.max(interval[new - 1]))
     return np.union1d(log.stretch_starts, new).astype(np.int64), [
-        f"{len(new)} gap{'s' if len(new) > 1 else ''} with about {lost:.0f} samples lost, the longest {longest:.3g} s, "
-        f"the first at {log.time_s[new[0] - 1]:.6g} s: what moved meanwhile is left out"
+        f"{len(new)} gap{'s' if len(new) > 1 else ''} with about {lost:.0f} samples lost, the longest "
+        f"{longest:.3g} s, the first at {log.time_s[new[0] - 1]:.6g} s: moves during the gaps are left out"
     ]
 
 
@@ -393,9 +393,9 @@ def signal_faults(
             steps = coarse_steps(own)
             if steps.off:
                 coarse[f"coarse steps of {where}"] = (
-                    f"{where}: its steps of {steps.step / size:.3g} {name} are coarse for its noise: quantised values "
-                    f"may be off by {steps.off / size:.2g} {name} however long they are averaged; log more digits, or "
-                    "take a smaller full scale"
+                    f"{where}: its steps of {steps.step / size:.3g} {name} are coarse compared with its noise: "
+                    f"quantised values may be wrong by {steps.off / size:.2g} {name}, however long they are "
+                    "averaged; log more digits, or use a smaller full scale"
                 )
             if (limit := at_a_limit(own)).any():
                 saturated |= limit
@@ -419,8 +419,8 @@ def signal_faults(
                 far |= apart
                 count = np.count_nonzero(apart)
                 sentences.append(
-                    f"{where}: {count} rows ({count / len(own):.2g} of all) are more than {FAR:g} standard deviations "
-                    "from their neighbours, and left out"
+                    f"{where}: {count} rows ({count / len(own):.2g} of all) differ from their neighbours by more "
+                    f"than {FAR:g} standard deviations, and are left out"
                 )
     if log.temperature_c is not None:
         values = np.where(np.isfinite(log.temperature_c[number]), log.temperature_c[number], np.nan)

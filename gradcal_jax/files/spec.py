@@ -21,7 +21,7 @@ def expect_spec(value: object) -> Spec:
         return value
     if isinstance(value, str | Path):
         raise TypeError(f"expected a spec, not the name of its file: read it with gj.read_spec({str(value)!r})")
-    raise TypeError(f"expected a spec as gj.read_spec or gj.parse_spec give it, not {type(value).__name__}")
+    raise TypeError(f"expected a spec from gj.read_spec or gj.parse_spec, not {type(value).__name__}")
 
 
 def goes_on(what: str) -> ValueError:

@@ -26,10 +26,10 @@ FORMAT: Final = "gradcal-spec/1"
 
 
 class ExecutedPart(Section):
-    """The executed part of a plan before a run was broken off; `[[done]]`, which `gradcal optimise RUN` writes."""
+    """The executed part of the plan of an interrupted run; `[[done]]`, written by `gradcal optimise RUN`."""
 
     plan: MotionPlan
-    """The plan that was executed then."""
+    """The plan of this part."""
     start: SizeOfTime
     """Its beginning, on that plan's clock."""
     end: Time
@@ -39,15 +39,15 @@ class ExecutedPart(Section):
 
 
 class Spec(TitledFile):
-    """Sensor, rig, requirements, plan, and what `optimise` may change; read-only. Quantities behave as numbers in SI
-    (°C) and keep their text.
+    """Sensor, rig, requirements, plan, and what `optimise` may change; read-only. Quantities are numbers in SI (and
+    °C) that keep their text.
 
-    `schedule` is the plan resolved for the rig. From `read_spec` or `parse_spec`. Errors: their `SpecError`.
+        `schedule` is the plan resolved for the rig. From `read_spec` or `parse_spec`. Errors: their `SpecError`.
     """
 
     format: Literal["gradcal-spec/1"]
     title: Text | None = None
-    """A name for people; it heads tables and pages."""
+    """A title for tables and pages."""
     sensor: Sensor
     """The device that is calibrated."""
     rig: Rig
@@ -55,7 +55,7 @@ class Spec(TitledFile):
     requirement: Requirements = ()
     """Requirements on the calibration."""
     plan: AnyPlan
-    """Course of the chamber, and motion of the table."""
+    """Temperature profile of the chamber, and motion of the table."""
     done: Annotated[tuple[ExecutedPart, ...], Field(max_length=1000)] = ()
     """The parts executed before the plan begins, in the same run; every prediction includes them."""
     design: Design | None = None
@@ -123,9 +123,9 @@ class Spec(TitledFile):
         spaced = not any(once) or (all(once) and table.drive == "hand" and table.standing == "held")
         if not ((schedule := self.gradient_schedule).is_plain and spaced):
             raise ValueError(
-                "for an IMU this needs a plan with a cycle that leaves out read, read_every, other_axes and duration, "
-                'on a table whose read_every is a time and not "rest" (or one that a hand turns and that is held, with '
-                '"rest" for every axis); all else is predicted, and not executed yet'
+                "for an IMU this needs a plan with a cycle without read, read_every, other_axes and duration, "
+                'and a table with a time as read_every (or a table with drive = "hand" that holds its angle, '
+                'with "rest" for every axis); other plans can be predicted, but not executed yet'
             )
         return schedule
 

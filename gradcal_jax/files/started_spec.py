@@ -233,7 +233,7 @@ def without_encoder(answers: Answers, known: Known) -> str:
             f'duration = "{duration:g} s"', f'duration = "{math.ceil(10.0 * duration * slower) / 10.0:g} s"'
         )
     for usual, own in (
-        ("a typical consumer MEMS unit", known["sensor"][0]),
+        ("a typical consumer MEMS IMU", known["sensor"][0]),
         ("0.2 deg/√h", answers["walk"]),
         ("1000 deg/s", answers["full_scale"]),
         ('latitude = "48 deg"', f'latitude = "{answers["latitude"].strip()}"'),

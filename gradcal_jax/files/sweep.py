@@ -51,10 +51,10 @@ End = str | float | int
 
 
 class Axis(Section):
-    """`[[axis]]`: keys of the spec that change together, and their values."""
+    """`[[axis]]`: keys of the spec that vary together, and their values."""
 
     name: Text | None = None
-    """Of the dimension in the results; absent: the last word of the key."""
+    """Name of the dimension in the results; absent: the last word of the key."""
     key: Text | None = None
     """Key of the spec, such as "plan.gradient"."""
     keys: Annotated[tuple[Text, ...], Field(min_length=1, max_length=1000)] | None = None
@@ -72,7 +72,7 @@ class Axis(Section):
     step: End | None = None
     """Distance of the values."""
     spacing: Literal["linear", "logarithmic"] = "linear"
-    """Even in the value, or in its logarithm."""
+    """Spacing: linear, or logarithmic."""
 
     @model_validator(mode="after")
     def _whole(self) -> "Axis":
@@ -80,7 +80,9 @@ class Axis(Section):
         if sum(of is not None for of in (self.key, self.keys, self.section)) != 1:
             problems.append(Problem(("key",), 'give either "key" or "keys" or "section"', kind="missing"))
         if self.section is not None and not all(isinstance(value, str) for value in self.values or (None,)):
-            problems.append(Problem(("values",), "of a section are names of presets, or paths of specs", self.values))
+            problems.append(
+                Problem(("values",), "for a section must be names of presets, or paths of specs", self.values)
+            )
         for text in self.changes:
             try:
                 split_key(text)
@@ -88,11 +90,11 @@ class Axis(Section):
                 problems.append(Problem(("key",), str(error), text))
         limits = [name for name in ("start", "stop", "count", "step") if getattr(self, name) is not None]
         if self.values is not None:
-            problems += [Problem((name,), 'cannot stand beside "values"', getattr(self, name)) for name in limits]
+            problems += [Problem((name,), 'cannot be combined with "values"', getattr(self, name)) for name in limits]
         elif self.start is None or self.stop is None:
             problems.append(Problem((), 'expected "values", or "start" and "stop"', kind="missing"))
         elif self.count is not None and self.step is not None:
-            problems.append(Problem(("step",), 'cannot stand beside "count"; keep one of them', self.step))
+            problems.append(Problem(("step",), 'cannot be combined with "count"; keep one of them', self.step))
         refuse(*problems)
         if self.values is None:
             try:
@@ -242,22 +244,22 @@ class SweepFile(TitledFile):
     base: Text
     """A preset, or the path of a spec or recipe relative to this file."""
     do: Literal["predict", "optimise"] = "predict"
-    """What to do at each point."""
+    """The command for each point."""
     change: dict[str, Any] = Field(default_factory=dict)
-    """Keys of the base that are other at every point."""
+    """Keys of the base that vary."""
     axis: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=20)]
     """What is varied."""
     samples: Samples | None = None
-    """Draws over all axes together; absent: a grid."""
+    """Random points over all axes together; absent: a grid."""
 
     def _problems(self) -> Iterable[Problem]:
-        message = 'two axes are called this; give one of them another "name"'
+        message = 'two axes are called this; give one of them a different "name"'
         problems = repeated_names("axis", "name", [axis.label for axis in self.axis], message)
         seen: set[str] = set()
         for i, axis in enumerate(self.axis):
             for key in axis.changes:
                 if key in seen:
-                    problems.append(Problem(("axis", i, "key"), "another axis sets this key too", key))
+                    problems.append(Problem(("axis", i, "key"), "another axis also sets this key", key))
                 seen.add(key)
             if self.samples is None and axis.values is None and axis.count is None and axis.step is None:
                 message = 'a grid needs "count" or "step" between start and stop'

@@ -52,12 +52,12 @@ _CERTAIN: Final = (_COMMA, _HEXADECIMAL, _POINT)
 """Patterns of values that are not damaged numbers."""
 _WAYS: Final = {
     _COMMA: 'a decimal comma; write decimal = "," under [csv]',
-    _POINT: 'a point, where decimal = "," says that the decimal sign is a comma: is it a mark of thousands? Write the '
-    "numbers without it",
+    _POINT: 'a decimal point, although decimal = "," states a decimal comma: is it a mark of thousands? Write '
+    "the numbers without it",
     _HEXADECIMAL: "hexadecimal counts; write them as decimal numbers",
     re.compile(r"(?=.*[A-Fa-f])[0-9A-Fa-f]{2,16}"): "hexadecimal counts, it seems; write them as decimal numbers",
     re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}.*|\d{1,2}:\d\d(:\d\d.*)?"): (
-        "dates or times of day; write stamps as seconds, or leave time out and give sample_rate"
+        "dates or times of day; write time stamps in seconds, or leave time out and give sample_rate"
     ),
 }
 
@@ -83,7 +83,7 @@ def read_table(
     }
     if kind not in readers:
         known = ", ".join([*sorted(readers), ".csv.gz"])
-        raise LogError(f"{path}: the ending tells the kind of file; known are {known}")
+        raise LogError(f"{path}: the file name extension determines the kind of file; known are {known}")
     try:
         if path.is_dir():
             raise LogError(f"{path} is a directory")
@@ -127,7 +127,7 @@ def _read_text_table(path: Path, layout: TextTable, sources: Sequence[Source], w
             raise LogError("is no whole gzip file: was it cut off?") from None
         name = "UTF-8" if layout.encoding == "utf-8-sig" else layout.encoding
         text = f'is not text in {name}: name its encoding under [csv], such as encoding = "latin-1" or "utf-16"'
-        raise LogError(f"{text}, or is it another kind of file?") from None
+        raise LogError(f"{text}, or is it a file of another kind?") from None
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror or error}") from None
     by_place = {place: values[:, number] for number, place in enumerate(names)}
@@ -228,14 +228,14 @@ def _refuse_several(
         if layout.header:
             equals = kinds[0] if _number(kinds[0]) == _number(kinds[0]) else f'"{kinds[0]}"'
             raise LogError(
-                f"column '{header[place]}' has {len(kinds)} values in turns ({', '.join(kinds[:4])}): rows of several "
-                f'sensors? Say whose are meant, such as where = {{ column = "{header[place]}", equals = {equals} }}, '
-                "of the map or of one of its columns"
+                f"column '{header[place]}' has {len(kinds)} values in turns ({', '.join(kinds[:4])}): rows of "
+                f'several sensors? Select those of one, such as where = {{ column = "{header[place]}", equals = '
+                f"{equals} }}, in the map or in one of its columns"
             )
         if not any(_number(kind) == _number(kind) for kind in kinds):
             raise LogError(
-                f"there are lines of several kinds ({', '.join(kinds[:4])}): say which are meant, under [csv], such as "
-                f"lines = '{re.escape(kinds[0])}'"
+                f"there are lines of several kinds ({', '.join(kinds[:4])}): select those of one kind under "
+                f"[csv], such as lines = '{re.escape(kinds[0])}'"
             )
 
 
@@ -301,7 +301,7 @@ def _place(source: Source, header: list[str], named: bool) -> int:
         raise LogError(f"there is no {source.words()}; {instead(source.column, header)}{hint}")
     if header.count(source.column) > 1:
         places = " or ".join(str(place) for place, name in enumerate(header) if name == source.column)
-        raise LogError(f"several columns are named '{source.column}': say which by its number, {places}, from 0")
+        raise LogError(f"several columns are named '{source.column}': give the column number, {places}, from 0")
     return header.index(source.column)
 
 
@@ -358,20 +358,20 @@ def _values(
     if len(wide) > max(_MANY_UNREAD, _SHARE_UNREAD * len(values)):
         raise LogError(
             f"{len(wide)} of {len(values)} rows have more fields than the {width} names of the header, such as "
-            f"'{wide[0].strip()[:60]}': is a comma within the numbers, or has the first column no name? Mend the file, "
-            "or number the columns, with header = false and skip = 1 under [csv]"
+            f"'{wide[0].strip()[:60]}': do the numbers contain commas, or does the first column have no name? "
+            "Correct the file, or number the columns, with header = false and skip = 1 under [csv]"
         )
     for place, text in odd.items():
         shown = text[:40].replace(_LEADER, ".")
         for way, meaning in _WAYS.items():
             if way.fullmatch(text) and (place not in readable or way in _CERTAIN):
-                raise LogError(f"column {names[place]} holds {meaning}: '{shown}'")
+                raise LogError(f"column {names[place]} has {meaning}: '{shown}'")
         if place not in readable:
-            raise LogError(f"column {names[place]} holds no numbers, but texts such as '{shown}'")
+            raise LogError(f"column {names[place]} has no numbers, but texts such as '{shown}'")
         if unread[place] > max(_MANY_UNREAD, _SHARE_UNREAD * len(values)):
             raise LogError(
-                f"column {names[place]}: in {unread[place]} of {len(values)} rows stands no number, but such as "
-                f"'{shown}': in another notation? Mend them, or leave the cells empty"
+                f"column {names[place]}: {unread[place]} of {len(values)} rows have no number, but for example "
+                f"'{shown}': is it another notation? Correct them, or leave the cells empty"
             )
     return values, texts
 
@@ -426,7 +426,7 @@ def _read_npy(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbe
     if values.dtype.names is not None:
         return _of_arrays({name: values[name] for name in values.dtype.names})
     if values.ndim != 2:
-        raise LogError("the array needs one row a sample and one column a quantity")
+        raise LogError("the array needs one row for each sample and one column for each quantity")
 
     def find(source: Source) -> Array:
         if not isinstance(source.column, int) or source.index is not None or source.column >= values.shape[1]:
@@ -491,7 +491,7 @@ def _read_netcdf(path: Path, layout: TextTable, sources: Sequence[Source]) -> Nu
     for source in sources:
         stated = dataset[source.column].attrs.get("units") if source.column in dataset.variables else None
         if isinstance(source, Measured) and stated is not None and not _same_unit(str(stated), source.unit):
-            raise LogError(f"{source.words()} is in '{stated}' by its own attribute, and in '{source.unit}' by the map")
+            raise LogError(f"{source.words()} is in '{stated}' by its attribute, and in '{source.unit}' by the map")
     return _of_arrays({str(name): dataset[name].values for name in dataset.variables})
 
 

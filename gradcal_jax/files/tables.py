@@ -41,7 +41,7 @@ class Source(Section):
 
 
 class Where(Source):
-    """Of several sensors in the same columns, the rows of one."""
+    """If several sensors share the columns: the rows of one sensor."""
 
     equals: Text | Number
     """Value of the column in the rows to read."""
@@ -82,7 +82,7 @@ class Measured(Source):
     zero: Number = 0.0
     """Number that stands for zero."""
     where: Where | None = None
-    """Of several sensors in the same column the rows of this one, such as `{ column = "id", equals = "gyro" }`; with
+    """If several sensors share the column: the rows of this one, such as `{ column = "id", equals = "gyro" }`; with
     `interpolate = true`."""
 
     @field_validator("scale")
@@ -143,22 +143,22 @@ Pattern = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_pa
 
 
 class TextTable(Section):
-    """How a text file is laid out."""
+    """Layout of a text file."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=10)] = ","
     """Between columns: ",", ";", "tab" or "whitespace"."""
     header: Flag = True
-    """Whether a line names the columns: the first one that has all names of the map, whatever stands above it."""
+    """Whether a line names the columns: the first line with all names of the map, after any other lines."""
     comment: Annotated[str, Field(min_length=1, max_length=1)] = "#"
-    """A line that begins so is left out."""
+    """Lines that begin with this text are left out."""
     skip: Whole = 0
     """Lines before the table."""
     decimal: Literal[".", ","] = "."
     """The decimal sign."""
     lines: Pattern | None = None
-    """Regular expression: lines below the header in which it is not found are left out, such as "^.VNYMR"."""
+    """Regular expression: lines after the header that do not match are left out, such as "^.VNYMR"."""
     strip: Pattern = r"\*[0-9A-Fa-f]{2,8}\s*$"
-    """Regular expression of what is taken off every line; a checksum behind an asterisk, by itself."""
+    """Regular expression of text to remove from every line; a checksum after an asterisk is always removed."""
     encoding: Text = "utf-8-sig"
     """How text is encoded."""
 
@@ -203,11 +203,11 @@ class Numbers:
         """One column, unconverted (integers stay integers)."""
         values = self.raw(source)
         if values.dtype.kind not in "biuf":
-            raise LogError(f"{source.words()} holds no numbers")
+            raise LogError(f"{source.words()} has no numbers")
         if self.rows is None:
             self.rows = len(values)
         if len(values) != self.rows:
-            raise LogError(f"{source.words()} has {len(values)} rows, the columns before it {self.rows}")
+            raise LogError(f"{source.words()} has {len(values)} rows, and the previous columns have {self.rows}")
         return values if self.kept is None else values[self.kept]
 
     def measured(self, source: Measured) -> Floats:

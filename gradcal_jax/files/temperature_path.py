@@ -10,8 +10,8 @@ from gradcal_jax.files.section import Section, refuse
 
 
 class PlayOfBias(Section):
-    """An error that depends on the path of temperature: a play, which follows the temperature with a slack of plus and
-    minus `width`. Heating and cooling legs that are longer than twice the width differ by 2 × coefficient × width."""
+    """An error that depends on the path of temperature: a play, which follows the temperature with a backlash of plus
+    and minus `width`. On legs longer than twice the width, heating and cooling differ by 2 × coefficient × width."""
 
     width: q.PositiveTemperatureDifference
     """Half-width of the play."""
@@ -20,13 +20,13 @@ class PlayOfBias(Section):
 
 
 class PlayOfForce(PlayOfBias):
-    """The same table, for an accelerometer."""
+    """The same, for an accelerometer."""
 
     prior: q.PositiveAccelerationSlope
 
 
 class PlayOfScaleFactor(PlayOfBias):
-    """The same table, for the scale factor."""
+    """The same, for the scale factor."""
 
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -48,22 +48,22 @@ class PowerOnTransient(Section):
 
 
 class PowerOnForceTransient(PowerOnTransient):
-    """The same table, for an accelerometer."""
+    """The same, for an accelerometer."""
 
     prior: q.PositiveSpecificForce
 
 
 class LateGradientOfBias(Section):
-    """Bias in proportion to dT/dt as a first-order lag follows it, such as of a part that heats slowly. The lag begins
-    in equilibrium, as after a soak."""
+    """Bias proportional to dT/dt after a first-order lag, for example of a part that heats slowly. The lag starts in
+    equilibrium, as after a soak."""
 
     time_constant: q.Time
     """Its time constant."""
     prior: q.SizeOfGradientSensitivity
     """Standard deviation of the coefficient before the calibration."""
     time_constant_uncertainty: q.Time | None = None
-    """Standard uncertainty of the time constant; absent: it is known. The error is then two terms, with time constants
-    that are longer and shorter by it."""
+    """Standard uncertainty of the time constant; absent: the time constant is known. The error is then modelled by
+    two terms, with a longer and a shorter time constant."""
 
     @property
     def lags(self) -> tuple[float, ...]:
@@ -80,52 +80,52 @@ class LateGradientOfBias(Section):
 
 
 class LateGradientOfForce(LateGradientOfBias):
-    """The same table, for an accelerometer."""
+    """The same, for an accelerometer."""
 
     prior: q.ForceGradientSensitivity
 
 
 class LateGradientOfScale(LateGradientOfBias):
-    """The same table, for the scale factor."""
+    """The same, for the scale factor."""
 
     prior: q.PositiveScaleFactorGradient  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class DifferenceOfBias(Section):
-    """Bias in proportion to what the second thermometer shows less the first."""
+    """Bias proportional to the reading of the second thermometer minus that of the first."""
 
     prior: q.PositiveBiasSlope
     """Standard deviation of the coefficient before the calibration."""
 
 
 class DifferenceOfForce(DifferenceOfBias):
-    """The same table, for an accelerometer."""
+    """The same, for an accelerometer."""
 
     prior: q.PositiveAccelerationSlope
 
 
 class DifferenceOfScale(DifferenceOfBias):
-    """The same table, for the scale factor."""
+    """The same, for the scale factor."""
 
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class SecondThermometer(Section):
-    """A second thermometer, such as of the case beside that of the dies, or at another point of the block."""
+    """A second thermometer, for example on the case, while the first is at the dies."""
 
     lag: q.Time
-    """First-order lag of its temperature behind the first one's, by which plans expect it; logs have its readings."""
+    """First-order lag of its temperature behind that of the first one, for predictions; logs have its readings."""
 
 
 class OwnError(Section):
-    """An error by a class of your own, a subclass of `gradcal_jax.model.OwnTerm`, which is estimated."""
+    """Your own error term, a subclass of `gradcal_jax.model.OwnTerm`, which is estimated."""
 
     term: q.Text
     """Name of the class."""
     prior: Annotated[q.Number, Field(gt=0.0)]
     """Standard deviation of each of its parameters before the calibration, in the SI unit of the class."""
     name: q.Text | None = None
-    """Name of its parameters; absent: that of the class."""
+    """Name of its parameters; absent: the name of the class."""
 
 
 Plays = Annotated[tuple[PlayOfBias, ...], Field(max_length=10)]
@@ -137,23 +137,23 @@ class TemperaturePath(Section):
     """What depends on the path of temperature and not on its present value alone, each estimated; and own errors."""
 
     hysteresis: Plays = ()
-    """Hysteresis of the bias, plays that add."""
+    """Hysteresis of the bias: a sum of plays."""
     scale_factor_hysteresis: ScaleFactorPlays = ()
-    """Hysteresis of the scale factor, plays that add."""
+    """Hysteresis of the scale factor: a sum of plays."""
     scale_factor_temperature_gradient: ScaleFactorTemperatureGradient | None = None
-    """Scale factor in proportion to dT/dt."""
+    """Scale-factor error proportional to dT/dt."""
     turn_on_transient: Transients = ()
-    """Bias that decays from power-on, exponentials that add."""
+    """Bias that decays after power-on: a sum of exponentials."""
     own: Annotated[tuple[OwnError, ...], Field(max_length=20)] = ()
-    """Errors by classes of your own."""
+    """Your own error terms."""
     late_temperature_gradient: Annotated[tuple[LateGradientOfBias, ...], Field(max_length=5)] = ()
-    """Bias in proportion to dT/dt, later by first-order lags; they add."""
+    """Bias proportional to dT/dt, delayed by first-order lags; a sum."""
     scale_factor_late_temperature_gradient: Annotated[tuple[LateGradientOfScale, ...], Field(max_length=5)] = ()
-    """The same of the scale factor."""
+    """The same for the scale factor."""
     thermometer_difference: DifferenceOfBias | None = None
-    """Bias in proportion to the difference of the two thermometers."""
+    """Bias proportional to the difference of the two thermometers."""
     scale_factor_thermometer_difference: DifferenceOfScale | None = None
-    """Scale factor in proportion to it."""
+    """Scale-factor error proportional to the difference of the two thermometers."""
 
     @property
     def on_path(self) -> bool:

@@ -37,44 +37,45 @@ _FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text))?\}")
 _NUMBER: Final = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?|[nN][aA][nN])"
 
 
-class UnitTime(Section):
+class SensorTime(Section):
     """`time`, of the field `{time}`."""
 
     unit: Literal["s", "ms", "us"] = "s"
-    """What it is in."""
+    """Its unit."""
     modulus: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
-    """The number at which the count starts at 0 again; absent: never."""
+    """The number at which the count restarts at 0; absent: never."""
 
 
-class TextUnit(Section):
-    """A whole description of a unit that prints lines."""
+class TextSensor(Section):
+    """A complete description of a sensor that prints lines of text."""
 
     format: Literal["gradcal-text/1"]
     """Name and version of this file format."""
-    title: Text = "The unit"
-    """A name for people."""
+    title: Text = "The sensor"
+    """A title for tables and pages."""
     line: Text
     """A line, with fields in braces."""
     rate: Frequency
-    """How many samples it prints in a second."""
+    """Number of samples per second."""
     gyro: Text = "deg/s"
-    """What rates are in."""
+    """Unit of rates."""
     acceleration: Text = "m/s^2"
-    """What accelerations are in."""
+    """Unit of accelerations."""
     temperature: Text = "degC"
-    """What temperatures are in."""
+    """Unit of temperatures."""
     counter: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
-    """The number at which `{count}` begins at 0 again."""
-    time: UnitTime = UnitTime()
-    """What `{time}` is in."""
+    """The number at which `{count}` restarts at 0."""
+    time: SensorTime = SensorTime()
+    """Unit and period of `{time}`."""
     checksum: Literal["none", "xor8"] = "none"
-    """What follows the line: nothing, or "*" and two hexadecimal digits of the exclusive or between "$" and "*"."""
+    """Text after the line: nothing, or "*" and two hexadecimal digits of the exclusive or of the characters between
+    "$" and "*"."""
     baudrate: Count = 115200
     """Bits per second."""
     boot: SizeOfTime = Quantity(0.0, "0 s", "time")
-    """Time that the unit is given after its port was opened, which restarts many boards."""
+    """Waiting time after opening the port, which restarts many boards."""
     timeout: Time = Quantity(3.0, "3 s", "time")
-    """How long to wait for its first lines."""
+    """Timeout for its first lines."""
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -91,11 +92,13 @@ class TextUnit(Section):
             if name not in NAMES:
                 yield Problem(("line",), f"{{{name}}} is not known here; {instead(name, NAMES)}", self.line)
         if len(set(self.fields)) != len(self.fields):
-            yield Problem(("line",), "a field stands twice", self.line)
+            yield Problem(("line",), "a field appears twice", self.line)
         if not any(name.startswith(("gyro", "acceleration")) for name in self.fields):
             yield Problem(("line",), "expected a field of a rate or an acceleration, such as {gyro_x}", self.line)
         if ("count" in self.fields) is not (self.counter is not None):
-            yield Problem(("counter",), "expected with a field {count}, and only there: at how many it begins again")
+            yield Problem(
+                ("counter",), "expected with a field {count}, and only there: the number at which it restarts at 0"
+            )
         if {"count", "time"} <= set(self.fields):
             yield Problem(("line",), "expected {count} or {time}, not both: name the other one {}", self.line)
         kinds = {"gyro": "angular rate", "acceleration": "acceleration", "temperature": "temperature"}
@@ -106,8 +109,8 @@ class TextUnit(Section):
         return reply_pattern(self.line, rf"[ \t]*{_NUMBER}[ \t]*", r"[ \t]+", r"\1")
 
 
-def text_unit_of(value: object) -> TextUnit:
+def text_unit_of(value: object) -> TextSensor:
     """The description in a rig file. Raises `ValueError`, or (as `SpecError`) everything that is wrong with it."""
     if not isinstance(value, Mapping):
         raise ValueError(f'expected the tables of a description: format = "{FORMAT}", line = "…", rate = "…"')
-    return model_of(TextUnit, cast("Mapping[str, Any]", value), FORMAT, "")
+    return model_of(TextSensor, cast("Mapping[str, Any]", value), FORMAT, "")

@@ -39,20 +39,20 @@ class Stability(Section):
     """When a temperature counts as stable."""
 
     within: q.PositiveTemperatureDifference = q.Quantity(0.5, "0.5 K", "temperature difference")
-    """Largest deviation from its goal, and largest change."""
+    """Largest deviation from the goal, and largest change."""
     for_at_least: q.Time = q.Quantity(300.0, "5 min", "time")
     """For how long."""
     first_timeout: q.Time = q.Quantity(14400.0, "4 h", "time")
-    """When to give up at the first segment, for which the chamber comes from the room's temperature."""
+    """Timeout for the first segment, which begins at room temperature."""
     timeout: q.Time = q.Quantity(7200.0, "2 h", "time")
-    """When to give up at the others."""
+    """Timeout for the other segments."""
 
 
 class ChamberSegment(Section):
     """One line of the chamber's track."""
 
     name: q.Text
-    """Its name, which blocks of motion refer to."""
+    """Name of the segment, used by blocks of motion."""
     kind: Literal["soak", "ramp", "step"]
     """The action of the chamber."""
     begins: Begins
@@ -66,7 +66,7 @@ class ChamberSegment(Section):
     temperature_end: q.Temperature
     """As it ends."""
     slope: q.TemperatureSlope | None = None
-    """Slope of a ramp, signed; absent: constant, or as fast as the chamber can."""
+    """Slope of a ramp, signed; absent: constant, or at the chamber's maximum rate."""
     used: q.Flag
     """Whether its readings are part of the data."""
 
@@ -77,7 +77,7 @@ class TrackMove(Section):
     start: q.SizeOfTime
     """From the beginning of the repetition."""
     do: Doing
-    """The action of the axis; "wait": it stands while other axes turn, or idle."""
+    """The action of the axis; "wait": it is at rest while other axes turn, or nothing happens."""
     duration: q.Time
     """How long."""
     axis: Name = "x"
@@ -89,7 +89,7 @@ class TrackMove(Section):
     acceleration: q.PositiveAcceleration | None = None
     """Acceleration of the trapezoid with the same angle, peak rate and duration."""
     shape: q.Text | None = None
-    """Course of the rate as planned."""
+    """Shape of the rate over time, as planned."""
     repeat: q.Count = 1
     """How often."""
     read: Literal["end", "none"] | None = None
@@ -110,13 +110,13 @@ class MotionBlock(Section):
     period: q.Time
     """Time from one repetition to the next."""
     standing_after: q.SizeOfTime
-    """How long the axis stands after the last one."""
+    """Rest of the axis after the last repetition."""
     read_every_after: q.Time | None = None
-    """Spacing of readings while it stands then."""
+    """Spacing of readings during this rest."""
     mounting: q.Count | None = None
     """Number of the mounting, from 1, where there are several."""
     hang: q.Text | None = None
-    """How the device hangs on the table, in words, where that changes: the operator is asked to do it."""
+    """The mounting on the table, in words, if it changes: the operator is asked to change it."""
     start: dict[Name, q.Angle] = Field(default_factory=dict)
     """Angles of the table's axes as it begins, outermost first."""
     moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]
@@ -264,7 +264,7 @@ def hanging(mounting: Mounting, number: int) -> str:
     text = f"mounting {number}{name}: x along {mounting.x}, y along {mounting.y}, z along {mounting.z}"
     if mounting.rotation is None:
         return text
-    return f"{text}, turned on by {', '.join(angle.text for angle in mounting.rotation)} about its x, y and z"
+    return f"{text}, then rotated by {', '.join(angle.text for angle in mounting.rotation)} about its x, y and z"
 
 
 def _motion(move: ResolvedMove) -> dict[str, Any]:

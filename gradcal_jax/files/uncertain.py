@@ -63,7 +63,7 @@ class UncertainSection(Section):
         unknown = [name for name in self.uncertain if name not in there]
         refuse(
             *(
-                Problem(("uncertain", name), f"is no figure of this table that can be uncertain: {one_of(there)}")
+                Problem(("uncertain", name), f"is not a figure of this table that can be uncertain: {one_of(there)}")
                 for name in unknown
             )
         )
@@ -85,7 +85,7 @@ class UncertainSection(Section):
             except UnitError as error:
                 refuse(Problem((*key, i), str(error), text))
         if not 0.0 < ends[0] <= nominal <= ends[1]:
-            refuse(Problem(key, f"must hold what is written, {nominal}, between its least and largest", list(value)))
+            refuse(Problem(key, f"must contain the stated value, {nominal}, between its limits", list(value)))
         return ends[0], ends[1]
 
 

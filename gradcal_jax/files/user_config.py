@@ -13,13 +13,13 @@ FORMAT: Final = "gradcal-config/1"
 
 
 class UserConfig(Section):
-    """The configuration of a user. What a command line or a rig file states takes precedence."""
+    """The configuration of a user. Options on the command line, and entries of a rig file, take precedence."""
 
     format: Literal["gradcal-config/1"] = FORMAT
     """Name and version of this file format."""
     laboratory: Laboratory | None = None
-    """Who signs a certificate, if the rig file has no `[laboratory]`."""
+    """The laboratory that signs a certificate, if the rig file has no `[laboratory]`."""
     rig: Text | None = None
-    """The rig file of `gradcal run`, `rig check` and `rig record` if they are given none; relative to this file."""
+    """The default rig file of `gradcal run`, `rig check` and `rig record`, relative to this file."""
     defaults: Mapping[str, Any] = Field(default_factory=dict[str, Any])
     """Options by command, such as `run = { operator = "A. Person" }`; the command line takes precedence."""

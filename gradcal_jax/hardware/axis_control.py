@@ -206,8 +206,9 @@ class AxisControl:
             if reading.moving and reading.time_s - max(ends_s, since_s) >= _STALL_S:
                 stood_s, late_s = reading.time_s - since_s, reading.time_s - ends_s
                 sentences.append(
-                    f"axis {name} has stood at {reading.position_deg:.1f} deg for {stood_s:.0f} s and was to be at "
-                    f"{self._goal_deg[name]:.1f} deg {late_s:.0f} s ago: it is jammed, or its motor has no power"
+                    f"axis {name} has been at {reading.position_deg:.1f} deg for {stood_s:.0f} s, and should have "
+                    f"reached {self._goal_deg[name]:.1f} deg {late_s:.0f} s ago: it is blocked, or its motor has "
+                    "no power"
                 )
         return tuple(sentences)
 
@@ -222,7 +223,9 @@ class AxisControl:
         while self._read(name).moving:
             if self._clock.now() > end:
                 self._axes[name].stop()
-                raise HardwareError(f"Axis {name!r} still moves {_LONGEST_MOVE_S:g} s after its step. It was stopped.")
+                raise HardwareError(
+                    f"Axis {name!r} is still moving {_LONGEST_MOVE_S:g} s after its step. It was stopped."
+                )
             meanwhile()
             self._clock.sleep(_POLL_BY_HAND_S if name in self._by_hand else _POLL_S)
 
@@ -325,11 +328,11 @@ class AxisControl:
             return
         if (late_s := reading.time_s - due_s) > self._latest_s:
             self.amiss.append(
-                f"a turn of axis {name} ended {late_s:.1f} s late, and the rest after it is as much short"
+                f"a turn of axis {name} ended {late_s:.1f} s late, and the rest after it is shorter by this time"
             )
         if abs(reading.position_deg - self._goal_deg[name]) > _OFF_GOAL_DEG:
             self.amiss.append(
-                f"axis {name} stands at {reading.position_deg:.3f} deg and was to go to {self._goal_deg[name]:.3f}"
+                f"axis {name} is at {reading.position_deg:.3f} deg, and its target is {self._goal_deg[name]:.3f}"
             )
 
     def _asks(self, name: str, rate_dps: float, acceleration_dps2: float = math.inf) -> None:

@@ -228,7 +228,7 @@ class ChamberControl:
                 try:
                     self.follow(course)
                 except Exception as problem:
-                    failed(f"The chamber was not told its course: {problem}")
+                    failed(f"The chamber did not get its temperature profile: {problem}")
 
         threading.Thread(target=tell, daemon=True, name="telling the chamber").start()
 

@@ -53,8 +53,9 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
     steps: list[PlannedStep] = []
     rounded: list[str] = []
     problems = [
-        f"The recipe reads axis {name!r} while it stands, and its angle is typed, once in each rest: give it an "
-        f"[axis.encoder] in the rig file, or make the recipe of a plan with one reading in each rest ({_ONE_READING})."
+        f"The recipe reads axis {name!r} several times in a rest, but the operator types its angle only once: add "
+        "an [axis.encoder] to the rig file, or use a recipe whose plan has one reading in each rest "
+        f"({_ONE_READING})."
         for name in track.moved
         if track.read_at_rest and name in axes and axes[name].typed
     ]
@@ -136,16 +137,18 @@ def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str
     made = step * max(1, round(move.acceleration_dps2 / step)) if step else move.acceleration_dps2
     if move.kind == "turn" and abs(made - move.acceleration_dps2) > _LIKE_ACCELERATION * move.acceleration_dps2:
         problems.append(
-            f"accelerates at {move.acceleration_dps2:g} deg/s², of which its controller makes {made:g}: make the "
+            f"accelerates at {move.acceleration_dps2:g} deg/s², which its controller rounds to {made:g}: make the "
             f'recipe with acceleration = "{step:.9g} deg/s^2" in [rig.resolution] of the spec.'
         )
     lowest, highest = limits.travel_deg
     if move.kind in ("go", "turn") and not lowest - 1e-6 <= goal <= highest + 1e-6:
         problems.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
     if move.kind == "spin" and limits.by_hand:
-        problems.append("turns at a constant rate, and it is turned by hand: make turns of it, or use a driven axis.")
+        problems.append(
+            "turns at a constant rate, but it is turned by hand: replace this by turns, or use a motor-driven axis."
+        )
     elif move.kind == "spin" and (limits.lowest_deg is not None or limits.highest_deg is not None):
-        problems.append("spins, and its travel is limited.")
+        problems.append("turns continuously, but its travel is limited.")
     return problems
 
 

@@ -162,7 +162,9 @@ class Rtu:
     def body(self, frame: bytes, sent: bytes) -> bytes:
         """Function and data of the reply to a frame. Raises for a wrong CRC and for an exception; ignores others'."""
         if len(frame) < 5 or crc16_modbus(frame[:-2]) != frame[-2:]:
-            raise ChecksumError(f"The reply {frame.hex(' ')} fails its CRC. Check the line's shielding and ends.")
+            raise ChecksumError(
+                f"The reply {frame.hex(' ')} fails its CRC. Check the shielding and termination of the line."
+            )
         if frame[0] != sent[0] or frame[1] & 0x7F != sent[1]:
             raise NotThisReply
         return _accepted(frame[1:-2])
@@ -200,7 +202,7 @@ def parse_words(modbus: Modbus, frame: bytes, sent: bytes, count: int) -> tuple[
     """The registers of a reply to function 3 or 4, unsigned."""
     data = modbus.body(frame, sent)[1:]
     if len(data) != 1 + 2 * count or data[0] != 2 * count:
-        raise FramingError(f"The reply {printable(frame)!r} does not hold {count} registers.")
+        raise FramingError(f"The reply {printable(frame)!r} does not have {count} registers.")
     return struct.unpack(f">{count}H", data[1:])
 
 

@@ -49,7 +49,7 @@ _TO_OPEN_S = 3.0
 _KEEP_TRYING_S = 3600.0
 _LONGEST_PAUSE_S = 30.0
 _RETRY_PAUSE_S = 0.2
-_GOES_ON = "an earlier command to it goes on"
+_GOES_ON = "an earlier command to it is still active"
 
 
 def make_safe(
@@ -57,8 +57,8 @@ def make_safe(
 ) -> list[SafeOutcome]:
     """Bring every device of the bench to the safe state of the rig file.
 
-    `busy` is called in a device's thread, with its name: whether an earlier command to it goes on, for whose end it may
-    wait. Such a device is made safe at once, and again: the command could undo it.
+    `busy` is called in a device's thread, with its name: whether an earlier command to it is still active, for whose
+    end it may wait. Such a device is made safe at once, and again: the command could undo it.
 
     Returns after all devices are verified, or after `deadline_s` real seconds: the others then have a reason. Raises no
     error of a device.
@@ -167,7 +167,7 @@ class Guard:
         for line in self._before:
             self._say(line)
         why = "had died" if code is not None else f"had not answered for {_SILENT_S:g} s"
-        return f"the guard {why}; another one has taken its place"
+        return f"the guard {why}; another guard has replaced it"
 
     def close(self) -> None:
         """The run ends here; the guard begins now if it has to act."""
@@ -212,8 +212,8 @@ class Guard:
         if not received:
             self._end()
             raise HardwareError(
-                f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: "
-                "what it said stands above."
+                f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: see "
+                "its message above."
             )
 
     def _end(self) -> None:
@@ -275,7 +275,11 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
             before.setdefault(device, {}).setdefault(name, value)
     if not (begun or before):
         return []
-    why = "the run did not answer any more and was ended" if hangs else "the run is gone, or left something unsafe"
+    why = (
+        "the run no longer responded and was ended"
+        if hangs
+        else "the run has ended unexpectedly, or a device is not safe"
+    )
     # The alarm comes first: a device that does not answer may take an hour.
     sound_alarm(rig, f"In {folder} {why}; the guard makes the rig safe")
     return make_folder_safe(Path(), rig=rig, before=before, why=why, keep_trying_s=keep_trying_s)
@@ -286,7 +290,7 @@ def make_folder_safe(
     *,
     rig: RigFile | None = None,
     before: Mapping[str, Mapping[str, str]] | None = None,
-    why: str = "the run is gone, or left something unsafe",
+    why: str = "the run has ended unexpectedly, or a device is not safe",
     deadline_s: float = 60.0,
     keep_trying_s: float = 0.0,
 ) -> list[SafeOutcome]:
@@ -313,7 +317,7 @@ def make_folder_safe(
         again = bool(left) and time.monotonic() < end
         if left and keep_trying_s:
             # Every try is printed; the journal has the first and the last.
-            what = "is not safe, and is tried again" if again else "could not be made safe"
+            what = "is not safe; the guard tries again" if again else "could not be made safe"
             for name, outcome in left.items():
                 _say(f"{name} {what}: {outcome.evidence}")
             note("guard", what=f"{', '.join(left)} {what}")

@@ -75,7 +75,10 @@ def _faults(bounds: InterlockLimits, now: Situation) -> str:
 
 def _over_speed(bounds: InterlockLimits, now: Situation) -> str:
     return "; ".join(
-        f"axis {name} turns at {now.axes[name].rate_dps:.1f} deg/s; it was told {told:g} and the rig allows {most:g}"
+        (
+            f"axis {name} turns at {now.axes[name].rate_dps:.1f} deg/s; its command was {told:g}, and the rig "
+            f"allows {most:g}"
+        )
         for name, (told, most) in now.allowed_dps.items()
         if name in now.axes and too_fast(now.axes[name].rate_dps, (told, most))
     )
@@ -88,7 +91,7 @@ def _limit(bounds: InterlockLimits, now: Situation) -> str:
     lowest, highest = max(bounds.never_below_c, lowest), min(bounds.never_above_c, highest)
     for what, value in () if chamber is None else (("air", chamber.air_c), ("load", chamber.product_c)):
         if value is not None and not lowest <= value <= highest:
-            return f"the {what} is at {value:.1f} degC; it is never to leave {lowest:g} to {highest:g} degC"
+            return f"the {what} is at {value:.1f} degC; its limits are {lowest:g} to {highest:g} degC"
     return ""
 
 
@@ -104,7 +107,7 @@ def _off_course(bounds: InterlockLimits, now: Situation, *, paused: bool) -> str
     if (now.paused_s is not None) is not paused or abs(away) <= bounds.temperature_band_k:
         return ""
     return (
-        f"the air is at {air:.1f} degC, {away:+.1f} K from the recipe's course of the last "
+        f"the air is at {air:.1f} degC, {away:+.1f} K from the temperature profile of the last "
         f"{bounds.temperature_lag_s:g} s; the rig allows {bounds.temperature_band_k:g} K"
     )
 
@@ -120,7 +123,7 @@ def _idle_chamber(bounds: InterlockLimits, now: Situation) -> str:
         return ""
     return (
         f"the chamber was commanded to condition and does not: mode {now.chamber.mode}, air at "
-        f"{now.chamber.air_c:.1f} degC. Look for a power cut, or a hand at its panel"
+        f"{now.chamber.air_c:.1f} degC. Check its power, and whether somebody used its panel"
     )
 
 

@@ -149,7 +149,7 @@ class Journal(AbstractContextManager["Journal"]):
             if number is None:
                 number = self._first_number + len(self._lines)
                 if number > 255:
-                    self._fail("it holds 256 lines at most, resumed runs included")
+                    self._fail("it has at most 256 lines, resumed runs included")
                     return
                 self._lines[line] = number
                 note = json.dumps({"event": LINE_EVENT, "number": number, "name": line}).encode()
@@ -176,7 +176,7 @@ class Journal(AbstractContextManager["Journal"]):
         body = _HEAD.pack(kind, line, len(payload), time_s) + payload
         record = _SYNC + body + zlib.crc32(body).to_bytes(4, "little")
         if self._waiting_bytes + len(record) > _MOST_WAITING:
-            self._fail(f"the disk does not keep up, {_MOST_WAITING >> 20} MB wait to be written")
+            self._fail(f"the disk is too slow: {_MOST_WAITING >> 20} MB wait to be written")
             return
         self._waiting.append(record)
         self._waiting_bytes += len(record)
@@ -219,8 +219,8 @@ class Journal(AbstractContextManager["Journal"]):
     def _fail(self, why: str) -> None:
         """Nothing more is written. The caller holds the lock."""
         self.problem = self.problem or (
-            f"The journal {self.path} cannot be written: {why}. Free some space or choose another folder; what was "
-            "written before is sound and the run can be resumed."
+            f"The journal {self.path} cannot be written: {why}. Free some space or choose another folder; the "
+            "earlier part is valid and the run can be resumed."
         )
         self._change.notify_all()
 
@@ -312,8 +312,8 @@ def _event(start: int, time_s: float, payload: bytes) -> Event:
 
 def _strange(start: int, why: str) -> HardwareError:
     return HardwareError(
-        f"The journal holds a record that no run of this program wrote, at byte {start}: {why}. Take the journal from "
-        "where the run was made."
+        f"The journal holds a record that no run of this program wrote, at byte {start}: {why}. Copy the original "
+        "journal of the run again."
     )
 
 

@@ -72,7 +72,7 @@ class SampleLosses:
         newest.turned_deg += float(np.nansum(np.linalg.norm(batch.gyro_dps, axis=1))) * self._decoder.sample_s
 
     def between(self, executed: ExecutedStep, share: float, latest_s: float, turned_deg: float | None) -> str:
-        """A sentence where more than a share of a step's samples is missing, the unit restarted in it or sends at
+        """A sentence where more than a share of a step's samples is missing, the IMU restarted in it or sends at
         another rate, or where its gyro shows another angle than the table turned (None: unknown).
 
         `latest_s`: how late the computer may read them.
@@ -80,7 +80,7 @@ class SampleLosses:
         known = list(self._arrivals)
         inside = [arrival for arrival in known if executed.began_s < arrival.time_s <= executed.ended_s]
         if any(arrival.restarted for arrival in inside):
-            return "the unit began anew in mid-step"
+            return "the IMU restarted during a step"
         lost, lasted_s = sum(arrival.missing for arrival in inside), executed.ended_s - executed.began_s
         if lost > share * lasted_s * self._sample_rate_hz:
             return f"{lost} of {lasted_s * self._sample_rate_hz:.0f} samples are lost"
@@ -90,7 +90,7 @@ class SampleLosses:
         if window and (span_s := window[-1].time_s - window[0].time_s) > 0.0:
             count = sum(arrival.received + arrival.missing for arrival in window[1:])
             if abs(count / self._sample_rate_hz - span_s) > _RATE_OFF * span_s + latest_s:
-                return f"it sends {count / span_s:.1f} samples/s and was set to {self._sample_rate_hz:g}"
+                return f"it sends {count / span_s:.1f} samples/s, and its setting is {self._sample_rate_hz:g}"
         gyros = self._gyros
         if gyros is None or turned_deg is None or turned_deg < _LEAST_TURN_DEG or not inside:
             return ""
@@ -99,5 +99,5 @@ class SampleLosses:
         shown_deg = sum(arrival.turned_deg for arrival in inside)
         allowed_deg = (gyros.share + late_s / lasted_s) * turned_deg + gyros.bias_dps * lasted_s
         if math.isfinite(shown_deg) and abs(shown_deg - turned_deg) > allowed_deg:
-            return f"its gyros show {shown_deg:.0f} deg in all and the table turned {turned_deg:.0f}"
+            return f"its gyros measured {shown_deg:.0f} deg in total, and the table turned {turned_deg:.0f}"
         return ""

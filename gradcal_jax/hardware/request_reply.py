@@ -204,10 +204,10 @@ class Exchange:
         if received:
             raise FramingError(
                 f"{self.device} at {self.transport.url} was sent {printable(request)!r} and answered "
-                f"{printable(received)!r}, which is no complete reply of its protocol. Check that the port leads to "
-                "this device, its baud rate and its terminator."
+                f"{printable(received)!r}, which is no complete reply of its protocol. Check that the port "
+                "belongs to this device, and check baud rate and terminator."
             )
         raise ReplyTimeout(
             f"{self.device} at {self.transport.url} was sent {printable(request)!r} and did not answer in "
-            f"{reply_timeout_s:g} s. Check that it is on, the cable, the baud rate and its address."
+            f"{reply_timeout_s:g} s. Check that it is switched on, and check cable, baud rate and address."
         )

@@ -263,7 +263,7 @@ class ImuBatch:
     status          (n,)   status bits, 0 = good; the meaning is the driver's
     gap_before      (n,)   number of samples missing just before this one, as far as the decoder has seen
     disturbed       (n,)   whether bytes just before it belong to no sound frame; False where stamps are absolute
-    restarted       (n,)   whether the unit restarted before it, so that its own time is not continuous
+    restarted       (n,)   whether the IMU restarted before it, so that its own time is not continuous
     """
 
     host_time_s: NDArray[np.float64]

@@ -63,7 +63,7 @@ class RunFolder:
                 f"{self.path} is not the folder of a run: there is no run.json that can be read."
             ) from None
         if not isinstance(notes, dict) or notes.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
-            raise RunFolderError(f"{self.path} holds no {FORMAT}; it may be of another version.")
+            raise RunFolderError(f"{self.path} has no {FORMAT}; it may be of another version.")
         return notes  # pyright: ignore[reportUnknownVariableType]
 
     def track(self, recipe: Recipe | None = None) -> Track:
@@ -93,7 +93,7 @@ def new_folder(
     there = path / "journal"
     if there.exists() and sessions(read_journal(there, chunks=False)):
         raise RunFolderError(
-            f"{path} holds a run already: go on with it by `gradcal run --resume {path}`, or name another folder."
+            f"{path} already has a run: continue it with `gradcal run --resume {path}`, or name another folder."
         )
     names = {entry.name for entry in path.iterdir()} if path.exists() else set[str]()
     # A folder with other files, or with a foreign journal, is left unchanged.
@@ -179,7 +179,7 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
     recipe = folder.recipe()
     if notes.get("recipe") != recipe.fingerprint:
         raise RunFolderError(
-            f"The recipe in {folder.path} is not the one that the run began with: put it back, or begin a new run."
+            f"The recipe in {folder.path} is not the one that the run began with: restore it, or begin a new run."
         )
     then: Any = notes.get("rig")
     for now in (folder.rig(), rig):
@@ -321,8 +321,7 @@ def adopt(folder: RunFolder, recipe: Recipe) -> None:
     apart = [abs(float(part.end) - one.end_s) for part, one in zip(parts, stands, strict=False)]
     if len(parts) != len(stands) or max(apart, default=0.0) > _PLANNED_S or recipe.spec.sensor != before.spec.sensor:
         raise RunFolderError(
-            f"The recipe does not go on from where the run in {folder.path} stands: make it by "
-            f"`gradcal optimise {folder.path}`."
+            f"The recipe does not continue the run in {folder.path}: make it by `gradcal optimise {folder.path}`."
         )
     folder.track(recipe)
     names = folder.recipes()

@@ -287,7 +287,7 @@ class Runner:
             self.clock.sleep(_SLICE_S)
         self._shortfall = None
         self._unconfirmed = [executed for executed in self._unconfirmed if executed.number < number]
-        self._event("seam", step=name, why="the step is made again; it was not executed as written")
+        self._event("seam", step=name, why="the step is repeated; it was not executed as written")
 
     def _pause_between(self, step: TrackStep) -> None:
         """Stop every axis: nothing turns while a run is paused, not even a spin that the next step continues."""
@@ -326,7 +326,7 @@ class Runner:
                 self._wait_paused()
                 until = self.clock.now() + _LONGEST_ARRIVAL_S
             if self.clock.now() > until:
-                raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: see the units.")
+                raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: check the IMUs.")
             self.clock.sleep(_SLICE_S)
 
     def _run_step(self, step: TrackStep, again: bool) -> ExecutedStep:
@@ -361,7 +361,7 @@ class Runner:
             while courses and begin + courses[0].start_s <= self.clock.now():
                 course = courses.pop(0)
                 if (late_s := self.clock.now() - begin - course.start_s) > latest_s:
-                    axes.amiss.append(f"the chamber was told its course {late_s:.1f} s late")
+                    axes.amiss.append(f"the chamber got its temperature profile {late_s:.1f} s late")
                 if self._chamber is not None:
                     self._chamber.tell(course, begin + course.start_s, self._fail)
             while moves and motion + moves[0].start_s <= self.clock.now() and not axes.turned_by_hand:
@@ -419,18 +419,20 @@ class Runner:
         """Ask the operator to hang the units for this step, and wait without a time-out."""
         console, chamber = self.bench.console, self._chamber
         if console is None:
-            raise HardwareError(f"The units must be hung anew ({step.hang}), and there is no operator to ask.")
+            raise HardwareError(
+                f"The mounting of the IMUs must be changed ({step.hang}), and there is no operator to ask."
+            )
         self._axes.go_to_start(step.name, dict.fromkeys(step.start_deg, 0.0), self._duties)
         ready = step.again or step.ready
         if chamber is not None and ready is not None:
             self._stabilise(step, chamber, _FOR_HANDS_C, ready)
-        console.ask(f"hang the units so: {step.hang}; press Enter when they hang:")
+        console.ask(f"mount the IMUs as follows: {step.hang}; press Enter when they are mounted:")
         try:
             while console.answer() is None:
                 self._duties()
                 self.clock.sleep(_SLICE_S)
         finally:
-            console.withdraw("never mind, leave the units as they hang.")
+            console.withdraw("cancelled: leave the IMUs as they are mounted.")
         self.mounting = step.mounting
         self._event("hung", step=step.name, mounting=step.mounting, how=step.hang)
 
@@ -442,8 +444,8 @@ class Runner:
             self._duties()
             if self.clock.now() - began > ready.timeout_s:
                 raise HardwareError(
-                    f"Step {step.name!r}: the temperature was not stable within {ready.band_k:g} K of "
-                    f"{at_c:g} degC after {ready.timeout_s:g} s. Look at the chamber, or give it longer."
+                    f"Step {step.name!r}: the temperature was not stable within {ready.band_k:g} K of {at_c:g} "
+                    f"degC after {ready.timeout_s:g} s. Check the chamber, or allow more time."
                 )
             self.clock.sleep(_SLICE_S)
         self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)

@@ -110,14 +110,14 @@ def driver_of(name: str) -> Driver | None:
         return None
     where = " and ".join(sorted(str(entry.dist.name if entry.dist else entry.value) for entry in entries))
     if len(entries) > 1:
-        raise ValueError(f"several packages bring a driver of this name: {where}; uninstall all but one")
+        raise ValueError(f"several packages have a driver of this name: {where}; uninstall all but one")
     try:
         driver = entries[0].load()
     except Exception as problem:
         why = f"{type(problem).__name__}: {problem}"
         raise ValueError(f"the driver of this name in the package {where} cannot be loaded: {why}") from None
     if not isinstance(driver, Driver):
-        raise ValueError(f"the package {where} names {entries[0].value} as a driver, which is no `setup.Driver`")
+        raise ValueError(f"the package {where} has {entries[0].value} as a driver, which is not a `setup.Driver`")
     return driver
 
 
@@ -220,7 +220,9 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
             # Drivers that declare nothing can take every safe state.
             lacks_for: Callable[[str], str] = getattr(configs[place], "lacks_for", lambda safe: "")
             if not isinstance(device, ImuDevice) and (lack := lacks_for(device.safe)):
-                problems.append(Problem((*place, "safe"), f"this device cannot be left so: {lack}", device.safe))
+                problems.append(
+                    Problem((*place, "safe"), f"this device does not support this safe state: {lack}", device.safe)
+                )
             if isinstance(device, AxisDevice) and device.encoder is not None:
                 configs[*place, "encoder"] = config_of(device.encoder, role, (*place, "encoder"))
         except SpecError as error:
@@ -437,8 +439,8 @@ def require_identity(name: str, entry: Device, identity: Identity) -> None:
     """Raises `WrongIdentity` when the rig file names another serial number than the device."""
     if entry.serial_number is not None and entry.serial_number != identity.serial_number:
         raise WrongIdentity(
-            f"{name} at {entry.port} is number {identity.serial_number or '(it tells none)'}, and the rig file says "
-            f"{entry.serial_number}. Connect the right device or correct the rig file."
+            f"{name} at {entry.port} has the number {identity.serial_number or '(it tells none)'}, and the rig "
+            f"file states {entry.serial_number}. Connect the right device or correct the rig file."
         )
 
 

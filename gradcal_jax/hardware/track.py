@@ -156,13 +156,17 @@ class Track:
         for step in self.steps:
             starts = [move.start_s for move in step.moves]
             if not (step.duration_s >= 0.0 and step.read_every_s > 0.0) or starts != sorted(starts):
-                raise ValueError(f"Step {step.name!r}: durations are not negative and moves stand in order of time.")
+                raise ValueError(
+                    f"Step {step.name!r}: durations must not be negative, and moves must be in order of time."
+                )
             if starts and not (starts[0] >= 0.0 and starts[-1] <= step.duration_s):
-                raise ValueError(f"Step {step.name!r}: every move starts within the step's {step.duration_s:g} s.")
+                raise ValueError(f"Step {step.name!r}: every move must start within the step's {step.duration_s:g} s.")
             if step.ready is not None and step.begins_c is None:
-                raise ValueError(f"Step {step.name!r} waits for a temperature and sets none.")
+                raise ValueError(f"Step {step.name!r} waits for a temperature but sets none.")
             if step.ramp_k_per_min is not None and not step.ramp_k_per_min > 0.0:
-                raise ValueError(f"Step {step.name!r}: a ramp's rate is above zero; its sign follows from its target.")
+                raise ValueError(
+                    f"Step {step.name!r}: a ramp's rate is above zero; its sign must agree with its target."
+                )
         if self.steps[0].follows:
             raise ValueError("The first step follows none.")
 
@@ -234,8 +238,8 @@ def _names(recipe: Recipe, axes: Sequence[str]) -> dict[str, str]:
         return {turned[0]: axes[0]}
     if missing := [name for name in turned if name not in axes]:
         raise HardwareError(
-            f"The recipe turns axis {', '.join(missing)}, and the rig's axes are {', '.join(axes) or 'none'}: "
-            "name the rig's axes as the recipe does."
+            f"The recipe turns axis {', '.join(missing)}, and the rig's axes are {', '.join(axes) or 'none'}: use "
+            "the names of the recipe for the rig's axes."
         )
     return {name: name for name in turned}
 

@@ -57,8 +57,8 @@ class PortLock:
             self._handle = self._open(folder)
         except OSError as problem:
             raise PortRefused(
-                f"The port {url} cannot be locked against other runs: {self._path}: {problem.strerror}. Let every "
-                f"account that uses the rig write in {folder}, or remove it while nothing runs."
+                f"The port {url} cannot be locked against other runs: {self._path}: {problem.strerror}. Give "
+                f"every account that uses the rig write permission for {folder}, or remove it while nothing runs."
             ) from None
         try:
             take(self._handle)
@@ -109,8 +109,8 @@ def _refused(url: str, problem: BaseException) -> PortRefused:
     # pyserial adds its own words to the system's message, with number and name twice.
     why = str(problem).rpartition("] ")[2].removesuffix(f": {url!r}")
     return PortRefused(
-        f"The port {url} cannot be opened: {why}. Check its name, the cable, the rights of your account, and that no "
-        "other program holds it."
+        f"The port {url} cannot be opened: {why}. Check its name, the cable, the permissions of your account, and "
+        "that no other program uses it."
     )
 
 
@@ -299,7 +299,7 @@ class Terminal:
             raise Disconnected(f"The terminal is gone ({problem.strerror}).") from None
         if not data:
             raise Disconnected(
-                "The terminal gives no more input (Ctrl-D, or it is gone): the operator cannot be asked."
+                "The terminal has no more input (Ctrl-D, or it was closed): the operator cannot be asked."
             )
         now = self.clock.now()
         if (whom := self._diverted) is not None:

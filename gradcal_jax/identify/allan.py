@@ -164,7 +164,7 @@ def overlapping_allan(
     lengths = tuple((edges[:, 1] - edges[:, 0]).tolist())
     longest = max(lengths, default=0)
     if longest < 2:
-        raise ValueError("an Allan deviation needs two usable samples in a row")
+        raise ValueError("an Allan deviation needs two consecutive usable samples")
     if averaging_times_s is None:
         averaging_times_s = averaging_times(max(longest, 3), sample_interval_s)
     steps = _whole_samples(averaging_times_s, sample_interval_s)
@@ -210,7 +210,7 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
             f"{chosen.sum()} coefficients"
         )
     if not np.all(variance > 0):
-        raise ValueError("the rate does not change: there is no noise to fit")
+        raise ValueError("the rate does not change: the record has no noise to fit")
     steps = np.rint(tau / interval).astype(np.int64)
     lengths, counts = np.unique(np.array(allan.stretch_lengths), return_counts=True)
     runs = tuple(zip(lengths.tolist(), counts.tolist(), strict=True))
@@ -223,8 +223,8 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
         chosen[0] = False  # the low-pass's own term has the form of quantisation's
         if len(rows) < chosen.sum() + 1:
             raise ValueError(
-                f"samples are averaged over about {end / 2 * interval:.3g} s by a low-pass, and the record holds too "
-                f"few times longer than that for {chosen.sum()} coefficients"
+                f"a low-pass averages samples over about {end / 2 * interval:.3g} s, and the record has too few "
+                f"longer averaging times for {chosen.sum()} coefficients"
             )
     fit = whole = _least_squares(steps[rows], variance[rows], runs, interval, chosen, low_passed)
     farthest = float(tau[rows[whole.farthest]])

@@ -178,7 +178,7 @@ def fit_direct_bound(
         raise ValueError(f"the angle random walk must be zero or more, not {angle_random_walk}")
     largest = observed.largest_drift
     if largest.min() <= 0:
-        raise ValueError("the rate does not change: a sensor that shows nothing has nothing to bound")
+        raise ValueError("the rate does not change: without visible drift there is nothing to bound")
     tau = np.geomspace(t[0] / 3, 10 * t[-1], 201)
     starts, interval = observed.start_count, observed.sample_interval_s
     # Divided among the times: maxima at times a factor √e apart are nearly independent.
@@ -311,17 +311,17 @@ def _no_drift_shows(
     delta: float, mean_error: str, hidden: float, hidden_words: str, tau: float, advised: float | None
 ) -> str:
     sentence = (
-        f"averaged over {delta:g} s the drift does not show above the angle random walk, which alone leaves the mean "
-        f"uncertain by N/√Δ = {mean_error}"
+        f"averaged over {delta:g} s, the drift is not visible above the angle random walk, which alone gives the "
+        f"mean an uncertainty of N/√Δ = {mean_error}"
     )
     if not np.isfinite(hidden):
-        return sentence + "; the record is too short to say how large a drift could hide"
+        return sentence + "; the record is too short to state how large a hidden drift could be"
     if hidden == 0:
-        return sentence + "; the random walk leaves no room for any (or was assumed too large)"
-    sentence += f"; a drift of up to {hidden_words} with a correlation time of {tau:.3g} s could hide"
+        return sentence + "; the random walk explains all of it (or was assumed too large)"
+    sentence += f"; a drift of up to {hidden_words} with a correlation time of {tau:.3g} s could be present"
     if advised is None:
-        return sentence + "; no average would show it over these integration times: integrate for longer"
-    return sentence + f"; averaging over {advised:.3g} s or more would show it"
+        return sentence + "; no averaging time would make it visible with these integration times: integrate for longer"
+    return sentence + f"; averaging over {advised:.3g} s or more would make it visible"
 
 
 @jax.jit

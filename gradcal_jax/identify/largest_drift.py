@@ -53,7 +53,7 @@ def integration_times(shortest_s: float, longest_s: float, sample_interval_s: fl
     if not 0 < sample_interval_s < np.inf:
         raise ValueError(f"the sample interval must be positive, not {sample_interval_s} s")
     if not 0 < shortest_s <= longest_s < np.inf:
-        raise ValueError(f"integration times must run from a positive time upwards, not {shortest_s} to {longest_s} s")
+        raise ValueError(f"integration times must be positive and increasing, not {shortest_s} to {longest_s} s")
     if count < 1:
         raise ValueError(f"at least one integration time is needed, not {count}")
     wanted = np.geomspace(shortest_s, longest_s, count) if count > 1 else np.array([longest_s])
@@ -113,9 +113,9 @@ def largest_drift(
         room = (longest - before) * sample_interval_s
         raise ValueError(
             f"an integration of {lengths[-1] * sample_interval_s:g} s after an average of "
-            f"{before * sample_interval_s:g} s fits no unbroken stretch, the longest of which is "
+            f"{before * sample_interval_s:g} s is longer than every unbroken stretch; the longest is "
             f"{longest * sample_interval_s:g} s: "
-            + (f"integrate for at most {room:g} s" if room > 0 else "average for less, or record for longer")
+            + (f"integrate for at most {room:g} s" if room > 0 else "use a shorter average, or a longer record")
         )
     return LargestDrift(
         lengths * sample_interval_s, before * sample_interval_s, drift, start_index, start_count, sample_interval_s

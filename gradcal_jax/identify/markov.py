@@ -130,7 +130,7 @@ def coefficient_errors(
     steps = np.rint(averaging_times(samples, sample_interval_s) / sample_interval_s).astype(np.int64)
     steps = steps[octaves(steps, at_least=5)]
     if len(steps) < 5:
-        raise ValueError(f"{duration_s:g} s at {1 / sample_interval_s:g} Hz are too few samples for four coefficients")
+        raise ValueError(f"{duration_s:g} s at {1 / sample_interval_s:g} Hz have too few samples for four coefficients")
     squares = np.array([0.0, walk, instability, rate_walk]) ** 2
     table = design_of_noise(steps * sample_interval_s)
     root = np.linalg.cholesky(variance_covariance(steps, ((samples, 1),), sample_interval_s, squares))
@@ -147,7 +147,9 @@ def coefficient_errors(
 def drift_errors(duration_s: float, walk: float, sigma: float, correlation_time_s: float) -> tuple[float, float, float]:
     """Relative errors of N, σ and τ by `markov.fit_markov`. Raises `ValueError` for records of less than 20 τ."""
     if duration_s < _OF_TAU * correlation_time_s:
-        raise ValueError(f"a drift of {correlation_time_s:g} s needs a record of {_OF_TAU:g} times as much, or more")
+        raise ValueError(
+            f"a drift of {correlation_time_s:g} s needs a record that is at least {_OF_TAU:g} times as long"
+        )
     covariance = markov_covariance(duration_s, min(1.0, 0.1 * correlation_time_s), walk, sigma, correlation_time_s)
     walk_error, sigma_error, tau_error = np.sqrt(np.diag(covariance)).tolist()
     return walk_error, sigma_error, tau_error

@@ -63,7 +63,7 @@ def slow_noise(
     """
     bins, p = columns.shape
     if bins < 2 * p + 8:
-        raise ValueError(f"{bins} stretches of rest do not separate noise from {p} functions of temperature")
+        raise ValueError(f"{bins} stretches at rest cannot separate noise from {p} functions of temperature")
     if not 0 < angle_random_walk < np.inf:
         raise ValueError(f"an angle random walk above zero is needed, not {angle_random_walk}")
     length = float(np.ptp(centre_s)) + width_s

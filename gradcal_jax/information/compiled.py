@@ -64,9 +64,9 @@ class CompiledSource(NamedTuple):
         except (OSError, subprocess.SubprocessError) as e:
             output = getattr(e, "stderr", None)
             warnings.warn(
-                f"{self.what} could not be compiled, so JAX computes it, several times slower: {e}"
-                f"{': ' + output.strip()[-500:] if output else ''} (CXX names another compiler; GRADCAL_NATIVE=0 tries "
-                "none)",
+                f"{self.what} could not be compiled, so JAX computes it, which is several times slower: "
+                f"{e}{': ' + output.strip()[-500:] if output else ''} (CXX names another compiler; "
+                "GRADCAL_NATIVE=0 tries none)",
                 RuntimeWarning,
                 stacklevel=2,
             )

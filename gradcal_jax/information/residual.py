@@ -25,7 +25,9 @@ def map_of(model: SensorModel, quantity: Quantity) -> Map:
     """The map of a quantity. Errors: `ValueError` when the model does not estimate it."""
     of = model.map(quantity)
     if of is None:
-        raise ValueError(f"the model holds the {quantity.replace('_', ' ')} known, so it leaves no residual to report")
+        raise ValueError(
+            f"the model takes the {quantity.replace('_', ' ')} as known, so there is no residual to report"
+        )
     return of
 
 

@@ -36,8 +36,8 @@ from gradcal_jax.information.native import native, plain
 from gradcal_jax.information.noise_steps import NoiseSteps
 
 SINGLE_PRECISION = (
-    "a covariance in single precision is not reported: call jax.config.update('jax_enable_x64', True) before the first "
-    "JAX array is made"
+    "a covariance is not reported in single precision: call jax.config.update('jax_enable_x64', True) before the "
+    "first JAX array is made"
 )
 
 

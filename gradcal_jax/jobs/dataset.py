@@ -90,7 +90,7 @@ def dataset_of(
         add(name, column, {"units": "s", "long_name": what})
     add("failure", [r.failure for r in results], {"long_name": "why the point has no result; empty where it has one"})
     if job.file.do == "optimise":
-        add("convergence", [r.note for r in results], {"long_name": "what the optimiser says of itself"})
+        add("convergence", [r.note for r in results], {"long_name": "report of the optimiser"})
         add("optimised_spec", [r.spec for r in results], {"long_name": "gradcal-spec/1 with the optimised plan"})
         before = [np.nan if r.before is None else r.before for r in results]
         add("objective_before", before, {"long_name": "the objective of the plan as written, in its unit"})
@@ -102,7 +102,7 @@ def dataset_of(
         "sweep": job.text,
         "base": to_toml(job.base),
         "identity": json.dumps(identity),
-        "note": "residuals are predictions under the base's model, one standard deviation",
+        "note": "residuals are predictions under the model of the base spec, one standard deviation",
     }
     return xarray.Dataset(variables, coordinates, attributes)
 
@@ -124,7 +124,7 @@ def read_dataset(path: str | Path) -> "xarray.Dataset":
     try:
         results = load_netcdf(path)
     except NetcdfError as error:
-        raise ValueError(f"{path} is not the results of a sweep: {error}") from None
+        raise ValueError(f"{path} is not a result file of a sweep: {error}") from None
     if results.attrs.get("format") != "gradcal-sweep-results/1":
         raise ValueError(f"{path} is not the results of a sweep; gradcal sweep writes them")
     return results

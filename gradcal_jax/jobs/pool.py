@@ -107,7 +107,7 @@ class LocalPool(TaskRunner):
                 if tries[task.key] < _TRIES:
                     again.appendleft(task)
                 else:
-                    yield task.key, WorkerEnded("a worker's process ended before its work was done")
+                    yield task.key, WorkerEnded("a worker process ended before its work was done")
             if ended:
                 self.close()
 

@@ -27,7 +27,7 @@ def write_recipes(results: "xarray.Dataset", folder: str | Path) -> list[dict[st
     Errors: `ValueError` for a sweep without searches, and where `folder` cannot be written to.
     """
     if "optimised_spec" not in results:
-        raise ValueError('recipes are of a sweep with do = "optimise"')
+        raise ValueError('recipes need a sweep with do = "optimise"')
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -85,8 +85,8 @@ class Store:
             if there != identity:
                 changed = ", ".join(k for k in {**there, **identity} if there.get(k) != identity.get(k))
                 raise ValueError(
-                    f"{self.folder} holds parts of another sweep (different: {changed}); delete it to begin anew, or "
-                    "choose another output"
+                    f"{self.folder} has parts of another sweep (different: {changed}); delete it to start again, "
+                    "or choose another output"
                 )
         elif self.folder.exists() and any(self.folder.iterdir()):
             raise ValueError(f"{self.folder} exists and is not a sweep's; move it away, or choose another output")
@@ -148,9 +148,9 @@ def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, p
     begun, output = time.monotonic(), Path(output)
     identity = identity_of(job)
     if already_finished(job, output):
-        raise ValueError(f"{output} holds the finished results of just this sweep; nothing is left to do")
+        raise ValueError(f"{output} already has the results of this sweep; nothing remains to do")
     if output.exists():
-        raise ValueError(f"{output} exists and is not of this sweep; choose another output, or delete it")
+        raise ValueError(f"{output} exists and belongs to another sweep; choose another output, or delete it")
     if not output.parent.is_dir():
         raise ValueError(f"there is no directory {output.parent}; make it first")
     points = Points(job)
@@ -186,13 +186,13 @@ def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, p
             progress(JobProgress(job.file.do, len(results), len(points), kept, begun=begun_points))
     if lost:
         raise SweepIncomplete(
-            f"{lost} of {len(points)} points could not be computed ({reason}); the others are kept in {store.folder}, "
-            "and the same command goes on from there"
+            f"{lost} of {len(points)} points could not be computed ({reason}); the others are saved in "
+            f"{store.folder}, and the same command continues from there"
         )
     ordered = tuple(results[index] for index in range(len(points)))
     if all(result.failure for result in ordered):
         store.remove()
-        raise ValueError(f"not one of the {len(points)} points has a result; the first says: {ordered[0].failure}")
+        raise ValueError(f"none of the {len(points)} points has a result; the first says: {ordered[0].failure}")
     save_netcdf(dataset_of(job, points, ordered, identity), output)
     store.remove()
     return Swept(ordered, time.monotonic() - begun, kept)

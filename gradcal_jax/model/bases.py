@@ -74,7 +74,7 @@ class Polynomial(Basis):
         if self.degree < 0:
             raise ValueError(f"a polynomial needs a degree of 0 or more, not {self.degree}")
         if not self.scale > 0.0:
-            raise ValueError(f"a polynomial's scale must be positive, not {self.scale}: give half the range it covers")
+            raise ValueError(f"a polynomial's scale must be positive, not {self.scale}: use half of its range")
 
     def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
         values = formulas.legendre if self.internal == "legendre" else formulas.chebyshev

@@ -79,7 +79,7 @@ class ImuModel(PytreeModule):
 
     def __check_init__(self):
         if not self.channels:
-            raise ValueError("a unit needs at least one gyro or accelerometer")
+            raise ValueError("an IMU needs at least one gyro or accelerometer")
 
     @property
     def calibrated(self) -> int:

@@ -30,7 +30,7 @@ def show(recipe: Recipe, *, heading: Callable[[str], str] = str) -> str:
     lines += ["", heading("Chamber"), columns([CHAMBER_HEAD, *chamber_rows(recipe)])]
     lines += [*(f"  {line}" for line in chamber_words(recipe)), ""]
     for block in recipe.motion:
-        lines += [] if block.hang is None else [f"hang the unit so: {block.hang}"]
+        lines += [] if block.hang is None else [f"mount the IMU as follows: {block.hang}"]
         lines += [heading("Table, " + block_heading(block)), columns([MOVES_HEAD, *move_rows(block)]), ""]
     left: list[tuple[str, ...]] = []
     for row in recipe.prediction.requirements:

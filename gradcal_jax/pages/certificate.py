@@ -119,7 +119,7 @@ def certificate_of(
     calibration, or for an invalid date."""
     calibration = sources.calibration
     if calibration is None:
-        raise ValueError("a certificate needs a calibration: name its file, or the folder of a run that has one")
+        raise ValueError("a certificate needs a calibration: name its file, or the folder of a run with a calibration")
     laboratory = own if rig is None else rig.laboratory or own
     who = operator or ("" if laboratory is None or laboratory.operator is None else laboratory.operator)
     where = "" if laboratory is None else ", ".join(filter(None, (laboratory.name, laboratory.address)))
@@ -169,13 +169,16 @@ def _performed(stated: str, sources: Sources) -> str:
 def _method(sources: Sources, calibration: Calibration) -> str:
     how = "As the log has it"
     if sources.spec is not None:
-        how = "Stable temperatures, a reference rate at each"
+        how = "Stable temperatures, with a reference rate at each"
         if sources.spec.plan.method == "gradient":
             parts = ["Temperature ramp; the reference is the angle of the table before and after each turn"]
             parts += ["gravity at each pose"] if sources.spec.sensor.accelerometer is not None else []
             how = ", and ".join(parts)
     estimator = calibration.provenance.get("estimator", NOT_STATED)
-    return f"{how}. Estimator: {estimator}. Uncertainties by propagation of covariance, linear and Gaussian (GUM)."
+    return (
+        f"{how}. Estimator: {estimator}. Uncertainties are computed by linear propagation of Gaussian covariances "
+        "(GUM)."
+    )
 
 
 def _conditions(calibration: Calibration) -> tuple[tuple[str, str], ...]:
@@ -198,13 +201,13 @@ def _validity(calibration: Calibration) -> tuple[str, ...]:
         failed = "; ".join(test.replace("_", " ") for test in calibration.contradicted)
         rows.append(f"NOT VALID: the data contradict the model ({failed}); nothing is certified.")
     rows += [
-        "The values hold for the sensor as it was, on the day of the recording, within the temperatures and rates "
-        "above; beyond, those at the edge are held and are not covered.",
-        "The turn-on bias of another day is not part of the stated uncertainty of the bias corrections; a result on "
-        "the bias counts it, unless its requirement is of one run.",
+        "The values are valid for the sensor on the day of the recording, within the temperatures and rates "
+        "above. Outside this range the values at its edge apply, without a stated uncertainty.",
+        "The stated uncertainty of the bias corrections excludes the turn-on bias of another day. A result for "
+        "the bias includes it, unless its requirement is for one run.",
     ]
     if names := dict.fromkeys(error.name for error in calibration.unseen):
-        rows.append(f"Every uncertainty also counts what no residual of the fit shows: {', '.join(names)}.")
+        rows.append(f"Every uncertainty also includes errors that no residual of the fit shows: {', '.join(names)}.")
     if calibration.unobservable:
         rows.append(f"Not observed by the data: {', '.join(calibration.unobservable)}.")
     return tuple(rows)

@@ -54,7 +54,9 @@ def write_dcc(certificate: Certificate, path: str | Path) -> None:
     begin, _, end = stated["performed"].partition("..")
     sentences = ["This document claims no accreditation.", *certificate.validity]
     if certificate.simulated:
-        sentences.insert(0, "SIMULATED: the data come from simulated devices. This certifies nothing of a real sensor.")
+        sentences.insert(
+            0, "SIMULATED: the data come from simulated devices. This is not a certificate of a real sensor."
+        )
     environment = page_templates(
         # The schema allows neither blanks at the ends nor an empty text.
         plain=lambda text: " ".join(text.split()) or NOT_STATED,

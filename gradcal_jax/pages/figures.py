@@ -80,7 +80,7 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[str, float]) -> list
         maps = [fact for fact in own if fact.maps and len(fact.maps[0][1].rate_dps) > 1]
         curves = [fact for fact in own if fact.maps and fact not in maps]
         for fact in heading:
-            words = f"{name}: error of the heading over time, one standard deviation; own noise stays."
+            words = f"{name}: heading error over time, one standard deviation; own noise stays."
             draw = lambda ax, f=fact: plots.draw_heading(f.curves, ax=ax)  # noqa: E731
             groups.append([picture(f"{key}-curves", words, draw, _HIGH)])
         for fact in maps:
@@ -117,7 +117,7 @@ def _maps(fact: MapFact, key: str, where: str) -> Iterator[Picture]:
 
 def pose_picture(spec: Spec) -> Picture:
     """The vertical in the device's frame at every rest."""
-    words = "Which way is up, seen from the device, at every rest; the colour is the time, the size how long it rests."
+    words = "The vertical in the device's frame at every rest; the colour is the time, the size the duration."
     return picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), _LOW, projection="mollweide")
 
 
@@ -136,7 +136,7 @@ def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Pi
     words = "Temperature of the chamber on the plan's clock"
     words += "." if history is None else ", which stops while a step waits: plan and run."
     if recipe is None:
-        words = "Temperature of the chamber by its readings, on the plan's clock, which stops while a step waits."
+        words = "Measured temperature of the chamber, on the plan's clock, which stops while a step waits."
     known = recipe is not None or (history is not None and len(history.chamber_s))
     pictures = [picture("temperature", words, temperatures, _LOW)] if known else []
     done = {} if history is None else history.rates
@@ -190,10 +190,13 @@ def calibration_pictures(calibration: Calibration) -> list[Picture]:
     for channel in calibration.channel:
         wanted = len(calibration.channel) <= 3 or channel.name in failed
         if wanted and channel.residuals is not None and sum(channel.residuals.counts):
-            words = f"Residuals of {channel.label}, in standard deviations of what the noise of the spec says."
+            words = f"Residuals of {channel.label}, in standard deviations of the noise of the spec."
             draw.append((f"residuals-{channel.name}", words, lambda ax, c=channel: draw_residuals(c, ax=ax)))
             if channel.residuals.rms:
-                words = f"Size of the residuals of {channel.label} along the run; the band holds 95 of 100 by chance."
+                words = (
+                    f"Size of the residuals of {channel.label} during the run; by chance, 95 of 100 are within "
+                    "the band."
+                )
                 draw.append(
                     (f"residual-parts-{channel.name}", words, lambda ax, c=channel: draw_residual_parts(c, ax=ax))
                 )
@@ -278,7 +281,7 @@ def _label(ax: Axes, contours: QuadContourSet) -> None:
 
 def _curves(boxes: Sequence[tuple[str, Box]], key: str, where: str, target: float | None, stage: str = "") -> Picture:
     by_rate = len(boxes[0][1].rate_dps) > 1
-    words = "the worst over temperature, against rate" if by_rate else "over temperature"
+    words = "the maximum over temperature, against rate" if by_rate else "over temperature"
     caption = f"{where}: residual {stage}".rstrip() + f", {words}, one standard deviation."
     if not all(np.all(np.isfinite(box.values)) for _, box in boxes):
         caption += " Without a curve: not observable."

@@ -46,7 +46,7 @@ _MOST_MOVES: Final = 80
 def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     """The whole page as HTML, in one file: styles and figures inside, and no script but that of the `panel`."""
     if panel and sources.spec is None:
-        raise ValueError("the panel is of a plan, and there is none here: leave --panel out")
+        raise ValueError("the panel needs a plan, and there is none here: leave --panel out")
     template = page_templates(figures=figures, sentence=sentence).get_template("page.html")
     spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
     targets = {r.name: r.target / r.coverage for r in data.requirements if r.target is not None}
@@ -122,7 +122,7 @@ def _plan(spec: Spec) -> dict[str, Any]:
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     hung = len(spec.rig.table.mounting)
     left = len(schedule.steps) - _MOST_MOVES
-    lasts += f". A cycle of {time_text(schedule.period)}, made {cycles} times" if cycles else ""
+    lasts += f". A cycle of {time_text(schedule.period)}, repeated {cycles} times" if cycles else ""
     return {
         "times": lasts + (f", in {hung} mountings." if hung > 1 else "."),
         "moves": [
@@ -146,7 +146,7 @@ def _verdict(data: ReportData) -> str:
     done = "achieved" if achieved else "predicted"
     if data.verdict == "not valid":
         failed = [test.replace("_", " ") for test in data.contradicted]
-        return f"Not valid: the data contradict the model ({'; '.join(failed)}), so that no stated uncertainty holds."
+        return f"Not valid: the data contradict the model ({'; '.join(failed)}), so no stated uncertainty is valid."
     if data.verdict == "met":
         return f"Met: every target is met by the {done} residuals ({_against(with_target)})."
     if data.verdict == "missed":
@@ -154,7 +154,7 @@ def _verdict(data: ReportData) -> str:
         return f"Missed: the {done} residual exceeds a target ({_against(missed)})."
     if data.verdict == "not covered":
         names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "not covered"))
-        return f"Not covered: the data do not reach all temperatures and rates of {names}, so there is no verdict."
+        return f"Not covered: the data do not cover all temperatures and rates of {names}, so there is no verdict."
     if data.verdict == "unobservable":
         names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "unobservable"))
         return f"Unobservable: this plan does not observe {names}."
@@ -252,13 +252,16 @@ def _done(data: ReportData) -> list[str]:
     waited = sum(row.waited_s for row in history.waited)
     lines = [
         f"Run begun {history.begun}, {parts}: {history.status}, {history.steps} steps, "
-        f"{time_text(history.duration_s)} in all, of which {time_text(waited)} waited for stable temperatures.",
-        "Every device was left verified safe." if history.verified_safe else "NOT verified safe at the end.",
+        f"{time_text(history.duration_s)} in total, including {time_text(waited)} of waiting for stable "
+        "temperatures.",
+        "Every device was verified to be safe at the end."
+        if history.verified_safe
+        else "NOT verified safe at the end.",
     ]
     if history.seams:
         lines.append(f"The run was paused or resumed {history.seams} times.")
     if history.damaged_bytes:
-        lines.append(f"{history.damaged_bytes} bytes of the journal belong to no sound record.")
+        lines.append(f"{history.damaged_bytes} bytes of the journal belong to no valid record.")
     return lines
 
 

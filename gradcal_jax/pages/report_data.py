@@ -142,8 +142,8 @@ def report_data_of(sources: Sources) -> ReportData:
     notes += [] if recipe is None else recipe.notes
     if left.differing:
         notes.append(
-            "the achieved maps are by the covariance in the calibration file; its results also count what is not in "
-            f"it, such as the estimate of a model discrepancy: {', '.join(left.differing)}"
+            "the achieved maps use the covariance in the calibration file; its results also include errors "
+            f"outside this covariance, such as the estimate of a model discrepancy: {', '.join(left.differing)}"
         )
     hidden = hidden_values(sources.hidden_truth, calibration)
     own: dict[str, Any] = {} if calibration is None else _of_calibration(calibration, sources.calibration_name, hidden)

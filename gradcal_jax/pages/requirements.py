@@ -117,7 +117,7 @@ def requirements_of(sources: Sources) -> RequirementFacts:
             differing.append(f"{row.name} ({both})")
     before_is = "" if not known_before else "the spec's priors, without a calibration"
     if other is not None:
-        before_is = f"the plan of {sources.before_name}, on the rig of that file"
+        before_is = f"the plan of {sources.before_name}, on the rig in that file"
     record = (sources.recipe and sources.recipe.optimisation) or {}
     name, value = re.sub(r" \([^)]*\)$", "", str(record.get("objective", ""))), record.get("before")
     if not before_is and name and isinstance(value, float | int):

@@ -88,7 +88,7 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
     def take(kind: str, value: Any, path: Path) -> None:
         if kind in parts:
             words = kind.replace("_", " ")
-            raise ValueError(f"{path} is a second {words}: a page is made of one run, one recipe and one calibration")
+            raise ValueError(f"{path} is a second {words}: a page shows one run, one recipe and one calibration")
         parts[kind] = value
         if path.is_file():
             named.append((path.name, hashlib.sha256(path.read_bytes()).hexdigest()))
@@ -119,15 +119,15 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
         if "calibration" not in parts and (own := calibrations_in(run.path)):
             if len(own) > 1:
                 names = ", ".join(path.name for path in own)
-                raise ValueError(f"{run.path} holds several calibrations ({names}): name the one that is meant, too")
+                raise ValueError(f"{run.path} has several calibrations ({names}): also name the intended one")
             take_calibration(own[0])
         parts["hidden_truth"] = _hidden_truth(run)
     if "plan" in parts and "recipe" in parts:
-        raise ValueError("a page is of one plan, and the recipe has its spec inside: leave the other spec out")
+        raise ValueError("a page shows one plan, and the recipe contains its spec: leave the other spec out")
     if not parts:
         raise ValueError("a report of what? Name the folder of a run, a recipe or a spec, or a calibration")
     if (before is not None or limits is not None) and not parts.keys() & {"plan", "recipe"}:
-        raise ValueError("a calibration alone has no plan to compare with: name its recipe or its spec, too")
+        raise ValueError("a calibration alone has no plan to compare with: also name its recipe or its spec")
     if before is not None:
         parts["before"], parts["before_name"] = spec_in(before), before.name
         named.append((before.name, hashlib.sha256(before.read_bytes()).hexdigest()))
@@ -155,7 +155,7 @@ def _limits(path: Path) -> dict[str, float]:
         # A slice raises for an object, which would otherwise be read as an empty list.
         return {str(row["name"]): float(row["certified"]) for row in rows[:]}
     except (ValueError, TypeError, KeyError):
-        raise ValueError(f"{path} is not what `gradcal limit --json` prints") from None
+        raise ValueError(f"{path} is not an output of `gradcal limit --json`") from None
 
 
 def _hidden_truth(run: RunFolder) -> dict[str, Any] | None:
@@ -165,7 +165,7 @@ def _hidden_truth(run: RunFolder) -> dict[str, Any] | None:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        raise ValueError(f"{path} cannot be read: take it out of the folder, or run the rehearsal anew") from None
+        raise ValueError(f"{path} cannot be read: remove it from the folder, or repeat the rehearsal") from None
 
 
 def _misfits(parts: dict[str, Any]) -> list[str]:
@@ -177,21 +177,21 @@ def _misfits(parts: dict[str, Any]) -> list[str]:
     if recipe is not None and calibration is not None:
         made_by = calibration.provenance.get("recipe")
         if made_by is None:
-            notes.append("the calibration does not say which recipe its log was made by")
+            notes.append("the calibration does not state the recipe of its log")
         elif made_by != recipe.fingerprint:
             notes.append(
-                f"the calibration's log was made by another recipe ({made_by[:12]}) than the one here "
-                f"({recipe.fingerprint[:12]}): predicted and achieved are not of one plan"
+                f"the calibration's log was made with a different recipe ({made_by[:12]}) than the one here "
+                f"({recipe.fingerprint[:12]}): prediction and result belong to different plans"
             )
     if run is not None and recipe is not None and run.notes().get("recipe") != recipe.fingerprint:
-        notes.append("the run was begun with another recipe than the one here")
+        notes.append("the run was begun with a different recipe")
     return notes
 
 
 def assumptions(spec: Spec | None, calibration: Calibration | None) -> list[tuple[str, str]]:
     """The figures behind the numbers: those of a plan's spec, with what it leaves out, or of a calibration."""
     if spec is not None:
-        left_out = "not stated, and so counted as is typical of its class: "
+        left_out = "not stated, so typical figures of the class count: "
         omitted = [(term.key, left_out + term.typical) for term in absent_terms(spec)]
         return [*stated_figures(spec), *omitted]
     noise = None if calibration is None else calibration.noise
@@ -284,7 +284,7 @@ def provenance_rows(sources: Sources) -> list[tuple[str, str]]:
     if recipe is not None:
         rows += [
             ("recipe", recipe.fingerprint),
-            ("recipe made by", recipe.made.by),
+            ("recipe written by", recipe.made.by),
             ("versions", ", ".join(f"{name} {number}" for name, number in recipe.made.versions.items())),
         ]
         if recipe.made.seed is not None:

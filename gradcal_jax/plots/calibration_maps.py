@@ -20,7 +20,7 @@ def panels_of(calibration: Calibration) -> list[tuple[str, str]]:
 def draw_calibrated_term(
     calibration: Calibration, kind: str, name: str, *, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
-    """A term of all channels of a kind over temperature, slowly turned, each with a band of ± 1σ."""
+    """A term of all channels of a kind over temperature, at a low rate, each with a band of ± 1σ."""
     ax = new_axes(ax)
     lines: list[Line2D] = []
     unit = ""
@@ -91,7 +91,7 @@ def draw_lot(found: Lot, *, figure: Figure | SubFigure | None = None) -> Figure:
 
 
 def draw_lot_map(one: LotMap, *, ax: Axes | None = None) -> Axes:
-    """A map of all IMUs over temperature, slowly turned: strangers dashed, the mean with a band of one standard
+    """A map of all IMUs over temperature, at a low rate: outliers dashed, the mean with a band of one standard
     deviation of the type, and each shape by one standard deviation about the mean."""
     ax = new_axes(ax)
     strangers = {stranger.serial_number for stranger in one.strangers}
@@ -107,7 +107,7 @@ def draw_lot_map(one: LotMap, *, ax: Axes | None = None) -> Axes:
             stranger = name in strangers
             (line,) = ax.plot(t, values, linewidth=0.8, color="0.7")
             if stranger:
-                line.set(color=PALETTE[1], linestyle="--", label=f"{name}, a stranger")
+                line.set(color=PALETTE[1], linestyle="--", label=f"{name}, an outlier")
         ax.plot(t, one.mean, linewidth=2.0, color=PALETTE[0], label="mean ± 1σ of the type")
         ax.fill_between(t, one.mean - one.spread, one.mean + one.spread, color=PALETTE[0], alpha=0.2)
         for k, shape in enumerate(one.shapes):

@@ -30,7 +30,7 @@ _COLUMNS = 2
 def draw_heading(
     curves: Sequence[tuple[str, ErrorCurve]], *, own: bool = True, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
-    """The heading error after calibrations over time (deg, 1σ), each with a label; with `own`, also the unit's own
+    """The heading error after calibrations over time (deg, 1σ), each with a label; with `own`, also the IMU's own
     noise and the sum of both."""
     ax = new_axes(ax)
     drawn: list[Line2D] = []
@@ -134,7 +134,7 @@ def draw_comparison(specs: Sequence[tuple[str, Spec]], *, figure: Figure | SubFi
 
 
 def draw_poses(spec: Spec, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
-    """The vertical in the device's frame at every rest: longitude about z, colour by time, area by duration."""
+    """The vertical in the device's frame at every rest: longitude about z, coloured by time, area by duration."""
     if ax is None:
         ax = Figure(figsize=(6.4, 3.6), layout="constrained").add_subplot(projection="mollweide")
     poses = rest_poses(build_imu(spec))
@@ -159,7 +159,7 @@ def draw_poses(spec: Spec, *, ax: Axes | None = None) -> tuple[Axes, PathCollect
         # Inside the map: the title is above the upper pole.
         ax.annotate(name, place, xytext=(5, -11 if name == "+z" else 6), textcoords="offset points", fontsize=8)
     ax.figure.colorbar(dots, ax=ax, label="time, min", shrink=0.7)
-    ax.set_title("which way is up, seen from the device, at rest", pad=14.0)
+    ax.set_title("vertical in the device's frame, at rest", pad=14.0)
     ax.set_xticklabels([])
     ax.grid(visible=True, linewidth=0.4)
     return ax, dots

@@ -32,7 +32,7 @@ def draw_sweep(
     )
     unknown = [name for name in names if name not in results.data_vars]
     if unknown or not names:
-        raise ValueError(f"the results hold no variable {unknown[0]!r}" if unknown else "the results hold no residuals")
+        raise ValueError(f"the results have no variable {unknown[0]!r}" if unknown else "the results have no residuals")
     rows = [_drawn(results, name) if "point" in results.dims else _grid(results, name) for name in names]
     width = max(len(row) for row in rows)
     figure = new_figure(figure, (max(6.4, 3.4 * width), 3.9 * len(rows)))
@@ -183,5 +183,5 @@ def draw_sensitivities(known: Sensitivities, *, figure: Figure | SubFigure | Non
         axes.axvline(0.0, color="0.3", linewidth=0.8)
         value, unit = known.residuals[name]
         axes.set_title(f"{name}: {value:.4g} {unit}")
-        axes.set_xlabel("change of the residual for one per cent more (%)")
+        axes.set_xlabel("change of the residual for an increase of one per cent (%)")
     return figure.get_figure(root=True)

@@ -136,7 +136,7 @@ class _Reader:
         if text not in SYMBOLS:
             raise Refusal(f"unit '{text}' is unknown{_nearest(text)}")
         if text in FAHRENHEIT and len(self.tokens) > 1:
-            raise Refusal("Fahrenheit is understood for absolute temperatures only; write K")
+            raise Refusal("Fahrenheit is allowed only for absolute temperatures; write K")
         factor, powers = SYMBOLS[text]
         return Unit(factor, powers, text)
 

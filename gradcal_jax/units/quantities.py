@@ -103,7 +103,7 @@ def _compound(text: str, dimension: Dimension) -> Decimal | None:
         if level is None:
             return None
         if level <= previous:
-            raise Refusal("the parts must fall in size, as in '2 h 40 min' or '1° 30′ 15″'")
+            raise Refusal("the parts must decrease in size, as in '2 h 40 min' or '1° 30′ 15″'")
         if "." in number and index < len(parts) - 1:
             raise Refusal("only the last part may have decimals")
         if index > 0 and Decimal(number) >= 60:

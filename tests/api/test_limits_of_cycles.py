@@ -141,7 +141,7 @@ def test_the_objective_has_the_chance_that_predict_has():
     assert 0.5 * missed < 1.0 - power <= missed
     left = plan.exact.residuals(found)
     assert plan.exact.exceeded(left) == {
-        "the chance to miss a hidden map": pytest.approx(math.log((1.0 - power) / 0.1))
+        "the probability of missing a hidden map": pytest.approx(math.log((1.0 - power) / 0.1))
     }
     assert plan.exact.value_of(left) > plan.exact.without_limits(left) + 1.0
 

@@ -66,7 +66,7 @@ def test_alike_imus_have_no_spread():
     one = only(lot_of("alike"))
     assert one.shape_count == 0
     assert np.mean(one.spread_interval[0] == 0.0) > 0.9
-    assert "no spread is seen" in one.findings[0]
+    assert "no spread is visible" in one.findings[0]
     assert one.prior is not None
 
 
@@ -77,7 +77,7 @@ def test_few_imus_say_what_they_cannot_say(count):
     assert only(found).shape_count is None
     assert "too few" in " ".join(only(found).findings)
     (note,) = found.notes
-    assert note.startswith(f"{count} IMUs do not say whether one is a stranger")
+    assert note.startswith(f"{count} IMUs are too few to detect outliers")
 
 
 def test_the_stated_range_of_a_spread_of_few_is_students():
@@ -95,7 +95,7 @@ def test_a_stranger_is_named_and_does_not_count():
     assert one.shape_count == 1
     assert one.mean == pytest.approx(without.mean, abs=3.0)
     assert one.spread_rms < 2.0 * without.spread_rms
-    assert any("no. 6 is a stranger" in finding for finding in one.findings)
+    assert any("no. 6 is an outlier" in finding for finding in one.findings)
 
 
 def test_a_stranger_that_keeps_shapes_from_repeating_is_found():
@@ -271,7 +271,7 @@ def test_five_real_imus_turned_by_hand():
     maps = {(one.channel, one.term): one for one in found.maps}
     assert found.serial_numbers == tuple(f"MPU {number}" for number in range(5))
     assert not found.simulated
-    assert any(note.startswith("5 IMUs do not say") for note in found.notes)
+    assert any(note.startswith("5 IMUs are too few") for note in found.notes)
     assert all(one.prior is None and not one.strangers and not one.groups for one in found.maps)
     for channel in ("gyro_y", "gyro_z", "accelerometer_z"):
         bias = maps[channel, "bias"]

@@ -367,7 +367,7 @@ def test_two_clocks_that_contradict_each_other_are_said_and_the_computers_is_use
     values = {p["name"]: p["value"] for p in unit["parameters"]}
     own = plain.calibrations[0].values()
     assert values["gyro_x.b00"] == pytest.approx(own["gyro_x.b00"], abs=1e-6)
-    assert any("contradict each other by 499" in m for m in unit["messages"])
+    assert any("contradict each other: they differ by 499" in m for m in unit["messages"])
     main([*words, "--clock", "sensor"])
     (unit,) = json.loads(capsys.readouterr().out)["units"]
     values = {p["name"]: p["value"] for p in unit["parameters"]}
@@ -381,7 +381,7 @@ def test_two_clocks_that_contradict_each_other_are_said_and_the_computers_is_use
 @pytest.mark.parametrize(("unit", "convert"), [("°F", lambda t: 1.8 * t + 32.0), ("K", lambda t: t + 273.15)])
 def test_temperatures_in_another_unit_are_refused_by_name(recorded, unit, convert):
     log, _ = recorded
-    with pytest.raises(LogError, match=f"inside if they are in {unit}"):
+    with pytest.raises(LogError, match=f"inside if the column is in {unit}"):
         estimated(EXACT, replace(log, temperature_c=convert(log.temperature_c)))
 
 
@@ -400,7 +400,7 @@ def test_temperatures_in_another_unit_are_refused_by_name(recorded, unit, conver
 def test_a_temperature_that_returns_does_not_go_one_way(course, one_way):
     noise = 0.05 * np.random.default_rng(0).standard_normal(2000)
     temperature = np.interp(np.linspace(0.0, len(course) - 1.0, 2000), range(len(course)), course) + noise
-    assert any("one way only" in sentence for sentence in omitted_sentences(BARE, temperature)) == one_way
+    assert any("one direction only" in sentence for sentence in omitted_sentences(BARE, temperature)) == one_way
 
 
 def test_there_is_no_verdict_beyond_the_data(recorded):
@@ -413,8 +413,8 @@ def test_there_is_no_verdict_beyond_the_data(recorded):
     assert {row.verdict for row in rows.values()} == {"not covered"}
     assert not report.as_wished
     said = " ".join(report.messages[log.units[0]])
-    assert "'M' asks for -290 … 290 deg/s, and the data cover" in said
-    assert "'B' asks for -40 … 60 °C, and the data cover" in said
+    assert "'M' asks for -290 … 290 deg/s, but the data cover" in said
+    assert "'B' asks for -40 … 60 °C, but the data cover" in said
 
 
 @pytest.fixture(scope="module")
@@ -427,9 +427,9 @@ def unit_log():
     ("change", "said"),
     [
         (lambda r, f: (r * [1, -1, 1], f), "gyro y: .*sign is the opposite"),
-        (lambda r, f: (r, f / 9.80665), "accelerometer .: .*in g, where m/s"),
+        (lambda r, f: (r, f / 9.80665), "accelerometer .: .*in g instead of m/s"),
         (lambda r, f: (r[..., [1, 0, 2]], f), "gyro x: .*(swapped|quarter turn)"),
-        (lambda r, f: (np.degrees(r), f), "gyro .: .*deg/s, where rad/s"),
+        (lambda r, f: (np.degrees(r), f), "gyro .: .*deg/s instead of rad/s"),
         (lambda r, f: (r, f[..., [1, 0, 2]] * [1, -1, 1]), "accelerometer .: .*quarter turn"),
     ],
 )

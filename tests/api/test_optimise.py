@@ -294,8 +294,8 @@ def test_a_polished_programme_runs_along_the_chambers_limits_and_not_beyond():
     ("changes", "says"),
     [
         ({"design.free": ["temperatures"]}, "has no 'temperatures' to change"),
-        ({"design.max_motion": "50 s"}, "one turn at the table takes 120 s, the ramp only 50 s"),
-        ({"design.max_motion": "40 min"}, "the ramp needs 2.5 K/min but the chamber manages 2 K/min"),
+        ({"design.max_motion": "50 s"}, "one visit takes 120 s, the ramp only 50 s"),
+        ({"design.max_motion": "40 min"}, "the ramp needs 2.5 K/min, but the chamber reaches only 2 K/min"),
         ({"design.moves": 40}, "the moves need at least"),
         ({"design.minimise": "motion time"}, "give a requirement a target"),
     ],
@@ -313,7 +313,7 @@ def test_a_design_for_nothing_that_is_required_is_refused(spec):
 def test_a_target_that_no_plan_can_meet_is_refused_with_the_limit(spec):
     limit = limits(spec)[0].certified
     asked = changed(spec, {"requirement[0].target": f"{0.9 * limit} ppm", "design.minimise": "motion time"})
-    with pytest.raises(ValueError, match=f"it is proven that none leaves less than {limit:.4g} ppm in 50 min"):
+    with pytest.raises(ValueError, match=f"proven limits show that no plan leaves less than {limit:.4g} ppm in 50 min"):
         next(optimise(asked))
 
 
@@ -351,7 +351,7 @@ def test_until_met_searches_nothing_where_the_plan_meets_its_targets_with_margin
     before = residual(spec)
     (found,) = optimise(with_targets(spec, f"{before / 0.88} ppm"), until_met=True)
     assert isinstance(found, Optimised)
-    assert "nothing was searched" in found.sentence
+    assert "without a search" in found.sentence
     assert found.converged
     assert found.starts == ()
     # Within the target, but not by the margin; and one of two is missed.
@@ -437,7 +437,7 @@ def test_many_short_visits_begin_with_the_same_moves_in_each(spec):
     back = [moves[0], moves[1] | {"turn": "-360 deg"}]
     many = changed(spec, {"plan.cycle": {"moves": [*moves, *back]}, "design.moves": None})
     (structure,) = structures(many, [])
-    assert structure.words.endswith("cycles with the moves of the spec")
+    assert structure.words.endswith("cycles with the moves in the spec")
     assert not structure.alone
     # Of moves of their own, too few fit into a visit for the plan to be among them.
     own = changed(many, {"design.cycles": "own"})

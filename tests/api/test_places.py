@@ -127,7 +127,7 @@ def test_imus_sit_at_the_places_of_their_names_or_in_order():
     [
         ({"matrix": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]}, "is no rotation"),
         ({"matrix": [[1.0, 0.0, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]]}, "is no rotation"),
-        ({"matrix": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "x": "+x"}, "in the place of x, y and z"),
+        ({"matrix": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "x": "+x"}, "replaces x, y and z"),
         ({"x": "+x", "y": "+x"}, "three different ones"),
     ],
 )
@@ -223,4 +223,4 @@ def test_a_plan_too_large_to_be_estimated_together_is_judged_alone_and_it_is_sai
     plan = CyclePlan(spec)
     alone = logs_of(spec, lambda builts: [imu_posterior(b) for b in builts])
     assert plan.exact.value_of(plan.exact.residuals(spec)) == pytest.approx(np.mean(alone), abs=1e-7)
-    assert "each place is that of an IMU alone" in plan.exact.apart
+    assert "each place is predicted for an IMU alone" in plan.exact.apart

@@ -138,8 +138,11 @@ def test_what_is_believed_is_said(spec):
         ({"sensor.gyro.drift[0].uncertain": "factor 0.5"}, "more than 1"),
         ({"sensor.gyro.drift[0].uncertain": "about 2"}, "factor 2"),
         ({"sensor.gyro.drift[0].uncertain": 3}, "a table of figures"),
-        ({"sensor.gyro.drift[0].uncertain": {"tau": "factor 2"}}, "no figure of this table"),
-        ({"sensor.gyro.drift[0].uncertain": {"correlation_time": ["3 min", "20 min"]}}, "must hold what is written"),
+        ({"sensor.gyro.drift[0].uncertain": {"tau": "factor 2"}}, "not a figure of this table"),
+        (
+            {"sensor.gyro.drift[0].uncertain": {"correlation_time": ["3 min", "20 min"]}},
+            "must contain the stated value",
+        ),
         ({"sensor.gyro.drift[0].uncertain": {"correlation_time": ["3 parsec", "20 min"]}}, "not understood"),
         ({"design.notice": {"standard_deviation": "10 ppm", "power": "100 %"}}, "below 100 %"),
         ({"design.notice": {"standard_deviation": "10 ppm", "rate_degree": 1}}, "exceed"),

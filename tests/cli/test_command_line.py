@@ -146,7 +146,7 @@ def test_check_says_what_the_plan_does(spec, capsys):
         "cycle: 6 min, made 17 times: moves 2 min, other axes 4 min (read every 1 s)",
         "+360 deg  up to 10 deg/s   1.662 deg/s^2",
         "readings: 4402",
-        "the table stands for 2 min",
+        "the table is at rest for 2 min",
     ):
         assert words in out
     spec.write_text(presets.text("paper-dynamic-standard"), encoding="utf-8")
@@ -157,7 +157,7 @@ def test_check_says_what_the_plan_does(spec, capsys):
 def test_check_notes_requirements_beyond_the_plan(spec, capsys):
     spec.write_text(spec.read_text().replace('"70 degC"]\ngradient', '"60 degC"]\ngradient'), encoding="utf-8")
     assert main(["check", "--files-only", str(spec)]) == 0
-    assert 'note: requirement "full range" goes beyond the plan\'s -30 to 60 degC' in capsys.readouterr().out
+    assert 'note: requirement "full range" exceeds the plan\'s range, -30 to 60 degC' in capsys.readouterr().out
 
 
 def test_check_says_what_cannot_be_observed(spec, capsys):

@@ -92,7 +92,7 @@ def test_where_no_drift_shows_the_status_says_so(tmp_path, capsys):
     write_log(Log(np.arange(4000.0), WALK * rng.standard_normal((1, 4000, 1)), ("a",), ("x",)), path)
     status, told = printed(capsys, "instability", path, "--longest", "200 s")
     assert status == 1
-    assert "does not show" in told.out
+    assert "not visible" in told.out
     assert "[[sensor.drift]]" not in told.out
 
 
@@ -119,7 +119,7 @@ def test_the_deciding_drift_is_dated_and_can_be_left_out(tmp_path, capsys):
     assert status == 1
     (channel,) = json.loads(told.out)["channels"]
     assert not channel["drift_shows"]
-    assert "520 rows from 99.9 s to 105.1 s are left out as asked" in channel["messages"]
+    assert "520 rows from 99.9 s to 105.1 s are left out as requested" in channel["messages"]
 
 
 def test_a_part_of_a_log_is_what_all_commands_take(tmp_path, capsys):
@@ -147,14 +147,14 @@ def test_noise_that_no_gyro_has_is_status_1_with_a_question(tmp_path, capsys, fa
     for command in ("allan", "instability"):
         status, told = printed(capsys, command, path, *(("--longest", "20 s") if command == "instability" else ()))
         assert status == 1
-        assert "stated as rad/s" in told.out
+        assert "state rad/s for rates in deg/s" in told.out
 
 
 @pytest.mark.parametrize("factor", [1 / 57.3, 1.7 / 1000**0.5])
 def test_noise_of_the_quietest_gyros_alone_is_a_question(tmp_path, capsys, factor):
     """0.1 deg/√h in rad/s stated as deg/s, and 0.17 deg/√h with stamps in s stated as ms."""
     path = noise_log(tmp_path / "a.nc", 3, factor=factor)
-    assert "stated as deg/s, or stamps in s as ms?" in printed(capsys, "allan", path)[1].out
+    assert "or state deg/s for rates in rad/s, or ms for time stamps in s?" in printed(capsys, "allan", path)[1].out
     assert "?" not in printed(capsys, "allan", noise_log(tmp_path / "b.nc", 3))[1].out
 
 
@@ -227,7 +227,7 @@ def test_text_named_h5_is_told_from_damage(tmp_path, capsys):
         (("allan", "missing.nc"), "does not exist"),
         (("allan", "table.csv"), "--columns"),
         (("allan", "LOG", "--columns", "map.toml"), "needs no --columns"),
-        (("allan", "LOG", "--plot", "picture.docx"), "ends in .png, .svg or .pdf"),
+        (("allan", "LOG", "--plot", "picture.docx"), "must end in .png, .svg or .pdf"),
     ],
 )
 def test_wrong_input_is_a_sentence(record, arguments, sentence, capsys):

@@ -86,7 +86,7 @@ def test_a_rig_is_checked_and_what_does_not_answer_is_said(tmp_path, capsys):
         assert main(["rig", "check", str(path)]) == 0
         said = capsys.readouterr().out
         assert "N25582405002002" in said
-        assert "every device answers as the rig file says" in said
+        assert "every device answers as the rig file states" in said
         # The chamber's driver on the table's port: what was sent and what came back.
         wrong = to_toml(lab.rig).replace(lab.ports[0].url, "X").replace(lab.ports[1].url, lab.ports[0].url)
         wrong = wrong.replace('"X"', f'"{lab.ports[1].url}"')
@@ -100,9 +100,9 @@ def test_a_rig_is_checked_and_what_does_not_answer_is_said(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["recipe.toml"], "what to run, and where to"),
+        (["recipe.toml"], "the recipe and the output folder are missing"),
         (["recipe.toml", "-o", "run"], "Give either --rig RIG, or --simulate"),
-        (["--resume", "run", "--simulate"], "--resume takes nothing but the folder"),
+        (["--resume", "run", "--simulate"], "--resume needs only the folder"),
         (["--resume", "run"], "is not the folder of a run"),
         (["recipe.toml", "--simulate", "-o", "run", "--sample-rate", "100 Hz"], "does not sample at 100 Hz"),
     ],

@@ -72,7 +72,7 @@ def test_an_imu_is_started_with_a_plan_that_meets_its_limits_on_its_own_hardware
     out = tmp_path / "mine"
     assert main(["start", "--preset", preset, "-o", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "not asked, and so in spec.toml with a figure typical of the class" in said
+    assert "without a question, so spec.toml has a typical figure of the class" in said
     spec = sound({path.name: path.read_text(encoding="utf-8") for path in out.iterdir()})
     assert (len(spec.sensor.gyro.axes), len(spec.sensor.accelerometer.axes)) == (3, 3)
     prediction = gj.predict(spec)
@@ -137,7 +137,7 @@ def test_questions_are_asked_enter_takes_what_is_usual_and_back_goes_back(tmp_pa
         (SENSOR.format("x", "gyro").replace("500", "-5"), "more than zero"),
         ('a"b\n', "without quotes"),
         (SENSOR.format("x", "gyro") + "\n" * 7 + "20 degC, 25 degC, 1 K/min\n\n", "at least 10 K"),
-        (SENSOR.format("x", "gyro") + "\n\n\n\nnone" + "\n" * 9, "tell the angles"),
+        (SENSOR.format("x", "gyro") + "\n\n\n\nnone" + "\n" * 9, "measure the angles"),
         (SENSOR.format("x", "imu") + "0.1 m/s/sqrt(h), 10 mg, 0.1 mg/K\n\n\n2" + "\n" * 15, "with zaber or odrive"),
     ],
 )

@@ -76,7 +76,7 @@ def test_the_picture_shows_every_curve(done, folder):
     slow, fast = axes.get_lines()
     np.testing.assert_allclose(slow.get_ydata(), results["full_range_mean"].sel(gradient=1.0).values)
     assert np.isnan(fast.get_ydata()).all()
-    with pytest.raises(ValueError, match="hold no variable"):
+    with pytest.raises(ValueError, match="have no variable"):
         draw_sweep(results, "nothing")
 
 
@@ -87,10 +87,10 @@ def test_the_picture_shows_every_curve(done, folder):
         (["none.toml", "-o", "r.nc"], 'does not exist; nearest: "base.toml"'),
         (["base.toml", "-o", "r.nc"], 'expected "gradcal-sweep/1"'),
         (["sweep.toml", "-o", "nowhere/r.nc"], "there is no directory"),
-        (["sweep.toml", "-o", "base.toml"], "exists and is not of this sweep"),
+        (["sweep.toml", "-o", "base.toml"], "exists and belongs to another sweep"),
         (["sweep.toml", "-o", "r.nc", "--workers", "0"], "from 1 to 1024"),
         (["sweep.toml", "-o", "r.nc", "--workers", "2", "--scheduler", "tcp://x:1"], "--workers or --scheduler"),
-        (["sweep.toml", "-o", "r.nc", "--plot", "r.doc"], "ends in .png, .svg or .pdf"),
+        (["sweep.toml", "-o", "r.nc", "--plot", "r.doc"], "must end in .png, .svg or .pdf"),
     ],
 )
 def test_wrong_input_is_a_sentence_and_status_2(arguments, said, folder, capsys, monkeypatch):

@@ -47,7 +47,7 @@ def test_a_spec_is_written_anew_and_reads_the_same(old, capsys):
 def test_without_an_output_the_file_is_replaced_and_kept(old, capsys):
     before, text = read_spec(old), old.read_text()
     assert main(["check", "--upgrade", str(old)]) == 0
-    assert f"the file as it was is {old}.old" in capsys.readouterr().out
+    assert f"the original file is now {old}.old" in capsys.readouterr().out
     assert Path(f"{old}.old").read_text() == text
     assert read_spec(old) == before
     upgraded = old.read_text()

@@ -6,7 +6,7 @@ from motion_and_recording import Motion, Recorded, readings, recording, turns
 
 from gradcal_jax.decoding.alignment import Alignment, AngleTrack, NoAlignment, align
 
-UNKNOWN = "of another run|fits at two places"
+UNKNOWN = "from another run|agrees with the run at two times"
 
 
 def one(seed: int, cycles: int = 12) -> tuple[Alignment, Recorded]:
@@ -60,12 +60,12 @@ def test_another_run_or_another_axis_is_refused() -> None:
         align(other.time_s, {"x": other.rate_dps}, {"x": track})
     unit = recording(random, motion, begins_s=-50.0, ends_s=end, ppm=-50.0)
     still = 0.3 * random.standard_normal(len(unit.time_s))
-    with pytest.raises(NoAlignment, match="of another axis"):
+    with pytest.raises(NoAlignment, match="another axis"):
         align(unit.time_s, {"x": still}, {"x": track})
     # An axis that lies askew senses some of the turns.
-    with pytest.raises(NoAlignment, match=r"senses 0\.5"):
+    with pytest.raises(NoAlignment, match=r"sensor measures 0\.5"):
         align(unit.time_s, {"x": 0.5 * unit.rate_dps}, {"x": track})
-    with pytest.raises(NoAlignment, match="other sign"):
+    with pytest.raises(NoAlignment, match="opposite sign"):
         align(unit.time_s, {"x": -unit.rate_dps}, {"x": track})
     with pytest.raises(NoAlignment, match="turned none of the recording's axes"):
         align(unit.time_s, {"y": unit.rate_dps}, {"x": track})
@@ -84,7 +84,7 @@ def test_turns_that_are_all_alike_tell_their_place_only_with_their_first_or_last
     found = align(close.time_s, {"x": close.rate_dps}, {"x": short})
     assert np.abs(errors(found, close)).max() < 4.0
     middle = recording(random, motion, begins_s=0.4 * end, ends_s=0.7 * end, ppm=50.0)
-    with pytest.raises(NoAlignment, match="two places"):
+    with pytest.raises(NoAlignment, match="two times"):
         align(middle.time_s, {"x": middle.rate_dps}, {"x": track})
 
 

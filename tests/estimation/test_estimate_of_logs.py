@@ -276,7 +276,7 @@ def test_the_slope_of_two_clocks_is_that_within_the_stretches():
     log = two_hours(36_000.0)
     time, said = host_time(log)
     assert np.ptp(time[:36_000]) == pytest.approx(3599.9 * (1.0 + SLOW), abs=1e-6)
-    assert "1.000300000 s of the computer's (how well that is known the log does not say)" in said
+    assert "1.000300000 s of the computer's (the log does not state the uncertainty of this)" in said
     jitter = np.random.default_rng(1).uniform(0.0, 0.01, len(time))
     _, said = host_time(replace(log, host_time_s=log.host_time_s + jitter))
     # 10 ms / √12, by two levers of 3600 s · √(36000 / 12).
@@ -309,7 +309,7 @@ def test_points_are_found_in_the_log_whatever_the_plan_says():
     (channel,) = estimated(parse_spec(few), made.log)
     assert len(channel.solution.weights) == 35
     assert any(
-        "31 points, at held rates and stable temperatures, that are not in the plan" in m for m in channel.messages
+        "31 points, at constant rates and stable temperatures, that are not in the plan" in m for m in channel.messages
     )
     (all_planned,) = estimated(parse_spec(many), made.log)
     np.testing.assert_allclose(
@@ -323,7 +323,7 @@ def test_what_a_log_lacks_is_a_sentence():
     with pytest.raises(LogError, match="no temperature"):
         estimated(spec, replace(log, temperature_c=None))
     constant = parse_spec(GRADIENT.replace("degree = 1, centre", "degree = 0, centre"))
-    with pytest.raises(LogError, match="give that of the recording"):
+    with pytest.raises(LogError, match="state that of the recording"):
         estimated(constant, replace(log, temperature_c=None))
     (at,) = estimated(constant, replace(log, temperature_c=None), options=Options(temperature_c=23.4))
     assert at.calibration.valid_temperature == pytest.approx((23.4, 23.4))
@@ -331,7 +331,7 @@ def test_what_a_log_lacks_is_a_sentence():
         estimated(spec, log, options=Options(temperature_c=23.4))
     with pytest.raises(LogError, match="no table axis q"):
         estimated(spec, log, options=Options(table_axis="q"))
-    with pytest.raises(ValueError, match="never stands still"):
+    with pytest.raises(ValueError, match="is never at rest"):
         estimated(spec, replace(log, standstill=np.full(len(log.time_s), -1)))
     with pytest.raises(LogError, match="no axis 'roll'"):
         estimated(spec, log, axis="roll")

@@ -30,7 +30,7 @@ def test_the_drift_of_the_rests_beside_a_move_is_taken_off_it():
     (group,) = closest_neighbours(moves, 5.0)
     assert group.moves == 1
     assert group.standard_error is None
-    with pytest.raises(ValueError, match="some kelvins"):
+    with pytest.raises(ValueError, match="must be positive"):
         closest_neighbours(moves, 0.0)
 
 

@@ -92,7 +92,7 @@ def test_the_command_takes_csv_and_netcdf_alike(tmp_path, capsys):
     dataset.to_netcdf(tmp_path / "wrong.nc", engine="h5netcdf")
     wrong = ["estimate", str(tmp_path / "wrong.nc"), "--points", str(columns), "--spec", str(tmp_path / "spec.toml")]
     assert main(wrong) == 2
-    assert "is in 'rad/s' by its own attribute, and in 'deg/s' by the map" in capsys.readouterr().err
+    assert "is in 'rad/s' by its attribute, and in 'deg/s' by the map" in capsys.readouterr().err
     assert main(["estimate", str(csv), "--points", str(columns)]) == 2
     assert "--points needs the spec" in capsys.readouterr().err
 
@@ -102,7 +102,7 @@ def test_without_sigma_the_specs_noise_counts(tmp_path):
     csv, _ = written(tmp_path, warm, rate, output, sigma)
     points = read_points(csv, parse_point_map("\n".join(MAP.splitlines()[:-1])))
     channel = estimate_points(SPEC, points)
-    assert any("each has independent noise by the spec" in m for m in channel.messages)
+    assert any("each has independent noise from the spec" in m for m in channel.messages)
     drift = 2 * 5.0**2 * (60 / 60 - 1 + np.exp(-1.0))  # of 5 deg/h with 60 s, averaged over 60 s
     at_rest = np.sqrt(0.5**2 * 3600 / 60 + drift) / 3600
     std = np.sqrt(np.diag(channel.solution.known.covariance(channel.built.model.to_reported)))[0]
@@ -117,7 +117,7 @@ def test_wrong_points_are_sentences(tmp_path):
     csv, columns = written(tmp_path, warm, rate, output, sigma)
     text = MAP.replace('"table", unit = "deg/s"', '"table", unit = "rad/s"')
     points = read_points(csv, columns)
-    with pytest.raises(LogError, match="in another unit or scale"):
+    with pytest.raises(LogError, match="have another unit or scale"):
         read_points(csv, parse_point_map(text))
     with pytest.raises(LogError, match=r"no column 'tabel'; .*table"):
         read_points(csv, parse_point_map(MAP.replace('"table"', '"tabel"')))

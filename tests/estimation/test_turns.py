@@ -98,5 +98,7 @@ def test_a_scale_factor_that_no_gyro_has_is_refused():
         log.time_s, log.rate_rad_per_s, log.units, log.axes, log.temperature_c, ("x",), 0.6 * log.table_angle_rad,
         standstill=log.standstill,
     )  # fmt: skip
-    with pytest.raises(LogError, match=r"hand, gyro x: it shows 1\.67 times what is along its axis: is the column of"):
+    with pytest.raises(
+        LogError, match=r"hand, gyro x: it shows 1\.67 times the input along its axis: does the column have"
+    ):
         estimated(parse_spec(SPEC), wrong, axis="x")

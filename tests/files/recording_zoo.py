@@ -78,7 +78,9 @@ stamped("microseconds", K * 1e4, in_unit("us"), stamp=".0f")
 stamped("nanoseconds of an epoch", 1_700_000_000_000_000_000 + K * 10_000_000, in_unit("ns"), stamp="d")
 stamped("an epoch with two decimals", 1_700_000_000.0 + K / HZ, stamp=".2f")
 stamped("seconds of 32 bits", np.float32(40_000.0 + K / HZ).astype(float))
-stamped("seconds of 32 bits that repeat", np.float32(400_000.0 + K / HZ).astype(float), asks="too coarsely")
+stamped(
+    "seconds of 32 bits that repeat", np.float32(400_000.0 + K / HZ).astype(float), asks="too coarse to distinguish"
+)
 stamped("1 kHz", K / 1000.0, hz=1000.0)
 stamped("8 kHz in microseconds", np.rint(K * 125.0), in_unit("us"), hz=8000.0, stamp=".0f")
 stamped("bursts of twenty", (K // 20) * 0.2 + (K % 20) * 1e-4)
@@ -90,9 +92,15 @@ stamped("whole milliseconds at 300 Hz", np.floor(K / 0.3) / 1000.0, hz=300.0)
 stamped("jitter", K / HZ + 5e-4 * rng.standard_normal(ROWS))
 stamped("late stamps, now and then", K / HZ + np.where(rng.random(ROWS) < 0.002, 0.004, 0.0))
 stamped("a clock that wanders", np.cumsum(0.01 * (1.0 + 3e-4 * np.sin(K / 3000.0))))
-stamped("whole seconds", np.floor(K / HZ), asks='too coarsely.*sample_rate = "100', stamp=".0f")
-stamped("every stamp twice", (K // 2) / 50.0, asks="too coarsely")
-stamped("16 bits of microseconds", (K * 10_000) % 2**16, in_unit("us"), asks="wrap|steps back|too coarsely", stamp="d")
+stamped("whole seconds", np.floor(K / HZ), asks='too coarse to distinguish.*sample_rate = "100', stamp=".0f")
+stamped("every stamp twice", (K // 2) / 50.0, asks="too coarse to distinguish")
+stamped(
+    "16 bits of microseconds",
+    (K * 10_000) % 2**16,
+    in_unit("us"),
+    asks="wrap|steps back|too coarse to distinguish",
+    stamp="d",
+)
 stamped("32 bits of microseconds", (2**32 - 60_000_000 + K * 10_000) % 2**32, in_unit("us"), "wrapped", stamp="d")
 stamped("a restart", np.where(K < 6000, K, K - 6000) / HZ, asks="steps back")
 stamped("the end of a week", (604_740.0 + K / HZ) % 604_800.0, asks="steps back")
@@ -161,10 +169,10 @@ valued("a dead band", lambda w: np.where(np.abs(w - 0.02) < 0.12, 0.0, w), "dead
 valued("a small dead band", lambda w: np.where(np.abs(w) < 0.02, 0.0, w), "a dead band")
 valued("two values", lambda w: np.rint((w - 0.02) / 0.5 + 0.5) * 0.5, "dead band|coarse")
 valued("one value in most rows", lambda w: np.rint(w / 0.5) * 0.5, "dead band|coarse")
-valued("steps of the noise", lambda w: np.rint(w / 0.05) * 0.05, "of its noise, and add to it")
+valued("steps of the noise", lambda w: np.rint(w / 0.05) * 0.05, "of its noise, and increase it")
 valued("steps of a fifth of the noise", lambda w: np.rint(w / 0.01) * 0.01)
-valued("one constant value", lambda w: np.full(ROWS, 0.25), "one value|does not change")
-valued("counts of 16 bits without a sign", lambda w: np.rint(w / 0.004) % 65536, "too large a unit")
+valued("one constant value", lambda w: np.full(ROWS, 0.25), "the same value|does not change")
+valued("counts of 16 bits without a sign", lambda w: np.rint(w / 0.004) % 65536, "unit in the map too large")
 valued("the mean of 8 samples", lambda w: np.convolve(noise(ROWS + 7), np.ones(8) / 8, "valid"))
 valued("a sample that is read twice", lambda w: np.repeat(noise(ROWS // 2, 50.0), 2))
 valued("a sample that is read four times", lambda w: np.repeat(noise(ROWS // 4, 25.0), 4))
@@ -178,8 +186,8 @@ def turned(periods: int):
     return lambda w: w + np.array([0.0, 1.3, -0.9, 2.1])[K % periods]
 
 
-valued("two sensors in turns", turned(2), "several sensors in turns")
-valued("three sensors in turns", turned(3), "several sensors in turns")
+valued("two sensors in turns", turned(2), "several sensors alternate")
+valued("three sensors in turns", turned(3), "several sensors alternate")
 
 
 def lines(name: str, header: str, row: Callable[[int, float], str], more: str = "", asks: str | None = None, **options):
@@ -236,9 +244,9 @@ lines("names of sensors, and whose", "t,sensor,gx", lambda k, v: f"{k / HZ:.4f},
 lines("rows of another channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f},\n{k / HZ + 0.004:.4f},,9.8")
 lines("a slower channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f}," + ("" if k % 4 else f"{9.8 + v:.4f}"),
       'interpolate = true\n[force]\nx = { column = "ax", unit = "m/s^2" }\n')  # fmt: skip
-lines("rad/s by the header", "t,gx (rad/s)", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.9f}", "", "says rad/s",
+lines("rad/s by the header", "t,gx (rad/s)", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.9f}", "", "states rad/s",
       base=HEAD + TIME + 'rate.x = { column = "gx (rad/s)", unit = "deg/s" }\n')  # fmt: skip
-lines("mdps by the header", "t,gx [mdps]", lambda k, v: f"{k / HZ:.2f},{1000 * v:.3f}", "", "says mdps",
+lines("mdps by the header", "t,gx [mdps]", lambda k, v: f"{k / HZ:.2f},{1000 * v:.3f}", "", "states mdps",
       base=HEAD + TIME + 'rate.x = { column = "gx [mdps]", unit = "deg/s" }\n')  # fmt: skip
 lines("deg/s as rad/s", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}", "", "any gyro|no gyro",
       base=HEAD + TIME + 'rate.x = { column = "gx", unit = "rad/s" }\n')  # fmt: skip
@@ -253,7 +261,7 @@ def thinned_and_said(folder: Path) -> Recorded:
 
 @kind
 def thinned_and_not_said(folder: Path) -> Recorded:
-    return Recorded(table(folder, K / 10.0, noise(ROWS, 400.0)), MAP, "every n-th of them")
+    return Recorded(table(folder, K / 10.0, noise(ROWS, 400.0)), MAP, "each row is a single sample")
 
 
 @kind
@@ -326,18 +334,18 @@ def named(name: str, column: str, asks: str, unit: str = "deg/s", size: float = 
           base=HEAD + TIME + f'rate.x = {{ column = "{column}", unit = "{unit}" }}\n')  # fmt: skip
 
 
-named("as a quaternion", "qx", "says a quaternion")
-named("as an angle", "roll", "says an angle")
-named("as a specific force", "acc_x", "says a specific force")
-named("as a magnetic field", "mag_x", "says a magnetic field")
-named("as counts", "gx (LSB)", "says counts")
-named("in turns a minute", "gx [rpm]", "says rpm")
-lines("stamps named as ticks", "t [ticks],gx", lambda k, v: f"{k * 328},{v:.6f}", "", "says counts",
+named("as a quaternion", "qx", "states a quaternion")
+named("as an angle", "roll", "states an angle")
+named("as a specific force", "acc_x", "states a specific force")
+named("as a magnetic field", "mag_x", "states a magnetic field")
+named("as counts", "gx (LSB)", "states counts")
+named("in turns a minute", "gx [rpm]", "states rpm")
+lines("stamps named as ticks", "t [ticks],gx", lambda k, v: f"{k * 328},{v:.6f}", "", "states counts",
       base=HEAD + 'time = { column = "t [ticks]", unit = "us" }\n' + RATE)  # fmt: skip
-lines("unnamed ticks beside a stated rate", "t,gx", lambda k, v: f"{k * 12800},{v:.6f}", "", "ticks of a clock",
+lines("unnamed ticks beside a stated rate", "t,gx", lambda k, v: f"{k * 12800},{v:.6f}", "", "clock ticks",
       base=HEAD + 'sample_rate = "100 Hz"\ntime = { column = "t", unit = "us" }\n' + RATE)  # fmt: skip
-lines("a row of other units", "t,gx\ns,rad/s", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.8f}", "", "says rad/s")
-lines("a row of units in brackets", "t,gx\n[s],[mdps]", lambda k, v: f"{k / HZ:.2f},{1e3 * v:.3f}", "", "says mdps")
+lines("a row of other units", "t,gx\ns,rad/s", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.8f}", "", "states rad/s")
+lines("a row of units in brackets", "t,gx\n[s],[mdps]", lambda k, v: f"{k / HZ:.2f},{1e3 * v:.3f}", "", "states mdps")
 lines("whole numbers", "t,gx", lambda k, v: f"{k / HZ:.2f},{v / 0.2:.0f}", "", "are they counts")
 lines("row numbers without a name", "t,gx", lambda k, v: f"{k + 1},{k / HZ:.2f},{v:.6f}", "", "more fields than")
 lines("unquoted thousands", "t,gx", lambda k, v: f"{k / HZ:.2f},{1000 + v / 5e-4:,.0f}", "", "more fields than",
@@ -355,9 +363,9 @@ lines("half of the rows empty", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}\n,")
 lines("a tenth without a stamp", "t,gx", lambda k, v: ("" if k % 9 == 3 else f"{k / HZ:.2f}") + f",{v:.6f}", "",
       "unreadable row")  # fmt: skip
 lines("a number for a missing value", "t,gx", lambda k, v: f"{k / HZ:.2f}," + ("-999" if k % 20 == 7 else f"{v:.6f}"),
-      "", "stand for a missing one")  # fmt: skip
+      "", "mark a missing value")  # fmt: skip
 lines("a small number for a missing one", "t,gx", lambda k, v: f"{k / HZ:.2f}," + ("-1" if k % 20 == 7 else f"{v:.6f}"),
-      "", "stand for a missing one")  # fmt: skip
+      "", "mark a missing value")  # fmt: skip
 lines(
     "rare numbers for missing values", "t,gx", lambda k, v: f"{k / HZ:.2f}," + ("-9999" if k % 999 == 7 else f"{v:.6f}")
 )
@@ -387,14 +395,14 @@ def shuffled(name: str, order: np.ndarray, asks: str | None = None, later: np.nd
 shuffled("pairs of rows swapped", K.reshape(-1, 2)[:, ::-1].ravel())
 shuffled("tens of rows from the last", swapped)
 shuffled("packets out of order", np.argsort(K + 3.0 * rng.random(ROWS)))
-shuffled("two clocks in turns", K, "two clocks", 1000.0 * (K % 2))
+shuffled("two clocks in turns", K, "two alternating clocks", 1000.0 * (K % 2))
 shuffled("from the start's clock to that of the day", K, "another clock", 1.7e9 * (K > 3000))
 shuffled("daylight saving ends", K, "steps back", -3600.0 * (K > 7000))
 shuffled("daylight saving begins", K, None, 3600.0 * (K > 7000))
 stamped("two logs on end", np.concatenate([K[:6000], K[:6000]]) / HZ, asks="steps back")
-stamped("intervals for stamps", 0.01 + 1e-5 * rng.standard_normal(ROWS), asks="do not grow", stamp=".7f")
-stamped("one interval for all stamps", np.full(ROWS, 0.01), asks="do not grow")
-stamped("six digits of an epoch", 1.7e9 + K / HZ, asks="do not grow", stamp=".5E")
+stamped("intervals for stamps", 0.01 + 1e-5 * rng.standard_normal(ROWS), asks="do not increase", stamp=".7f")
+stamped("one interval for all stamps", np.full(ROWS, 0.01), asks="do not increase")
+stamped("six digits of an epoch", 1.7e9 + K / HZ, asks="do not increase", stamp=".5E")
 stamped("32 bits with a sign", (2**31 - 60_000_000 + K * 10_000 + 2**31) % 2**32 - 2**31, in_unit("us"), "wrapped",
         stamp="d")  # fmt: skip
 stamped("days of a spreadsheet", 45_000.0 + K / HZ / 86_400.0, in_unit("d"), stamp=".9f")
@@ -429,8 +437,8 @@ def warmed(name: str, shown: np.ndarray, asks: str | None = None):
 
 warmed("at 0", 0.0 * WARM, "never changes")
 warmed("at 85", 0.0 * WARM + 85.0, "never changes")
-warmed("that begins at 85", np.where(K < 100, 85.0, WARM), "jumps away")
-warmed("that restarts", np.where(K % 700 < 20, 85.0, WARM), "jumps away")
-warmed("with a loose wire", np.where(K % 1000 == 7, 0.0, WARM), "jumps away")
+warmed("that begins at 85", np.where(K < 100, 85.0, WARM), "changes abruptly")
+warmed("that restarts", np.where(K % 700 < 20, 85.0, WARM), "changes abruptly")
+warmed("with a loose wire", np.where(K % 1000 == 7, 0.0, WARM), "changes abruptly")
 warmed("in tenths", 10.0 * WARM, "counts")
-warmed("that stops", np.where(K > 5000, WARM[5000], WARM), "stands still")
+warmed("that stops", np.where(K > 5000, WARM[5000], WARM), "constant temperature")

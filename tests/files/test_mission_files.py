@@ -67,8 +67,8 @@ def test_a_table_is_read_in_si_from_its_first_row_on():
         (f"{HEAD}\n0, 0, 20\n0,5, 0, 20", "line 3: 4 columns, and the header has 3"),
         (f"{HEAD}\n0, 0, 20\n2, 0, 20\n1, 0, 20", "line 4: the time is not after that of line 3"),
         (f"{HEAD}\n0, 0, 20\n0, 0, 20", "line 3: the time is not after that of line 2"),
-        (f"{HEAD}\n0, 0, 20\n1, 1e400, 20", "line 3: rate is 1e400, beyond anything"),
-        (f"{HEAD}\n0, 0, 20\n1, 0, -300", "line 3: temperature is -300, beyond anything"),
+        (f"{HEAD}\n0, 0, 20\n1, 1e400, 20", "line 3: rate is 1e400, which is not plausible"),
+        (f"{HEAD}\n0, 0, 20\n1, 0, -300", "line 3: temperature is -300, which is not plausible"),
     ],
 )
 def test_what_is_wrong_with_a_table_is_said_with_its_line(table, said):

@@ -211,7 +211,7 @@ def test_what_was_changed_by_hand_is_refused_with_the_key():
     said = str(caught.value)
     assert "motion[0].moves[1].rate" in said
     assert "chamber.programme[1].duration" in said
-    assert "make the recipe anew" in said
+    assert "make the recipe again" in said
 
 
 @pytest.mark.parametrize(
@@ -266,7 +266,7 @@ def test_a_recipe_of_one_axis_that_was_changed_by_hand_is_refused_with_the_key(c
     tables = tomllib.loads(OF_AXIS.read_text(encoding="utf-8"))
     assert "gyro" not in tables["spec"]["sensor"]
     change(tables)
-    with pytest.raises(SpecError, match="make the recipe anew") as caught:
+    with pytest.raises(SpecError, match="make the recipe again") as caught:
         recipe_of(tables, "recipe.toml")
     assert key in {problem.dotted for problem in caught.value.problems}
 

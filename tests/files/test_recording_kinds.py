@@ -121,7 +121,7 @@ def log_start(time: np.ndarray) -> float:
 def test_units_in_headers_are_compared_with_the_map(name: str, unit: str, says: str):
     question = contradiction(name, unit)
     assert question is not None
-    assert f"says {says}, and the map says {unit}" in question
+    assert f"states {says}, and the map states {unit}" in question
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,9 @@ def test_points_among_decimal_commas_are_refused(tmp_path: Path):
     text += '[csv]\ndelimiter = ";"\ndecimal = ","\n'
     path = tmp_path / "record.csv"
     path.write_text("zeit;gx\n0,00;999\n0,01;1.105\n0,02;1.074\n", encoding="utf-8")
-    with pytest.raises(LogError, match=r"column 'gx' holds a point, where decimal.*mark of thousands.*'1\.105'"):
+    with pytest.raises(
+        LogError, match=r"column 'gx' has a decimal point, although decimal.*mark of thousands.*'1\.105'"
+    ):
         import_log(path, parse_column_map(text))
     path.write_text("zeit;gx;day\n0,00;999;1.1.\n0,01;1105,5;1.1.\n0,02;1074;1.1.\n", encoding="utf-8")
     log = import_log(path, parse_column_map(text))
@@ -177,7 +179,8 @@ def test_rare_wrong_rows_are_left_out_and_said(tmp_path: Path):
     log = imported(tmp_path, np.arange(len(rate)) / 100.0, rate)
     rest = at_rest(log)
     assert np.count_nonzero(~rest.valid) == 40
-    assert "40 rows (0.00067 of all) are more than 10 standard deviations" in rest.messages[0]
+    words = "40 rows (0.00067 of all) differ from their neighbours by more than 10 standard deviations"
+    assert words in rest.messages[0]
     assert walk(log) == pytest.approx(N, rel=0.03)
 
 
@@ -193,7 +196,7 @@ def test_coarse_steps_and_dead_bands_give_no_angle_random_walk(tmp_path: Path):
     time = np.arange(len(rate)) / 100.0
     half = np.rint((rate - 0.02 + 0.5 * step) / step) * step  # between two values
     for values in (np.rint(rate / step) * step, half, np.where(np.abs(rate) < 0.15, 0.0, rate)):
-        with pytest.raises(LogError, match=r"dead band|coarse for its noise"):
+        with pytest.raises(LogError, match=r"dead band|coarse compared with its noise"):
             at_rest(imported(tmp_path, time, values))
 
 
@@ -202,4 +205,4 @@ def test_steps_that_add_to_the_noise_are_said(tmp_path: Path):
     step = 0.05  # the noise
     log = imported(tmp_path, np.arange(len(rate)) / 100.0, np.rint(rate / step) * step)
     (said,) = at_rest(log).messages
-    assert "of its noise, and add to it" in said
+    assert "of its noise, and increase it" in said

@@ -157,6 +157,7 @@ def test_gaps_begin_new_stretches_and_single_lost_rows_do_not():
     cleaned, found = without_faults(thin)
     assert cleaned.stretch_starts.tolist() == [0, 1998]
     assert found["A"].sentences == (
-        "1 gap with about 100 samples lost, the longest 2.02 s, the first at 39.98 s: what moved meanwhile is left out",
+        "1 gap with about 100 samples lost, the longest 2.02 s, the first at 39.98 s: "
+        "moves during the gaps are left out",
     )
     assert without_faults(cleaned)[0].stretch_starts.tolist() == [0, 1998]

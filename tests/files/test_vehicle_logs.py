@@ -69,7 +69,7 @@ def test_gyros_of_one_ulog_are_units_by_device_id(tmp_path):
     assert other.units == ("13",)
     assert other.temperature_c is None
     assert len(other.time_s) == ROWS // 2
-    with pytest.raises(LogError, match="no unit '14' in this log; it has 11, 12, 13"):
+    with pytest.raises(LogError, match="no IMU '14' in this log; it has 11, 12, 13"):
         read_vehicle_log(path, unit="14")
 
 
@@ -95,7 +95,7 @@ def test_a_fifo_is_unrolled_and_takes_the_temperature_of_its_device(tmp_path):
 
 def test_sensor_combined_is_refused(tmp_path):
     rows = sensor_gyro(STAMPS_US, RATE, TEMPERATURE, 1)
-    with pytest.raises(LogError, match="calibration and bias are taken off: let PX4 log sensor_gyro"):
+    with pytest.raises(LogError, match="calibration and bias subtracted: make PX4 log sensor_gyro"):
         read_vehicle_log(ulog(tmp_path / "a.ulg", ("sensor_combined", 0, rows)))
 
 
@@ -235,7 +235,7 @@ def test_mavlink_is_refused_with_why(tmp_path):
 def test_a_thermometer_that_steps_by_a_degree_is_named(tmp_path):
     rows = sensor_gyro(STAMPS_US, RATE, np.rint(TEMPERATURE), 5)
     log = read_vehicle_log(ulog(tmp_path / "a.ulg", ("sensor_gyro", 0, rows)))
-    assert any("steps by 1 degC" in finding.message for finding in log.findings)
+    assert any("steps of 1 degC" in finding.message for finding in log.findings)
 
 
 @pytest.mark.parametrize(

@@ -199,7 +199,7 @@ def test_a_device_that_does_not_answer_is_tried_until_it_does(
         mend.join()
         assert rig.chamber.mode == "STANDBY"
     assert all(outcome.verified for outcome in outcomes)
-    assert "chamber is not safe, and is tried again" in capsys.readouterr().err
+    assert "chamber is not safe; the guard tries again" in capsys.readouterr().err
     verified = [event.data["verified"] for event in by_guard(tmp_path / "journal") if "device" in event.data]
     assert verified.count(False) >= 1
     assert verified[-1] is True
@@ -243,7 +243,7 @@ def test_a_guard_that_died_is_announced_and_replaced(
         # The other one did what the first was there for.
         assert lab.chamber.mode == "STANDBY"
     assert len(killed) == 1
-    said = "the guard had died; another one has taken its place"
+    said = "the guard had died; another guard has replaced it"
     assert said in [event.data.get("what") for event in by_guard(folder.journal_path)]
     assert said in capsys.readouterr().err
 
@@ -267,7 +267,7 @@ def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path: Path) -> None:
         assert lab.stdout.readline().split() == ["STANDBY", "0.0"]
         run.communicate(timeout=30.0)
         assert run.returncode == -signal.SIGKILL
-    assert "did not answer any more" in by_guard(journal)[0].data["what"]
+    assert "no longer responded" in by_guard(journal)[0].data["what"]
 
 
 def run_of(lab: SimulatedLab, folder: RunFolder, clock: RealClock, **more: Any) -> RunResult:

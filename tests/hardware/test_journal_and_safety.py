@@ -237,7 +237,7 @@ def test_a_line_too_many_is_a_problem_and_what_was_written_stays(tmp_path: Path)
             journal.bytes_of(f"unit{number}", 0.0, b"x", received=True)
         assert journal.problem == ""
         journal.bytes_of("one more", 1.0, b"x", received=True)
-        assert "256 lines at most" in journal.problem
+        assert "at most 256 lines" in journal.problem
     contents = read_journal(tmp_path / "j")
     assert contents.damaged_bytes == 0
     assert [chunk.data for chunk in chunks_of(contents, "unit255")] == [b"x"]

@@ -152,7 +152,7 @@ def test_without_limits_in_the_rig_file_the_chambers_own_hold(tmp_path: Path) ->
         once(runner, lambda progress: progress.state is RunState.PAUSED, lambda: weld_on(rig))
         after(runner, 7200.0, lambda: runner.request("abort", "nothing ended it"))
         result = runner.run()
-        assert "it is never to leave -53 to 73 degC" in result.reason
+        assert "its limits are -53 to 73 degC" in result.reason
         assert rig.chamber.plant.air_c(runner.clock.now()) < 75.0
 
 
@@ -212,7 +212,7 @@ def test_a_door_that_is_opened_in_a_pause_ends_nothing(tmp_path: Path) -> None:
     assert events(tmp_path, "interlock") == []
 
 
-@pytest.mark.parametrize("fate", ["power cut", "STANDBY at the panel"])
+@pytest.mark.parametrize("fate", ["Check its power", "STANDBY at the panel"])
 @pytest.mark.parametrize("when", ["stabilising", "running"])
 def test_a_chamber_that_was_commanded_to_condition_and_does_not_pauses_the_run(
     tmp_path: Path, fate: str, when: str
@@ -222,7 +222,7 @@ def test_a_chamber_that_was_commanded_to_condition_and_does_not_pauses_the_run(
         why: list[str] = []
 
         def fail() -> None:
-            rig.chamber.reboot() if fate == "power cut" else rig.chamber._enter("STANDBY")
+            rig.chamber.reboot() if fate == "Check its power" else rig.chamber._enter("STANDBY")
 
         def is_so(progress: RunProgress) -> bool:
             waits = progress.step_left_s is None
@@ -303,7 +303,7 @@ def test_limits_of_the_rig_file_reach_the_run_and_its_dry_run(tmp_path: Path, ca
 UNSWITCHED = 'options = { protocol = "watlow-f4", changes = { tell = { on = false, off = false } } }'
 WITHOUT = {
     "a stage without its command": ('[[axis]]\nname = "a"\ndriver = "zaber"\nport = "COM1"\nsafe = "unpower"\n'
-                                    "gravity_loaded = false\n", "name unpower_command"),
+                                    "gravity_loaded = false\n", "state unpower_command"),
     "an F4 whose plant is not switched": (
         f'[chamber]\ndriver = "registers"\nport = "COM1"\nsafe = "standby"\n{UNSWITCHED}\n',
                                           "no [tell] on and off"),
@@ -319,7 +319,7 @@ def test_a_safe_state_that_a_device_cannot_take_is_refused_before_anything(what:
     # Not that nobody answers: nobody is asked.
     assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 2
     said = capsys.readouterr().err
-    assert "this device cannot be left so" in said
+    assert "this device does not support this safe state" in said
     assert words in said
     write_toml(short_recipe(), tmp_path / "recipe.toml")
     run = [
@@ -362,8 +362,8 @@ def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path: Pat
         once(runner, lambda progress: abs(rig.axis.state(runner.clock.now())[1]) > 100.0, jam)
         result = runner.run()
         assert result.exit_status == "aborted"
-        assert "axis table has stood at 81.9 deg" in result.reason
-        assert "was to be at 3600.0 deg" in result.reason
+        assert "axis table has been at 81.9 deg" in result.reason
+        assert "should have reached 3600.0 deg" in result.reason
         assert result.verified_safe
     (move,) = (event for event in events(tmp_path, "move") if event.data["kind"] == kind)
     (ended,) = events(tmp_path, "ending")

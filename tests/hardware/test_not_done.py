@@ -113,7 +113,7 @@ def test_a_turn_that_a_stage_swallowed_is_not_done(tmp_path: Path) -> None:
         result = runner.run()
         assert (result.exit_status, len(swallowed)) == ("success", 1), result.reason
     (amiss,) = events(tmp_path, "not done")
-    assert "was to go to" in amiss.data["why"]
+    assert "and its target is" in amiss.data["why"]
     was_executed(tmp_path)
 
 
@@ -147,7 +147,7 @@ def test_a_chamber_that_agrees_with_itself_and_stays_where_it_is_does_not_pass(t
         runner.on_progress = look
         result = runner.run()
         assert result.exit_status == "aborted"
-        assert "from the recipe's course" in result.reason
+        assert "from the temperature profile" in result.reason
         assert result.verified_safe
 
 

@@ -47,6 +47,8 @@ from gradcal_jax.units import UnitError
 
 # ------------------------------------------------------------------------------------------------------------ words
 
+ASKS = "let it come to rest and type the angle that its scale shows: "
+
 
 @pytest.mark.parametrize(
     ("text", "unit", "deg"),
@@ -118,7 +120,8 @@ def test_a_person_turns_and_types_what_the_dial_shows() -> None:
             clock.sleep(5.0)
             assert axis.read() == reading
             assert began < reading.time_s < clock.now() - 4.9
-        assert person.heard[1].startswith("x: turn by +360 deg in 10 s, to 360 deg; let it stand and type the angle")
+        words = "x: turn by +360 deg in 10 s, to 360 deg; let it come to rest and type the angle"
+        assert person.heard[1].startswith(words)
         assert axis.safe(AxisSafe.HOLD).verified
 
 
@@ -141,7 +144,7 @@ def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more(
         plant.turn_by_hand(clock.now() + 20.0, 80.0, 0.5, 0.0)
         person._types_s = clock.now() + 25.0
         assert settled(axis, clock) == pytest.approx(80.0, abs=0.05)
-        assert "10 deg away from 90 deg; mend it, or type it again if it is so:" in person.heard[-1]
+        assert "differs by 10 deg from 90 deg; correct it, or type it again to confirm:" in person.heard[-1]
 
 
 def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
@@ -149,20 +152,20 @@ def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
     with gimbal(clock, travel_deg=400.0) as (axis, person, _):
         axis.home()
         settled(axis, clock)
-        with pytest.raises(LimitExceeded, match="outside the travel of 400 deg each way"):
+        with pytest.raises(LimitExceeded, match="outside the travel of 400 deg in each direction"):
             axis.move_to(500.0, 30.0, 10.0)
         axis.move_to(360.0, 30.0, 10.0)
         clock.sleep(3.0)
         axis.stop()
         clock.sleep(60.0)
-        assert person.heard[-1] == "x: never mind, leave it where it is."
+        assert person.heard[-1] == "x: cancelled: leave it where it is."
         reading = axis.read()
         assert math.isnan(reading.position_deg)
         assert reading.moving
         axis.move_to(0.0, 60.0, 60.0)
         # Without knowing where it stands nobody can say by how much.
         clock.sleep(0.5)
-        assert person.heard[-1].startswith("x: turn to 0 deg; let it stand")
+        assert person.heard[-1].startswith("x: turn to 0 deg; let it come to rest")
         assert settled(axis, clock) == pytest.approx(0.0, abs=2.0)
 
 
@@ -247,10 +250,10 @@ def test_the_templates_gimbal_is_a_rig() -> None:
     ("change", "said"),
     [
         (("gravity_loaded = false", "gravity_loaded = true"), "it would fall"),
-        (('driver = "operator"', 'driver = "zaber"'), 'only the driver "operator" speaks with a terminal'),
+        (('driver = "operator"', 'driver = "zaber"'), 'only the driver "operator" uses a terminal'),
         (
             ("gravity_loaded = false", 'gravity_loaded = false\nencoder = { driver = "operator", port = "/dev/a" }'),
-            "an encoder belongs to",
+            "an encoder is only for",
         ),
         (
             (
@@ -375,7 +378,7 @@ def test_an_axis_whose_angle_is_typed_is_not_read_at_rest() -> None:
     for track, limits in ((typed_plan, typed), (typed_plan, encoder), (read_plan, encoder)):
         assert not dry_run_of(track, chamber, {"x": limits}).problems
     (problem,) = dry_run_of(read_plan, chamber, {"x": typed}).problems
-    assert "its angle is typed, once in each rest: give it an [axis.encoder]" in problem
+    assert "types its angle only once: add an [axis.encoder]" in problem
 
 
 def test_early_turns_make_up_for_late_ones() -> None:
@@ -540,13 +543,11 @@ def test_somebody_at_the_terminal_of_gradcal_run(tmp_path: Path) -> None:
         with AtTerminal("run", recipe, "--rig", rig, "-o", folder) as terminal:
             terminal.wait_for("Enter to begin, anything else to leave it: ")
             terminal.type("\n")
-            terminal.wait_for("x: bring it to its zero mark; let it stand and type the angle that it shows: ")
+            terminal.wait_for(f"x: bring it to its zero mark; {ASKS}")
             terminal.type("o.02 deg\n")
-            terminal.wait_for("expected an angle such as '30 arcsec'. Type the angle that it shows: ")
+            terminal.wait_for("expected an angle such as '30 arcsec'. Type the angle that its scale shows: ")
             terminal.type("0.02 deg\n")
-            terminal.wait_for(
-                "\ax: turn by +360 deg in 6 s, to 360 deg; let it stand and type the angle that it shows: "
-            )
+            terminal.wait_for(f"\ax: turn by +360 deg in 6 s, to 360 deg; {ASKS}")
             plant.turn_by_hand(time.monotonic(), 360.4, 1.0, 0.3)
             time.sleep(1.2)
             terminal.type("0.3")
@@ -561,7 +562,7 @@ def test_somebody_at_the_terminal_of_gradcal_run(tmp_path: Path) -> None:
             terminal.wait_for("x: turn by -360 deg in 6 s, to 0 deg")
             terminal.type("\x03")
             assert terminal.ends() == 130
-            assert "x: never mind, leave it where it is." in terminal.said
+            assert "x: cancelled: leave it where it is." in terminal.said
             assert "chamber: safe (standby" in terminal.said
             assert f"gradcal run --resume {folder}" in terminal.said.replace("\r\n", " ")
     contents = read_journal(folder / "journal")
@@ -578,7 +579,7 @@ def test_a_pause_at_the_terminal_an_end_of_input_and_a_resumed_run(tmp_path: Pat
 
         def turn(terminal: AtTerminal, words: str, to_deg: float, typed: str) -> None:
             terminal.wait_for(words)
-            terminal.wait_for("type the angle that it shows: ")
+            terminal.wait_for("type the angle that its scale shows: ")
             plant.turn_by_hand(time.monotonic(), to_deg, 1.0, 0.3)
             time.sleep(1.2)
             terminal.type(typed)
@@ -594,7 +595,7 @@ def test_a_pause_at_the_terminal_an_end_of_input_and_a_resumed_run(tmp_path: Pat
             terminal.wait_for("turn by +360 deg")
             terminal.type("\x04")  # Ctrl-D: nobody is there any more
             assert terminal.ends() == 3
-            assert "gives no more input (Ctrl-D" in " ".join(terminal.said.split()), terminal.said[-1500:]
+            assert "has no more input (Ctrl-D" in " ".join(terminal.said.split()), terminal.said[-1500:]
         with AtTerminal("run", "--resume", folder) as terminal:
             turn(terminal, "zero mark", 0.1, "0.1 deg\n")
             turn(terminal, "turn by +360 deg", 360.2, "360.2 deg\n")

@@ -185,7 +185,7 @@ def test_gyros_may_differ_from_the_table_by_what_the_spec_says_of_them() -> None
 
 def test_axes_that_the_rig_does_not_have_are_named() -> None:
     made = unpredicted(parse_spec(presets.text("two-axis-table")))
-    said = r"turns axis spin, tilt, and the rig's axes are table: name the rig's axes"
+    said = r"turns axis spin, tilt, and the rig's axes are table: use the names of the recipe"
     with pytest.raises(HardwareError, match=said):
         track_of(made, ["table"])
 

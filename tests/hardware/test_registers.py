@@ -87,7 +87,7 @@ def test_a_chamber_from_its_description_alone() -> None:
         assert (chamber.read().setpoint_c, chamber.read().mode) == (-12.5, "RUN")
         with pytest.raises(LimitExceeded, match="outside -40 to 150 degC"):
             chamber.hold(151.0)
-        with pytest.raises(Rejected, match="ramped by steps"):
+        with pytest.raises(Rejected, match="ramps it by steps"):
             chamber.ramp(30.0, 1.0)
         assert chamber.safe(ChamberSafe.STANDBY).verified
         assert device.words[3, 23] == 0
@@ -122,10 +122,10 @@ def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) ->
         (changed(tell={"setpoint": {"air": "{setpoint}"}}), "this register is only read"),
         (changed(tell={"setpoint": {"setpoint": "{ramp}"}}), "expected a number or {setpoint}"),
         (changed(tell={"setpoint": {"setpoint": 4}}), "no register gets {setpoint}"),
-        (changed(tell={"setpoints": {"setpoint": 4}}), "a chamber is told"),
-        (changed(tell={"ramp": {"setpoint": "{ramp}"}}), "a ramp must be taken off again"),
+        (changed(tell={"setpoints": {"setpoint": 4}}), "a chamber needs the command"),
+        (changed(tell={"ramp": {"setpoint": "{ramp}"}}), "a command is needed to end a ramp"),
         (changed(state={"conditioning": {"field": "rum", "equals": "1"}}), "there is no such register"),
-        (OVEN | {"state": {}}, "nothing else shows what tell.on did"),
+        (OVEN | {"state": {}}, "no reply shows the effect of tell.on"),
         (OVEN | {"limits": {}}, "give it, or a register lowest"),
         (OVEN | {"tell": {"on": {"run": 1}, "off": {"run": 0}}}, "a chamber needs it"),
         (OVEN | {"tell": {"setpoint": {"setpoint": "{setpoint}"}, "on": {"run": 1}}}, "both on and off, or neither"),

@@ -173,7 +173,7 @@ def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
     found = " ".join(dry_run_of(steep, chamber, {"a": axis}).problems)
     assert "ramps at 5 K/min" in found
     assert "its travel is -180 to 180" in found
-    assert "spins, and its travel is limited" in found
+    assert "turns continuously, but its travel is limited" in found
 
 
 @pytest.mark.parametrize(

@@ -121,7 +121,7 @@ def test_a_doubled_line_counts_once() -> None:
         ({"line": "$IMU,{gx},{gyro_y}"}, "{gx} is not known here"),
         ({"line": "{gyro_x}{gyro_y}"}, "with a character between two of them"),
         ({"line": "{temperature}"}, "expected a field of a rate or an acceleration"),
-        ({"line": "{gyro_x},{count}"}, "at how many it begins again"),
+        ({"line": "{gyro_x},{count}"}, "the number at which it restarts at 0"),
         ({"gyro": "deg"}, "gyro"),
         ({"rate": "100"}, "rate"),
         ({"lines": "x"}, 'nearest: "line"'),

@@ -50,8 +50,8 @@ def test_after_the_guard_the_status_says_how_it_ended(tmp_path: Path, capsys: py
         guard.make_folder_safe(tmp_path, deadline_s=10.0)
         found = read_status(tmp_path)
         assert (found["exit_status"], found["state"], found["verified_safe"]) == ("lost", "safe", True)
-        assert "the run is gone" in found["reason"]
-        assert "the guard: the run is gone" in (said := capsys.readouterr().err)
+        assert "the run has ended unexpectedly" in found["reason"]
+        assert "the guard: the run has ended unexpectedly" in (said := capsys.readouterr().err)
         assert "everything is verified safe" in said
         # What cannot be made safe is said, too.
         rig.ports[0].unplug()
@@ -59,7 +59,7 @@ def test_after_the_guard_the_status_says_how_it_ended(tmp_path: Path, capsys: py
         assert read_status(tmp_path)["state"] == "failed"
         assert "NOT VERIFIED SAFE: chamber" in capsys.readouterr().err
     assert main(["rig", "watch", str(tmp_path)]) == 3
-    assert "ended: lost, the run is gone" in capsys.readouterr().out
+    assert "ended: lost, the run has ended unexpectedly" in capsys.readouterr().out
 
 
 def test_a_start_that_commanded_nothing_leaves_the_ports_to_the_next_one(

@@ -131,7 +131,7 @@ def test_a_branch_counts_the_hysteresis_of_the_class_where_the_spec_names_none()
     (row,) = gj.predict(zero).requirements
     assert row.with_typical is None
     note, *_ = omitted_lines(silent)
-    assert "±3 deg/h in this class, is not counted" in note
+    assert "±3 deg/h in this class, does not count" in note
     assert omitted_lines(zero) == attitude_sentences(zero)
 
 
@@ -139,8 +139,8 @@ def test_a_one_way_ramp_says_what_remains_and_the_cure():
     sentences = check(required(ONE_WAY, {"hysteresis": PLAY} | KNOWN_GRADIENT))
     (said,) = [s for s in sentences if "one-way" in s]
     assert said == (
-        "one-way ramp: hysteresis is not observable, ±18.6 deg/h of it remain in the bias of gyro z: let the "
-        "temperature return by 10 K or more (3.33 min at 3 K/min)"
+        "one-way ramp: hysteresis is not observable; ±18.6 deg/h of it remain in the bias of gyro z: reverse the "
+        "temperature by 10 K or more (3.33 min at 3 K/min)"
     )
     assert not any("says nothing" in s for s in sentences)
     assert not any("one-way" in s for s in check(required(TWO_WAY, {"hysteresis": PLAY} | KNOWN_GRADIENT)))
@@ -158,7 +158,7 @@ def test_a_figure_for_the_slope_that_only_counts_is_said_where_the_plan_heats_an
 
 
 def test_slopes_that_a_branch_does_not_have_are_refused():
-    with pytest.raises(SpecError, match="there is no heating in this range"):
+    with pytest.raises(SpecError, match="this range has no heating"):
         required(TWO_WAY, {}, branch="heating", slope=["-2 K/min", "-1 K/min"])
     with pytest.raises(SpecError, match="expected the lowest first"):
         required(TWO_WAY, {}, slope=["2 K/min", "-1 K/min"])
@@ -166,9 +166,7 @@ def test_slopes_that_a_branch_does_not_have_are_refused():
 
 def test_a_one_way_plan_says_the_cure_with_its_minutes():
     """Also where neither spec nor requirement knows of hysteresis: at the slower of the chamber's rates."""
-    cure = (
-        "one-way ramp: the plan observes no hysteresis: let the temperature return by 20 K or more (13.3 min at 1.5 K/m"
-    )
+    cure = "one-way ramp: the plan observes no hysteresis: reverse the temperature by 20 K or more (13.3 min at 1.5 K/m"
     assert branch_sentences(gj.parse_spec(presets.text("tactical-mems")))[-1] == f"{cure}in)"
     assert not any("one-way" in s for s in branch_sentences(gj.parse_spec(presets.text("heat-and-cool"))))
     assert not any("one-way" in s for s in branch_sentences(gj.parse_spec(presets.text("paper-static-standard"))))

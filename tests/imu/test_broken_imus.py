@@ -177,7 +177,7 @@ def test_every_fault_is_named_by_its_key_and_said_in_words(where, value, key, wo
         ({"sensor.gyro": GONE, "sensor.accelerometer": GONE}, "nothing to calibrate"),
         ({"sensor.gyro.axes": ["x", "y"], "requirement": [{"name": "h", "quantity": "gyro_bias", "axis": "z"}]}, "no such axis"),
         ({"requirement": [{"name": "p", "quantity": "position", "after": "60 s", "axis": "z"}]}, "expected"),
-        ({"plan.cycle.moves": [{"turn": "360 deg", "axis": "spin"}]}, "never rests"),
+        ({"plan.cycle.moves": [{"turn": "360 deg", "axis": "spin"}]}, "has no rest"),
         ({"plan.cycle.moves": [{"turn": "9 deg", "axis": "spin", "ramp": "1 s", "peek_rate": "1 deg/s"}]}, "moves[0].peek_rate"),
     ],
     ids=lambda v: str(v)[:40],
@@ -308,7 +308,7 @@ def test_a_cycle_of_several_stretches_returns():
     plan = {"method": "gradient", "programme": [{"soak": "10 min", "at": "20 degC", "used": True}]}
     plan["programme"] += [{"soak": "1 min"}, {"soak": "10 min", "used": True}]
     document["plan"] = plan | {"cycle": {"moves": [{"rest": "5 s"}, {"turn": "90 deg", "axis": "spin"}]}}
-    with pytest.raises(SpecError, match="begins anew in every stretch"):
+    with pytest.raises(SpecError, match="starts again in every stretch"):
         spec_of(document)
     document["plan"]["cycle"]["moves"].append({"turn": "-90 deg", "axis": "spin"})
     assert len(spec_of(document).schedule.stretches) == 2

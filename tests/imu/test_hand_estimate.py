@@ -257,7 +257,7 @@ def test_six_faces_tell_no_angle_between_the_accelerometers():
     [
         (lambda log: replace(log, specific_force_m_per_s2=None, force_axes=()), "no accelerometer x, accelerometer y"),
         (lambda log: replace(log, standstill=np.minimum(log.standstill, 3)), "standstills of a second"),
-        (lambda log: replace(log, rate_rad_per_s=-log.rate_rad_per_s), "have both triads the same axes"),
+        (lambda log: replace(log, rate_rad_per_s=-log.rate_rad_per_s), "do both triads have the same axes"),
     ],
 )
 def test_what_cannot_be_is_a_sentence(change, words):

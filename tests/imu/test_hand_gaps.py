@@ -65,7 +65,7 @@ def test_rare_wrong_rows_are_left_out(sound, kind: str):
     )
     (alone,) = estimate_by_hand(replace(log, standstill=None), G, options=AT)
     assert report.solution.turns >= 0.6 * alone.solution.turns
-    assert any("standard deviations from their neighbours" in words for words in report.messages)
+    assert any("differ from their neighbours by more than" in words for words in report.messages)
     distance, count = squared(report, truth)
     assert distance < 2.0 * count
 

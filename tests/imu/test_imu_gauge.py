@@ -277,6 +277,6 @@ def test_a_requirement_that_is_left_as_it_was_is_said():
     document["plan"]["cycle"] = {"moves": [{"rest": "8 s"}, *turns("spin")]}
     document["plan"]["temperature"] = ["20 degC", "25 degC"]
     found = predict(spec_of(document)).warnings
-    said = [sentence for sentence in found if "stays as the priors have it" in sentence]
+    said = [sentence for sentence in found if "depends only on the priors" in sentence]
     assert any("'accelerometer scale factor'" in sentence for sentence in said), found
     assert not any("'gyro bias'" in sentence for sentence in said)

@@ -36,12 +36,12 @@ def without_encoder(spec):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"rig.table.axis[0].angle.reading_noise": "1 deg"}, "is of an encoder"),
-        ({"rig.table.standing": "read"}, "is of an encoder"),
+        ({"rig.table.axis[0].angle.reading_noise": "1 deg"}, "is for an encoder"),
+        ({"rig.table.standing": "read"}, "is for an encoder"),
         ({"sensor.accelerometer.axes": ["x", "y"]}, "accelerometers along x, y and z"),
         ({"plan.cycle.moves": [{"turns": 1, "duration": "5 s", "shape": "hand", "axis": "axle"},
                                {"turns": -1, "duration": "5 s", "shape": "hand", "axis": "axle"}, {"rest": "2 s"}]},
-         "no rest lies between"),
+         "there is no rest between"),
     ],
 )  # fmt: skip
 def test_what_needs_an_encoder_is_refused(change, said):
@@ -184,7 +184,7 @@ def test_angles_that_do_not_stand_still_are_no_estimate(monkeypatch):
     monkeypatch.setattr(imu_twin, "bench_of", lambda *of: replace(usual(*of), offset=(0.05, 0.05)))
     rng = np.random.default_rng(5)
     truth = draw_truth(spec, rng)
-    with pytest.raises(LogError, match="do not stand still"):
+    with pytest.raises(LogError, match="do not converge"):
         estimate_sensors(spec, record(spec, truth, rng))
 
 

@@ -104,5 +104,5 @@ def test_recipes_are_of_searches_alone(tmp_path, capsys):
         sweep(read_sweep(path), tmp_path / "r.nc", runner=pool)
     from gradcal_jax.jobs.dataset import read_dataset
 
-    with pytest.raises(ValueError, match="recipes are of a sweep"):
+    with pytest.raises(ValueError, match="recipes need a sweep"):
         write_recipes(read_dataset(tmp_path / "r.nc"), tmp_path / "r")

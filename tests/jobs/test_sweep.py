@@ -214,7 +214,7 @@ def test_the_parts_of_another_sweep_are_refused(done, pool, tmp_path):
     with pytest.raises(ValueError, match="is not a sweep's"):
         sweep(job, tmp_path / "other.nc", runner=pool)
     (tmp_path / "taken.nc").write_text("mine")
-    with pytest.raises(ValueError, match="exists and is not of this sweep"):
+    with pytest.raises(ValueError, match="exists and belongs to another sweep"):
         sweep(job, tmp_path / "taken.nc", runner=pool)
     assert identity_in(tmp_path / "taken.nc") is None
 
@@ -276,7 +276,7 @@ def test_a_dry_run_counts_times_and_writes_nothing(done, pool):
 
 def test_a_sweep_of_which_no_point_is_a_spec_says_why(tmp_path, pool):
     path = written(tmp_path, GRID.replace('"60 deg/s", "80 deg/s", "110 deg/s"', '"110 deg/s"'))
-    with pytest.raises(ValueError, match=r"not one of the 4 points has a result.*exceeds max_rate of axis"):
+    with pytest.raises(ValueError, match=r"none of the 4 points has a result.*exceeds max_rate of axis"):
         sweep(read_sweep(path), tmp_path / "results.nc", runner=pool)
     assert not (tmp_path / "results.nc.parts").exists()
 

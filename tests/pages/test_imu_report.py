@@ -94,7 +94,7 @@ def test_every_element_of_a_requirement_is_drawn_and_the_page_fetches_nothing(wr
     ids = re.findall(r'\bid="([^"]+)"', html)
     assert len(ids) == len(set(ids))
     assert "tilt of the base" in html
-    assert "made 6 times" in html
+    assert "repeated 6 times" in html
 
 
 def test_the_drawn_residuals_have_the_statistic_of_the_table(written):

@@ -112,9 +112,7 @@ def test_the_requirements_of_a_page_are_those_of_recipe_and_calibration(made, wh
     assert (rows[0]["verdict"], number(rows[0]["target"])) == ("met", 2000.0)
     assert "Met: every target" in shown.text
     # The drawn results are not those of the drawn covariance, as with a model discrepancy; the page says so.
-    assert any(
-        "achieved maps are by the covariance" in note and "123.5 ppm in the table" in note for note in data.notes
-    )
+    assert any("achieved maps use the covariance" in note and "123.5 ppm in the table" in note for note in data.notes)
 
 
 def test_predicted_maps_have_the_recipes_statistics_and_achieved_ones_the_covariances(made, whole):
@@ -315,7 +313,9 @@ def test_a_calibration_of_any_name_in_the_folder_of_a_run_is_taken_with_it(made,
     (run / "calibration.toml").rename(run / "unit 7, spring.toml")
     assert read_sources([run]).calibration == made[2]
     shutil.copy(run / "unit 7, spring.toml", run / "autumn.toml")
-    with pytest.raises(ValueError, match=r"several calibrations \(autumn.toml, unit 7, spring.toml\): name the one"):
+    with pytest.raises(
+        ValueError, match=r"several calibrations \(autumn.toml, unit 7, spring.toml\): also name the intended one"
+    ):
         read_sources([run])
     assert read_sources([run, run / "autumn.toml"]).calibration == made[2]
     shutil.copy(run / "autumn.toml", run / "calibration.toml")
@@ -384,7 +384,7 @@ def test_files_that_do_not_belong_together_are_named(made, tmp_path, capsys):
     other = found.model_copy(update={"provenance": found.provenance | {"recipe": "0" * 64}})
     write_calibration(other, tmp_path / "other.toml")
     sources = read_sources([folder / "recipe.toml", tmp_path / "other.toml"])
-    assert any("another recipe" in note for note in sources.notes)
+    assert any("different recipe" in note for note in sources.notes)
     (tmp_path / "spec.toml").write_text(to_toml(spec()), encoding="utf-8")
     (tmp_path / "limit.json").write_text("{}", encoding="utf-8")
     out = str(tmp_path / "page.html")

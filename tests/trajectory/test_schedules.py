@@ -35,7 +35,7 @@ def test_a_move_takes_its_time_turns_its_angle_and_never_jumps(shape):
 
 
 def test_ramps_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match="shorten the ramp"):
+    with pytest.raises(ValueError, match="reduce the ramp"):
         trajectory.turn("cosine ramps", 1.0, 2.0, ramp=1.1)
 
 

@@ -241,7 +241,7 @@ def _refuse_or_leave(channel: CalibratedChannel, at: Floats, measured: Floats, c
     if len(rows := np.flatnonzero(unsolved & (np.abs(measured) <= limit))):
         raise ValueError(
             f"the calibration of {channel.label} is too steep to be inverted at {measured[rows[0]]:.4g} (SI), "
-            f"{at[rows[0]]:.4g} degC: is this calibration of another sensor?"
+            f"{at[rows[0]]:.4g} degC: does this calibration belong to another sensor?"
         )
     now[unsolved] = np.nan
 
@@ -260,7 +260,7 @@ def known_temperature(log: Log, unit: int, *, second: bool = False) -> Floats:
     values = log.bridged_temperature(unit, second=second)
     if values is None:
         which = "second temperature" if second else "temperature"
-        raise LogError(f"the log has no {which} of unit {log.units[unit]}, and the calibration depends on it")
+        raise LogError(f"the log has no {which} of IMU {log.units[unit]}, and the calibration depends on it")
     return values
 
 

@@ -32,8 +32,9 @@ from gradcal_jax.files.section import Section
 from gradcal_jax.files.writing import write_toml
 
 ORDER: Final = (
-    "measured = input + sum of map(T) * signals, the signals being the true inputs; subtract the sum at the corrected "
-    "values, again until they stay (three rounds for errors of a per cent), before any rotation"
+    "measured = input + sum of map(T) * signals, with the true inputs as signals; subtract the sum, computed "
+    "from the corrected values, and iterate until they converge (three iterations for errors of a per cent), "
+    "before any rotation"
 )
 TEMPERATURE_RATE: Final = "temperature rate"
 """The signal dT/dt, K/s: known, where the others are solved for."""
@@ -42,7 +43,8 @@ LOG_HASH: Final = "log_sha256"
 
 
 class CalibratedTerm(Section):
-    """One term of a channel, in `unit` (SI). Without `temperature` it is constant; `rate`: of its own rate."""
+    """One term of a channel, in `unit` (SI). Without `temperature` it is constant; with `rate` it depends on the
+    channel's own rate."""
 
     name: q.Text
     """Name of the term, such as scale_factor."""
@@ -55,13 +57,13 @@ class CalibratedTerm(Section):
     rate: RateBasis | None = None
     """Basis over the channel's own rate; absent: the same at every rate."""
     lag: q.Time | None = None
-    """First-order lag with which it follows the temperature of its channel; absent: at once."""
+    """First-order lag behind the temperature of its channel; absent: no lag."""
     coefficients: Annotated[dict[str, q.Number], Field(min_length=1, max_length=40_000)]
     """By name, in SI; temperature slow, rate fast."""
 
     def _problems(self) -> Iterator[Problem]:
         if len(self.coefficients) != self.size:
-            message = f"expected {self.size}, as many as the bases have functions"
+            message = f"expected {self.size}, one for each function of the bases"
             yield Problem(("coefficients",), message, len(self.coefficients))
         elif self.name in ("bias", "scale_factor") and self.temperature is not None and self.size > 1:
             rates = 1 if self.rate is None else self.rate.size
@@ -70,7 +72,10 @@ class CalibratedTerm(Section):
             for name, functions_of_name in zip(self.coefficients, functions, strict=True):
                 if function_of(name) != functions_of_name:
                     place = " and ".join(map(str, functions_of_name))
-                    message = f"is not the coefficient expected here, of function {place} of temperature (and rate)"
+                    message = (
+                        f"is not the coefficient that belongs here, which is for function {place} of temperature "
+                        "(and rate)"
+                    )
                     yield Problem(("coefficients", name), message)
                     break
 
@@ -81,8 +86,8 @@ class CalibratedTerm(Section):
 
 
 class PathCoefficient(Section):
-    """An error that depends on the path of temperature, beside the maps, which are the mean of heating and cooling:
-    `apply` takes it off a log, whose temperatures it follows; exports cannot."""
+    """An error that depends on the path of temperature, in addition to the maps, which are the mean of heating and
+    cooling. `apply` subtracts it with the temperatures of a log; exports cannot contain it."""
 
     channel: q.Text
     """As in gyro_x."""
@@ -95,26 +100,26 @@ class PathCoefficient(Section):
     unit: q.Text
     """SI unit of both."""
     width: q.PositiveTemperatureDifference | None = None
-    """Half-width of the play; absent: it is no hysteresis."""
+    """Half-width of the play; absent: the term is not a hysteresis."""
     time_constant: q.Time | None = None
-    """Of a sensitivity to dT/dt that a first-order lag follows; absent: none."""
+    """Time constant of a sensitivity to dT/dt with a first-order lag; absent: no lag."""
     second_thermometer: q.Flag = False
-    """Whether it is for each K of the second thermometer's difference from the first."""
+    """Whether the coefficient is per K of difference between the second thermometer and the first."""
     own: q.Flag = False
-    """Whether it is of an error class of your own, which neither `apply` nor exports take off."""
+    """Whether it belongs to your own error class, which neither `apply` nor exports correct."""
 
 
 class Residuals(Section):
-    """Whitened residuals of the fit, in standard deviations: independent and normal where the model is true."""
+    """Whitened residuals of the fit, in standard deviations: independent and normal if the model is correct."""
 
     counts: Annotated[tuple[q.Whole, ...], Field(min_length=18, max_length=18)]
-    """Counts below -4, in steps of one half from there to 4, and above."""
+    """Histogram: counts below -4, in bins of 0.5 up to 4, and above."""
     rms: Annotated[tuple[q.Number, ...], Field(max_length=10)] = ()
     """Root mean square of each tenth of them, in the order of time."""
 
 
 class CalibratedChannel(Section):
-    """A gyro or an accelerometer. Beyond `valid_temperature` and `valid_rate` its maps keep the values at the edge."""
+    """A gyro or an accelerometer. Outside `valid_temperature` and `valid_rate` its maps keep the values at the edge."""
 
     kind: Literal["gyro", "accelerometer"]
     """Kind of sensor."""
@@ -172,8 +177,8 @@ class Covariance(Section):
 
 
 class UnseenError(Section):
-    """An error that no residual of the fit shows: of a term of the spec or, with a figure typical of the class, of one
-    that it omits. The covariance with all of them is `covariance` plus the sum of their squares."""
+    """An error that no residual of the fit shows: from a term of the spec or, with a figure typical of the class,
+    from an omitted term. The covariance with all of them is `covariance` plus the sum of their squares."""
 
     name: Annotated[q.Text, Field(max_length=200)]
     """Which error."""
@@ -191,7 +196,7 @@ class FitTest(Section):
     degrees: q.Whole
     """Degrees of freedom."""
     chance: q.Number
-    """Chance of a value as large or larger."""
+    """Probability of a value at least as large."""
 
 
 class TableError(Section):
@@ -221,12 +226,11 @@ class Result(Section):
     statistic: q.Text
     """The one that decides."""
     value: q.Number | None = None
-    """Its value, one sigma, with terms that the spec omits and, in any run, the turn-on bias; absent: not
-    observable."""
+    """The value (1σ), including omitted terms and, for "any run", the turn-on bias; absent: not observable."""
     named: q.Number | None = None
-    """Its value by the terms that the spec names, in this run, where it is another."""
+    """The value from the named terms alone, in this run, if it differs."""
     worst: q.Number | None = None
-    """The standard deviation at the worst place of the box."""
+    """The standard deviation at the worst point of the box."""
     unit: q.Text
     """Unit of all figures."""
     target: q.Number | None = None
@@ -234,20 +238,20 @@ class Result(Section):
     verdict: q.Text | None = None
     """Whether it is met."""
     coverage: q.Number | None = None
-    """Standard deviations that must be within the target."""
+    """Number of standard deviations that must be within the target."""
     risk: Annotated[q.Number, Field(gt=0.0, le=0.5)] | None = None
-    """Largest chance that a sensor beyond the target passes; absent: simple acceptance."""
+    """Largest probability that a sensor beyond the target passes; absent: simple acceptance."""
     rule: q.Text | None = None
     """Rule of the verdict, in words."""
 
 
 class Noise(Section):
-    """The noise that the estimate assumed, for programs that filter; random walks of drifts over short times."""
+    """The noise that the estimate assumed, for filters in other programs; drifts are random walks for short times."""
 
     angle_random_walk: q.AngleRandomWalk | None = None
     """White noise of the rate."""
     rate_random_walk: q.RateRandomWalk | None = None
-    """Of the gyros' drifts, over times much shorter than their own."""
+    """Random walk of the gyros' drifts, for times much shorter than their correlation time."""
     velocity_random_walk: q.VelocityRandomWalk | None = None
     """White noise of the specific force."""
     sample_rate: q.Frequency | None = None
@@ -255,7 +259,7 @@ class Noise(Section):
 
 
 class Calibration(TitledFile):
-    """A calibration file, SI (°C) inside, with the channels of one sensor: one gyro axis, or a whole IMU. Made by
+    """A calibration file, in SI (and °C), with the channels of one sensor: one gyro axis, or an IMU. Made by
     `estimate`, `estimate_by_hand` and `read_calibration`. Errors: `SpecError` by the last.
     """
 
@@ -263,7 +267,7 @@ class Calibration(TitledFile):
     serial_number: q.Text
     """Of the sensor."""
     simulated: q.Flag
-    """Whether no real sensor made the data."""
+    """Whether the data are simulated."""
     frame: q.Text
     """In which frame the axes are."""
     order: q.Text
@@ -273,9 +277,9 @@ class Calibration(TitledFile):
     covariance: Covariance | None = None
     """Of the coefficients that were observed, by the fit; absent: not kept."""
     path: Annotated[tuple[PathCoefficient, ...], Field(max_length=500)] = ()
-    """Errors that depend on the path of temperature, beside the maps."""
+    """Errors that depend on the path of temperature, in addition to the maps."""
     unseen: Annotated[tuple[UnseenError, ...], Field(max_length=5000)] = ()
-    """Errors that no residual shows, and that the results and every stated uncertainty count."""
+    """Errors that no residual shows; the results and every stated uncertainty include them."""
     table: Annotated[tuple[TableError, ...], Field(max_length=500)] = ()
     """Estimated errors of the table."""
     fit: Annotated[tuple[FitTest, ...], Field(max_length=1000)] = ()
@@ -287,7 +291,7 @@ class Calibration(TitledFile):
     noise: Noise | None = None
     """The noise that the estimate assumed."""
     lacks: q.Text | None = None
-    """What part of the plan the log lacks, and what the executed part alone predicts."""
+    """The part of the plan that is missing in the log, and the prediction for the executed part alone."""
     result: Annotated[tuple[Result, ...], Field(max_length=1000)] = ()
     """The results for the requirements."""
     provenance: dict[str, q.Text] = Field(default_factory=dict)
@@ -414,7 +418,7 @@ A calibration of gyros and accelerometers. Apply it with `gradcal apply`, check 
 a{k}: times the k-th power of (T - centre)/scale, in a bias.
 b{j}{i}: times the j-th power of (rate - centre)/scale and the i-th of the temperature's, in a scale factor.
 Numbers without a unit are SI: rad, s, m, degC."""
-_SIMULATED: Final = "\nSIMULATED: made from simulated data, of no real sensor."
+_SIMULATED: Final = "\nSIMULATED: made from simulated data, not from a real sensor."
 
 
 FORMAT: Final = "gradcal-calibration/2"

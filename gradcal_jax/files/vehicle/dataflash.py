@@ -51,11 +51,11 @@ def gyros(path: Path) -> Sequence[GyroStream]:
             with contextlib.suppress(AttributeError, BufferError):
                 getattr(log, name).close()
     if not any(len(table) for table in tables):
-        raise LogError("the log holds no IMU messages: set the IMU bit of LOG_BITMASK")
+        raise LogError("the log has no IMU messages: set the IMU bit of LOG_BITMASK")
     if len(parameters) == 0:
         raise LogError(
-            "the log holds no parameters (PARM), and ArduPilot's IMU is after offsets and thermal calibration: "
-            "what was taken off cannot be put back"
+            "the log has no parameters (PARM), and ArduPilot has applied offsets and thermal calibration to its "
+            "IMU data: they cannot be undone"
         )
     in_force = _parameters(parameters)
     streams: list[GyroStream] = []
@@ -98,7 +98,7 @@ def _undone(number: int, table: Any, in_force: Callable[[str, Floats, float], Fl
         rate,
         known,
         None,
-        (f"IMU{number}: ArduPilot's {note} are undone, by the log's parameters",),
+        (f"IMU{number}: ArduPilot's {note} are undone with the parameters in the log",),
     )
 
 

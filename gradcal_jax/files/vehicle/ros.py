@@ -50,8 +50,8 @@ def gyros(path: Path) -> Sequence[GyroStream]:
     raw = [topic for topic in imus if "mavros" not in topic.name]
     if not raw:
         raise LogError(
-            f"{imus[0].name} comes from MAVLink: its rates are not the sensor's, the estimator's bias is off; "
-            "use the flight controller's own log"
+            f"{imus[0].name} comes from MAVLink: its rates are not those of the sensor, because the estimator's "
+            "bias is subtracted; use the flight controller's own log"
         )
     return [_stream(topic, temperatures) for topic in raw]
 
@@ -59,7 +59,7 @@ def gyros(path: Path) -> Sequence[GyroStream]:
 def _stream(topic: _Topic, temperatures: Sequence[_Topic]) -> GyroStream:
     stamps, values = _decoded(topic, first=13, count=3)
     received = np.array(topic.received_ns, np.int64)
-    notes = [f"{topic.name}: a ROS message does not say whether the driver has subtracted a bias"]
+    notes = [f"{topic.name}: a ROS message does not state whether the driver has subtracted a bias"]
     if not stamps.any():
         stamps = received
         notes.append(f"{topic.name} carries no stamps: the receiver's are taken")
@@ -98,7 +98,7 @@ def _decoded(topic: _Topic, *, first: int, count: int) -> tuple[NDArray[np.int64
         rows = np.flatnonzero(sizes == size)
         table = np.frombuffer(b"".join(topic.messages[row] for row in rows.tolist()), np.uint8).reshape(-1, size)
         if topic.cdr and not np.all(table[:, 1] & 1):
-            raise LogError(f"{topic.name} is written with the most significant byte first, which is not read here")
+            raise LogError(f"{topic.name} is big-endian, which is not supported")
         at = 4  # behind seq, or behind the representation
         seconds = _numbers(table, at, "<i4" if topic.cdr else "<u4", 1)[:, 0].astype(np.int64)
         stamps[rows] = seconds * 1_000_000_000 + _numbers(table, at + 4, "<u4", 1)[:, 0].astype(np.int64)
@@ -139,7 +139,7 @@ def _from_bag(path: Path) -> tuple[list[_Topic], list[_Topic]]:
     stores: Any = library("rosbags.typesys", "rosbags")
     folder = path.parent if path.suffix.lower() == ".db3" else path
     if folder.is_dir() and not (folder / "metadata.yaml").exists():
-        raise LogError("a bag of ROS 2 is a folder with metadata.yaml: it is not beside this file")
+        raise LogError("a bag of ROS 2 is a folder with metadata.yaml, which is missing here")
     with reader([folder], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)) as bag:
         wanted = [one for one in bag.connections if one.msgtype in (*_IMU, *_TEMPERATURE)]
         cdr = folder.suffix.lower() != ".bag"

@@ -36,9 +36,9 @@ def gyros(path: Path) -> Sequence[GyroStream]:
     names = {data.name for data in log.data_list} - {"vehicle_imu_status"}
     start_s = float(log.start_timestamp) * 1e-6
     if not topics:
-        only = "only sensor_combined, from which calibration and bias are taken off" if names else "no gyro"
+        only = "only sensor_combined, which has calibration and bias subtracted" if names else "no gyro"
         raise LogError(
-            f"the log holds {only}: let PX4 log sensor_gyro, by the thermal calibration bit (4) of SDLOG_PROFILE"
+            f"the log has {only}: make PX4 log sensor_gyro with the thermal calibration bit (4) of SDLOG_PROFILE"
         )
     published = _published(log.data_list)
     singles = {_device(data): _single(data, start_s, published) for data in topics if data.name == "sensor_gyro"}

@@ -95,14 +95,14 @@ class ChamberDriver(ExchangeDriver[Config], TemperatureChamber, ABC):
     def _plausible(self, temperature_c: float) -> float:
         if not _LOWEST_PLAUSIBLE_C <= temperature_c <= _HIGHEST_PLAUSIBLE_C:
             what = f"{self._title} reports {temperature_c} degC, which is not plausible"
-            raise FramingError(f"{what}. Check the line, the sensor, and what is known of the protocol.")
+            raise FramingError(f"{what}. Check the line, the sensor, and the description of the protocol.")
         return temperature_c
 
     def _check(self, temperature_c: float) -> None:
         limits = self.limits()
         if not limits.lowest_c <= temperature_c <= limits.highest_c:
             bounds = self._BOUNDS.format(low=limits.lowest_c, high=limits.highest_c, device=self._title)
-            raise LimitExceeded(f"{temperature_c:.1f} degC lies outside {bounds}")
+            raise LimitExceeded(f"{temperature_c:.1f} degC is outside {bounds}")
 
     def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
         if policy is ChamberSafe.STANDBY:
@@ -160,7 +160,7 @@ class AxisDriver(ExchangeDriver[Options], Unwatched, MotionAxis, ABC):
     def _require_travel(self, position_deg: float, travel_deg: tuple[float, float]) -> None:
         lowest, highest = travel_deg
         if not lowest - 1e-9 <= position_deg <= highest + 1e-9:
-            raise LimitExceeded(f"{position_deg:g} deg lies outside the travel {lowest:g} to {highest:g} deg.")
+            raise LimitExceeded(f"{position_deg:g} deg is outside the travel, {lowest:g} to {highest:g} deg.")
 
     def _require_motion(self, rate_dps: float, fastest_dps: float, acceleration_dps2: float, most_dps2: float) -> None:
         for value, most, unit in ((rate_dps, fastest_dps, "deg/s"), (acceleration_dps2, most_dps2, "deg/s²")):
@@ -351,10 +351,10 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         if "ramp" not in self._config.described.tell:
-            raise Rejected(f"The protocol of {self._title} has no ramps: it is ramped by steps of its set point.")
+            raise Rejected(f"The protocol of {self._title} has no ramps: the run ramps it by steps of its set point.")
         limits = self.limits()
         if not max(limits.slowest_ramp_k_per_min, 1e-9) <= rate_k_per_min <= limits.fastest_ramp_k_per_min:
-            raise LimitExceeded(f"{rate_k_per_min:g} K/min lies outside what {self._title} can do.")
+            raise LimitExceeded(f"{rate_k_per_min:g} K/min is outside the range of {self._title}.")
         self._check(temperature_c)
         self._make_ready()
         now = self.read()

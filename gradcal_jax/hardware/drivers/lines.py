@@ -179,7 +179,9 @@ class _Spoken(DescribedDevice[LinesConfig]):
     def _acknowledged(self, frame: bytes, text: str, reply: re.Pattern[str]) -> None:
         received = self._codec.text(frame)
         if reply.fullmatch(received) is None:
-            raise FramingError(f"{self._title} acknowledged {text!r} by {received!r}, which is another's reply.")
+            raise FramingError(
+                f"{self._title} acknowledged {text!r} by {received!r}, which is the reply to a different command."
+            )
 
     def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
         """Send a value until the device shows it; returns the value shown."""
@@ -324,7 +326,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
                     return
                 self._clock.sleep(self._POLL_S)
             if self._clock.now() > end:
-                raise NotVerified(f"The axis still moves {self._config.stop_timeout_s:g} s after it was told to stop.")
+                raise NotVerified(f"The axis is still moving {self._config.stop_timeout_s:g} s after the stop command.")
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()

@@ -290,7 +290,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         self._tell("sc")
         if self._faults():
             raise DeviceFault(
-                f"The controller reports {', '.join(faults)}, also after its errors were cleared. See to the cause."
+                f"The controller still reports {', '.join(faults)} after its errors were cleared. See to the cause."
             )
         self._cleared = faults
 
@@ -337,7 +337,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
         self.settings.change(_CONTROL_MODE, str(POSITION_CONTROL))
         self._verify(
-            "Position control where the axis stands (mode, turns from there to the set point)",
+            "Position control at the present position (mode, turns from there to the set point)",
             lambda: self._tell(f"w axis{self._config.motor}.{_CONTROL_MODE} {POSITION_CONTROL}"),
             astray,
             lambda shown: shown[0] == POSITION_CONTROL and abs(shown[1]) <= tolerance,

@@ -2,8 +2,7 @@
 
 The program writes a question without a line end, with a bell, and waits for a line:
 
-    x: turn by +360 deg in 10 s, to 360 deg; let it stand and type the angle that it shows:
-    360.02 deg
+    x: turn by +360 deg in 10 s, to 360 deg; let it come to rest and type the angle that its scale shows: 360.02 deg
 
 An angle has its unit, by the grammar of all files (`359° 58′ 30″` is valid, `360,02` is not), or `unit` is the unit of
 bare numbers. The question is repeated for an invalid answer, and once for an angle further than `miss` from the goal. A
@@ -169,7 +168,7 @@ class OperatorAxis(Unwatched):
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         if abs(position_deg) > self._config.travel_deg + 1e-9:
             raise LimitExceeded(
-                f"{position_deg:g} deg lies outside the travel of {self._config.travel_deg:g} deg each way."
+                f"{position_deg:g} deg is outside the travel of {self._config.travel_deg:g} deg in each direction."
             )
         how = f"to {position_deg:.6g} deg"
         if self._stands is not None:
@@ -183,22 +182,22 @@ class OperatorAxis(Unwatched):
         self._drawing = drawing
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
-        raise Rejected(f"{self._name} is turned by hand, and nobody turns at a constant rate for long.")
+        raise Rejected(f"{self._name} is turned by hand, which is not possible at a constant rate.")
 
     def stop(self) -> None:
         """Withdraw the question (nothing drives the axis). The angle is unknown until the next answer."""
         if self._question:
             self._question, self._stands = "", None
-            self._console.withdraw(f"{self._name}: never mind, leave it where it is.")
+            self._console.withdraw(f"{self._name}: cancelled: leave it where it is.")
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
-        return SafeReport(policy.value, True, "nothing drives it: it stands where it was left")
+        return SafeReport(policy.value, True, "nothing drives it: it is where it was left")
 
     def _ask(self, what: str) -> None:
         enter = self._told or self._encoder is not None
-        answer = "press Enter" if enter else "type the angle that it shows"
-        self._question = f"{what}; let it stand and {answer}:"
+        answer = "press Enter" if enter else "type the angle that its scale shows"
+        self._question = f"{what}; let it come to rest and {answer}:"
         self._doubted = False
         self._ring_s = self._clock.now() + self._config.remind_s
         drawing, self._drawing = self._drawing.replace("\n", "\r\n"), ""
@@ -219,8 +218,8 @@ class OperatorAxis(Unwatched):
             self._doubted = True
             again = "press Enter" if self._encoder is not None else "type it"
             self._console.ask(
-                f"{self._name}: {reading.position_deg:.6g} deg is {away:.3g} deg away from {self._goal_deg:.6g} deg; "
-                f"mend it, or {again} again if it is so:"
+                f"{self._name}: {reading.position_deg:.6g} deg differs by {away:.3g} deg from "
+                f"{self._goal_deg:.6g} deg; correct it, or {again} again to confirm:"
             )
             return
         self._question, self._stands = "", reading
@@ -228,7 +227,7 @@ class OperatorAxis(Unwatched):
     def _understood(self, text: str, time_s: float) -> AxisReading | None:
         if (self._told or self._encoder is not None) and text.strip():
             why = "nothing is typed here" if self._encoder is None else "the encoder is read"
-            self._console.ask(f"{self._name}: {why}; press Enter alone when it stands:")
+            self._console.ask(f"{self._name}: {why}; press Enter when it is at rest:")
             return None
         if self._encoder is not None:
             reading = self._encoder.read()
@@ -241,7 +240,7 @@ class OperatorAxis(Unwatched):
         try:
             shown = angle_deg(text, self._config.unit)
         except units.UnitError as problem:
-            self._console.ask(f"{self._name}: {problem}. Type the angle that it shows:")
+            self._console.ask(f"{self._name}: {problem}. Type the angle that its scale shows:")
             return None
         position = nearest_turn_deg(shown, self._goal_deg)
         return AxisReading(time_s, position, 0.0, False, True, (), ())

@@ -137,7 +137,7 @@ class Stim300Decoder:
 
     The first datagram shows whether the unit ends them in CR LF.
 
-    A start-up bit within a stream means that the unit restarted: power was cut, or it was reset.
+    A start-up bit within a stream means that the IMU restarted: power was cut, or it was reset.
 
     Special datagrams, which come after power-on and are never asked for, count as `bad_bytes`. A datagram that comes
     twice, at once or later, counts once.
@@ -322,8 +322,9 @@ class Stim300Config:
         needed = 1.1 * bits * LAYOUTS[CONTENTS[self.datagram][1]].length * self.sample_rate_hz
         if self.baudrate < needed:
             raise ValueError(
-                f"{self.sample_rate_hz:g} datagrams/s need {needed:.0f} bits/s and the line has {self.baudrate}: the "
-                "unit would lose datagrams silently. Raise baudrate, lower sample_rate or choose a shorter datagram."
+                f"{self.sample_rate_hz:g} datagrams/s need {needed:.0f} bits/s and the line has {self.baudrate}: "
+                "the IMU would lose datagrams without notice. Raise baudrate, lower sample_rate or choose a "
+                "shorter datagram."
             )
 
 
@@ -343,7 +344,7 @@ def parse_utility(frame: bytes) -> tuple[str, list[str]]:
     status = int(fields[0])
     if status not in (0, 8):
         text = _STATUS_TEXTS.get(str(status), "unknown status")
-        raise Rejected(f"The unit refuses {name or 'the command'}: status {status} ({text}).")
+        raise Rejected(f"The IMU refuses {name or 'the command'}: status {status} ({text}).")
     return name, fields[1:]
 
 
@@ -354,8 +355,8 @@ def decoder_of(config: Stim300Config, registers: Mapping[str, str]) -> Stim300De
         (range_g,) = {int(text) for text in ranges[3:6]}
     except ValueError:
         raise FramingError(
-            f"The unit reports its ranges as {registers.get('irng')!r}; one accelerometer range was expected in the "
-            "fourth to sixth field."
+            f"The IMU reports its ranges as {registers.get('irng')!r}; one accelerometer range was expected in "
+            "the fourth to sixth field."
         ) from None
     return Stim300Decoder(
         sample_rate_hz=config.sample_rate_hz, acceleration_range_g=range_g, increments=config.increments
@@ -401,7 +402,7 @@ class Stim300Stream(ImuDriver[Stim300Config]):
 
     def decoder(self) -> Stim300Decoder:
         if not self._registers:
-            raise NotVerified("The unit's accelerometer range is not known yet: call configure() first.")
+            raise NotVerified("The IMU's accelerometer range is not known yet: call configure() first.")
         return decoder_of(self._config, self._registers)
 
     def _enter_utility(self) -> None:
@@ -419,7 +420,7 @@ class Stim300Stream(ImuDriver[Stim300Config]):
                     self._in_utility = True
                     return
         raise (FramingError if received else ReplyTimeout)(
-            f"The unit at {self._exchange.transport.url} was sent 'UTILITYMODE' and did not enter Utility Mode"
+            f"The IMU at {self._exchange.transport.url} was sent 'UTILITYMODE' and did not enter Utility Mode"
             + (f"; it sent {printable(received[-80:])!r}. Check that this is a STIM300 and" if received else ". Check")
             + " power, cable (RS-422), baud rate and parity."
         )

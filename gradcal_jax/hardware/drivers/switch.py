@@ -37,7 +37,9 @@ class SwitchConfig:
             raise ValueError("rate is above zero, coast not below.")
 
     def lacks_for(self, safe: str) -> str:
-        return 'it is switched off and holds nothing; expected "unpower"' if safe != AxisSafe.UNPOWER.value else ""
+        return (
+            'it is switched off and has no holding torque; expected "unpower"' if safe != AxisSafe.UNPOWER.value else ""
+        )
 
 
 def open_exchange(transport: Transport, clock: Clock, config: SwitchConfig) -> Exchange:
@@ -53,7 +55,7 @@ class SwitchAxis(ExchangeDriver[SwitchConfig], Unwatched):
         self._lock = threading.Lock()
 
     def identify(self) -> Identity:
-        return Identity("switch", "told to turn and to stop, no angle")
+        return Identity("switch", "commands to turn and stop, without an angle")
 
     def limits(self) -> AxisLimits:
         rate = self._config.rate_dps
@@ -92,7 +94,7 @@ class SwitchAxis(ExchangeDriver[SwitchConfig], Unwatched):
         threading.Thread(target=stop_in_time, daemon=True, name="stopping a switched axis").start()
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
-        raise Rejected("a motor that is switched on and off keeps no rate that anybody knows.")
+        raise Rejected("a motor that is only switched on and off has no known rate.")
 
     def stop(self) -> None:
         with self._lock:
@@ -103,7 +105,7 @@ class SwitchAxis(ExchangeDriver[SwitchConfig], Unwatched):
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
-        said = "confirmed" if self._config.answer else "sent; nothing shows that it stands: look at it"
+        said = "confirmed" if self._config.answer else "sent; nothing shows that it is at rest: look at it"
         return SafeReport(policy.value, bool(self._config.answer), f'"{self._config.stop}" {said}')
 
     def _say(self, word: str) -> None:

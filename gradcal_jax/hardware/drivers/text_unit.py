@@ -1,8 +1,8 @@
 """Units that print their samples as lines of text, which a rig file describes (`files.text_unit`).
 
-Nothing is sent to such a unit, and it cannot be asked who it is: its lines are its identity. A counter that wraps early
-shows losses modulo its modulus, and the host's clock the rest (as of a STIM300); a time or a long counter shows them
-all, and that the unit restarted.
+Nothing is sent to such a unit, and it cannot be asked who it is: its lines are its identity. A counter that wraps
+early shows losses modulo its modulus, and the host's clock the rest (as of a STIM300); a time or a long counter shows
+them all, and that the IMU restarted.
 
 Unverified on real hardware: everything.
 """
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ... import units
-from ...files.text_unit import NAMES, TextUnit, text_unit_of
+from ...files.text_unit import NAMES, TextSensor, text_unit_of
 from ..checksums import xor8
 from ..clock import Clock
 from ..errors import FramingError, ReplyTimeout, printable
@@ -45,14 +45,14 @@ class TextUnitConfig:
             object.__setattr__(self, "baudrate", self.described.baudrate)
 
     @cached_property
-    def described(self) -> TextUnit:
+    def described(self) -> TextSensor:
         return text_unit_of(self.protocol)
 
 
 class TextUnitDecoder:
     """Lines -> samples. A line that comes twice in succession counts once, if it has a counter or a time."""
 
-    def __init__(self, unit: TextUnit) -> None:
+    def __init__(self, unit: TextSensor) -> None:
         self._unit, self._pattern, self._framer = unit, unit.pattern(), LineFramer()
         self._rate = float(unit.rate)
         self.sample_s = 1.0 / self._rate
@@ -188,10 +188,10 @@ class TextUnitStream(ImuDriver[TextUnitConfig]):
         if not received:
             raise ReplyTimeout(f"{where} printed nothing in {timeout_s:g} s. Check power, cable, port, and `boot`.")
         if not other and not good:
-            raise FramingError(f"{where} sends {printable(received[-80:])!r} without an end of a line. Baud rate?")
+            raise FramingError(f"{where} sends {printable(received[-80:])!r} without an end of line. Baud rate?")
         shown = printable(other[-1]) if other else f"{good} lines"
         raise FramingError(
             f"{where} printed {shown!r} in {timeout_s:g} s, and the description expects {self._unit.line!r}"
             + (" with a check sum" if self._unit.checksum != "none" else "")
-            + ". Compare them character by character; garbled text is a wrong baud rate."
+            + ". Compare them character by character; unreadable text means a wrong baud rate."
         )

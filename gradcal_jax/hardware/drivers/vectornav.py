@@ -54,8 +54,8 @@ class VectorNavConfig:
             raise ValueError(f"sample_rate {self.sample_rate_hz:g} /s does not divide {self.base_rate_hz:g} /s.")
         if 10 * _PACKET * self.sample_rate_hz > self.baudrate:
             raise ValueError(
-                f"{self.sample_rate_hz:g} samples/s of {_PACKET} bytes do not fit {self.baudrate} baud. Raise baudrate "
-                "(also in the unit) or lower sample_rate."
+                f"{self.sample_rate_hz:g} samples/s of {_PACKET} bytes do not fit {self.baudrate} baud. Raise "
+                "baudrate (also in the IMU) or lower sample_rate."
             )
 
 
@@ -71,7 +71,7 @@ def parse_line(frame: bytes) -> list[str]:
     fields = body.decode("ascii", "replace").split(",")
     if fields[0] == "VNERR":
         code = str(int(fields[1])) if len(fields) > 1 and fields[1].isdigit() else "?"
-        raise Rejected(f"The unit reports error {code}: {_ERRORS.get(code, 'unknown error')}.")
+        raise Rejected(f"The IMU reports error {code}: {_ERRORS.get(code, 'unknown error')}.")
     return fields
 
 
@@ -98,7 +98,7 @@ class VectorNavFramer(LengthFramer):
 class VectorNavDecoder:
     """Bytes -> samples.
 
-    A binary packet that comes twice counts once: no two have the same time. If the time goes back, the unit restarted.
+    A binary packet that comes twice counts once: no two have the same time. If the time goes back, the IMU restarted.
     """
 
     resolution_s = 1e-9
@@ -156,7 +156,7 @@ def decoder_of(config: VectorNavConfig, registers: Mapping[str, str]) -> VectorN
 class VectorNavStream(ImuDriver[VectorNavConfig]):
     def __init__(self, transport: Transport, clock: Clock, config: VectorNavConfig) -> None:
         super().__init__(
-            Exchange(transport, VectorNavFramer(), clock, "The VectorNav unit", config.reply_timeout_s), config
+            Exchange(transport, VectorNavFramer(), clock, "The VectorNav IMU", config.reply_timeout_s), config
         )
         self.settings = KeptSettings(
             lambda name: self._read(int(name)), lambda name, value: self._write(int(name), value), _same

@@ -83,11 +83,11 @@ class Layout:
     def __post_init__(self) -> None:
         if self.read.count(self.temperature) != 2 or self.temperature not in self.write:
             raise ValueError(
-                f"The temperature channel {self.temperature!r} must stand twice in the read layout (nominal, actual) "
+                f"The temperature channel {self.temperature!r} must be twice in the read layout (nominal, actual) "
                 f"and once in the write layout; they are {' '.join(self.read)} and {' '.join(self.write)}."
             )
         if missing := [name for name in self.write if name not in self.read]:
-            raise ValueError(f"Channels {' '.join(missing)} are written but never read; the layout cannot be right.")
+            raise ValueError(f"Channels {' '.join(missing)} are written but never read; the layout cannot be correct.")
 
     def nominal(self, channel: str) -> int:
         """Position of the nominal value: the first of a channel's two numbers, or its only one."""
@@ -257,8 +257,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             if not amiss:
                 return rate
         raise NotVerified(
-            f"A ramp to {temperature_c:.1f} degC at {rate:g} K/min was told {TRIES} times: {amiss}. Look at the "
-            "chamber's display: it may be in local mode, or its gradients may be switched off."
+            f"A ramp to {temperature_c:.1f} degC at {rate:g} K/min was commanded {TRIES} times: {amiss}. Look at "
+            "the chamber's display: it may be in local mode, or its gradients may be switched off."
         )
 
     def standby(self) -> None:
@@ -323,7 +323,7 @@ class WeissChamber(ChamberDriver[WeissConfig]):
     def _require_newest(self, order: int) -> None:
         """Any other command ends the watch on a ramp's beginning at once."""
         if self._orders != order:
-            raise NotVerified("The chamber was told something else before its ramp had begun.")
+            raise NotVerified("The chamber received a different command before its ramp had begun.")
 
     def _amiss(self, order: int, begins: tuple[float, float] | None, target_c: float, rate_k_per_min: float) -> str:
         """Watch the nominal value until it has moved as expected: an empty text; else the deviation.

@@ -53,7 +53,7 @@ class ZaberConfig(AxisOptions):
     def lacks_for(self, safe: str) -> str:
         if safe != AxisSafe.UNPOWER.value or self.unpower_command:
             return ""
-        return 'stages differ in the command that unpowers them: name unpower_command, or choose "hold"'
+        return 'the command for switching off the motor depends on the stage: state unpower_command, or choose "hold"'
 
 
 @dataclass(frozen=True)
@@ -230,8 +230,8 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
                 self._steps_per_turn = _number(self._ask("get limit.cycle.dist"))
             except Rejected:
                 raise Rejected(
-                    "The stage does not tell its microsteps a turn (limit.cycle.dist). Write microsteps_per_turn of "
-                    "its data sheet in the rig file."
+                    "The stage does not report its microsteps per revolution (limit.cycle.dist). Write "
+                    "microsteps_per_turn of its data sheet in the rig file."
                 ) from None
         return self._steps_per_turn
 
@@ -250,5 +250,5 @@ def _meaning(flag: str) -> str:
 
 def _number(reply: Reply) -> float:
     if re.fullmatch(r"-?\d+(\.\d+)?", reply.data) is None:
-        raise FramingError(f"The stage answered {reply.data!r} where a number was expected.")
+        raise FramingError(f"The stage answered {reply.data!r} instead of a number.")
     return float(reply.data)

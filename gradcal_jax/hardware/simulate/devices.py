@@ -81,7 +81,7 @@ def _overload(values: NDArray[np.float64]) -> NDArray[np.uint8]:
     return np.where(bits, 0x10 | bits, 0).astype(np.uint8)[:, None]
 
 
-_HANG: Final = re.compile(r"hang the units so: mounting (\d+)")
+_HANG: Final = re.compile(r"mount the IMUs as follows: mounting (\d+)")
 _TURN: Final = re.compile(r"([\w-]+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
 _ZERO: Final = re.compile(r"([\w-]+): bring it to its zero mark")
 _HOME_S, _HANGS_S, _HOMES_AT_DPS = 5.0, 120.0, 30.0

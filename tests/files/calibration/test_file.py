@@ -94,8 +94,8 @@ def test_version_1_of_an_imu_has_one_range_for_all_channels():
     [
         ("gradcal-calibration/1", "gradcal-calibration/9", "this version of the program reads"),
         ('quantity = "gyro"', 'quantity = "gyros"', "quantity"),
-        ("a0 = ", "a9 = ", "is not the coefficient expected here"),
-        ("b33 = ", "b44 = ", "is not the coefficient expected here"),
+        ("a0 = ", "a9 = ", "is not the coefficient that belongs here"),
+        ("b33 = ", "b44 = ", "is not the coefficient that belongs here"),
         ('name = "y"', 'name = "x"', "two channels are of one kind and axis"),
         ('["-30 degC", "70 degC"]', '["70 degC", "-30 degC"]', "must be above"),
         ("simulated = true", "simulated = 1", "simulated"),

@@ -16,8 +16,8 @@ from gradcal_jax.hardware.simulate.plants import AxisPlant
 
 _TURN = re.compile(r"([\w-]+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
 _ZERO = re.compile(r"([\w-]+): bring it to its zero mark")
-_AGAIN = re.compile(r"([\w-]+): .*(?:again if it is so|Type the angle that it shows):$")
-_HANG = re.compile(r"hang the units so: mounting (\d+)")
+_AGAIN = re.compile(r"([\w-]+): .*(?:again to confirm|Type the angle that its scale shows):$")
+_HANG = re.compile(r"mount the IMUs as follows: mounting (\d+)")
 _HOME_S = 5.0
 _HANGS_S = 120.0
 

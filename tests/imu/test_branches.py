@@ -158,7 +158,7 @@ def test_a_figure_for_the_slope_that_only_counts_is_said_where_the_plan_heats_an
 
 
 def test_slopes_that_a_branch_does_not_have_are_refused():
-    with pytest.raises(SpecError, match="there is no heating in this range"):
+    with pytest.raises(SpecError, match="this range has no heating"):
         required(TWO_WAY, {}, branch="heating", slope=["-2 K/min", "-1 K/min"])
     with pytest.raises(SpecError, match="expected the lowest first"):
         required(TWO_WAY, {}, slope=["2 K/min", "-1 K/min"])

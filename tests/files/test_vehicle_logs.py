@@ -207,7 +207,7 @@ def test_a_bag_is_what_rosbags_reads(tmp_path, kind, ros1, own_clock_ns):
     np.testing.assert_allclose(log.rate_rad_per_s, by_table.rate_rad_per_s, rtol=1e-12)
     np.testing.assert_allclose(log.time_s, by_table.time_s, atol=1e-12)
     np.testing.assert_allclose(log.temperature_c, by_table.temperature_c, atol=1e-6)
-    assert any("does not say" in finding.message for finding in log.findings)
+    assert any("does not state" in finding.message for finding in log.findings)
 
 
 def test_bags_without_temperature_gaps_and_resets(tmp_path):
@@ -341,4 +341,4 @@ def test_the_commands_take_them_as_they_are(tmp_path, capsys):
     found = channel["coefficients"]["angle_random_walk_deg_per_sqrt_h"]
     assert found["value"] == pytest.approx(np.degrees(1e-3 * np.sqrt(1e-3)) * 60, abs=4 * found["standard_error"])
     assert main(["instability", str(path), "--axis", "y", "--longest", "2 s", "--delta", "1 s"]) == 1
-    assert "unit 9" in capsys.readouterr().out
+    assert "IMU 9" in capsys.readouterr().out

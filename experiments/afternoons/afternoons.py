@@ -128,8 +128,8 @@ DEVICES = (
         "An ICM-42688 with its own logger, on a GRBL stepper",
         "drone-imu",
         "The flight controller has its own logger; the run controls the table and the chamber. The motion aligns the\n"
-        "recording with the run's clock. In this rehearsal parts of the data disagree (heating and cooling, first and\n"
-        "second half), so the calibration is not valid; the cause is not known yet.",
+        "recording with the run's clock. At such rates the distance of the gyros from the accelerometers matters, which\n"
+        "the spec states (`lever_arm`).",
         True,
     ),
     (

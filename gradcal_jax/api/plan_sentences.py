@@ -18,7 +18,7 @@ from gradcal_jax.files.changes import changed
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.information import Posterior, posterior, square_root, unobservable_combinations
-from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, Hysteresis, Map, PathTerm
+from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, Hysteresis, Map, PathTerm, RotationSensitivity
 from gradcal_jax.trajectory import Trajectory, frames
 from gradcal_jax.units import G
 
@@ -53,7 +53,7 @@ def unobserved_parameters(built: BuiltImu, known: Posterior) -> list[str]:
         f"{c.name}.{name}"
         for c in built.model.channels
         for t in c.model.terms
-        if isinstance(t, Discrepancy | PathTerm)
+        if isinstance(t, Discrepancy | PathTerm | RotationSensitivity)
         for name in (t.nuisances if isinstance(t, PathTerm) else t.names())
     }
     own = slice(built.model.calibrated)

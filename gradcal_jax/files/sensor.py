@@ -373,8 +373,8 @@ class AccelerationSensitivity(_ErrorTerm):
     prior: q.PositiveAccelerationSensitivity | None = None
     lever_arm: q.PositiveLength | None = None
     """Standard deviation of each coordinate of the gyros' position, from the accelerometers, or without any from the
-    intersection of the table's axes. Rotation adds a specific force there that nothing measures: a bias for each product
-    of two rates (`ww_xy`), which is estimated and is not in the calibration."""
+    intersection of the table's axes. Rotation adds a specific force there that nothing measures: a bias for each
+    product of two rates (`ww_xy`), which is estimated and is not in the calibration."""
 
     def _problems(self) -> Iterable[Problem]:
         if self.lever_arm is not None and self.prior is None:

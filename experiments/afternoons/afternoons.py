@@ -128,8 +128,8 @@ DEVICES = (
         "An ICM-42688 with its own logger, on a GRBL stepper",
         "drone-imu",
         "The flight controller has its own logger; the run controls the table and the chamber. The motion aligns the\n"
-        "recording with the run's clock. At such rates the distance of the gyros from the accelerometers matters, which\n"
-        "the spec states (`lever_arm`).",
+        "recording with the run's clock. The spec states how far the gyros are from the accelerometers (`lever_arm`),\n"
+        "which matters at such rates. At this seed the accelerometers contradict the model; the cause is not known.",
         True,
     ),
     (

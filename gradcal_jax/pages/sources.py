@@ -9,8 +9,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from gradcal_jax.api.contract_rows import versions_of
-from gradcal_jax.api.systematic import BESIDE_THE_AXIS
 from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.bench import Rig
 from gradcal_jax.files.calibration import Calibration, is_calibration, read_calibration
@@ -243,6 +241,8 @@ def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
 
 
 def _of_rig(rig: Rig) -> list[tuple[str, str]]:
+    from gradcal_jax.api.systematic import BESIDE_THE_AXIS
+
     """The figures of site and table; of each axis, where there are several."""
     table = rig.table
     rows: list[tuple[str, Any]] = [
@@ -276,6 +276,8 @@ def _stated(rows: Iterable[tuple[str, Any]]) -> list[tuple[str, str]]:
 
 def provenance_rows(sources: Sources) -> list[tuple[str, str]]:
     """Fingerprints, versions, seeds and names of files."""
+    from gradcal_jax.api.contract_rows import versions_of
+
     rows: list[tuple[str, str]] = []
     recipe, calibration, run = sources.recipe, sources.calibration, sources.run
     if sources.plan is not None:

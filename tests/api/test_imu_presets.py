@@ -72,12 +72,12 @@ def test_a_preset_leaves_what_its_kind_of_plan_leaves_and_meets_its_targets_or_s
         assert {"accelerometer_bias", "accelerometer_scale_factor", "second_order", "gyro_misalignment"} <= missed
         for axis in "xyz":
             assert f"accelerometer {axis} never points down: add a pose" in found.warnings
-        assert 'no turn of "tilt" is repeated with "spin" half a turn further' in said
+        assert 'no turn of "tilt" is repeated with "spin" rotated by half a turn' in said
     else:
         assert not missed
         assert "says nothing" not in said
         assert "never" not in said
-        assert "half a turn further" not in said
+        assert "rotated by half a turn" not in said
 
 
 def test_what_no_plan_at_one_temperature_tells_is_said_once_for_all_requirements():

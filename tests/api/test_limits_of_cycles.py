@@ -114,7 +114,7 @@ def test_limits_that_bind_are_named():
     assert active_limits(plan, plan.start) == ("the time of the cycle",)
     assert active_limits(plan, plan.start._replace(turns=tuple(turns))) == (
         "the time of the cycle",
-        "the largest rate of spin, in 1 of 2 turns",
+        "the maximum rate of spin, in 1 of 2 turns",
         "the shortest rest, in 1 of 4",
     )
     turns[tilt] = turns[tilt]._replace(angle=math.radians(200.0))

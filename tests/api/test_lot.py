@@ -83,7 +83,7 @@ def test_few_imus_say_what_they_cannot_say(count):
 def test_the_stated_range_of_a_spread_of_few_is_students():
     """Of 4: 95 % of χ² with 3 degrees of freedom is from 0.216 to 9.348."""
     (note,) = lot_of("one", 4).notes
-    assert f"between {np.sqrt(3 / 9.348):.2g} and {np.sqrt(3 / 0.2158):.2g} times" in note
+    assert f"{np.sqrt(3 / 9.348):.2g} to {np.sqrt(3 / 0.2158):.2g} times its value" in note
 
 
 def test_a_stranger_is_named_and_does_not_count():
@@ -188,8 +188,8 @@ def test_the_prior_of_shapes_is_their_covariance():
 @pytest.mark.parametrize(
     ("shapes", "sentence"),
     [
-        ([["1 dps"] * 5] * 6, "expected 6, as many as the bases have functions"),
-        ([["1 dps"] * 6] * 6, "those of x do not span all 6 coefficients"),
+        ([["1 dps"] * 5] * 6, "expected 6, one for each function of the bases"),
+        ([["1 dps"] * 6] * 6, "the shapes of x do not span all 6 coefficients"),
     ],
 )
 def test_shapes_that_are_no_prior_are_refused(shapes, sentence):
@@ -214,7 +214,7 @@ def test_priors_are_a_part_of_a_spec_and_hold_the_imus_of_the_lot():
     rng = np.random.default_rng(0)
     made = calibrations(*read_maps(rng, drawn_maps(rng, 16, "one")))
     text = lot_priors(lot(made))
-    assert text.startswith("# Priors of a type of IMU by a lot of 16 calibrations, SIMULATED")
+    assert text.startswith("# Priors for a type of IMU from a lot of 16 calibrations, SIMULATED")
     priors = tomllib.loads(text)
     shapes = np.array(
         [[float(c.split()[0]) for c in s["coefficients"]] for s in priors["sensor"]["gyro"]["bias"]["shape"]]
@@ -239,7 +239,7 @@ def test_errors_name_the_cure():
         gj.lot([one.model_copy(update={"covariance": None}) for one in made])
     values, covariances = read_maps(rng, drawn_maps(rng, 4, "one"))
     other = calibrations(values[:, :3], covariances[:, :3, :3], serial_number="other")[0]
-    with pytest.raises(ValueError, match=r"other has another basis than that of no\. 1"):
+    with pytest.raises(ValueError, match=r"other has a different basis than that of no\. 1"):
         gj.lot([*made, other])
     cold = made[0].channel[0].model_copy(update={"valid_temperature": (-60.0, -40.0)})
     with pytest.raises(ValueError, match="no range of temperature and rate in common"):

@@ -246,7 +246,7 @@ def static(**design) -> Spec:
 def test_axes_that_turn_as_if_each_had_a_table_of_its_own_are_refused():
     tables = tomllib.loads(SPEC)
     tables["plan"]["cycle"]["moves"][3]["axis"] = "z"
-    with pytest.raises(SpecError, match="turns sensor axes x, z as if each had a table of its own"):
+    with pytest.raises(SpecError, match="turns sensor axes x, z as if each had a separate table"):
         files.spec_of(tables)
 
 

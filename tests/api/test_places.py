@@ -116,7 +116,7 @@ def test_imus_sit_at_the_places_of_their_names_or_in_order():
     spec = fixture([{"name": "a"}, {"name": "b"}])
     assert places_of(spec, ["b", "a"]) == {"b": "b", "a": "a"}
     assert places_of(spec, ["17", "18"]) == {"17": "a", "18": "b"}
-    with pytest.raises(ValueError, match="a is the name of a place and 17 is none"):
+    with pytest.raises(ValueError, match="a is the name of a place, but 17 is not"):
         places_of(spec, ["a", "17"])
     with pytest.raises(ValueError, match=r"the log has 3 IMUs and rig\.table\.place 2"):
         places_of(spec, ["1", "2", "3"])

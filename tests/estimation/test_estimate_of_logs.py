@@ -119,7 +119,7 @@ def test_a_map_that_no_gyro_has_is_refused(many):
     one = replace(made.log, units=made.log.units[:1], temperature_c=made.log.temperature_c[:1], rate_rad_per_s=rate)
     (sound,) = estimated(spec, one)
     assert not any("not converged" in message for message in sound.messages)
-    with pytest.raises(LogError, match=r"differ from the table's by [0-9]+ times what noise explains"):
+    with pytest.raises(LogError, match=r"differ from those of the table by [0-9]+ times the noise"):
         estimated(spec, replace(one, rate_rad_per_s=rate * (1.0 + 0.3 * np.tanh(rate / 5.0))))
 
 

@@ -131,7 +131,7 @@ def test_a_thermometer_that_steps_by_a_degree():
 
 def test_what_is_no_warm_up_is_said(tmp_path, capsys):
     unit, (time, temperature) = vehicle(5), warming(300.0, 25.0)
-    with pytest.raises(LogError, match=r"changes by 7\.\d K while it stands still"):
+    with pytest.raises(LogError, match=r"changes by 7\.\d K at rest"):
         estimate_warm_up([log_of(unit, *warming(160.0, 25.0), 5)])
     rates = output(unit, time, temperature, 5)
     with pytest.raises(LogError, match="no temperature of unit g"):

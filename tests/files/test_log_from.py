@@ -91,5 +91,5 @@ def test_the_allan_deviation_of_an_array_is_that_of_its_log():
     np.testing.assert_allclose(deviation.deviation, of_log.deviation, rtol=1e-12)
     # White noise of 1e-4 rad/s at 100 Hz.
     assert fit.angle_random_walk.value == pytest.approx(1e-5, rel=0.05)
-    with pytest.raises(ValueError, match="samples a second"):
+    with pytest.raises(ValueError, match="samples per second"):
         gj.allan(rate)

@@ -93,7 +93,7 @@ def test_the_errors_of_before_are_shown_and_cleared_and_those_that_come_back_are
         assert after.read().faults == ()
         device.fault(0x40)
         device._answer = lambda words, answer=device._answer: [] if words[0] == "sc" else answer(words)
-        with pytest.raises(DeviceFault, match=r"0x40 \(motor failed\), also after"):
+        with pytest.raises(DeviceFault, match=r"0x40 \(motor failed\) after"):
             ODriveAxis(axis._exchange, ODriveConfig(reply_timeout_s=0.2)).home()
 
 

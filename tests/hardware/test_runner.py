@@ -180,7 +180,7 @@ def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
     ("step", "words"),
     [
         (TrackStep("a", 1.0, moves=(AxisCommand(2.0, "x", "stop"),)), "within the step"),
-        (TrackStep("a", -1.0), "not negative"),
+        (TrackStep("a", -1.0), "must not be negative"),
         (TrackStep("a", 1.0, ready=Stable(1.0, 1.0, 1.0)), "sets none"),
         (TrackStep("a", 1.0, temperature_c=1.0, ramp_k_per_min=-1.0), "above zero"),
     ],

@@ -71,7 +71,7 @@ def test_a_chamber_that_takes_no_ramp_is_a_sentence() -> None:
     with weiss_bench(clock, config=CONFIG) as (chamber, device, _):
         chamber.hold(24.0)
         harmed(device, "U", lambda data: re.sub(rb"\d{4}\.\d", b"0000.0", data), times=100)
-        with pytest.raises(NotVerified, match=r"told 3 times: its nominal value moved 36\.0 K"):
+        with pytest.raises(NotVerified, match=r"commanded 3 times: its nominal value moved 36\.0 K"):
             chamber.ramp(60.0, 1.0)
 
 

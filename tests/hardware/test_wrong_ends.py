@@ -207,7 +207,7 @@ def test_a_run_that_never_began_is_not_called_sound(tmp_path: Path, capsys: pyte
         words = ["run", str(tmp_path / "recipe.toml"), "--rig", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "r")]
         assert main([*words, "--yes"]) == 3
     said = capsys.readouterr().err
-    assert "the run did not begin, nothing was commanded: table at" in said
+    assert "the run did not begin, and no command was sent: table at" in said
     assert "sound" not in said
 
 

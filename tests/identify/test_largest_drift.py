@@ -43,7 +43,7 @@ def test_equals_the_definition_over_all_starts(seed, samples, before, lengths, k
     expected = [plain_largest(rate, before, length, valid) for length in sorted(set(lengths))]
     run = lambda: largest_drift(rate, interval, np.array(lengths) * interval, before * interval, valid=valid)  # noqa: E731
     if expected[-1][1] == 0:
-        with pytest.raises(ValueError, match="fits no unbroken stretch"):
+        with pytest.raises(ValueError, match="is longer than every unbroken stretch"):
             run()
         return
     result = run()
@@ -103,7 +103,7 @@ def test_integer_and_short_float_records_are_summed_in_full_precision():
     ("arguments", "sentence"),
     [
         ({"integration_times_s": np.array([90.0])}, "integrate for at most 80 s"),
-        ({"averaging_time_s": 200.0}, "average for less"),
+        ({"averaging_time_s": 200.0}, "use a shorter average"),
         ({"sample_interval_s": 0.0}, "must be positive"),
         ({"integration_times_s": np.array([-3.0])}, "must be positive"),
         ({"averaging_time_s": 0.3}, "shorter than half a sample"),
@@ -129,5 +129,5 @@ def test_integration_times_are_distinct_whole_samples():
     assert times[-1] == 1200.0
     assert np.all(np.diff(times) >= 0.5)
     assert np.all(times / 0.5 == np.rint(times / 0.5))
-    with pytest.raises(ValueError, match="upwards"):
+    with pytest.raises(ValueError, match="positive and increasing"):
         integration_times(5.0, 1.0, 0.5)

@@ -184,7 +184,7 @@ def test_marked_standstills_are_those_that_are_found():
     log = held(truth, rng)
     (report,) = estimate_by_hand(replace(log, standstill=None), G, options=AT)
     assert len(report.solution.positions.duration) == 30
-    assert any("30 were found" in message for message in report.messages)
+    assert any("30 were detected" in message for message in report.messages)
     square, size = squared(report, truth)
     assert stats.chi2.sf(square, size) > 1e-3
 
@@ -234,7 +234,7 @@ def test_positions_in_one_plane_are_said_to_be():
     ideal = dict.fromkeys(drawn(rng), 0.0)
     (report,) = estimate_by_hand(held(ideal, rng, only=about_x), G, options=AT)
     said = " ".join(report.messages)
-    assert "near one plane" in said
+    assert "close to one plane" in said
     assert "axis x was never held within 60° of up" in said
     unseen = report.calibration.unobservable
     assert {"accelerometer_x.s", "accelerometer_x.a"} <= set(unseen) | {"accelerometer_x.a"}

@@ -40,7 +40,7 @@ def test_an_axis_has_the_same_recipe_as_an_imu(name):
 
 
 def test_several_axes_that_turn_alone_are_no_table():
-    with pytest.raises(SpecError, match="turns sensor axes x, z as if each had a table of its own"):
+    with pytest.raises(SpecError, match="turns sensor axes x, z as if each had a separate table"):
         axis_as_imu(KEPT["any 0"]["tables"])
 
 

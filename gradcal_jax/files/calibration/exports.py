@@ -438,7 +438,7 @@ def _at_one_temperature(
 def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     at, linear, losses, notes = _at_one_temperature(calibration, options, "a Kalibr file")
     form = kalibr_form(linear)
-    notes.append("Kalibr estimates the biases itself and reads none from this file")
+    notes.append("Kalibr estimates the biases itself and takes none from this file")
     lines = [
         _file_comment(calibration, at),
         "# measured rate = M * C_gyro_i * rate + A * specific_force + bias + noise",

@@ -188,7 +188,7 @@ def test_the_prior_of_shapes_is_their_covariance():
 @pytest.mark.parametrize(
     ("shapes", "sentence"),
     [
-        ([["1 dps"] * 5] * 6, "expected 6, one for each function of the bases"),
+        ([["1 dps"] * 5] * 6, "expected 6, as many as the bases have functions"),
         ([["1 dps"] * 6] * 6, "the shapes of x do not span all 6 coefficients"),
     ],
 )

@@ -134,9 +134,9 @@ def test_what_is_no_warm_up_is_said(tmp_path, capsys):
     with pytest.raises(LogError, match=r"changes by 7\.\d K at rest"):
         estimate_warm_up([log_of(unit, *warming(160.0, 25.0), 5)])
     rates = output(unit, time, temperature, 5)
-    with pytest.raises(LogError, match="no temperature of unit g"):
+    with pytest.raises(LogError, match="no temperature of IMU g"):
         estimate_warm_up([Log(time, rates[None], ("g",), ("x", "y", "z"))])
-    with pytest.raises(LogError, match="no unit 'h' in this log; it has g"):
+    with pytest.raises(LogError, match="there is no IMU 'h' in this log; it has g"):
         estimate_warm_up([log_of(unit, *warming(900.0, 10.0), 5)], units=("h",))
     table = tmp_path / "a.csv"
     table.write_text("t,x\n" + "\n".join(f"{k / 10},{k % 7 * 1e-4}" for k in range(999)), encoding="utf-8")

@@ -42,8 +42,8 @@ def header(
         rows.append(f"    {{{inputs.index(channel.input)}, {{{signals}}}, {numbers}, gradcal_c{k}}},")
     spans = {c.input: (*c.valid_temperature, *c.valid_rate) for c in calibration.channel}
     remarks = [f"{name}: {text}" for name, text in calibration.provenance.items()]
-    remarks += ["SIMULATED: made from simulated data, not from a real sensor."] if calibration.simulated else []
-    remarks += [f"set to zero, because they did not pass: {', '.join(left_out)}"] if left_out else []
+    remarks += ["SIMULATED: made from simulated data, of no real sensor."] if calibration.simulated else []
+    remarks += [f"set to zero, since they did not pass: {', '.join(left_out)}"] if left_out else []
     remarks += [f"not carried: {words}" for words in lost]
     rounding = float(np.max(np.abs(inverse) @ np.abs(raw)))  # of raw counts far off zero
     text = Template(presets.template("calibration.h")).substitute(
@@ -154,7 +154,7 @@ def _errors(
         apart = float(np.max(np.abs(in_header[:, inputs.index(channel.input)] - exact[channel.input])))
         unit, factor = ("deg/h", DEG_PER_H) if channel.kind == "gyro" else ("ug", 1e6 / G)
         fitted = not all(in_powers(c, term).exact for c, term in _terms(calibration) if c is channel)
-        what = "polynomials instead of other bases" if fitted else "rounding"
+        what = "polynomials in place of other bases" if fitted else "rounding"
         errors.append((channel.label, what, apart * factor, unit))
     return errors, rounds, (float(temperature[0]), raw[0], in_header[0])
 

@@ -74,9 +74,9 @@ def export(
     notes = [*done.notes]
     if target != "csv":
         lags = {channel.thermal_lag: channel.label for channel in calibration.channel if channel.thermal_lag}
-        notes += [f"the thermal lag of {label}, {float(lag):.3g} s, is lost" for lag, label in lags.items()]
+        notes += [f"the thermal lag of {label}, {float(lag):.3g} s, is not carried" for lag, label in lags.items()]
         late = {(term.name, float(term.lag)) for channel in plain.channel for term in channel.term if term.lag}
-        notes += [f"the lag of the {name.replace('_', ' ')}, {lag:.3g} s, is lost" for name, lag in sorted(late)]
+        notes += [f"the lag of the {name.replace('_', ' ')}, {lag:.3g} s, is not carried" for name, lag in sorted(late)]
         if calibration.unobservable:
             notes.append(f"not observed by the data: {', '.join(calibration.unobservable)}")
     notes += [words for _, words in of_path]
@@ -151,7 +151,7 @@ def _in_triad(calibration: Calibration) -> Calibration:
     )
     if not channels:
         names = ", ".join(channel.axis for channel in calibration.channel)
-        raise ValueError(f"the target format has axes x, y, z, and the calibration has {names}: none of them fits")
+        raise ValueError(f"the target has axes x, y, z, and the calibration has {names}: none of them fits")
     return calibration.model_copy(update={"channel": channels})
 
 
@@ -160,9 +160,8 @@ def _of_biases(calibration: Calibration, target: str) -> tuple[list[CalibratedCh
     channels = _in_triad(calibration).channel
     if without := [channel.label for channel in channels if channel.term_of("bias") is None]:
         raise ValueError(
-            f"{target} needs the bias over temperature, and this calibration has none of {', '.join(without)}: "
-            "zeros would pass for a calibration. Estimate it with a bias in the spec, or export to c-header or "
-            "csv"
+            f"{target} takes the bias over temperature, and this calibration has none of {', '.join(without)}: zeros "
+            "would pass for a calibration. Estimate it with a bias in the spec, or export to c-header or csv"
         )
     gyros = [channel for channel in channels if channel.kind == "gyro"]
     return gyros, [channel for channel in channels if channel.kind == "accelerometer"]
@@ -253,7 +252,7 @@ def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     notes = [_range_note(c, low, high) for c in (*gyros, *forces)]
     notes.append("sensor's own axes, before the board's rotation; corrected = raw - P(T-35) + P(Tcal-35) - OFFS")
     if forces:
-        notes.append("accelerometers: the same times SCAL, which is that of the middle of the range")
+        notes.append("accelerometers: the same times SCAL, that of the middle of the range")
     text = "".join(f"{name} {_single(value)}\n" for name, value in parameters.items())
     return Export(text, tuple(losses), tuple(filter(None, notes)))
 
@@ -430,7 +429,7 @@ def _at_one_temperature(
     known = {channel.label for channel in calibration.channel}
     absent = [f"{kind} {axis}" for kind in ("gyro", "accelerometer") for axis in _TRIAD]
     absent = [label for label in absent if label not in known]
-    notes = [f"not calibrated, and assumed to have no errors: {', '.join(absent)}"] if absent else []
+    notes = [f"not calibrated, and taken as without errors: {', '.join(absent)}"] if absent else []
     losses = [loss for loss in _losses(calibration.channel, lambda c, t: _held(c, t, float(at))) if loss.value > 0.0]
     return float(at), linear_at(calibration, float(at)), losses, notes
 
@@ -443,14 +442,14 @@ def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
         _file_comment(calibration, at),
         "# measured rate = M * C_gyro_i * rate + A * specific_force + bias + noise",
         "# measured force = M * specific_force + bias + noise",
-        "# in the frame in which the accelerometers' M is lower triangular, rotated from the calibration's by",
+        "# in the frame in which the accelerometers' M is lower triangular, turned from the calibration's by",
         f"# {_list_text(form.frame.ravel())}",
         "rostopic: /imu0",
     ]
     lines += _kalibr_noise(calibration.noise)
     if calibration.noise is None:
-        notes.append("the calibration has no noise figures: fill in the noise densities and random walks")
-    notes.append("the file needs an accelerometer_random_walk, which no calibration contains")
+        notes.append("the calibration holds no noise: fill in the noise densities and random walks")
+    notes.append("the file wants an accelerometer_random_walk, which no calibration tells")
     lines += ["model: scale-misalignment", "accelerometers:", "  M:", *_matrix_lines(form.accelerometer)]
     lines += ["gyroscopes:", "  M:", *_matrix_lines(form.gyro), "  A:", *_matrix_lines(form.sensitivity)]
     lines += ["  C_gyro_i:", *_matrix_lines(form.rotation)]
@@ -566,7 +565,7 @@ def _template(calibration: Calibration, options: Mapping[str, Any]) -> Export:
         "noise": {name: float(value) for name, value in noise.items() if value is not None},
         "at": linear,
     }
-    losses, notes = [], ["omissions of the template are not known, and not counted"]
+    losses, notes = [], ["what the template leaves out is not known, and not counted"]
     if at is not None:
         at, _, losses, more = _at_one_temperature(calibration, options, "a template")
         known |= linear(at) | {"temperature": at}

@@ -253,7 +253,7 @@ def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
         off = np.max(np.abs(out[:, inputs.index(channel.input)] - exact[channel.input]))
         stated = next(one for one in done.losses if one.channel == channel.label)
         assert off * (DEG_PER_H if channel.kind == "gyro" else 1e6 / G) < 1.6 * stated.value + 0.05
-        assert stated.what == ("rounding" if calibration is not SPLINES else "polynomials instead of other bases")
+        assert stated.what == ("rounding" if calibration is not SPLINES else "polynomials in place of other bases")
     code = re.sub(r"/\*.*?\*/", "", done.text, flags=re.DOTALL)
     assert "/" not in code  # no division
 

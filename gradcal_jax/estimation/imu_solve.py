@@ -244,17 +244,26 @@ class ImuReadings(NamedTuple):
         these derivatives are needed.
 
         Without an encoder that is everywhere, as for the installation: else a tilt about an axis, which resembles them,
-        would seem to be observable. Otherwise only gyros across the axis, which see its angle by their misalignments
-        alone, would have too small a noise. A constant error is that of both standstills, one in proportion to the
-        angle that of each by its own angle."""
+        would seem to be observable. Otherwise only gyros across the axis and accelerometers, which see its angle by
+        their misalignments or the mounting's error, would have too small a noise. A constant error is that of both
+        standstills, one in proportion to the angle that of each by its own angle."""
         motion, at = self.done.motion, segments_of(self.done.motion, self.model)
         values, encoder = np.abs(self.model.to_reported @ about), self.model.encoder
-        across = [v for name, v in zip(self.model.names(), values, strict=True) if re.match(r"gyro_.\.m_", name)]
-        quiet = [float(c.model.angle_random_walk) for c in self.model.channels if c.kind == "gyro"]
-        seen = max(across, default=0.0) * float(np.max(np.hypot(encoder.offset, encoder.reading)))
-        if not self.free and (motion.line.rates or seen <= _ACROSS * min(quiet, default=np.inf)):
+        angle, gravity = float(np.max(np.hypot(encoder.offset, encoder.reading))), float(motion.geometry.gravity)
+
+        def seen_by(kind: ChannelKind, names: str, each: float) -> bool:
+            """Whether channels of a kind see the angles' errors by the largest of some parameters."""
+            sizes = (v for name, v in zip(self.model.names(), values, strict=True) if re.match(names, name))
+            quiet = [float(c.model.angle_random_walk) for c in self.model.channels if c.kind == kind]
+            return max(sizes, default=0.0) * angle * each > _ACROSS * min(quiet, default=np.inf)
+
+        rotated = seen_by("gyro", r"gyro_.\.m_", 1.0)
+        tilted = seen_by("accelerometer", r"accelerometer_.\.m_|mounting", gravity)
+        if not self.free and (motion.line.rates or not (rotated or tilted)):
             return steps
-        gyros = self.by_steps(np.array([c.kind == "gyro" for c in self.model.channels])[at.row_channel])
+        kinds = np.array([c.kind == "gyro" for c in self.model.channels])
+        gyros = self.by_steps(kinds[at.row_channel] & rotated)
+        forces = self.by_steps(~kinds[at.row_channel] & tilted)
         before, after = motion.angles()
         observation = np.array(steps.observation)
         for k in range(motion.geometry.axis_count):
@@ -275,7 +284,7 @@ class ImuReadings(NamedTuple):
             of_begin = np.where(turns, (end * by[0] - by[1]) / whole, 0.0)
             for state, own in ((now, of_end), (now + motion.geometry.axis_count, of_begin)):
                 nominal = observation[:, state]
-                needed = self.free | (gyros & (np.abs(nominal) < _ALONG))
+                needed = self.free | (gyros & (np.abs(nominal) < _ALONG)) | forces
                 observation[:, state] = np.where(needed, self.by_steps(own), nominal)
         return steps._replace(observation=observation)
 

@@ -129,7 +129,7 @@ DEVICES = (
         "drone-imu",
         "The flight controller has its own logger; the run controls the table and the chamber. The motion aligns the\n"
         "recording with the run's clock. The spec states how far the gyros are from the accelerometers (`lever_arm`),\n"
-        "which matters at such rates. At this seed the accelerometers contradict the model; the cause is not known.",
+        "which matters at such rates. At this seed parts of the data disagree; the cause is not known.",
         True,
     ),
     (

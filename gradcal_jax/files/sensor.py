@@ -1,4 +1,4 @@
-"""`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or a unit.
+"""`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or an IMU.
 
 **`[[sensor.gyro.bias.shape]]`** and the like are the prior of a map by functions that the IMUs of a type have in
 common. With coefficients `s_j` of shape j, the coefficients of the map have the covariance `Σ s_j s_jᵀ` about zero: a

@@ -104,12 +104,11 @@ def test_two_ways_beat_one_way_on_every_sensor_with_a_loop(law):
     assert np.all(gains(law) > 1.0)
 
 
-def test_a_drift_for_what_plays_leave_contradicts_fewer_fits():
-    """On the safe side: less is achieved than predicted. A larger drift would contradict fewer still, and predict too
-    much: 0.6 and 0.9 deg/h 20 %, at 0.69 of the prediction (40 other units)."""
+def test_a_drift_for_what_plays_leave_makes_the_tests_of_the_fit_right():
+    """On the safe side: less is achieved than predicted, and few fits are contradicted."""
     errors, stds, contradicted = runs("relays", back=True, wandering=True)
     assert 0.7 < rms(errors) / rms(stds) < 1.0
-    assert np.mean(contradicted) < 0.6 * np.mean(runs("relays", back=True)[2])
+    assert np.mean(contradicted) < 0.25
 
 
 def test_two_ways_lose_little_on_sensors_without_a_loop():

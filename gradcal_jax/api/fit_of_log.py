@@ -193,7 +193,7 @@ def _read(
     until they stand still. Errors: `LogError` where they do not, and for readings of another unit or table."""
     free, plan = built.spec.rig.table.by_gravity, built.spec.plan
     own = None if points is None else points.sigma
-    number = 0
+    number, corrected_by = 0, about
     while True:
         try:
             done = _executed(built, seen, points)
@@ -201,7 +201,7 @@ def _read(
         except ValueError as error:
             raise LogError(f"{name}: {error}") from None
         readings = estimation.readings_of(
-            built.model, done, rows, temperature, 0 if built.rough else built.points, felt, free=free
+            built.model, done, rows, temperature, 0 if built.rough else built.points, felt, corrected_by, free=free
         )
         if own is not None:
             readings = readings._replace(sigma=own * done.motion.line.duration)

@@ -24,15 +24,16 @@ def nodes_of_rows(
     points: int,
     temperature_c: np.ndarray,
     error_of=None,
-    felt: np.ndarray | None = None,
+    added: np.ndarray | None = None,
     others: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> BodyNodes:
     """The nodes of the executed motion on a table of this `geometry`. `temperature_c` `(n,)`: temperature of the maps.
     `points` along a piece for functions of temperature; 0: they have jumps, and are evaluated at every node.
 
-    `error_of(axis, angle) -> (error, its derivative)`, rad: angle of every axis less that of its encoder. `felt` `(P,
-    3)`: the mean specific force over every piece, m/s², NaN where unknown: away from the axes a move adds some
-    hundredths of g to gravity, and gyros are sensitive to it. `others`: other temperatures of the rows, by name.
+    `error_of(axis, angle) -> (error, its derivative)`, rad: angle of every axis less that of its encoder. `added` `(P,
+    3)`: the mean specific force beyond gravity over every piece, m/s², in the frame of the innermost axis: away from
+    the axes a move adds some hundredths of g to gravity, and gyros are sensitive to it. `others`: other temperatures of
+    the rows, by name.
     """
     motion = eqx.tree_at(lambda m: m.geometry, done.motion, geometry)
     before, after = motion.angles()
@@ -40,7 +41,7 @@ def nodes_of_rows(
     sizes = np.array([1 if way is None else len(way) - 1 for way in done.travelled])
     warm = temperature_c, others
     groups = tuple(
-        _group(done, log, motion, np.flatnonzero(sizes == n), int(n), points, warm, before, error_of, felt)
+        _group(done, log, motion, np.flatnonzero(sizes == n), int(n), points, warm, before, error_of, added)
         for n in np.unique(sizes)
     )
     begin, end = temperature_c[done.rows[:-1]], temperature_c[done.rows[1:]]
@@ -67,7 +68,7 @@ def _errors(error_of, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([b[0] for b in both], axis=-1), np.stack([b[1] for b in both], axis=-1)
 
 
-def _group(done, log, motion, kinds, count, points, warm, before, error_of, felt) -> BodyGroup:
+def _group(done, log, motion, kinds, count, points, warm, before, error_of, added) -> BodyGroup:
     geometry, line, (temperature_c, others) = motion.geometry, motion.line, warm
     duration = line.duration[kinds]
     own = motion.turns[kinds][:, None, :]
@@ -98,7 +99,7 @@ def _group(done, log, motion, kinds, count, points, warm, before, error_of, felt
     group = body_group(geometry, own_kinds, temperature, share, weight, angle + error, joint, mounting)
     beside = {name: np.interp(time, log.time_s, of) for name, of in others.items()}
     group = replace(group, time=time - log.time_s[0], slope=slope, others=beside or None)
-    if felt is None or count == 1:
+    if added is None or count == 1:
         return group
-    beyond = felt[kinds] - group.integral(group.force) / np.where(duration > 0.0, duration, 1.0)[:, None]
-    return replace(group, felt=group.force + np.where(np.isfinite(beyond), beyond, 0.0)[:, None])
+    in_body = np.einsum("kij,ki->kj", geometry.mountings[motion.mounting[kinds]], added[kinds])
+    return replace(group, felt=group.force + in_body[:, None])

@@ -7,7 +7,9 @@ the channels' terms at the resulting signals:
     r = y − h(β),    δ = argmin |W r − W J δ|² + |P (β + δ)|²,    β ← β + δ
 
 with the whitened Jacobian `W J` at the nominal installation or at a first estimate. Each step reduces the error by a
-factor of about the installation's error: 1 mrad gains three digits a step.
+factor of about the installation's error: 1 mrad gains three digits a step. Where h is curved between that point and the
+estimate, by more than a part of the noise, J is taken again about the estimate: a rotation of the body's frame is seen
+by products of small errors alone (`M(T) δ`), so that an estimate with the first J stops where it says nothing.
 
 **Robust**: readings that the model cannot explain (an encoder's slip, a reading taken too early) get a lower weight, by
 Huber's function on the normalised innovations `r_k`: `w = min(1, k/|r|)`, k = 2.5 by default (the efficiency on clean
@@ -55,6 +57,9 @@ from gradcal_jax.model import (
 from gradcal_jax.trajectory import Geometry, rotation
 
 _ROUNDS = 12
+# Curvature between the point of linearisation and the estimate, in whitened residuals, beyond which J is taken again,
+# at once beyond the second; and the most often.
+_CURVED, _BENT, _LINEARISED = 0.5, 3.0, 20
 # The iteration ends at a step that changes no parameter by more than this share of its standard deviation.
 _SETTLED = 1e-3
 # A step after which χ² is higher by more than this is halved, at most so many times.
@@ -142,10 +147,10 @@ def _small(vector: np.ndarray) -> np.ndarray:
 
 
 class ImuReadings(NamedTuple):
-    """A unit's readings, for comparison with any table: `observed` `(R,)`, integrals in rad and m/s; `felt` `(P, 3)`,
-    the mean specific force over every piece, m/s², if known; `sigma` `(R,)`: standard deviations, in the place of the
-    model's noise of the channels (None: the model's); `free`: no encoder tells the angles of standstills, whose wide
-    noise then absorbs a reading each.
+    """A unit's readings, for comparison with any table: `observed` `(R,)`, integrals in rad and m/s; `added` `(P, 3)`,
+    the mean specific force beyond gravity over every piece, in the frame of the innermost axis, m/s², if known; `sigma`
+    `(R,)`: standard deviations, in the place of the model's noise of the channels (None: the model's); `free`: no
+    encoder tells the angles of standstills, whose wide noise then absorbs a reading each.
     """
 
     model: ImuModel
@@ -154,7 +159,7 @@ class ImuReadings(NamedTuple):
     temperature_c: np.ndarray
     points: int
     observed: np.ndarray
-    felt: np.ndarray | None
+    added: np.ndarray | None
     sigma: np.ndarray | None = None
     free: bool = False
 
@@ -303,7 +308,7 @@ class ImuReadings(NamedTuple):
     def _nodes(self, geometry: Geometry, error_of=None) -> BodyNodes:
         others = self.log.others(self.model.others, self.temperature_c)
         at = self.done, self.log, geometry, self.points, self.temperature_c
-        return nodes_of_rows(*at, error_of, self.felt, others)
+        return nodes_of_rows(*at, error_of, self.added, others)
 
 
 def readings_of(
@@ -313,17 +318,14 @@ def readings_of(
     temperature_c: np.ndarray,
     points: int,
     felt: np.ndarray | None = None,
+    corrected_by: np.ndarray | None = None,
     *,
     free: bool = False,
 ) -> ImuReadings:
-    """Integrals of every channel over its segments. `felt` `(n, 3)`: corrected specific force at the rows, m/s²."""
+    """Integrals of every channel over its segments. `felt` `(n, 3)`: specific force at the rows, m/s², corrected by
+    the parameters `corrected_by`."""
     at = segments_of(done.motion, model)
     step = np.diff(log.time_s, prepend=log.time_s[0])
-    if felt is not None:
-        lost = ~np.isfinite(felt)
-        total, missing = (np.cumsum(x, axis=0)[done.rows] for x in (np.where(lost, 0.0, felt) * step[:, None], lost))
-        mean = np.diff(total, axis=0) / np.diff(log.time_s[done.rows])[:, None]
-        felt = np.where(np.diff(missing, axis=0) > 0, np.nan, mean)
     first, last = done.rows[at.first], done.rows[at.last + 1]
     observed, shared = np.zeros(len(at.row_segment)), across_stops(done, log)
     for i, c in enumerate(model.channels):
@@ -334,7 +336,9 @@ def readings_of(
             whole = whole + np.add.reduceat(shared[:, c.axis], at.first)
         rows = at.row_channel == i
         observed[rows] = whole[at.row_segment[rows]]
-    readings = ImuReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), felt, free=free)
+    readings = ImuReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), None, free=free)
+    if felt is not None and corrected_by is not None:
+        readings = readings._replace(added=_beyond_gravity(readings, felt, corrected_by))
     if model.encoder.held or done.motion.line.rates:
         return readings
     # The motion is that of the mean angles; the reference is each reading.
@@ -343,6 +347,25 @@ def readings_of(
     apart = np.stack([read[at.last + 1] - after[at.last], read[at.first] - before[at.first]], axis=1)
     shown = np.sum(encoder_rows(done.motion, model, readings.nominal()) * apart[at.row_segment], axis=(1, 2))
     return readings._replace(observed=np.where(at.used, observed - shown, 0.0))
+
+
+def _beyond_gravity(readings: ImuReadings, felt: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+    """`(P, 3)`: what the moves added to gravity, m/s², on average over every piece, in the frame of the innermost axis;
+    zero where it is unknown.
+
+    In that frame it does not depend on the body's. Kept in the body, it would hold the body's frame to the one of the
+    `parameters` that corrected `felt`: gyros that are sensitive to it would seem to tell how the body is mounted.
+    """
+    done, log = readings.done, readings.log
+    step, lost = np.diff(log.time_s, prepend=log.time_s[0]), ~np.isfinite(felt)
+    total, missing = (np.cumsum(x, axis=0)[done.rows] for x in (np.where(lost, 0.0, felt) * step[:, None], lost))
+    lasting = np.diff(log.time_s[done.rows])[:, None]
+    table = installed(done.motion.geometry, readings.model, parameters[readings.model.calibrated :])
+    nodes = readings._nodes(table.geometry, table.error_of)
+    gravity = nodes.integrals(lambda g: g.integral(g.force), (3,))[nodes.kind]
+    known = (np.diff(missing, axis=0) == 0) & (lasting > 0.0)
+    beyond = np.where(known, (np.diff(total, axis=0) - gravity) / np.where(lasting > 0.0, lasting, 1.0), 0.0)
+    return np.einsum("pij,pj->pi", table.geometry.mountings[done.motion.mounting], beyond)
 
 
 def _angles_read(log: ImuRows, rows: np.ndarray, moved: np.ndarray) -> np.ndarray:
@@ -367,7 +390,7 @@ class ImuEstimate(NamedTuple):
     """One unit's `estimate`, and its `white` rows, linearised about it, for those of the `R` rows that are
     `used`. `taken`: the same rows of an orthonormal basis of the fitted columns. `moved`: size of the last of the
     `rounds`, in standard deviations. `weights`: of the rows used, 1 for full weight; `channel`: of each of
-    them, its number.
+    them, its number. `curved`: norm of what the whitened residuals differ from linear ones by.
     """
 
     estimate: Estimate
@@ -378,6 +401,7 @@ class ImuEstimate(NamedTuple):
     rounds: int
     weights: np.ndarray
     channel: np.ndarray
+    curved: float = 0.0
 
     @property
     def parameters(self) -> np.ndarray:
@@ -408,6 +432,11 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
     if not np.isfinite(readings.observed[used]).all():
         raise ValueError("a used reading is not finite")
     estimate = _solved(readings, steps, columns, used, about)
+    for _ in range(_LINEARISED if about is not None else 0):
+        if estimate.curved < _CURVED:
+            break
+        steps, columns = readings.linear(estimate.parameters)
+        estimate = _solved(readings, steps, columns, used, estimate.parameters)
     if threshold is None:
         return estimate
 
@@ -510,7 +539,8 @@ def _solved(
         return rest, float(rest @ rest + np.sum((prior @ beta) ** 2))
 
     rest, squares = left_over(beta)
-    while moved > _SETTLED and rounds < _ROUNDS:
+    first, begun, curved = rest, beta, 0.0
+    while moved > _SETTLED and rounds < _ROUNDS and (about is None or curved < _BENT):
         step = of.fit(np.concatenate([rest, -prior @ beta]))
         now, after = left_over(beta + step)
         # A large error that is hardly observable, such as of the azimuth, would go past the minimum and away from it.
@@ -521,6 +551,7 @@ def _solved(
             now, after = left_over(beta + step)
         beta, rest, squares = beta + step, now, after
         moved = float(np.max(np.abs(step[counted]) / deviation[counted], initial=0.0))
+        curved = float(np.linalg.norm(rest - first + jacobian @ (beta - begun)))
         rounds += 1
     degrees, taken = len(design) - len(of.singular), of.basis[: len(jacobian)]
     if readings.free:
@@ -530,4 +561,4 @@ def _solved(
     estimate = Estimate(beta, known, rest, np.asarray(squares), degrees)
     white = Whitened(jacobian, rest + jacobian @ beta, prior)
     channel = segments_of(readings.done.motion, model).row_channel[used]
-    return ImuEstimate(estimate, white, used, taken, moved, rounds, np.ones(len(rest)), channel)
+    return ImuEstimate(estimate, white, used, taken, moved, rounds, np.ones(len(rest)), channel, curved)

@@ -57,6 +57,8 @@ from gradcal_jax.model import (
 from gradcal_jax.trajectory import Geometry, rotation
 
 _ROUNDS = 12
+# The change of an estimate, in standard deviations, below which its noise need not be found again.
+_WEIGHED = 0.05
 # Curvature between the point of linearisation and the estimate, in whitened residuals, beyond which J is taken again,
 # at once beyond the second; and the most often.
 _CURVED, _BENT, _LINEARISED = 0.5, 3.0, 20
@@ -244,6 +246,23 @@ class ImuReadings(NamedTuple):
             begin += term.size
         return self._with_own_angles(steps, about, here), columns
 
+    def sees_angles(self, about: np.ndarray) -> tuple[bool, bool]:
+        """Whether gyros across an axis, and accelerometers, see the errors of its angle by more than a part of their
+        noise, at these parameters."""
+        if self.done.motion.line.rates:
+            return False, False
+        values, encoder = np.abs(self.model.to_reported @ about), self.model.encoder
+        angle = float(np.max(np.hypot(encoder.offset, encoder.reading)))
+
+        def seen_by(kind: ChannelKind, names: str, each: float) -> bool:
+            sizes = (v for name, v in zip(self.model.names(), values, strict=True) if re.match(names, name))
+            quiet = [float(c.model.angle_random_walk) for c in self.model.channels if c.kind == kind]
+            return max(sizes, default=0.0) * angle * each > _ACROSS * min(quiet, default=np.inf)
+
+        gravity = float(self.done.motion.geometry.gravity)
+        rotated = seen_by("gyro", r"gyro_.\.m_", 1.0)
+        return rotated, seen_by("accelerometer", r"accelerometer_.\.m_|mounting", gravity)
+
     def _with_own_angles(self, steps: NoiseSteps, about: np.ndarray, here: np.ndarray) -> NoiseSteps:
         """The steps with the readings' derivatives by the errors of angles as the channels' own errors make them, where
         these derivatives are needed.
@@ -253,18 +272,8 @@ class ImuReadings(NamedTuple):
         their misalignments or the mounting's error, would have too small a noise. A constant error is that of both
         standstills, one in proportion to the angle that of each by its own angle."""
         motion, at = self.done.motion, segments_of(self.done.motion, self.model)
-        values, encoder = np.abs(self.model.to_reported @ about), self.model.encoder
-        angle, gravity = float(np.max(np.hypot(encoder.offset, encoder.reading))), float(motion.geometry.gravity)
-
-        def seen_by(kind: ChannelKind, names: str, each: float) -> bool:
-            """Whether channels of a kind see the angles' errors by the largest of some parameters."""
-            sizes = (v for name, v in zip(self.model.names(), values, strict=True) if re.match(names, name))
-            quiet = [float(c.model.angle_random_walk) for c in self.model.channels if c.kind == kind]
-            return max(sizes, default=0.0) * angle * each > _ACROSS * min(quiet, default=np.inf)
-
-        rotated = seen_by("gyro", r"gyro_.\.m_", 1.0)
-        tilted = seen_by("accelerometer", r"accelerometer_.\.m_|mounting", gravity)
-        if not self.free and (motion.line.rates or not (rotated or tilted)):
+        rotated, tilted = self.sees_angles(about)
+        if not (self.free or rotated or tilted):
             return steps
         kinds = np.array([c.kind == "gyro" for c in self.model.channels])
         gyros = self.by_steps(kinds[at.row_channel] & rotated)
@@ -433,10 +442,13 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
         raise ValueError("a used reading is not finite")
     estimate = _solved(readings, steps, columns, used, about)
     for _ in range(_LINEARISED if about is not None else 0):
-        if estimate.curved < _CURVED:
+        at = estimate.parameters
+        # Where channels see errors of angles by their own, the noise is that of the estimate, too.
+        weighed = about is None or readings.free or not any(readings.sees_angles(at)) or _near(estimate, about)
+        if estimate.curved < _CURVED and weighed:
             break
-        steps, columns = readings.linear(estimate.parameters)
-        estimate = _solved(readings, steps, columns, used, estimate.parameters)
+        steps, columns = readings.linear(at)
+        estimate, about = _solved(readings, steps, columns, used, at), at
     if threshold is None:
         return estimate
 
@@ -457,6 +469,13 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
         noise = readings.with_noise(steps, extra)
         estimate = _solved(readings, noise, columns, used, estimate.parameters)
     return estimate._replace(weights=weights)
+
+
+def _near(estimate: ImuEstimate, about: np.ndarray) -> bool:
+    """Whether all parameters are nearer to `about` than a part of their standard deviation."""
+    deviation = estimate.known.deviations(np.eye(len(about)))
+    apart = np.abs(estimate.parameters - about)
+    return bool(np.all(apart <= _WEIGHED * np.where(np.isfinite(deviation), deviation, np.inf)))
 
 
 def innovation_variance(steps: NoiseSteps) -> np.ndarray:

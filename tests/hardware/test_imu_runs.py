@@ -252,8 +252,9 @@ def test_gyros_across_an_axis_see_the_errors_of_its_angle_by_their_misalignments
 
 
 def test_accelerometers_along_an_axis_see_the_errors_of_its_angle_by_their_misalignments(tmp_path: Path) -> None:
-    """As gyros across it. Neglected, the squared errors of four runs are 404 of 284."""
-    coarse = {"reading_noise": "0.02 deg", "standstill_offset": "0.05 deg"}
+    """As gyros across it. With the noise of the first estimate alone, which is far off, the squared errors of four runs
+    are 412 of 284."""
+    coarse = {"reading_noise": "0.02 deg", "standstill_offset": "0.1 deg"}
     axes = [of.model_dump(exclude_unset=True) for of in short(4).rig.table.axis]
     changes = {
         "rig.table.axis": [of | {"angle": coarse} for of in axes],

@@ -2,7 +2,8 @@
 
 Rates and Allan deviations are as they were, to 1e-12. Those are 3e-16 apart, since squares are summed in other pieces;
 the fit takes differences of nearly equal terms of them, and its coefficients move by up to 6e-8, which is less than a
-millionth of their standard errors. The Direct Bound follows the fit's random walk.
+millionth of their standard errors. The program that recorded them differs from itself by more, up to 3e-7, where its
+sums run on one thread in place of two. The Direct Bound follows the fit's random walk.
 """
 
 import json

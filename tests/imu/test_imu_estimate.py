@@ -9,9 +9,9 @@ from estimate_scenes import PLANS, draw_truth, record, scene
 from scipy import stats
 
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.imu_residual import quantity_of
+from gradcal_jax.api.log_rows import Options
 from gradcal_jax.estimation.imu_executed import ImuRows, across_stops, executed_imu
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.spec_sections import Spec

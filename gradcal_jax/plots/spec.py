@@ -9,7 +9,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.api.ieee_terms import Box
+from gradcal_jax.api.calibrations import Box
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, rest_poses
 from gradcal_jax.api.imu_residual import ErrorCurve, error_curves, imu_residual
 from gradcal_jax.api.verdicts import target_of
@@ -168,10 +168,9 @@ def draw_poses(spec: Spec, *, ax: Axes | None = None) -> tuple[Axes, PathCollect
 def draw_temperature(
     timeline: Timeline, *, label: str = "", index: int = 0, ax: Axes | None = None
 ) -> tuple[Axes, Line2D]:
-    """The chamber's temperature against time, from a `gradcal-timeline/2`."""
-    axis = timeline.segments[0].axis
+    """The chamber's temperature against time, from a `gradcal-timeline/3`."""
     points: list[tuple[float, float]] = []
-    for segment in (s for s in timeline.segments if s.axis == axis):
+    for segment in timeline.segments:
         points.append((segment.start, segment.temperature_start))
         points += segment.temperature_bends or ()
         points.append((segment.start + segment.duration, segment.temperature_end))

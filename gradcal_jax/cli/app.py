@@ -26,7 +26,7 @@ from gradcal_jax.cli.rig import rig_app
 from gradcal_jax.cli.run import run as run_command
 from gradcal_jax.cli.user_config import own_defaults
 
-_HELP: Final = """Plan and run the calibration of gyros, accelerometers and IMUs, and predict the errors that remain after it.
+_HELP: Final = """Plan and run calibrations of gyros, accelerometers and IMUs, and predict the errors that remain.
 
 A spec file describes sensor, rig and plan. Begin with `gradcal start`, or `gradcal new --list`.
 """
@@ -62,7 +62,7 @@ def _today(tokens: list[str]) -> list[str]:
     """A command line with today's name of its command, said where it has changed."""
     if tokens[:1] == ["recipes"]:
         raise ValueError(
-            "gradcal recipes and catalogues were removed. Use gradcal sweep FILE -o results.nc --recipes FOLDER instead: "
+            "gradcal recipes and catalogues were removed. Use gradcal sweep FILE -o results.nc --recipes FOLDER: "
             'it writes a recipe for each plan of a sweep with do = "optimise". The axes of a sweep may be whole '
             "sections of other specs (gradcal schema sweep)"
         )

@@ -318,8 +318,8 @@ class _Sitting:
         if (agreement := page["agreement"]) is not None:
             chi, degrees, likely = agreement
             self.say(
-                f"estimated minus true coefficients, all together: χ² = {chi:.{digits}g} with {degrees} degrees of freedom, "
-                f"p = {likely:.2g}"
+                f"estimated minus true coefficients, all together: χ² = {chi:.{digits}g} with {degrees} degrees of "
+                f"freedom, p = {likely:.2g}"
             )
 
     def run(self, command: Callable[..., int], *arguments: Any, **options: Any) -> str:

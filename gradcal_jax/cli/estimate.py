@@ -154,7 +154,9 @@ def estimate(
         from gradcal_jax.files.points import read_points
 
         if model is None or source != WHOLE or axis or unit or more or temperature is not None:
-            raise ValueError("--points needs the spec (--spec), and cannot be used with options that select a part of a log")
+            raise ValueError(
+                "--points needs the spec (--spec), and cannot be used with options that select a part of a log"
+            )
         table_of_points = read_points(log, points)
         names = [table_of_points.unit]
     elif model is None:
@@ -388,13 +390,15 @@ def text_of_estimate(report: "SensorEstimate") -> str:
     tests = report.consistency
     lines += [
         _tests(report),
-        f"  the residuals are {tests.noise_scale:.3f} times the noise of the spec; {tests.beyond_three:.2%} of them exceed "
-        f"3σ, and the largest is {tests.largest:.1f}σ",
+        f"  the residuals are {tests.noise_scale:.3f} times the noise of the spec; {tests.beyond_three:.2%} of them "
+        f"exceed 3σ, and the largest is {tests.largest:.1f}σ",
     ]
     lines += [_neighbours(name, groups) for name, groups in report.neighbours.items()]
     if report.gravity is not None:
         before, after = (1e6 * v / G for v in report.gravity)
-        lines.append(f"|f| - g over all rests: {before:.4g} µg rms as measured, {after:.4g} µg rms after the correction")
+        lines.append(
+            f"|f| - g over all rests: {before:.4g} µg rms as measured, {after:.4g} µg rms after the correction"
+        )
     return "\n".join([*lines, *(f"note: {message}" for message in report.messages)])
 
 

@@ -123,17 +123,18 @@ DEVICES = (
         "A BMI088 on a table of ±170°",
         "bmi088",
         "The table has one axis and is home-made, with a stepper motor on a GRBL board; its cable allows ±170°. A\n"
-        "fridge and a hair dryer are operated by the clock. The board of the IMU prints lines of text. There are three\n"
-        "temperature ramps, and the mounting is changed between them.",
+        "fridge and a hair dryer are operated by the clock. The board of the IMU prints lines of text. There are\n"
+        "three temperature ramps, and the mounting is changed between them.",
         False,
     ),
     (
         "An ICM-42688 with its own logger, on a GRBL stepper",
         "drone-imu",
         "The flight controller records the IMU with its own logger, and the run controls the table and the chamber.\n"
-        "`gradcal log` compares the motion in both, and so aligns the recording with the clock of the run. The spec states\n"
-        "how far the gyros are from the accelerometers (`lever_arm`), which matters at the rates of this plan. With this\n"
-        "seed of the simulated devices, tests of the fit find that parts of the data disagree; the cause is not known.",
+        "`gradcal log` compares the motion in both, and so aligns the recording with the clock of the run. The spec\n"
+        "states how far the gyros are from the accelerometers (`lever_arm`), which matters at the rates of this\n"
+        "plan. With this seed of the simulated devices, tests of the fit find that parts of the data disagree; the\n"
+        "cause is not known.",
         True,
     ),
     (

@@ -110,7 +110,9 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
     print(f"wrote {', '.join(str(output / name) for name in texts)}")
     typical = begin.typical_terms(answers)
     if typical:
-        print("no question asked for these terms; spec.toml has a typical figure of the class for each, and its source:")
+        print(
+            "no question asked for these terms; spec.toml has a typical figure of the class for each, and its source:"
+        )
         print("\n".join(f"  {line}" for line in typical))
     print("next, in this order:")
     print("\n".join(f"  {line}" for line in _next(answers, str(output))))

@@ -95,7 +95,7 @@ def run(
             "the recipe or the output folder is missing: gradcal run RECIPE --rig RIG -o RUN/, or with --simulate "
             "instead of --rig RIG"
         )
-    either = "name the rig with --rig RIG, or use --simulate, but not both"
+    either = "name the rig with --rig RIG or use --simulate (not both)"
     if simulate and rig is not None:
         raise ValueError(either)
     from gradcal_jax.files.recipe import read_recipe

@@ -166,7 +166,7 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: P
     assert "all of it, axis x: now cannot be observed, at the end 12.5 ppm" in said
     (run.path / "status.json").write_text(json.dumps(running[0] | {"at_s": time.time() - 300.0}))
     assert main(["rig", "watch", str(run.path)]) != 0
-    assert "the run has been silent for" in capsys.readouterr().err
+    assert "the run has not written its status for" in capsys.readouterr().err
     assert main(["rig", "watch", str(tmp_path)]) != 0
     assert "not the folder of a run" in capsys.readouterr().err
 

@@ -323,7 +323,7 @@ def _head(report: "SensorEstimate | HandReport", counted: str) -> list[str]:
     fastest = math.degrees(float(calibration.valid_rate[1]))
     return [
         "",
-        strong(f"unit {report.unit}" + (", SIMULATED" if calibration.simulated else "")),
+        strong(f"IMU {report.unit}" + (", SIMULATED" if calibration.simulated else "")),
         f"{counted}; covers {low} … {high}, up to {fastest:.4g} deg/s",
         f"frame: {calibration.frame}",
     ]

@@ -261,7 +261,9 @@ def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
                 std = one.bound.drift_std * DEG_PER_H
                 rows.append((where, f"{std:.4g} deg/h", f"{one.bound.correlation_time_s:.4g} s"))
             else:
-                rows.append((where, f"not visible (up to {one.bound.hidden_drift_std * DEG_PER_H:.3g} deg/h)", ""))
+                rows.append(
+                    (where, f"none visible; up to {one.bound.hidden_drift_std * DEG_PER_H:.3g} deg/h may be hidden", "")
+                )
         lines.append(columns(rows))
     return "\n".join([*lines, "", result.drift_block()])
 

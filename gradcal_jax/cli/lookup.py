@@ -84,7 +84,7 @@ def commands_page() -> str:
     # Imported where it is used: the application imports this module.
     from gradcal_jax.cli.app import build
 
-    head = "# Commands\n\nMade by `gradcal schema commands --markdown`; all commands and options.\n\n"
+    head = "# Commands\n\nThis page lists all commands and options; `gradcal schema commands --markdown` makes it.\n\n"
     page = build().generate_docs(heading_level=2, flatten_commands=True, usage_name="gradcal")
     # (The usage of a module that is run says so, and a link to an option has all its hyphens.)
     page = page.replace(" -m gradcal_jax ", " ").replace("(#gradcal-install-", "(#gradcal---install-")

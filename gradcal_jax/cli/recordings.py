@@ -137,7 +137,7 @@ def described(log: "Log", name: str) -> str:
     """A log in a few lines: its contents, the numbers of rows by use, and every fault."""
     lines = [
         f"{name}: {log.duration_s:.6g} s at {1.0 / log.sample_interval_s:.6g} Hz, "
-        f"{len(log.units)} unit{'s' * (len(log.units) != 1)}, axes {', '.join(log.axes)}"
+        f"{len(log.units)} IMU{'s' * (len(log.units) != 1)}, axes {', '.join(log.axes)}"
         + (", SIMULATED" if log.simulated else "")
     ]
     counts = log.counts(0)

@@ -173,7 +173,7 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
     rows.append("safe states if the run ends badly: " + ", ".join(safe))
     rows.append("IMUs: " + (", ".join(unit.name for unit in rig.imu) or "none; is the IMU's own logger recording?"))
     if rig.alarm is not None:
-        rows.append(f"an alarm calls: {' '.join(rig.alarm.command)}")
+        rows.append(f"command that an alarm executes: {' '.join(rig.alarm.command)}")
     print("before the run begins:\n" + "\n".join(f"  {row}" for row in rows), flush=True)
     if not sys.stdin.isatty():
         raise ValueError("there is no terminal at which to confirm this list: read it, and run the command with --yes")

@@ -128,7 +128,13 @@ def test_the_list_is_confirmed_or_nothing_begins(made: Path, tmp_path: Path, cap
         asked = ["run", str(made), "--rig", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "run"), "--unit", "SN 7"]
         assert main(asked) != 0
         said = capsys.readouterr()
-        for text in ("on the table: SN 7", "24 to 28 degC", "up to 200 deg/s", '"hold"', "an alarm calls: "):
+        for text in (
+            "on the table: SN 7",
+            "24 to 28 degC",
+            "up to 200 deg/s",
+            '"hold"',
+            "command that an alarm executes: ",
+        ):
             assert text in said.out
         assert "nothing was moved" in said.err
         assert not (tmp_path / "run").exists()

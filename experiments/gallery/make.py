@@ -196,8 +196,8 @@ def page(notebooks: list[Path]) -> str:
         lines.append(f"| ![{title}](gallery/{path.stem}.png) | [{title}](../notebooks/{path.name}) |")
     lines += ["", "## Functions of `gradcal_jax.plots`", ""]
     lines += [
-        "Each function draws on `ax`, or on `figure` (a figure or subfigure) if it needs several axes. If you pass neither,",
-        "it makes a new figure. It returns what it drew; `plots.save(figure, path)` writes a figure to a file.",
+        "Each function draws on `ax`, or on `figure` (a figure or subfigure) if it needs several axes. If you pass",
+        "neither, it makes a new figure. It returns what it drew; `plots.save(figure, path)` writes it to a file.",
         "",
     ]
     lines += ["| | |", "|---|---|"]

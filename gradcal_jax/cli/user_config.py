@@ -38,7 +38,7 @@ def own_defaults(app: "App") -> Any:
     defaults = read_user_config().defaults
     for name in defaults:
         if name not in app:
-            raise ValueError(f"{path}: defaults.{name}: there is no command {name}{hint(name, app)}")
+            raise ValueError(f"{path}: defaults.{name}: there is no such command{hint(name, app)}")
     return (Dict(dict(defaults), source=str(path)),)
 
 

@@ -137,7 +137,7 @@ def short_rows() -> list[tuple[str, str, str, str]]:
     return [
         ("equation 3: integration time for 1 deg/h at N = 0.1 deg/√h", "36 s", f"{seconds:.1f} s", "N²/σ²"),
         (
-            "error after 1800 s, with a drift of 1 deg/h and 120 s and N = 0.1 deg/√h",
+            "angle error after 1800 s, with a drift of 1 deg/h (correlation time 120 s) and N = 0.1 deg/√h",
             "0.190°, that is 0.38 deg/h",
             f"{float(drift) * 1800.0 / DEG:.3f}°, that is {float(drift) / RATE:.3f} deg/h",
             "the limiting function without alignment",

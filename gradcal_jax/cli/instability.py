@@ -230,9 +230,9 @@ def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
     if (markov := result.markov) is not None:
         sigma_error, tau_error = (float(markov.covariance[k, k]) ** 0.5 for k in (1, 2))
         lines.append(
-            f"as a single Markov process, by maximum likelihood: {markov.sigma * DEG_PER_H:.4g} deg/h (1σ "
-            f"{100.0 * sigma_error:.2g} %) with a correlation time of {markov.tau:.4g} s, within a factor of "
-            f"{math.exp(tau_error):.2g}"
+            f"a single Markov process, fitted by maximum likelihood: {markov.sigma * DEG_PER_H:.4g} deg/h (1σ: "
+            f"{100.0 * sigma_error:.2g} %) with a correlation time of {markov.tau:.4g} s (1σ: a factor of "
+            f"{math.exp(tau_error):.2g})"
         )
     if result.rest.thermal is not None:
         thermal = result.rest.thermal

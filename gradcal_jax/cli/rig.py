@@ -50,7 +50,8 @@ def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Jso
     once
         Show the state once, and do not wait for the end of the run.
     known
-        Print only the errors that remain: with the data so far (according to the journal), and after the whole run.
+        Print only the errors that would remain with the data so far (according to the journal), and after the whole
+        run.
     json
         Print the state once, as JSON.
     """

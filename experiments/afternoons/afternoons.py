@@ -26,10 +26,10 @@ HEAD = """# {title}
 
 {words}
 
-Made by `experiments/afternoons/afternoons.py`: every command from an empty folder to the header for the firmware, with
-its output. **All devices are simulated**: replace `--simulate` by your rig (`--rig mine/rig.toml`). The middle of long
-outputs is left out and marked `[…]`. The durations are those of a busy computer with two cores; the hours of the
-simulated chamber take no time.
+This page was made by `experiments/afternoons/afternoons.py`. It shows every command from an empty folder to the header
+for the firmware, with its output. **All devices are simulated**: for a real run, write `--rig mine/rig.toml` instead of
+`--simulate`. The middle of long outputs is left out and marked `[…]`. The durations were measured on a busy computer
+with two cores; the hours of the simulated chamber pass in virtual time.
 """
 COMMANDS = """\
 gradcal start --preset {preset} -o mine
@@ -68,7 +68,10 @@ def afternoon(folder: Path, preset: str, own: bool) -> Iterator[str]:
             columns.write_text(
                 columns.read_text(encoding="utf-8").replace(", scale = 0.0305 }     # counts: deg/s per count", " }")
             )
-            yield "\n`imu.csv` is what the IMU's own logger kept, by its own clock; its columns: `mine/columns.toml`.\n"
+            yield (
+                "\n`imu.csv` is the recording of the IMU's own logger, with the times of its own clock; "
+                "`mine/columns.toml` describes its columns.\n"
+            )
         begun = time.monotonic()
         done = subprocess.run(
             [sys.executable, "-m", "gradcal_jax", *shlex.split(line)[1:]],
@@ -80,7 +83,7 @@ def afternoon(folder: Path, preset: str, own: bool) -> Iterator[str]:
         status = "" if done.returncode == 0 else f", status {done.returncode}"
         yield f"\n    $ {line}\n" + "".join(f"    {text}\n" if text else "\n" for text in shown)
         yield f"\n*{took:.0f} s{status}*\n"
-    yield f"\nIn all {spent / 60.0:.1f} min of machine.\n"
+    yield f"\nAll commands together took {spent / 60.0:.1f} min.\n"
 
 
 def shortened(lines: list[str]) -> list[str]:
@@ -119,23 +122,26 @@ DEVICES = (
     (
         "A BMI088 on a table of ±170°",
         "bmi088",
-        "A home-made one-axis table with a stepper on a GRBL board, whose cable allows ±170°; a fridge and a hair\n"
-        "dryer, operated by the clock; a board that prints lines of text. Three ramps, with a change of mounting in\n"
-        "between.",
+        "The table has one axis and is home-made, with a stepper motor on a GRBL board; its cable allows ±170°. A\n"
+        "fridge and a hair dryer are operated by the clock. The board of the IMU prints lines of text. There are\n"
+        "three temperature ramps, and the mounting is changed between them.",
         False,
     ),
     (
         "An ICM-42688 with its own logger, on a GRBL stepper",
         "drone-imu",
-        "The flight controller has its own logger; the run controls the table and the chamber. The motion aligns the\n"
-        "recording with the run's clock. The spec states how far the gyros are from the accelerometers (`lever_arm`),\n"
-        "which matters at such rates. At this seed parts of the data disagree; the cause is not known.",
+        "The flight controller records the IMU with its own logger, and the run controls the table and the chamber.\n"
+        "`gradcal log` compares the motion of the IMU with that of the table, and so aligns the recording with the\n"
+        "clock of the run. The spec states how far the gyros are from the accelerometers (`lever_arm`), which\n"
+        "matters at the rates of this plan. With this seed of the simulated devices, tests of the fit find that\n"
+        "parts of the data disagree; the cause is not known.",
         True,
     ),
     (
         "A tactical IMU on a two-axis table",
         "tactical-imu",
-        "A two-axis table (Zaber), a chamber (Weiss), an IMU that streams (STIM300); one ramp is enough.",
+        "The rig has a two-axis table (Zaber), a chamber (Weiss) and an IMU that sends its samples continuously\n"
+        "(STIM300). One temperature ramp is enough.",
         False,
     ),
 )

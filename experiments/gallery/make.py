@@ -182,8 +182,8 @@ def page(notebooks: list[Path]) -> str:
     lines = [
         "# Gallery",
         "",
-        "Made by `experiments/gallery/make.py`. Every picture shows simulated devices, except that of the notebook on",
-        "a real sensor.",
+        "This page is made by `experiments/gallery/make.py`. Every picture shows simulated devices, except that of the",
+        "notebook on a real sensor.",
         "",
         "## Notebooks",
         "",
@@ -196,8 +196,8 @@ def page(notebooks: list[Path]) -> str:
         lines.append(f"| ![{title}](gallery/{path.stem}.png) | [{title}](../notebooks/{path.name}) |")
     lines += ["", "## Functions of `gradcal_jax.plots`", ""]
     lines += [
-        "Each function draws on `ax`, or on `figure` (a figure or subfigure) if it needs several axes; without either",
-        "it makes a new figure. It returns what it drew, and `plots.save(figure, path)` writes the file.",
+        "Each function draws on `ax`, or on `figure` (a figure or subfigure) if it needs several axes. If you pass",
+        "neither, it makes a new figure. It returns what it drew; `plots.save(figure, path)` writes it to a file.",
         "",
     ]
     lines += ["| | |", "|---|---|"]

@@ -43,12 +43,12 @@ def static_rows() -> list[tuple[str, str, str, str]]:
             "static, standard, 9 h: bias over −30…70 °C",
             "not given as a number",
             f"mean {standard.mean:.3f}, max {standard.max:.3f} deg/h",
-            "cubic fitted to the mean rate of each half hour, 0.38 deg/h",
+            "a cubic fitted to the mean rates of the half hours, each known to 0.38 deg/h",
         )
     )
     readings = [
-        ("the ramp alone, angle exact", {}),
-        ("the hour at −30 °C used too", {"plan.soak.used": True}),
+        ("data of the ramp alone, angle exact", {}),
+        ("data of the hour at −30 °C also used", {"plan.soak.used": True}),
         ("0.5 °C/min", {"plan.gradient": "0.5 K/min"}),
         ("2 °C/min", {"plan.gradient": "2 K/min"}),
     ]
@@ -135,9 +135,9 @@ def short_rows() -> list[tuple[str, str, str, str]]:
     drift = gj.limiting_function(1800.0, RATE, 120.0, WALK)
     seconds = (WALK / RATE) ** 2
     return [
-        ("eq. 3: integration for 1 deg/h at N = 0.1 deg/√h", "36 s", f"{seconds:.1f} s", "N²/σ²"),
+        ("equation 3: integration time for 1 deg/h at N = 0.1 deg/√h", "36 s", f"{seconds:.1f} s", "N²/σ²"),
         (
-            "drift 1 deg/h with 120 s, and N = 0.1 deg/√h, after 1800 s",
+            "angle error after 1800 s, with a drift of 1 deg/h (correlation time 120 s) and N = 0.1 deg/√h",
             "0.190°, that is 0.38 deg/h",
             f"{float(drift) * 1800.0 / DEG:.3f}°, that is {float(drift) / RATE:.3f} deg/h",
             "the limiting function without alignment",
@@ -170,7 +170,7 @@ def write_table(path: Path) -> None:
         "Written by `python experiments/paper/reproduce.py`. All figures are one sigma.",
         "",
     ]
-    lines += ["| what | paper | here | reading taken |", "|---|---|---|---|"]
+    lines += ["| what | paper | here | interpretation |", "|---|---|---|---|"]
     lines += [f"| {a} | {b} | {c} | {d} |" for a, b, c, d in rows]
     lines += ["", "## The dynamic gradient plan, read in other ways", ""]
     lines += ["Mean over rate of the maximum over temperature, ppm. The paper: 77 / about 40.", ""]

@@ -26,18 +26,18 @@ from gradcal_jax.cli.rig import rig_app
 from gradcal_jax.cli.run import run as run_command
 from gradcal_jax.cli.user_config import own_defaults
 
-_HELP: Final = """Calibration plans for gyros, accelerometers and IMUs, with their residual errors predicted beforehand.
+_HELP: Final = """Plan and run calibrations of gyros, accelerometers and IMUs, and predict the errors that remain.
 
 A spec file describes sensor, rig and plan. Begin with `gradcal start`, or `gradcal new --list`.
 """
 
 GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
     ("Begin", (demo, start, new, check)),
-    ("Know beforehand, and find a plan", (predict, optimise, limit)),
-    ("Execute it", (rig_app, run_command, log_app)),
+    ("Predict the result, and find a plan", (predict, optimise, limit)),
+    ("Execute a plan", (rig_app, run_command, log_app)),
     ("Calibrate", (estimate, apply, validate, export, lot, report)),
-    ("Know a sensor's noise", (instability, allan)),
-    ("Many at once", (sweep,)),
+    ("Measure the noise of a sensor", (instability, allan)),
+    ("Compute many plans", (sweep,)),
     ("Look up", (schema,)),
 )
 """The commands in the order of work, as `gradcal --help` lists them."""
@@ -62,9 +62,9 @@ def _today(tokens: list[str]) -> list[str]:
     """A command line with today's name of its command, said where it has changed."""
     if tokens[:1] == ["recipes"]:
         raise ValueError(
-            "gradcal recipes and catalogues were removed: gradcal sweep FILE -o results.nc --recipes FOLDER "
-            'writes the recipes of a sweep with do = "optimise", whose axes may be sections of other specs '
-            "(gradcal schema sweep)"
+            "gradcal recipes and catalogues were removed. Use gradcal sweep FILE -o results.nc --recipes FOLDER: "
+            'it writes a recipe for each plan of a sweep with do = "optimise". The axes of a sweep may be whole '
+            "sections of other specs (gradcal schema sweep)"
         )
     if not tokens or tokens[0] not in _OLD_COMMANDS:
         return tokens
@@ -149,7 +149,7 @@ def _too_large(error: BaseException) -> str:
     detail = f" ({text[:160]})" if text else ""
     return (
         f"out of memory{detail}: read less often, use a shorter plan or a part of the log (--rows), or fewer IMUs "
-        "at once; gradcal check says what a plan needs"
+        "at once; gradcal check --json states the memory that a plan needs"
     )
 
 

@@ -45,10 +45,11 @@ def apply(
     force: ForceOutput = False,
     json: Json = False,
 ) -> int:
-    """Correct the rates and specific forces of a log with a calibration, and write them as a log.
+    """Correct the rates and specific forces of a log with a calibration, and write the result as a log.
 
-    A hysteresis in the calibration follows the temperature along the log. The exit status is 1 if rows are outside
-    the range of the calibration; for these rows its value at the edge is used.
+    If the calibration has a hysteresis, its state is computed from the temperatures along the log. If rows are outside
+    the temperatures or rates of the calibration, its value at the edge of that range is used for them, and the exit
+    status is 1.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def apply(
     unit
         Which IMU of the log; by default the one with the calibration's serial number, or the only one.
     json
-        Print the name of the log, and the number of rows outside, as JSON.
+        Print the name of the corrected log, and the number of rows outside the range of the calibration, as JSON.
     """
     from gradcal_jax.files.calibration import read_calibration
     from gradcal_jax.files.calibration.correction import apply as correct
@@ -78,16 +79,19 @@ def apply(
         print(described(corrected.log, str(log)))
         for what, count in outside.items():
             if count:
-                print(f"note: {count} {what} outside the range of the calibration: its value at the edge was used")
+                print(
+                    f"note: {count} {what} are outside the range of the calibration: its value at the edge of the "
+                    "range was used"
+                )
         if corrected.unknown_branch:
             print(
                 f"note: in {corrected.unknown_branch} rows the temperature has not changed enough to determine "
                 "the state of the hysteresis: the middle of its possible range was used"
             )
         if corrected.left_alone:
-            print(f"note: not calibrated, and left unchanged: {', '.join(corrected.left_alone)}")
+            print(f"note: left unchanged, since the calibration lacks them: {', '.join(corrected.left_alone)}")
         if corrected.left_in:
-            print(f"note: known, and not subtracted: {', '.join(corrected.left_in)}")
+            print(f"note: in the calibration, but not subtracted: {', '.join(corrected.left_in)}")
         print(f"wrote {output}")
     return NOT_AS_WISHED if any(outside.values()) else DONE
 
@@ -109,25 +113,26 @@ def validate(
 ) -> int:
     """Test a calibration on a different log, and print the remaining errors by temperature and rate.
 
-    The targets in the calibration are judged by their decision rule, guard band included. The exit status is 1 if a
-    target is missed, or if the calibration makes the errors larger instead of smaller.
+    The measured errors are compared with the targets in the calibration, by the decision rule of each target and with
+    its guard band. The exit status is 1 if a target is missed, or if the calibration makes the errors larger instead of
+    smaller.
 
     Parameters
     ----------
     unit
         Which IMU of the log; by default the one with the calibration's serial number, or the only one.
     table_axis
-        The axis of the table that turns the sensor's.
+        The axis of the table about which the sensor was turned.
     earth_rate
-        The Earth's rate along the sensor's axis, such as "10.4 deg/h"; it is taken off.
+        The Earth's rate along the sensor's axis, such as "10.4 deg/h"; it is subtracted from the rates.
     gravity
-        Local gravity, such as "9.8123 m/s^2", for accelerometers; without it standard gravity.
+        Local gravity, such as "9.8123 m/s^2", for accelerometers; by default standard gravity.
     parts
-        Number of ranges of temperature.
+        Number of temperature ranges, for each of which the errors are printed.
     bins
-        Width of the ranges, such as "2 K", instead of their number.
+        Width of the temperature ranges, such as "2 K", instead of their number.
     branches
-        Heating and cooling apart.
+        Print the errors of heating and of cooling separately.
     """
     from gradcal_jax.files.calibration import read_calibration
 
@@ -190,21 +195,23 @@ def export(
     Parameters
     ----------
     format
-        The format: ardupilot, px4, kalibr, matrices, c-header or csv; without it that of --template.
+        The format: ardupilot, px4, kalibr, matrices, c-header or csv. Leave it out if you use --template.
     template
         Your own template in the Jinja language; gradcal new export-gains writes an example.
     output
-        Write here; by default the text is printed, and the report goes to stderr.
+        The file to write; by default the text is printed, and the list of losses goes to stderr.
     temperature
-        The temperature of a kalibr or matrices file, or of a template's matrices, such as "25 degC".
+        The temperature for which a kalibr or matrices file, or the matrices of a template, are computed, such as "25
+        degC".
     instance
-        Number of the sensor on the controller: 1 to 3 for ArduPilot, 0 to 3 for PX4.
+        Number of the sensor on the flight controller: 1 to 3 for ArduPilot, 0 to 3 for PX4.
     device_id
         PX4's device id of the sensor.
     zero
-        A coefficient that did not pass validation, such as a3, x.a3 or gyro_x.a3; may be repeated.
+        A coefficient to write as zero because it did not pass validation, such as a3, x.a3 or gyro_x.a3; may be
+        repeated.
     json
-        Print text, losses and notes as JSON.
+        Print the text, the losses and the notes as JSON.
     """
     from gradcal_jax.files.calibration import exports, read_calibration
     from gradcal_jax.files.document import read_text
@@ -215,7 +222,7 @@ def export(
     if output is not None:
         writable(output, force)
     if (format is None) == (template is None):
-        raise ValueError("give the format with --format, or a template with --template: one of them")
+        raise ValueError("give either the format (--format) or a template (--template)")
     text = None if template is None else read_text(template)
     number = (0 if format == "px4" else 1) if instance is None else instance
     chosen = {"temperature_c": at, "instance": number, "device_id": device_id}
@@ -244,7 +251,7 @@ def _unit(log, serial_number: str, unit: str | None) -> str | int:
     if len(log.units) == 1:
         return 0
     raise ValueError(
-        f"the calibration is for {serial_number}, and the log has {', '.join(log.units)}: say which with --unit"
+        f"the calibration is for {serial_number}, but the log has {', '.join(log.units)}: choose the IMU with --unit"
     )
 
 
@@ -255,8 +262,8 @@ def _acceptance_text(row: "Acceptance") -> str:
     limit = "none is accepted" if row.acceptance is None else f"at most {row.acceptance:.4g} {row.unit} is accepted"
     return (
         f"{row.name}, axis {row.axis}: {strong(row.verdict)}, {row.rule}\n"
-        f"  at the largest risk: {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ of the scatter, without errors of "
-        f"the table common to all moves); {limit}; specific risk {percent(row.specific_risk)}"
+        f"  where the risk is largest: {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ, from the scatter; errors of the "
+        f"table that all moves have in common are not included); {limit}; specific risk {percent(row.specific_risk)}"
     )
 
 
@@ -309,11 +316,11 @@ def lot(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """Compute the mean and the spread of a type of IMU from calibrations of several IMUs, map by map.
+    """Compute the mean and the spread of every map over temperature, from calibrations of several IMUs of one type.
 
-    The spread excludes the uncertainty of each calibration. A chi-squared test at 1 % gives the number of shapes that
-    repeat; further tests report groups, and outliers at 1 % over the whole lot. The exit status is 1 if there are
-    outliers or groups, or if priors are requested and no shape repeats.
+    The uncertainty of each calibration does not count in the spread. A chi-squared test at 1 % gives the number of
+    shapes over temperature that repeat from IMU to IMU. Further tests detect groups, and outliers (at 1 % for the whole
+    lot). The exit status is 1 if there are outliers or groups, or if priors are requested and no shape repeats.
 
     Parameters
     ----------
@@ -322,7 +329,7 @@ def lot(
     output
         Write priors for the spec of the next IMU to this file (.toml), if the shapes repeat.
     plot
-        Draw the maps of all IMUs, their mean and their shapes into this file (.png, .svg, .pdf).
+        Draw the maps of all IMUs, the mean map and the shapes that repeat into this file (.png, .svg, .pdf).
     """
     from gradcal_jax.files.calibration import read_calibration
 
@@ -341,7 +348,7 @@ def lot(
     if all(one.prior is None for one in found.maps):
         from gradcal_jax.cli.output import complain
 
-        complain(f"no prior is written into {output}: no map of this lot repeats")
+        complain(f"no priors were written to {output}: the shape of no map repeats in this lot")
         return NOT_AS_WISHED
     from gradcal_jax.files.writing import write_whole
 

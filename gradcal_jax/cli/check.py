@@ -45,22 +45,22 @@ def check(
     Parameters
     ----------
     file
-        The spec file, or a recipe, whose table has the steps of the chamber, those of the table, and the predicted
-        residuals.
+        The spec file, or a recipe. The table of a recipe lists the steps of the chamber, the moves of the rate table,
+        and the predicted errors.
     timeline
-        Print every segment, or every reading, of the plan instead.
+        Instead, print every segment or every reading of the plan.
     csv
-        Print the rows of the timeline as comma-separated values, in SI.
+        Print the rows of the timeline as comma-separated values, in SI units.
     upgrade
-        Write a spec, recipe or calibration of an earlier version in the current format, with the same contents; every
-        command reads the earlier formats as well.
+        Convert a spec, recipe or calibration of an earlier version to the current format, with the same contents. This
+        is optional: every command reads the earlier formats as well.
     output
         The file that --upgrade writes; by default FILE is replaced, and saved as FILE.old.
     files_only
         Leave out what the plan cannot observe, which takes a few seconds to compute.
     json
-        Print the plan's times, notes, and what it cannot observe, as JSON; of a recipe its contents; with --timeline
-        gradcal-timeline/3: segments, readings and the channels' models, in SI.
+        Print as JSON: the times of the plan, the notes, and what the plan cannot observe; or the contents of a recipe.
+        With --timeline, print gradcal-timeline/3: segments, readings and the models of the channels, in SI units.
     """
     from gradcal_jax.files.memory import needed_bytes, too_large
     from gradcal_jax.files.recipe import Recipe, spec_or_recipe
@@ -97,7 +97,7 @@ def check(
     blind = blind_of(specification) if wanted else []
     for sentence in blind:
         print(f"{'cannot be observed' if 'cannot observe' in sentence else 'note'}: {sentence}")
-    print("the spec is sound" + ("; see what it cannot observe" if blind else ""))
+    print("the spec has no errors" + ("; read the warnings above" if blind else ""))
     return DONE
 
 
@@ -244,13 +244,13 @@ def notes(spec: "Spec") -> list[str]:
     if isinstance(schedule, StandardSchedule):
         visited = list(schedule.temperatures)
         if any(schedule.rates) and spec.rig.table.rate_accuracy is None:
-            sentences.append("rig.table.rate_accuracy is absent: the reference rate is taken as exact")
+            sentences.append("rig.table.rate_accuracy is absent: the reference rate is assumed to be exact")
     else:
         used = [segment for segment in schedule.segments if segment.used]
         visited = [t for segment in used for t in (segment.temperature_start, segment.temperature_end)]
         left = sum(stretch.leftover for stretch in schedule.stretches)
         if schedule.steps and left > 0.0:
-            sentences.append(f"after the moves of the last cycle the table is at rest for {time_text(left)}")
+            sentences.append(f"after the moves of the last cycle, the table stays at rest for {time_text(left)}")
     low, high = min(visited), max(visited)
     for requirement in spec.requirement:
         if requirement.temperature[0] < low - 1e-6 or requirement.temperature[1] > high + 1e-6:
@@ -269,7 +269,7 @@ def upgrade_file(file: Path, output: Path | None, *, force: bool) -> int:
     text = read_text(file)
     model, done = _upgraded(text, read_toml(text, str(file)), file)
     if not done:
-        print(f"{file} is in today's form already; nothing was written")
+        print(f"{file} has the current format already; nothing was written")
         return DONE
     kept = None if output is not None else file.with_name(f"{file.name}.old")
     writable(output or kept or file, force)
@@ -279,7 +279,7 @@ def upgrade_file(file: Path, output: Path | None, *, force: bool) -> int:
     write_toml(model, goal, header=f"Converted by `gradcal check --upgrade` from {file.name}.")
     print("\n".join(f"  {line}" for line in done))
     if any(line.lstrip().startswith("#") or " #" in line for line in text.splitlines()):
-        print(f"note: the comments of {kept or file} are not in {goal}")
+        print(f"note: the comments in {kept or file} were not copied to {goal}")
     print(f"wrote {goal}" + (f"; the original file is now {kept}" if kept is not None else ""))
     return DONE
 
@@ -331,7 +331,7 @@ _MOST_PRINTED = 60
 def print_timeline(spec: "Spec", rows: str, *, csv: bool, json: bool) -> None:
     """Print the `rows` of a spec's timeline, "segments" or "readings": as a table, as CSV, or all as JSON."""
     if json and csv:
-        raise ValueError("--json or --csv: choose one")
+        raise ValueError("--json and --csv: use only one of them")
     use_float64()
     from gradcal_jax import api
 
@@ -378,7 +378,7 @@ def _table(plan: "Timeline", rows: str) -> str:
             table.append((f"{r.start:.3f}", f"{r.time:.3f}", stands, ", ".join(kinds)))
     lines, count = [columns(table, indent="")], len(plan.segments if rows == "segments" else plan.readings)
     if count > _MOST_PRINTED:
-        lines.append(f"… and {count - _MOST_PRINTED} more: --csv or --json gives all")
+        lines.append(f"… and {count - _MOST_PRINTED} more rows: --csv or --json prints all")
     lines.append(f"{len(plan.segments)} segments, {len(plan.readings)} readings of {len(plan.channels)} channels")
     return "\n".join(lines)
 

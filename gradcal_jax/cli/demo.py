@@ -78,10 +78,10 @@ def demo(
 ) -> int:
     """Run the whole procedure in about two minutes, from a spec to a calibrated (simulated) sensor and a report.
 
-    Each step prints the command that does it. With --imu the sensor is an IMU on a two-axis table: a better plan, the
-    run, and the calibration of all axes, in a few minutes. With --data the sensor is a recorded one: its drift is
-    estimated from a thermal cycle at rest, and a plan is designed for it. The exit status is 1 if a target is missed
-    at the end.
+    Each step prints its command. With --imu, the sensor is an IMU on a two-axis table; the demo optimises the plan,
+    runs it and calibrates all axes, in a few minutes. With --data, the sensor is a real one, of which there is a
+    recording: its drift is estimated from a thermal cycle at rest, and a plan is designed for it. The exit status is 1
+    if the calibration misses a target.
 
     Parameters
     ----------
@@ -92,12 +92,12 @@ def demo(
     imu
         Use an IMU (three gyros and three accelerometers) instead of one gyro.
     seed
-        The seed of the simulated devices' hidden errors.
+        The seed of the simulated devices' errors, which the estimate does not know.
     json
-        Print every number as JSON, as in demo.json in the folder.
+        Print every number as JSON; the folder has the same text as demo.json.
     """
     if data is not None and imu:
-        raise ValueError("--data is for a recorded gyro, --imu for an IMU: take one of them")
+        raise ValueError("--data is for a recorded gyro, --imu for an IMU: use only one of them")
     if data is not None and not (data / RECORDING).is_file():
         raise ValueError(f"{data} has no {RECORDING}: name the folder with the recorded thermal cycle")
     if output.exists() and not (output.is_dir() and not any(output.iterdir())):
@@ -119,7 +119,7 @@ def demo(
     if json:
         print(text)
     else:
-        print(f"\nall of it lies in {output}; open {output / 'report.html'}")
+        print(f"\nall files are in {output}; open {output / 'report.html'}")
     rows = numbers["report"]["requirements"]
     return DONE if all(row["verdict"] in (None, "met") for row in rows) else NOT_AS_WISHED
 
@@ -128,14 +128,14 @@ def _whole_job(sitting: "_Sitting", seed: int) -> dict[str, Any]:
     sitting.step("The paper's spec: sensor, table, chamber and plan")
     sitting.run(new, "paper-dynamic-gradient", output=str(_PAPER))
 
-    sitting.step("The residual of the paper's plan")
+    sitting.step("The error that the paper's plan leaves")
     paper = sitting.numbers(predict, (_PAPER,))
     row, hours = paper["requirements"][0], time_text(paper["duration_s"])
     sitting.say(f"{row['name']}, {row['statistic']}: {amount(row['mean_of_max'], row['unit'])} in {hours}")
 
     sitting.step("A better plan for the same sensor in the same time, on a table of 300 deg/s^2")
     spec, limits = Path("design.toml"), Path("limit.json")
-    sitting.design(spec, _HEADLINE, "The paper's spec, with a [design].")
+    sitting.design(spec, _HEADLINE, "The paper's spec, with a [design] section.")
     optimisation, designed = sitting.optimise(spec)
     sitting.say(optimisation["sentence"])
 
@@ -154,8 +154,8 @@ def _whole_job(sitting: "_Sitting", seed: int) -> dict[str, Any]:
     chance = next(test["chance"] for test in unit["tests"] if test["name"].startswith("chi-squared"))
     sitting.say(
         f"{achieved['name']}: {amount(achieved['value'], achieved['unit'])} achieved, "
-        f"{amount(designed['predicted'], designed['unit'])} predicted; the data agree with the model "
-        f"(chance {chance:.2g})"
+        f"{amount(designed['predicted'], designed['unit'])} predicted; chi-squared test of the data against the model: "
+        f"p = {chance:.2g}"
     )
 
     sitting.step("The page")
@@ -176,16 +176,16 @@ def _whole_imu(sitting: "_Sitting", seed: int) -> dict[str, Any]:
     sitting.step("An IMU of three gyros and three accelerometers, and a plan for a two-axis table")
     sitting.run(new, "two-axis-table", output=str(spec))
 
-    sitting.step("The residual of every quantity with this plan")
+    sitting.step("The error of every quantity that this plan leaves")
     before = sitting.numbers(predict, (spec,))
     for row in before["requirements"]:
         sitting.say(f"{row['name']}: {amount(row[row['statistic'].replace(' ', '_')], row['unit'])}")
 
     sitting.step("Better poses and moves in the same time: a short search")
     optimisation, designed = sitting.optimise(spec, steps=_IMU_STEPS)
-    sitting.say(f"better by a factor of {optimisation['gain']:.2f} in the geometric mean of all")
+    sitting.say(f"the geometric mean of all residuals is smaller by a factor of {optimisation['gain']:.2f}")
 
-    title = "The calibration of all axes, and the errors of the table found in the run"
+    title = "The calibration of all axes, and the errors of the table estimated from the same log"
     calibration = sitting.calibration(seed, "table and IMU", title)
     sitting.step("The page")
     page = sitting.numbers(report, (_RUN,), output=_REPORT)
@@ -215,9 +215,9 @@ def _recorded_sensor(sitting: "_Sitting", recording: Path) -> dict[str, Any]:
     walk, drift = channel["angle_random_walk_deg_per_sqrt_h"], channel["drift_std_deg_per_h"]
     lasting = channel["correlation_time_s"]
     sitting.say(f"axis y: {drift:.4g} deg/h with a correlation time of {lasting:.4g} s; random walk {walk:.4g} deg/√h")
-    sitting.say("the recording names no units: it is read as µs and rad/s")
+    sitting.say("the recording states no units: times are assumed to be in µs, rates in rad/s")
 
-    sitting.step("A spec of that sensor, on the paper's rig; the maps are cubic, and their size is unknown")
+    sitting.step("A spec of that sensor on the paper's rig; the maps are cubics without a prior")
     sitting.design(
         spec,
         _HEADLINE
@@ -231,7 +231,7 @@ def _recorded_sensor(sitting: "_Sitting", recording: Path) -> dict[str, Any]:
             "design.moves": 6,
             "design.cycles": "alike",
         },
-        "Noise as recorded; everything else is from the paper, with a [design].",
+        "The noise is that of the recording; everything else is from the paper, with a [design] section.",
     )
     before = sitting.numbers(predict, (spec,))
     row, hours = before["requirements"][0], time_text(before["duration_s"])
@@ -299,7 +299,7 @@ class _Sitting:
         """Run the recipe on simulated devices, make the log and estimate the calibration."""
         self.step(f"The run: simulated chamber, {devices} on serial ports, hours of virtual time")
         self.run(run, _RECIPE, simulate=True, seed=seed, output=_RUN)
-        self.step("Its log, from the raw bytes")
+        self.step("The log of the run, from the raw bytes")
         self.run(log, _RUN)
         self.step(title)
         return self.numbers(estimate, _LOG, recipe=_RECIPE, output=_CALIBRATION)
@@ -318,8 +318,8 @@ class _Sitting:
         if (agreement := page["agreement"]) is not None:
             chi, degrees, likely = agreement
             self.say(
-                f"against the hidden truth: χ² {chi:.{digits}g} of {degrees} degrees for all coefficients together "
-                f"(chance {likely:.2g})"
+                f"estimated minus true coefficients, all together: χ² = {chi:.{digits}g} with {degrees} degrees of "
+                f"freedom, p = {likely:.2g}"
             )
 
     def run(self, command: Callable[..., int], *arguments: Any, **options: Any) -> str:

@@ -72,59 +72,64 @@ def estimate(
 ) -> int:
     """Estimate a calibration from a log with the model of a spec, and test whether the data agree with the model.
 
-    Without a spec: the bias over temperature of a vehicle that warms up at rest, with the noise from its log; with
-    --gravity, an IMU that was laid down in many positions and turned by hand between them.
+    Without a spec, estimate the bias over temperature of a vehicle that warms up at rest; the noise is estimated from
+    the same log. With --gravity, calibrate an IMU that lay still in many positions and was turned by hand between them.
 
-    The exit status is 1 if a target is missed, a parameter cannot be observed, or the data contradict the model.
+    The exit status is 1 if a target is missed, if a parameter cannot be observed, or if the data contradict the model.
 
     Parameters
     ----------
     more
-        For an IMU in several mountings on the table: the logs of the other mountings, in the order of the spec.
+        For an IMU that was mounted on the table in several ways: the logs of the other mountings, in the order of the
+        spec.
     spec
-        The spec: noise, table and maps of the sensor. The motion is read from the log itself.
+        The spec, from which the noise, the table and the maps to be estimated are taken. The motion is taken from the
+        log.
     recipe
-        The recipe that was run, instead of its spec.
+        The recipe that was run; it contains its spec, so --spec is not needed.
     output
-        Write the calibration here; with several IMUs, one file for each, with the name of the IMU.
+        The calibration file to write. If there are several IMUs, one file is written for each, and the name of the IMU
+        is added to the name of the file.
     axis
-        The sensor's axis that the table turned, if the spec has one gyro on a table of one axis; by default that of
-        the spec, or the only one of the log. Without a spec: which axes; may be repeated.
+        If the spec has one gyro on a table of one axis: the sensor's axis that the table turned; by default the axis in
+        the spec, or the only axis in the log. Without a spec: the axes to calibrate; may be repeated.
     unit
-        Which IMU; may be repeated. All, without it.
+        Which IMU of the log; may be repeated; by default all.
     table_axis
-        The name in the log of the axis of a one-axis table.
+        For a table with one axis: the name of this axis in the log.
     earth_rate
-        The Earth's rate along the sensor's axis, such as "10.4 deg/h"; it is taken off.
+        The Earth's rate along the sensor's axis, such as "10.4 deg/h"; it is subtracted from the rates.
     latitude
-        Instead of --earth-rate, for an axis that points straight up.
+        If the sensor's axis points straight up: the latitude of the site, from which the Earth's rate is computed,
+        instead of --earth-rate.
     lag
-        The lag of the maps behind the measured temperature: a time, or "fit".
+        The lag of the maps behind the measured temperature: a time, or "fit" to estimate it.
     smoothness
-        The smoothness of bins and B-splines: "spec", or "auto": the value with the largest probability of the data.
+        The smoothness of bins and B-splines: "spec" for that in the spec, or "auto" for the smoothness with which the
+        data are most probable.
     robust
         Give readings that the model cannot explain less weight (Huber), and list them.
     clock
-        The clock over which rates are integrated: "sensor", or "host" (the computer's). By default that of the spec,
-        or else the computer's clock if the log has both.
+        The clock whose time is used to integrate rates: "sensor", or "host" (the computer's). By default the clock that
+        the spec states; if it states none and the log has both clocks, the computer's.
     read_every
-        Spacing of the readings while the table is at rest, in a log with its angle at every row; without it the
-        spec's.
+        For a log that has the table's angle in every row: the time between the readings that are used while the table
+        is at rest; by default that of the spec.
     neighbours
-        Also without a structure: average moves of the same rate within, for example, "5 K", and compare them with the
-        map.
+        Also estimate the scale factor without a map: average the moves of the same rate within this temperature
+        difference, such as "5 K", and compare the means with the map.
     temperature
         The temperature, if the log has none, such as "23 degC".
     gravity
-        Local gravity, such as "9.80665 m/s^2": calibrate three accelerometers and three gyros with it alone, without
-        table and spec. The IMU lay still in some twenty positions in all directions, and was turned by hand between
-        them; readings may be raw counts.
+        Local gravity, such as "9.80665 m/s^2". It is then the only reference, without table and spec, for three
+        accelerometers and three gyros. The IMU must have been at rest in about twenty positions in all directions, and
+        turned by hand between them. The readings may be raw counts.
     parameters
-        Also write the bias over temperature here, as parameters of the flight controller (PX4, ArduPilot) that wrote
-        the log.
+        Also write the bias over temperature to this file, as parameters of the flight controller (PX4, ArduPilot) that
+        wrote the log.
     points
-        The point map of a table of points (gradcal-points/1), instead of a log: its columns of temperature, rate of
-        the table, output and standard deviation; see gradcal new point-map.
+        If LOG is a table of points instead of a log: its point map (gradcal-points/1), which names the columns of
+        temperature, rate of the table, output and standard deviation; see gradcal new point-map.
     plot
         Draw the fit into this file (.png, .svg, .pdf).
     """
@@ -143,19 +148,21 @@ def estimate(
         return _by_hand(log, recorded, g, unit, options, files, plot, json)
     model = None if spec is None and recipe is None else _spec(spec, recipe)
     if len(axis) > 1 and model is not None:
-        raise ValueError("a table of one axis turns one axis of an IMU: give --axis once")
+        raise ValueError("a table with one axis turns only one axis of an IMU: give --axis only once")
     table_of_points, logs = None, list["Log"]()
     if points is not None:
         from gradcal_jax.files.points import read_points
 
         if model is None or source != WHOLE or axis or unit or more or temperature is not None:
-            raise ValueError("--points needs the spec (--spec), and does not allow options that select a part of a log")
+            raise ValueError(
+                "--points needs the spec (--spec), and cannot be used with options that select a part of a log"
+            )
         table_of_points = read_points(log, points)
         names = [table_of_points.unit]
     elif model is None:
         logs = load_all(log, source)
         if more or any(one.table_axes for one in logs) or temperature is not None:
-            raise ValueError("give the spec with --spec, or the recipe that was run with --recipe: one of them")
+            raise ValueError("give either the spec (--spec) or the recipe that was run (--recipe)")
         names = unit or [name for one in logs for name in one.units]
     else:
         logs = [load(path, source, unit=unit[0] if unit else None) for path in (log, *more)]
@@ -165,7 +172,7 @@ def estimate(
     if parameters is not None:
         if firmware is None:
             raise ValueError(
-                "--parameters is only for logs of PX4 (.ulg) and ArduPilot (.bin): see gradcal export for others"
+                "--parameters is only for logs of PX4 (.ulg) and ArduPilot (.bin); for other formats use gradcal export"
             )
         writable(parameters, force)
     files = _files(output, names, force)
@@ -266,7 +273,7 @@ def _options(
         earth = _EARTH_RATE_RAD_PER_S * math.sin(quantity(latitude, "angle", "--latitude"))
     lag_s = "fit" if lag == "fit" else 0.0 if lag == "none" else quantity(lag, "time", "--lag")
     if lag_s != "fit" and lag_s < 0.0:
-        raise ValueError(f"--lag {lag!r}: a lag is not negative")
+        raise ValueError(f"--lag {lag!r}: must not be negative")
     if smoothness not in ("spec", "auto"):
         raise ValueError(f'--smoothness {smoothness!r}: expected "spec" or "auto"')
     if clock not in (None, "sensor", "host"):
@@ -284,7 +291,7 @@ def _options(
 
 def _spec(spec: Path | None, recipe: Path | None) -> "Spec":
     if (spec is None) == (recipe is None):
-        raise ValueError("give the spec with --spec, or the recipe that was run with --recipe: one of them")
+        raise ValueError("give either the spec (--spec) or the recipe that was run (--recipe)")
     from gradcal_jax.files.recipe import read_recipe, spec_in
 
     if spec is not None:
@@ -316,7 +323,7 @@ def _head(report: "SensorEstimate | HandReport", counted: str) -> list[str]:
     fastest = math.degrees(float(calibration.valid_rate[1]))
     return [
         "",
-        strong(f"unit {report.unit}" + (", SIMULATED" if calibration.simulated else "")),
+        strong(f"IMU {report.unit}" + (", SIMULATED" if calibration.simulated else "")),
         f"{counted}; covers {low} … {high}, up to {fastest:.4g} deg/s",
         f"frame: {calibration.frame}",
     ]
@@ -359,9 +366,9 @@ def text_of_estimate(report: "SensorEstimate") -> str:
             for (channel, name), std in report.smoothness.stds.items()
         )
         words = ", ".join(f"{name} {std * factor:.3g} {unit}" for name, std, unit, factor in stds)
-        lines.append(f"smoothness (1σ of neighbours' differences): {words}")
+        lines.append(f"smoothness (1σ of the difference between neighbouring values): {words}")
     spread = _sizes(report)
-    lines += ["", "the largest value of each term over the temperatures:", table(spread, right=(1, 2))]
+    lines += ["", "the largest value of each term over temperature and rate:", table(spread, right=(1, 2))]
     if calibration.path:
         of_path: list[tuple[str, ...]] = [("in addition to the maps", "value", "1σ", "")]
         for one in calibration.path:
@@ -383,13 +390,15 @@ def text_of_estimate(report: "SensorEstimate") -> str:
     tests = report.consistency
     lines += [
         _tests(report),
-        f"  residuals are {tests.noise_scale:.3f} times the noise of the spec; {tests.beyond_three:.2%} beyond "
-        f"3σ, the largest {tests.largest:.1f}σ",
+        f"  the residuals are {tests.noise_scale:.3f} times the noise of the spec; {tests.beyond_three:.2%} of them "
+        f"exceed 3σ, and the largest is {tests.largest:.1f}σ",
     ]
     lines += [_neighbours(name, groups) for name, groups in report.neighbours.items()]
     if report.gravity is not None:
         before, after = (1e6 * v / G for v in report.gravity)
-        lines.append(f"|f| - g over the rests: {before:.4g} µg rms as measured, {after:.4g} µg corrected")
+        lines.append(
+            f"|f| - g over all rests: {before:.4g} µg rms as measured, {after:.4g} µg rms after the correction"
+        )
     return "\n".join([*lines, *(f"note: {message}" for message in report.messages)])
 
 

@@ -34,15 +34,15 @@ if TYPE_CHECKING:
     _Piece = tuple[tuple[float, float] | None, str | None, Instability | str]
 
 Axes = Annotated[
-    tuple[str, ...], Parameter(name="--axis", negative="", help="Which axis; may be repeated. All, without it.")
+    tuple[str, ...], Parameter(name="--axis", negative="", help="Which axis; may be repeated; by default all.")
 ]
 Unit = Annotated[str | None, Parameter(name="--unit", help="Which IMU, if the log has several.")]
 _DEGREE = (
-    "Degree of the bias over temperature that is subtracted first; -1: nothing. By default 3 if the temperature\n"
-    "spans 5 K, otherwise 0, the mean."
+    "Degree of the polynomial of the bias over temperature that is subtracted first; -1: nothing is subtracted. By\n"
+    "default 3 if the temperature changes by 5 K or more, and otherwise 0, the mean."
 )
 BiasDegree = Annotated[int | None, Parameter(name="--bias-degree", help=_DEGREE)]
-_LAG = 'Lag of the bias behind the temperature: a time, "fit", "none", or "auto": used where it fits better.'
+_LAG = 'Lag of the bias behind the temperature: a time, "none", "fit", or "auto": fitted, and used if it fits better.'
 Lag = Annotated[str, Parameter(help=_LAG)]
 _SPAN = 'A time span of the record to leave out, such as "123 s..130 s"; may be repeated.'
 Without = Annotated[tuple[str, ...], Parameter(name="--without", negative="", help=_SPAN)]
@@ -70,33 +70,35 @@ def instability(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """Find the smallest drift that bounds a record at rest (the paper's Direct Bound), as a block for a spec.
+    """Estimate the smallest drift that bounds a record at rest (the paper's Direct Bound), and print it as a part of a
+    spec.
 
-    The exit status is 1 if no drift is visible above the angle random walk, or if the angle random walk is larger
-    than any gyro has.
+    The exit status is 1 if the record shows no drift in addition to the angle random walk, or if the angle random walk
+    is larger than that of any gyro.
 
     Parameters
     ----------
     delta
-        Averaging time before the drift is measured.
+        Duration of the average that is subtracted before the drift is measured.
     shortest
         Shortest integration time.
     longest
         Longest integration time.
     margin
-        Standard deviations within which the data must stay.
+        The bound is this number of standard deviations of the drift; the data must stay within it.
     random_walk
-        Angle random walk, such as "0.1 deg/sqrt(h)"; without it the Allan deviation's.
+        Angle random walk, such as "0.1 deg/sqrt(h)"; by default that of the Allan deviation.
     temperature
         Use only rows between two temperatures: --temperature "20 degC" "40 degC".
     ranges
-        Number of equal temperature ranges to compute separately as well.
+        Also compute the bound for each of this number of equal temperature ranges.
     bins
-        Width of temperature ranges to compute separately as well, such as "2 K".
+        Also compute the bound for each temperature range of this width, such as "2 K".
     branches
-        Also fit heating and cooling separately, each as a whole and in the temperature ranges.
+        Also compute the results of heating and of cooling separately, for the whole record and for each temperature
+        range.
     plot
-        Draw the largest drifts with their bound into this file (.png, .svg, .pdf).
+        Draw the largest drifts and their bound into this file (.png, .svg, .pdf).
     """
     drawable(plot)
     delta_s = quantity(delta, "time", "--delta")
@@ -208,7 +210,7 @@ def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
     lines = [
         strong(f"axis {result.rest.axis}, IMU {result.rest.unit}"),
         f"angle random walk {result.rest.walk_of_sensor(bound.angle_random_walk) * DEG_PER_SQRT_H:.4g} deg/sqrt(h); "
-        f"drift after an average of {bound.averaging_time_s:g} s, over {times[0]:.4g} to {times[-1]:.4g} s",
+        f"drift minus the mean of the {bound.averaging_time_s:g} s before, over {times[0]:.4g} to {times[-1]:.4g} s",
     ]
     if bound.drift_shows:
         lines.append(
@@ -217,27 +219,27 @@ def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
         )
         if result.scatter is not None:
             lines.append(
-                f"uncertainty from blocks of the record: {result.scatter[0] * DEG_PER_H:.2g} deg/h (1σ), correlation "
-                f"time within a factor of {math.exp(result.scatter[1]):.2g}"
+                f"uncertainty, from the scatter between blocks of the record: {result.scatter[0] * DEG_PER_H:.2g} "
+                f"deg/h (1σ), correlation time within a factor of {math.exp(result.scatter[1]):.2g}"
             )
         first, last = result.deciding_span_s
         lines.append(
-            f"determined at {bound.deciding_time_s:.4g} s, by the drift from {first:.6g} s to {last:.6g} s of the "
-            f'record; without it: --without "{first:.6g} s..{last:.6g} s"'
+            f"the drift over {bound.deciding_time_s:.4g} s from {first:.6g} s to {last:.6g} s "
+            f'of the record determines the bound; to leave this part out: --without "{first:.6g} s..{last:.6g} s"'
         )
     if (markov := result.markov) is not None:
         sigma_error, tau_error = (float(markov.covariance[k, k]) ** 0.5 for k in (1, 2))
         lines.append(
-            f"as a single Markov process, by maximum likelihood: {markov.sigma * DEG_PER_H:.4g} deg/h (1σ "
-            f"{100.0 * sigma_error:.2g} %) with a correlation time of {markov.tau:.4g} s, within a factor of "
-            f"{math.exp(tau_error):.2g}"
+            f"a single Markov process, fitted by maximum likelihood: {markov.sigma * DEG_PER_H:.4g} deg/h (1σ: "
+            f"{100.0 * sigma_error:.2g} %) with a correlation time of {markov.tau:.4g} s (1σ: a factor of "
+            f"{math.exp(tau_error):.2g})"
         )
     if result.rest.thermal is not None:
         thermal = result.rest.thermal
         lines.append(
             f"B(T) of degree {len(thermal.coefficients) - 1} subtracted"
-            + (f", {thermal.lag_time_s:.0f} s late" if thermal.lag_time_s > 0 else "")
-            + f"; it leaves {thermal.residual_rms * DEG_PER_H:.4g} deg/h rms, noise included"
+            + (f", with a lag of {thermal.lag_time_s:.0f} s" if thermal.lag_time_s > 0 else "")
+            + f"; {thermal.residual_rms * DEG_PER_H:.4g} deg/h rms remain, including noise"
         )
     lines += [
         f"note: {message}"
@@ -259,7 +261,9 @@ def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
                 std = one.bound.drift_std * DEG_PER_H
                 rows.append((where, f"{std:.4g} deg/h", f"{one.bound.correlation_time_s:.4g} s"))
             else:
-                rows.append((where, f"not visible (up to {one.bound.hidden_drift_std * DEG_PER_H:.3g} deg/h)", ""))
+                rows.append(
+                    (where, f"none visible; up to {one.bound.hidden_drift_std * DEG_PER_H:.3g} deg/h may be hidden", "")
+                )
         lines.append(columns(rows))
     return "\n".join([*lines, "", result.drift_block()])
 
@@ -293,58 +297,61 @@ def allan(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """The overlapping Allan deviation with its confidence interval, and the fitted coefficients.
+    """Print the noise coefficients of a record at rest, fitted to its overlapping Allan deviation.
 
-    The exit status is 1 if the angle random walk is larger than any gyro has: a unit may be wrong. With --plan,
-    before recording: the errors for a given length of the record, or the length for a given error.
+    The exit status is 1 if the angle random walk is larger than that of any gyro, so that a unit may be wrong. With
+    --plan, before a recording is made: print the errors that a given duration of the record will give, or the duration
+    that a given error needs.
 
     Parameters
     ----------
     terms
         The terms of the fit: Q quantisation, N angle random walk, B bias instability, K rate random walk.
     confidence
-        The confidence level of the interval about each point.
+        The confidence level of the interval about each point of the Allan deviation.
     delta
-        Averaging time of the Direct Bound in the figure.
+        For the Direct Bound in the figure: duration of the average that is subtracted first.
     form
-        Write the noise of all gyros and accelerometers to --output, in the format of another program: kalibr's
-        imu.yaml, or densities and bias instability for an INS.
+        Write the noise of all gyros and accelerometers to the file --output, in the format of another program: kalibr's
+        imu.yaml, or noise densities and bias instabilities for an INS.
     output
-        The file of --format.
+        The file that --format writes.
     plan
-        Without a record: print the expected relative errors of N, B, K and a drift's σ and τ, from the options below.
+        Without a record: print the expected relative errors of N, B, K and of a drift's σ and τ, for a sensor with the
+        noise that the options below state.
     noise
         Angle random walk, such as "0.1 deg/sqrt(h)".
     bias_instability
-        Such as "2 deg/h".
+        Bias instability, such as "2 deg/h".
     rate_random_walk
-        Such as "0.5 deg/h/sqrt(h)".
+        Rate random walk, such as "0.5 deg/h/sqrt(h)".
     drift
         Standard deviation and correlation time of a Markov process, such as "1 deg/h, 300 s".
     duration
-        The record's length; several, without it.
+        The duration of the record; by default several durations are compared.
     error
-        The required relative error of each, such as "5 %": prints how long the record must be.
+        The relative error that each coefficient may have, such as "5 %": print how long the record must be for it.
     rate
-        Sample rate.
+        Sample rate of the record.
     bins
-        Width of temperature ranges to compute separately as well, such as "2 K".
+        Also compute the results for each temperature range of this width, such as "2 K".
     branches
-        Also fit heating and cooling separately, each as a whole and in the temperature ranges.
+        Also compute the results of heating and of cooling separately, for the whole record and for each temperature
+        range.
     plot
-        Draw the deviation, its fit and the Direct Bound's curve into this file.
+        Draw the Allan deviation, its fit and the curve of the Direct Bound into this file (.png, .svg, .pdf).
     """
     if plan:
         if log is not None:
-            raise ValueError("--plan is for before a record: leave LOG out")
+            raise ValueError("--plan needs no record, since it is for the time before the recording: leave LOG out")
         return plan_record(
             noise, bias_instability, rate_random_walk, drift, duration=duration, error=error, rate=rate, json=json
         )
     asked = {"--noise": noise, "--drift": drift, "--duration": duration, "--error": error}
     if used := [name for name, value in asked.items() if value is not None]:
-        raise ValueError(f"{used[0]} goes with --plan")
+        raise ValueError(f"{used[0]} has an effect only with --plan")
     if log is None:
-        raise ValueError("LOG is missing: name a record at rest, or plan a record with --plan")
+        raise ValueError("LOG is missing: name the file of a record at rest, or plan a recording with --plan")
     if form is not None:
         if output is None:
             raise ValueError(f"--format {form} needs the file to write: --output imu.yaml")
@@ -423,7 +430,7 @@ def _allan_text(fit: "AllanFit") -> str:
         ("B bias instability", fit.bias_instability, DEG_PER_H, "deg/h"),
         ("K rate random walk", fit.rate_random_walk, DEG_PER_H * 60.0, "deg/h/sqrt(h)"),
     ):
-        shows = "" if coefficient.shows else "does not show"
+        shows = "" if coefficient.shows else "not significant"
         rows.append(
             (name, f"{coefficient.value * factor:.4g}", f"{coefficient.standard_error * factor:.2g}", unit, shows)
         )
@@ -446,7 +453,7 @@ def plan_record(
 ) -> int:
     """Print the expected relative errors of N, B, K, σ and τ, or the length of the record for a given `error`."""
     if noise is None:
-        raise ValueError('--plan needs the sensor\'s angle random walk: --noise "0.1 deg/sqrt(h)"')
+        raise ValueError('--plan needs the sensor\'s angle random walk, such as --noise "0.1 deg/sqrt(h)"')
     walk = quantity(noise, "angle random walk", "--noise")
     flicker = 0.0 if instability is None else quantity(instability, "angular rate", "--bias-instability")
     slow = 0.0 if rate_walk is None else quantity(rate_walk, "rate random walk", "--rate-random-walk")
@@ -454,7 +461,7 @@ def plan_record(
     interval = 1.0 / quantity(rate, "frequency", "--rate")
     wanted = None if error is None else quantity(error, "scale factor", "--error")
     if not (walk > 0.0 and flicker >= 0.0 and slow >= 0.0 and interval > 0.0 and (wanted is None or wanted > 0.0)):
-        raise ValueError("--noise, --rate and --error must be positive, and the other figures zero or more")
+        raise ValueError("--noise, --rate and --error must be positive; the other figures must not be negative")
     use_float64()
     from gradcal_jax.identify.markov import coefficient_errors, drift_errors, shortest_record
 
@@ -479,7 +486,7 @@ def plan_record(
             rows = {name: length if math.isfinite(length) else None for name, length in lengths.items()}
             print(as_json({"error": wanted, "duration_s": rows}))
         else:
-            shown = [("coefficient", f"record for {wanted:.3g} of it")]
+            shown = [("coefficient", f"duration for a relative error of {wanted:.3g}")]
             shown += [(n, _length(t) if math.isfinite(t) else "more than 14 days") for n, t in lengths.items()]
             print(columns(shown, indent=""))
         return DONE if all(map(math.isfinite, lengths.values())) else NOT_AS_WISHED
@@ -498,7 +505,7 @@ def plan_record(
     shown = [("record", *names)]
     for t, row in table.items():
         shown.append((_length(t), *(_percent(e) for e in row.values())))
-    print("expected relative errors (1σ) of a record at rest without gaps, at a constant temperature")
+    print("expected relative errors (1σ) from a record at rest without gaps, at a constant temperature")
     print(columns(shown, indent="", right=tuple(range(1, len(names) + 1))))
     return DONE
 

@@ -13,7 +13,7 @@ from gradcal_jax.units import time_text
 if TYPE_CHECKING:
     from gradcal_jax.files.log import Log
 
-log_app = App(name="log", help="The log of a run, or of turns by hand.")
+log_app = App(name="log", help="Write the log of a run, or of turns that were made by hand.")
 
 
 @log_app.command
@@ -29,7 +29,8 @@ def turns(
     force: ForceOutput = False,
     json: Json = False,
 ) -> int:
-    """Detect turns by hand in a recording, and write it with angles and rests, for estimate.
+    """Find the turns that were made by hand in a recording, and write a log with their angles and rests, for `gradcal
+    estimate`.
 
     Parameters
     ----------
@@ -38,9 +39,9 @@ def turns(
     output
         The log to write (.nc).
     axis
-        The axis of the sensor about which it was turned; the first one, without it.
+        The axis of the sensor about which it was turned; by default the first one.
     unit
-        Which IMU; the first one, without it.
+        Which IMU of the recording; by default the first one.
     json
         Print the turns as JSON.
     """
@@ -80,17 +81,18 @@ def log(
     columns: Path | None = None,
     json: Json = False,
 ) -> int:
-    """Write the log of a run: samples decoded from the raw bytes, angles, temperatures, standstills.
+    """Write the log of a run: the samples decoded from the raw bytes, the angles, the temperatures and the standstills.
 
     Parameters
     ----------
     output
-        The log file (netCDF); absent: log.nc in the folder. An older log is replaced. With several IMUs, one file for
-        each, with the name of the IMU.
+        The log file (netCDF); by default log.nc in the folder of the run. An older log is replaced. If there are
+        several IMUs, one file is written for each, and the name of the IMU is added to the name of the file.
     unit
-        The IMU whose log to write, if several were on the table; by default, the logs of all.
+        Write only the log of this IMU, if several were on the table.
     recording
-        A recording of the IMU by its own logger in this run: its clock is aligned by the motion.
+        A recording that the IMU's own logger made during this run; its clock is aligned with the clock of the run by
+        comparing the motion.
     columns
         The column map of the recording (gradcal-columns/1); see gradcal new column-map.
     json
@@ -99,7 +101,7 @@ def log(
     from gradcal_jax.decoding.run_log import units_in
 
     if columns is not None and recording is None:
-        raise ValueError("--columns is the column map of a --recording, and there is no --recording")
+        raise ValueError("--columns states the column map of a --recording, but --recording is missing")
     recorded = None if recording is None else load(recording, Recording(columns=columns), unit=unit)
     target = output or run / "log.nc"
     names = [unit] if unit is not None or recorded is not None else units_in(run)

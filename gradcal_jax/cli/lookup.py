@@ -8,9 +8,10 @@ from gradcal_jax.cli.output import DONE, Flag, as_json
 from gradcal_jax.display import columns
 
 _COMMANDS_END: Final = """\
-Exit statuses: 0 done; 1 done, with an unsatisfactory result (a target is missed); 2 wrong input; 3 a device or a
-run failed; 130 interrupted; 141 the program that reads the output closed the pipe. An error message names the key,
-its value and what was expected. Output has no colours if it does not go to a terminal, or if `NO_COLOR` is set.
+Exit statuses: 0 done; 1 done, but the result is unsatisfactory (for example, a target is missed); 2 wrong input; 3 a
+device or a run failed; 130 interrupted; 141 the program that reads the output closed the pipe. An error message names
+the key, its value and what was expected. Output has no colours if it does not go to a terminal, or if `NO_COLOR` is
+set.
 """
 
 
@@ -26,14 +27,14 @@ def schema(
     Parameters
     ----------
     name
-        Its name; see --list. "words" for the glossary.
+        The name of the file format or contract (see --list), or "words" for the glossary.
     term
-        Only glossary terms that contain these words.
+        For the glossary: print only terms that contain these words.
     listing
         List the names.
     markdown
-        Print a page for people: every key with its value, default and meaning; for the name "commands", every command
-        in full.
+        Print a page in Markdown instead: every key with its value, default and meaning; or, for the name "commands",
+        the help of every command.
     """
     from gradcal_jax.files import schemas
 
@@ -46,7 +47,7 @@ def schema(
     if term:
         raise ValueError(f'"{" ".join(term)}": terms are only for the glossary: gradcal schema words {" ".join(term)}')
     if name is None:
-        raise ValueError(f"which one? Known: {', '.join(schemas.schema_names())}")
+        raise ValueError(f"name one of these: {', '.join(schemas.schema_names())}")
     if name == "commands" and markdown:
         print(commands_page(), end="")
         return DONE
@@ -83,7 +84,7 @@ def commands_page() -> str:
     # Imported where it is used: the application imports this module.
     from gradcal_jax.cli.app import build
 
-    head = "# Commands\n\nMade by `gradcal schema commands --markdown`; all commands and options.\n\n"
+    head = "# Commands\n\nThis page lists all commands and options; `gradcal schema commands --markdown` makes it.\n\n"
     page = build().generate_docs(heading_level=2, flatten_commands=True, usage_name="gradcal")
     # (The usage of a module that is run says so, and a link to an option has all its hyphens.)
     page = page.replace(" -m gradcal_jax ", " ").replace("(#gradcal-install-", "(#gradcal---install-")

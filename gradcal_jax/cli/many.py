@@ -48,7 +48,7 @@ class Workers:
     scheduler
         Address of a Dask scheduler, such as tcp://host:8786; by default the cores of this computer are used.
     workers
-        Worker processes on this machine; as many as cores.
+        Number of worker processes on this computer; by default the number of its cores.
     """
 
     scheduler: str | None = None
@@ -57,9 +57,9 @@ class Workers:
     def check(self) -> None:
         """Raise `ValueError` for options that exclude each other."""
         if self.workers is not None and not 1 <= self.workers <= 1024:
-            raise ValueError(f"--workers {self.workers}: give a number from 1 to 1024")
+            raise ValueError(f"--workers {self.workers}: must be from 1 to 1024")
         if self.workers is not None and self.scheduler is not None:
-            raise ValueError("--workers or --scheduler: the number of workers is set by the cluster")
+            raise ValueError("--workers cannot be used with --scheduler: the cluster sets the number of workers")
 
     def runner(self) -> "LocalPool | Cluster":
         """Worker processes of this machine, with the compilation cache of the other commands, or of a cluster."""
@@ -88,10 +88,11 @@ def sweep(
     json: Json = False,
     plot: Plot = None,
 ) -> int:
-    """Predict (or optimise) a spec for many values of its keys; labelled results with units in a netCDF file.
+    """Predict (or optimise) the plan of a spec for many values of its keys, and write all results to a netCDF file.
 
-    Finished points are saved next to the output: after an interruption, the same command continues. The exit status
-    is 1 if some points could not be computed; the results have the reasons.
+    The results have labels and units. Finished points are saved next to the output file; if the sweep is interrupted,
+    the same command continues it. The exit status is 1 if some points could not be computed; the results state the
+    reasons.
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ def sweep(
         Write a recipe for each optimised plan, summary.csv and summary.md to this folder, which is created if
         necessary.
     dry_run
-        Print the size of the sweep and its duration, extrapolated from one chunk; write nothing.
+        Compute one chunk, print the size and the expected duration of the sweep, and write nothing.
     json
         Print the summary as JSON.
     plot
@@ -112,12 +113,12 @@ def sweep(
     from gradcal_jax.files.sweep import read_sweep
 
     if output is None and not dry_run:
-        raise ValueError("where to? Name the results with -o results.nc, or ask for --dry-run")
+        raise ValueError("name the file for the results, such as -o results.nc, or use --dry-run")
     by.check()
     drawable(plot)
     job = read_sweep(file)
     if recipes is not None and job.file.do != "optimise":
-        raise ValueError(f'--recipes: {file} predicts; write do = "optimise" into it')
+        raise ValueError(f'--recipes: {file} only predicts; recipes need do = "optimise" in it')
     if recipes is not None and recipes.exists() and not recipes.is_dir():
         raise ValueError(f"{recipes} is a file; name a folder")
     from gradcal_jax.jobs import sweep as jobs
@@ -130,7 +131,7 @@ def sweep(
     assert output is not None
     if jobs.already_finished(job, output):
         if not json:
-            print(f"{output} is finished: it has the results of this sweep")
+            print(f"{output} already has all results of this sweep")
     else:
         writable(output, force=True)
         if output.exists():
@@ -177,13 +178,13 @@ def _estimate(size: "SweepEstimate") -> dict[str, Any]:
 
 
 def _estimated(size: "SweepEstimate", job: "Sweep") -> str:
-    fails = f"; the first says: {size.first_failure}" if size.failing else ""
+    fails = f"; the reason of the first: {size.first_failure}" if size.failing else ""
     lines = [
         strong(job.file.title or "the sweep"),
         f"{size.points} points in {size.chunks} chunks on {size.workers} workers",
-        f"of the first chunk {size.failing} fail{fails}",
-        f"a chunk takes {time_text(size.first_chunk_s)} at first, {time_text(size.next_chunk_s)} after that",
-        f"expected: {time_text(max(size.seconds, 1.0))}",
+        f"{size.failing} points of the first chunk fail{fails}",
+        f"the first chunk takes {time_text(size.first_chunk_s)}, each further one {time_text(size.next_chunk_s)}",
+        f"expected duration: {time_text(max(size.seconds, 1.0))}",
     ]
     return "\n".join(lines)
 
@@ -233,7 +234,7 @@ def sweep_text(summary: dict[str, Any], job: "Sweep", output: str) -> str:
     points, failed = summary["points"], summary["failed"]
     lines = [strong(job.file.title or output), f"{points} points, {failed} of them failed"]
     if failed:
-        lines.append(f"the commonest reason: {summary['commonest_reason']}")
+        lines.append(f"the most frequent reason: {summary['commonest_reason']}")
     table: list[tuple[str, ...]] = [("residual (1σ)", "least", "median", "most", " / ".join(_VERDICTS))]
     for row in summary["requirements"]:
         values = ("none",) * 3

@@ -12,9 +12,9 @@ from gradcal_jax.display import columns
 _COLUMN_MAP: Final = "column-map"
 _POINT_MAP: Final = "point-map"
 _TEMPLATES: Final = {
-    "export-gains": "Offsets and gains of a flight controller, for export --template",
-    "export-tracker": "Matrices of a body or head tracker in JSON, for export --template",
-    "export-ins": "Noise and errors for an inertial navigation filter, for export --template",
+    "export-gains": "Template for export: offsets and gains for a flight controller",
+    "export-tracker": "Template for export: matrices for a body or head tracker, in JSON",
+    "export-ins": "Template for export: noise and errors for an inertial navigation filter",
 }
 
 
@@ -26,33 +26,36 @@ def new(
     listing: Annotated[bool, Parameter(name="--list", negative="")] = False,
     force: Force = False,
 ) -> int:
-    """Write a commented example of a spec, or of a column map for recordings of other programs.
+    """Write a commented example of a spec, of a column map for recordings of other programs, or of an export template.
 
     Parameters
     ----------
     preset
-        Its name, see --list; or column-map, point-map, or a template of an export.
+        The name of the example: a preset of a spec, column-map, point-map, or a template for export; --list lists all
+        names.
     output
-        The file to write; - prints it.
+        The file to write; "-" prints the example instead.
     listing
-        List the presets.
+        List all examples.
     """
     from gradcal_jax.files import column_guess, points, presets
 
     if listing:
         rows = [(name, presets.title(name)) for name in presets.names()]
-        rows += [(_COLUMN_MAP, "What the columns of a recording mean, for --columns")]
+        rows += [(_COLUMN_MAP, "Column map of a recording, for --columns")]
         rows += _TEMPLATES.items()
-        print(columns([*rows, (_POINT_MAP, "What the columns of a table of points mean, for --points")], indent=""))
+        print(columns([*rows, (_POINT_MAP, "Point map of a table of points, for --points")], indent=""))
         return DONE
     if preset is None:
-        raise ValueError("which preset? List them with: gradcal new --list")
+        raise ValueError("name the preset; gradcal new --list lists all presets")
     examples = {_COLUMN_MAP: column_guess.EXAMPLE, _POINT_MAP: points.EXAMPLE}
     examples |= {preset: presets.template(f"{preset}.j2")} if preset in _TEMPLATES else {}
     text = examples[preset] if preset in examples else presets.text(preset)
     if output is None or output == "-":
         if output is None:
-            raise ValueError(f"where to? Write a file with: gradcal new {preset} -o my.toml (or -o - to print it)")
+            raise ValueError(
+                f"name the file to write: gradcal new {preset} -o my.toml (or -o - to print the text instead)"
+            )
         sys.stdout.write(text)
         return DONE
     from gradcal_jax.files.writing import write_whole
@@ -76,16 +79,16 @@ def new(
 
 
 def start(*, output: Output, preset: str | None = None, force: Flag = False) -> int:
-    """Ask questions about sensor and rig, and write a commented spec with a plan, a rig file and a column map.
+    """Ask questions about the sensor and the rig, and write a commented spec with a plan, a rig file and a column map.
 
     An empty line accepts the answer in brackets; "<" returns to the previous question.
 
     Parameters
     ----------
     output
-        The directory for spec.toml, rig.toml and columns.toml; it is created if necessary.
+        The folder for spec.toml, rig.toml and columns.toml; it is created if necessary.
     preset
-        Ask no questions, and use the answers for drone-imu, bmi088, tactical-imu, drone-gyro, tactical-gyro or
+        Ask no questions, but use the prepared answers of drone-imu, bmi088, tactical-imu, drone-gyro, tactical-gyro or
         no-encoder.
     force
         Overwrite existing files.
@@ -107,7 +110,9 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
     print(f"wrote {', '.join(str(output / name) for name in texts)}")
     typical = begin.typical_terms(answers)
     if typical:
-        print("without a question, so spec.toml has a typical figure of the class and its source:")
+        print(
+            "no question asked for these terms; spec.toml has a typical figure of the class for each, and its source:"
+        )
         print("\n".join(f"  {line}" for line in typical))
     print("next, in this order:")
     print("\n".join(f"  {line}" for line in _next(answers, str(output))))
@@ -120,7 +125,7 @@ def _next(answers: dict[str, str], folder: str) -> list[str]:
 
     if answers["table"] == "none":
         return [
-            "lay the IMU in some twenty positions in all directions, five seconds each, and record it",
+            "let the IMU lie still in about twenty positions, in all directions, five seconds in each, and record this",
             f'gradcal estimate RECORDING --columns {folder}/columns.toml --gravity "9.81 m/s^2" '
             f'--temperature "23 degC" -o {folder}/calibration.toml',
         ]

@@ -59,75 +59,82 @@ def optimise(
     pause: str | None = None,
     force: Force = False,
 ) -> int:
-    """Minimise a plan's residual by gradient descent, within the limits of sensor, rig and time; write it as a recipe.
+    """Minimise the error that a plan leaves, within the limits of sensor, rig and time; write the new plan as a recipe.
 
-    For one gyro along the only axis of a table, the spec's [design] states the objective and the free parts. For any
-    other IMU, the search changes the turns, poses, rates and rests of many cycles along the gradient. With a
-    hysteresis in the spec it also changes the chamber's legs, turning points and slopes. Ctrl-C once finishes with
-    the best plan so far; twice stops at once. The exit status is 1 if the search did not converge.
+    The search is by gradient descent. For one gyro along the only axis of a table, [design] in the spec states the
+    objective and the parts of the plan that may change. For any other IMU, the search changes the turns, poses, rates
+    and rests of many cycles. If the spec has a hysteresis, it also changes the legs, turning points and slopes of the
+    temperature programme. After Ctrl-C, the search ends and writes the best plan so far; a second Ctrl-C stops at once.
+    The exit status is 1 if the search did not converge.
 
-    With the folder of an interrupted run, plan the rest: the executed part counts in every prediction, and the ramp
-    begins where the chamber stopped. The IMU must not have been switched off meanwhile: both parts are one run, with
-    one turn-on bias. Go on with: gradcal run NEW --resume RUN.
+    If SPEC is the folder of an interrupted run, plan its remaining part: every prediction includes the data of the part
+    that was executed, and the temperature ramp begins where the chamber stopped. The IMU must not have been switched
+    off since the interruption, because both parts are assumed to have the same turn-on bias. To continue the run:
+    gradcal run NEW --resume RUN.
 
-    A recipe is rounded to the controllers' steps in [rig.resolution] of the spec. The default steps are 0.1 K, 0.1 s,
-    0.01 deg/s and 0.001 deg; slopes are always rounded to 0.01 K/min. `gradcal check` prints it as a table.
+    The figures of a recipe are rounded to the controllers' steps in [rig.resolution] of the spec. The default steps are
+    0.1 K, 0.1 s, 0.01 deg/s and 0.001 deg; temperature slopes are always rounded to 0.01 K/min. `gradcal check` prints
+    a recipe as a table.
 
     Parameters
     ----------
     spec
         The spec file, a recipe, or the folder of an interrupted run.
     output
-        The recipe file to write; with --motion, the folder for the recipes, if any. With --steps 0, "-" prints the
+        The recipe file to write; with --motion, the folder for the recipes (optional). With --steps 0, "-" prints the
         recipe instead.
     json
         Print the result for other programs.
     plot
-        Draw the residual before and after, or those of all durations, into this file (.png, .svg, .pdf).
+        Draw the errors before and after the search, or those for all durations, into this file (.png, .svg, .pdf).
     steps
-        Iterations of each start, by default 240; for poses, the total number of gradients, by default 14000 (some
-        minutes). 0: the recipe of the spec's own plan, without a search.
+        Number of iterations from each start, by default 240; if the search changes poses, the total number of
+        gradients, by default 14000 (some minutes). 0: write the plan in the spec as a recipe, without a search.
     quick
-        Few starts, or gradients: within a few per cent of the best, in seconds.
+        Use only few starts or gradients; this takes seconds, and the result is within a few per cent of the best.
     until_met
-        Stop at the first plan that meets every target with a margin of 10 %; no search if the spec's own plan already
-        does.
+        Stop at the first plan that meets every target with a margin of 10 %. If the plan in the spec already does, do
+        not search.
     resume
-        Continue an interrupted search of the same spec, which is saved next to the output.
+        Continue an interrupted search of the same spec; the state of the search is saved next to the output.
     motion
-        Find the best residual for each of these durations without soaks, and the shortest plan for each target:
+        Find the best residual for each of these durations (not counting soaks), and the shortest plan for each target:
         50min..300min, or a list such as 60min,100min,3h.
     points
-        Number of durations in a range of --motion, ends included, with logarithmic spacing; by default 5.
+        If --motion is a range: the number of durations in it, including both ends, with logarithmic spacing; by default
+        5.
     keep_shapes
-        The table follows any shape of motion; without this, turns of the recipe become trapezoids.
+        Keep the shapes of the turns, for a table that can follow any shape; by default the recipe has trapezoids of the
+        rate.
     stable_within
-        A temperature of the recipe counts as stable within this tolerance of its goal, such as "0.5 K".
+        When a step of the recipe waits for a stable temperature, the temperature must stay within this tolerance of its
+        goal, such as "0.5 K".
     stable_for
-        The time for which it must stay there, such as "5 min".
+        The time for which the temperature must stay within the tolerance, such as "5 min".
     timeout
-        The run ends if the first temperature is not stable after this time, such as "4 h".
+        If the first temperature of the recipe is not stable after this time, such as "4 h", the run ends.
     time
-        Duration of the rest of a run without waiting, such as "40 min"; absent: the remaining time of the recipe.
+        For an interrupted run: the duration of its remaining part, not counting waits for stable temperatures, such as
+        "40 min"; absent: the remaining time of the recipe.
     pause
-        Time between the interruption and the continuation of a run, by default "30 min"; the drifts of an IMU start
-        again.
+        For an interrupted run: the time between its interruption and its continuation, by default "30 min"; the drifts
+        continue through this pause.
     """
     drawable(plot)
     if (steps is not None and 0 < steps < 20) or (steps or 0) < 0:
-        raise ValueError(f"--steps: expected 0, for the spec's own plan, or at least 20; got {steps}")
+        raise ValueError(f"--steps: expected 0 (write the plan in the spec as a recipe) or at least 20; got {steps}")
     of_recipe = {"--keep-shapes": keep_shapes, "--stable-within": stable_within, "--stable-for": stable_for}
     of_recipe |= {"--timeout": timeout}
     of_search = {"--until-met": until_met, "--resume": resume}
     if spec.is_dir():
         others = {"--steps": steps, "--motion": motion, "--points": points, "--plot": plot}
-        _refuse("of the folder of a run", of_recipe | of_search | others)
+        _refuse("if SPEC is the folder of a run", of_recipe | of_search | others)
         if output is None:
-            raise ValueError("where to? Name the recipe of the rest with -o rest.toml")
+            raise ValueError("name the recipe to write, such as -o rest.toml")
         writable(output, force)
         return plan_the_rest(spec, output, time=time, pause=pause or "30 min", quick=quick, json=json)
     specification = _read(spec)
-    _refuse("but of the folder of a run", {"--time": time, "--pause": pause})
+    _refuse("unless SPEC is the folder of a run", {"--time": time, "--pause": pause})
     if motion is not None:
         _refuse("with --motion", of_recipe | of_search | {"--quick": quick})
         times = durations(motion, 5 if points is None else points)
@@ -137,7 +144,7 @@ def optimise(
     if steps == 0:
         _refuse("with --steps 0", of_search | {"--quick": quick, "--plot": plot})
     if output is None:
-        raise ValueError("where to? Name the recipe with -o recipe.toml")
+        raise ValueError("name the recipe to write, such as -o recipe.toml")
     stability = stability_of(
         {
             "within": ("temperature difference", stable_within),
@@ -148,7 +155,7 @@ def optimise(
     if str(output) != "-":
         writable(output, force or resume)
     elif steps != 0 or json:
-        raise ValueError("with -o - the recipe of --steps 0 is printed: leave --json out, or name a file")
+        raise ValueError("-o - prints the recipe; it needs --steps 0, and --json cannot be used with it")
     use_float64()
     if steps == 0:
         write_recipe(specification, output, stability, keep_shapes=keep_shapes, json=json)
@@ -163,7 +170,7 @@ def optimise(
     best, interrupted = search_and_watch(
         specification, kept, steps=steps, quick=quick, until_met=until_met, checkpoint=checkpoint
     )
-    status = best.sentence if not interrupted else f"interrupted, the best so far: {best.sentence}"
+    status = best.sentence if not interrupted else f"interrupted; the best plan so far: {best.sentence}"
     result = api.recipe(best, status=status, stability=stability, keep_shapes=keep_shapes)
     write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
     if not interrupted:
@@ -176,7 +183,7 @@ def optimise(
     drawn = [("before", specification), ("optimised", best.spec)]
     save_figure(lambda plots: plots.draw_comparison(drawn), plot, quiet=json)
     if interrupted:
-        again = f"; next step: gradcal optimise {spec} -o {output} --resume" if kept.exists() else ""
+        again = f"; to continue: gradcal optimise {spec} -o {output} --resume" if kept.exists() else ""
         complain(f"interrupted{again}")
         return INTERRUPTED
     return DONE if best.converged else NOT_AS_WISHED
@@ -201,8 +208,8 @@ def _read(path: Path) -> "Spec":
             mended = spec_of(within_travel(tomllib.loads(path.read_text(encoding="utf-8"))), str(path))
         complain(
             f"{error}\n"
-            "The search starts from a plan in which these moves fit: turns go in the other direction or as far "
-            "as the travel allows, and a last turn goes back."
+            "The search starts from a plan in which these moves were changed to fit: turns go in the other direction "
+            "or only as far as the travel allows, and a last turn goes back."
         )
         return mended
 
@@ -241,7 +248,7 @@ def optimum_text(best: "Optimised") -> str:
     """An optimised plan as text."""
     from gradcal_jax.api.turn_search import belief_of
 
-    before = "the plan of the spec does not observe enough" if best.before is None else amount(best.before, best.unit)
+    before = "not observable with the plan in the spec" if best.before is None else amount(best.before, best.unit)
     lines = [
         strong(f"{best.name}: {before} -> {amount(best.now, best.unit)} (rounded to the controllers' steps)"),
         f"{best.structure}; {amount(best.optimum, best.unit)} before rounding",
@@ -256,9 +263,9 @@ def optimum_text(best: "Optimised") -> str:
     if belief := belief_of(best.spec):
         lines.append(belief)
     if best.active:
-        lines.append("limits that bind: " + "; ".join(best.active))
+        lines.append("limits that restrict the plan: " + "; ".join(best.active))
     if best.prices:
-        rows = [("eased by", "the residual changes by", "in proportion up to")]
+        rows = [("if this limit is relaxed by", "the residual changes by", "proportionally up to")]
         for p in best.prices:
             # One unit may be more than the range in which the price holds.
             by = 1.0 if p.linear is None else min(p.linear, 1.0)
@@ -295,7 +302,7 @@ class _Interrupt:
     def _ask(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.asked = True
-        complain("stopping with the best so far; Ctrl-C again stops at once")
+        complain("stopping with the best plan so far; Ctrl-C again stops at once")
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
@@ -318,18 +325,20 @@ def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quic
     spans = [(part.start_s, part.end_s) for part in done]
     rest = rest_of(recipe.spec, spans, left_s=left_s, pause_s=pause_s)
     best, interrupted = search_and_watch(rest, quick=quick)
-    status = f"interrupted, the best so far: {best.sentence}" if interrupted else ""
+    status = f"interrupted; the best plan so far: {best.sentence}" if interrupted else ""
     code = INTERRUPTED if interrupted else DONE if best.converged else NOT_AS_WISHED
     seconds = sum(end - begin for begin, end in spans)
-    remark = f"after {time_text(float(round(seconds)))} with data were done; its prediction counts them"
-    notes = (f"the rest of a run, {remark}",)
+    remark = f"after {time_text(float(round(seconds)))} with data; the prediction includes these data"
+    notes = (f"a plan for the remaining part of a run, {remark}",)
     result = api.recipe(best, stability=recipe.stability, status=status, notes=notes)
     write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
     if json:
         print(as_json(record_of(best) | {"done": spans, "recipe": str(output)}))
     else:
         print(optimum_text(best))
-        print(f"wrote {output}, {remark}; next step: gradcal run {output} --resume {run}")
+        print(
+            f"wrote {output}, a plan for the remaining part, {remark}; next step: gradcal run {output} --resume {run}"
+        )
     return code
 
 
@@ -432,7 +441,7 @@ def show_frontier(
         print(columns(shown, indent=""))
         for name, target in targets.items():
             time = times_for[name]
-            result = "is not reached in these durations" if time is None else f"takes a ramp of about {time_text(time)}"
+            result = "is not reached in these durations" if time is None else f"needs a ramp of about {time_text(time)}"
             print(f"{name} at {target:.4g} {next((p.plan.unit for p in reached if p.plan), '')} {result}")
     save_figure(lambda plots: plots.draw_frontier(reached, targets), plot, quiet=json)
     return DONE if all(p.plan is not None and p.plan.converged for p in reached) else NOT_AS_WISHED
@@ -454,6 +463,6 @@ def durations(text: str, points: int) -> list[float]:
             raise ValueError(f"--motion: expected a range such as 50min..300min with 2 points or more, got {text!r}")
         low, high = one(ends[0]), one(ends[1])
         if low >= high:
-            raise ValueError(f"--motion: {text!r} does not rise")
+            raise ValueError(f"--motion: {text!r}: the second duration must be longer than the first")
         return [low * (high / low) ** (k / (points - 1)) for k in range(points)]
     return sorted(one(part) for part in text.split(","))

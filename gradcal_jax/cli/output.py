@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Flag = Annotated[bool, Parameter(negative="")]
 Force = Annotated[bool, Parameter(negative="", help="Overwrite an existing file.")]
-ForceOutput = Annotated[bool, Parameter(negative="", help="Overwrite the output.")]
+ForceOutput = Annotated[bool, Parameter(negative="", help="Overwrite an existing output file.")]
 Json = Annotated[bool, Parameter(name="--json", negative="")]
 JsonNumbers = Annotated[bool, Parameter(name="--json", negative="", help="Print all numbers as JSON.")]
 RunPath = Annotated[Path, Parameter(help="The folder of the run.")]
@@ -39,7 +39,7 @@ def writable(path: Path, force: bool) -> None:
     if path.exists() and not force:
         raise ValueError(f"{path} exists; choose another name, or overwrite it with --force")
     if not path.absolute().parent.is_dir():
-        raise ValueError(f"there is no directory {path.parent}; make it first")
+        raise ValueError(f"there is no directory {path.parent}; create it first")
 
 
 def drawable(plot: Path | None) -> None:

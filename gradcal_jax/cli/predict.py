@@ -32,33 +32,33 @@ def predict(
     seed: int = 0,
     sensitivity: Flag = False,
 ) -> int:
-    """Predict the residual of every requirement after the plan of a spec, before anyone books a chamber.
+    """Predict the error of every requirement that remains after the plan of a spec, before anyone books a chamber.
 
-    Of several specs, compare the plans: duration, residuals, and the errors that limit each. The exit status is 1 if
-    a target of a single spec is missed or a requirement cannot be observed.
+    If there are several specs, compare their plans: the durations, the remaining errors, and the error terms that limit
+    each plan. For a single spec, the exit status is 1 if a target is missed or a requirement cannot be observed.
 
     Parameters
     ----------
     specs
-        The spec file; several to compare their plans.
+        The spec file, or several spec files to compare their plans.
     json
-        Print the prediction as gradcal-prediction/1 (for several specs, a list); with --monte-carlo, both results in
-        one object.
+        Print the prediction as gradcal-prediction/1 (for several specs, a list); with --monte-carlo, print the
+        prediction and the simulated results in one object.
     plot
-        Draw the residual maps, those of all plans against rate or temperature, or the sensitivities as bars, into this
-        file (.png, .svg, .pdf).
+        Draw a figure into this file (.png, .svg, .pdf): the predicted errors of the spec as maps or curves, those of
+        several specs as curves over rate or temperature, or the sensitivities as bars.
     monte_carlo
         Also simulate this number of calibrations, and compare them with the prediction.
     seed
         The seed of the simulated calibrations.
     sensitivity
-        Print the change of the residual, in per cent, for an increase of one per cent in each figure of sensor, rig
-        and plan. For an optimised recipe, this change also applies after optimising again.
+        Print by how many per cent the predicted error changes if a figure of sensor, rig or plan increases by one per
+        cent. For an optimised recipe, the change would be the same if the plan were optimised again.
     """
     from gradcal_jax.files.recipe import spec_in
 
     if not specs:
-        raise ValueError("predict what? Name a spec file, or several to compare their plans")
+        raise ValueError("name a spec file, or several to compare their plans")
     drawable(plot)
     plans = [(path.stem, spec_in(path)) for path in specs]
     if len(plans) > 1 and (sensitivity or monte_carlo is not None):
@@ -121,7 +121,7 @@ def _sensitivity(spec: "Spec", source: str, *, json: bool, plot: Path | None) ->
     else:
         print(strong(spec.title or source))
         for name, (value, unit) in known.residuals.items():
-            print(f"\n{name}: {amount(value, unit)}; one per cent more of ... changes it by")
+            print(f"\n{name}: {amount(value, unit)}; its change if one of these figures increases by one per cent:")
             shown = [row for row in known.rows if row.requirement == name and abs(row.percent) >= _NOTHING]
             print(columns([(row.figure, f"{row.percent:+.3f} %") for row in shown], right=(1,)))
     save_figure(lambda plots: plots.draw_sensitivities(known), plot, quiet=json)
@@ -141,8 +141,8 @@ def _fixture(prediction: "Prediction") -> list[str]:
         f"{len(prediction.places)} IMUs at once: {prediction.minutes_per_imu:.3g} min for each, "
         f"{prediction.imus_per_shift:.4g} in a shift",
         *([columns(rows, indent="", right=tuple(range(1, len(names) + 1))), units] if names else []),
-        f"below, the worst point: {prediction.place}"
-        + (f"; estimated without the other IMUs: {others}" if others else ""),
+        f"all figures below are for the worst place: {prediction.place}"
+        + (f"; if its IMU is estimated without the others: {others}" if others else ""),
     ]
 
 
@@ -185,10 +185,10 @@ def omitted_lines(spec: "Spec") -> list[str]:
         return of_branches
     sensor, table = sensor_grade(spec.sensor), table_grade(spec)
     lines = [
-        "not in the file, so typical figures of the class count:",
+        "these terms are not in the file, so figures typical of the class count:",
         columns([(term.key, term.typical) for term in absent]),
-        f"  sensor: {sensor.name} grade ({sensor.like}), by {sensor.reason}",
-        f"  table: {table.name} ({table.like}), by {table.reason}",
+        f"  class of the sensor: {sensor.name} grade ({sensor.like}), from {sensor.reason}",
+        f"  class of the table: {table.name} ({table.like}), from {table.reason}",
         "enter your own figures in the file; 0 (or an empty list) means that there is no such error. Sources of "
         "the figures: gradcal check --json",
     ]
@@ -225,14 +225,19 @@ def _judged(row: "RequirementRow", several: bool) -> list[str]:
     if row.rule and row.verdict != "unobservable":
         lines.append(f"{name}: {row.verdict} by {row.rule}")
         if row.specific_risk is not None:
-            lines.append(f"  error beyond it at the worst point: {percent(row.specific_risk)}")
+            lines.append(
+                f"  probability that the error at the worst point exceeds the target: {percent(row.specific_risk)}"
+            )
         if row.chance is not None and row.chance_everywhere is not None:
-            own = "" if row.statistic == "max" else f"; by {row.statistic}: {percent(row.chance, 1e-3)}"
-            lines.append(f"  a sensor meets it everywhere: {percent(row.chance_everywhere, 1e-3)}{own}")
+            own = "" if row.statistic == "max" else f"; that its {row.statistic} does: {percent(row.chance, 1e-3)}"
+            lines.append(
+                f"  probability that a sensor meets the target everywhere: {percent(row.chance_everywhere, 1e-3)}{own}"
+            )
         if row.check is not None:
             lines.append(
-                f"  a second run as a check: accepts {percent(row.check.accepted)}, falsely "
-                f"{percent(row.check.false_accept)}; rejects falsely {percent(row.check.false_reject)}"
+                f"  if every sensor is checked by a second run: {percent(row.check.accepted)} pass; "
+                f"{percent(row.check.false_accept)} pass although out of limits; {percent(row.check.false_reject)} "
+                "fail although within limits"
             )
     return lines
 
@@ -241,8 +246,8 @@ def another_run_line(row: "RequirementRow", name: str) -> str:
     """The bias of another power-on, which the verdict counts."""
     this = row.decisive if row.with_typical is None else row.with_typical
     return (
-        f"{name}: {amount(this, row.unit)} in this run, {amount(row.another_run, row.unit)} after another power-on, "
-        'which counts; of = "this run" leaves the turn-on bias out'
+        f"{name}: {amount(this, row.unit)} in this run, {amount(row.another_run, row.unit)} after another power-on. "
+        'The verdict counts the latter; with of = "this run" the turn-on bias does not count'
     )
 
 
@@ -251,8 +256,8 @@ def own_noise_lines(row: "RequirementRow", name: str) -> list[str]:
     if row.own is None or row.own_sources is None:
         return []
     parts = ", ".join(f"{source} {value:.3g}" for source, value in row.own_sources.items() if value >= 0.05 * row.own)
-    in_all = "" if row.judged is None else f"{amount(math.hypot(row.judged, row.own), row.unit)} in all, of which "
-    lines = [f"{name}: {in_all}no calibration takes off {amount(row.own, row.unit)} ({parts})"]
+    in_all = "" if row.judged is None else f"{amount(math.hypot(row.judged, row.own), row.unit)} in all, including "
+    lines = [f"{name}: {in_all}{amount(row.own, row.unit)} of noise that no calibration corrects ({parts})"]
     if row.missions is not None and len(row.missions) > 1:
         head = ("mission", "weight", "after", "calibration leaves", "own noise")
         rows = [
@@ -280,16 +285,18 @@ def _simulated(rows, tests, runs: int, seed: int) -> str:
 
 
 def limit(spec: Path, /, *, json: Json = False) -> int:
-    """Prove a lower limit for all plans on this rig in this time, and print the efficiency of this plan.
+    """Prove a lower limit for the error of all plans on this rig and of this duration, and print the efficiency of this
+    plan.
 
-    The proof leaves out some limits of the rig, and lists them, so a real plan may not reach the limit; no plan lies
-    below it. An efficiency of 67 % means that no plan leaves less than 0.67 of the residual of this one.
+    The proof ignores some limits of the rig, which the command lists. Therefore no real plan may reach the lower limit,
+    but none can be below it. An efficiency of 67 % means that no plan leaves less than 0.67 times the error of this
+    plan.
 
     Parameters
     ----------
     spec
-        The spec file, or a recipe. Its [design] states what a better plan might change; for an IMU, the limit is for
-        every plan of the same duration at the same temperatures.
+        The spec file, or a recipe. Its [design] states which parts of the plan a better plan may change. For an IMU,
+        the limit is for all plans of the same duration at the same temperatures.
     json
         Print the limits for other programs.
     """
@@ -313,13 +320,13 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     for row in rows:
         if row.judged is not None and row.judged != row.value:
             print(
-                f"{row.name}: including the omitted terms with typical figures, no plan leaves less than "
-                f"{amount(row.counted, row.unit)}, and this one leaves {amount(row.judged, row.unit)}"
+                f"{row.name}: if the omitted terms count with typical figures, no plan leaves less than "
+                f"{amount(row.counted, row.unit)}, and this plan leaves {amount(row.judged, row.unit)}"
             )
     for kept in dict.fromkeys(row.kept for row in rows if row.kept):
-        print("of plans that keep: " + "; ".join(kept))
+        print("the limit is for all plans that keep: " + "; ".join(kept))
     for relaxed in dict.fromkeys(row.relaxed for row in rows):
         names = ", ".join(row.name for row in rows if row.relaxed == relaxed)
         of = "" if all(row.relaxed == relaxed for row in rows) else f" for {names}"
-        print(f"the proof{of} relaxes: " + "; ".join(relaxed))
+        print(f"the proof{of} ignores or relaxes: " + "; ".join(relaxed))
     return DONE

@@ -25,16 +25,16 @@ class Recording:
     Parameters
     ----------
     columns
-        The column map of a table of another program (gradcal-columns/1); see gradcal new column-map.
+        If LOG is a table of another program: its column map (gradcal-columns/1); see gradcal new column-map.
     begin
-        Start at this time of the record, such as "90 s".
+        Read the log from this time on, such as "90 s".
     end
-        End at this time of the record.
+        Read the log up to this time.
     rows
-        Read only these rows of the source, counted from 0: "1000..250000", or open as in "1000..".
+        Read only these rows of the file, counted from 0: "1000..250000", or "1000.." for all rows from 1000 on.
     sensor_rate
-        Rate of the sensor's own samples, such as "400 Hz", if each row is one of them; "means" if each row is the
-        mean of several.
+        If each row is a single sample, but not every sample has a row: the sample rate of the sensor, such as "400 Hz".
+        If each row is the mean of several samples: "means".
     """
 
     columns: Annotated[Path | None, Parameter(name="--columns")] = None
@@ -137,7 +137,7 @@ def described(log: "Log", name: str) -> str:
     """A log in a few lines: its contents, the numbers of rows by use, and every fault."""
     lines = [
         f"{name}: {log.duration_s:.6g} s at {1.0 / log.sample_interval_s:.6g} Hz, "
-        f"{len(log.units)} unit{'s' * (len(log.units) != 1)}, axes {', '.join(log.axes)}"
+        f"{len(log.units)} IMU{'s' * (len(log.units) != 1)}, axes {', '.join(log.axes)}"
         + (", SIMULATED" if log.simulated else "")
     ]
     counts = log.counts(0)

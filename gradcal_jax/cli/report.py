@@ -32,24 +32,27 @@ def report(
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Make one HTML page of a plan, a run or a calibration. It needs no network and can be printed.
+    """Make one HTML page that describes a plan, a run or a calibration. The page needs no network and can be printed.
 
     Parameters
     ----------
     sources
-        The folder of a run, a recipe or a spec, a calibration, or several of these that belong together. A
-        calibration in the folder of a run is included, preferably calibration.toml; if there are several, each has a
-        separate page.
+        The folder of a run, a recipe, a spec or a calibration, or several of these that belong together. If the folder
+        of a run has a calibration, the page includes it; if it has several, each gets a page of its own.
     output
-        The page (.html); for several pages, the rest of each calibration's name is added to the file name.
+        The page to write (.html). For several pages, the part after "calibration-" in the name of each calibration is
+        added to the file name.
     before
-        A spec or recipe for comparison; without it, the spec's priors.
+        A spec or recipe whose predicted errors the page shows for comparison; by default, the errors before a
+        calibration, from the priors of the spec.
     limits
-        A file with the output of `gradcal limit --json` for the plan; the page then shows the plan's efficiency.
+        A file with the output of `gradcal limit --json` for the plan; the page then also shows the efficiency of the
+        plan.
     panel
-        Sliders on the page: residuals for another time, encoder or slope, from 75 predictions.
+        Add sliders to the page, which show the predicted errors for another duration, encoder error or temperature
+        slope (from 75 predictions).
     certificate
-        Make a certificate for a laboratory to sign, instead of the whole page.
+        Instead of the page, make a certificate that a laboratory can sign.
     rig
         The rig file with [laboratory] and [[reference]] for the certificate.
     number
@@ -57,13 +60,13 @@ def report(
     customer
         The customer on the certificate.
     operator
-        The operator of the calibration; without it the rig file's.
+        The operator of the calibration on the certificate; by default that of the rig file.
     performed
         The date of the calibration, such as 2026-11-22 or 2026-11-21..2026-11-22; by default the day of the run.
     dcc
         Also write the certificate as a Digital Calibration Certificate (PTB's XML).
     json
-        Print every number of the page as JSON.
+        Also print every number of the page as JSON.
     """
     from gradcal_jax.pages.sources import calibrations_in, read_sources
 

@@ -39,19 +39,21 @@ _LOOKS_S = 1.0
 
 
 def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Json = False) -> int:
-    """Show the state of a run until it ends: step, temperature, planned temperature, angles, samples, residuals.
+    """Show the state of a run until the run ends: step, actual and planned temperature, angles, samples, errors that
+    remain.
 
-    It only reads the status file, and may be closed at any time. The exit status is 3 if the run ended badly, or does
-    not respond.
+    The command only reads the status file of the run, so it may be ended at any time. The exit status is 3 if the run
+    ended badly or does not respond.
 
     Parameters
     ----------
     once
-        Show the state once, and do not wait for the end.
+        Show the state once, and do not wait for the end of the run.
     known
-        Print only the residuals: after the part that was executed (by the journal), and after the whole run.
+        Print only the errors that would remain with the data so far (according to the journal), and after the whole
+        run.
     json
-        Print the status as JSON, once.
+        Print the state once, as JSON.
     """
     from gradcal_jax.hardware.supervision import read_status
 
@@ -73,7 +75,10 @@ def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Jso
                 return DONE if status["exit_status"] == "success" and status["verified_safe"] else FAILED
             if silent_s > _SILENT_S:
                 line.end()
-                complain(f"the run has been silent for {time_text(float(round(silent_s)))}: it may have been killed")
+                complain(
+                    f"the run has not written its status for {time_text(float(round(silent_s)))}: it may have "
+                    "been killed"
+                )
                 return FAILED
             if once or json:
                 return DONE
@@ -133,7 +138,7 @@ _UNITS = {
 }  # fmt: skip
 _ABILITIES = {"by_hand": "turned by hand", "typed": "the operator types its angle", "told": "nothing reads its angle"}
 
-rig_app = App(name="rig", help="The rig: which device is on which port, whether each answers, and the state of a run.")
+rig_app = App(name="rig", help="The devices of a rig: describe them, check them, record them; and watch a run.")
 rig_app.command(watch)
 
 
@@ -144,7 +149,7 @@ def new(*, output: OutputOrPrint, force: Force = False) -> int:
     Parameters
     ----------
     output
-        The file to write; - prints it.
+        The file to write; "-" prints the example instead.
     """
     from gradcal_jax.files.rig import TEMPLATE
     from gradcal_jax.files.writing import write_whole
@@ -160,7 +165,8 @@ def new(*, output: OutputOrPrint, force: Force = False) -> int:
 
 @rig_app.command
 def protocols(name: str | None = None, /) -> int:
-    """List the devices that the drivers "lines" and "registers" know, or print the description of one as an example.
+    """List the devices whose descriptions the program has (for the drivers "lines" and "registers"), or print one
+    description as an example.
 
     Parameters
     ----------
@@ -185,20 +191,21 @@ def protocols(name: str | None = None, /) -> int:
 
 @rig_app.command
 def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
-    """Read the identity and the limits of every device of a rig. Nothing moves, unless --move is given.
+    """Read the identity and the limits of every device of a rig. Nothing moves unless you add --move.
 
-    With --recipe, test everything that its run needs: a reading of each device, the sample rate of each IMU, and the
-    recipe against the devices' limits. With --move, each axis also finds its reference, and makes its longest turn
-    and returns. The exit status is 3 if a device does not answer correctly.
+    With --recipe, test everything that a run of this recipe needs: take a reading from each device, measure the sample
+    rate of each IMU, and compare the recipe with the limits of the devices. With --move, each axis also searches for
+    its reference position, makes its longest turn of the recipe, and returns. The exit status is 3 if a device does not
+    answer correctly.
 
     Parameters
     ----------
     rig
         The rig file; by default that of the user's configuration.
     recipe
-        Test what the run of this recipe needs.
+        Test everything that a run of this recipe needs.
     move
-        Move the axes, too: the operator stands by.
+        Also move the axes. An operator must be ready to stop them.
     json
         Print the devices' answers as JSON.
     """
@@ -208,7 +215,7 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
     from gradcal_jax.hardware.setup import check_each
 
     if move and recipe is None:
-        raise ValueError("--move makes a recipe's longest moves: which recipe? Give --recipe")
+        raise ValueError("--move makes the longest moves of a recipe: name the recipe with --recipe")
     rig = rig_or_own(rig)
     description = read_rig(rig)
     reports = check_each(description, RealClock())
@@ -220,9 +227,9 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
         print(strong(description.title or str(rig)))
         print(columns([row for report in reports for row in _rows(report)]))
         for entry in description.axis:
-            print(f'  when a run ends badly, axis {entry.name}: "{entry.safe}"')
+            print(f'  safe state of axis {entry.name} after a run that ends badly: "{entry.safe}"')
         if description.chamber is not None:
-            print(f'  when a run ends badly, the chamber: "{description.chamber.safe}"')
+            print(f'  safe state of the chamber after a run that ends badly: "{description.chamber.safe}"')
         for one in tried:
             print(f"  {one.name}: {one.what}" + ("" if one.good else "  NOT AS IT SHOULD BE"))
         good = all(entry.good for entry in (*reports, *tried))
@@ -234,18 +241,18 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
 def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, force: Force = False) -> int:
     """Communicate with every device of a rig, and record all bytes in both directions in one file.
 
-    The file shows whether a driver fits the device. Send it with a report: it can be replayed in place of the device.
-    Nothing moves, unless --move is given. The exit status is 3 if a device did not answer correctly.
+    The file shows whether a driver fits the device. If you report a fault, send the file: it can be replayed in place
+    of the device. Nothing moves unless you add --move. The exit status is 3 if a device did not answer correctly.
 
     Parameters
     ----------
     rig
         The rig file; by default that of the user's configuration.
     output
-        The transcript to write.
+        The file to write.
     move
-        Also condition the chamber at its present temperature, home each axis and turn it by 10 deg: the operator
-        stands by.
+        Also switch the chamber on at its present temperature, let each axis search for its reference position, and turn
+        it by 10 deg. An operator must be ready to stop them.
     """
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock

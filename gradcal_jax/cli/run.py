@@ -43,11 +43,12 @@ def run(
     units: int = 1,
     json: Json = False,
 ) -> int:
-    """Execute a recipe, and leave the rig in a safe state in every case.
+    """Execute a recipe on a rig, or rehearse it on simulated devices. However the run ends, the rig is left in a safe
+    state.
 
-    Ctrl-C pauses the run after the step; a second Ctrl-C makes everything safe and ends the run. --resume continues a
-    run that was ended or killed. With --simulate the run uses simulated devices, and all its results are marked as
-    simulated. The exit status is 3 if a device or the run failed.
+    Ctrl-C pauses the run after the current step; a second Ctrl-C makes all devices safe and ends the run. --resume
+    continues a run that was ended or killed. With --simulate the run uses simulated devices, and all its results are
+    marked as simulated. The exit status is 3 if a device or the run failed.
 
     Parameters
     ----------
@@ -56,28 +57,28 @@ def run(
     rig
         The rig file; by default that of the user's configuration.
     output
-        The folder of the run; it is made.
+        The folder for the files of the run; it is created.
     resume
-        Continue the run in this folder; give a recipe only if `gradcal optimise RUN` made one for the rest, and a rig
-        only to compare it with that of the run.
+        Continue the run in this folder. Name a recipe only if `gradcal optimise RUN` has made one for the remaining
+        part, and a rig file only if it is to be compared with that of the run.
     simulate
         Use simulated devices instead of a rig.
     speed
-        Of a simulated run: the speed relative to real time; absent: as fast as possible.
+        For a simulated run: its speed, relative to real time; by default as fast as possible.
     seed
-        The seed of the simulated devices' hidden errors.
+        For a simulated run: the seed of the devices' errors, which the estimate does not know.
     sample_rate
-        The sample rate of a simulated sensor: "125 Hz", "250 Hz", "500 Hz", "1000 Hz" or "2000 Hz".
+        For a simulated run: the sample rate of the sensor, "125 Hz", "250 Hz", "500 Hz", "1000 Hz" or "2000 Hz".
     dry_run
-        Read the limits of the rig's devices, print the commands for each, and stop; nothing moves.
+        Read the limits of the rig's devices, print the commands for each device, and end; nothing moves.
     yes
-        Begin without asking for confirmation of the checklist.
+        Begin without asking the operator to confirm the checklist.
     operator
-        The operator of the run; stored in the run and its log, like --unit and --note.
+        Name of the operator; it is stored with the run and in its log, like the texts of --unit and --note.
     unit
         Name of the IMU on the table.
     note
-        Anything to remember.
+        A note, which is stored with the run.
     units
         For a simulated run: the number of IMUs on the table.
     json
@@ -85,16 +86,16 @@ def run(
     """
     if resume is not None:
         if output is not None or simulate:
-            raise ValueError("--resume needs only the folder: rig and simulation are those of the run")
+            raise ValueError("--resume needs only the folder: the run continues with its own rig, or in simulation")
         return _resume(resume, recipe, rig, json)
     if recipe is not None and dry_run:
         return _dry_run(recipe, rig_or_own(rig), json)
     if recipe is None or output is None:
         raise ValueError(
-            "the recipe and the output folder are missing: gradcal run RECIPE --rig RIG -o RUN/, or --simulate "
-            "for --rig"
+            "the recipe or the output folder is missing: gradcal run RECIPE --rig RIG -o RUN/, or with --simulate "
+            "instead of --rig RIG"
         )
-    either = "on what? Give either --rig RIG, or --simulate"
+    either = "name the rig with --rig RIG or use --simulate (not both)"
     if simulate and rig is not None:
         raise ValueError(either)
     from gradcal_jax.files.recipe import read_recipe
@@ -107,7 +108,7 @@ def run(
         print(_REHEARSAL)
     about = {name: text for name, text in (("operator", operator), ("on the table", unit), ("note", note)) if text}
     if bench is not None and not (yes or json) and not _confirmed(executable, bench, about):
-        complain("not begun: nothing was moved")
+        complain("the run did not begin; nothing was moved")
         return INTERRUPTED
     with _Watcher(simulate, quiet=json, virtual=simulate and speed is None) as watcher:
         simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate, "units": units}
@@ -137,13 +138,13 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
         print(as_json(asdict(plan) | {"steps": steps, "problems": problems}))
     else:
         for step in plan.steps:
-            waits = ", once it is ready" if step.waits else ""
+            waits = ", as soon as the temperature is stable" if step.waits else ""
             print(f"{time_text(step.begins_s)}  {step.name}, {time_text(step.duration_s)}{waits}")
             print("".join(f"    {command}\n" for command in step.commands), end="")
         print(f"{len(plan.steps)} steps, {time_text(plan.duration_s)} plus waiting times")
         for text in plan.rounded:
             print(f"rounded: {text}")
-        print("\n".join(problems) if problems else "every device accepts it; nothing was moved")
+        print("\n".join(problems) if problems else "every device accepts the recipe; nothing was moved")
     return FAILED if problems else DONE
 
 
@@ -169,14 +170,14 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
             )
     safe = [f'axis {axis.name} "{axis.safe}"' for axis in rig.axis]
     safe += [] if rig.chamber is None else [f'the chamber "{rig.chamber.safe}"']
-    rows.append("if it ends badly: " + ", ".join(safe))
-    rows.append("units: " + (", ".join(unit.name for unit in rig.imu) or "none; is its own logger recording?"))
+    rows.append("safe states if the run ends badly: " + ", ".join(safe))
+    rows.append("IMUs: " + (", ".join(unit.name for unit in rig.imu) or "none; is the IMU's own logger recording?"))
     if rig.alarm is not None:
-        rows.append(f"an alarm calls: {' '.join(rig.alarm.command)}")
-    print("before it begins:\n" + "\n".join(f"  {row}" for row in rows), flush=True)
+        rows.append(f"command that an alarm executes: {' '.join(rig.alarm.command)}")
+    print("before the run begins:\n" + "\n".join(f"  {row}" for row in rows), flush=True)
     if not sys.stdin.isatty():
-        raise ValueError("there is no terminal at which to confirm this list: read it, and give --yes")
-    print("Enter to begin, anything else to leave it: ", end="", flush=True)
+        raise ValueError("there is no terminal at which to confirm this list: read it, and run the command with --yes")
+    print("press Enter to begin; type anything else to end without a run: ", end="", flush=True)
     return sys.stdin.readline() == "\n"
 
 
@@ -195,7 +196,7 @@ def _resume(path: Path, recipe: Path | None, rig: Path | None, json: bool) -> in
     simulated = bool(notes["simulated"])
     virtual = simulated and notes["simulation"].get("speed") is None
     if not json:
-        print(f"going on with step {first + 1}" + (f"\n{_REHEARSAL}" if simulated else ""))
+        print(f"continuing with step {first + 1}" + (f"\n{_REHEARSAL}" if simulated else ""))
     with _Watcher(simulated, quiet=json, virtual=virtual) as watcher:
         result = resume(path, rig=bench, **watcher.attends())
     return _say(path, result, json)
@@ -210,17 +211,17 @@ def _say(folder: Path, result: "RunResult", json: bool) -> int:
             print(f"{outcome.name}: {verified} ({outcome.action}; {outcome.evidence})")
     if result.exit_status == "success":
         if not json:
-            print(f"done; make its log: gradcal log {folder}")
+            print(f"done; next, write the log: gradcal log {folder}")
         return DONE if result.verified_safe else FAILED
     if result.begun:
         complain(
             f"the run {result.exit_status} after {result.steps_done} steps: {result.reason}\n"
-            f"What was recorded is sound. Go on with it: gradcal run --resume {folder}"
+            f"The data recorded so far can be used. To continue: gradcal run --resume {folder}"
         )
     else:
         complain(
             f"the run did not begin, and no command was sent: {result.reason}\n"
-            f"Correct this, then: gradcal run --resume {folder}"
+            f"Correct this, then run: gradcal run --resume {folder}"
         )
     by_operator = result.reason in ("Ctrl-C", "interrupted from the keyboard")
     return INTERRUPTED if by_operator and result.verified_safe else FAILED
@@ -282,7 +283,7 @@ class _Watcher:
         if self._terminal is not None and self._terminal.asking:
             # The operator types on this line.
             if now[0] == "pausing" != self._last[0]:
-                self._terminal.remark("pausing after this step; Ctrl-C again makes everything safe and ends")
+                self._terminal.remark("pausing after this step; Ctrl-C again makes all devices safe and ends the run")
                 self._last = now
             return
         if not self._quiet and (now != self._last or not self._line.plain):
@@ -301,7 +302,9 @@ class _Watcher:
             self._terminal.next_line_goes_to(self._go_on)
         else:
             threading.Thread(target=lambda: sys.stdin.readline() and self._go_on(), daemon=True).start()
-        print(f"\npaused: {why}; press Enter to go on, Ctrl-C to make everything safe and end", flush=True)
+        print(
+            f"\npaused: {why}; press Enter to continue, or Ctrl-C to make all devices safe and end the run", flush=True
+        )
 
     def _go_on(self) -> None:
         if self._runner is not None:

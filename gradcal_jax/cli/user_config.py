@@ -42,7 +42,7 @@ def own_defaults(app: "App") -> Any:
     return (Dict(dict(defaults), source=str(path)),)
 
 
-def rig_or_own(rig: Path | None, missing: str = "which rig? Give its file") -> Path:
+def rig_or_own(rig: Path | None, missing: str = "name the rig file") -> Path:
     """The rig file of a command line, or else the user's. Raises `ValueError` if there is none."""
     if rig is None and (path := config_path()) is not None and (own := read_user_config().rig) is not None:
         return path.parent / Path(own).expanduser()

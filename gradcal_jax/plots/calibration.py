@@ -23,7 +23,8 @@ _MOST_SENSORS = 12
 
 
 def draw_residuals_over_time(report: SensorEstimate, *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
-    """Whitened residuals of every channel over time, nearly all within ± 3; those of reduced weight are marked."""
+    """Whitened residuals of every channel over time: if the model is right, nearly all are within ± 3. Readings with a
+    reduced weight are marked."""
     ax = new_axes(ax)
     at = segments_of(report.executed.motion, report.built.model)
     line = report.executed.motion.line
@@ -49,7 +50,7 @@ def draw_residuals_over_time(report: SensorEstimate, *, ax: Axes | None = None) 
 
 
 def draw_gravity_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
-    """|f| − g over each position, µg."""
+    """|f| − g of each position, µg."""
     ax = new_axes(ax)
     left = report.solution.accelerometer.left / G * 1e6
     drawn = ax.scatter(np.arange(1, len(left) + 1), left, s=14, color=PALETTE[0])
@@ -60,7 +61,7 @@ def draw_gravity_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Ax
 
 
 def draw_turns_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
-    """The error of gravity's direction after each turn, in two directions across it, mrad."""
+    """The error of gravity's direction after each turn, in the two directions perpendicular to gravity, mrad."""
     ax = new_axes(ax)
     left = 1e3 * report.solution.gyro.left.reshape(-1, 2)
     number = np.arange(1, len(left) + 1)

@@ -19,7 +19,7 @@ def panels_of(calibration: Calibration) -> list[tuple[str, str]]:
 def draw_calibrated_term(
     calibration: Calibration, kind: str, name: str, *, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
-    """A term of all channels of a kind over temperature, at a low rate, each with a band of ± 1σ."""
+    """One term of all gyros, or of all accelerometers, over temperature at a low rate, each with a band of ± 1σ."""
     ax = new_axes(ax)
     lines: list[Line2D] = []
     unit = ""
@@ -38,7 +38,7 @@ def draw_calibrated_term(
 def draw_calibrated_scale_factor(
     calibration: Calibration, channel: CalibratedChannel, *, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
-    """M over rate at the coldest, the middle and the warmest temperature that the data cover."""
+    """The scale-factor map over rate, at the lowest, the middle and the highest temperature that the data cover."""
     ax = new_axes(ax)
     temperatures, rates = grid_of(channel, "scale_factor")
     chosen = temperatures[[0, len(temperatures) // 2, -1]]
@@ -90,8 +90,8 @@ def draw_lot(found: Lot, *, figure: Figure | SubFigure | None = None) -> Figure:
 
 
 def draw_lot_map(one: LotMap, *, ax: Axes | None = None) -> Axes:
-    """A map of all IMUs over temperature, at a low rate: outliers dashed, the mean with a band of one standard
-    deviation of the type, and each shape by one standard deviation about the mean."""
+    """One map of all IMUs over temperature, at a low rate. Outliers are dashed, the mean has a band of one standard
+    deviation from IMU to IMU, and each shape that repeats is drawn at one standard deviation from the mean."""
     ax = new_axes(ax)
     strangers = {stranger.serial_number for stranger in one.strangers}
     t, constant = one.temperature_c, len(one.temperature_c) == 1

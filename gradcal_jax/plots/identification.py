@@ -14,7 +14,7 @@ from gradcal_jax.units import DEG_PER_H
 
 
 def draw_drift(instability: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """D_θ*(t) of one channel, its limit by the chosen process, and its limit by random walk alone."""
+    """The largest drift D_θ*(t) of one channel, its limit from the chosen process, and that from random walk alone."""
     ax = new_axes(ax)
     bound, hour = instability.bound, DEG_PER_H
     t = bound.integration_time_s
@@ -32,7 +32,7 @@ def draw_drift(instability: Instability, *, ax: Axes | None = None) -> tuple[Axe
 
 
 def draw_boundary(instability: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """The boundary σ(τ) of the processes that bound the record, with the chosen pair."""
+    """The boundary σ(τ) of the Gauss–Markov processes that bound the record, and the chosen process."""
     ax = new_axes(ax)
     bound = instability.bound
     shown = np.where(bound.boundary_drift_std > 0, bound.boundary_drift_std, np.nan) * DEG_PER_H

@@ -83,9 +83,9 @@ def draw_over_temperature(
 def draw_curves(
     boxes: Sequence[tuple[str, Box]], target: float | None = None, *, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
-    """Residuals of one quantity, each with a label: over temperature or, of maps over rate, the largest over
-    temperature against rate; with the `target` on one standard deviation. Of very different sizes on a logarithmic
-    axis."""
+    """Residuals of one quantity, each with a label: over temperature, or, for maps over temperature and rate, the
+    largest over temperature against the rate. `target` draws a line at the largest standard deviation that is allowed.
+    If the residuals differ much in size, the axis is logarithmic."""
     ax = new_axes(ax)
     lines: list[Line2D] = []
     values: list[np.ndarray] = []

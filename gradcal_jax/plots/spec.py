@@ -30,8 +30,8 @@ _COLUMNS = 2
 def draw_heading(
     curves: Sequence[tuple[str, ErrorCurve]], *, own: bool = True, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
-    """The heading error after calibrations over time (deg, 1σ), each with a label; with `own`, also the IMU's own
-    noise and the sum of both."""
+    """The heading error over time (deg, 1σ) after each of several calibrations, with labels; with `own`, also the error
+    from the IMU's own noise, and the two together."""
     ax = new_axes(ax)
     drawn: list[Line2D] = []
 
@@ -53,8 +53,8 @@ def draw_heading(
 
 
 def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> Figure:
-    """The residual of each requirement: a map of a single scale factor, curves of the elements of all else; and where
-    attitudes count, the poses on the sphere. On `figure` or a new one.
+    """The residual of each requirement: a map for a single scale factor, otherwise a curve for each element. If
+    attitudes matter, also the poses on the sphere. On `figure` or a new one.
 
     Errors: `ValueError` for a spec without requirements.
     """
@@ -108,7 +108,8 @@ def _label(words: str, curves: Sequence[tuple[str, ErrorCurve]], axis: str, curv
 
 
 def draw_comparison(specs: Sequence[tuple[str, Spec]], *, figure: Figure | SubFigure | None = None) -> Figure:
-    """Plans side by side, on `figure` or a new one: for each requirement's name, one curve a plan and element. Errors:
+    """Plans side by side, on `figure` or a new one: a panel for each requirement, with a curve for each plan and each
+    element (such as an axis). Errors:
     `ValueError` without requirements."""
     plans = [(label, build_imu(expect_spec(spec))) for label, spec in specs]
     names = list(dict.fromkeys((r.name, r.quantity) for _, built in plans for r in built.spec.requirement))
@@ -134,7 +135,8 @@ def draw_comparison(specs: Sequence[tuple[str, Spec]], *, figure: Figure | SubFi
 
 
 def draw_poses(spec: Spec, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
-    """The vertical in the device's frame at every rest: longitude about z, coloured by time, area by duration."""
+    """The direction of the vertical in the sensor's frame at every rest, on the sphere (longitude about z); the colour
+    is the time, the area the duration."""
     if ax is None:
         ax = Figure(figsize=(6.4, 3.6), layout="constrained").add_subplot(projection="mollweide")
     poses = rest_poses(build_imu(spec))
@@ -179,7 +181,7 @@ def draw_temperature(
 
 
 def draw_planned_temperature(recipe: Recipe, *, label: str = "planned", ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """The chamber's track on the plan's clock, without waits."""
+    """The planned temperature of the chamber over the plan's time, without waits for stable temperatures."""
     time: list[float] = []
     temperature: list[float] = []
     for segment in recipe.chamber.programme:
@@ -189,7 +191,7 @@ def draw_planned_temperature(recipe: Recipe, *, label: str = "planned", ax: Axes
 
 
 def draw_planned_rate(recipe: Recipe, axis: str, *, label: str = "", ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """The rate of an axis as controllers turn it, by trapezoids, on the plan's clock."""
+    """The planned rate of an axis over the plan's time, in the trapezoids that the controller turns."""
     return draw_against_time(*planned_rate(recipe, axis), "rate, deg/s", label, 0, ax, linewidth=0.8)
 
 

@@ -172,7 +172,7 @@ def draw_frontier(points: Sequence[FrontierPoint], targets: Mapping[str, float],
 
 
 def draw_sensitivities(known: Sensitivities, *, figure: Figure | SubFigure | None = None) -> Figure:
-    """A bar for each figure of the spec that matters, a panel for every requirement, on `figure` or a new one."""
+    """A panel for every requirement, with a bar for each figure of the spec that matters, on `figure` or a new one."""
     names = list(known.residuals)
     figure = new_figure(figure, (7.2, 1.0 + 2.6 * len(names)))
     for axes, name in zip(figure.subplots(len(names), squeeze=False)[:, 0], names, strict=True):

@@ -117,7 +117,7 @@ def test_new_writes_a_preset_of_a_unit_that_check_accepts(tmp_path, capsys):
     assert [name for name in listed if name in presets.names()] == list(presets.names())
     assert main(["new", "ferraris", "-o", goal]) == 0
     assert main(["check", goal]) == 0
-    assert "the spec is sound" in capsys.readouterr().out
+    assert "the spec has no errors" in capsys.readouterr().out
     with pytest.raises(ValueError, match='nearest: "ferraris"'):
         presets.text("feraris")
 

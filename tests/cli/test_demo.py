@@ -47,7 +47,7 @@ def test_a_demo_overwrites_nothing_and_names_the_data_that_it_misses(tmp_path, c
     assert main(["demo", "-o", str(tmp_path / "new"), "--data", str(tmp_path)]) == 2
     assert "thermal_cycle.npz" in capsys.readouterr().err
     assert main(["demo", "-o", str(tmp_path / "new"), "--data", str(tmp_path), "--imu"]) == 2
-    assert "take one of them" in capsys.readouterr().err
+    assert "use only one of them" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["full"]
 
 

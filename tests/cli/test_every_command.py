@@ -142,5 +142,5 @@ def test_a_terminal_gets_colour_unless_it_is_unwanted(environment, coloured, tmp
             said += part
     os.close(leader)
     assert done.returncode == 0
-    assert b"the spec is sound" in said
+    assert b"the spec has no errors" in said
     assert (b"\x1b[" in said) == coloured

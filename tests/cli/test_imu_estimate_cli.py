@@ -42,7 +42,7 @@ def test_from_a_log_to_a_corrected_log_and_a_header(folder, capsys):
     assert "SIMULATED" in said
     assert "gyro scale factor" in said
     assert "error of the table" in said
-    assert "µg corrected" in said
+    assert "µg rms as corrected" in said
     assert (folder / "fit.png").stat().st_size > 20_000
     assert main(["apply", out, log, "-o", str(folder / "true.nc")]) == 0
     capsys.readouterr()

@@ -114,7 +114,7 @@ def test_the_deciding_drift_is_dated_and_can_be_left_out(tmp_path, capsys):
     assert last > 100.0
     status, told = printed(capsys, "instability", path, "--longest", "20 s")
     assert f'--without "{first:.6g} s..{last:.6g} s"' in told.out
-    assert "uncertainty from blocks" in told.out
+    assert "from the scatter between blocks" in told.out
     status, told = printed(capsys, "instability", path, "--longest", "20 s", "--without", "99.9 s..105.1 s", "--json")
     assert status == 1
     (channel,) = json.loads(told.out)["channels"]

@@ -100,8 +100,8 @@ def test_a_rig_is_checked_and_what_does_not_answer_is_said(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["recipe.toml"], "the recipe and the output folder are missing"),
-        (["recipe.toml", "-o", "run"], "Give either --rig RIG, or --simulate"),
+        (["recipe.toml"], "the recipe or the output folder is missing"),
+        (["recipe.toml", "-o", "run"], "name the rig with --rig RIG or use --simulate"),
         (["--resume", "run", "--simulate"], "--resume needs only the folder"),
         (["--resume", "run"], "is not the folder of a run"),
         (["recipe.toml", "--simulate", "-o", "run", "--sample-rate", "100 Hz"], "does not sample at 100 Hz"),

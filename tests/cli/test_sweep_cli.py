@@ -83,13 +83,16 @@ def test_the_picture_shows_every_curve(done, folder):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["sweep.toml"], "-o results.nc, or ask for --dry-run"),
+        (["sweep.toml"], "-o results.nc, or use --dry-run"),
         (["none.toml", "-o", "r.nc"], 'does not exist; nearest: "base.toml"'),
         (["base.toml", "-o", "r.nc"], 'expected "gradcal-sweep/1"'),
         (["sweep.toml", "-o", "nowhere/r.nc"], "there is no directory"),
         (["sweep.toml", "-o", "base.toml"], "exists and belongs to another sweep"),
         (["sweep.toml", "-o", "r.nc", "--workers", "0"], "from 1 to 1024"),
-        (["sweep.toml", "-o", "r.nc", "--workers", "2", "--scheduler", "tcp://x:1"], "--workers or --scheduler"),
+        (
+            ["sweep.toml", "-o", "r.nc", "--workers", "2", "--scheduler", "tcp://x:1"],
+            "--workers cannot be used with --scheduler",
+        ),
         (["sweep.toml", "-o", "r.nc", "--plot", "r.doc"], "must end in .png, .svg or .pdf"),
     ],
 )

@@ -34,7 +34,7 @@ def test_a_spec_is_written_anew_and_reads_the_same(old, capsys):
     out = capsys.readouterr().out
     assert "[sensor] -> [sensor], and [sensor.gyro]" in out
     assert "rig.earth_rate -> rig.site.latitude" in out
-    assert f"the comments of {old} are not in {new}" in out
+    assert f"the comments in {old} were not copied to {new}" in out
     assert old.read_text() == text
     tables = tomllib.loads(new.read_text())
     assert tables["sensor"]["gyro"]["axes"] == ["x"]
@@ -52,7 +52,7 @@ def test_without_an_output_the_file_is_replaced_and_kept(old, capsys):
     assert read_spec(old) == before
     upgraded = old.read_text()
     assert main(["check", "--upgrade", str(old)]) == 0
-    assert "is in today's form already" in capsys.readouterr().out
+    assert "has the current format already" in capsys.readouterr().out
     assert old.read_text() == upgraded
 
 

@@ -65,7 +65,7 @@ def test_an_option_has_the_users_default_unless_it_is_given(config, certified):
 def test_the_rig_is_the_users_if_none_is_given(config, tmp_path, capsys):
     config("")
     assert main(["rig", "check"]) == 2
-    assert "which rig?" in capsys.readouterr().err
+    assert "name the rig file" in capsys.readouterr().err
     path = config('rig = "bench.toml"\n')
     assert main(["rig", "check"]) == 2
     assert str(path.parent / "bench.toml") in capsys.readouterr().err
@@ -76,7 +76,7 @@ def test_the_rig_is_the_users_if_none_is_given(config, tmp_path, capsys):
     assert str(path.parent / "bench.toml") in capsys.readouterr().err
     # A rehearsal takes no rig.
     assert main(["run", "recipe.toml", "-o", "run", "--simulate", "--rig", "mine.toml"]) == 2
-    assert "on what?" in capsys.readouterr().err
+    assert "use --simulate (not both)" in capsys.readouterr().err
     assert main(["run", "recipe.toml", "-o", "run", "--simulate", "--json"]) == 0
 
 

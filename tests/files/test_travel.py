@@ -57,4 +57,4 @@ def test_optimise_reads_a_plan_that_does_not_fit(tmp_path, capsys):
     path.write_text(tables_to_toml(tables("one-axis-table", "170 deg")), encoding="utf-8")
     spec = _read(path)
     assert max(abs(s.move.angle) for s in spec.schedule.steps) == pytest.approx(340.0 * 0.017453292519943295)
-    assert "The search starts from a plan in which these moves fit" in capsys.readouterr().err
+    assert "The search starts from a plan in which these moves were changed to fit" in capsys.readouterr().err

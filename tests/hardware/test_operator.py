@@ -541,7 +541,7 @@ def test_somebody_at_the_terminal_of_gradcal_run(tmp_path: Path) -> None:
     with laboratory(tmp_path) as (lab, recipe, rig):
         plant = lab.axis_plants[0]
         with AtTerminal("run", recipe, "--rig", rig, "-o", folder) as terminal:
-            terminal.wait_for("Enter to begin, anything else to leave it: ")
+            terminal.wait_for("press Enter to begin; type anything else to end without a run: ")
             terminal.type("\n")
             terminal.wait_for(f"x: bring it to its zero mark; {ASKS}")
             terminal.type("o.02 deg\n")
@@ -558,7 +558,7 @@ def test_somebody_at_the_terminal_of_gradcal_run(tmp_path: Path) -> None:
             assert between.replace("\r", "").startswith("0.38 deg\n")
             # Who types nothing can still end the run: once asks for a pause after the step, again makes safe and ends.
             terminal.type("\x03")
-            terminal.wait_for("pausing after this step; Ctrl-C again makes everything safe and ends")
+            terminal.wait_for("pausing after this step; Ctrl-C again makes all devices safe and ends the run")
             terminal.wait_for("x: turn by -360 deg in 6 s, to 0 deg")
             terminal.type("\x03")
             assert terminal.ends() == 130
@@ -585,12 +585,12 @@ def test_a_pause_at_the_terminal_an_end_of_input_and_a_resumed_run(tmp_path: Pat
             terminal.type(typed)
 
         with AtTerminal("run", recipe, "--rig", rig, "-o", folder) as terminal:
-            terminal.wait_for("Enter to begin, anything else to leave it: ")
+            terminal.wait_for("press Enter to begin; type anything else to end without a run: ")
             terminal.type("\n")
             turn(terminal, "zero mark", 0.0, "0 deg\n")
             terminal.wait_for("running")
             terminal.type("\x03")
-            terminal.wait_for("press Enter to go on")
+            terminal.wait_for("press Enter to continue")
             terminal.type("\n")
             terminal.wait_for("turn by +360 deg")
             terminal.type("\x04")  # Ctrl-D: nobody is there any more

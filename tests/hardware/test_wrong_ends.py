@@ -194,7 +194,7 @@ def test_without_a_terminal_the_list_is_not_confirmed_by_itself(tmp_path: Path, 
                 str(tmp_path / "r"),
             ]
             assert main(words) == 2
-        assert "give --yes" in capsys.readouterr().err
+        assert "with --yes" in capsys.readouterr().err
         assert not (tmp_path / "r").exists()
 
 

@@ -389,14 +389,14 @@ def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
         f"the computer was so busy that its time stamps are accurate only to {unsure:.2g} s: this margin is left "
         "out in addition"
     )
-    times = f"{anew} time{'s' * (anew > 1)} in the run; samples that it would have sent are not counted"
+    times = f"{anew} time{'s' * (anew > 1)} during the run; the samples lost in a restart are not counted as missing"
     others = [
         (unsure > SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
         (anew, Finding("unit restarted", "split", anew, f"the IMU restarted {times}")),
         (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no valid datagram")),
-        (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice and count once")),
+        (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice; each counts once")),
     ]
-    findings = [Finding("gap", "split", gaps, f"{missing} samples are missing in {gaps} places")] if missing else []
+    findings = [Finding("gap", "split", gaps, f"{missing} samples are missing at {gaps} places")] if missing else []
     findings += _findings_of_rounds(parts)
     return (*findings, *(one for there, one in others if there))
 
@@ -409,11 +409,12 @@ def _findings_of_rounds(parts: Sequence[Part]) -> Iterator[Finding]:
             part, first_s, first = places[0]
             samples = part.round_samples
             message = (
-                f"{len(places)} of the gaps may be longer or shorter by one period of the counter ({samples} samples)"
+                f"{len(places)} of the gaps may be longer or shorter by one period of the sample counter ({samples} "
+                f"samples)"
                 if traced
                 else (
-                    f"in {len(places)} places {samples} samples or a multiple of this number may be missing; none "
-                    "are counted"
+                    f"at {len(places)} places, {samples} samples (or a multiple of this number) may be missing; "
+                    f"they are not counted as missing"
                 )
             )
             where = f"the first {abs(first_s):.1f} s {'before' if first_s < 0.0 else 'after'} data begin: {first.why}"

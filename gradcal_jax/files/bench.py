@@ -1,4 +1,5 @@
-"""`[rig]`: the table of one axis with its angle reference, or the site and table of a whole unit, and the chamber."""
+"""`[rig]` of a spec: site, table (axes, encoders, mountings, places), chamber, controllers' resolution, loops of
+simulated sensors."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -49,9 +50,9 @@ class Chamber(Section):
     range: tuple[q.Temperature, q.Temperature]
     """Coldest and hottest temperature of the chamber."""
     max_heating: q.PositiveTemperatureSlope
-    """Steepest slope upwards."""
+    """Steepest heating slope."""
     max_cooling: q.PositiveTemperatureSlope
-    """Steepest slope downwards, as a size."""
+    """Steepest cooling slope, as a positive number."""
     control: Literal["chamber", "none"] = "chamber"
     """"none": a fridge, a hair dryer, a bag of ice. The run follows the clock: it neither commands nor waits for
     temperatures, and needs no chamber in its rig file. The operator tries to follow the planned temperature, and the
@@ -317,13 +318,13 @@ class SimulatedLoop(Section):
     law: Literal["relays", "thermal masses"]
     """"relays": many Preisach relays; "thermal masses": two with a gradient between them."""
     gyro_bias: q.PositiveRate | None = None
-    """Size of the gyros' bias."""
+    """Size of the loop in the gyros' bias."""
     gyro_scale_factor: q.PositiveScaleFactor | None = None
-    """Size of the gyros' scale factor."""
+    """Size of the loop in the gyros' scale factor."""
     accelerometer_bias: q.PositiveSpecificForce | None = None
-    """Size of the accelerometers' bias."""
+    """Size of the loop in the accelerometers' bias."""
     accelerometer_scale_factor: q.PositiveScaleFactor | None = None
-    """Size of the accelerometers' scale factor."""
+    """Size of the loop in the accelerometers' scale factor."""
     width: q.PositiveTemperatureDifference = q.Quantity(10.0, "10 K", "temperature difference")
     """Typical half-width of the relays, which vary from 0.3 to 2 times this value."""
     time_constants: tuple[q.Time, q.Time] = (q.Quantity(60.0, "1 min", "time"), q.Quantity(600.0, "10 min", "time"))

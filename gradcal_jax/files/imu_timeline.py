@@ -35,7 +35,7 @@ class SiteRow(Section):
 
 class TableAxisRow(Section):
     """A table axis, outermost first. An encoder error at each standstill has the variance standstill_offset² +
-    reading_noise²/n, with n = 1 + the whole number of `read_every` in the standstill."""
+    reading_noise²/n, with n = 1 + the number of whole `read_every` intervals in the standstill."""
 
     name: str
     """Of the axis."""

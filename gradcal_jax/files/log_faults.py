@@ -46,7 +46,7 @@ _LONGEST_S: Final = 14 * 86400.0
 _NOISIEST: Final = np.radians(300.0) / 60.0
 """rad/√s, 300 deg/√h: a hundred times the angle random walk of the coarsest MEMS gyros on sale."""
 _DRIFT: Final = 50e-6
-"""Clock errors smaller than this are those of any crystal."""
+"""Any crystal may have clock errors up to this."""
 _OTHER_RATE: Final = 0.2
 """Share by which stamps differ from the stated rate beyond which that is no clock's error."""
 _BLOCKS: Final = 50

@@ -120,8 +120,9 @@ class MotionCycle(Section):
 
 
 class MotionPlan(ChamberCourse):
-    """The plan of a whole unit. With several mountings, each part of the programme with used data has the next
-    mounting; a single ramp is repeated for each, and the chamber returns in between."""
+    """The plan of an IMU. With several mountings, the parts of the programme whose data are used take the mountings in
+    turn. If the programme is a single ramp, it is repeated for each mounting; in between, the chamber returns to the
+    start of the ramp."""
 
     method: Literal["gradient"]
     """The method."""

@@ -48,7 +48,7 @@ class RampItem(Section):
     ramp_to: q.Temperature
     """Temperature at its end."""
     rate: q.PositiveTemperatureSlope
-    """Slope, as a size."""
+    """Slope, as a positive number."""
     used: q.Flag = True
     """Whether its readings are part of the data."""
 
@@ -135,7 +135,7 @@ class ChamberCourse(Section):
     temperature: Annotated[tuple[q.Temperature, ...], Field(min_length=1, max_length=2)] | None = None
     """[start, end] of the ramp; [start] with a list of gradients."""
     gradient: Slopes | None = None
-    """Slope of the ramp as a size, or a list of signed slopes, one for each cycle."""
+    """Slope of the ramp as a positive number, or a list of signed slopes, one for each cycle."""
     soak: Soak | None = None
     """Waiting at the start."""
     programme: Annotated[tuple[ProgrammeItem, ...], Field(min_length=1, max_length=10_000)] | None = None
@@ -160,7 +160,9 @@ class ChamberCourse(Section):
             return
         if isinstance(self.gradient, tuple):
             if not with_cycle:
-                yield Problem(("gradient",), "a list has one slope for each cycle, and is not possible here")
+                yield Problem(
+                    ("gradient",), "a list gives one slope for each cycle, and this plan has no cycle: give one slope"
+                )
             if len(self.temperature) == 2:
                 message = "with a list of gradients, these determine the end of the ramp; give the start alone"
                 yield Problem(("temperature",), message, [t.text for t in self.temperature])

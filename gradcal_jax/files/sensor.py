@@ -49,7 +49,7 @@ def shape_problems(shapes: Sequence[BiasShape], size: int, prior: Quantity | Non
         yield Problem(("shape",), 'is a prior, like "prior"; leave one of them out')
     for k, shape in enumerate(shapes):
         if len(shape.coefficients) != size:
-            message = f"expected {size}, as many as the bases have functions"
+            message = f"expected {size} coefficients, as many as the map has"
             yield Problem(("shape", k, "coefficients"), message, len(shape.coefficients))
             return
     import numpy as np
@@ -442,7 +442,8 @@ class LeverArm(Section):
 
 
 class GyroTriad(_Gyro, path_terms.TemperaturePath):
-    """`[sensor.gyro]`: common properties of the gyros. The term of an absent table is known, not estimated."""
+    """`[sensor.gyro]`: common properties of the gyros. An error term whose key is absent here is taken as known, and is
+    not estimated."""
 
     axes: BodyAxes = ("x", "y", "z")
     """Which gyros the unit has."""

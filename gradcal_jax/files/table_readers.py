@@ -38,14 +38,15 @@ _NANS: Final = ["", "nan", "NaN", "NAN", "-nan"]
 _TRUTHS: Final = ("rue", "alse", "RUE", "ALSE")
 """Parts of words that pandas takes for numbers."""
 _MANY_UNREAD, _SHARE_UNREAD = 20, 0.02
-"""Values in no notation of numbers beyond which a column is not one of numbers with a few torn ones."""
+"""A column with more values (number, share) than this that cannot be read as numbers is not a numeric column with a few
+damaged values."""
 _TEXT: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
 _APART: Final = {";": ";", "\t": "tab", ",": ",", "|": "|", " ": "whitespace"}
 _COMMA: Final = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 _HEXADECIMAL: Final = re.compile(r"0[xX][0-9a-fA-F]+")
 _MINUS: Final = "\u2212"
 _LEADER: Final = "\u2024"
-"""What stands for a point where the decimal sign is a comma: no number has one."""
+"""Replaces the points of a column with decimal commas: no number contains this character."""
 _COMMAS: Final = str.maketrans({",": ".", ".": _LEADER})
 _POINT: Final = re.compile(rf"[+-]?[\d.{_LEADER}]+{_LEADER}\d[\d.{_LEADER}]*([eE][+-]?\d+)?")
 _CERTAIN: Final = (_COMMA, _HEXADECIMAL, _POINT)

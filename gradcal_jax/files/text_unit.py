@@ -112,5 +112,7 @@ class TextSensor(Section):
 def text_unit_of(value: object) -> TextSensor:
     """The description in a rig file. Raises `ValueError`, or (as `SpecError`) everything that is wrong with it."""
     if not isinstance(value, Mapping):
-        raise ValueError(f'expected the tables of a description: format = "{FORMAT}", line = "…", rate = "…"')
+        raise ValueError(
+            f'expected a table that describes the device, with the keys format = "{FORMAT}", line = "…", rate = "…"'
+        )
     return model_of(TextSensor, cast("Mapping[str, Any]", value), FORMAT, "")

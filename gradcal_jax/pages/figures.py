@@ -80,7 +80,10 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[str, float]) -> list
         maps = [fact for fact in own if fact.maps and len(fact.maps[0][1].rate_dps) > 1]
         curves = [fact for fact in own if fact.maps and fact not in maps]
         for fact in heading:
-            words = f"{name}: heading error over time, one standard deviation; own noise stays."
+            words = (
+                f"{name}: heading error after the calibration over time, one standard deviation. The IMU's own "
+                f"noise cannot be removed by a calibration."
+            )
             draw = lambda ax, f=fact: plots.draw_heading(f.curves, ax=ax)  # noqa: E731
             groups.append([picture(f"{key}-curves", words, draw, _HIGH)])
         for fact in maps:

@@ -294,7 +294,9 @@ class Log:
         if not (np.isfinite(self.time_s).all() and np.all(np.diff(self.time_s) > 0)):
             raise LogError("the times of a log must increase from row to row")
         if self.rate_rad_per_s.shape != shape or 0 in (*shape[:2], shape[2] + len(self.force_axes)):
-            raise LogError(f"the rates have the shape {self.rate_rad_per_s.shape}, where [unit, time, axis] is {shape}")
+            raise LogError(
+                f"the rates have the shape {self.rate_rad_per_s.shape}; expected [unit, time, axis] = {shape}"
+            )
         for name, variable in VARIABLES.items():
             array: NDArray[Any] | None = getattr(self, variable.field)
             if name not in NEEDED and array is not None:
@@ -308,12 +310,13 @@ class Log:
                 raise LogError(f"two of the log's {name} labels are the same: {', '.join(of)}")
         starts = self.stretch_starts
         if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= rows:
-            raise LogError("the stretches of a log must begin at increasing rows, the first at row 0")
+            raise LogError("stretch_starts must increase, and the first stretch of a log must begin at row 0")
         if self.rows_read < 0:
             object.__setattr__(self, "rows_read", rows + sum(self.rows_removed.values()))
         if self.rows_read != rows + sum(self.rows_removed.values()):
             raise LogError(
-                f"of {self.rows_read} rows read, {rows} were kept and {sum(self.rows_removed.values())} removed"
+                f"{self.rows_read} rows were read, but {rows} kept and {sum(self.rows_removed.values())} removed "
+                "rows do not add up to this number"
             )
 
     @property

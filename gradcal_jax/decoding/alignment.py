@@ -109,7 +109,9 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
         if name in rates_dps and len(track.time_s) > 2 and float(np.ptp(track.angle_deg)) > 1.0
     ]
     if not pairs:
-        raise NoAlignment("the run turned none of the recording's axes, so their times cannot be aligned")
+        raise NoAlignment(
+            "the run did not turn any axis of the recording, so the recording cannot be aligned with the run"
+        )
     middle_s = float(0.5 * (time_s[0] + time_s[-1]))
     places = [_refined(pairs, middle_s, lag_s + middle_s, outside) for lag_s, outside in _places(pairs)]
     if not places:
@@ -121,7 +123,8 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
     best = places[0]
     if best.scale < 0.0:
         raise NoAlignment(
-            "the rates in the recording have the opposite sign of the table's motion: change the sign of its axis"
+            "the rates in the recording have the opposite sign of the table's motion: change the sign of this axis "
+            "in the column map"
         )
     if best.misfit > _MISFIT or not 0.8 < best.scale < 1.25:
         raise NoAlignment(
@@ -134,7 +137,7 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
         apart_s = abs(others[0].offset_s - best.offset_s)
         raise NoAlignment(
             f"the recording agrees with the run at two times that are {apart_s:.1f} s apart (or more): it must "
-            "contain the first or the last turn of the run, or turns that differ"
+            "contain the first or the last turn of the run, or turns that differ from each other"
         )
     alignment = _exactly(pairs, middle_s, best)
     if not alignment.offset_std_s < _MOST_UNSURE_S:

@@ -204,7 +204,7 @@ def _lost_rounds(arrivals: Spool, round_s: float) -> tuple[dict[int, int], tuple
                         doubts.append(Doubt(before_row + 1, rounds - before, False, why))
                         reported.append((host_s + WINDOW_S, rounds - before))
             elif traces:
-                why = "there are no earlier time stamps to compare with"
+                why = "there are no time stamps before this place to compare with"
                 doubts.append(Doubt(int(trace[number]), 0, True, why))
             late_s = float(window.late_s[number]) - shift_s
             while quickest and quickest[-1][1] >= late_s:
@@ -220,9 +220,9 @@ def _doubtful(window: _Window, number: int, behind_s: float, step: float, round_
     if abs(step - rounds) > _SURE:
         return f"the earliest time stamps after it are later by {step:.2f} counter periods than those before"
     if not _agree(window, number, behind_s + rounds * round_s, round_s):
-        return f"fewer than {_FEWEST_ARRIVALS} early time stamps after it agree"
+        return f"after this place, fewer than {_FEWEST_ARRIVALS} of the earliest time stamps agree"
     if rounds and traces > 1:
-        return f"of {traces} losses that were read together, the last is taken to be the long one"
+        return f"{traces} losses were read together, and the last one is assumed to be the long one"
     return ""
 
 

@@ -119,7 +119,7 @@ def _of_unit(
         aside += left
     if not parts:
         raise HardwareError(
-            "The journal has no samples of a stretch with data: the run ended before its first stretch began."
+            "The journal has no samples that count as data: the run ended before the first part with used data began."
         )
     provenance = _provenance(parts, sessions, recipe, (device.name, device.driver))
     events = (event for session in sessions for event in session.events)
@@ -170,14 +170,15 @@ def _of_recording(
             part = part_with_table(session, samples, first, len(samples), clock, axes, every_s)
             parts += [] if part is None else [part]
     if not parts:
-        raise HardwareError("The recording has no samples of a stretch of the run with data.")
+        raise HardwareError("The recording has no samples from any part of the run with used data.")
     who = recorded.units[number]
     provenance = _provenance(parts, sessions, recipe, (who, "recorded elsewhere"))
     provenance["clock_offset_std_s"] = ", ".join(f"{one.offset_std_s:.1e}" for one in alignments)
     log = _joined(parts, labels, who, provenance, 0, tuple(rates))
     message = "; ".join(
-        f"the recording's clock is determined by {one.readings} readings of {one.bursts} turns to "
-        f"{one.offset_std_s:.2g} s and {1e6 * one.rate_std:.2g} ppm (1σ), without delays of the table's readings"
+        f"the recording's clock was determined from {one.readings} readings of {one.bursts} turns, to "
+        f"{one.offset_std_s:.2g} s and {1e6 * one.rate_std:.2g} ppm (1σ; delays of the table's readings are not "
+        "included)"
         for one in alignments
     )
     findings = (*log.fields["findings"], Finding("clock found by the motion", "keep", 0, message))

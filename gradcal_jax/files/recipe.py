@@ -98,7 +98,7 @@ class Recipe(TitledFile):
     status: Text
     """How the plan was made, in a sentence ("not optimised", "converged: …")."""
     notes: tuple[Text, ...] = ()
-    """Differences between the plan and what the controllers execute, in sentences."""
+    """Notes on the plan, in sentences; some state differences between the plan and what the controllers execute."""
     rounded: tuple[Text, ...] = ()
     """Changes that rounding made to the plan, one sentence each."""
     made: RecipeOrigin

@@ -59,10 +59,14 @@ def refuse_restart(time: Floats, before: Floats, unordered: Bools, rows_before: 
             step, row = float(before[start] - time[start]), start + rows_before
             turns = [words for words, turn in _COUNTERS.items() if abs(step + usual - turn) < 0.01 * turn]
             raise LogError(
-                f"the clock steps back at row {row}, by {step:.6g} s, and continues from there: "
-                + (f"a counter of {turns[0]} that wrapped? " if turns else "did it restart, or wrap? ")
-                + f'Read the parts separately, --rows "0..{row}" and --rows "{row}..", or correct the time stamps'
-                + ("" if turns else "; or do rows of another sensor follow? Then select those of one sensor with where")
+                f"the clock steps back at row {row}, by {step:.6g} s, and continues from the earlier time: "
+                + (f"did a counter of {turns[0]} wrap? " if turns else "did the clock restart, or a counter wrap? ")
+                + f'Read the parts separately, with --rows "0..{row}" and --rows "{row}..", or correct the time stamps'
+                + (
+                    ""
+                    if turns
+                    else "; or do rows of another sensor follow? If so, select the rows of one sensor with where"
+                )
             )
 
 
@@ -74,9 +78,9 @@ def refuse_intervals(time: Floats) -> None:
     low, high = np.quantile(time, [0.05, 0.95])
     if np.mean(steps <= 0.0) > _NOT_FORWARD and high - low <= _SPANNED * np.mean(np.abs(steps)):
         raise LogError(
-            "the time stamps do not increase from row to row: is time a column of intervals between rows, of two "
-            "alternating clocks, or of a counter that wraps every few rows, or does it have too few digits? "
-            "Leave time out and give sample_rate"
+            "the time stamps do not increase from row to row: does the column hold intervals between rows, two "
+            "alternating clocks, a counter that wraps every few rows, or times with too few digits? Leave out time "
+            "and give sample_rate"
         )
 
 

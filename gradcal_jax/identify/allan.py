@@ -136,7 +136,7 @@ class AllanFit:
 def averaging_times(samples: int, sample_interval_s: float, *, per_decade: int = 10) -> Times:
     """Whole multiples of the sample interval, evenly spread on a logarithmic scale, up to a third of the record, s."""
     if samples < 3:
-        raise ValueError(f"an Allan deviation needs at least 3 samples, not {samples}")
+        raise ValueError(f"an Allan deviation needs at least 3 samples, and there are {samples}")
     longest = samples // 3
     count = max(2, round(per_decade * np.log10(longest)) + 1) if longest > 1 else 1
     return np.unique(np.rint(np.geomspace(1, longest, count))) * sample_interval_s
@@ -159,7 +159,9 @@ def overlapping_allan(
     """
     usable = np.ones(len(rate), bool) if valid is None else valid
     if usable.shape != rate.shape:
-        raise ValueError(f"the mask of usable samples has the shape {usable.shape}, the rates {rate.shape}")
+        raise ValueError(
+            f"the mask of usable samples has the shape {usable.shape}, and the rates have the shape {rate.shape}"
+        )
     edges = formulas.runs(usable)
     lengths = tuple((edges[:, 1] - edges[:, 0]).tolist())
     longest = max(lengths, default=0)
@@ -198,9 +200,11 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
     """
     unknown = [term for term in terms if term not in TERMS]
     if unknown or not terms:
-        raise ValueError(f"terms are taken from {', '.join(TERMS)}; not {', '.join(unknown) or 'none at all'}")
+        raise ValueError(
+            f"expected one or more of the terms {', '.join(TERMS)}, not {', '.join(unknown) or 'none at all'}"
+        )
     if not 0 < confidence < 1:
-        raise ValueError(f"a confidence lies between 0 and 1, not {confidence}")
+        raise ValueError(f"a confidence must lie between 0 and 1, and this one is {confidence}")
     chosen = np.array([term in terms for term in TERMS])
     tau, variance, interval = allan.averaging_time_s, allan.deviation**2, allan.sample_interval_s
     if len(tau) < chosen.sum():
@@ -223,8 +227,8 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
         chosen[0] = False  # the low-pass's own term has the form of quantisation's
         if len(rows) < chosen.sum() + 1:
             raise ValueError(
-                f"a low-pass averages samples over about {end / 2 * interval:.3g} s, and the record has too few "
-                f"longer averaging times for {chosen.sum()} coefficients"
+                f"a low-pass filter averages the samples over about {end / 2 * interval:.3g} s, and the record has "
+                f"too few longer averaging times to determine {chosen.sum()} coefficients"
             )
     fit = whole = _least_squares(steps[rows], variance[rows], runs, interval, chosen, low_passed)
     farthest = float(tau[rows[whole.farthest]])
@@ -461,7 +465,7 @@ def _sum_of_squares(angle: Float[np.ndarray, " instants"], m: int) -> float:
 
 def _whole_samples(times_s: Times, sample_interval_s: float) -> Int[np.ndarray, " distinct"]:
     if not 0 < sample_interval_s < np.inf:
-        raise ValueError(f"the sample interval must be positive, not {sample_interval_s} s")
+        raise ValueError(f"the sample interval must be positive, and this one is {sample_interval_s} s")
     if len(times_s) == 0 or not (np.all(times_s > 0) and np.all(np.isfinite(times_s))):
-        raise ValueError("averaging times must be positive, and at least one is needed")
+        raise ValueError("at least one averaging time is needed, and all must be positive")
     return np.unique(np.maximum(np.rint(times_s / sample_interval_s), 1)).astype(np.int64)

@@ -132,7 +132,7 @@ def largest_of_random_walk(
     Zero where every level has a lower probability.
     """
     if not 0 < exceeded_with_probability < 1:
-        raise ValueError(f"a probability lies between 0 and 1, not {exceeded_with_probability}")
+        raise ValueError(f"a probability must lie between 0 and 1, and this one is {exceeded_with_probability}")
     t, delta = integration_time_s, averaging_time_s
     crossings = (1 / t**2 + 1 / delta**2 + 1 / (t * delta)) / (1 / t + 1 / delta) * start_count * sample_interval_s
     log_expected = float(np.log(-np.log1p(-exceeded_with_probability)))
@@ -173,12 +173,12 @@ def fit_direct_bound(
     """
     t, delta = observed.integration_time_s, observed.averaging_time_s
     if not 0 < margin < np.inf:
-        raise ValueError(f"the margin k must be positive, not {margin}")
+        raise ValueError(f"the margin k must be positive, and this one is {margin}")
     if not 0 <= angle_random_walk < np.inf:
-        raise ValueError(f"the angle random walk must be zero or more, not {angle_random_walk}")
+        raise ValueError(f"the angle random walk must be zero or more, and this one is {angle_random_walk}")
     largest = observed.largest_drift
     if largest.min() <= 0:
-        raise ValueError("the rate does not change: without visible drift there is nothing to bound")
+        raise ValueError("the rate is constant, so there is no drift to bound")
     tau = np.geomspace(t[0] / 3, 10 * t[-1], 201)
     starts, interval = observed.start_count, observed.sample_interval_s
     # Divided among the times: maxima at times a factor √e apart are nearly independent.
@@ -216,11 +216,11 @@ def fit_direct_bound(
             chosen_tau = float(np.exp(optimum.x))
     else:
         messages.append(
-            "the record does not determine the correlation time: the drift outlasts the longest integration; only its "
-            "slope, σ²/τ, is bounded"
+            "the record does not determine the correlation time, because it is longer than the longest integration "
+            "time; only σ²/τ of the drift is bounded"
             if best > 0
-            else "the record does not determine the correlation time: the drift ends within the shortest integration, "
-            "and only its density, σ²τ, is bounded"
+            else "the record does not determine the correlation time, because it is shorter than the shortest "
+            "integration time; only σ²τ of the drift is bounded"
         )
     chosen_std = float(boundary(np.array([chosen_tau]))[0][0])
     drift_part = chosen_std**2 * np.asarray(drift_shape_of_mean(t, delta, chosen_tau))
@@ -311,17 +311,20 @@ def _no_drift_shows(
     delta: float, mean_error: str, hidden: float, hidden_words: str, tau: float, advised: float | None
 ) -> str:
     sentence = (
-        f"averaged over {delta:g} s, the drift is not visible above the angle random walk, which alone gives the "
-        f"mean an uncertainty of N/√Δ = {mean_error}"
+        f"averaged over {delta:g} s, the drift is not visible above the angle random walk, which alone gives this "
+        f"average an uncertainty of N/√Δ = {mean_error}"
     )
     if not np.isfinite(hidden):
         return sentence + "; the record is too short to state how large a hidden drift could be"
     if hidden == 0:
-        return sentence + "; the random walk explains all of it (or was assumed too large)"
+        return sentence + "; the angle random walk explains the whole record (or was assumed too large)"
     sentence += f"; a drift of up to {hidden_words} with a correlation time of {tau:.3g} s could be present"
     if advised is None:
-        return sentence + "; no averaging time would make it visible with these integration times: integrate for longer"
-    return sentence + f"; averaging over {advised:.3g} s or more would make it visible"
+        return (
+            sentence
+            + "; with these integration times, no averaging time would make such a drift visible: use longer integration times"
+        )
+    return sentence + f"; averaging over {advised:.3g} s or more would make such a drift visible"
 
 
 @jax.jit

@@ -84,7 +84,7 @@ def restricted_likelihood(values: Floats, covariances: Floats) -> Spread:
     """
     count, size = values.shape
     if count < 2:
-        raise ValueError(f"a spread needs two or more calibrations, not {count}")
+        raise ValueError(f"a spread needs two or more calibrations, and there are {count}")
     unit = np.sqrt(np.mean((values - values.mean(axis=0)) ** 2 + np.einsum("ijj->ij", covariances)) + 1e-300)
     x, own = values / unit, covariances / unit**2
 

@@ -63,9 +63,11 @@ def slow_noise(
     """
     bins, p = columns.shape
     if bins < 2 * p + 8:
-        raise ValueError(f"{bins} stretches at rest cannot separate noise from {p} functions of temperature")
+        raise ValueError(
+            f"{bins} bins of data at rest are too few to separate the noise from {p} functions of temperature"
+        )
     if not 0 < angle_random_walk < np.inf:
-        raise ValueError(f"an angle random walk above zero is needed, not {angle_random_walk}")
+        raise ValueError(f"the angle random walk must be above zero, and this one is {angle_random_walk}")
     length = float(np.ptp(centre_s)) + width_s
     times = np.geomspace(width_s, _LONGEST_SHARE * length, _FLICKER)
     share = float(np.log(times[-1] / times[0])) / (_FLICKER - 1) / np.pi

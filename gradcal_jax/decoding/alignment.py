@@ -130,7 +130,7 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
         raise NoAlignment(
             "the recording does not agree with the motion of the table: at the best alignment "
             f"{100.0 * best.misfit:.0f} % of the motion is missing, and the sensor measures "
-            f"{1.0 / best.scale:.2f} of the turns; the recording is from another run or another axis"
+            f"{1.0 / best.scale:.2f} times the turns of the table; the recording is from another run or another axis"
         )
     others = [place for place in places[1:] if abs(place.offset_s - best.offset_s) > _APART_S]
     if others and others[0].misfit < max(_AS_GOOD * best.misfit, 0.5 * _MISFIT):

@@ -411,11 +411,11 @@ def _findings_of_rounds(parts: Sequence[Part]) -> Iterator[Finding]:
             samples = part.round_samples
             message = (
                 f"{len(places)} of the gaps may be longer or shorter by one period of the sample counter ({samples} "
-                f"samples)"
+                "samples)"
                 if traced
                 else (
                     f"at {len(places)} places, {samples} samples (or a multiple of this number) may be missing; "
-                    f"they are not counted as missing"
+                    "they are not counted as missing"
                 )
             )
             where = f"the first {abs(first_s):.1f} s {'before' if first_s < 0.0 else 'after'} data begin: {first.why}"

@@ -441,7 +441,7 @@ def make_coordinates(
         )
     used = cycles * groups * (frame.own_time + frame.other_time) - frame.other_time
     if used > frame.motion_time * (1.0 + 1e-9):
-        raise ValueError(f"the cycles take {used:.6g} s, but the ramp only {frame.motion_time:.6g} s")
+        raise ValueError(f"the cycles take {used:.6g} s, but the ramp lasts only {frame.motion_time:.6g} s")
     if nominal is None:
         share = [float(frame.own_time) / sum(o.group == e.group for o in elements) for e in elements]
         zeros = np.zeros(len(elements))

@@ -340,11 +340,10 @@ def polish(
     if not held:
         sentence = f"not converged: {missed_limit(excess, names)}: perhaps no plan of this kind can meet this limit"
     elif converged:
-        sentence = f"converged: the largest component of the objective's gradient is {norm:.1e} of the objective"
+        sentence = f"converged: the largest gradient component is {norm:.1e} of the objective"
     else:
         sentence = (
-            f"not converged: the largest component of the objective's gradient is still {norm:.1e} of the "
-            "objective; take more steps"
+            f"not converged: the largest gradient component is still {norm:.1e} of the objective: take more steps"
         )
     return Optimum(np.asarray(point), value, norm, converged, sentence, held)
 

@@ -232,7 +232,7 @@ def attitude_sentences(spec: Spec) -> list[str]:
     return [
         f"{words}: the result holds for the attitudes of the calibration. In another attitude, g-sensitivity "
         f"changes a gyro's bias by ±{size} for each g in this class, which is not counted: add "
-        f"[sensor.gyro.g_sensitivity] to estimate it"
+        "[sensor.gyro.g_sensitivity] to estimate it"
     ]
 
 

@@ -88,7 +88,7 @@ def without_a_map(path: Path) -> LogError:
     """The error for a recording without a column map: what to do, with a guess from its header if possible."""
     problem = (
         f"{path} is not a log of this program (.nc): describe its columns in a column map, and give the map with "
-        f"--columns"
+        "--columns"
     )
     example = "gradcal new column-map -o columns.toml writes one to start from"
     try:
@@ -161,7 +161,7 @@ def contradiction(column: str, unit: str) -> str | None:
             return None
     return (
         f"the name of column '{column}' states the unit {text}, and the column map states {unit}: which of the two "
-        f"is correct?"
+        "is correct?"
     )
 
 
@@ -173,7 +173,7 @@ def question_of(name: str, source: Measured) -> str | None:
         if own and quantity != own and pattern.fullmatch(plain):
             return (
                 f"the name of column '{name}' states {quantity}, and the column map states {own}: which of the two "
-                f"is correct?"
+                "is correct?"
             )
     bracket = _BRACKET.search(name)
     if source.scale != 1.0:
@@ -181,7 +181,7 @@ def question_of(name: str, source: Measured) -> str | None:
     if bracket and _COUNTS.fullmatch(bracket[1].strip()):
         return (
             f"the name of column '{name}' states counts, and the column map states {source.unit}: give the scale of "
-            f"one count"
+            "one count"
         )
     return contradiction(name, source.unit)
 

@@ -148,7 +148,7 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
         return (
             f"{where}: {100.0 * counts[most] / len(known):.2g} % of its rows at rest have the same value "
             f"({distinct[most]:.4g}, SI), and no other value is as frequent: a dead band? It makes the measured "
-            f"noise too small"
+            "noise too small"
         )
     # (The resolution may change in the course of a record.)
     for part in (known, *np.array_split(known, _PARTS)):

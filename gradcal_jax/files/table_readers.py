@@ -56,7 +56,9 @@ _WAYS: Final = {
     _POINT: 'a decimal point, although decimal = "," states a decimal comma: is the point a thousands separator? Write '
     "the numbers without it",
     _HEXADECIMAL: "hexadecimal counts; write them as decimal numbers",
-    re.compile(r"(?=.*[A-Fa-f])[0-9A-Fa-f]{2,16}"): "what look like hexadecimal counts; write them as decimal numbers",
+    re.compile(
+        r"(?=.*[A-Fa-f])[0-9A-Fa-f]{2,16}"
+    ): "values that look like hexadecimal counts; write them as decimal numbers",
     re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}.*|\d{1,2}:\d\d(:\d\d.*)?"): (
         "dates or times of day; write time stamps in seconds, or leave out time and give sample_rate"
     ),

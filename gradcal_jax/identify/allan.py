@@ -210,7 +210,8 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
     if len(tau) < chosen.sum():
         longest = max(allan.stretch_lengths, default=0) * interval
         raise ValueError(
-            f"unbroken stretches of at most {longest:.4g} s have {len(tau)} averaging times, which do not determine "
+            f"the longest unbroken part of the record has only {longest:.4g} s have {len(tau)} averaging times, too "
+            "few to determine "
             f"{chosen.sum()} coefficients"
         )
     if not np.all(variance > 0):

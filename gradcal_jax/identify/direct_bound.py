@@ -321,8 +321,8 @@ def _no_drift_shows(
     sentence += f"; a drift of up to {hidden_words} with a correlation time of {tau:.3g} s could be present"
     if advised is None:
         return (
-            sentence
-            + "; with these integration times, no averaging time would make such a drift visible: use longer integration times"
+            f"{sentence}; with these integration times, no averaging time would make such a drift visible: use longer "
+            "integration times"
         )
     return sentence + f"; averaging over {advised:.3g} s or more would make such a drift visible"
 

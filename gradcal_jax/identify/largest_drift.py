@@ -118,7 +118,11 @@ def largest_drift(
             f"{before * sample_interval_s:g} s is longer than every unbroken part of the record, of which the "
             "longest has "
             f"{longest * sample_interval_s:g} s: "
-            + (f"integrate for at most {room:g} s" if room > 0 else "use a shorter averaging time, or a longer record")
+            + (
+                f"choose integration times of at most {room:g} s"
+                if room > 0
+                else "use a shorter averaging time, or a longer record"
+            )
         )
     return LargestDrift(
         lengths * sample_interval_s, before * sample_interval_s, drift, start_index, start_count, sample_interval_s

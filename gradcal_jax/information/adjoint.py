@@ -1,23 +1,22 @@
-"""The product of whitened rows, `G = ΦᵀV⁻¹Φ`, and its triangular factor, with a derivative that needs no second run of
-the filter.
+"""The product of whitened rows `G = ΦᵀV⁻¹Φ`, its factor, with a derivative that needs no second run of the filter.
 
 With `U = V⁻¹Φ` the derivative is
 
-dG = dΦᵀU + UᵀdΦ − UᵀdV U,
+    dG = dΦᵀU + UᵀdΦ − UᵀdV U,
 
 and for a linear state-space V the last term is a sum over the readings that is *linear* in the model's tangents. Let
 u_k be row k of U, ρ_k the adjoint of the state before reading k, and ẑ_k the smoothed state there (de Jong's smoother;
 Durbin and Koopman, Time Series Analysis by State Space Methods, 4.4–4.5):
 
-ρ_k = Aᵀρ_{k+1} + Hᵀrow_k/√S, u_k = row_k/√S − gᵀρ_{k+1}, ẑ_k = x_k + P_k ρ_k,
+    ρ_k = Aᵀρ_{k+1} + Hᵀrow_k/√S,   u_k = row_k/√S − gᵀρ_{k+1},   ẑ_k = x_k + P_k ρ_k,
 
-UᵀdV U = ρ₀ᵀ dP₀ ρ₀ + Σ_k [ u_kᵀ dR u_k + ρ_{k+1}ᵀ dQ ρ_{k+1} + (u_kᵀ dH ẑ_k + ρ_{k+1}ᵀ dF ẑ_k) + (the same, transposed)
-].
+    UᵀdV U = ρ₀ᵀ dP₀ ρ₀ + Σ_k [ u_kᵀ dR u_k + ρ_{k+1}ᵀ dQ ρ_{k+1}
+                                + (u_kᵀ dH ẑ_k + ρ_{k+1}ᵀ dF ẑ_k) + (the same, transposed) ].
 
 So a value and its gradient cost the filter, one backward linear recurrence with the same A in the same blocks, and a
 few products; neither the filter's covariances nor its blocks are differentiated. The rule is linear in the tangents and
-serves both modes; its transpose is dense products, or the machine code of `information.native` where it is
-available."""
+serves both modes; its transpose is dense products, or the machine code of `information.native` where it is available.
+"""
 
 from collections.abc import Callable, Sequence
 from functools import partial

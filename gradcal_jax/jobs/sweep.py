@@ -154,7 +154,7 @@ def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, p
     if output.exists():
         raise ValueError(f"{output} exists and belongs to another sweep; choose another output, or delete it")
     if not output.parent.is_dir():
-        raise ValueError(f"there is no directory {output.parent}; make it first")
+        raise ValueError(f"the directory {output.parent} does not exist; make it first")
     points = Points(job)
     with borrowed(runner) as workers:
         chunks = chunks_of(len(points), CHUNK[job.file.do])

@@ -76,7 +76,7 @@ class CalibratedTerm(Section):
                     place = " and ".join(map(str, functions_of_name))
                     message = (
                         f"is not the coefficient expected at this position, which multiplies function {place} of "
-                        f"temperature (and rate)"
+                        "temperature (and rate)"
                     )
                     yield Problem(("coefficients", name), message)
                     break

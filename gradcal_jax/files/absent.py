@@ -215,9 +215,7 @@ def branch_sentences(spec: Spec) -> list[str]:
         widest = max(widest, width)
     if sentences and _goes_one_way(spec):
         returns = f"reverse the temperature by {2.0 * widest:g} K or more{minutes_of_change(spec, 2.0 * widest)}"
-        sentences.append(
-            f"the plan's temperature changes in one direction only, so it cannot observe a hysteresis: {returns}"
-        )
+        sentences.append(f"one-way ramp, so the plan cannot observe a hysteresis: {returns}")
     return sentences
 
 

@@ -108,7 +108,7 @@ class RegisterProtocol(Section):
                 yield Problem(("limits", name), message, kind="missing")
         for tells, state in ((("on", "off"), "conditioning"), (("end_program",), "program"), (("no_ramp",), "ramps")):
             if any(name in self.tell for name in tells) and state not in self.state:
-                message = f"this key is missing: without this state, no register shows the effect of tell.{tells[0]}"
+                message = f"this key is missing: without this state, no reply shows the effect of tell.{tells[0]}"
                 yield Problem(("state", state), message, kind="missing")
         if ("on" in self.tell) is not ("off" in self.tell):
             yield Problem(("tell",), "expected both commands, on and off, or neither")

@@ -42,7 +42,7 @@ _LOG = logging.getLogger(__name__)
 FORMAT: Final = "gradcal-columns/1"
 _MEND: Final = '(correct the map, or set [policy] wrong_units = "keep")'
 _MANY: Final = 200
-"""Rows of which it is no chance that all rates are whole numbers."""
+"""If more rows than this have only whole numbers as rates, this is not by chance."""
 
 
 class StatusColumn(Source):

@@ -32,10 +32,10 @@ from gradcal_jax.files.problems import instead
 
 FORMAT: Final = "gradcal-log/1"
 SERIAL_NUMBER: Final = "serial_number"
-"""Key, in the provenance of a log and of its calibration, of the number that the device itself stated."""
+"""Key, in the provenance of a log and of its calibration, of the serial number that the device itself stated."""
 SENSOR_RATE: Final = "sensor_rate"
-"""Key, in the provenance of a log, of the rate ("400 Hz") of the sensor's samples of which rows are single ones;
-"means" where rows are their means, "unknown" where those of a raw channel are far apart and the source is silent."""
+"""Key, in the provenance of a log, of the sensor's own sample rate ("400 Hz") if rows are single samples; "means" if
+rows are means of samples; "unknown" if the rows of a raw channel are far apart and the source does not say which."""
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Flags = NDArray[np.uint16]
@@ -196,11 +196,11 @@ class Finding:
     kind: str
     """``gap``, ``duplicate stamp``, ``unordered stamp``, ``unreadable row``, ``missing rate``, ``saturated``, …"""
     done: str
-    """``mask``, ``split`` or ``keep``; ``refuse`` raises instead."""
+    """``mask``, ``split`` or ``keep``; with ``refuse``, an error is raised instead."""
     count: int
-    """Rows concerned; for gaps, how many gaps; 0 for faults of the record as a whole."""
+    """Number of rows concerned; for gaps, the number of gaps; 0 for faults of the record as a whole."""
     message: str
-    """A sentence."""
+    """The fault in a sentence."""
 
 
 @dataclass(frozen=True)

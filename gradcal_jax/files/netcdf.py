@@ -1,4 +1,4 @@
-"""Writing netCDF (HDF5) files, and reading them, with a sentence where they cannot be read."""
+"""Writes and reads netCDF (HDF5) files, with an error message in words if a file cannot be read."""
 
 import warnings
 from collections.abc import Iterable, Mapping

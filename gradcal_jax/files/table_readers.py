@@ -29,14 +29,14 @@ _WHICH: Final = re.compile(
     r"(?:id|name|index|no|nr|num|number|type|kind|sensor|imu|device|unit|node|topic|source|instance|axis|signal|quantity|variable)",
     re.IGNORECASE,
 )
-"""A column that may tell several sensors apart."""
+"""Names of columns whose values may identify one of several sensors."""
 _MISSING: Final = re.compile(
     r"[+-]?(nan|inf(inity)?|1\.?#[a-z]+)?(\([a-z0-9]*\))?|n/?a|#[a-z/0]+[!?]?|null|none|missing|-+|\?+", re.IGNORECASE
 )
 """Words for a missing value."""
 _NANS: Final = ["", "nan", "NaN", "NAN", "-nan"]
 _TRUTHS: Final = ("rue", "alse", "RUE", "ALSE")
-"""Parts of words that pandas takes for numbers."""
+"""Parts of words that pandas reads as numbers."""
 _MANY_UNREAD, _SHARE_UNREAD = 20, 0.02
 """A column with more values (number, share) than this that cannot be read as numbers is not a numeric column with a few
 damaged values."""
@@ -50,7 +50,7 @@ _LEADER: Final = "\u2024"
 _COMMAS: Final = str.maketrans({",": ".", ".": _LEADER})
 _POINT: Final = re.compile(rf"[+-]?[\d.{_LEADER}]+{_LEADER}\d[\d.{_LEADER}]*([eE][+-]?\d+)?")
 _CERTAIN: Final = (_COMMA, _HEXADECIMAL, _POINT)
-"""Patterns of values that are not damaged numbers."""
+"""Patterns of values that are certainly in another notation, and not damaged numbers."""
 _WAYS: Final = {
     _COMMA: 'a decimal comma; write decimal = "," under [csv]',
     _POINT: 'a decimal point, although decimal = "," states a decimal comma: is the point a thousands separator? Write '

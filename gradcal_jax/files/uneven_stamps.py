@@ -1,15 +1,14 @@
-"""Stamps of a clock that restarts, that are no stamps, or change their rate; and those that are not even though the
-sensor's clock is: bursts of a queue, pairs, whole milliseconds.
+"""Faults of time stamps: restarts, changed rates, other numbers; uneven stamps of an even clock (bursts, pairs, whole
+ms).
 
 Uneven stamps come back to an even clock again and again, where lost rows leave it for ever:
 
-    t_i             stamps;  a burst begins where an interval is longer than jitter
-    P               median time from burst to burst;  m  rows of most bursts
-    even            the line through all t_i, or its running mean over many bursts, if all t_i stay within a burst of it
+t_i stamps; a burst begins where an interval is longer than jitter P median time from burst to burst; m rows of most
+bursts even the line through all t_i, or its running mean over many bursts, if all t_i stay within a burst of it
 
 A pause between two bursts of much more than P is a gap: it is taken out, the rest is looked at as one, and it is put
-back. Where bursts come evenly and some have fewer than m rows, rows were lost within them: the clock has m rows in P.
-"""
+back. Where bursts come evenly and some have fewer than m rows, rows were lost within them: the clock has m rows in
+P."""
 
 import importlib
 from typing import Any, Final

@@ -74,14 +74,14 @@ class AllanDeviation:
     """Overlapping Allan deviation of one channel; see `overlapping_allan`."""
 
     averaging_time_s: Times
-    """τ, whole samples, s."""
+    """Averaging times τ, s; each is a whole number of samples."""
     deviation: Times
-    """√V, in the unit of the rates (rad/s in this package)."""
+    """Allan deviation √V, in the unit of the rates (rad/s in this package)."""
     difference_count: Steps
-    """Number of averaged second differences."""
+    """Number of averaged second differences at each τ."""
     sample_interval_s: float
     stretch_lengths: tuple[int, ...]
-    """Samples in each unbroken stretch, for the confidence."""
+    """Number of samples in each unbroken stretch, from which the confidence is computed."""
 
     __repr__ = summary
 
@@ -92,9 +92,10 @@ class Coefficient:
 
     value: float
     standard_error: float
-    """One sigma, to first order; for a value of zero, the value one sigma above it."""
+    """Standard error (1σ, to first order); if the value is zero, the value that would be one standard error above
+    zero."""
     shows: bool
-    """Whether its part of the variance is more than three standard errors above zero."""
+    """Whether the coefficient's part of the variance is more than three standard errors above zero."""
 
 
 @dataclass(frozen=True)
@@ -102,33 +103,35 @@ class AllanFit:
     """Noise coefficients of one channel and the confidence in its Allan deviation; see `fit_allan`."""
 
     quantisation: Coefficient
-    """Q, rad."""
+    """Quantisation Q, rad."""
     angle_random_walk: Coefficient
-    """N, rad/√s."""
+    """Angle random walk N, rad/√s."""
     bias_instability: Coefficient
-    """B, rad/s; the floor of the curve is 0.664 B."""
+    """Bias instability B, rad/s; the minimum of the Allan deviation is 0.664 B."""
     rate_random_walk: Coefficient
-    """K, rad/s/√s."""
+    """Rate random walk K, rad/s/√s."""
     averaging_time_s: Times
     model_deviation: Times
-    """The fitted model's Allan deviation."""
+    """Allan deviation of the fitted model."""
     degrees_of_freedom: Times
-    """Equivalent degrees of freedom of V(τ) under the fitted model."""
+    """Equivalent degrees of freedom of the Allan variance V(τ) under the fitted model."""
     lower: Times
     upper: Times
-    """Confidence limits of the true deviation, from the measured one and χ² with those degrees of freedom."""
+    """Confidence limits (`lower`, `upper`) of the true deviation, from the measured one and χ² with these degrees of
+    freedom."""
     confidence: float
     fitted_time_s: Float[np.ndarray, " fitted"]
-    """The averaging times in the fit."""
+    """Averaging times that the fit uses."""
     low_passed: bool
-    """Whether a low-pass shows at the shortest times, which the fit then leaves out."""
+    """Whether a low-pass filter shows at the shortest averaging times, which the fit then does not use."""
     chi_squared: float
-    """Distance of the V from the model, by their covariance, over all times but those below a low-pass's end."""
+    """χ² of the Allan variances against the model, by their covariance, over all averaging times except those affected
+    by a low-pass filter."""
     chi_squared_degrees: int
     chance: float
-    """Probability that a record of this model is as far from its fit as this one."""
+    """Probability that a record of this model deviates from its fit as much as this record does."""
     farthest_time_s: float
-    """The time at which the model differs most from the record."""
+    """Averaging time at which the record deviates most from the model."""
 
     __repr__ = summary
 

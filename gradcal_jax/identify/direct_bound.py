@@ -56,42 +56,44 @@ _SCATTER_BLOCKS = 8
 
 @dataclass(frozen=True)
 class DirectBound:
-    """The process that bounds one channel, and the feasible boundary. Rates in the unit of the record (rad/s)."""
+    """The drift process (σ, τ) that bounds one channel, and the boundary of all pairs (σ, τ) that do. Rates are in the
+    unit of the record (rad/s)."""
 
     drift_std: float
-    """σ of the chosen pair; zero where the random walk alone bounds."""
+    """σ of the chosen pair; zero if the angle random walk alone is a bound."""
     correlation_time_s: float
     """τ of the chosen pair."""
     angle_random_walk: float
-    """Assumed N, rad/√s."""
+    """Angle random walk N that was assumed, rad/√s."""
     margin: float
-    """k: the data stay within k standard deviations."""
+    """k: the data stay within k standard deviations of the bounding process."""
     averaging_time_s: float
-    """Δ."""
+    """Averaging time Δ before the drift is measured, s."""
     integration_time_s: Times
     largest_drift: Times
-    """D_θ*(t)."""
+    """Largest drift D_θ*(t) in the record."""
     limiting_function: Times
-    """D_L(t) of the chosen pair, one standard deviation."""
+    """Limiting function D_L(t) of the chosen pair, one standard deviation."""
     limit: Times
-    """√(κ² N² (1/t + 1/Δ) + k² σ² g), k D_L where κ = k: nowhere below `largest_drift`."""
+    """The limit √(κ² N² (1/t + 1/Δ) + k² σ² g), which is k D_L if κ = k; it is nowhere below `largest_drift`."""
     random_walk_limit: Times
-    """κ N √(1/t + 1/Δ): the limit of random walk alone."""
+    """The limit by the angle random walk alone, κ N √(1/t + 1/Δ)."""
     boundary_correlation_time_s: Taus
     boundary_drift_std: Taus
-    """The feasible boundary σ(τ): pairs on or above it are bounds."""
+    """The boundary σ(τ): a pair on it or above it is a bound."""
     boundary_excess: Taus
-    """Mean over ln t of ln(limit / D_θ*) of each pair of the boundary."""
+    """For each pair of the boundary, the mean over ln t of ln(limit / D_θ*)."""
     deciding_time_s: float
-    """The t at which the chosen pair touches the data."""
+    """Integration time t at which the limit of the chosen pair touches the data."""
     deciding_start_index: int
-    """The first sample of the deciding drift, after its average over Δ."""
+    """First sample of the drift that decides the bound, after its average over Δ."""
     drift_shows: bool
-    """Whether some D_θ* exceeds the limit of random walk alone."""
+    """Whether D_θ*(t) exceeds the limit of the angle random walk anywhere."""
     hidden_drift_std: float
-    """Where no drift shows: largest σ that could be hidden for τ = √(Δ × longest t), which is `correlation_time_s`."""
+    """If no drift shows: the largest σ that a hidden drift with τ = √(Δ × longest t) could have; this τ is
+    `correlation_time_s`."""
     advised_averaging_time_s: float | None
-    """Where no drift shows: least Δ at which the hidden one would show; `None` without one for these t."""
+    """If no drift shows: the least Δ at which this hidden drift would show; `None` if there is none for these t."""
     messages: tuple[str, ...]
     """Warnings for the user; empty without any."""
 

@@ -33,18 +33,18 @@ _BLOCKS_AT_ONCE = 1024
 
 @dataclass(frozen=True)
 class LargestDrift:
-    """D_θ*(t) of a channel; see `largest_drift`."""
+    """Largest drift D_θ*(t) of a channel; see `largest_drift`."""
 
     integration_time_s: Times
-    """t as whole samples, s, increasing."""
+    """Integration times t, s, increasing; each is a whole number of samples."""
     averaging_time_s: float
-    """Δ as whole samples, s."""
+    """Averaging time Δ, s; a whole number of samples."""
     largest_drift: Times
-    """D_θ*(t), in the unit of the rates (rad/s in this package)."""
+    """Largest drift D_θ*(t), in the unit of the rates (rad/s in this package)."""
     start_index: Int[np.ndarray, " times"]
-    """The first sample of the largest drift, after its average."""
+    """First sample of the largest drift, after the average before it."""
     start_count: Int[np.ndarray, " times"]
-    """Number of starts."""
+    """Number of starts over which the largest drift was searched."""
     sample_interval_s: float
 
 

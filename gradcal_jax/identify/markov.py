@@ -1,12 +1,12 @@
-"""One first-order Markov process beside random walk in a record at rest, by maximum likelihood, and its information.
+"""Maximum-likelihood estimate of a random walk and a first-order Markov process in a record at rest, and its
+covariance.
 
 Source: P. Whittle, "The analysis of multiple stationary time series", J. R. Stat. Soc. B 15, 1953 (the likelihood in
 the frequency domain). Rows are means over Δ of the rate; θ = (ln N, ln σ, ln τ), a = exp(−Δ/τ):
 
-    S(ω) = N²/Δ + c₀ + 2 c₁ (cos ω − a)/(1 − 2 a cos ω + a²)       spectrum of such rows, exact
-    c₀ = 2σ²τ²(Δ/τ − 1 + a)/Δ²,   c₁ = σ²τ²(1 − a)²/Δ²
-    −ln L = Σ_j [ln S(ω_j) + I_j/S(ω_j)],   ω_j = 2πj/n,  j = 1 … n/2;   I the periodogram
-    information = Σ_j ∂ln S ∂ln Sᵀ
+S(ω) = N²/Δ + c₀ + 2 c₁ (cos ω − a)/(1 − 2 a cos ω + a²) spectrum of such rows, exact c₀ = 2σ²τ²(Δ/τ − 1 + a)/Δ², c₁ =
+σ²τ²(1 − a)²/Δ² −ln L = Σ_j [ln S(ω_j) + I_j/S(ω_j)], ω_j = 2πj/n, j = 1 … n/2; I the periodogram information = Σ_j ∂ln
+S ∂ln Sᵀ
 
 The record is taken as much longer than τ: below 20 τ the likelihood of frequencies leaks, and errors are larger.
 

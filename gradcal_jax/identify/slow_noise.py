@@ -38,11 +38,11 @@ class SlowNoise(NamedTuple):
     """Slow noise of one channel, SI."""
 
     bias_instability: float
-    """B, rad/s."""
+    """Bias instability B, rad/s."""
     drift_std: float
-    """σ of the drift whose correlation time is the record's length, rad/s."""
+    """Standard deviation σ of the drift whose correlation time is the length of the record, rad/s."""
     processes: tuple[tuple[float, float], ...]
-    """(σ rad/s, τ s) of the Markov processes whose sum is the slow noise: those of B, and the drift."""
+    """(σ rad/s, τ s) of the Markov processes whose sum is the slow noise: first those of B, then the drift."""
 
 
 def slow_noise(

@@ -25,13 +25,13 @@ class ThermalBias:
     """B(T) with its lag, as fitted by `fit_thermal_bias`."""
 
     coefficients: Float[np.ndarray, " powers"]
-    """Coefficients of the powers of z from zero on, in the unit of the rates."""
+    """Coefficients of the powers of z, from power 0 on, in the unit of the rates."""
     centre_c: float
     scale_k: float
     lag_time_s: float
-    """λ; zero: the bias follows the measured temperature without lag."""
+    """Lag λ; zero: the bias follows the measured temperature without lag."""
     residual_rms: float
-    """RMS residual of the fitted rates, in their unit."""
+    """Root mean square of the residuals of the fit, in the unit of the rates."""
 
     __repr__ = summary
 

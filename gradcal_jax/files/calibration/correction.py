@@ -50,12 +50,12 @@ class Corrected(NamedTuple):
     outside_temperature: int
     outside_rate: int
     left_alone: tuple[str, ...]
-    """Channels of the log that the calibration does not have."""
+    """Channels of the log that the calibration does not have, and that are therefore not corrected."""
     unknown_branch: int = 0
-    """Rows at the beginning in which the state of a hysteresis is not known."""
+    """Number of rows at the beginning for which the state of a hysteresis is not known."""
     left_in: tuple[str, ...] = ()
-    """Coefficients under [[path]], as gyro_x.NAME, that are not taken off: transients after power-on, and errors by
-    classes of the user's own."""
+    """Coefficients under [[path]], as gyro_x.NAME, that the correction does not subtract: transients after power-on,
+    and errors of the user's own classes."""
 
     __repr__ = summary
 

@@ -37,9 +37,9 @@ ORDER: Final = (
     "before any rotation"
 )
 TEMPERATURE_RATE: Final = "temperature rate"
-"""The signal dT/dt, K/s: known, where the others are solved for."""
+"""The signal dT/dt, K/s. It is known; the other signals are solved for."""
 LOG_HASH: Final = "log_sha256"
-"""The provenance has the fingerprint of the calibration's log under this name."""
+"""Name under which the provenance has the fingerprint of the calibration's log."""
 
 
 class CalibratedTerm(Section):

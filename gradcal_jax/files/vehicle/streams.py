@@ -42,12 +42,12 @@ class GyroStream:
     time_s: Floats
     rate_rad_per_s: Floats
     temperature_c: Floats | None
-    """At the same stamps."""
+    """Temperature of the gyro at the same time stamps."""
     host_time_s: Floats | None = None
     notes: tuple[str, ...] = ()
     """Properties of this source that matter for a calibration, in sentences."""
     sensor_rate: str | None = None
-    """As of `files.log.SENSOR_RATE`."""
+    """The sensor's own sample rate, in the words of `files.log.SENSOR_RATE`."""
 
 
 def is_vehicle_log(path: Path) -> bool:

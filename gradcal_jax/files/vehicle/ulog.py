@@ -23,7 +23,7 @@ from gradcal_jax.files.vehicle.streams import GyroStream, interpolated, library
 _RAW: Final = ("sensor_gyro", "sensor_gyro_fifo")
 _SLOWEST_HZ: Final = 90.0
 _THINNED: Final = 1.1
-"""Times the rows' rate, beyond which the published rate is another."""
+"""If the published rate exceeds the rate of the rows by more than this factor, rows are missing."""
 
 
 def gyros(path: Path) -> Sequence[GyroStream]:

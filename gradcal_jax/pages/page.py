@@ -181,7 +181,7 @@ def _requirements(data: ReportData) -> dict[str, Any]:
         "achieved": "achieved",
         "from the named terms alone": "named",
         "no plan leaves less than": "limit",
-        "the IMU's own noise, which remains": "own",
+        "own noise of the IMU, which remains": "own",
         "target": "target",
         "verdict": "verdict",
         "limited by": "limited_by",

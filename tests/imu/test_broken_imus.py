@@ -299,7 +299,7 @@ def test_what_would_be_without_effect_is_refused():
     for keys in ({"read_every": "1 s"}, {"read": "none"}, {"other_axes": True}):
         document = copy.deepcopy(GOOD)
         document["plan"]["cycle"]["moves"].append({"rest": "5 s"} | keys)
-        with pytest.raises(SpecError, match="leave it out"):
+        with pytest.raises(SpecError, match="leave this key out"):
             spec_of(document)
 
 

@@ -1,4 +1,4 @@
-"""The number of missing samples where a unit's counter wraps, from the host's clock.
+"""How many samples are missing where an IMU's sample counter wraps, decided by the computer's clock.
 
 A counter that wraps after `R` samples (a STIM300's: 16 at 125 samples/s, 0.128 s) shows a loss modulo R. The host's
 stamps show the rest: every sample after a loss of k rounds reaches the host k rounds later than its own count says.

@@ -56,10 +56,10 @@ _TURNS, _IN_TURNS = 8, 3.0
 _ABSURD: Final = 1e12
 """A number of this size or larger (time in s, rate or temperature) is not a reading."""
 _FACTORS: Final[Mapping[str, float]] = {
-    "deg for rad (or the reverse)": 180 / np.pi,
+    "deg instead of rad, or the reverse": 180 / np.pi,
     "a thousandth": 1e3,
-    "per hour for per second": 3600.0,
-    "per minute for per second": 60.0,
+    "per hour instead of per second": 3600.0,
+    "per minute instead of per second": 60.0,
 }
 
 
@@ -509,8 +509,9 @@ class _Examination:
                 for words, factor in _FACTORS.items():
                     if abs(slope / factor - 1) < 0.05 or abs(slope * factor - 1) < 0.05:
                         self.wrong_unit(
-                            f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} shows {slope:.4g} times the rate of "
-                            f"table axis {self.raw.table_axes[table_axis]}: a wrong unit ({words})?"
+                            f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} measures {slope:.4g} times the "
+                            "rate of "
+                            f"table axis {self.raw.table_axes[table_axis]}: is a unit wrong ({words})?"
                         )
 
     def in_turns(self, rate: Floats) -> None:

@@ -53,7 +53,8 @@ def missions_from(folder: Path) -> Generator[None]:
 
 
 class MissionRows(NamedTuple):
-    """A mission's table: s since its first row, rad/s, °C, and the line of each row."""
+    """The rows of a mission's table: time since the first row (s), rate (rad/s), temperature (°C), and line in the
+    file."""
 
     time: tuple[float, ...]
     rate: tuple[float, ...]

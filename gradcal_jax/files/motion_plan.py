@@ -27,7 +27,7 @@ BEYOND_TRAVEL: Final = "travel"
 """The kind of the problems of moves beyond an axis's travel, which `files.travel` mends."""
 _SLACK = 1e-6
 _HELD = 'has no effect if the table holds its angle at rest: leave this key out, or set rig.table.standing = "read"'
-_ONE_REST = "a rest is a rest of all axes: leave this key out"
+_ONE_REST = "during a rest, all axes rest: leave this key out"
 # Spacing of the readings of a rest that is read at its end alone.
 _AT_END = math.inf
 # A quarter of a period of cosine ramps: peak acceleration times ramp over peak rate.

@@ -31,13 +31,13 @@ class BiasShape(Section):
 
 
 class ScaleFactorShape(BiasShape):
-    """The same as a shape of the bias, for the scale factor."""
+    """A shape of the scale factor: a function that differs between IMUs of one type by a random factor."""
 
     coefficients: Annotated[tuple[Annotated[Quantity, Of("scale factor")], ...], Field(min_length=1, max_length=40_000)]
 
 
 class SpecificForceShape(BiasShape):
-    """The same as a shape of a gyro's bias, for the bias of an accelerometer."""
+    """A shape of an accelerometer's bias: a function that differs between IMUs of one type by a random factor."""
 
     coefficients: Annotated[tuple[Annotated[Quantity, Of("acceleration")], ...], Field(min_length=1, max_length=40_000)]
 
@@ -122,13 +122,13 @@ class BiasTemperatureGradient(Section):
 
 
 class ForceTemperatureError(TemperatureError):
-    """The same as for a gyro, for an accelerometer."""
+    """Error of the temperature measurement, as it acts on an accelerometer."""
 
     bias_slope: q.AccelerationSlope | None = None
 
 
 class ForceTemperatureGradient(BiasTemperatureGradient):
-    """The same as for a gyro, for an accelerometer."""
+    """Sensitivity of an accelerometer's bias to dT/dt; if this table is present, the sensitivity is estimated."""
 
     prior: q.ForceGradientSensitivity | None = None
 

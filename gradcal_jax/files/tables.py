@@ -96,7 +96,7 @@ class Measured(Source):
     @classmethod
     def _measures(cls, unit: str) -> str:
         if cls.DIMENSION == "temperature" and unit.strip().lower() in ("k", "kelvin", "kelvins"):
-            raise ValueError('for a column in kelvins write unit = "degC" and zero = 273.15')
+            raise ValueError('for a column in kelvins, write unit = "degC" and zero = 273.15')
         units.parse(f"1 {unit}", cls.DIMENSION)
         return unit
 

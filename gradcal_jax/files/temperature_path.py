@@ -21,13 +21,13 @@ class PlayOfBias(Section):
 
 
 class PlayOfForce(PlayOfBias):
-    """The same as for a gyro's bias, for an accelerometer's bias."""
+    """Hysteresis of an accelerometer's bias, modelled like that of a gyro's bias."""
 
     prior: q.PositiveAccelerationSlope
 
 
 class PlayOfScaleFactor(PlayOfBias):
-    """The same as for the bias, for the scale factor."""
+    """Hysteresis of the scale factor, modelled like that of the bias."""
 
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -49,7 +49,8 @@ class PowerOnTransient(Section):
 
 
 class PowerOnForceTransient(PowerOnTransient):
-    """The same as for a gyro, for an accelerometer."""
+    """A bias of an accelerometer that decays exponentially after power-on, which is at the start of the plan or the
+    log."""
 
     prior: q.PositiveSpecificForce
 
@@ -81,13 +82,13 @@ class LateGradientOfBias(Section):
 
 
 class LateGradientOfForce(LateGradientOfBias):
-    """The same as for a gyro, for an accelerometer."""
+    """Bias of an accelerometer, proportional to dT/dt after a first-order lag."""
 
     prior: q.ForceGradientSensitivity
 
 
 class LateGradientOfScale(LateGradientOfBias):
-    """The same as for the bias, for the scale factor."""
+    """Scale-factor error proportional to dT/dt after a first-order lag."""
 
     prior: q.PositiveScaleFactorGradient  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -100,13 +101,13 @@ class DifferenceOfBias(Section):
 
 
 class DifferenceOfForce(DifferenceOfBias):
-    """The same as for a gyro, for an accelerometer."""
+    """Bias of an accelerometer, proportional to the reading of the second thermometer minus that of the first."""
 
     prior: q.PositiveAccelerationSlope
 
 
 class DifferenceOfScale(DifferenceOfBias):
-    """The same as for the bias, for the scale factor."""
+    """Scale-factor error proportional to the reading of the second thermometer minus that of the first."""
 
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 

@@ -1,4 +1,4 @@
-"""Bias instability and slow drift of a record at rest, for a map that is fitted to the same record.
+"""Estimates bias instability and slow drift from a record at rest, to which a map over temperature is fitted too.
 
 A map of bias over temperature, fitted while the sensor warms up once, absorbs the slowest part of the noise, so that
 the residuals underestimate it. The restricted likelihood uses contrasts that are independent of the map's parameters,

@@ -130,7 +130,7 @@ def read_dataset(path: str | Path) -> "xarray.Dataset":
     except NetcdfError as error:
         raise ValueError(f"{path} is not a result file of a sweep: {error}") from None
     if results.attrs.get("format") != "gradcal-sweep-results/1":
-        raise ValueError(f"{path} is not a result file of a sweep, as gradcal sweep writes")
+        raise ValueError(f"{path} was not written by gradcal sweep, so it is not a result file")
     return results
 
 

@@ -189,7 +189,7 @@ def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, p
     if lost:
         raise SweepIncomplete(
             f"{lost} of {len(points)} points could not be computed ({reason}); the others are saved in "
-            f"{store.folder}, and if the same command is called again, it continues from there"
+            f"{store.folder}; call the same command again to compute the rest"
         )
     ordered = tuple(results[index] for index in range(len(points)))
     if all(result.failure for result in ordered):

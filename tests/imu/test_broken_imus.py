@@ -134,7 +134,7 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     (f"{_MOVES}.0.pose", {"tlit": "0 deg"}, f"{_MOVES}[0].pose.tlit", 'nearest: "tilt"'),
     (f"{_MOVES}.0.pose", {"tilt": "0 s"}, f"{_MOVES}[0].pose.tilt", "angle"),
     (f"{_MOVES}.5", {"rest": "2 s"}, _MOVES, "must return"),
-    (f"{_MOVES}.2.axis", "spin", f"{_MOVES}[2].axis", "a rest of all axes"),
+    (f"{_MOVES}.2.axis", "spin", f"{_MOVES}[2].axis", "all axes rest"),
     (f"{_MOVES}.3.peak_rate", "400 deg/s", f"{_MOVES}[3].peak_rate", "exceeds the maximum rate"),
     (f"{_MOVES}.3", {"trun": "90 deg", "axis": "spin"}, f"{_MOVES}[3].trun", 'nearest: "turn"'),
     (f"{_MOVES}.3", {}, f"{_MOVES}[3]", "expected a rest"),

@@ -36,14 +36,12 @@ _SHORT, _OFTEN = 0.3, 0.05
 _MANY_ROWS: Final = 20
 """A smaller number of rows does not count as many."""
 _COARSE: Final = 0.1
-"""If a larger fraction of rows has the stamp of another row, stamps do not distinguish rows; if a larger fraction of
-rows is out of order, the rows are sorted."""
+"""Above this fraction, rows with the stamp of another row make the stamps useless, and rows out of order are sorted."""
 _SHUFFLED: Final = 0.01
 """If rows are out of order by more than this share of the record's span, the column mixes two clocks."""
 _INTERVALS: Final = (2e-5, 1.5)
 _LONGEST_S: Final = 14 * 86400.0
-"""If stamps are closer or farther apart than `_INTERVALS` (s), or the record is longer than this, the unit of the
-stamps is wrong."""
+"""If stamps are closer or farther apart than `_INTERVALS` (s), or a record is longer, their unit is wrong."""
 _NOISIEST: Final = np.radians(300.0) / 60.0
 """rad/√s, 300 deg/√h: a hundred times the angle random walk of the coarsest MEMS gyros on sale."""
 _DRIFT: Final = 50e-6
@@ -88,8 +86,7 @@ class Policy(Section):
     frozen_temperatures: Literal["mask", "keep", "refuse"] = "mask"
     """Temperatures that stay constant for a long time in a record in which the temperature changes."""
     wrong_units: Literal["keep", "refuse"] = "refuse"
-    """Signs of a wrong unit: values that no sensor has, or a sample rate or table rate that differs by a large
-    factor."""
+    """Signs of a wrong unit: values that no sensor has, and large factors between rates or sample rates."""
     rows_in_turns: Literal["keep", "refuse"] = "refuse"
     """Rows that alternate, as if several sensors shared one column."""
     changed_rate: Literal["keep", "refuse"] = "refuse"

@@ -109,7 +109,9 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
         if name in rates_dps and len(track.time_s) > 2 and float(np.ptp(track.angle_deg)) > 1.0
     ]
     if not pairs:
-        raise NoAlignment("the run turned none of the recording's axes, so their times cannot be aligned")
+        raise NoAlignment(
+            "the run did not turn any axis of the recording, so the recording cannot be aligned with the run"
+        )
     middle_s = float(0.5 * (time_s[0] + time_s[-1]))
     places = [_refined(pairs, middle_s, lag_s + middle_s, outside) for lag_s, outside in _places(pairs)]
     if not places:
@@ -121,20 +123,21 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
     best = places[0]
     if best.scale < 0.0:
         raise NoAlignment(
-            "the rates in the recording have the opposite sign of the table's motion: change the sign of its axis"
+            "the rates in the recording have the opposite sign of the table's motion: change the sign of this axis "
+            "in the column map"
         )
     if best.misfit > _MISFIT or not 0.8 < best.scale < 1.25:
         raise NoAlignment(
             "the recording does not agree with the motion of the table: at the best alignment "
             f"{100.0 * best.misfit:.0f} % of the motion is missing, and the sensor measures "
-            f"{1.0 / best.scale:.2f} of the turns; the recording is from another run or another axis"
+            f"{1.0 / best.scale:.2f} times the turns of the table; the recording is from another run or another axis"
         )
     others = [place for place in places[1:] if abs(place.offset_s - best.offset_s) > _APART_S]
     if others and others[0].misfit < max(_AS_GOOD * best.misfit, 0.5 * _MISFIT):
         apart_s = abs(others[0].offset_s - best.offset_s)
         raise NoAlignment(
             f"the recording agrees with the run at two times that are {apart_s:.1f} s apart (or more): it must "
-            "contain the first or the last turn of the run, or turns that differ"
+            "contain the first or the last turn of the run, or turns that differ from each other"
         )
     alignment = _exactly(pairs, middle_s, best)
     if not alignment.offset_std_s < _MOST_UNSURE_S:

@@ -63,7 +63,9 @@ def fit_arrivals(device: Column, host: Column, *, resolution_s: float = 0.0) -> 
     """
     count = len(device)
     if count < 3 or not _increasing(device):
-        raise ValueError(f"A clock map needs at least three arrivals with increasing device time; there are {count}.")
+        raise ValueError(
+            f"The relation of two clocks needs at least three arrivals with increasing device time; there are {count}."
+        )
     firsts = range(0, count, _SPAN)
     middle = sum(float(device[first : first + _SPAN].sum()) for first in firsts) / count
 

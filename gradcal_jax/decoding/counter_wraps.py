@@ -1,4 +1,4 @@
-"""The number of missing samples where a unit's counter wraps, from the host's clock.
+"""How many samples are missing where an IMU's sample counter wraps, decided by the computer's clock.
 
 A counter that wraps after `R` samples (a STIM300's: 16 at 125 samples/s, 0.128 s) shows a loss modulo R. The host's
 stamps show the rest: every sample after a loss of k rounds reaches the host k rounds later than its own count says.
@@ -198,13 +198,13 @@ def _lost_rounds(arrivals: Spool, round_s: float) -> tuple[dict[int, int], tuple
                     alone = not window.traces[number : number + int(window.follow[number])].any()
                     if alone and _agree(window, number, behind_s + rounds * round_s, round_s):
                         why = (
-                            f"all time stamps after it are later by {step - before:.2f} counter periods, without "
-                            "any sign of a loss"
+                            f"all time stamps after this place are later by {step - before:.2f} counter periods, "
+                            "and nothing else indicates a loss"
                         )
                         doubts.append(Doubt(before_row + 1, rounds - before, False, why))
                         reported.append((host_s + WINDOW_S, rounds - before))
             elif traces:
-                why = "there are no earlier time stamps to compare with"
+                why = "there are no time stamps before this place to compare with"
                 doubts.append(Doubt(int(trace[number]), 0, True, why))
             late_s = float(window.late_s[number]) - shift_s
             while quickest and quickest[-1][1] >= late_s:
@@ -218,11 +218,11 @@ def _doubtful(window: _Window, number: int, behind_s: float, step: float, round_
     """Why the number of rounds lost in an arrival is doubtful; empty where it is not."""
     rounds = max(0, round(step))
     if abs(step - rounds) > _SURE:
-        return f"the earliest time stamps after it are later by {step:.2f} counter periods than those before"
+        return f"the earliest time stamps after this place are later by {step:.2f} counter periods than those before it"
     if not _agree(window, number, behind_s + rounds * round_s, round_s):
-        return f"fewer than {_FEWEST_ARRIVALS} early time stamps after it agree"
+        return f"after this place, fewer than {_FEWEST_ARRIVALS} of the earliest time stamps agree"
     if rounds and traces > 1:
-        return f"of {traces} losses that were read together, the last is taken to be the long one"
+        return f"{traces} losses were read together, and the last one is assumed to be the long one"
     return ""
 
 

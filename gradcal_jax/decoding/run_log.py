@@ -111,7 +111,7 @@ def _of_unit(
         aside += left
     if not parts:
         raise HardwareError(
-            "The journal has no samples of a stretch with data: the run ended before its first stretch began."
+            "The journal has no samples that count as data: the run ended before the first part with used data began."
         )
     provenance = _provenance(parts, sessions, recipe, (device.name, device.driver))
     events = (event for session in sessions for event in session.events)
@@ -162,14 +162,15 @@ def _of_recording(
             part = part_with_table(session, samples, first, len(samples), clock, axes, every_s)
             parts += [] if part is None else [part]
     if not parts:
-        raise HardwareError("The recording has no samples of a stretch of the run with data.")
+        raise HardwareError("The recording has no samples from any part of the run with used data.")
     who = recorded.units[number]
     provenance = _provenance(parts, sessions, recipe, (who, "recorded elsewhere"))
     provenance["clock_offset_std_s"] = ", ".join(f"{one.offset_std_s:.1e}" for one in alignments)
     log = _joined(parts, labels, who, provenance, 0, tuple(rates))
     message = "; ".join(
-        f"the recording's clock is determined by {one.readings} readings of {one.bursts} turns to "
-        f"{one.offset_std_s:.2g} s and {1e6 * one.rate_std:.2g} ppm (1σ), without delays of the table's readings"
+        f"the recording's clock was determined from {one.readings} readings of {one.bursts} turns, to "
+        f"{one.offset_std_s:.2g} s and {1e6 * one.rate_std:.2g} ppm (1σ; delays of the table's readings are not "
+        "included)"
         for one in alignments
     )
     findings = (*log.fields["findings"], Finding("clock found by the motion", "keep", 0, message))
@@ -381,14 +382,14 @@ def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
         f"the computer was so busy that its time stamps are accurate only to {unsure:.2g} s: this margin is left "
         "out in addition"
     )
-    times = f"{anew} time{'s' * (anew > 1)} in the run; samples that it would have sent are not counted"
+    times = f"{anew} time{'s' * (anew > 1)} during the run; the samples lost in a restart are not counted as missing"
     others = [
         (unsure > SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
         (anew, Finding("unit restarted", "split", anew, f"the IMU restarted {times}")),
         (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no valid datagram")),
-        (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice and count once")),
+        (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice; each counts once")),
     ]
-    findings = [Finding("gap", "split", gaps, f"{missing} samples are missing in {gaps} places")] if missing else []
+    findings = [Finding("gap", "split", gaps, f"{missing} samples are missing at {gaps} places")] if missing else []
     findings += _findings_of_rounds(parts)
     return (*findings, *(one for there, one in others if there))
 
@@ -401,11 +402,12 @@ def _findings_of_rounds(parts: Sequence[Part]) -> Iterator[Finding]:
             part, first_s, first = places[0]
             samples = part.round_samples
             message = (
-                f"{len(places)} of the gaps may be longer or shorter by one period of the counter ({samples} samples)"
+                f"{len(places)} of the gaps may be longer or shorter by one period of the sample counter ({samples} "
+                "samples)"
                 if traced
                 else (
-                    f"in {len(places)} places {samples} samples or a multiple of this number may be missing; none "
-                    "are counted"
+                    f"at {len(places)} places, {samples} samples (or a multiple of this number) may be missing; "
+                    "they are not counted as missing"
                 )
             )
             where = f"the first {abs(first_s):.1f} s {'before' if first_s < 0.0 else 'after'} data begin: {first.why}"

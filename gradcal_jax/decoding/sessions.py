@@ -30,7 +30,7 @@ class Session:
     mounting: int
     events: list[Event] = field(default_factory=list[Event])
     stream: "Stream | None" = None
-    """The unit's own samples."""
+    """The samples of the IMU."""
 
     @property
     def origin_s(self) -> float:

@@ -421,24 +421,27 @@ def make_coordinates(
     is integrated. Errors: `ValueError` that states which limits exclude each other.
     """
     if [e.group for e in elements] != sorted(e.group for e in elements):
-        raise ValueError("the moves of a cycle must be in the order of its visits")
+        raise ValueError(
+            "the moves of a cycle must be in the order of its visits (the parts of a cycle in which this axis may turn)"
+        )
     groups = elements[-1].group + 1
     for group in range(groups):
         least = sum(e.least for e in elements if e.group == group)
         if least > frame.own_time * (1.0 + 1e-9):
             raise ValueError(
-                f"the moves need at least {least:.4g} s, but the axis has {frame.own_time:.4g} s in each cycle: "
-                "use fewer moves or a longer cycle"
+                f"the moves need at least {least:.4g} s, but the axis may turn for only {frame.own_time:.4g} s in "
+                "each cycle: use fewer moves or a longer cycle"
             )
     slope = abs(frame.temperature_end - frame.temperature_start) / frame.motion_time
     if slope > limits.max_slope * (1.0 + 1e-9):
         raise ValueError(
-            f"the ramp needs {slope * 60:.4g} K/min, but the chamber reaches only {limits.max_slope * 60:.4g} "
+            f"the ramp needs a slope of {slope * 60:.4g} K/min, but the chamber reaches only "
+            f"{limits.max_slope * 60:.4g} "
             "K/min: allow more time, or a smaller range"
         )
     used = cycles * groups * (frame.own_time + frame.other_time) - frame.other_time
     if used > frame.motion_time * (1.0 + 1e-9):
-        raise ValueError(f"the cycles take {used:.6g} s, but the ramp only {frame.motion_time:.6g} s")
+        raise ValueError(f"the cycles take {used:.6g} s, but the ramp lasts only {frame.motion_time:.6g} s")
     if nominal is None:
         share = [float(frame.own_time) / sum(o.group == e.group for o in elements) for e in elements]
         zeros = np.zeros(len(elements))

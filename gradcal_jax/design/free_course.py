@@ -1,4 +1,4 @@
-"""The chamber's course among the free numbers of a search of cycles: its legs, turning points and slopes.
+"""The chamber's temperature course as free numbers in a search of cycles: its legs, turning points and slopes.
 
 On each leg a few cycles at fixed shares of its time stand for all of it, with the weight of their number. What they see
 (temperature, slope, time since power-on, and the turning points before, on which a hysteresis depends) is a function of

@@ -87,9 +87,11 @@ def limit(
         added = np.zeros(len(criterion.rows)) if floor is None else floor
         criterion = Criterion(criterion.rows, None, added, criterion.shape, criterion.statistic)
     if model.scale is None or not isinstance(model.scale.rate, Polynomial):
-        raise ValueError("the limit is for a scale factor that is polynomial in rate: give the model such a map")
+        raise ValueError("this limit exists only for a scale factor that is a polynomial in rate")
     if isinstance(criterion, Optimality) and criterion.kind == "E":
-        raise ValueError("there is no limit for E-optimality: use A- or D-optimality, or a residual")
+        raise ValueError(
+            "there is no limit for E-optimality: minimise A-optimality, D-optimality or a residual instead"
+        )
     arguments = model, motion_time / noise_density, prior_share, np.asarray(temperatures), fixed_programme
     # A maximum over fewer temperatures is no larger, so its certificate is valid for all of them.
     problem, whole = _Problem(_thinned(criterion), *arguments), _Problem(criterion, *arguments)

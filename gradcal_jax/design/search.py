@@ -219,7 +219,7 @@ def search(
         values = np.exp(np.minimum(merits, _LARGEST))
         if not np.min(merits) < _NOWHERE:
             raise ValueError(
-                "no random start gives a finite residual: the plan's structure cannot observe the parameters"
+                "no random start gives a finite residual, so plans of this structure cannot observe all parameters"
             )
         at = int(np.argmin(values))
         state = SearchState(points, values, 0, float(values[at]), float(values[at]), points[at])
@@ -338,7 +338,7 @@ def polish(
     held = bool(np.all(excess <= KEPT))
     converged = norm < CONVERGED and held
     if not held:
-        sentence = f"not converged: {missed_limit(excess, names)}: perhaps no plan of this kind can meet it"
+        sentence = f"not converged: {missed_limit(excess, names)}: perhaps no plan of this kind can meet this limit"
     elif converged:
         sentence = f"converged: the largest gradient component is {norm:.1e} of the objective"
     else:

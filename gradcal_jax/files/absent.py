@@ -30,7 +30,7 @@ _OF_TABLE: Final = frozenset({"rate_accuracy", "tilt", "azimuth"})
 EARTH: Final = "rig.site.latitude"
 EARTH_IS_UNKNOWN: Final = (
     "the Earth's rate along the axis is not stated, so up to 15.04 deg/h count in the bias: give [rig.site] "
-    "latitude, or estimate with --latitude (an axis that points up) or --earth-rate"
+    "latitude, or call `gradcal estimate` with --latitude (for an axis that points up) or --earth-rate"
 )
 
 
@@ -57,16 +57,20 @@ class AbsentTerm(NamedTuple):
 
 # Of normal gravity at sea level: 3.09 um/s^2 a metre of height, and 0.3 mm/s^2 of anomaly.
 _NORMAL_GRAVITY: Final = AbsentTerm(
-    "gravity_accuracy", "250 ug", "gravity is not stated: normal gravity at sea level, for heights of up to 1000 m"
+    "gravity_accuracy",
+    "250 ug",
+    "gravity is not stated; this is the error of normal gravity at sea level, for heights of up to 1000 m",
 )
 
 
 # Where rotation adds to the specific force that a gyro is sensitive to.
 BESIDE_ACCELEROMETERS: Final = AbsentTerm(
-    "g_sensitivity.lever_arm", "3 mm", "estimate, of gyros beside the accelerometers of a board"
+    "g_sensitivity.lever_arm", "3 mm", "estimate, for gyros beside the accelerometers on one board"
 )
 _OFF_THE_AXES: Final = AbsentTerm(
-    "g_sensitivity.lever_arm", "3 cm", "estimate, of a sensor on a table, without accelerometers to measure it"
+    "g_sensitivity.lever_arm",
+    "3 cm",
+    "estimate, for a sensor on a table, without accelerometers that could measure the lever arm",
 )
 
 # By how much rotation may raise χ² of a gyro that has some thousands of readings.
@@ -134,7 +138,7 @@ def _absent(spec: Spec) -> Iterator[AbsentTerm]:
         if alone or not table.by_gravity:
             yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", _below("angle.", of_table))
     if alone and site.latitude is None:
-        reason = "the Earth turns at 15.04 deg/h, and the direction of the axis is not stated"
+        reason = "the Earth turns at 15.04 deg/h, and the angle between its axis and the table's is not stated"
         yield AbsentTerm(EARTH, "unknown", reason)
 
 
@@ -185,13 +189,13 @@ def branch_sentences(spec: Spec) -> list[str]:
         size, per = prior.split(" ")
         left = f"{float(size) * width:.3g} {per.removesuffix('/K')}"
         sentences.append(
-            f"{words}: heating and cooling are not distinguished; hysteresis, ±{left} in this class, does not "
-            'count: give the requirement branch = "both" (or "heating", "cooling")'
+            f"{words}: the requirement does not distinguish heating and cooling, so a hysteresis (±{left} in this "
+            'class) is not counted: add branch = "both" (or "heating" or "cooling") to the requirement'
         )
         widest = max(widest, width)
     if sentences and _goes_one_way(spec):
         returns = f"reverse the temperature by {2.0 * widest:g} K or more{minutes_of_change(spec, 2.0 * widest)}"
-        sentences.append(f"one-way ramp: the plan observes no hysteresis: {returns}")
+        sentences.append(f"one-way ramp, so the plan cannot observe a hysteresis: {returns}")
     return sentences
 
 
@@ -204,8 +208,9 @@ def attitude_sentences(spec: Spec) -> list[str]:
     size = typical_g_sensitivity(sensor_grade(spec.sensor).name).removesuffix("/g")
     words = ", ".join(f"'{name}'" for name in names)
     return [
-        f"{words}: holds in the attitudes of the calibration; in another, g-sensitivity changes a gyro's bias by "
-        f"±{size} for each g in this class, which is not counted: [sensor.gyro.g_sensitivity] estimates it"
+        f"{words}: the result holds for the attitudes of the calibration. In another attitude, g-sensitivity "
+        f"changes a gyro's bias by ±{size} for each g in this class, which is not counted: add "
+        "[sensor.gyro.g_sensitivity] to estimate it"
     ]
 
 
@@ -286,7 +291,7 @@ def table_grade(spec: Spec) -> Grade:
     angles = [axis.angle for axis in spec.rig.table.axis]
     size = max(max(float(a.reading_noise), float(a.standstill_offset)) for a in angles)
     if size == 0.0:
-        return _grade("table", math.inf, "angle", "angle", "the worst: no angle error is named")
+        return _grade("table", math.inf, "angle", "angle", "the worst class, because the spec names no angle error")
     return _grade("table", size, "angle", "angle", "its angle errors")
 
 
@@ -361,7 +366,9 @@ def _of_clock(term: AbsentTerm, sensor: Sensor) -> AbsentTerm:
     """The computer's clock counts, with which a run compares the sensor's, unless the spec takes the sensor's."""
     if term.key != "sample_clock_error" or sensor.clock == "sensor":
         return term
-    return term._replace(value=f"{HOST_CLOCK * 1e6:g} ppm", source="the computer's clock, which a run compares with it")
+    return term._replace(
+        value=f"{HOST_CLOCK * 1e6:g} ppm", source="the computer's clock, with which a run compares the sensor's clock"
+    )
 
 
 def _words(value: Any) -> str:

@@ -83,7 +83,7 @@ def convert(document: Mapping[str, Any], axis: Axis | None = None) -> tuple[Tabl
             of_rig["site"] = {"latitude": _latitude(rig["earth_rate"])}
     sensor = _table(spec.get("sensor"))
     if (quantity := sensor.get("quantity", "gyro")) != "gyro":
-        message = 'expected "gyro": one axis is a gyro\'s; accelerometers are in [sensor.accelerometer]'
+        message = 'expected "gyro": a spec of one axis is for a gyro; accelerometers belong in [sensor.accelerometer]'
         problems.append(Problem(("sensor", "quantity"), message + hint(quantity, ["gyro"]), quantity))
     own: Tables = {"sensor": _sensor(sensor, seen), "rig": of_rig, "plan": plan}
     result = spec | {name: value for name, value in own.items() if _is_table(spec.get(name))}
@@ -248,10 +248,12 @@ def _plan(of_file: object, axis: Axis, table: Tables, problems: list[Problem]) -
         problems.append(Problem(("plan", "reference"), 'expected "angle"', reference))
     every = plan.pop("read_every", None)
     if plan.get("method") == "gradient" and "cycle" not in plan and every is None:
-        message = 'this key is missing: without a cycle it states how often the axis is read at rest, such as "1 s"'
+        message = (
+            'this key is missing: if there is no cycle, it states how often the axis is read at rest, such as "1 s"'
+        )
         problems.append(Problem(("plan", "read_every"), message, kind="missing"))
     if "cycle" in plan and every is not None:
-        message = "with a cycle, the moves state when the axis is read; leave this key out"
+        message = "if there is a cycle, its moves state when the axis is read; leave this key out"
         problems.append(Problem(("plan", "read_every"), message, every))
     if not _is_table(plan.get("cycle")) or not (moves := _moves_of(plan)):
         return plan, every or "rest"
@@ -261,7 +263,7 @@ def _plan(of_file: object, axis: Axis, table: Tables, problems: list[Problem]) -
     every = next(filter(_is_time, spacings), "rest")
     if (others := _table(cycle.get("other_axes"))).get("read"):
         if not spacings and "read_every" not in others:
-            message = "this key is missing: no rest of the cycle states how often the axis is read"
+            message = "this key is missing, and no rest of the cycle states how often the axis is read"
             problems.append(Problem(("plan", "cycle", "other_axes", "read_every"), message, kind="missing"))
         every = others.get("read_every", every)
         of_others = {"read_every": every} if _is_time(every) else {}

@@ -20,7 +20,7 @@ def increasing(values: Sequence[float], key: str) -> list[Problem]:
     """A problem for the first entry not above the one before it."""
     for i in range(1, len(values)):
         if values[i] <= values[i - 1]:
-            return [Problem((key, i), "must be above the entry before it", str(values[i]))]
+            return [Problem((key, i), "must be larger than the entry before it", str(values[i]))]
     return []
 
 
@@ -34,7 +34,7 @@ class PolynomialKeys(Section):
     centre: q.Quantity
     scale: q.Quantity
     internal: Literal["legendre", "chebyshev"] = "legendre"
-    """Orthogonal polynomials used for the computation; results are in powers."""
+    """Orthogonal polynomials used for the computation; results are always given in powers of x."""
 
     @property
     def size(self) -> int:
@@ -100,14 +100,14 @@ class TemperatureSpline(SplineKeys):
     """B-splines of `degree` on increasing knots, both ends included."""
 
     knots: Annotated[tuple[q.Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
-    """Knots: temperatures at which pieces meet, both ends included, increasing."""
+    """Knots (temperatures at which pieces meet), increasing, with the first and last temperature of the spline."""
 
 
 class RateSpline(SplineKeys):
     """B-splines of `degree` on increasing knots, both ends included."""
 
     knots: Annotated[tuple[q.Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
-    """Knots: rates at which pieces meet, both ends included, increasing."""
+    """Knots (rates at which pieces meet), increasing, with the first and last rate of the spline."""
 
 
 class BinsKeys(Section):

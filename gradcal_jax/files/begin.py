@@ -20,9 +20,9 @@ from gradcal_jax.files.column_guess import EXAMPLE
 from gradcal_jax.files.problems import instead
 
 TABLES: Final = ("grbl", "zaber", "odrive", "hand", "switch", "none")
-"""What may turn a table; "none": there is none."""
+"""What may turn the table; "none": there is no table."""
 STREAMS: Final = ("stim300", "vectornav", "text", "own")
-"""How samples reach the computer; "own": the IMU logs by itself."""
+"""How samples reach the computer; "own": the IMU has its own logger."""
 
 
 def chambers() -> tuple[str, ...]:
@@ -98,7 +98,8 @@ DEFAULTS: Final[Answers] = {
     for key, value in (PRESETS["drone-imu"] | {"sheet": TYPICAL}).items()
     if key not in ("sensor", "walk", "full_scale", "force")
 }
-"""What an empty line answers; the figures of a sensor have no default, since those of another one would be wrong."""
+"""The answers that an empty line stands for. The noise figures of a sensor have no default, since those of another
+sensor would be wrong."""
 _CHOICES: Final[Mapping[str, Callable[[], tuple[str, ...]]]] = {
     "grade": grades,
     "kind": lambda: ("gyro", "gyros", "imu"),
@@ -112,7 +113,7 @@ _CHOICES: Final[Mapping[str, Callable[[], tuple[str, ...]]]] = {
 def preset(name: str) -> dict[str, str]:
     """The answers of a preset. Errors: `ValueError` with the nearest right spelling."""
     if name not in PRESETS:
-        raise ValueError(f"there is no preset '{name}': {instead(name, PRESETS)}")
+        raise ValueError(f"there is no preset '{name}'; {instead(name, PRESETS)}")
     return dict(PRESETS[name])
 
 
@@ -196,18 +197,23 @@ def _refuse_impossible(answers: Answers, known: Mapping[str, tuple[Any, ...]]) -
     kind, table, axes = answers["kind"], answers["table"], answers.get("axes", "1")
     if not _turns(answers):
         if kind != "imu":
-            raise ValueError("without a table only an IMU with accelerometers is calibrated, by gravity alone")
+            raise ValueError(
+                "without a table, only an IMU with accelerometers can be calibrated, with gravity as the reference"
+            )
         return
     cold, warm, _ = known["chamber"]
     if warm - cold < 10.0:
         asks = next(q.asks for q in QUESTIONS if q.name == "chamber")
-        raise ValueError(f"{asks} a range of at least 10 K is needed, and this has {warm - cold:g} K")
+        raise ValueError(f"{asks} The range must be at least 10 K, and this one has {warm - cold:g} K")
     if math.isinf(known["angle"][0]) and kind != "imu":
-        raise ValueError("without an encoder, the accelerometers of an IMU measure the angles: answer imu, or an angle")
-    if table == "switch" and not math.isinf(known["angle"][0]):
-        raise ValueError('a motor that is only switched reports no angle: answer "none" for its angle')
-    if kind != "gyro" and axes == "2" and table not in ("zaber", "odrive"):
-        presets_of = {"hand": "; a gimbal that is turned by hand: gradcal new gimbal-by-hand"}
         raise ValueError(
-            f"tables of two axes are started with zaber or odrive, not with {table}{presets_of.get(table, '')}"
+            'without an encoder, the angles come from the accelerometers of an IMU: answer "imu" to what is '
+            "calibrated, or state the error of the table's angle"
+        )
+    if table == "switch" and not math.isinf(known["angle"][0]):
+        raise ValueError('a motor that is only switched reports no angle: answer "none" to the error of its angle')
+    if kind != "gyro" and axes == "2" and table not in ("zaber", "odrive"):
+        presets_of = {"hand": "; for a gimbal that is turned by hand: gradcal new gimbal-by-hand"}
+        raise ValueError(
+            f"for a table of two axes, `gradcal start` knows zaber and odrive, not {table}{presets_of.get(table, '')}"
         )

@@ -1,4 +1,5 @@
-"""`[rig]`: the table of one axis with its angle reference, or the site and table of a whole unit, and the chamber."""
+"""`[rig]` of a spec: site, table (axes, encoders, mountings, places), chamber, controllers' resolution, loops of
+simulated sensors."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,21 +26,23 @@ class Harmonic(Section):
 
 
 class AngleReference(Section):
-    """Error budget of the angle: white per reading, one draw a standstill, by angle, and by time on the move."""
+    """Errors of the table's angle: white noise of each reading, an error common to a standstill, errors periodic in the
+    angle, a scale error, and an error of time during moves."""
 
     reading_noise: q.SizeOfAngle = q.Quantity(0.0, "0 deg", "angle")
     """Standard deviation of each reading, independent of all others."""
     standstill_offset: q.SizeOfAngle = q.Quantity(0.0, "0 deg", "angle")
-    """Standard deviation of the error common to all readings of one standstill and independent in the next."""
+    """Standard deviation of an error that all readings of one standstill share; it is independent in the next
+    standstill."""
     timing_error: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
-    """Standard deviation of the time of a reading during a move; the rate converts it to an angle error."""
+    """Standard deviation of the time of a reading during a move; multiplied by the rate, it is an angle error."""
     scale_error: q.SizeOfScaleFactor | None = None
     """Standard deviation of the relative scale error of the angle (gear ratio, counts per revolution)."""
     harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
     """Errors that are periodic in the angle."""
 
     def _problems(self) -> Iterable[Problem]:
-        message = "this order already exists above: give one amplitude for each order"
+        message = "this order appears twice: give one amplitude for each order"
         return repeated_names("harmonics", "order", [str(harmonic.order) for harmonic in self.harmonics], message)
 
 
@@ -49,20 +52,20 @@ class Chamber(Section):
     range: tuple[q.Temperature, q.Temperature]
     """Coldest and hottest temperature of the chamber."""
     max_heating: q.PositiveTemperatureSlope
-    """Steepest slope upwards."""
+    """Steepest heating slope."""
     max_cooling: q.PositiveTemperatureSlope
-    """Steepest slope downwards, as a size."""
+    """Steepest cooling slope, as a positive number."""
     control: Literal["chamber", "none"] = "chamber"
-    """"none": a fridge, a hair dryer, a bag of ice. The run follows the clock: it neither commands nor waits for
-    temperatures, and needs no chamber in its rig file. The operator tries to follow the planned temperature, and the
-    actual temperature is recorded."""
+    """"none": there is no chamber but, for example, a fridge, a hair dryer, a bag of ice. The run follows the clock: it
+    neither commands temperatures nor waits for them, and its rig file needs no chamber. The operator tries to follow
+    the planned temperature, and the actual temperature is recorded."""
 
     def _problems(self) -> Iterable[Problem]:
         return increasing(self.range, "range")
 
 
 class Resolution(Section):
-    """Resolution of the controllers: recipes are rounded to these steps."""
+    """Steps of the controllers; the values of a recipe are rounded to multiples of these steps."""
 
     temperature: q.PositiveTemperatureDifference | None = None
     """Step of a temperature set point."""
@@ -95,12 +98,12 @@ class Site(Section):
     """Where the rig stands."""
 
     latitude: q.Latitude | None = None
-    """Geodetic latitude, north positive. For gyros along the only axis of a table it may be absent or "unknown": up to
-    15.04 deg/h of the Earth's rate then count in their bias."""
+    """Geodetic latitude, north positive. For gyros along the only axis of a table it may be absent or "unknown"; then
+    up to 15.04 deg/h of the Earth's rate count in their bias."""
     gravity: q.PositiveSpecificForce | None = None
     """Local gravity; absent: normal gravity at sea level for the latitude."""
     gravity_accuracy: q.SizeOfSpecificForce = q.Quantity(0.0, "0 mg", "acceleration")
-    """Standard deviation of gravity; its error is common to all accelerometers."""
+    """Standard deviation of gravity; the error is common to all accelerometers."""
 
     @property
     def latitude_rad(self) -> float:
@@ -123,14 +126,14 @@ class Site(Section):
 
 
 class AxisEncoder(AngleReference):
-    """Error budget of an axis's angle."""
+    """Errors of the angle of one table axis, and how often it is read."""
 
     reference: Literal["encoder", "gravity"] = "encoder"
-    """"gravity": there is no encoder, on any axis. The IMU's accelerometers measure the angle of every standstill,
-    and its gyros count whole turns. The actual angles may differ from the plan, and each is estimated. Leave out all
-    other keys except `read_every`."""
+    """"gravity": no axis has an encoder. The IMU's accelerometers measure the angle of every standstill, and its gyros
+    count whole turns. The actual angles may differ from the plan, and each is estimated. Leave out all other keys
+    except `read_every`."""
     read_every: Spacing = q.Quantity(1.0, "1 s", "time")
-    """Spacing of the readings at rest; "rest": one, at the end of each rest."""
+    """Time between readings at rest; "rest": one reading, at the end of each rest."""
 
 
 class TableAxis(Section):
@@ -139,29 +142,30 @@ class TableAxis(Section):
     name: Name
     """Name of the axis, used by moves."""
     direction: Vector
-    """Direction with all axes at zero, in the frame that the next outer axis carries (outermost: East, North, up)."""
+    """Direction of the axis if all axes are at zero, in the frame that the next outer axis carries (for the outermost
+    axis: East, North, up)."""
     max_rate: q.PositiveRate
     """Largest rate."""
     max_acceleration: q.PositiveAcceleration
     """Largest acceleration."""
     travel: q.Travel = q.Quantity(float("inf"), "unlimited", "angle")
-    """Travel in each direction from zero; "unlimited" if no cable winds up."""
+    """Largest angle from zero in each direction; "unlimited" if no cable winds up."""
     keep_out: tuple[q.Angle, q.Angle] | None = None
-    """Range of angles that it must never enter, such as ["120 deg", "150 deg"]; zero is outside of it."""
+    """Range of angles that the axis must never enter, such as ["120 deg", "150 deg"]; it must not contain zero."""
     orthogonality: q.SizeOfAngle = NO_ANGLE
-    """Standard deviation of the angle to the next axis inside."""
+    """Standard deviation of the deviation from the nominal angle between this axis and the next axis inside."""
     angle: AxisEncoder = AxisEncoder()
-    """Error budget of its angle."""
+    """Errors of the angle of this axis."""
 
     def _problems(self) -> Iterator[Problem]:
         if not math.hypot(*self.direction) > 0.0:
-            yield Problem(("direction",), "is no direction; expected such as [0.0, 0.0, 1.0]", list(self.direction))
+            yield Problem(
+                ("direction",), "is not a direction; expected a vector such as [0.0, 0.0, 1.0]", list(self.direction)
+            )
         if self.keep_out is not None:
             low, high = self.keep_out
             if not (0.0 < low < high < _TURN or -_TURN < low < high < 0.0):
-                message = (
-                    "expected two angles of the same sign within one turn, the smaller one first, with zero outside"
-                )
+                message = "expected two angles of the same sign within one turn, the smaller one first"
                 yield Problem(("keep_out",), message, [str(low), str(high)])
 
     @property
@@ -192,15 +196,15 @@ class Mounting(Section):
     name: q.Text | None = None
     """A title for tables and pages."""
     x: Direction = "+x"
-    """Axis of the innermost table axis's frame along which the body's x points."""
+    """Axis of the innermost table axis's frame along which the body's x axis points."""
     y: Direction = "+y"
-    """The same of the body's y."""
+    """Axis of the innermost table axis's frame along which the body's y axis points."""
     z: Direction = "+z"
-    """The same of the body's z."""
+    """Axis of the innermost table axis's frame along which the body's z axis points."""
     rotation: tuple[q.Angle, q.Angle, q.Angle] | None = None
     """Additional rotation, as a rotation vector in the body frame."""
     accuracy: q.SizeOfAngle = NO_ANGLE
-    """Standard deviation of each of the three angles."""
+    """Standard deviation of the mounting error about each of the three axes."""
 
     def _problems(self) -> Iterator[Problem]:
         if _determinant(self.columns) != 1.0:
@@ -218,7 +222,7 @@ class Place(Mounting):
     frame, and the table's mountings are those of the fixture."""
 
     name: q.Text  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
-    """Name of the place; the IMU of this name in a run or log is here."""
+    """Name of the place; the IMU with this name in a run or log is mounted here."""
     matrix: tuple[Vector, Vector, Vector] | None = None
     """Instead of x, y and z: the rotation matrix from the body to the fixture, row by row."""
     lever_arm: tuple[Length, Length, Length] | None = None
@@ -233,9 +237,11 @@ class Place(Mounting):
                 _determinant(self.matrix) < 0.0
                 or max(abs(p - w) for p, w in zip(products, whole, strict=True)) > _ROTATION
             ):
-                yield Problem(("matrix",), "is no rotation: its rows must be orthogonal, of length 1 and right-handed")
+                yield Problem(
+                    ("matrix",), "is not a rotation matrix: its rows must be orthogonal, of length 1 and right-handed"
+                )
             if self.model_fields_set & {"x", "y", "z"}:
-                yield Problem(("matrix",), "replaces x, y and z: leave these out")
+                yield Problem(("matrix",), "this matrix replaces x, y and z: leave these keys out")
 
 
 _Mountings = Annotated[tuple[Mounting, ...], Field(min_length=1, max_length=12)]
@@ -249,25 +255,27 @@ class RigTable(Section):
     """The table."""
 
     standing: Literal["held", "read"] = "held"
-    """"held": an axis at rest does not turn; "read": its angle is known only from readings, every `read_every`."""
+    """"held": an axis at rest does not turn; "read": an axis at rest may turn a little, and its angle is known only
+    from the readings, one every `read_every`."""
     drive: Literal["motor", "hand"] = "motor"
-    """"hand": a gimbal that the operator turns."""
+    """"motor": motors turn the axes; "hand": the operator turns the axes of a gimbal."""
     answer_time: q.SizeOfTime = NO_TIME
-    """Operator's time for each turn in addition to its duration: half to read the request, half to answer."""
+    """Time that the operator needs for each turn in addition to its duration: half of it to read the request before the
+    turn, half to answer afterwards."""
     tilt: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of the base's two tilts."""
     azimuth: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of the base's azimuth."""
     rate_accuracy: q.SizeOfScaleFactor | None = None
-    """Standard deviation of the reference rate of the standard method, a ratio; absent: exact."""
+    """Standard deviation, as a ratio, of the reference rate of the standard method; absent: the reference is exact."""
     axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
-    """Axes, outermost first."""
+    """Axes of the table, outermost first."""
     mounting: Annotated[_Mountings, BeforeValidator(_one_or_more, json_schema_input_type=Mounting | _Mountings)] = (
         Mounting(),
     )
-    """One mounting, or several used one after the other."""
+    """The mounting of the IMU, or several mountings that are used one after the other."""
     place: Annotated[tuple[Place, ...], Field(max_length=64)] = ()
-    """Places of a fixture that holds several IMUs; absent: one IMU, in the table's mounting."""
+    """Places of a fixture that holds several IMUs; absent: one IMU, in the mounting of the table."""
 
     @property
     def typed(self) -> bool:
@@ -284,54 +292,59 @@ class RigTable(Section):
         yield from repeated_names("axis", "name", [axis.name for axis in self.axis], "two axes have this name")
         yield from repeated_names("place", "name", [place.name for place in self.place], "two places have this name")
         if self.axis[-1].orthogonality:
-            message = "refers to the next axis inside; leave it out of the innermost axis"
+            message = "refers to the next axis inside, and the innermost axis has none: leave this key out"
             yield Problem(("axis", len(self.axis) - 1, "orthogonality"), message, str(self.axis[-1].orthogonality))
         if any(axis.angle.reference == "gravity" for axis in self.axis):
             yield from self._without_encoder()
         every = [axis.angle.read_every for axis in self.axis]
         if self.standing == "read" and any(e != every[0] for e in every):
-            message = 'if standing is "read", all axes of the table are read together; expected one time for all'
+            message = 'if standing is "read", all axes of the table are read together: give the same time for all axes'
             k = next(i for i, e in enumerate(every) if e != every[0])
             yield Problem(("axis", k, "angle", "read_every"), message, str(every[k]))
 
     def _without_encoder(self) -> Iterator[Problem]:
         """Keys that speak of an encoder where an axis has none."""
-        message = 'is for an encoder, but the angle\'s reference is "gravity": leave it out'
+        message = 'is only for an encoder, and the reference of the angle is "gravity": leave this key out'
         if self.standing == "read":
             yield Problem(("standing",), message, self.standing)
         if self.rate_accuracy is not None:
             yield Problem(("rate_accuracy",), message, str(self.rate_accuracy))
         for k, axis in enumerate(self.axis):
             if axis.angle.reference != "gravity":
-                one = 'gravity must be the reference of all axes or of none; expected "gravity"'
+                one = 'gravity must be the reference of all axes or of none: expected "gravity" here too'
                 yield Problem(("axis", k, "angle", "reference"), one, axis.angle.reference)
             for name in sorted(axis.angle.model_fields_set - {"read_every", "reference"}):
                 yield Problem(("axis", k, "angle", name), message)
 
 
 class SimulatedLoop(Section):
-    """`[[rig.simulated_loop]]`: a hysteresis loop of simulated sensors, which replaces that of the spec's `hysteresis`;
-    several are added. Predictions and estimates ignore it. A size is the standard deviation of half the difference
-    between heating and cooling, over a wide cycle (relays) or at 1 K/min (thermal masses)."""
+    """`[[rig.simulated_loop]]`: a hysteresis loop of simulated sensors, which replaces the loop that a simulation takes
+    from the spec's `hysteresis`; several loops are added. Predictions and estimates ignore it. The size of a loop is
+    the standard deviation of half the difference between heating and cooling, over a wide cycle (relays) or at 1 K/min
+    (thermal masses)."""
 
     law: Literal["relays", "thermal masses"]
-    """"relays": many Preisach relays; "thermal masses": two with a gradient between them."""
+    """"relays": many Preisach relays; "thermal masses": two thermal masses, and an error in proportion to the
+    temperature difference between them."""
     gyro_bias: q.PositiveRate | None = None
-    """Size of the gyros' bias."""
+    """Size of the loop in the gyros' bias."""
     gyro_scale_factor: q.PositiveScaleFactor | None = None
-    """Size of the gyros' scale factor."""
+    """Size of the loop in the gyros' scale factor."""
     accelerometer_bias: q.PositiveSpecificForce | None = None
-    """Size of the accelerometers' bias."""
+    """Size of the loop in the accelerometers' bias."""
     accelerometer_scale_factor: q.PositiveScaleFactor | None = None
-    """Size of the accelerometers' scale factor."""
+    """Size of the loop in the accelerometers' scale factor."""
     width: q.PositiveTemperatureDifference = q.Quantity(10.0, "10 K", "temperature difference")
     """Typical half-width of the relays, which vary from 0.3 to 2 times this value."""
     time_constants: tuple[q.Time, q.Time] = (q.Quantity(60.0, "1 min", "time"), q.Quantity(600.0, "10 min", "time"))
-    """Of the two masses."""
+    """Time constants of the two thermal masses."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.time_constants[0] == self.time_constants[1]:
-            yield Problem(("time_constants",), "two equal masses have no gradient; expected two times")
+            yield Problem(
+                ("time_constants",),
+                "two equal thermal masses always have the same temperature; expected two different times",
+            )
 
     def size(self, sensors: str, quantity: str) -> float | None:
         """The size of "bias" or "scale_factor" of gyros or accelerometers (SI); None: it has no such loop."""
@@ -340,7 +353,7 @@ class SimulatedLoop(Section):
 
 
 class Rig(Section):
-    """The bench of a whole unit."""
+    """The rig: site, table and chamber."""
 
     name: q.Text | None = None
     """A title for tables and pages."""
@@ -353,6 +366,6 @@ class Rig(Section):
     resolution: Resolution | None = None
     """Steps of the controllers, to which a recipe is rounded."""
     shift: q.Time = q.Quantity(28800.0, "8 h", "time")
-    """Duration of a shift, for the number of IMUs that a fixture calibrates in one."""
+    """Duration of a shift, from which the number of IMUs that a fixture calibrates in a shift follows."""
     simulated_loop: Annotated[tuple[SimulatedLoop, ...], Field(max_length=10)] = ()
     """Hysteresis loops of simulated sensors."""

@@ -41,8 +41,8 @@ def chamber_words(recipe: Recipe) -> list[str]:
     if any(segment.begins == "when stable" for segment in recipe.chamber.programme):
         lines.append(
             f"stable: within {stable.within} of the initial temperature of the segment, and constant to the same "
-            f"tolerance, for {stable.for_at_least}; timeout after {stable.timeout}, for the first segment after "
-            f"{stable.first_timeout}"
+            f"tolerance, for {stable.for_at_least}; timeout after {stable.timeout} (first segment: "
+            f"{stable.first_timeout})"
         )
     return lines
 
@@ -61,7 +61,7 @@ def block_heading(block: MotionBlock) -> str:
     else:
         text = f"{block.name}: begins with {block.begins_with}, {block.repeat} times, one every {block.period}"
     if any(block.start.values()):
-        text += f"; before, {', '.join(f'{name} to {angle}' for name, angle in block.start.items())}"
+        text += f"; first turn {', '.join(f'{name} to {angle}' for name, angle in block.start.items())}"
     if block.standing_after > 0.0:
         read = "not read" if block.read_every_after is None else f"read every {block.read_every_after}"
         text += f"; then rest for {block.standing_after} ({read})"

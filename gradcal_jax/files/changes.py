@@ -60,7 +60,7 @@ def along_axis(spec: Spec, axis: Axis) -> Spec:
     the gyro's own did. Errors: `ValueError` for other specs."""
     axes: Sequence[Axis] = () if spec.sensor.gyro is None else spec.sensor.gyro.axes
     if not spec.is_one_axis or len(axes) != 1:
-        raise ValueError("an axis may be chosen only if the spec has one gyro along the only axis of a table")
+        raise ValueError("an axis can be chosen only if the spec has a single gyro, along the only axis of the table")
     if (own := axes[0]) == axis:
         return spec
     tables = tables_of(spec)
@@ -115,13 +115,13 @@ def _put(tables: dict[str, Any], key: Key, value: object) -> None:
 def _inside(here: Any, part: str | int, key: Key) -> Any:
     if isinstance(part, int):
         if not isinstance(here, list):
-            raise SpecError([Problem(key, "there is no list here")])
+            raise SpecError([Problem(key, "the key above this entry is not a list")])
         entries = cast("list[Any]", here)
         if part >= len(entries):
-            raise SpecError([Problem(key, f"the list has {len(entries)} entries, counted from 0")])
+            raise SpecError([Problem(key, f"the list has {len(entries)} entries, numbered from 0")])
         return entries[part]
     if not isinstance(here, dict):
-        raise SpecError([Problem(key, "there is no table here")])
+        raise SpecError([Problem(key, "the key above this one is not a table")])
     return cast("dict[str, Any]", here)[part]
 
 

@@ -63,7 +63,7 @@ def _plan_on_rig(spec: "Spec") -> Iterator[Problem]:
     rows = row_count(schedule, table)
     key = ("rig", "table", "axis", 0, "angle", "read_every") if plan.cycle is None else ("plan", "cycle")
     if rows > _MOST_READINGS:
-        yield Problem(key, f"the plan has {rows} readings; at most {_MOST_READINGS}: read less often")
+        yield Problem(key, f"the plan has {rows} readings, and at most {_MOST_READINGS} are possible: read less often")
     elif rows == 0:
         yield Problem(key, "the plan has no readings")
 
@@ -89,8 +89,8 @@ def _full_scale(spec: "Spec") -> Iterator[Problem]:
     for key, rate, text in turns:
         if rate > gyro.usable_rate * (1.0 + _SLACK):
             message = (
-                f"reaches {math.degrees(rate):.5g} deg/s and exceeds the sensor's full scale, {gyro.full_scale}, "
-                f"less its margin, {gyro.full_scale_margin}"
+                f"reaches {math.degrees(rate):.5g} deg/s, which exceeds the sensor's full scale, {gyro.full_scale}, "
+                f"reduced by its margin, {gyro.full_scale_margin}"
             )
             yield Problem(key, message, text)
 
@@ -147,7 +147,7 @@ def _missions(
         if (n := next(outside, None)) is not None:
             message = (
                 f"{mission.file}, line {mission.rows.line[n]}: the {column} is {factor * values[n]:.5g} {unit}, "
-                f"outside {whose}, {low} to {high} {unit}"
+                f"outside the range of {whose}, {low} to {high} {unit}"
             )
             yield Problem(("requirement", i, "mission", k), message)
 
@@ -171,7 +171,7 @@ def _requirements_of_sensor(spec: "Spec") -> Iterator[Problem]:
             yield Problem((*key, "quantity"), message, requirement.quantity)
             continue
         if absent := [f"{kind} {a}" for kind, a in _needed_axes(requirement) if a not in _table_of(spec, kind).axes]:
-            message = f"needs {', '.join(absent)}, which the sensor has not"
+            message = f"needs {', '.join(absent)}, which the sensor does not have"
             yield Problem((*key, "quantity"), message, requirement.quantity)
         elif requirement.axis in ("x", "y", "z") and requirement.axis not in _table_of(spec, of).axes:
             yield Problem((*key, "axis"), "the sensor has no such axis", requirement.axis)
@@ -234,7 +234,11 @@ def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, ke
     if span is None:
         return []
     return [
-        Problem((*key, i), f"is outside the range of the {key[-1]} basis (its first and last entries)", end.text)
+        Problem(
+            (*key, i),
+            f"is outside the range of the {key[-1]} basis, which ends at its first and last entries",
+            end.text,
+        )
         for i, end in enumerate(box)
         if not span[0] <= end <= span[1]
     ]
@@ -244,7 +248,7 @@ def _standard(plan: StandardPlan, table: RigTable, chamber: Chamber) -> Iterator
     """Where a standard plan exceeds chamber or table; keys relative to the plan."""
     axis, *others = table.axis
     if others:
-        yield Problem(("method",), "the standard method needs a table of one axis", "standard")
+        yield Problem(("method",), "the standard method needs a table with one axis", "standard")
     for i, temperature in enumerate(plan.temperatures):
         yield from _in_chamber(temperature, chamber, ("temperatures", i))
     for before, after in zip(plan.temperatures, plan.temperatures[1:], strict=False):
@@ -258,12 +262,13 @@ def _standard(plan: StandardPlan, table: RigTable, chamber: Chamber) -> Iterator
         swept = abs(rate) * plan.integration
         if swept > axis.travel * (1.0 + _SLACK):
             message = (
-                f"turns {math.degrees(swept):.6g} deg in {plan.integration}, and the table's travel is {axis.travel}"
+                f"turns {math.degrees(swept):.6g} deg in {plan.integration}, more than the table's travel, "
+                f"{axis.travel}"
             )
             yield Problem(("rates", i), message, rate.text)
         if abs(rate) > axis.max_rate * (1.0 + _SLACK):
             message = (
-                f'reaches {math.degrees(abs(rate)):.5g} deg/s and exceeds max_rate of axis "{axis.name}", '
+                f'reaches {math.degrees(abs(rate)):.5g} deg/s, which exceeds max_rate of axis "{axis.name}", '
                 f"{axis.max_rate}"
             )
             yield Problem(("rates", i), message, rate.text)
@@ -318,7 +323,7 @@ def _slope(slope: Quantity, heats: bool, chamber: Chamber, key: Key) -> Iterator
 def _site(spec: "Spec") -> Iterator[Problem]:
     """The latitude may be absent where the Earth's rate is the same all the time."""
     if (spec.rig.site.latitude is None or spec.rig.site.is_unknown) and not spec.is_one_axis:
-        message = "this key is missing: the Earth's rate and gravity change with the table's angles"
+        message = "this key is missing: the Earth's rate and gravity at the table follow from it"
         yield Problem(("rig", "site", "latitude"), message, kind="missing")
 
 
@@ -326,17 +331,17 @@ def _frame(spec: "Spec") -> Iterator[Problem]:
     frame, mountings = spec.sensor.frame, spec.rig.table.mounting
     of_case = frame is not None and frame.fixed_by == "case"
     if len(mountings) > 1 and not of_case:
-        message = 'with several mountings the frame is the case\'s; expected fixed_by = "case"'
+        message = 'with several mountings, the misalignments refer to the case: expected fixed_by = "case"'
         yield Problem(("sensor", "frame", "fixed_by"), message, frame and frame.fixed_by)
     for i, mounting in enumerate(mountings):
         if of_case and not mounting.accuracy:
-            message = 'must be above zero: the frame is the case\'s (sensor.frame.fixed_by = "case")'
+            message = 'must be above zero, because the misalignments refer to the case (sensor.frame.fixed_by = "case")'
             yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
 
 
 def _done(spec: "Spec") -> Iterator[Problem]:
     if spec.done and isinstance(spec.plan, StandardPlan):
-        yield Problem(("done",), 'an executed part needs a plan of method = "gradient"')
+        yield Problem(("done",), '[[done]] needs a plan with method = "gradient"')
     for number, part in enumerate(spec.done):
         segments = None
         try:
@@ -345,7 +350,7 @@ def _done(spec: "Spec") -> Iterator[Problem]:
             yield from (p.under("done", number, "plan") for p in error.problems)
         yield from (p.under("done", number, "plan") for p in _course(part.plan, spec.rig.chamber, segments))
         if part.end <= part.start:
-            yield Problem(("done", number, "end"), "expected a time after its start", part.end.text)
+            yield Problem(("done", number, "end"), "expected a time after the start of this part", part.end.text)
 
 
 def _done_of_sensor(spec: "Spec") -> Iterator[Problem]:
@@ -362,13 +367,16 @@ def _accelerometer(spec: "Spec") -> Iterator[Problem]:
     slow = float(accelerometer.read_on_moves_below or 0.0)
     turning = [float(step.move.fastest) for step in steps if step.axis >= 0]
     if len(turning) == len(steps) and min(turning) > slow:
-        message = "has no rest, and accelerometers are read only at rest; add { rest = … }"
+        message = "the cycle has no rest, and accelerometers are read only at rest: add { rest = … }"
         yield Problem(("plan", "cycle", "moves"), message)
     if slow and turning and min(turning) > slow:
-        message = f"has no effect: the slowest move reaches {math.degrees(min(turning)):.4g} deg/s; raise it, or "
+        message = (
+            f"has no effect, because even the slowest move reaches {math.degrees(min(turning)):.4g} deg/s: raise "
+            "this limit, or "
+        )
         key = ("sensor", "accelerometer", "read_on_moves_below")
         limit = str(accelerometer.read_on_moves_below)
-        yield Problem(key, message + "leave it out (and the lever arm)", limit)
+        yield Problem(key, message + "leave this key out (and the lever arm)", limit)
 
 
 def _without_encoder(spec: "Spec") -> Iterator[Problem]:
@@ -380,7 +388,7 @@ def _without_encoder(spec: "Spec") -> Iterator[Problem]:
         message = '"gravity" needs a gyro, which counts whole turns, and accelerometers along x, y and z'
         yield Problem(key, message, "gravity")
     if isinstance(spec.plan, StandardPlan):
-        message = 'a held rate needs an encoder; expected "encoder", or a plan of method = "gradient"'
+        message = 'a plan with held rates needs an encoder: expected "encoder", or a plan with method = "gradient"'
         yield Problem(key, message, "gravity")
     turned: set[int] = set()
     # The cycle begins anew where it ends.

@@ -86,7 +86,10 @@ _QUANTITIES: Final = {
 
 def without_a_map(path: Path) -> LogError:
     """The error for a recording without a column map: what to do, with a guess from its header if possible."""
-    problem = f"{path} is no log of this program (.nc): describe its columns in a column map and give it with --columns"
+    problem = (
+        f"{path} is not a log of this program (.nc): describe its columns in a column map, and give the map with "
+        "--columns"
+    )
     example = "gradcal new column-map -o columns.toml writes one to start from"
     try:
         columns = guess(path)
@@ -94,7 +97,7 @@ def without_a_map(path: Path) -> LogError:
         columns = None
     if columns is None:
         return LogError(f"{problem}; {example}")
-    return LogError(f"{problem}; {example}. A guess from its header; complete it at ???:\n\n{columns}")
+    return LogError(f"{problem}; {example}. A guess from the header of the file; replace every ???:\n\n{columns}")
 
 
 def guess(path: Path) -> str | None:
@@ -156,7 +159,10 @@ def contradiction(column: str, unit: str) -> str | None:
     with contextlib.suppress(units.UnitError):
         if abs(units.convert(1.0, named, unit) - 1.0) < 1e-9:
             return None
-    return f"the name of column '{column}' states {text}, and the map states {unit}: which of them is correct?"
+    return (
+        f"the name of column '{column}' states the unit {text}, and the column map states {unit}: which of the two "
+        "is correct?"
+    )
 
 
 def question_of(name: str, source: Measured) -> str | None:
@@ -165,12 +171,18 @@ def question_of(name: str, source: Measured) -> str | None:
     plain = _BRACKET.sub("", name).strip()
     for quantity, pattern in _QUANTITIES.items():
         if own and quantity != own and pattern.fullmatch(plain):
-            return f"the name of column '{name}' states {quantity}, and the map states {own}: which of them is correct?"
+            return (
+                f"the name of column '{name}' states {quantity}, and the column map states {own}: which of the two "
+                "is correct?"
+            )
     bracket = _BRACKET.search(name)
     if source.scale != 1.0:
         return None
     if bracket and _COUNTS.fullmatch(bracket[1].strip()):
-        return f"the name of column '{name}' states counts, and the map states {source.unit}: give the scale of a count"
+        return (
+            f"the name of column '{name}' states counts, and the column map states {source.unit}: give the scale of "
+            "one count"
+        )
     return contradiction(name, source.unit)
 
 

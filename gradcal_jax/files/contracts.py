@@ -36,19 +36,19 @@ class BasisRow(Section):
     basis: Literal["polynomial", "b-spline", "bins"]
     """Kind of functions."""
     degree: int | None = None
-    """Highest power, or degree of the pieces."""
+    """Highest power of a polynomial, or degree of the pieces of a spline."""
     centre: Finite | None = None
-    """Value at which x is 0 (°C or rad/s)."""
+    """Value of the variable at which x is 0 (°C or rad/s)."""
     scale: Size | None = None
-    """Difference at which x is 1 (K or rad/s)."""
+    """Difference of the variable that changes x by 1 (K or rad/s)."""
     knots: tuple[Finite, ...] | None = None
-    """Where pieces meet (°C or rad/s)."""
+    """Knots of a spline, where its pieces meet (°C or rad/s)."""
     edges: tuple[Finite, ...] | None = None
-    """Where bins meet (°C or rad/s)."""
+    """Edges of the bins (°C or rad/s)."""
     prior_functions: Functions
-    """Functions whose coefficients have the map's `prior` and the prediction's `std`."""
+    """Functions whose coefficients the map's `prior` and the prediction's `std` refer to."""
     smoothness_functions: Functions | None = None
-    """Functions whose coefficients have its `smoothness`; null without one."""
+    """Functions whose coefficients the map's `smoothness` refers to; null: the map has no smoothness prior."""
 
 
 class ProcessRow(Section):
@@ -61,7 +61,8 @@ class ProcessRow(Section):
 
 
 class DiscrepancyRow(Section):
-    """Polynomials beyond the structure: products of functions of the map's own x in both directions."""
+    """Structure that the map may have beyond its model: products of polynomials in the x of temperature and the x of
+    rate."""
 
     sigma: Size
     """Prior standard deviation of each coefficient."""
@@ -81,14 +82,14 @@ class MapRow(Section):
     rate: BasisRow | None = None
     """Basis over rate; null for B."""
     prior: Size | None = None
-    """Standard deviation of each coefficient, independent; null: flat."""
+    """Prior standard deviation of each coefficient, all independent; null: flat prior."""
     shapes: tuple[tuple[Finite, ...], ...] | None = None
-    """Instead of `prior`: coefficients of functions whose amplitudes are independent with variance 1; null:
-    none."""
+    """Instead of `prior`: the prior is a sum of functions with independent amplitudes of variance 1; each row has the
+    coefficients of one function; null: no such prior."""
     smoothness: Size | None = None
-    """Standard deviation of each difference of neighbouring coefficients; null: flat."""
+    """Prior standard deviation of each difference of neighbouring coefficients; null: flat prior."""
     smoothness_along: tuple[Literal["temperature", "rate"], ...] = ()
-    """Axes along which neighbours count."""
+    """Variables along which coefficients count as neighbours."""
     discrepancy: DiscrepancyRow | None = None
     """Structure beyond the map."""
 
@@ -97,119 +98,119 @@ class TemperatureErrorRow(Section):
     """Error of the temperature measurement."""
 
     sigma: Size
-    """Standard deviation (K)."""
+    """Standard deviation of the temperature's error (K)."""
     tau: Size | None = None
-    """Correlation time (s); null: constant."""
+    """Correlation time (s); null: the error is constant."""
     bias_slope: Finite | None = None
-    """Slope of the bias (rad/s/K)."""
+    """Slope of the bias over temperature, through which the error acts (rad/s/K)."""
     scale_factor_slope: Finite | None = None
-    """Slope of the scale factor (1/K)."""
+    """Slope of the scale factor over temperature, through which the error acts (1/K)."""
 
 
 class GradientSensitivityRow(Section):
-    """Bias sensitivity to dT/dt, estimated."""
+    """Bias sensitivity to dT/dt, which is estimated."""
 
     prior: Size | None = None
-    """Standard deviation (rad/K); null: flat."""
+    """Prior standard deviation of the sensitivity (rad/K); null: flat prior."""
 
 
 class CourseRow(Section):
-    """A motion, and the chamber's course meanwhile."""
+    """A motion, and the chamber's temperature during it."""
 
     start: Finite
-    """Beginning (s)."""
+    """Start (s)."""
     duration: Size
-    """Length (s)."""
+    """Duration (s)."""
     shape: str
-    """"rest", "constant" or a motion shape."""
+    """"rest", "constant" (a constant rate) or the name of a motion shape."""
     peak_rate: Finite = 0.0
     """Largest rate, signed (rad/s)."""
     angle: Finite = 0.0
     """Angle turned, signed (rad)."""
     ramp: Size | None = None
-    """Time from rest to the peak rate (s); for a turn by hand, the rest before and after turning."""
+    """Time from rest to the peak rate (s); for a turn by hand, the time at rest before and after the turn."""
     unevenness: Size | None = None
-    """For a turn by hand, as a fraction of the rate."""
+    """Unevenness of a turn by hand, as a fraction of the rate."""
     used: bool = True
     """False if the data are not part of the calibration."""
     temperature_start: Finite
     """The chamber's at the start (°C); where it differs from that at the end of the previous one, it steps."""
     temperature_end: Finite
-    """The chamber's at the end (°C), linear in between."""
+    """Temperature of the chamber at the end (°C); in between, it is linear in time."""
     temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
-    """Points (time in s, °C) in between."""
+    """Further points (time in s, °C) between start and end, with straight lines between them."""
 
 
 class HarmonicRow(Section):
-    """Repeatable angle error."""
+    """Error of the angle that is periodic in the angle."""
 
     order: int
     """Periods in one turn."""
     sigma: Size
-    """Standard deviation of the cosine and of the sine (rad)."""
+    """Standard deviation of the cosine part and of the sine part (rad)."""
 
 
 class CheckRow(Section):
-    """Probabilities, before either run, for a test of one sensor's calibration by a second run of the same plan."""
+    """Probabilities, before either run, of the outcomes if one sensor's calibration is tested by a second run of the
+    same plan."""
 
     accepted: Size
-    """Chance that it is accepted."""
+    """Probability that the calibration is accepted."""
     false_accept: Size
-    """Probability that it is accepted although its error exceeds the target (global risk)."""
+    """Probability that the calibration is accepted although its error exceeds the target (global risk)."""
     false_reject: Size
-    """Probability that it is rejected although its error is within the target (global risk)."""
+    """Probability that the calibration is rejected although its error is within the target (global risk)."""
 
 
 class MissionRow(Section):
     """One mission of a requirement on the heading."""
 
     file: str
-    """Its table."""
+    """File of the mission's table."""
     weight: Size
-    """Its weight."""
+    """Weight of the mission among the others."""
     after_s: Size
-    """When its error is taken (s)."""
+    """Time in the mission at which the heading error is taken (s)."""
     left: Size | None = None
-    """Error of the calibration at this time (deg, 1σ)."""
+    """Heading error from the calibration at this time (deg, 1σ)."""
     own: Size
-    """Error from the IMU's own noise at this time (deg, 1σ)."""
+    """Heading error from the IMU's own noise at this time (deg, 1σ)."""
 
 
 class RequirementRow(Section):
-    """The residual of a requirement, in `unit`. Null: this plan cannot observe it, or it was not requested.
-
-    The statistics are for this run, with the terms that the spec names. The verdict and the risks also include the
-    terms that it omits (`with_typical`) and the bias of another power-on (`another_run`).
-    """
+    """The residual of a requirement, in `unit`. A figure is null if this plan cannot observe it, or if it was not
+    requested. The statistics are for this run, with the terms that the spec names. The verdict and the risks also
+    include the terms that the spec omits (`with_typical`) and the bias of another power-on (`another_run`)."""
 
     name: str
-    """Of the requirement."""
+    """Name of the requirement."""
     quantity: Literal["scale_factor", "bias"] | ImuQuantity
-    """Which quantity."""
+    """Quantity that the requirement limits."""
     unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
     """Unit of all figures."""
     axis: Axis | Literal["all", "worst"] = "x"
-    """Axis; for an IMU also how its elements are combined."""
+    """Axis; for an IMU, also how the elements of the quantity are combined."""
     temperature_c: tuple[Finite, Finite]
-    """Range of temperature (°C)."""
+    """Lowest and highest temperature (°C)."""
     rate_dps: tuple[Finite, Finite] | None = None
-    """Range of rate (deg/s); null without one."""
+    """Lowest and highest rate (deg/s); null: the quantity does not depend on rate."""
     grid: tuple[int, ...]
-    """Number of points at which it was evaluated."""
+    """Number of temperatures (and of rates) at which the residual was evaluated."""
     statistic: Literal["mean of max", "max", "mean", "rms"]
-    """The one that decides."""
+    """The statistic that decides the verdict."""
     mean_of_max: Size | None = None
-    """Maximum over temperature, averaged over rate."""
+    """Statistic "mean of max": maximum over temperature, averaged over rate."""
     max: Size | None = None
-    """Largest."""
+    """Largest value over temperature and rate."""
     mean: Size | None = None
-    """Mean."""
+    """Mean over temperature and rate."""
     rms: Size | None = None
-    """Root mean square."""
+    """Root mean square over temperature and rate."""
     target: Size | None = None
     """Limit on the error."""
     verdict: Literal["met", "missed", "unobservable", "not covered", "not valid"] | None = None
-    """Whether the target is met; "not covered": the data of an estimate lack part of the requirement's range."""
+    """Whether the target is met; "not covered": the data of an estimate do not cover all temperatures and rates of the
+    requirement."""
     coverage: Size = 1.0
     """Number of standard deviations that must be within the target."""
     risk: Size | None = None
@@ -219,27 +220,30 @@ class RequirementRow(Section):
     specific_risk: Size | None = None
     """Probability that the error exceeds the target at the worst point of the box."""
     chance: Size | None = None
-    """Probability that the error of a sensor meets the target by the requirement's statistic."""
+    """Probability that the error of a sensor meets the target, by the requirement's statistic."""
     chance_everywhere: Size | None = None
-    """Probability that it meets the target at every point of the box."""
+    """Probability that the error of a sensor meets the target at every point of the box."""
     check: CheckRow | None = None
-    """Global risks (JCGM 106) of a second run."""
+    """Probabilities (global risks by JCGM 106) if the calibration is tested by a second run."""
     limited_by: str | None = None
-    """The limiting errors of the residual, in words."""
+    """The largest sources of the residual, in words."""
     uncertain: tuple[Size, Size] | None = None
-    """Smallest and largest value of the deciding statistic if noise figures are uncertain."""
+    """Smallest and largest value of the deciding statistic over the ranges of `uncertain` noise figures."""
     with_typical: Size | None = None
-    """The deciding statistic with every omitted term at the typical value of its class; null: none is omitted."""
+    """The deciding statistic with every omitted term at the typical value of its class; null: the spec omits no
+    term."""
     another_run: Size | None = None
-    """The same with the bias of another power-on; null: none counts (`of = "this run"`, or no turn-on bias)."""
+    """The same statistic including the bias of another power-on; null: no turn-on bias counts (`of = "this run"`, or
+    the sensor has none)."""
     worst: Size | None = None
-    """Largest standard deviation of the quantity that the verdict judges."""
+    """Largest standard deviation, over temperature and rate, of the quantity that the verdict judges."""
     own: Size | None = None
-    """For heading and north: the contribution of the IMU's own noise (root sum of squares), which remains."""
+    """For heading and north: the contribution of the IMU's own noise (root sum of squares), which no calibration
+    removes."""
     own_sources: dict[str, Size] | None = None
-    """Its parts."""
+    """Contributions of single noise sources to `own`, by name."""
     missions: tuple[MissionRow, ...] | None = None
-    """Each mission alone."""
+    """Figures of each mission alone."""
 
     @property
     def decisive(self) -> float | None:
@@ -253,57 +257,55 @@ class RequirementRow(Section):
 
 
 class AbsentRow(Section):
-    """An error term that the spec omits, and that counts with the typical value of its class."""
+    """An error term that the spec omits; it counts with the typical value of its class."""
 
     key: str
-    """Its key."""
+    """Key of the term in the spec."""
     typical: str
-    """The class's typical value."""
+    """Typical value of the class."""
     source: str
-    """Its source."""
+    """Source of this value."""
 
 
 class ParameterRow(Section):
-    """A coefficient in the paper's names: ``a0…`` (bias), ``b{rate power}{temperature power}`` (scale factor).
-
-    For an IMU, `axis` is "unit", and the name begins with that of the channel: ``gyro_x.b00``.
-    """
+    """A coefficient, named as in the paper: ``a0…`` (bias), ``b{rate power}{temperature power}`` (scale factor). For an
+    IMU, `axis` is "unit", and the name begins with that of the channel: ``gyro_x.b00``."""
 
     name: str
     """Name of the coefficient."""
     axis: Axis | Literal["unit"] = "x"
-    """Axis, or "unit"."""
+    """Axis of the sensor, or "unit" for an IMU."""
     std: Size | None
-    """Standard deviation; null: cannot be observed."""
+    """Standard deviation after the calibration; null: this plan cannot observe the coefficient."""
     unit: str
-    """Its unit."""
+    """Unit of the coefficient."""
 
 
 class NoticeRow(Section):
-    """Detection of structure that the model lacks (the next polynomials of the map) by a test of the log."""
+    """How well a test of the log detects structure that the model lacks (the next polynomials of the map)."""
 
     quantity: Literal["scale_factor", "bias"]
-    """Which map."""
+    """The map concerned."""
     axis: Axis = "x"
     """Axis of the sensor."""
     unit: Literal["ppm", "deg/h"]
-    """Unit of the sizes."""
+    """Unit of `standard_deviation` and `sure_from`."""
     temperature_degree: int
-    """Highest degree in temperature."""
+    """Highest degree of the hidden polynomials in temperature."""
     rate_degree: int | None = None
-    """Highest degree in rate."""
+    """Highest degree of the hidden polynomials in rate; null: they depend on temperature alone."""
     components: int
-    """Observable combinations of the coefficients: the test's degrees of freedom."""
+    """Number of observable combinations of the hidden coefficients, which are the test's degrees of freedom."""
     false_alarm: Size
-    """Level of the test."""
+    """Probability that the test rejects a correct model."""
     standard_deviation: Size | None = None
-    """Size of each coefficient for `power`; null if the spec has none."""
+    """Size of each hidden coefficient to which `power` refers; null: the spec states none."""
     power: Size | None = None
-    """Probability of detection."""
+    """Probability that the test detects hidden coefficients of this size."""
     sure_power: Size
-    """Probability that counts as sure."""
+    """Probability of detection that counts as certain."""
     sure_from: Size | None = None
-    """Smallest size with this probability; null: none."""
+    """Smallest size of each hidden coefficient that is detected with probability `sure_power`; null: no size is."""
 
     @property
     def sentence(self) -> str:
@@ -341,14 +343,14 @@ def notice_sentences(rows: Sequence[NoticeRow]) -> list[str]:
 
 
 class PlaceRow(Section):
-    """The residual of the IMU at one place of a fixture."""
+    """The residuals of the IMU at one place of a fixture."""
 
     name: str
-    """Of the place."""
+    """Name of the place."""
     values: dict[str, Finite | None]
-    """The residual of each requirement, by its name, in its unit; null: not observable."""
+    """Residual of each requirement, by the requirement's name, in the requirement's unit; null: not observable."""
     alone: dict[str, Finite | None] | None = None
-    """The same for an IMU that is estimated without the others."""
+    """The same if this IMU is estimated without the data of the others."""
 
 
 class Prediction(Section):
@@ -357,33 +359,35 @@ class Prediction(Section):
     format: Literal["gradcal-prediction/1"] = "gradcal-prediction/1"
     """Name and version of this contract."""
     title: str | None = None
-    """Of the spec."""
+    """Title of the spec."""
     duration_s: Size
     """Duration of the whole plan (s)."""
     soak_s: Size
-    """Duration of its soaks (s)."""
+    """Total duration of the soaks (s)."""
     motion_s: Size
-    """Duration of its ramp (s)."""
+    """Duration of the ramp (s)."""
     requirements: tuple[RequirementRow, ...]
-    """Residuals, by requirement."""
+    """Residuals, one entry for each requirement."""
     parameters: tuple[ParameterRow, ...]
-    """Coefficients."""
+    """Coefficients with their standard deviations."""
     covariance: tuple[tuple[Finite | None, ...], ...] | None
-    """Of the coefficients, in the units of the parameters; null entries cannot be observed."""
+    """Covariance of the coefficients, in the units of `parameters`; null entries belong to coefficients that cannot be
+    observed."""
     notices: tuple[NoticeRow, ...] = ()
-    """Detection by tests of the log."""
+    """How well tests of the log detect structure that the model lacks."""
     warnings: tuple[str, ...] = ()
     """Warnings, in sentences."""
     omitted: tuple[AbsentRow, ...] = ()
-    """Error terms that the spec omits; they count in the verdicts."""
+    """Error terms that the spec omits; they count in the verdicts with typical values."""
     places: tuple[PlaceRow, ...] = ()
-    """For a fixture of several IMUs: every place; all other results are for the worst place."""
+    """For a fixture of several IMUs: residuals at every place; all other results are for the worst place."""
     place: str | None = None
-    """Its name."""
+    """For a fixture of several IMUs: name of the worst place."""
     minutes_per_imu: Size | None = None
-    """Duration of the plan over the number of places (min)."""
+    """Duration of the plan divided by the number of places (min)."""
     imus_per_shift: Size | None = None
-    """Number of IMUs in a shift: from complete runs, without changing times, or the fraction of a longer run."""
+    """Number of IMUs calibrated in a shift: by complete runs, without the time to change the IMUs; if a run takes
+    longer than a shift, the corresponding fraction."""
 
     _repr_html_ = html
 

@@ -16,7 +16,7 @@ from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.files.sensor import ScaleFactor
 
 TIMES = ("motion time", "total time")
-"""What can be minimised besides a requirement's residual; the targets then are limits."""
+"""What can be minimised instead of a requirement's residual; the targets are then limits."""
 OPTIMALITIES = ("A-optimality", "D-optimality", "E-optimality")
 """Classical criteria of the parameters' covariance, as a standard deviation: see `gradcal_jax.design.criteria`."""
 
@@ -24,23 +24,24 @@ Free = Literal[
     "gradient", "rest", "peak_rate", "duration", "turn", "ramp", "cycle", "temperatures", "rates", "integration",
     "programme",
 ]  # fmt: skip
-"""What may change. Gradient plans with motion: `duration` (of turns and rests: `rest` and `turn` say the same),
-`peak_rate`, `ramp` (its time), `gradient` (one slope a turn at the table), `cycle` (its length). Without motion:
-`programme`. Standard plans: `temperatures`, `rates`, `integration` (and with it the time of a point). Cycles of turns
-and poses: `cycle` (all of it) and `programme` (the chamber's legs, turning points and slopes)."""
+"""What may change. Gradient plans with motion: `duration` (of turns and rests; `rest` and `turn` mean the same),
+`peak_rate`, `ramp` (the time from rest to the peak rate), `gradient` (one slope for each visit), `cycle` (its length).
+Gradient plans without motion: `programme`. Standard plans: `temperatures`, `rates`, `integration` (and with it the time
+of a point). Cycles of turns and poses: `cycle` (all of it) and `programme` (the chamber's legs, turning points and
+slopes)."""
 
 
 class Scenario(Section):
-    """A variant of sensor or rig for which the plan must also be good: changes of single keys, and a weight."""
+    """A variant of the sensor or the rig for which the plan must also be good: changes of single keys, and a weight."""
 
     name: q.Text | None = None
     """A title for tables and pages."""
     weight: Annotated[q.Number, Field(gt=0.0)] = 1.0
-    """Its weight in the mean over scenarios."""
+    """Weight of this scenario in the mean over all scenarios."""
     sensor: dict[str, Any] = Field(default_factory=dict)
-    """Changed keys below [sensor]."""
+    """Keys of [sensor] that this scenario changes, with their values."""
     rig: dict[str, Any] = Field(default_factory=dict)
-    """Changed keys below [rig]."""
+    """Keys of [rig] that this scenario changes, with their values."""
 
 
 class Notice(Section):
@@ -49,13 +50,14 @@ class Notice(Section):
     standard_deviation: q.PositiveScaleFactor
     """Standard deviation of each hidden coefficient, a ratio."""
     temperature_degree: Degree | None = None
-    """Highest hidden degree in temperature; absent: the discrepancy's, or two more than the structure's."""
+    """Highest hidden degree in temperature; absent: that of the scale factor's discrepancy or, without one, the map's
+    degree plus two."""
     rate_degree: Degree | None = None
-    """Highest hidden degree in rate; absent: as for temperature."""
+    """Highest hidden degree in rate; absent: the same default as for temperature."""
     power: q.Probability = q.Quantity(0.9, "90 %", "scale factor")
     """Required probability of detection."""
     false_alarm: q.Probability = q.Quantity(0.01, "1 %", "scale factor")
-    """Level of the test that `estimate` makes of the log."""
+    """False-alarm probability of the test with which `estimate` looks for hidden structure in the log."""
 
 
 ALL = "all requirements"
@@ -63,12 +65,12 @@ WORST = "worst ratio"
 
 
 class Design(Section):
-    """What `optimise` may change, and the objective."""
+    """What `optimise` minimises, and what it may change."""
 
     minimise: q.Text = ALL
     """A requirement's name, "motion time" or "total time". For a single axis also "A-optimality", "D-optimality" or
     "E-optimality"; for other IMUs also "all requirements" (geometric mean of residual over target) or "worst ratio".
-    If it is one requirement, the targets of the others are limits."""
+    If one requirement is minimised, the targets of the others are limits."""
     free: Annotated[tuple[Free, ...], Field(min_length=1)] = ()
     """Which parts of the plan may change. For cycles of turns and poses: "cycle" and "programme"; absent: the cycle
     and, with a `hysteresis` in the spec, the programme."""
@@ -77,10 +79,11 @@ class Design(Section):
     max_total: q.Time | None = None
     """Longest plan, soaks included."""
     cycles: Literal["own", "alike"] = "own"
-    """Whether every visit has its own moves, or all visits the same; absent: the same if there are many visits."""
+    """Whether every visit (the part of a cycle in which the axis may turn) has its own moves, or all visits the same;
+    absent: the same if there are many visits."""
     moves: Annotated[q.Count, Field(le=400)] | None = None
-    """For a single axis: the number of turns in each visit, 40 at most; absent: as many as are likely to help. For
-    other IMUs: the largest number of turns in a cycle; absent: 80."""
+    """For a single axis: the number of turns in each visit (the part of a cycle in which this axis may turn), 40 at
+    most; absent: as many as are likely to help. For other IMUs: the largest number of turns in a cycle; absent: 80."""
     starts: q.Count = 16
     """Number of searches from different plans."""
     seed: q.Whole = 0
@@ -88,13 +91,14 @@ class Design(Section):
     notice: Notice | None = None
     """The structure that the design must detect; for an IMU, in the scale factor of each gyro."""
     whole_turns: q.Flag = False
-    """Whether every turn must be a whole number of revolutions, after which encoder errors repeat."""
+    """Whether every turn must be a whole number of revolutions, so that the encoder's periodic errors cancel."""
     robust: Literal["mean", "worst"] = "mean"
-    """Whether the mean or the worst counts: over the scenarios, and over the ranges of `uncertain` noise figures."""
+    """Whether the mean or the worst case counts, over the scenarios and over the ranges of `uncertain` noise
+    figures."""
     scenario: Annotated[tuple[Scenario, ...], Field(max_length=1000)] = ()
-    """Variants of sensor or rig for which the plan must also be good."""
+    """Variants of the sensor or the rig for which the plan must also be good."""
     angle_step: q.PositiveAngle | None = None
-    """Turns are multiples of this angle; absent: any angle."""
+    """Every turn is a multiple of this angle; absent: any angle."""
     shortest_rest: q.Time = q.Quantity(2.0, "2 s", "time")
     """Shortest rest."""
     longest_rest: q.Time = q.Quantity(120.0, "2 min", "time")
@@ -106,8 +110,8 @@ class Design(Section):
         table = dict(cast("Mapping[str, object]", value)) if isinstance(value, Mapping) else dict[str, object]()
         if "min_distinct_rates" in table:
             message = (
-                "is gone: distinct rates do not make a plan detect a wrong model; state what it must detect, "
-                'such as notice = { standard_deviation = "10 ppm", power = "90 %" }'
+                "no longer exists: distinct rates do not make a plan detect a wrong model; state what the plan must "
+                'detect, such as notice = { standard_deviation = "10 ppm", power = "90 %" }'
             )
             refuse(Problem(("min_distinct_rates",), message, table["min_distinct_rates"]))
         return cast("object", value)
@@ -133,16 +137,16 @@ def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> I
     for name in useless:
         if name in design.model_fields_set:
             kind = "the turns of one axis" if of_axis else "a cycle of turns and poses"
-            yield Problem((name,), f"has no effect on a search of {kind}; leave it out")
+            yield Problem((name,), f"has no effect if the search varies {kind}; leave this key out")
     if of_axis and not design.free:
         yield Problem(("free",), "this key is missing: it states which parts of the plan may change", kind="missing")
     for k, name in enumerate(() if of_axis else design.free):
         if name not in _FREE_OF_POSES:
-            message = f"a search of a cycle of turns and poses can change {' and '.join(_FREE_OF_POSES)}"
+            message = f"a search of a cycle of turns and poses can change only {' and '.join(_FREE_OF_POSES)}"
             yield Problem(("free", k), message, name)
     if design.moves is not None:
         if of_axis and design.moves > _MOVES_OF_AXIS:
-            yield Problem(("moves",), f"must be at most {_MOVES_OF_AXIS} in each turn at the table", design.moves)
+            yield Problem(("moves",), f"must be at most {_MOVES_OF_AXIS} turns in each visit", design.moves)
         elif not of_axis and design.moves < 2:
             yield Problem(("moves",), "must be at least 2", design.moves)
 
@@ -150,10 +154,10 @@ def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> I
 def notice_problems(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
     """A hidden map that cannot be noticed; keys relative to `notice`. `scale`: the sensor's scale factor."""
     if scale is None or not isinstance(scale.temperature, TemperaturePolynomial):
-        yield Problem((), "needs a scale factor that is a polynomial; the sensor has none")
+        yield Problem((), "needs a scale factor that is a polynomial in temperature; this sensor has none")
         return
     if not isinstance(scale.rate, RatePolynomial):
-        yield Problem((), "needs a scale factor that is a polynomial in rate; the sensor's is not")
+        yield Problem((), "needs a scale factor that is a polynomial in rate; this sensor's scale factor is not")
         return
     own = {"temperature_degree": scale.temperature.degree, "rate_degree": scale.rate.degree}
     for name, degree in own.items():
@@ -161,8 +165,14 @@ def notice_problems(notice: Notice, scale: ScaleFactor | None) -> Iterator[Probl
         if hidden is None:
             continue
         if scale.discrepancy is not None and hidden != getattr(scale.discrepancy, name):
-            yield Problem((name,), "must be that of the scale factor's discrepancy; leave it out", hidden)
+            yield Problem(
+                (name,),
+                "must equal the degree in the scale factor's discrepancy, which is the default: leave this key out",
+                hidden,
+            )
         elif hidden <= degree:
             yield Problem(
-                (name,), f"must exceed the map's degree, {degree}: only structure beyond it is hidden", hidden
+                (name,),
+                f"must exceed the degree of the map, {degree}: structure up to this degree is estimated, not hidden",
+                hidden,
             )

@@ -38,9 +38,9 @@ def read_text(path: str | Path, what: str = "TOML file") -> str:
     name = str(path)
     try:
         if path.is_dir():
-            raise SpecError([Problem((), f"is a directory; give a {what}")], name)
+            raise SpecError([Problem((), f"is a directory; expected a {what}")], name)
         if path.stat().st_size > _LARGEST:
-            raise SpecError([Problem((), f"is larger than {_LARGEST // 1_000_000} MB; give a {what}")], name)
+            raise SpecError([Problem((), f"is larger than {_LARGEST // 1_000_000} MB; expected a {what}")], name)
         raw = path.read_bytes()
     except SpecError:
         raise
@@ -49,11 +49,11 @@ def read_text(path: str | Path, what: str = "TOML file") -> str:
     except OSError as error:
         raise SpecError([Problem((), f"cannot be read: {error.strerror or error}")], name) from None
     except ValueError:
-        raise SpecError([Problem((), "is not a path that can exist")], repr(name)) from None
+        raise SpecError([Problem((), "is not a possible path")], repr(name)) from None
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise SpecError([Problem((), f"is not text in UTF-8; give a {what}")], name) from None
+        raise SpecError([Problem((), f"is not text in UTF-8; expected a {what}")], name) from None
 
 
 def _neighbour(path: Path) -> str:

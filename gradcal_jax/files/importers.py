@@ -42,31 +42,31 @@ _LOG = logging.getLogger(__name__)
 FORMAT: Final = "gradcal-columns/1"
 _MEND: Final = '(correct the map, or set [policy] wrong_units = "keep")'
 _MANY: Final = 200
-"""Rows of which it is no chance that all rates are whole numbers."""
+"""If more rows than this have only whole numbers as rates, this is not by chance."""
 
 
 class StatusColumn(Source):
-    """The status of the device; rows with another status than `good` are marked as bad."""
+    """Column of the device's status; rows whose status is not `good` are marked as bad."""
 
     good: Number = 0.0
     """Value of a usable row."""
 
 
 class SensorColumns(Section):
-    """Columns of one of several sensors."""
+    """Columns of one sensor, if a recording has several."""
 
     name: Name
     """Name or serial number of the sensor."""
     rate: Annotated[dict[Name, RateColumn], Field(min_length=1, max_length=20)]
-    """Columns of the axes, by name."""
+    """Columns of the gyros' rates, by axis."""
     force: Annotated[dict[Name, ForceColumn], Field(max_length=20, default_factory=dict[str, ForceColumn])]
-    """Columns of the accelerometers' specific force, by axis."""
+    """Columns of the accelerometers' specific forces, by axis."""
     temperature: TemperatureColumn | None = None
     """Column of the temperature."""
     second_temperature: TemperatureColumn | None = None
-    """Column of the second thermometer's temperature, such as of the case."""
+    """Column of a second thermometer's temperature, for example on the case."""
     status: StatusColumn | None = None
-    """Column of the device's own status."""
+    """Column of the device's status."""
 
 
 class ColumnMap(SensorColumns):
@@ -77,12 +77,12 @@ class ColumnMap(SensorColumns):
     name: Name = "sensor"
     rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
     sample_rate: Frequency | None = None
-    """Stated sample rate; required if there is no time."""
+    """Stated sample rate; required if there is no `time`."""
     sensor_rate: Frequency | None = None
-    """Rate of the sensor's own samples, if each row is one of them, such as every 400th; leave it out if each row is
-    the mean of several."""
+    """Rate of the sensor's own samples, if each row of the recording is a single sample (such as every 400th one);
+    leave this key out if each row is the mean of several samples."""
     full_scale: PositiveRate | None = None
-    """Rate at which the sensor saturates."""
+    """Rate at which the gyros saturate."""
     skip_first: Whole = 0
     """Number of rows to leave out at the beginning."""
     simulated: Flag = False
@@ -92,21 +92,24 @@ class ColumnMap(SensorColumns):
     host_time: TimeColumn | None = None
     """Column of the computer's time."""
     standstill: Source | None = None
-    """Column with true/false at rest, or with the number of the standstill (negative: moving)."""
+    """Column that is true at rest and false in motion, or that has the number of the standstill (negative in
+    motion)."""
     table_angle: Annotated[dict[Name, AngleColumn], Field(max_length=20, default_factory=dict[str, AngleColumn])]
     """Columns of the table's angles, by axis."""
     table_rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
     """Columns of the table's rates, by axis."""
     sensor: Annotated[tuple[SensorColumns, ...], Field(max_length=1000)] = ()
-    """Several sensors, instead of `rate`, `force`, `temperature` and `status`."""
+    """Columns of several sensors, instead of `rate`, `force`, `temperature` and `status` at the top."""
     interpolate: Flag = False
-    """If channels have separate rows: use the rows with rates, and interpolate the other channels."""
+    """Set it if different channels are in different rows: the rows with rates are used, and the other channels are
+    interpolated."""
     where: Where | None = None
-    """If several sensors share the columns: the rows of one sensor, such as `{ column = "id", equals = 1 }`."""
+    """If the rows of several sensors are mixed: selects the rows of one sensor, such as `{ column = "id", equals = 1
+    }`."""
     csv: TextTable = TextTable()
     """Layout of a text file."""
     policy: Policy = Policy()
-    """Action for each fault."""
+    """What to do with each kind of fault in the recording."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.sensor and (self.rate or self.force or self.temperature or self.status):
@@ -120,13 +123,17 @@ class ColumnMap(SensorColumns):
         if len({sensor.name for sensor in self.sensor}) < len(self.sensor):
             yield Problem(("sensor",), "two sensors have the same name")
         if self.time is None and self.sample_rate is None:
-            yield Problem(("time",), 'give the time\'s column, or sample_rate = "100 Hz"', kind="missing")
+            yield Problem(
+                ("time",),
+                'give the column of the time, or the sample rate as in sample_rate = "100 Hz"',
+                kind="missing",
+            )
         own = self.sources() if self.rate or self.sensor else ()
         if not self.interpolate and any(isinstance(one, Measured) and one.where is not None for one in own):
-            text = "expected true: columns that are selected by where have separate rows"
+            text = "expected true, because columns that are selected by `where` are in different rows"
             yield Problem(("interpolate",), text, self.interpolate)
         if self.table_angle and self.table_rate and list(self.table_angle) != list(self.table_rate):
-            yield Problem(("table_rate",), "names other axes than table_angle")
+            yield Problem(("table_rate",), "must name the same axes as table_angle")
 
     @property
     def sensors(self) -> tuple[SensorColumns, ...]:
@@ -204,7 +211,7 @@ def _refuse_counts(table: Numbers, columns: ColumnMap) -> None:
             values = table.numbers(source)
             known = values[np.isfinite(values)]
             if len(known) > _MANY and np.ptp(known) > 1.0 and np.all(known == np.rint(known)):
-                words = f"{source.words()} has only whole numbers: are they counts? Then state the scale of one count"
+                words = f"{source.words()} has only whole numbers: are they counts? If so, state the scale of one count"
                 raise LogError(f"{words} {_MEND}")
 
 

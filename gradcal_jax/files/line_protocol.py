@@ -37,14 +37,15 @@ Replies = Annotated[tuple[Annotated[str, Field(strict=True, max_length=2000)], .
 
 
 class Line(Section):
-    """`[line]`. `frame` "stx-etx-xor8": STX, `address`, the text with bit 7 set, their exclusive or, ETX."""
+    """`[line]`: the settings of the line. With `frame` "stx-etx-xor8", a message is STX, `address`, the text with bit 7
+    set, the exclusive or of these bytes, and ETX."""
 
     baudrate: q.Count = 9600
     """Bits per second."""
     bytesize: Literal[7, 8] = 8
     """Data bits of a character."""
     parity: Literal["N", "E", "O"] = "N"
-    """None, even or odd."""
+    """Parity: none, even or odd."""
     stopbits: Literal[1, 2] = 1
     """Stop bits of a character."""
     frame: Literal["plain", "stx-etx-xor8"] = "plain"
@@ -52,21 +53,21 @@ class Line(Section):
     address: Annotated[int, Field(strict=True, ge=128, le=255)] = 129
     """Address of the device in such frames."""
     prefix: Annotated[str, Field(strict=True, max_length=20)] = ""
-    """Beginning of every sent line, such as the device's address."""
+    """Text at the beginning of every sent line, such as the device's address."""
     ends: Annotated[str, Field(strict=True, max_length=4)] = "\r\n"
-    """End of every sent line."""
+    """Text at the end of every sent line."""
     reply_ends: Annotated[str, Field(strict=True, max_length=4)] = ""
-    """End of a reply; empty: the same."""
+    """Text at the end of every reply; empty: the same as `ends`."""
     timeout: q.Time = q.Quantity(2.0, "2 s", "time")
     """Timeout for a reply."""
     pause: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
     """Least time between two messages."""
     boot: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
-    """Waiting time after opening the port, which restarts many boards."""
+    """Waiting time after the port is opened, because opening it restarts many boards."""
     pause_after_command: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
-    """Waiting time after a command before the next message."""
+    """Waiting time between a command and the next message."""
     refusal: q.Text | None = None
-    """How a reply begins that refuses."""
+    """Text with which a reply begins if the device refuses a command."""
     hint: q.Text | None = None
     """What to check if the device does not answer."""
 
@@ -81,18 +82,18 @@ def unit_problems(table: Section, kinds: Mapping[str, str]) -> Iterator[Problem]
 
 
 class DeviceUnits(Section):
-    """`[units]`: units of the numbers of the device."""
+    """`[units]`: units of the numbers that the device sends and receives."""
 
     temperature: q.Text = "degC"
-    """Of temperatures."""
+    """Unit of temperatures."""
     ramp: q.Text = "K/min"
-    """Of the chamber's slopes."""
+    """Unit of the chamber's slopes."""
     angle: q.Text = "deg"
-    """Of angles."""
+    """Unit of angles."""
     rate: q.Text = "deg/s"
-    """Of rates."""
+    """Unit of rates."""
     acceleration: q.Text = "deg/s^2"
-    """Of accelerations."""
+    """Unit of accelerations."""
 
     def _problems(self) -> Iterator[Problem]:
         kinds = ("temperature", "temperature slope", "angle", "angular rate", "angular acceleration")
@@ -100,46 +101,46 @@ class DeviceUnits(Section):
 
 
 class DeviceLimits(Section):
-    """`[limits]`, of a chamber or of an axis. `free_ramp`: the number that means "as fast as possible"."""
+    """`[limits]`: limits of a chamber or of an axis."""
 
     lowest: q.Temperature | None = None
-    """Coldest temperature that it takes."""
+    """Coldest temperature that the device accepts."""
     highest: q.Temperature | None = None
-    """Warmest temperature that it takes."""
+    """Warmest temperature that the device accepts."""
     resolution: q.PositiveTemperatureDifference = q.Quantity(0.1, "0.1 K", "temperature difference")
-    """Finest step of a set temperature."""
+    """Smallest step of the temperature set point."""
     slowest: q.PositiveTemperatureSlope | None = None
-    """Slowest ramp that it takes."""
+    """Slowest ramp that the device accepts."""
     fastest: q.PositiveTemperatureSlope | None = None
-    """Fastest ramp that it takes."""
+    """Fastest ramp that the device accepts."""
     free_ramp: q.Number | None = None
-    """Number that means "as fast as possible"."""
+    """Number that the device takes for a ramp "as fast as possible"."""
     max_rate: q.PositiveRate | None = None
-    """Fastest that the axis turns."""
+    """Largest rate of the axis."""
     max_acceleration: q.PositiveAcceleration | None = None
-    """Fastest change of its rate."""
+    """Largest acceleration of the axis."""
     step: q.PositiveAngle | None = None
-    """Finest step of a set angle."""
+    """Smallest step of the angle set point."""
     lowest_angle: q.Angle | None = None
-    """Lowest angle that it takes."""
+    """Lowest angle that the device accepts."""
     highest_angle: q.Angle | None = None
-    """Highest angle that it takes."""
+    """Highest angle that the device accepts."""
     spin_angle: q.PositiveAngle | None = None
-    """How far a spin may go."""
+    """Largest angle of a turn at constant rate (a spin)."""
 
 
 class LineQuestion(Section):
-    """`[ask.NAME]`. `last`: the last line of a reply of several lines; `bare`: the question has no terminator. Without
-    `last`, several replies are alternative forms; a text that a form lacks is empty."""
+    """`[ask.NAME]`: a question to the device. If `last` is given, the reply has several lines; otherwise several
+    entries of `reply` are alternative forms of one line, and a text field that a form lacks is empty."""
 
     send: q.Text
-    """The question."""
+    """Text of the question."""
     reply: Annotated[Texts, Field(min_length=1)]
-    """Its reply with fields in braces; several: lines of one reply, or alternative forms."""
+    """The reply, with fields in braces; several entries: the lines of one reply, or alternative forms (see above)."""
     last: q.Text | None = None
-    """The last line of a reply of several lines."""
+    """The last line of a reply that has several lines."""
     bare: q.Flag = False
-    """Nothing ends the question."""
+    """Whether the question is sent without the text at the end of a line (`ends`)."""
 
     @property
     def fields(self) -> dict[str, str]:
@@ -151,41 +152,45 @@ class LineQuestion(Section):
         fields = ((match for match in _FIELD.finditer(reply) if match[1]) for reply in self.reply)
         forms = [sorted(match[1] for match in form if match[2] != "text") for form in fields]
         if self.last is None and any(form != forms[0] for form in forms):
-            yield Problem(("last",), "this key is missing; it is only for a reply of several lines", kind="missing")
+            yield Problem(
+                ("last",),
+                "this key is missing: the entries of reply have different fields, so they are the lines "
+                "of one reply, which needs its last line",
+                kind="missing",
+            )
 
 
 class Command(Section):
-    """`[tell.NAME]`. `reply`: the acknowledgement, if any; `shown_by`: the fields that show its value;
-    `reply_when_done`: the acknowledgement comes only after completion, for example of a homing."""
+    """`[tell.NAME]`: a command to the device."""
 
     send: Annotated[Texts, Field(min_length=1)]
-    """The text to send, with values in braces."""
+    """Text of the command, with values in braces; several entries: several lines."""
     reply: Replies = ()
-    """What acknowledges it; empty: nothing."""
+    """Reply that acknowledges the command; empty: the device does not reply."""
     shown_by: Texts = ()
-    """Fields that show its value."""
+    """Fields of replies that show the commanded value."""
     bare: q.Flag = False
-    """Nothing ends the command."""
+    """Whether the command is sent without the text at the end of a line (`ends`)."""
     reply_when_done: q.Flag = False
-    """Whether the acknowledgement comes only after completion, for example of a homing."""
+    """Whether the acknowledgement comes only after completion, for example at the end of a homing."""
 
 
 class Condition(Section):
-    """`[state.NAME]`: the state is true if a field equals one of these texts, equals none of them, begins with one,
-    has a bit set, or is below a number."""
+    """`[state.NAME]`: the device is in this state if a field equals one of these texts, equals none of them, begins
+    with one of them, has a bit set, or is below a number."""
 
     field: q.Text
-    """Which field of a reply."""
+    """Name of the field of a reply."""
     equals: Texts = ()
-    """True if the field equals one of these."""
+    """In this state if the field equals one of these texts."""
     not_equals: Texts = ()
-    """True if the field equals none of these."""
+    """In this state if the field equals none of these texts."""
     begins: Texts = ()
-    """True if the field begins with one of these."""
+    """In this state if the field begins with one of these texts."""
     bit: q.Whole | None = None
-    """True if this bit of the field is set, counted from 0."""
+    """In this state if this bit of the field, counted from 0, is set."""
     below: q.Number | None = None
-    """True if the field is a number below this value."""
+    """In this state if the field is a number below this value."""
 
     def _problems(self) -> Iterator[Problem]:
         if (
@@ -206,39 +211,39 @@ class Condition(Section):
 
 
 class RequiredSetting(Section):
-    """`[[require]]`: a setting that the device must have before the first command, and the reason."""
+    """`[[require]]`: a setting that the device must have before the first command, and the reason for it."""
 
     field: q.Text
-    """Which field of a reply."""
+    """Name of the field of a reply that shows the setting."""
     equals: Texts
-    """What it must be."""
+    """Texts that the field may have."""
     why: q.Text
-    """What goes wrong otherwise."""
+    """What goes wrong if the setting is different."""
 
 
 class LineProtocol(Section):
-    """A complete description of a device that speaks in lines of text."""
+    """A complete description of a device that communicates by lines of text."""
 
     format: Literal["gradcal-lines/1"]
     """Name and version of this file format."""
     role: Literal["chamber", "axis"]
-    """What the device is."""
+    """Kind of device."""
     title: q.Text
     """A title for tables and pages."""
     line: Line = Line()
-    """How a message is spoken."""
+    """Settings of the line."""
     units: DeviceUnits = DeviceUnits()
-    """Units of the numbers of the device."""
+    """Units of the numbers that the device sends and receives."""
     limits: DeviceLimits = DeviceLimits()
-    """What it can do."""
+    """Limits of the device."""
     ask: dict[str, LineQuestion]
     """Questions, by name."""
     tell: dict[str, Command]
     """Commands, by name."""
     state: dict[str, Condition]
-    """States of the device that fields show, by name."""
+    """States of the device that can be seen in fields, by name."""
     require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
-    """Settings that it must have before the first command."""
+    """Settings that the device must have before the first command."""
 
     def _problems(self) -> Iterator[Problem]:
         yield from self._missing()
@@ -259,7 +264,7 @@ class LineProtocol(Section):
             if name not in getattr(self, table)
         ]
         yield from [
-            Problem(("ask",), f"no reply has the field {{{name}}}, which a {self.role} needs", kind="missing")
+            Problem(("ask",), f"a {self.role} needs a reply with the field {{{name}}}", kind="missing")
             for name in role.fields
             if name not in self.fields
         ]
@@ -269,7 +274,7 @@ class LineProtocol(Section):
             if getattr(self.limits, name) is None
         ]
         if "ramp" in self.tell and self.limits.free_ramp is None:
-            message = "this key is missing; a command is needed to end a ramp"
+            message = "this key is missing: it is the command that ends a ramp"
             yield Problem(("limits", "free_ramp"), message, kind="missing")
 
     def _unreadable(self) -> Iterator[Problem]:
@@ -278,18 +283,27 @@ class LineProtocol(Section):
             key = ("tell", name)
             known = _ROLES[self.role].values
             if name not in known:
-                yield Problem(key, f"a {self.role} needs the command {', '.join(known)}; {instead(name, known)}")
+                yield Problem(
+                    key, f"is not a command of a {self.role}, which are {', '.join(known)}; {instead(name, known)}"
+                )
                 continue
             written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
             if (name == "setpoint" or command.shown_by) and len(written) != 1:
                 yield Problem((*key, "send"), "expected the same value in all lines")
             if wrong := {value for value, _ in written} - set(known[name]):
                 allowed = ", ".join(f"{{{value}}}" for value in known[name]) or "no values"
-                yield Problem((*key, "send"), f"{{{sorted(wrong)[0]}}} is not known here; it takes {allowed}")
+                yield Problem(
+                    (*key, "send"), f"{{{sorted(wrong)[0]}}} is not a value of this command, which has {allowed}"
+                )
             if command.reply and len(command.reply) not in (1, len(command.send)):
-                yield Problem((*key, "reply"), f"expected one, or {len(command.send)}: one for each line")
+                yield Problem(
+                    (*key, "reply"), f"expected one reply, or {len(command.send)} replies: one for each line of send"
+                )
             if name in _SHOWN_BY_THEMSELVES and not command.shown_by:
-                message = "a set value must be read back: expected the fields of replies that show it"
+                message = (
+                    "this key is missing: every value that is set must be read back; expected the fields of replies "
+                    "that show it"
+                )
                 yield Problem((*key, "shown_by"), message, kind="missing")
             yield from [
                 Problem((*key, "shown_by"), f"no reply has the field {{{field}}}", field)
@@ -297,7 +311,9 @@ class LineProtocol(Section):
                 if field not in self.fields
             ]
         if "on" in self.tell and self.role == "axis" and "powered" not in self.state:
-            yield Problem(("state", "powered"), "this key is missing; no reply shows the effect of tell.on")
+            yield Problem(
+                ("state", "powered"), "this key is missing: without this state, no reply shows the effect of tell.on"
+            )
         for key, field in [
             *((("state", name, "field"), entry.field) for name, entry in self.state.items()),
             *((("require", index, "field"), entry.field) for index, entry in enumerate(self.require)),
@@ -313,9 +329,12 @@ class LineProtocol(Section):
         for name, command in self.tell.items():
             for send in command.send:
                 if {"{", "}"} & set(_VALUE.sub("", send)):
-                    yield Problem(("tell", name, "send"), "expected values such as {setpoint:.1f}", send)
+                    yield Problem(("tell", name, "send"), "expected values in braces, such as {setpoint:.1f}", send)
         if "end_program" in self.tell and "program" not in self.state:
-            yield Problem(("state", "program"), "this key is missing; no reply shows the effect of end_program")
+            yield Problem(
+                ("state", "program"),
+                "this key is missing: without this state, no reply shows the effect of end_program",
+            )
         line = self.line
         spoken = [*(question.send for question in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
         if any(ord(letter) > 255 for text in (*spoken, line.prefix, line.ends, line.reply_ends) for letter in text):
@@ -345,9 +364,12 @@ _SHOWN_BY_THEMSELVES: Final = frozenset({"ramp", "rate", "acceleration"})
 
 def _problem_of_reply(template: str) -> str:
     if {"{", "}"} & set(_FIELD.sub("", template)):
-        return "expected fields such as {air}, {state:text} or {running:char}"
+        return "expected fields in braces, such as {air}, {state:text} or {running:char}"
     if re.search(r":text\}\{", template):
-        return "a text ends where the next character is found; expected a character between two fields"
+        return (
+            "a text field ends at the character that follows it in the template: expected a character between these "
+            "two fields"
+        )
     return ""
 
 
@@ -408,7 +430,7 @@ def described(kind: type[Model], form: str, value: object, changes: object) -> M
     elif name in names:
         tables = read_toml(protocol_text(name), name)
     else:
-        raise ValueError(f"expected the name of a protocol, or its tables; {instead(name, names)}")
+        raise ValueError(f"expected the name of a protocol, or the tables of one; {instead(name, names)}")
     return model_of(kind, changed_tables(tables, changes), form, name)
 
 
@@ -417,7 +439,7 @@ def changed_tables(tables: Mapping[str, Any], changes: object) -> dict[str, Any]
     if changes is None:
         return dict(tables)
     if not isinstance(changes, Mapping):
-        raise ValueError("changes must be tables of the description")
+        raise ValueError("changes must be a table, with the changed keys in the tables of the description")
     result = dict(tables)
     for name, change in cast("Mapping[str, Any]", changes).items():
         before = result.get(name)

@@ -32,10 +32,10 @@ from gradcal_jax.files.problems import instead
 
 FORMAT: Final = "gradcal-log/1"
 SERIAL_NUMBER: Final = "serial_number"
-"""Key, in the provenance of a log and of its calibration, of the number that the device itself stated."""
+"""Key, in the provenance of a log and of its calibration, of the serial number that the device itself stated."""
 SENSOR_RATE: Final = "sensor_rate"
-"""Key, in the provenance of a log, of the rate ("400 Hz") of the sensor's samples of which rows are single ones;
-"means" where rows are their means, "unknown" where those of a raw channel are far apart and the source is silent."""
+"""Key, in the provenance of a log, of the sensor's own sample rate ("400 Hz") if rows are single samples; "means" if
+rows are means of samples; "unknown" if the rows of a raw channel are far apart and the source does not say which."""
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Flags = NDArray[np.uint16]
@@ -196,11 +196,11 @@ class Finding:
     kind: str
     """``gap``, ``duplicate stamp``, ``unordered stamp``, ``unreadable row``, ``missing rate``, ``saturated``, …"""
     done: str
-    """``mask``, ``split`` or ``keep``; ``refuse`` raises instead."""
+    """``mask``, ``split`` or ``keep``; with ``refuse``, an error is raised instead."""
     count: int
-    """Rows concerned; for gaps, how many gaps; 0 for faults of the record as a whole."""
+    """Number of rows concerned; for gaps, the number of gaps; 0 for faults of the record as a whole."""
     message: str
-    """A sentence."""
+    """The fault in a sentence."""
 
 
 @dataclass(frozen=True)
@@ -294,7 +294,9 @@ class Log:
         if not (np.isfinite(self.time_s).all() and np.all(np.diff(self.time_s) > 0)):
             raise LogError("the times of a log must increase from row to row")
         if self.rate_rad_per_s.shape != shape or 0 in (*shape[:2], shape[2] + len(self.force_axes)):
-            raise LogError(f"the rates have the shape {self.rate_rad_per_s.shape}, where [unit, time, axis] is {shape}")
+            raise LogError(
+                f"the rates have the shape {self.rate_rad_per_s.shape}; expected [unit, time, axis] = {shape}"
+            )
         for name, variable in VARIABLES.items():
             array: NDArray[Any] | None = getattr(self, variable.field)
             if name not in NEEDED and array is not None:
@@ -308,12 +310,13 @@ class Log:
                 raise LogError(f"two of the log's {name} labels are the same: {', '.join(of)}")
         starts = self.stretch_starts
         if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= rows:
-            raise LogError("the stretches of a log must begin at increasing rows, the first at row 0")
+            raise LogError("stretch_starts must increase, and the first stretch of a log must begin at row 0")
         if self.rows_read < 0:
             object.__setattr__(self, "rows_read", rows + sum(self.rows_removed.values()))
         if self.rows_read != rows + sum(self.rows_removed.values()):
             raise LogError(
-                f"of {self.rows_read} rows read, {rows} were kept and {sum(self.rows_removed.values())} removed"
+                f"{self.rows_read} rows were read, but {rows} kept and {sum(self.rows_removed.values())} removed "
+                "rows do not add up to this number"
             )
 
     @property

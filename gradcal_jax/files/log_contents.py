@@ -29,20 +29,20 @@ _ALL: Final[Mapping[str, LogVariable]] = {**VARIABLES, **OF_READINGS}
 Variables: Any = create_model(
     "Variables",
     __base__=Section,
-    __doc__="Of these, `time`, `rate` and `stretch_start` must be there.",
+    __doc__="The variables `time`, `rate` and `stretch_start` are required.",
     **{name: _described(name, variable) for name, variable in _ALL.items()},
 )
 
 
 class Labels(Section):
-    """Coordinates."""
+    """Coordinates of the dimensions."""
 
     unit: Annotated[tuple[Text, ...], Field(min_length=1)]
     """Serial numbers or names of the sensors."""
     axis: tuple[Text, ...]
-    """Names of their gyro axes; empty if they have only accelerometers."""
+    """Names of the gyros' axes; empty if the sensors have only accelerometers."""
     force_axis: tuple[Text, ...] = ()
-    """Names of their accelerometers' axes."""
+    """Names of the accelerometers' axes."""
     table_axis: tuple[Text, ...] = ()
     """Names of the table's axes."""
 
@@ -50,10 +50,9 @@ class Labels(Section):
 class LogContents(Section):
     """gradcal-log/1: a netCDF-4 file with these variables and global attributes.
 
-    `rows_removed` (JSON in the file) counts by reason the rows of the source that could not be kept; `findings`
-    (JSON) are the faults found, `provenance` (JSON) texts by name. `simulated` is 1 if the data are simulated.
-    Specific forces are +1 g along an axis that points up at rest, and as rates the mean since the row before.
-    """
+    `rows_removed` (JSON in the file) gives, for each reason, the number of rows of the source that were removed;
+    `findings` (JSON) lists the faults of the recording, and `provenance` (JSON) has texts by name. A specific force is
+    +1 g along an axis that points up at rest. Rates and specific forces are means since the previous row."""
 
     format: Literal["gradcal-log/1"]
     """Name and version of this file format."""

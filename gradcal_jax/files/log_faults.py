@@ -24,76 +24,75 @@ from gradcal_jax.files.signal_faults import at_a_limit, frozen_temperature, jump
 from gradcal_jax.files.uneven_stamps import against_earlier, changed_rate, even_clock, refuse_intervals, refuse_restart
 
 _FASTEST_RATE: Final = 90.0
-"""rad/s, 5000 deg/s: beyond the full scale of the sensors that this program calibrates."""
+"""rad/s, 5000 deg/s: a larger rate exceeds the full scale of every sensor that this program calibrates."""
 _LARGEST_FORCE: Final = 500.0
-"""m/s²: not usual in any record for a calibration."""
+"""m/s²: no record for a calibration usually has a larger specific force."""
 _GAP: Final = 1.6
-"""Intervals: less is jitter."""
+"""Median intervals: a shorter interval between stamps is jitter, not a gap."""
 _WINDOW: Final = 5
 """Rows on either side over which stamps make up for jitter."""
 _SHORT, _OFTEN = 0.3, 0.05
 """Intervals so short against the median, in so large a share, are those within bursts."""
 _MANY_ROWS: Final = 20
-"""Fewer rows are not many."""
+"""A smaller number of rows does not count as many."""
 _COARSE: Final = 0.1
-"""Fraction of rows with the stamp of another, above which stamps do not distinguish rows; of rows out of order, above
-which they are put in order."""
+"""Above this fraction, rows with the stamp of another row make the stamps useless, and rows out of order are sorted."""
 _SHUFFLED: Final = 0.01
-"""Share of the record's span over which rows are out of order, and not of two clocks."""
+"""If rows are out of order by more than this share of the record's span, the column mixes two clocks."""
 _INTERVALS: Final = (2e-5, 1.5)
 _LONGEST_S: Final = 14 * 86400.0
-"""Stamps closer or farther apart, and records longer, are those of another unit: a gyro gives some samples a second."""
+"""If stamps are closer or farther apart than `_INTERVALS` (s), or a record is longer, their unit is wrong."""
 _NOISIEST: Final = np.radians(300.0) / 60.0
 """rad/√s, 300 deg/√h: a hundred times the angle random walk of the coarsest MEMS gyros on sale."""
 _DRIFT: Final = 50e-6
-"""Clock errors smaller than this are those of any crystal."""
+"""Any crystal may have clock errors up to this."""
 _OTHER_RATE: Final = 0.2
-"""Share by which stamps differ from the stated rate beyond which that is no clock's error."""
+"""If stamps differ from the stated rate by a larger share than this, a clock error cannot be the reason."""
 _BLOCKS: Final = 50
 _TURNS, _IN_TURNS = 8, 3.0
 """Most sensors whose rows are in turns, and how many times farther from one another neighbours are then."""
 _ABSURD: Final = 1e12
-"""No time (s), rate or temperature is as large: such a number is not a reading."""
+"""A number of this size or larger (time in s, rate or temperature) is not a reading."""
 _FACTORS: Final[Mapping[str, float]] = {
-    "deg for rad (or the reverse)": 180 / np.pi,
+    "deg instead of rad, or the reverse": 180 / np.pi,
     "a thousandth": 1e3,
-    "per hour for per second": 3600.0,
-    "per minute for per second": 60.0,
+    "per hour instead of per second": 3600.0,
+    "per minute instead of per second": 60.0,
 }
 
 
 class Policy(Section):
-    """The action for each fault: "mask" excludes the rows and counts them, "split" makes two stretches, "keep" only
-    reports, "refuse" is an error."""
+    """What to do with each kind of fault: "mask" excludes the rows from use and counts them, "split" ends one stretch
+    of data and begins another, "keep" only reports the fault, "refuse" makes it an error."""
 
     unreadable_rows: Literal["mask", "refuse"] = "mask"
     """Rows whose time is not a number."""
     duplicate_stamps: Literal["mask", "refuse"] = "mask"
-    """Rows with the time of an earlier one."""
+    """Rows with the same time stamp as an earlier row."""
     unordered_stamps: Literal["mask", "refuse"] = "mask"
-    """Rows with a time before that of an earlier one."""
+    """Rows with a time stamp before that of an earlier row."""
     gaps: Literal["split", "refuse"] = "split"
-    """Gaps: intervals that later time stamps do not compensate for."""
+    """Gaps: long intervals between time stamps for which the following stamps do not make up."""
     missing_rates: Literal["mask", "refuse"] = "mask"
     """Rates that are not finite numbers."""
     missing_forces: Literal["mask", "refuse"] = "mask"
     """Specific forces that are not finite numbers."""
     saturated: Literal["mask", "keep", "refuse"] = "mask"
-    """Rates at full scale, or stuck at their extreme."""
+    """Rates at full scale, or stuck at the largest or smallest rate of the record."""
     marked: Literal["mask", "keep", "refuse"] = "mask"
     """Rows that the device itself marks as bad."""
     missing_temperatures: Literal["mask", "keep", "refuse"] = "mask"
     """Temperatures that are not finite numbers."""
     frozen_temperatures: Literal["mask", "keep", "refuse"] = "mask"
-    """Temperatures that are constant for a long time in a record where they change."""
+    """Temperatures that stay constant for a long time in a record in which the temperature changes."""
     wrong_units: Literal["keep", "refuse"] = "refuse"
-    """Values that no sensor has, and factors relative to the table or the stated rate."""
+    """Signs of a wrong unit: values that no sensor has, and large factors between rates or sample rates."""
     rows_in_turns: Literal["keep", "refuse"] = "refuse"
-    """Rows that repeat alternately, as if several sensors shared one column."""
+    """Rows that alternate, as if several sensors shared one column."""
     changed_rate: Literal["keep", "refuse"] = "refuse"
     """Different sample rates in different parts of the record."""
     clock_drift: Literal["keep", "refuse"] = "keep"
-    """Sample rates that differ from the stated one or the host's clock, or that vary."""
+    """Sample rates that vary, or that differ from the stated rate or from the computer's clock."""
 
 
 _BY_UNIT: Final = ("rate_rad_per_s", "specific_force_m_per_s2", "temperature_c", "second_temperature_c", "marked")
@@ -137,7 +136,7 @@ class Columns:
         count = self.rate_rad_per_s.shape[1]
         first, last = rows[0], count if rows[1] is None else min(rows[1], count)
         if last - first < 2:
-            raise LogError(f"of {count} rows, fewer than two are in the requested part from row {first}")
+            raise LogError(f"the requested part, from row {first}, has fewer than two of the {count} rows")
         return replace(self.of_rows(slice(first, last)), rows_before=first, rows_after=count - last)
 
     def of_rows(self, kept: slice | Bools | Whole) -> "Columns":
@@ -273,13 +272,13 @@ class _Examination:
             return
         self.raw = raw.of_rows(held)
         self.removed["empty row"] = count
-        text = f"{_rows(count)} have none of the map's channels, and are left out"
+        text = f"{_rows(count)} have no value in any column of the map, and are left out"
         self.findings.append(Finding("empty row", "mask", count, text))
 
     def note_fault(self, kind: str, action: str, count: int, message: str) -> None:
         """Note a fault, or raise where the policy refuses it."""
         if action == "refuse":
-            raise LogError(f"{message} (the policy refuses that: see [policy] of the column map)")
+            raise LogError(f"{message} (the policy treats this fault as an error: see [policy] of the column map)")
         self.findings.append(Finding(kind, action, count, message))
 
     def wrong_unit(self, question: str) -> None:
@@ -300,7 +299,7 @@ class _Examination:
         raw = self.raw
         if raw.time_s is None:
             if raw.sample_rate_hz is None:
-                raise LogError("there are neither time stamps nor a sample rate: give one of them")
+                raise LogError("the column map has neither a column of time stamps nor a sample rate: give one of them")
             return np.arange(rows) / raw.sample_rate_hz, np.arange(rows)
         time, order = raw.time_s, np.arange(len(raw.time_s))
         readable = np.abs(time) < _ABSURD
@@ -312,12 +311,12 @@ class _Examination:
             if back > _SHUFFLED * float(np.ptp(time[readable])):
                 raise LogError(
                     f"{_rows(count)} have a time stamp before that of an earlier row, by up to {back:.6g} s: does "
-                    "the column mix two clocks, or rows of several sensors? Then select those of one sensor with "
-                    "where; or correct the time stamps"
+                    "the column mix two clocks, or rows of several sensors? Select the rows of one sensor with "
+                    "where, or correct the time stamps"
                 )
             text = (
-                f"{_rows(count)} have a time stamp before that of an earlier row, by up to {back:.3g} s: rows are "
-                "ordered by time stamp"
+                f"{_rows(count)} have a time stamp before that of an earlier row, by up to {back:.3g} s; the rows "
+                "were sorted by time stamp"
             )
             action = "refuse" if self.policy.unordered_stamps == "refuse" else "sort"
             self.note_fault("rows out of order", action, count, text)
@@ -328,10 +327,10 @@ class _Examination:
             span = float(np.max(time[readable]) - np.min(time[readable]))
             own = f'"{(np.count_nonzero(readable) - 1) / span:.6g} Hz"' if span > 0.0 else "what it was"
             raise LogError(
-                f"of {rows} rows {np.count_nonzero(duplicate)} have the time stamp of an earlier row: are the "
-                f"time stamps too coarse to distinguish rows? Then leave time out and give sample_rate = {own}, "
-                "which is the number of rows over the time span. Or are rows of several sensors mixed? Then "
-                "select those of one sensor with where"
+                f"of {rows} rows {np.count_nonzero(duplicate)} have the time stamp of an earlier row: are the time "
+                f"stamps too coarse to distinguish rows? If so, leave time out and give sample_rate = {own} (the "
+                "number of rows divided by the time span). Or are rows of several sensors mixed? If so, select the "
+                "rows of one sensor with where"
             )
         for kind, where, action, words in (
             ("unreadable row", ~readable, self.policy.unreadable_rows, "without a readable time"),
@@ -345,7 +344,9 @@ class _Examination:
                 self.removed[kind] = count
         kept = readable & ~duplicate & ~unordered
         if np.count_nonzero(kept) < 2:
-            raise LogError(f"of {rows} rows only {np.count_nonzero(kept)} have a time later than the rows before them")
+            raise LogError(
+                f"of {rows} rows, only {np.count_nonzero(kept)} have a later time stamp than all rows before them"
+            )
         return time[kept], order[kept]
 
     def stretches(self, time: Floats) -> tuple[Floats, NDArray[np.int64]]:
@@ -355,7 +356,7 @@ class _Examination:
             row, first, second = changed
             text = (
                 f"rows come at {first:.6g} Hz up to row {row}, and at {second:.6g} Hz after it; a record must "
-                f'have a single rate: read the parts one by one, --rows "0..{row}" and --rows "{row}.."'
+                f'have a single sample rate: read the parts separately, with --rows "0..{row}" and --rows "{row}.."'
             )
             self.note_fault("changed rate", self.policy.changed_rate, 0, text)
         usual = float(np.median(interval))
@@ -373,11 +374,11 @@ class _Examination:
             even, starts, lost_rows = found
             inside = np.delete(interval, starts[1:] - 1)
             rate = 1.0 / mean_interval(even, intervals_within(even, starts))
-            words = "most rows are there" if lost_rows else "no row is lost"
+            words = "most rows are present" if lost_rows else "no row is missing"
             text = (
                 f"the time stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * inside.max():.3g} "
-                f"ms apart, and {words}: they are taken as even, {rate:.6g} Hz on average (state it as "
-                "sample_rate instead of time)"
+                f"ms apart, and {words}: the samples are taken as evenly spaced, at {rate:.6g} Hz on average (to "
+                "confirm, state this sample_rate instead of time)"
             )
             self.note_fault("uneven stamps", "keep", 0, text)
             if lost_rows:
@@ -391,7 +392,7 @@ class _Examination:
     def note_gaps(self, gaps: NDArray[np.int64], dropped: int, longest_s: float) -> None:
         text = (
             f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} with about {dropped} samples dropped, the longest "
-            f"{longest_s:.3g} s, the first after row {int(gaps[0])} of those kept"
+            f"{longest_s:.3g} s, the first after row {int(gaps[0])} of the rows that were kept"
         )
         self.note_fault("gap", self.policy.gaps, len(gaps), text)
 
@@ -414,18 +415,19 @@ class _Examination:
         self.mask(missing, Reason.MISSING_TEMPERATURE, policy.missing_temperatures, "without a temperature")
         known = np.where(missing, np.nan, temperature)
         jumped = np.stack([jumped_temperature(values, starts) for values in known])
-        words = (
-            "with a temperature that changes abruptly for a while, like a thermometer that restarts or loses contact"
-        )
+        words = "with a temperature that jumps for a while, as if the thermometer restarted or lost contact"
         self.mask(jumped, Reason.MISSING_TEMPERATURE, policy.missing_temperatures, words)
         known[jumped] = np.nan
         frozen = np.stack([frozen_temperature(time, values, starts) for values in known])
         whole = [name for name, rows in zip(self.raw.units, frozen, strict=True) if rows.all()]
         if whole:
-            text = f"the temperature of {', '.join(whole)} never changes: constant, or not connected?"
+            text = (
+                f"the temperature of {', '.join(whole)} never changes: is the temperature constant, or is the "
+                "thermometer not connected?"
+            )
             self.note_fault("constant temperature", "keep", 0, text)
             frozen[frozen.all(axis=1)] = False
-        words = "with a constant temperature while others of the record change"
+        words = "with a constant temperature, although it changes in the rest of the record"
         self.mask(frozen, Reason.FROZEN_TEMPERATURE, policy.frozen_temperatures, words)
 
     def sizes(self, time: Floats, kept: Columns, starts: Whole) -> None:
@@ -438,7 +440,9 @@ class _Examination:
             large = float(np.percentile(np.abs(rate[unit, rows]), 99))
             if large > _FASTEST_RATE:
                 reached = f"{np.degrees(large):.3g} deg/s"
-                self.wrong_unit(f"the rates of {name} reach {reached}: is the unit in the map too large?")
+                self.wrong_unit(
+                    f"the rates of {name} reach {reached}: does the column map state a unit that is too large?"
+                )
             if temperature is not None:
                 known = temperature[unit, rows & np.isfinite(temperature[unit])]
                 middle = float(np.median(known)) if len(known) else 20.0
@@ -469,8 +473,8 @@ class _Examination:
             if walk > _NOISIEST:
                 self.wrong_unit(
                     f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} is noisier than "
-                    f"{np.degrees(walk) * 60:.3g} deg/sqrt(h), which no gyro is: does the map state rad/s for "
-                    "deg/s, or s for ms?"
+                    f"{np.degrees(walk) * 60:.3g} deg/sqrt(h), which no gyro is: does the column map state rad/s "
+                    "instead of deg/s, or s instead of ms?"
                 )
         if table_rate is None and kept.table_angle_rad is not None:
             table_rate = np.gradient(kept.table_angle_rad, time, axis=0)
@@ -502,8 +506,9 @@ class _Examination:
                 for words, factor in _FACTORS.items():
                     if abs(slope / factor - 1) < 0.05 or abs(slope * factor - 1) < 0.05:
                         self.wrong_unit(
-                            f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} shows {slope:.4g} times the rate of "
-                            f"table axis {self.raw.table_axes[table_axis]}: a wrong unit ({words})?"
+                            f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} measures {slope:.4g} times the "
+                            "rate of "
+                            f"table axis {self.raw.table_axes[table_axis]}: is a unit wrong ({words})?"
                         )
 
     def in_turns(self, rate: Floats) -> None:
@@ -518,7 +523,7 @@ class _Examination:
             if best and min(apart[:best]) > _IN_TURNS * apart[best] > 0.0:
                 text = (
                     f"axis {self.raw.axes[axis]} of {self.raw.units[unit]}: rows {best + 1} apart are similar, "
-                    "and neighbouring rows are not: do rows of several sensors alternate? Then select those of "
+                    "and neighbouring rows are not: do rows of several sensors alternate? If so, select the rows of "
                     "one sensor with where"
                 )
                 self.note_fault("rows in turns", self.policy.rows_in_turns, 0, text)
@@ -531,7 +536,9 @@ class _Examination:
         if stated is not None and self.raw.time_s is not None:
             error = mean * stated - 1
             if _DRIFT < abs(error) < _OTHER_RATE:
-                text = f"the samples are {error * 1e6:+.0f} ppm longer than at the stated {stated:g} Hz"
+                text = (
+                    f"the intervals between samples are {error * 1e6:+.0f} ppm longer than at the stated {stated:g} Hz"
+                )
                 self.note_fault("clock drift", action, 0, text)
         if host is not None and bool(np.all(np.abs(host) < _ABSURD)) and len(host) > 2:
             x, y = time - time.mean(), host - host.mean()
@@ -539,7 +546,7 @@ class _Examination:
             # Stamps of the host jitter by milliseconds: only a larger deviation is drift.
             uncertain = float(np.std(y - slope * x) / (np.std(x) * np.sqrt(len(x))))
             if abs(slope - 1) > _DRIFT + 3 * uncertain and slope > 0:
-                text = f"the sensor's clock runs {(1 / slope - 1) * 1e6:+.0f} ppm fast against the host's"
+                text = f"the sensor's clock is {(1 / slope - 1) * 1e6:+.0f} ppm fast relative to the computer's"
                 self.note_fault("clock drift", action, 0, text)
         wander = _wander(within)
         if wander > _DRIFT:

@@ -144,7 +144,7 @@ def read_log(path: str | Path) -> Log:
     try:
         dataset = load_netcdf(path)
     except NetcdfError as error:
-        raise LogError(f"{path} is no netCDF file that can be read: {error}") from None
+        raise LogError(f"{path} cannot be read as a netCDF file: {error}") from None
     except OSError as error:
         raise LogError(f"{path} cannot be read: {error.strerror or error}") from None
     version = str(dataset.attrs.get("format"))
@@ -155,7 +155,7 @@ def read_log(path: str | Path) -> Log:
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
     except (KeyError, TypeError, ValueError) as error:
-        raise LogError(f"{path} is not a whole log: {error}") from None
+        raise LogError(f"{path} is not a complete log: {error}") from None
     _LOG.info("read %s: %d rows, %.6g s", path, len(log.time_s), log.duration_s)
     return log
 
@@ -169,9 +169,12 @@ def _from_dataset(dataset: Any) -> Log:
         values = dataset[name]
         unit = str(values.attrs.get("units", "1"))
         if unit != variable.unit:
-            raise LogError(f"'{name}' is in '{unit}', where a log holds '{variable.unit}': convert and say so")
+            raise LogError(
+                f"'{name}' is in '{unit}', and a log holds it in '{variable.unit}': convert the values, and change "
+                "the attribute units"
+            )
         if set(values.dims) != set(variable.dimensions):
-            raise LogError(f"'{name}' runs over {values.dims} instead of {variable.dimensions}")
+            raise LogError(f"'{name}' has the dimensions {values.dims} instead of {variable.dimensions}")
         return np.ascontiguousarray(values.transpose(*variable.dimensions).values, dtype=variable.kind)
 
     def labels(name: str) -> tuple[str, ...]:

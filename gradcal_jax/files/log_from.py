@@ -69,7 +69,8 @@ def log_from(
                 array = np.asarray(value, np.float64)
                 if array.ndim not in (1, 2) or (array.ndim == 2 and array.shape[1] > len(labels)):
                     raise LogError(
-                        f"{kind}: has the shape {array.shape}; expected (n,) or (n, {len(labels)}), or a mapping"
+                        f"{kind} has the shape {array.shape}; expected (n,) or (n, {len(labels)}), or a mapping of "
+                        "axes to arrays"
                     )
                 columns = array[:, None] if array.ndim == 1 else array
                 value = dict(zip(labels, columns.T, strict=False))
@@ -77,7 +78,7 @@ def log_from(
 
     rates = named("rate", rate, ("x", "y", "z"))
     if not rates:
-        raise LogError("rate: names no axis")
+        raise LogError("rate has no axis: give at least one")
     angles = {} if angle is None else named("angle", angle, tuple(rates))
     forces = {} if force is None else named("force", force, ("x", "y", "z"))
     stamps = _in_si("time", time, data, given)
@@ -88,7 +89,7 @@ def log_from(
     }
     for name, values in (*rates.items(), *angles.items(), *forces.items(), *whole.items()):
         if values is not None and values.shape != stamps.shape:
-            raise LogError(f"{name}: has the shape {values.shape}, and the times have {stamps.shape}")
+            raise LogError(f"{name} has the shape {values.shape}, and the times have the shape {stamps.shape}")
     return examine(
         Columns(
             rate_rad_per_s=np.stack(list(rates.values()), axis=-1)[None],
@@ -114,7 +115,7 @@ def _column(value: Any, data: Any) -> Any:
     if not isinstance(value, str):
         return value
     if data is None:
-        raise LogError(f"{value!r} is a name: give data, the table that has this column")
+        raise LogError(f"{value!r} is the name of a column: also give data, the table that has this column")
     try:
         return data[value]
     except KeyError:

@@ -44,5 +44,5 @@ def too_large(spec: Spec) -> str:
         return ""
     return (
         f"the plan's readings need about {needed / 1e9:.3g} GB of memory, and this computer has {there / 1e9:.3g} "
-        "GB free: read less often (read_every), or plan fewer cycles"
+        "GB free: increase read_every, or plan fewer cycles"
     )

@@ -53,7 +53,8 @@ def missions_from(folder: Path) -> Generator[None]:
 
 
 class MissionRows(NamedTuple):
-    """A mission's table: s since its first row, rad/s, °C, and the line of each row."""
+    """The rows of a mission's table: time since the first row (s), rate (rad/s), temperature (°C), and line in the
+    file."""
 
     time: tuple[float, ...]
     rate: tuple[float, ...]
@@ -62,12 +63,12 @@ class MissionRows(NamedTuple):
 
 
 class Mission(Section):
-    """One mission: the `file` of its table, the text of the table once it is read (`table`), and its `weight`."""
+    """One mission: the `file` of its table, and its `weight`."""
 
     file: Text
-    """Table of time, rate and temperature with units in its header (CSV), seen from the spec's folder."""
+    """CSV table of time, rate and temperature, with units in its header; the path is relative to the spec's folder."""
     weight: Annotated[Number, Field(gt=0.0, le=1e6)] = 1.0
-    """Its weight among others."""
+    """Weight of this mission among the others."""
     table: str = ""
     """Text of the table, filled in by the program."""
 
@@ -122,9 +123,9 @@ def _rows_or_faults(text: str) -> Iterator[MissionRows | str]:
     for number, line in lines:
         row = _row(_fields(line), places, count)
         if not isinstance(row, str) and series[0] and row[0] <= series[0][-1]:
-            row = f"the time is not after that of line {numbers[-1]}; rows are in order of time"
+            row = f"the time is not later than that of line {numbers[-1]}; rows must be in order of time"
         if not isinstance(row, str) and len(numbers) >= _MOST_ROWS:
-            row = f"more than {_MOST_ROWS} rows; average them to fewer"
+            row = f"there are more than {_MOST_ROWS} rows; average them to a smaller number"
         if isinstance(row, str):
             yield f"line {number}: {row}"
             faults.append(row)
@@ -161,7 +162,7 @@ def _columns(head: str) -> Iterator[tuple[int, float, float] | str]:
             if column in names:
                 yield f"{names.count(column)} columns are named '{column}'"
             elif len(fields) == 1 and (";" in head or "\t" in head):
-                yield "columns are separated by commas"
+                yield "columns must be separated by commas"
                 return
             else:
                 yield f"there is no column '{column} ({example})'; {instead(column, names)}"
@@ -181,14 +182,17 @@ def _columns(head: str) -> Iterator[tuple[int, float, float] | str]:
 def _row(fields: list[str], places: list[tuple[int, float, float]], count: int) -> list[float] | str:
     """Time, rate and temperature of a row; or its problem."""
     if len(fields) != count:
-        return f"{len(fields)} columns, and the header has {count}; write numbers with a decimal point, not a comma"
+        return (
+            f"this line has {len(fields)} columns, and the header has {count}; write numbers with a decimal point, "
+            "not a comma"
+        )
     row: list[float] = []
     for (place, zero, factor), (column, (_, least, most)) in zip(places, _COLUMNS.items(), strict=True):
         text = fields[place]
         if not _NUMBER.fullmatch(text):
             if _COMMA.fullmatch(text):
-                return f"{column} is '{text}', with a decimal comma; write a point"
-            return f"{column} is '{text[:40]}', which is no number" if text else f"{column} is empty"
+                return f"{column} is '{text}', with a decimal comma; write a decimal point"
+            return f"{column} is '{text[:40]}', which is not a number" if text else f"{column} is empty"
         value = float(text) * factor + zero
         if not (math.isfinite(value) and least <= value <= most):
             return f"{column} is {text}, which is not plausible for a mission"

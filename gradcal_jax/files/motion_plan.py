@@ -26,8 +26,8 @@ from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refus
 BEYOND_TRAVEL: Final = "travel"
 """The kind of the problems of moves beyond an axis's travel, which `files.travel` mends."""
 _SLACK = 1e-6
-_HELD = 'has no effect if the table holds its angle; leave it out, or set rig.table.standing = "read"'
-_ONE_REST = "a rest is of all axes; leave this key out"
+_HELD = 'has no effect if the table holds its angle at rest: leave this key out, or set rig.table.standing = "read"'
+_ONE_REST = "during a rest, all axes rest: leave this key out"
 # Spacing of the readings of a rest that is read at its end alone.
 _AT_END = math.inf
 # A quarter of a period of cosine ramps: peak acceleration times ramp over peak rate.
@@ -38,31 +38,31 @@ class Pose(Section):
     """Move the named axes to these angles, one axis after the other, outermost first."""
 
     pose: dict[Text, Angle]
-    """Angles by name of the axis; other axes do not move."""
+    """Angles that the named axes move to; other axes do not move."""
     peak_rate: PositiveRate | None = None
-    """Largest rate; absent: the axis's own."""
+    """Largest rate of the moves; absent: the maximum rate of each axis."""
     rest: Time | None = None
-    """How long to stay there."""
+    """Duration of the rest after the moves."""
 
 
 class QuickTurn(Angled):
-    """A turn of one axis with cosine ramps, at the axis's maximum rate and acceleration."""
+    """A turn of one axis with cosine ramps, as fast as the axis's maximum rate and acceleration allow."""
 
     axis: Text | None = None
-    """Name of the table axis; absent: the only one."""
+    """Name of the table axis; may be absent if the table has only one."""
     peak_rate: PositiveRate | None = None
-    """Largest rate; absent: the axis's own. A short turn does not reach it."""
+    """Largest rate, which a short turn may not reach; absent: the maximum rate of the axis."""
     repeat: Count = 1
-    """Number of repetitions of the move."""
+    """Number of times that the turn is made."""
 
 
 class AxisMove(Section):
     """A rest, or one move of one axis."""
 
     axis: Text | None = None
-    """Name of the table axis; absent: the only one."""
+    """Name of the table axis; may be absent if the table has only one."""
     move: Move
-    """The rest or turn; its keys stand beside `axis`."""
+    """The rest or the turn; in the file, its keys stand in the same table as `axis`."""
 
     @model_serializer(mode="wrap")
     def _as_written(self, handler: Callable[[Any], Any]) -> dict[str, Any]:
@@ -106,30 +106,32 @@ PlanMove = Annotated[Pose | QuickTurn | AxisMove, read_by(_choose)]
 
 
 class MotionCycle(Section):
-    """The motion that repeats."""
+    """The motion of the table that is repeated."""
 
     moves: Annotated[tuple[PlanMove, ...], Field(min_length=1, max_length=2000)]
-    """Rests, turns and poses, in order."""
+    """Rests, turns and poses, in the order in which they are made."""
     start: dict[Text, Angle] = Field(default_factory=dict)
-    """Initial angles of the axes, by name; absent: zero."""
+    """Angles of the axes at the start of the cycle, by name; absent: zero."""
     other_axes: OtherAxes | None = None
-    """Time at the end of each cycle in which the table serves other sensors; for a table with standing = "read"."""
+    """Time at the end of each cycle in which the table serves other sensors; only for a table with standing =
+    "read"."""
     duration: Time | None = None
-    """Length of a cycle; absent: that of its moves and other axes; longer: the table rests for the remaining time,
-    without readings if standing = "read"."""
+    """Duration of a cycle; absent: that of its moves and of `other_axes`. If it is longer than these, the table rests
+    for the remaining time (without readings if standing = "read")."""
 
 
 class MotionPlan(ChamberCourse):
-    """The plan of a whole unit. With several mountings, each part of the programme with used data has the next
-    mounting; a single ramp is repeated for each, and the chamber returns in between."""
+    """The plan of an IMU. With several mountings, the parts of the programme whose data are used take the mountings in
+    turn. If the programme is a single ramp, it is repeated for each mounting; in between, the chamber returns to the
+    start of the ramp."""
 
     method: Literal["gradient"]
-    """The method."""
+    """The method of the plan."""
     cycle: MotionCycle | None = None
-    """Motion that repeats; absent: the table is at rest, and is read every `read_every` of its axes."""
+    """Motion that is repeated; absent: the table is at rest, and is read every `read_every` of its axes."""
     before: Annotated[tuple[Temperature, ...], Field(max_length=100)] = ()
     """Turning points of the sensor's temperature before the plan, in order, such as room temperature; they determine
-    the initial state of a hysteresis. Absent: in an unknown one."""
+    the initial state of a hysteresis. Absent: the initial state is unknown."""
 
     def _problems(self) -> Iterable[Problem]:
         return self.course_problems(with_cycle=self.cycle is not None)
@@ -223,14 +225,27 @@ def plan_schedule(plan: MotionPlan, rig: Rig) -> PlanSchedule:
     if mountings > 1 and len(stretches) == 1 and plan.programme is None:
         segments, stretches = _once_each(segments, stretches, mountings, rig)
     elif mountings > 1 and len(stretches) != mountings:
-        message = f"has {len(stretches)} stretches of used data for {mountings} mountings; expected one for each"
+        message = (
+            f"has {len(stretches)} parts with used data, and there are {mountings} mountings: expected one part for "
+            "each mounting"
+        )
         raise SpecError([Problem(("programme",), message)])
     longest = max(stretch.duration for stretch in stretches)
     if not any(stretch.cycles for stretch in stretches):
-        message = f"its moves take {moving:.4g} s; the longest stretch of used data is {longest:.4g} s"
+        message = (
+            f"the moves of a cycle take {moving:.4g} s, longer than every part with used data; the longest has "
+            f"{longest:.4g} s"
+        )
         raise SpecError([Problem(("cycle",), message)])
     if sum(s.cycles for s in stretches) * len(steps) > 200_000:
-        raise SpecError([Problem(("cycle",), "makes more than 200000 moves in total; lengthen its rests or turns")])
+        raise SpecError(
+            [
+                Problem(
+                    ("cycle",),
+                    "the plan makes more than 200000 moves in total: lengthen the rests or turns of the cycle",
+                )
+            ]
+        )
     schedule = PlanSchedule(segments, stretches, steps, start, after)
     problems = [*_travel(schedule, rig)]
     if len(stretches) > 1 and (mountings > 1 or len(rig.table.axis) > 1):
@@ -239,7 +254,7 @@ def plan_schedule(plan: MotionPlan, rig: Rig) -> PlanSchedule:
             for k, angle in enumerate(start)
         ]
         names = [axis.name for axis in rig.table.axis]
-        problems += _unclosed(ends, start, names, "it starts again in every stretch of used data")
+        problems += _unclosed(ends, start, names, "the cycle starts again in every part with used data")
     refuse(*problems)
     return schedule
 
@@ -259,7 +274,9 @@ def _after(cycle: MotionCycle, moving: float, rig: Rig) -> tuple[PlanStep, ...]:
     if cycle.duration is not None:
         idle = cycle.duration - moving - other
         if idle < -_SLACK * cycle.duration:
-            message = f"is shorter than the moves and the time of the other axes together, {moving + other:.6g} s"
+            message = (
+                f"is shorter than the moves and the time of the other axes, which take {moving + other:.6g} s together"
+            )
             refuse(Problem(("cycle", "duration"), message, cycle.duration.text))
         if idle > 0.0:
             rests.append(PlanStep(-1, ResolvedMove("rest", idle, read_end=not read), -1))
@@ -330,7 +347,10 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
         try:
             if isinstance(item, QuickTurn):
                 if item.peak_rate is not None and item.peak_rate > axis.max_rate * (1.0 + _SLACK):
-                    message = f'axis "{axis.name}" goes up to {axis.max_rate}; lower it, or leave it out'
+                    message = (
+                        f'exceeds the maximum rate of axis "{axis.name}", {axis.max_rate}: lower this rate, or '
+                        "leave the key out"
+                    )
                     problems.append(Problem((*key, "peak_rate"), message, str(item.peak_rate)))
                 assert item.angle is not None
                 move = replace(quickest_turn(item.angle, axis, item.peak_rate), repeat=item.repeat)
@@ -346,7 +366,7 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
         steps.append(PlanStep(axes[name], move, i))
         here[axes[name]] += move.repeat * move.angle
     if poses:
-        problems += _unclosed(here, start, axes, "poses count from zero")
+        problems += _unclosed(here, start, axes, "the angles of poses count from zero")
     return tuple(steps), tuple(start), problems
 
 
@@ -367,7 +387,7 @@ def _unclosed(ends: Sequence[float], start: Sequence[float], axes: Iterable[str]
         Problem(
             ("cycle", "moves"),
             f'the cycle begins with axis "{name}" at {_degrees(begin)} and ends at {_degrees(end)}: {why}, so a cycle '
-            "must return (or end a whole turn away); add a pose",
+            "must return to its initial angle (or end whole turns away from it): add a pose",
         )
         for name, begin, end in zip(axes, start, ends, strict=True)
         if abs((end - begin) / FULL_TURN - round((end - begin) / FULL_TURN)) > 1e-6
@@ -398,12 +418,12 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
 def _limits(move: ResolvedMove, axis: TableAxis) -> Iterator[Problem]:
     if move.fastest > axis.max_rate * (1.0 + _SLACK):
         reached = f"{math.degrees(move.fastest):.5g} deg/s"
-        message = f'reaches {reached} and exceeds max_rate of axis "{axis.name}", {axis.max_rate}'
+        message = f'reaches {reached}, which exceeds max_rate of axis "{axis.name}", {axis.max_rate}'
         yield Problem((), message, move.words)
     if move.peak_acceleration > axis.max_acceleration * (1.0 + _SLACK):
         reached = f"{math.degrees(move.peak_acceleration):.5g} deg/s^2"
         message = (
-            f'accelerates at {reached} and exceeds max_acceleration of axis "{axis.name}", {axis.max_acceleration}'
+            f'accelerates at {reached}, which exceeds max_acceleration of axis "{axis.name}", {axis.max_acceleration}'
         )
         yield Problem((), message, move.words)
 
@@ -432,20 +452,23 @@ def _travel(schedule: PlanSchedule, rig: Rig) -> Iterator[Problem]:
                     ):
                         farthest[step.source] = beyond, far, cycle
                 at += step.move.repeat * step.move.angle
-        free = f"its travel is {axis.travel} each way"
+        free = f"the travel of this axis is {axis.travel} in each direction"
         if axis.keep_out is not None:
-            free = "it keeps between {} and {} deg".format(*(f"{math.degrees(side):.6g}" for side in axis.reach))
+            free = "this axis must stay between {} and {} deg".format(
+                *(f"{math.degrees(side):.6g}" for side in axis.reach)
+            )
         for source, (_, reach, cycle) in sorted(farthest.items()):
-            later = f" in cycle {cycle + 1} (each ends {math.degrees(net):.6g} deg further)" if cycle else ""
+            later = f" in cycle {cycle + 1} (each cycle ends {math.degrees(net):.6g} deg further)" if cycle else ""
             message = f'takes axis "{axis.name}" {math.degrees(abs(reach)):.6g} deg from zero{later}; {free}'
             yield Problem(("cycle", "moves", source), message, kind=BEYOND_TRAVEL)
 
 
 def _beyond_drive(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:
     if shape == "hand":
-        return Problem(key, f'needs a table that is turned by hand; rig.table.drive is "{drive}"', shape)
+        return Problem(key, f'needs a table that is turned by hand, and rig.table.drive is "{drive}"', shape)
     message = (
-        'cannot be turned by hand, and rig.table.drive is "hand"; expected a turn with shape = "hand" and a duration'
+        'this shape cannot be turned by hand, and rig.table.drive is "hand": expected a turn with shape = "hand" '
+        "and a duration"
     )
     return Problem(key, message, shape)
 

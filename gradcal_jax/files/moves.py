@@ -96,11 +96,11 @@ class ResolvedMove:
 
 class _Move(Section):
     repeat: Count = 1
-    """Number of repetitions of the move."""
+    """Number of times that the move is made."""
     read: Literal["end", "none"] | None = None
-    """One reading at its end, or none."""
+    """"end": one reading at the end of the move; "none": no reading."""
     read_every: Time | None = None
-    """Spacing of readings from its start, in the place of one at the end."""
+    """Time between readings, which start with the move; replaces the reading at its end."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.read is not None and self.read_every is not None:
@@ -119,35 +119,35 @@ class _Move(Section):
 
 
 class Rest(_Move):
-    """Standing still."""
+    """A rest: the table stands still."""
 
     rest: Time
-    """How long."""
+    """Duration of the rest."""
     other_axes: Flag = False
-    """Whether the table turns other axes meanwhile."""
+    """Whether the table turns axes for other sensors during the rest."""
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         return self.resolved("rest", float(self.rest), other_axes=self.other_axes)
 
 
 class Angled(Section):
-    """An angle, which is written in one of two ways."""
+    """An angle, written in one of two ways: `turn` or `turns`."""
 
     turn: Angle | None = None
-    """Angle, signed."""
+    """Angle of the turn; its sign is the direction."""
     turns: Number | None = None
-    """Number of revolutions, signed, instead of an angle."""
+    """Number of revolutions instead of an angle; its sign is the direction."""
 
     @model_validator(mode="after")
     def _one_angle(self) -> "Angled":
         if self.turn is not None and self.turns is not None:
             refuse(Problem(("turns",), 'cannot be combined with "turn"; keep one of them', self.turns))
         if self.turn == 0.0:
-            refuse(Problem(("turn",), "must not be zero; a rest is written { rest = … }", "0"))
+            refuse(Problem(("turn",), "must not be zero; write a rest as { rest = … }", "0"))
         if abs(self.turn or 0.0) > 1e6 * FULL_TURN:
             refuse(Problem(("turn",), "must be at most a million turns", str(self.turn)))
         if self.turns == 0.0 or abs(self.turns or 0.0) > 1e6:
-            refuse(Problem(("turns",), "must be a number of turns other than zero, at most a million", self.turns))
+            refuse(Problem(("turns",), "must not be zero, and must be at most a million turns", self.turns))
         return self
 
     @property
@@ -163,7 +163,7 @@ class Angled(Section):
 
 class _Turn(_Move, Angled):
     duration: Time | None = None
-    """How long, ramps included."""
+    """Duration of the turn, ramps included."""
 
 
 class _RampedTurn(_Turn):
@@ -172,7 +172,7 @@ class _RampedTurn(_Turn):
     STEEPNESS: ClassVar[float]
 
     peak_rate: Rate | None = None
-    """Largest rate; signed where the angle follows from the other keys."""
+    """Largest rate. Its sign is the direction if there is neither `turn` nor `turns`."""
     ramp: Time | None = None
     """Time from rest to the peak rate; absent: as short as the table allows."""
 
@@ -182,7 +182,7 @@ class _RampedTurn(_Turn):
         if peak is not None and peak == 0.0:
             refuse(Problem(("peak_rate",), "must not be zero", peak.text))
         if peak is not None and peak < 0.0 and self.angle is not None:
-            message = f'must be positive: the sign of "{self.angle_key}" is the direction'
+            message = f'must be positive, because the sign of "{self.angle_key}" states the direction'
             refuse(Problem(("peak_rate",), message, peak.text))
         return self
 
@@ -193,7 +193,9 @@ class _RampedTurn(_Turn):
         angle, peak = (None if value is None else abs(value) for value in (signed, fastest))
         duration, ramp = _number(self.duration), _number(self.ramp)
         if sum(value is not None for value in (angle, peak, duration)) < 2:
-            message = "the motion is not determined; give two of turn, peak_rate and duration (and optionally ramp)"
+            message = (
+                "these keys do not determine the motion: give two of turn, peak_rate and duration (and optionally ramp)"
+            )
             raise SpecError([Problem((), message)])
         least = self.STEEPNESS / max_acceleration  # ramp time for each unit of peak rate
         if angle is not None and peak is not None and duration is not None:
@@ -231,27 +233,32 @@ class _RampedTurn(_Turn):
         fitting = duration - angle / peak
         if ramp is not None and abs(peak * (duration - ramp) - angle) > AGREEMENT * angle:
             turned = f"{math.degrees(peak * (duration - ramp)):.5g} deg"
-            message = f"contradicts the others: peak_rate × (duration − ramp) is {turned}; leave one of the four out"
+            message = (
+                f"contradicts the other keys: peak_rate × (duration − ramp) is {turned}; leave out one of the four keys"
+            )
             raise SpecError([Problem((self.angle_key,), message, self._written_angle())])
         if fitting <= 0.0 or fitting > 0.5 * duration * (1.0 + AGREEMENT):
             shortest, longest = _seconds(angle / peak), _seconds(2.0 * angle / peak)
             message = (
-                f"contradicts {self.angle_key} and peak_rate, which need more than {shortest} (no ramps) "
-                f"and at most {longest} (ramps only)"
+                f"contradicts {self.angle_key} and peak_rate, which need more than {shortest} (without ramps) and "
+                f"at most {longest} (if the turn consists of ramps only)"
             )
             raise SpecError([Problem(("duration",), message, str(self.duration))])
         return min(fitting, 0.5 * duration)
 
     def _too_fast(self, angle: float, peak: float, ramp: float, least: float) -> None:
         if self.ramp is not None:
-            message = f"is too long for {self._written_angle()} at {self.peak_rate}: at most {_seconds(angle / peak)}"
+            message = (
+                f"is too long for {self._written_angle()} at {self.peak_rate}; expected at most "
+                f"{_seconds(angle / peak)}"
+            )
             refuse(Problem(("ramp",), message, self.ramp.text))
-        message = f"cannot be reached within {self._written_angle()} at the table's max_acceleration; at most "
+        message = f"cannot be reached within {self._written_angle()} at the table's max_acceleration; expected at most "
         refuse(Problem(("peak_rate",), message + _round_rate(math.sqrt(angle / least)), str(self.peak_rate)))
 
     def _too_short(self, needed: float) -> None:
         reason = "its two ramps" if self.ramp is not None else "the ramps at the table's max_acceleration"
-        message = f"is too short for {reason}; at least {_seconds(needed)}"
+        message = f"is too short for {reason}; expected at least {_seconds(needed)}"
         raise SpecError([Problem(("duration",), message, str(self.duration))])
 
     def _written_angle(self) -> str:
@@ -259,35 +266,36 @@ class _RampedTurn(_Turn):
 
 
 class CosineRamps(_RampedTurn):
-    """Constant rate between two half-cosine ramps (the paper's turn)."""
+    """A turn with constant rate between two half-cosine ramps (the paper's turn)."""
 
     SHAPE, STEEPNESS = "cosine ramps", math.pi / 2.0
 
     shape: Literal["cosine ramps"] = "cosine ramps"
-    """Course of the rate."""
+    """Shape of the rate over time."""
 
 
 class LinearRamps(_RampedTurn):
-    """Constant rate between two ramps of constant acceleration."""
+    """A turn with constant rate between two ramps of constant acceleration."""
 
     SHAPE, STEEPNESS = "linear ramps", 1.0
 
     shape: Literal["linear ramps"]
-    """Course of the rate."""
+    """Shape of the rate over time."""
 
 
 class Hand(_Turn):
-    """A turn by hand, slow and uneven: A·½(1 − cos 2πu)·(1 + unevenness·sin 6πu). Only its ends are known."""
+    """A turn by hand, slow and uneven: the rate is A·½(1 − cos 2πu)·(1 + unevenness·sin 6πu) at the fraction u of the
+    duration. Only its ends are known."""
 
     shape: Literal["hand"]
-    """Course of the rate."""
+    """Shape of the rate over time."""
     unevenness: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.3
-    """Unevenness of the turn, as a share of the rate."""
+    """Unevenness of the turn, as a fraction of the rate."""
 
     @model_validator(mode="after")
     def _ends_only(self) -> "Hand":
         if self.read_every is not None:
-            message = "a turn by hand is known only at its ends; leave this key out"
+            message = "a turn by hand is known only at its ends, so it cannot be read in between: leave this key out"
             refuse(Problem(("read_every",), message, self.read_every.text))
         return self
 
@@ -295,7 +303,7 @@ class Hand(_Turn):
         angle = self.angle
         if angle is None or self.duration is None:
             missing = "turn" if angle is None else "duration"
-            raise SpecError([Problem((missing,), "this key is missing: a turn by hand has an angle and a duration")])
+            raise SpecError([Problem((missing,), "this key is missing: a turn by hand needs an angle and a duration")])
         peak, duration = 2.0 * angle / self.duration, float(self.duration)
         fastest, steepest = _uneven_maxima(self.unevenness)
         return self.resolved(
@@ -327,7 +335,7 @@ def choose_move(table: Mapping[str, object]) -> object:
         return Rest.model_validate(table)
     if "shape" not in table:
         refuse_misspelt(table, ["rest", "shape"])
-        message = f'a move is a rest ("rest") or has a "shape": {one_of(SHAPES)}'
+        message = f'a move needs "rest" or a "shape", which is {one_of(SHAPES)}'
         raise SpecError([Problem(("shape",), message, kind="missing")])
     return choose(table, "shape", SHAPES)
 

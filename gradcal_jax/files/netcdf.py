@@ -1,4 +1,4 @@
-"""Writing netCDF (HDF5) files, and reading them, with a sentence where they cannot be read."""
+"""Writes and reads netCDF (HDF5) files, with an error message in words if a file cannot be read."""
 
 import warnings
 from collections.abc import Iterable, Mapping
@@ -29,8 +29,8 @@ def load_netcdf(path: str | Path) -> Any:
             opened.seek(0)
             begin = opened.read(4096)
             text = bool(begin) and all(byte >= 32 or byte in b"\t\r\n" for byte in begin)
-            hint = ", but text: name it .csv, and describe its columns with --columns" if text else ""
-            raise NetcdfError(f"it is no netCDF 4 file{hint}")
+            hint = ", but a text file: name it .csv, and describe its columns with --columns" if text else ""
+            raise NetcdfError(f"it is not a netCDF 4 file{hint}")
     try:
         return _load(path)
     except Exception as error:  # whatever HDF5 makes of bytes that are no netCDF

@@ -32,10 +32,12 @@ def places_of(spec: Spec, names: Sequence[str]) -> dict[str, str]:
     if some := [name for name in names if name in places]:
         others = ", ".join(name for name in names if name not in places)
         raise ValueError(
-            f"{some[0]} is the name of a place, but {others} is not: name all IMUs after their places, or none"
+            f"{some[0]} is the name of a place, but {others} is not: name all IMUs after their places, or none of them"
         )
     if len(names) > len(places):
-        raise ValueError(f"the log has {len(names)} IMUs and rig.table.place {len(places)}: add the others")
+        raise ValueError(
+            f"the log has {len(names)} IMUs, and the spec has {len(places)} places: add the missing [[rig.table.place]]"
+        )
     return dict(zip(names, places, strict=False))
 
 

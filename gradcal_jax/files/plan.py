@@ -26,40 +26,40 @@ class Soak(Section):
     """Waiting at the start temperature."""
 
     duration: q.Time
-    """How long."""
+    """Duration of the wait."""
     used: q.Flag = False
-    """Whether its readings are part of the data."""
+    """Whether the readings taken meanwhile are part of the data."""
 
 
 class SoakItem(Section):
-    """An item of a programme: stay."""
+    """An item of a programme: stay at the temperature."""
 
     soak: q.Time
-    """How long."""
+    """Duration of the stay."""
     at: q.Temperature | None = None
-    """Temperature; only for the first item."""
+    """Temperature of the stay; only for the first item."""
     used: q.Flag = False
-    """Whether its readings are part of the data."""
+    """Whether the readings taken meanwhile are part of the data."""
 
 
 class RampItem(Section):
     """An item of a programme: go to another temperature at a constant slope."""
 
     ramp_to: q.Temperature
-    """Temperature at its end."""
+    """Temperature at the end of the ramp."""
     rate: q.PositiveTemperatureSlope
-    """Slope, as a size."""
+    """Slope, as a positive number."""
     used: q.Flag = True
-    """Whether its readings are part of the data."""
+    """Whether the readings taken meanwhile are part of the data."""
 
 
 class StepItem(Section):
     """An item of a programme: go to another temperature at the chamber's maximum rate."""
 
     step_to: q.Temperature
-    """Temperature at its end."""
+    """Temperature at the end of the step."""
     used: q.Flag = False
-    """Whether its readings are part of the data."""
+    """Whether the readings taken meanwhile are part of the data."""
 
 
 _ITEMS: dict[str, type[Section]] = {"soak": SoakItem, "ramp_to": RampItem, "step_to": StepItem}
@@ -78,18 +78,18 @@ ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, read_by(_choose_item)]
 
 
 class OtherAxes(Section):
-    """The time for other axes in each cycle, during which this axis is at rest."""
+    """The time in each cycle in which the table serves other sensors; the axis of this plan is at rest."""
 
     duration: q.Time
-    """How long."""
+    """Duration of this time."""
     read: q.Flag = False
     """Whether this axis is read during this time."""
     read_every: q.Time | None = None
-    """Spacing of these readings; absent: as in the first rest of the cycle that has one."""
+    """Time between these readings; absent: as in the first rest of the cycle that states one."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.read_every is not None and not self.read:
-            yield Problem(("read_every",), 'has no effect without "read = true"', self.read_every.text)
+            yield Problem(("read_every",), "has no effect unless read = true", self.read_every.text)
 
 
 class _Slopes:
@@ -117,7 +117,7 @@ class _Slopes:
             except ValueError as error:
                 problems.append(Problem((i,), str(error), entry))
         if not slopes and not problems:
-            raise ValueError("expected a temperature slope, or a list of them, one for each cycle")
+            raise ValueError("expected a temperature slope, or a list of slopes, one for each cycle")
         refuse(*problems)
         return tuple(slopes)
 
@@ -130,16 +130,16 @@ Slopes = Annotated[q.Quantity | tuple[q.Quantity, ...], _Slopes()]
 
 
 class ChamberCourse(Section):
-    """The chamber's course, in one of the three ways."""
+    """The temperature of the chamber over time: a ramp, a list of slopes, or a programme."""
 
     temperature: Annotated[tuple[q.Temperature, ...], Field(min_length=1, max_length=2)] | None = None
-    """[start, end] of the ramp; [start] with a list of gradients."""
+    """[start, end] of the ramp, or [start] if `gradient` is a list of slopes."""
     gradient: Slopes | None = None
-    """Slope of the ramp as a size, or a list of signed slopes, one for each cycle."""
+    """Slope of the ramp as a positive number, or a list of signed slopes, one for each cycle."""
     soak: Soak | None = None
-    """Waiting at the start."""
+    """Waiting at the start temperature."""
     programme: Annotated[tuple[ProgrammeItem, ...], Field(min_length=1, max_length=10_000)] | None = None
-    """Soaks, ramps and steps in order, instead of the keys above."""
+    """Soaks, ramps and steps in their order, instead of the keys above."""
 
     def course_problems(self, *, with_cycle: bool) -> Iterator[Problem]:
         """Problems of the course. `with_cycle`: whether there may be a slope for each cycle."""
@@ -152,7 +152,7 @@ class ChamberCourse(Section):
                 message = 'the first item must be a soak with a temperature: { soak = "1 h", at = "-30 degC" }'
                 yield Problem(("programme", 0), message)
             elif not any(item.used for item in self.programme):
-                yield Problem(("programme",), "no item has used data; there would be no data")
+                yield Problem(("programme",), "the plan would have no data: set used = true in at least one item")
             return
         missing = [key for key in ("temperature", "gradient") if getattr(self, key) is None]
         yield from (Problem((key,), 'this key is missing (or give a "programme")', kind="missing") for key in missing)
@@ -160,9 +160,11 @@ class ChamberCourse(Section):
             return
         if isinstance(self.gradient, tuple):
             if not with_cycle:
-                yield Problem(("gradient",), "a list has one slope for each cycle, and is not possible here")
+                yield Problem(
+                    ("gradient",), "a list gives one slope for each cycle, and this plan has no cycle: give one slope"
+                )
             if len(self.temperature) == 2:
-                message = "with a list of gradients, these determine the end of the ramp; give the start alone"
+                message = "a list of slopes determines the end of the ramp: give only the start, as [start]"
                 yield Problem(("temperature",), message, [t.text for t in self.temperature])
         elif len(self.temperature) == 1:
             yield Problem(("temperature",), "expected [start, end]", [t.text for t in self.temperature])
@@ -171,25 +173,26 @@ class ChamberCourse(Section):
 
 
 class StandardPlan(Section):
-    """The standard method: stable temperatures, a reference rate at each."""
+    """The standard method: stable temperatures, and at each of them several reference rates."""
 
     method: Literal["standard"]
-    """The method."""
+    """The method of the plan."""
     temperatures: Annotated[tuple[q.Temperature, ...], Field(min_length=1, max_length=1000)]
-    """Set points, in order."""
+    """Temperature set points, in order."""
     soak: q.Time
-    """Waiting time at each temperature before its data count."""
+    """Waiting time at each temperature before data are taken."""
     integration: q.Time
-    """Time of each mean."""
+    """Averaging time of each mean rate."""
     rates: Annotated[tuple[q.Rate, ...], Field(min_length=1, max_length=1000)] | None = None
     """Reference rates at each set point; absent: the axis is at rest."""
     estimator: Literal["best linear", "least squares"] = "best linear"
-    """Generalised least squares with all priors, or unweighted least squares as in the paper."""
+    """"best linear": generalised least squares with all priors; "least squares": unweighted, as in the paper."""
     points: Literal["one run", "independent"] = "one run"
-    """Whether the points share clock, turn-on bias, drifts and walks ("one run"), or are independent (the paper)."""
+    """"one run": all points share the clock error, the turn-on bias, drifts and random walks; "independent": the errors
+    of different points are independent (as in the paper)."""
 
     def _problems(self) -> Iterator[Problem]:
         for i in range(1, len(self.temperatures)):
             if self.temperatures[i] == self.temperatures[i - 1]:
-                message = "repeats the entry before it; lengthen the integration instead"
+                message = "repeats the previous temperature; lengthen the integration instead"
                 yield Problem(("temperatures", i), message, self.temperatures[i].text)

@@ -25,14 +25,14 @@ EXAMPLE: Final = presets.template("points.toml")
 
 
 class PointMap(Section):
-    """What the columns of a table of points mean."""
+    """Meaning of the columns in a table of points."""
 
     format: Literal["gradcal-points/1"]
     """Name and version of this file format."""
     name: Name = "sensor"
     """Name or serial number of the sensor."""
     axis: Name = "x"
-    """Name of the axis."""
+    """Name of the sensor's axis."""
     simulated: Flag = False
     """Whether the data are simulated."""
     temperature: TemperatureColumn
@@ -42,7 +42,7 @@ class PointMap(Section):
     output: RateColumn
     """Column of the sensor's output."""
     sigma: RateColumn | None = None
-    """Column of the output's standard deviation; absent: the spec's noise counts."""
+    """Column of the output's standard deviation; absent: it follows from the noise in the spec."""
     csv: TextTable = TextTable()
     """Layout of a text file."""
 
@@ -83,10 +83,12 @@ def read_points(path: str | Path, columns: PointMap | str | Path) -> RatePoints:
         if columns.sigma is not None:
             sigma = table.measured(columns.sigma.model_copy(update={"zero": 0.0}))
             if not np.all(sigma > 0.0):
-                raise LogError(f"sigma of row {int(np.argmin(sigma > 0.0))} is not above zero")
+                raise LogError(f"sigma in row {int(np.argmin(sigma > 0.0))} must be above zero")
         for words, values in (("temperature", temperature), ("reference rate", reference), ("output", output)):
             if not np.isfinite(values).all():
-                raise LogError(f"the {words} of row {int(np.argmin(np.isfinite(values)))} is no number: leave it out")
+                raise LogError(
+                    f"the {words} of row {int(np.argmin(np.isfinite(values)))} is not a number: leave this row out"
+                )
         # Except for its bias, a sensor's output is the table's rate: a factor of a hundred is a wrong unit.
         slope = float(output @ reference / (reference @ reference)) if reference.any() else 1.0
         if not 0.5 < abs(slope) < 2.0:

@@ -154,7 +154,7 @@ _EXPECTED: Final[Mapping[str, str]] = {
     "string_type": "expected text in quotes",
     "int_type": "expected a whole number",
     "int_from_float": "expected a whole number",
-    "int_parsing_size": "the number is too large",
+    "int_parsing_size": "this number is too large",
     "float_type": "expected a number without unit",
     "finite_number": "expected a finite number",
     "bool_type": "expected true or false",

@@ -41,37 +41,37 @@ FORMAT: Final = "gradcal-recipe/1"
 
 
 class PredictedParameter(ParameterRow):
-    """A coefficient and its standard deviation; absent: cannot be observed."""
+    """A coefficient and its predicted standard deviation."""
 
     std: Size | None = None
-    """Standard deviation; absent: cannot be observed."""
+    """Standard deviation after the calibration; absent: this plan cannot observe the coefficient."""
 
 
 class Predicted(Section):
-    """The residual of the rounded plan, as `gradcal predict` computes it, without the covariance."""
+    """The prediction for the rounded plan, as from `gradcal predict`, without the covariance."""
 
     duration_s: Size
     """Duration of the whole plan (s)."""
     soak_s: Size
-    """Duration of its soaks (s)."""
+    """Total duration of the soaks (s)."""
     motion_s: Size
-    """Duration of its ramp (s)."""
+    """Duration of the ramp (s)."""
     requirements: tuple[RequirementRow, ...] = ()
-    """Residuals, by requirement."""
+    """Residuals, one entry for each requirement."""
     parameters: tuple[PredictedParameter, ...] = ()
-    """Coefficients."""
+    """Coefficients with their standard deviations."""
     notices: tuple[NoticeRow, ...] = ()
-    """Detection by tests of the log."""
+    """How well tests of the log detect structure that the model lacks."""
     warnings: tuple[Text, ...] = ()
     """Warnings, in sentences."""
     places: tuple[PlaceRow, ...] = ()
-    """For a fixture of several IMUs: every place; all other results are for the worst place."""
+    """For a fixture of several IMUs: residuals at every place; all other results are for the worst place."""
     place: Text | None = None
-    """Its name."""
+    """For a fixture of several IMUs: name of the worst place."""
     minutes_per_imu: Size | None = None
-    """Duration of the plan over the number of places (min)."""
+    """Duration of the plan divided by the number of places (min)."""
     imus_per_shift: Size | None = None
-    """Number of IMUs in a shift, without the time to change them."""
+    """Number of IMUs calibrated in a shift, without the time to change them."""
 
     @classmethod
     def of(cls, prediction: Prediction) -> "Predicted":
@@ -81,42 +81,42 @@ class Predicted(Section):
 
 
 class RecipeOrigin(Section):
-    """The origin of a recipe."""
+    """The program that made the recipe."""
 
     by: Text
-    """Program and version."""
+    """Name and version of the program."""
     versions: dict[str, str]
-    """Versions of the packages used."""
+    """Versions of the packages that it used."""
     seed: Whole | None = None
-    """Of the search."""
+    """Seed of the search for the plan; absent: there was no search."""
 
 
 class Recipe(TitledFile):
-    """A whole recipe."""
+    """A recipe: a plan in executable form."""
 
     format: Literal["gradcal-recipe/1"]
     status: Text
-    """The origin of the plan, in a sentence ("not optimised", "converged: …")."""
+    """How the plan was made, in a sentence ("not optimised", "converged: …")."""
     notes: tuple[Text, ...] = ()
-    """Further notes."""
+    """Notes on the plan, in sentences; some state differences between the plan and what the controllers execute."""
     rounded: tuple[Text, ...] = ()
-    """Changes by rounding."""
+    """Changes that rounding made to the plan, one sentence each."""
     made: RecipeOrigin
-    """The origin of the file."""
+    """The program that made the recipe."""
     resolution: ControllerSteps
-    """Steps of the controllers to which it is rounded."""
+    """Steps of the controllers to which the plan is rounded."""
     stability: Stability
-    """When a temperature counts as stable."""
+    """Conditions under which a temperature counts as stable."""
     chamber: ChamberTrack
-    """The chamber's track."""
+    """What the chamber does."""
     motion: tuple[MotionBlock, ...]
-    """The table's track."""
+    """What the table does, in blocks."""
     prediction: Predicted
-    """Residual of the rounded plan."""
+    """Prediction for the rounded plan."""
     optimisation: dict[str, Any] | None = None
-    """The optimiser's own record: objective, before, now, starts, limits."""
+    """Record of the optimisation: objective, its value before and now, number of starts, limits."""
     spec: Spec = Field(title="gradcal-spec/1")
-    """The spec with the plan of these tracks."""
+    """The spec, with the plan that the recipe executes."""
 
     __str__ = whole_text
     _repr_html_ = html
@@ -128,7 +128,9 @@ class Recipe(TitledFile):
             {"chamber": track.model_dump(mode="json"), "motion": [block.model_dump(mode="json") for block in blocks]}
             for track, blocks in ((chamber, motion), (self.chamber, self.motion))
         )
-        message = "does not follow from the spec in the recipe; change the plan in the spec and make the recipe again"
+        message = (
+            "does not agree with the spec in this recipe: to change a plan, change the spec and make the recipe again"
+        )
         return [Problem(key, message, value) for key, _, value in differences(expected, written, ())][:5]
 
     def _shown(self) -> list[str]:
@@ -192,7 +194,7 @@ def parse_recipe(text: str, source: str = "") -> Recipe:
 def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:
     """A recipe from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
     if document.get("format") == "gradcal-spec/1":
-        message = "this is a spec; make a recipe of it: gradcal optimise SPEC --steps 0 -o recipe.toml"
+        message = "this file is a spec; make a recipe from it: gradcal optimise SPEC --steps 0 -o recipe.toml"
         raise SpecError([Problem(("format",), message, document["format"])], source)
     spec = document.get("spec")
     of_axis = isinstance(spec, Mapping) and is_of_axis(cast("Mapping[str, Any]", spec))

@@ -41,51 +41,52 @@ class ModbusLine(Section):
 
 
 class Register(Section):
-    """`[registers.NAME]`. A text occupies `count` registers with one character in each."""
+    """`[registers.NAME]`: a register of the device. A text occupies `count` registers, with one character in each."""
 
     address: Annotated[int, Field(strict=True, ge=0, le=65535)]
-    """Its number in the message, counted from 0: a manual's 40001 or 4x0001 is 0."""
+    """Number of the register in the message, counted from 0: what a manual calls 40001 or 4x0001 is 0."""
     type: Literal["int16", "uint16", "int32", "uint32", "float32", "text"] = "int16"
-    """What it holds."""
+    """Type of the number or text in the register."""
     decimals: Annotated[int, Field(strict=True, ge=0, le=6)] | Text = 0
-    """Decimals: the register has the value times ten to this power; or the name of the register with the power."""
+    """Number n of decimals (the register has the value times 10ⁿ), or the name of the register that has this number."""
     count: Annotated[int, Field(strict=True, ge=1, le=60)] = 1
-    """How many registers a text has."""
+    """Number of registers that a text occupies."""
     input: Flag = False
-    """Whether it is an input register (function 4), which is only read."""
+    """Whether it is an input register (function 4), which can only be read."""
     codes: dict[str, Text] = Field(default_factory=dict[str, str])
-    """Words for its numbers, such as { 0 = "OFF", 1 = "RUN" }."""
+    """Words for the numbers in the register, such as { 0 = "OFF", 1 = "RUN" }."""
     shown_in: Text | None = None
-    """The register that shows what was written to this one; absent: itself."""
+    """Name of the register that shows the value written to this one; absent: this register itself."""
 
 
 class RegisterProtocol(Section):
-    """A complete description of a chamber with registers."""
+    """A complete description of a chamber that communicates by registers."""
 
     format: Literal["gradcal-registers/1"]
     """Name and version of this file format."""
     role: Literal["chamber"]
-    """What the device is."""
+    """Kind of device."""
     title: Text
     """A title for tables and pages."""
     line: ModbusLine = ModbusLine()
-    """How a message is framed."""
+    """Settings of the connection."""
     units: DeviceUnits = DeviceUnits()
-    """Units of the numbers of the device."""
+    """Units of the numbers that the device sends and receives."""
     limits: DeviceLimits = DeviceLimits()
-    """Limits of the device, if no registers `lowest` and `highest` state them."""
+    """Limits of the device, if it has no registers `lowest` and `highest` that state them."""
     on_first: Flag = False
-    """Whether it accepts a set point only while it conditions."""
+    """Whether the device accepts a set point only while it is switched on and conditions the chamber."""
     registers: dict[str, Register]
-    """Its registers, by name. Known names: air, setpoint, product, mode, lowest, highest, model, serial, firmware."""
+    """Registers of the device, by name. Names that the program knows: air, setpoint, product, mode, lowest, highest,
+    model, serial, firmware."""
     tell: dict[str, dict[str, int | float | Text]]
-    """Commands, by name: the registers that are written and their values."""
+    """Commands, by name: the registers to write, and the values for them."""
     state: dict[str, Condition] = Field(default_factory=dict[str, Condition])
-    """States of the device that registers report, by name: conditioning, program, ramps."""
+    """States of the device that registers show, by name: conditioning, program, ramps."""
     alarm: dict[str, Condition] = Field(default_factory=dict[str, Condition])
-    """Its alarms, by name."""
+    """Alarms of the device, by name."""
     require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
-    """Settings that it must have before the first command."""
+    """Settings that the device must have before the first command."""
 
     @property
     def fields(self) -> dict[str, str]:
@@ -101,16 +102,16 @@ class RegisterProtocol(Section):
             yield Problem(("tell", "setpoint"), "this key is missing; a chamber needs it", kind="missing")
         for name in ("lowest", "highest"):
             if name not in known and getattr(self.limits, name) is None:
-                message = f"this key is missing; give it, or a register {name}"
+                message = f"this key is missing; give it, or describe a register {name}"
                 yield Problem(("limits", name), message, kind="missing")
         for tells, state in ((("on", "off"), "conditioning"), (("end_program",), "program"), (("no_ramp",), "ramps")):
             if any(name in self.tell for name in tells) and state not in self.state:
-                message = f"this key is missing; no reply shows the effect of tell.{tells[0]}"
+                message = f"this key is missing: without this state, no reply shows the effect of tell.{tells[0]}"
                 yield Problem(("state", state), message, kind="missing")
         if ("on" in self.tell) is not ("off" in self.tell):
-            yield Problem(("tell",), "expected both on and off, or neither")
+            yield Problem(("tell",), "expected both commands, on and off, or neither")
         if "ramp" in self.tell and "no_ramp" not in self.tell and self.limits.free_ramp is None:
-            message = "this key is missing; a command is needed to end a ramp"
+            message = "this key is missing: it is the command that ends a ramp"
             yield Problem(("tell", "no_ramp"), message, kind="missing")
         yield from self._badly_written()
 
@@ -126,7 +127,8 @@ class RegisterProtocol(Section):
         for name, writes in self.tell.items():
             if name not in _VALUES:
                 yield Problem(
-                    ("tell", name), f"a chamber needs the command {', '.join(_VALUES)}; {instead(name, _VALUES)}"
+                    ("tell", name),
+                    f"is not a command of a chamber, which are {', '.join(_VALUES)}; {instead(name, _VALUES)}",
                 )
                 continue
             for register, value in writes.items():
@@ -134,13 +136,13 @@ class RegisterProtocol(Section):
                 if entry is None:
                     yield Problem(("tell", name, register), f"there is no such register; {instead(register, known)}")
                 elif entry.input or entry.type == "text":
-                    yield Problem(("tell", name, register), "this register is only read")
+                    yield Problem(("tell", name, register), "this register can only be read")
                 allowed = f"{{{_VALUES[name]}}}"
                 if isinstance(value, str) and (not _VALUES[name] or value != allowed):
                     message = f"expected a number{f' or {allowed}' if _VALUES[name] else ''}"
                     yield Problem(("tell", name, register), message, value)
             if _VALUES[name] and f"{{{_VALUES[name]}}}" not in writes.values():
-                yield Problem(("tell", name), f"no register gets {{{_VALUES[name]}}}")
+                yield Problem(("tell", name), f"the command must write {{{_VALUES[name]}}} to a register")
 
 
 def register_protocol_of(value: object, changes: object = None) -> RegisterProtocol:

@@ -18,7 +18,7 @@ Points = Annotated[int, Field(strict=True, ge=2, le=5001)]
 
 class _OfRuns(Section):
     of: Literal["any run", "this run"] = "any run"
-    """Whether the turn-on bias of another power-on counts: in "any run" it does, in "this run" it does not."""
+    """Whether the turn-on bias of another power-on counts: with "any run" it does, with "this run" it does not."""
 
 
 Over = Literal["mean", "max", "rms"]
@@ -29,15 +29,16 @@ class _OfElements(Section):
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y", "z")
 
     name: q.Text
-    """Name of the requirement in verdicts and [design]."""
+    """Name of the requirement, used in verdicts and in [design]."""
     axis: Elements = "worst"
-    """One element, the worst of them, or all (root mean square)."""
+    """One axis, the worst of all axes, or the root mean square over all axes."""
     target: Any = None
-    """Limit on the error, which gives a verdict; absent: none."""
+    """Limit on the error; absent: there is no verdict."""
     coverage: Coverage = 1.0
     """Number of standard deviations that must be within the target."""
     risk: Risk | None = None
-    """Largest probability that a sensor beyond the target passes; absent: simple acceptance."""
+    """Largest probability that a sensor beyond the target passes; absent: a sensor passes if the number of standard
+    deviations in `coverage` is within the target (simple acceptance)."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.axis not in self.ELEMENTS:
@@ -46,7 +47,7 @@ class _OfElements(Section):
 
 class _InARange(_OfElements):
     temperature: tuple[q.Temperature, q.Temperature]
-    """Lowest and highest temperature."""
+    """Lowest and highest temperature of the requirement."""
 
     def _problems(self) -> Iterator[Problem]:
         yield from _OfElements._problems(self)
@@ -54,33 +55,41 @@ class _InARange(_OfElements):
 
 
 class _OverTemperature(_InARange):
-    """A requirement over temperature, summed up first of each element, then over the elements."""
+    """A requirement over temperature: a statistic over temperature for each axis, and then a combination of the
+    axes."""
 
     grid: tuple[Points] = (101,)
-    """Number of temperatures, ends included."""
+    """Number of temperatures at which the error is evaluated, ends included."""
     statistic: Over = "mean"
-    """Statistic of each element's standard deviation over temperature."""
+    """Statistic over temperature of the standard deviation of each axis."""
     quantity: Any
-    """What must be good."""
+    """Quantity that the requirement limits."""
 
 
 class _OnAPath(Section):
-    """On which path of the temperature a quantity must be good."""
+    """The change of temperature for which the requirement holds."""
 
     branch: Literal["heating", "cooling", "both"] | None = None
-    """Branch of the temperature on which the error counts; "both": the larger error at every temperature. Absent: the
-    mean of both, without hysteresis."""
+    """Direction of the temperature's change for which the error counts; "both": at every temperature, the larger of the
+    two errors. Absent: the mean of heating and cooling, without hysteresis."""
     slope: tuple[q.TemperatureSlope, q.TemperatureSlope] | None = None
-    """Lowest and highest dT/dt in service, whose errors count; absent: constant temperature."""
+    """Lowest and highest dT/dt in service; the errors that it causes count. Absent: the temperature is constant in
+    service."""
 
     @model_validator(mode="after")
     def _path(self) -> "_OnAPath":
         if self.slope is not None:
             low, high = self.slope
             if low > high:
-                refuse(Problem(("slope",), "expected the lowest first", [str(low), str(high)]))
+                refuse(Problem(("slope",), "expected [lowest, highest]", [str(low), str(high)]))
             if (self.branch == "heating" and high < 0.0) or (self.branch == "cooling" and low > 0.0):
-                refuse(Problem(("slope",), f"this range has no {self.branch}", [str(low), str(high)]))
+                refuse(
+                    Problem(
+                        ("slope",),
+                        f"this range of slopes contains no {self.branch}, which branch requires",
+                        [str(low), str(high)],
+                    )
+                )
         return self
 
     def service(self) -> tuple[tuple[float, float], ...]:
@@ -100,23 +109,23 @@ class GyroBiasRequirement(_OverTemperature, _OfRuns, _OnAPath):
 
 
 class GyroScaleFactorRequirement(_InARange, _OnAPath):
-    """Scale factor of the gyros over a box of temperature and rate."""
+    """Scale factor of the gyros over ranges of temperature and rate."""
 
     quantity: Literal["gyro_scale_factor"]
-    """What must be good."""
+    """Quantity that the requirement limits."""
     rate: tuple[q.Rate, q.Rate]
-    """Lowest and highest rate."""
+    """Lowest and highest rate of the requirement."""
     grid: tuple[Points, Points] = (101, 121)
-    """Numbers of temperatures and of rates, ends included."""
+    """Number of temperatures and number of rates at which the error is evaluated, ends included."""
     statistic: Literal["mean of max", "mean", "max", "rms"] = "mean of max"
-    """Statistic of the standard deviation over the box."""
+    """Statistic of the standard deviation over temperature and rate."""
     target: q.PositiveScaleFactor | None = None
 
     def _problems(self) -> Iterator[Problem]:
         yield from _InARange._problems(self)
         yield from increasing(self.rate, "rate")
         if self.grid[0] * self.grid[1] > 1_000_000:
-            yield Problem(("grid",), "at most 1000000 points together", list(self.grid))
+            yield Problem(("grid",), "must have at most 1000000 points in all", list(self.grid))
 
 
 class MisalignmentRequirement(_OverTemperature):
@@ -124,13 +133,14 @@ class MisalignmentRequirement(_OverTemperature):
 
     quantity: Literal["gyro_misalignment", "accelerometer_misalignment"]
     relative_to: Literal["table", "case", "internal"] = "table"
-    """The table's axes, the case (adds the mounting's accuracy), or the IMU itself."""
+    """Reference of the misalignments: the table's axes, the case (which adds the mounting's accuracy), or the IMU
+    itself (misalignments of its axes relative to each other)."""
     axis: Elements = "all"
     target: q.PositiveAngle | None = None
 
 
 class SensitivityRequirement(_OverTemperature):
-    """Drift of the gyros per unit of specific force."""
+    """Bias of the gyros in proportion to the specific force (g-sensitivity)."""
 
     quantity: Literal["g_sensitivity"]
     axis: Elements = "all"
@@ -152,25 +162,27 @@ class AccelerometerScaleFactorRequirement(_OverTemperature, _OnAPath):
 
 
 class SecondOrderRequirement(_OverTemperature):
-    """K2 of the accelerometers."""
+    """K2 of the accelerometers: output in proportion to the square of the specific force."""
 
     quantity: Literal["second_order"]
     target: q.PositiveSecondOrder | None = None
 
 
 class PositionRequirement(_OverTemperature, _OfRuns):
-    """Horizontal position error after free-inertial navigation at rest and level, from the calibration alone."""
+    """Horizontal position error of free-inertial navigation at rest with a level IMU; only the errors of the
+    calibration count."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
 
     quantity: Literal["position"]
     after: q.Time
-    """How long the navigation lasts."""
+    """Duration of the navigation."""
     target: q.PositiveLength | None = None
 
 
 class TiltRequirement(_OverTemperature, _OfRuns):
-    """Error of the vertical from levelled accelerometers, in the worse of two directions."""
+    """Error of the vertical that a level IMU determines with its accelerometers, in the worse of two horizontal
+    directions."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
 
@@ -179,7 +191,7 @@ class TiltRequirement(_OverTemperature, _OfRuns):
 
 
 class TurnRequirement(_OverTemperature, _OfRuns):
-    """Heading error after a level turn about the body's z axis."""
+    """Heading error after a turn about the z axis of a level IMU."""
 
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "z")
 
@@ -192,18 +204,16 @@ class TurnRequirement(_OverTemperature, _OfRuns):
 
 
 class MissionHeadingRequirement(_OfElements):
-    """The calibration's error in the integrated rate of a gyro at the end of a `mission`, or `after` a time in it.
-
-    For several missions the weighted root mean square, or the "max". `target` limits only the contribution of the
-    calibration, because no calibration removes the sensor's own noise.
-    """
+    """Error of the integrated rate of a gyro at the end of a `mission`, or at the time `after` in the mission. For
+    several missions, the weighted root mean square or the maximum counts. `target` limits only the contribution of the
+    calibration, because no calibration removes the sensor's own noise."""
 
     quantity: Literal["mission_heading"]
-    """What must be good."""
+    """Quantity that the requirement limits."""
     mission: Missions
     """Tables of rate and temperature over time, with weights."""
     after: q.Time | None = None
-    """When the error is taken; absent: at the end of each mission."""
+    """Time in the mission at which the error is taken; absent: the end of each mission."""
     statistic: Literal["rms", "max"] = "rms"
     """Statistic over several missions."""
     target: q.PositiveAngle | None = None
@@ -216,7 +226,7 @@ class MissionHeadingRequirement(_OfElements):
                 message = f"is after the end of {mission.file}, which lasts {end:.6g} s"
                 yield Problem(("after",), message, self.after.text)
             if self.statistic == "max" and "weight" in mission.model_fields_set:
-                yield Problem(("mission", i, "weight"), 'has no effect on the statistic "max"', mission.weight)
+                yield Problem(("mission", i, "weight"), 'has no effect with statistic = "max"', mission.weight)
 
     @property
     def grid(self) -> tuple[int]:
@@ -237,13 +247,14 @@ class MissionHeadingRequirement(_OfElements):
 
 
 class NorthRequirement(_OverTemperature):
-    """The error of a gyrocompass: the error of a gyro's bias divided by the horizontal Earth rate at the `latitude`."""
+    """Error of the direction to north that a gyro finds at rest (a gyrocompass): the error of its bias divided by the
+    horizontal Earth rate at the `latitude`."""
 
     quantity: Literal["north"]
     latitude: Annotated[q.Quantity, q.Of("angle", at_least="-89 deg", at_most="89 deg")]
-    """Where north is sought."""
+    """Latitude at which north is determined."""
     after: q.Time
-    """Duration of the rest to find north, which determines the effect of the sensor's own noise."""
+    """Duration of the rest in which north is determined; the effect of the sensor's own noise depends on it."""
     target: q.PositiveAngle | None = None
 
 

@@ -51,21 +51,23 @@ class ChamberDevice(Section):
     """`[chamber]`: the device that controls the temperature."""
 
     driver: Text
-    """Name of its driver: espec, weiss, or registers or lines with a protocol."""
+    """Name of the driver: espec, weiss, or "registers" or "lines" with a protocol."""
     port: Port
-    """Where it is connected: a device path, COM3, or a socket:// or rfc2217:// address."""
+    """Port of the device: a device path, COM3, or a socket:// or rfc2217:// address."""
     safe: Literal["standby", "hold", "ambient"]
-    """Its state after a run that ends badly."""
+    """State of the chamber after a run that ends badly."""
     ambient: Temperature = Quantity(23.0, "23 degC", "temperature")
-    """Temperature to which "ambient" goes."""
+    """Temperature of the state "ambient"."""
     lag: Time = Quantity(300.0, "5 min", "time")
-    """Allowed lag of the air behind the ramp of the set point before a run pauses."""
+    """If the air lags behind the ramp of the set point by more than this, the run pauses."""
     band: PositiveTemperatureDifference = Quantity(3.0, "3 K", "temperature difference")
-    """Allowed deviation of the air from the temperature profile before a run pauses."""
+    """If the air deviates from the temperature profile by more than this, the run pauses."""
     never_above: Temperature | None = None
-    """Air or load warmer than this ends a run in every state; absent: the chamber's own limit and `band`."""
+    """If air or load is warmer than this, the run ends, whatever its state; absent: the chamber's own limit plus
+    `band`."""
     never_below: Temperature | None = None
-    """Air or load colder than this ends a run in every state; absent: the chamber's own limit and `band`."""
+    """If air or load is colder than this, the run ends, whatever its state; absent: the chamber's own limit minus
+    `band`."""
     serial_number: Text | None = None
     """Serial number of the device; a different device at the port is refused."""
     options: Options = Field(default_factory=dict)
@@ -74,38 +76,36 @@ class ChamberDevice(Section):
     def _problems(self) -> Iterator[Problem]:
         above, below = self.never_above, self.never_below
         if above is not None and float(self.ambient) > float(above):
-            yield Problem(("never_above",), "it is below `ambient`; expected more", above.text)
+            yield Problem(("never_above",), "must not be below `ambient`", above.text)
         if below is not None and float(self.ambient) < float(below):
-            yield Problem(("never_below",), "it is above `ambient`; expected less", below.text)
+            yield Problem(("never_below",), "must not be above `ambient`", below.text)
 
 
 class EncoderDevice(Section):
-    """`[axis.encoder]` of an axis turned by hand: a device with an axis driver, of which only the angle is read."""
+    """`[axis.encoder]` of an axis turned by hand: a device with an axis driver, from which only the angle is read."""
 
     driver: Text
-    """Name of its driver."""
+    """Name of the driver."""
     port: Port
-    """Where it is connected."""
+    """Port of the device."""
     options: Options = Field(default_factory=dict)
-    """What the driver leaves open."""
+    """Options of the driver; see its documentation."""
 
 
 class AxisDevice(Section):
-    """`[[axis]]`, outermost first: the device that turns an axis of the table.
-
-    The driver "operator" asks a person to turn the axis and type its angle; with an `encoder` the angle is read.
-    """
+    """`[[axis]]`, outermost first: the device that turns an axis of the table. The driver "operator" asks a person to
+    turn the axis and to type its angle; if there is an `encoder`, the angle is read from it instead."""
 
     name: Name
     """Name of the device in runs and logs."""
     driver: Text
-    """Name of its driver: zaber, odrive, switch or operator."""
+    """Name of the driver: zaber, odrive, switch, "lines" with a protocol, or operator."""
     port: Port
-    """Where it is connected; "terminal" for an operator."""
+    """Port of the device; "terminal" for an operator."""
     safe: Literal["hold", "controlled stop", "unpower"]
-    """Its state after a run that ends badly."""
+    """State of the axis after a run that ends badly."""
     gravity_loaded: Flag
-    """Whether it moves by itself without power."""
+    """Whether gravity moves the axis if its motor has no power."""
     serial_number: Text | None = None
     """Serial number of the device; a different device at the port is refused."""
     options: Options = Field(default_factory=dict)
@@ -116,15 +116,18 @@ class AxisDevice(Section):
     def _problems(self) -> Iterator[Problem]:
         by_hand = self.driver == OPERATOR
         if by_hand and self.gravity_loaded:
-            message = "a person does not hold it all the time, and it would fall; expected false, or another driver"
+            message = (
+                "an axis that falls by gravity must be held all the time, which a person does not do: expected "
+                "false, or another driver"
+            )
             yield Problem(("gravity_loaded",), message, "true")
         if self.encoder is not None and not (by_hand and self.encoder.driver != OPERATOR):
             message = (
-                f'an encoder is only for an axis with the driver "{OPERATOR}", and needs a different driver itself'
+                f'an encoder is only for an axis with the driver "{OPERATOR}", and must itself have a different driver'
             )
             yield Problem(("encoder", "driver"), message, self.encoder.driver)
         if self.port == TERMINAL and not by_hand:
-            yield Problem(("port",), f'only the driver "{OPERATOR}" uses a terminal', self.port)
+            yield Problem(("port",), f'"terminal" is only for the driver "{OPERATOR}"', self.port)
         if self.safe == "unpower" and self.gravity_loaded:
             yield Problem(
                 ("safe",), 'an axis that is loaded by gravity falls without power; expected "hold"', self.safe
@@ -132,14 +135,14 @@ class AxisDevice(Section):
 
 
 class ImuDevice(Section):
-    """`[[imu]]`: a unit under calibration."""
+    """`[[imu]]`: an IMU under calibration."""
 
     name: Name
     """Name of the device in runs and logs."""
     driver: Text
-    """Name of its driver: stim300 or vectornav."""
+    """Name of the driver: stim300, vectornav or text_unit."""
     port: Port
-    """Where it is connected."""
+    """Port of the IMU."""
     serial_number: Text | None = None
     """Serial number of the IMU; a different IMU at the port is refused."""
     options: Options = Field(default_factory=dict)
@@ -147,71 +150,73 @@ class ImuDevice(Section):
 
 
 class OperatorPlace(Section):
-    """`[operator]`: where the operator is asked to change the mounting."""
+    """`[operator]`: the terminal at which the operator is asked to change the mounting."""
 
     port: Port = TERMINAL
-    """The port of the operator's terminal."""
+    """Port of this terminal."""
 
 
 class Laboratory(Section):
-    """`[laboratory]`: who signs a certificate."""
+    """`[laboratory]`: the laboratory that signs a certificate."""
 
     name: Text
-    """Its name."""
+    """Name of the laboratory."""
     address: Text | None = None
-    """Its address."""
+    """Address of the laboratory."""
     country: Annotated[str, Field(strict=True, pattern=r"^[A-Z]{2}$")] | None = None
-    """Two letters of ISO 3166, such as "DE"; a digital certificate needs it."""
+    """Country of the laboratory: two letters of ISO 3166, such as "DE"; a digital certificate needs it."""
     operator: Text | None = None
-    """Who makes the calibration."""
+    """Person who makes the calibration."""
 
 
 class TraceableReference(Section):
-    """`[[reference]]`: a reference that a certificate's values are traced to."""
+    """`[[reference]]`: a reference to which a certificate's values are traced."""
 
     device: Literal["table", "encoder", "chamber", "thermometer", "clock"]
-    """Which device of the rig."""
+    """Device of the rig that is the reference."""
     identity: Text
-    """Its make and number."""
+    """Make and number of the device."""
     certificate: Text | None = None
-    """Number of its own certificate."""
+    """Number of the device's own certificate."""
     due: Text | None = None
-    """Until when that holds."""
+    """Date until which this certificate is valid."""
 
 
 class Alarm(Section):
-    """`[alarm]`: a program that the run, or its guard, calls if the run pauses by itself or ends badly."""
+    """`[alarm]`: a program that is called if the run pauses by itself or ends badly."""
 
     command: Annotated[tuple[Text, ...], Field(min_length=1, max_length=20)]
-    """Program and its arguments; the reason is added as the last argument. No shell reads it."""
+    """Program and its arguments; the reason is added as the last argument. The command does not pass through a
+    shell."""
 
 
 class RigFile(TitledFile):
-    """A whole rig file."""
+    """A rig file: devices and their ports."""
 
     format: Literal["gradcal-rig/1"]
     chamber: ChamberDevice | None = None
-    """The chamber; absent: none."""
+    """The chamber; absent: there is none."""
     axis: Annotated[tuple[AxisDevice, ...], Field(max_length=6)] = ()
     """Axes of the table."""
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
     """IMUs under calibration."""
     longest_pause: Time = Quantity(1800.0, "30 min", "time")
-    """How long a run that paused by itself waits for the operator; then it makes everything safe and ends."""
+    """If a run that paused by itself is not resumed within this time, it makes everything safe and ends."""
     alarm: Alarm | None = None
-    """The command that calls the operator."""
+    """Command that calls the operator."""
     operator: OperatorPlace | None = None
-    """Where the operator is asked to change the mounting; absent: the terminal where the run was started."""
+    """Terminal at which the operator is asked to change the mounting; absent: the terminal in which the run was
+    started."""
     laboratory: Laboratory | None = None
-    """Who signs a certificate."""
+    """Laboratory that signs a certificate."""
     reference: Annotated[tuple[TraceableReference, ...], Field(max_length=20)] = ()
-    """The references that a certificate's values are traced to."""
+    """References to which a certificate's values are traced."""
 
     def _problems(self) -> Iterator[Problem]:
         yield from self._doubles()
         yield from self._shared_ports()
         if self.chamber is None and not self.axis and not self.imu:
-            yield Problem((), "there is no device in this rig; expected [chamber], [[axis]] or [[imu]]")
+            yield Problem((), "this rig has no device: expected [chamber], [[axis]] or [[imu]]")
 
     def _doubles(self) -> list[Problem]:
         names = Counter([device.name for device in (*self.axis, *self.imu)])
@@ -237,7 +242,7 @@ class RigFile(TitledFile):
             *((("imu", index, "port"), device) for index, device in enumerate(self.imu)),
         ]
         return [
-            Problem(key, "two devices use this port; only axes of one controller can share one", device.port)
+            Problem(key, "two devices use this port, and only axes of one controller can share a port", device.port)
             for key, device in places
             if _adapter(device.port) in wrong
         ]

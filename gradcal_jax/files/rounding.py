@@ -45,7 +45,8 @@ Table = dict[str, Any]
 
 
 class ControllerSteps(Section):
-    """The steps of the controllers. The defaults suit this program's drivers; a spec's `[rig.resolution]` overrides."""
+    """The steps of the controllers. The defaults suit this program's drivers; `[rig.resolution]` of a spec replaces
+    them."""
 
     temperature: q.PositiveTemperatureDifference = q.Quantity(0.1, "0.1 K", "temperature difference")
     """Step of a temperature."""
@@ -58,7 +59,7 @@ class ControllerSteps(Section):
     angle: q.Angle = q.Quantity(math.radians(0.001), "0.001 deg", "angle")
     """Step of an angle."""
     acceleration: q.PositiveAcceleration | None = None
-    """Step of an acceleration; absent: any."""
+    """Step of an acceleration; absent: accelerations are not rounded."""
 
 
 # A rotary stage that counts accelerations in units of 10 000/1.6384 microsteps/s² has coarse steps: one that divides
@@ -192,7 +193,7 @@ def _keep_cycles(spec: Spec, tables: Table, rounder: _Rounder) -> Spec:
         again = spec_of({**tables, "plan": {**plan, "gradient": slope}})
         result = again if _cycles(again) > _cycles(result) else result
     if _cycles(result) < before:
-        rounder.notes.append(f"rounding leaves room for {_cycles(result)} cycles instead of {before}")
+        rounder.notes.append(f"after rounding, the plan has room for {_cycles(result)} cycles instead of {before}")
     return result
 
 

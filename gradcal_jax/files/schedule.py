@@ -149,14 +149,19 @@ def _programme(plan: ChamberCourse, chamber: Chamber) -> tuple[TemperatureSegmen
     for i, item in enumerate(plan.programme):
         if isinstance(item, SoakItem):
             if item.at is not None and item.at != here:
-                message = f"the chamber is already at {here:.6g} degC; ramp or step there first"
+                message = (
+                    f"at this point of the programme, the chamber is at {here:.6g} degC: ramp or step to the other "
+                    "temperature first"
+                )
                 problems.append(Problem(("programme", i, "at"), message, item.at.text))
             segments.append(TemperatureSegment("soak", clock, float(item.soak), here, here, item.used))
         else:
             kind, goal = ("ramp", item.ramp_to) if isinstance(item, RampItem) else ("step", item.step_to)
             end = float(goal)
             if end == here:
-                problems.append(Problem(("programme", i, f"{kind}_to"), "the chamber is there already", str(goal)))
+                problems.append(
+                    Problem(("programme", i, f"{kind}_to"), "the chamber is already at this temperature", str(goal))
+                )
                 continue
             fastest = chamber.max_heating if end > here else chamber.max_cooling
             slope = item.rate if isinstance(item, RampItem) else fastest

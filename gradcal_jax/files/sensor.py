@@ -21,22 +21,23 @@ from gradcal_jax.files.uncertain import UncertainSection, figures_of
 
 
 class BiasShape(Section):
-    """A function with a random factor for each IMU of a type, of mean 0 and variance 1."""
+    """A function of temperature (and rate) that differs between IMUs of one type by a random factor with mean 0 and
+    variance 1."""
 
     axis: Literal["x", "y", "z"] | None = None
-    """Its channel; absent: all channels."""
+    """Axis of the channel to which the function belongs; absent: the function belongs to all channels."""
     coefficients: Annotated[tuple[Rate, ...], Field(min_length=1, max_length=40_000)]
-    """Its coefficients, in the order of a calibration file."""
+    """Coefficients of the function, in the order of a calibration file."""
 
 
 class ScaleFactorShape(BiasShape):
-    """The same, for the scale factor."""
+    """A shape of the scale factor: a function that differs between IMUs of one type by a random factor."""
 
     coefficients: Annotated[tuple[Annotated[Quantity, Of("scale factor")], ...], Field(min_length=1, max_length=40_000)]
 
 
 class SpecificForceShape(BiasShape):
-    """The same, for an accelerometer."""
+    """A shape of an accelerometer's bias: a function that differs between IMUs of one type by a random factor."""
 
     coefficients: Annotated[tuple[Annotated[Quantity, Of("acceleration")], ...], Field(min_length=1, max_length=40_000)]
 
@@ -46,10 +47,10 @@ def shape_problems(shapes: Sequence[BiasShape], size: int, prior: Quantity | Non
     if not shapes:
         return
     if prior is not None:
-        yield Problem(("shape",), 'is a prior, like "prior"; leave one of them out')
+        yield Problem(("shape",), 'states the prior of the map, and so does "prior": leave one of them out')
     for k, shape in enumerate(shapes):
         if len(shape.coefficients) != size:
-            message = f"expected {size}, as many as the bases have functions"
+            message = f"expected {size} coefficients, as many as the map has"
             yield Problem(("shape", k, "coefficients"), message, len(shape.coefficients))
             return
     import numpy as np
@@ -59,8 +60,8 @@ def shape_problems(shapes: Sequence[BiasShape], size: int, prior: Quantity | Non
         largest = np.max(np.abs(rows), axis=0, initial=0.0)
         if len(rows) and np.linalg.matrix_rank(rows / np.where(largest > 0.0, largest, 1.0)) < size:
             message = (
-                f"the shapes of {axis} do not span all {size} coefficients; add shapes for the other deviations "
-                "of the map"
+                f"the shapes of axis {axis} do not span all {size} coefficients: add shapes for the other possible "
+                "deviations of the map"
             )
             yield Problem(("shape",), message)
 
@@ -71,7 +72,7 @@ class _Process(UncertainSection):
     standard_deviation: q.Quantity
     """Stationary standard deviation."""
     correlation_time: q.Time
-    """Time constant of its autocorrelation."""
+    """Time constant of the autocorrelation."""
 
 
 class Drift(_Process):
@@ -82,21 +83,22 @@ class Drift(_Process):
 
 
 class ScaleFactorInstability(_Process):
-    """Scale-factor instability: a first-order Gauss–Markov process multiplied by the rate, or the force."""
+    """Scale-factor instability: a first-order Gauss–Markov process, multiplied by the rate or the force."""
 
     standard_deviation: q.PositiveScaleFactor
     """Stationary standard deviation of the scale factor's error, a ratio."""
 
 
 class TemperatureError(UncertainSection):
-    """Error of the temperature measurement; the maps' slopes in temperature turn it into rate error."""
+    """Error of the temperature measurement; the slopes of the maps over temperature convert it into an error of the
+    rate or the force."""
 
     FIGURES = _Process.FIGURES
 
     standard_deviation: q.SizeOfTemperatureDifference
-    """Standard deviation of the temperature's error; 0 K: none."""
+    """Standard deviation of the measured temperature's error; 0 K: there is no error."""
     correlation_time: q.Time | None = None
-    """Time constant of its autocorrelation; absent: constant during the run."""
+    """Time constant of the error's autocorrelation; absent: the error is constant during the run."""
     bias_slope: q.BiasSlope | None = None
     """Typical slope of the bias over temperature, through which the error acts."""
     scale_factor_slope: q.ScaleFactorSlope | None = None
@@ -112,20 +114,21 @@ class TemperatureError(UncertainSection):
 
 
 class BiasTemperatureGradient(Section):
-    """Bias sensitivity to dT/dt; with this table it is estimated."""
+    """Bias sensitivity to dT/dt; if this table is present, the sensitivity is estimated."""
 
     prior: q.SizeOfGradientSensitivity | None = None
-    """Standard deviation of the coefficient before the calibration; absent: unknown; 0: there is none to estimate."""
+    """Standard deviation of the sensitivity before the calibration; absent: unknown; 0: there is no such
+    sensitivity."""
 
 
 class ForceTemperatureError(TemperatureError):
-    """The same, for an accelerometer."""
+    """Error of the temperature measurement, as it acts on an accelerometer."""
 
     bias_slope: q.AccelerationSlope | None = None
 
 
 class ForceTemperatureGradient(BiasTemperatureGradient):
-    """The same, for an accelerometer."""
+    """Sensitivity of an accelerometer's bias to dT/dt; if this table is present, the sensitivity is estimated."""
 
     prior: q.ForceGradientSensitivity | None = None
 
@@ -143,50 +146,52 @@ def _gradient_of_bias(table: type[BiasTemperatureGradient], dimension: str, leas
 
 class _Lagging(Section):
     lag: q.Time | None = None
-    """Known first-order lag of this map behind the sensor's temperature; absent: no lag. It starts in equilibrium, as
-    after a soak."""
+    """Known first-order lag of this map behind the sensor's temperature; absent: no lag. At the start, the lag is in
+    equilibrium, as after a soak."""
 
     @model_validator(mode="after")
     def _smooth(self) -> "_Lagging":
         basis = getattr(self, "temperature", None)
         if self.lag is not None and basis is not None and basis.basis != "polynomial":
-            refuse(Problem(("lag",), "a map with a lag of its own needs a polynomial in temperature", self.lag.text))
+            refuse(Problem(("lag",), "a map with its own lag must be a polynomial in temperature", self.lag.text))
         return self
 
 
 class BiasDiscrepancy(Section):
-    """Structure of B(T) beyond the model: the next orthogonal polynomials, with a prior."""
+    """Structure of B(T) that the model lacks: the next orthogonal polynomials, with a prior for their coefficients."""
 
     standard_deviation: q.PositiveRate
     """Prior standard deviation of each of the hidden coefficients."""
     temperature_degree: Degree
-    """Highest degree in temperature that may be hidden."""
+    """Highest degree in temperature of the hidden polynomials."""
 
 
 class ScaleFactorDiscrepancy(Section):
-    """Structure of M(T, ω) beyond the model: polynomials up to these degrees, with a prior."""
+    """Structure of M(T, ω) that the model lacks: the next orthogonal polynomials up to these degrees, with a prior for
+    their coefficients."""
 
     standard_deviation: q.PositiveScaleFactor
     """Prior standard deviation of each of the hidden coefficients, a ratio."""
     temperature_degree: Degree
-    """Highest degree in temperature that may be hidden."""
+    """Highest degree in temperature of the hidden polynomials."""
     rate_degree: Degree
-    """Highest degree in rate that may be hidden."""
+    """Highest degree in rate of the hidden polynomials."""
 
 
 class Bias(_Lagging):
-    """B(T), to be estimated."""
+    """The bias B(T), which is estimated."""
 
     temperature: TemperatureBasis
     """Basis over temperature."""
     prior: q.PositiveRate | None = None
     """Standard deviation of each coefficient before the calibration; absent: unknown."""
     smoothness: q.PositiveRate | None = None
-    """Standard deviation of the difference of neighbouring coefficients, of splines and bins."""
+    """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
     discrepancy: BiasDiscrepancy | None = None
-    """Structure beyond the basis."""
+    """Structure that the map may have beyond its basis."""
     shape: Annotated[tuple[BiasShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: a sum of functions, as written by `gradcal lot`. A channel without them has a flat prior."""
+    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
+    channel without shapes has a flat prior."""
 
     def _problems(self) -> Iterable[Problem]:
         yield from _smoothness(self.smoothness, self.temperature.basis)
@@ -199,7 +204,8 @@ class Bias(_Lagging):
 
 
 class ScaleFactor(_Lagging):
-    """M(T, ω), estimated: a tensor-product basis in temperature and rate."""
+    """The scale-factor error M(T, ω), which is estimated: products of functions of temperature and functions of
+    rate."""
 
     temperature: TemperatureBasis
     """Basis over temperature."""
@@ -208,11 +214,12 @@ class ScaleFactor(_Lagging):
     prior: q.PositiveScaleFactor | None = None
     """Standard deviation of each coefficient before the calibration, a ratio; absent: unknown."""
     smoothness: q.PositiveScaleFactor | None = None
-    """Standard deviation of the difference of neighbouring coefficients, of splines and bins."""
+    """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
     discrepancy: ScaleFactorDiscrepancy | None = None
-    """Structure beyond the basis."""
+    """Structure that the map may have beyond its basis."""
     shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: a sum of functions, as written by `gradcal lot`. A channel without them has a flat prior."""
+    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
+    channel without shapes has a flat prior."""
 
     def _problems(self) -> Iterable[Problem]:
         yield from _smoothness(self.smoothness, self.temperature.basis, self.rate.basis)
@@ -232,26 +239,27 @@ def _smoothness(value: q.Quantity | None, *bases: str) -> list[Problem]:
 
 
 HOST_CLOCK: Final = 1e-6
-"""Standard deviation, a ratio, of a sensor's clock that a run compares with the computer's. The comparison itself,
-some 1 ms at either end, is good to 0.1 ppm over hours; the computer's own clock, kept by a time server, to 1 ppm."""
+"""Standard deviation, a ratio, of a sensor's clock after a run has compared it with the computer's. The comparison
+itself (time stamps with errors of about 1 ms at both ends) is accurate to 0.1 ppm over hours; the computer's own clock,
+kept by a time server, to 1 ppm."""
 
 
 class _Instrument(Section):
-    """Clock and thermometer of a device, common to all of its channels."""
+    """Clock and thermometer of a device, which all of its channels share."""
 
     thermal_lag: q.SizeOfTime | None = None
-    """Time constant, first order, between the chamber's air and the sensor's dies."""
+    """Time constant of a first-order lag between the chamber's air and the sensor's dies."""
     clock: Literal["sensor", "host"] | None = None
-    """Clock over which rates are integrated. "host": the computer's, which counts 1 ppm instead of
-    `sample_clock_error`; absent: the better of the two, since a run's log has both."""
+    """Clock by which rates are integrated. "sensor": the sensor's own; "host": the computer's, for which 1 ppm counts
+    instead of `sample_clock_error`; absent: the more accurate of the two, because a run's log has the times of both."""
     sample_clock_error: q.SizeOfScaleFactor | None = None
-    """Standard deviation of the relative error of the sample clock; it acts as a scale factor."""
+    """Standard deviation of the relative error of the sensor's sample clock; the error acts like a scale factor."""
     temperature_offset: q.SizeOfTemperatureDifference | None = None
     """Standard deviation of the constant difference between the temperature of the dies and the measured one."""
     temperature_lag: q.SizeOfTime | None = None
     """Standard deviation of the delay of the dies' temperature relative to the measured one."""
     second_thermometer: path_terms.SecondThermometer | None = None
-    """A second thermometer, for `thermometer_difference`; its column in logs is `second_temperature`."""
+    """A second thermometer, which `thermometer_difference` needs; its column in logs is `second_temperature`."""
 
     @property
     def lag(self) -> float | None:
@@ -279,17 +287,18 @@ class _Instrument(Section):
 
 
 class _Channel(UncertainSection):
-    """What every channel may have beside its own terms."""
+    """Errors that every channel may have."""
 
     turn_on_bias: q.Quantity | None = None
-    """Standard deviation of the part of the bias that changes at every power-on and is not part of the map."""
+    """Standard deviation of the part of the bias that takes a new value at every power-on and is not part of the
+    map."""
     scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
-    """In-run instabilities of the scale factor, which add."""
+    """In-run instabilities of the scale factor; their sum is the error."""
     temperature_error: TemperatureError | None = None
     """Error of the measured temperature."""
     bias_temperature_gradient: BiasTemperatureGradient | q.Quantity | None = None
-    """Bias proportional to dT/dt: a table, for a coefficient that is estimated, or a standard deviation, which counts
-    but is not estimated."""
+    """Bias proportional to dT/dt: either a table, if the sensitivity is estimated, or its standard deviation, which
+    then counts in the uncertainty but is not estimated."""
 
     @property
     def gradient_sensitivity(self) -> BiasTemperatureGradient | None:
@@ -317,24 +326,24 @@ class _Gyro(_Channel):
     FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk", "turn_on_bias")
 
     angle_random_walk: q.AngleRandomWalk
-    """White noise of the rate, as the growth of the angle with the square root of time."""
+    """White noise of the rate, stated as the growth of the integrated angle with the square root of time."""
     rate_random_walk: q.RateRandomWalk | None = None
     """Random walk of the rate."""
     turn_on_bias: q.SizeOfRate | None = None
     full_scale: q.PositiveRate | None = None
-    """Largest rate that a gyro measures."""
+    """Largest rate that the gyro measures."""
     full_scale_margin: q.Margin = q.Quantity(0.05, "5 %", "scale factor")
-    """Fraction of the full scale that plans do not use."""
+    """Fraction of the full scale that plans leave unused."""
     drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
-    """In-run bias instabilities, which add."""
+    """In-run bias instabilities; their sum is the error."""
     bias_temperature_gradient: Annotated[
         BiasTemperatureGradient | q.SizeOfGradientSensitivity | None,
         _gradient_of_bias(BiasTemperatureGradient, "bias temperature-gradient sensitivity", "0 deg/h/(K/min)"),
     ] = None
     bias: Bias | None = None
-    """The bias over temperature, estimated; absent: known."""
+    """The bias over temperature, which is estimated; absent: the bias is known."""
     scale_factor: ScaleFactor | None = None
-    """The scale factor over temperature and rate, estimated; absent: known."""
+    """The scale factor over temperature and rate, which is estimated; absent: the scale factor is known."""
 
     @property
     def usable_rate(self) -> float | None:
@@ -353,7 +362,7 @@ class _ErrorTerm(_Lagging):
     temperature: TemperatureBasis | None = None
     """Basis over temperature; absent: constant."""
     prior: q.Quantity | None = None
-    """Standard deviation before the calibration; absent: unknown."""
+    """Standard deviation of each coefficient before the calibration; absent: unknown."""
 
     @property
     def size(self) -> int:
@@ -362,23 +371,26 @@ class _ErrorTerm(_Lagging):
 
 
 class Misalignment(_ErrorTerm):
-    """Small angles of an input axis towards the other two axes."""
+    """Small angles between an input axis and its nominal direction, towards the other two axes."""
 
     prior: q.PositiveAngle | None = None
 
 
 class AccelerationSensitivity(_ErrorTerm):
-    """Drift of a gyro proportional to the specific force, with three coefficients for each gyro (IEEE 528)."""
+    """Bias of a gyro in proportion to the specific force, with three coefficients for each gyro (IEEE 528)."""
 
     prior: q.PositiveAccelerationSensitivity | None = None
     lever_arm: q.PositiveLength | None = None
-    """Standard deviation of each coordinate of the gyros' position, from the accelerometers, or without any from the
-    intersection of the table's axes. Rotation adds a specific force there that nothing measures: a bias for each
-    product of two rates (`ww_xy`), which is estimated and is not in the calibration."""
+    """Standard deviation of each coordinate of the gyros' position, relative to the accelerometers or, without
+    accelerometers, to the intersection of the table's axes. If the gyros are away from this point, rotation adds a
+    specific force that is not measured. It causes a bias for each product of two rates (`ww_xy`), which is estimated
+    but is not part of the calibration."""
 
     def _problems(self) -> Iterable[Problem]:
         if self.lever_arm is not None and self.prior is None:
-            yield Problem(("lever_arm",), "is felt as far as the sensitivity is large: give its prior, too")
+            yield Problem(
+                ("lever_arm",), "has an effect in proportion to the sensitivity: also give the prior of g_sensitivity"
+            )
 
     @property
     def of_rotation(self) -> float:
@@ -388,7 +400,7 @@ class AccelerationSensitivity(_ErrorTerm):
 
 
 class SquaredSensitivity(_ErrorTerm):
-    """Drift of a gyro proportional to the square of the specific force along each axis."""
+    """Bias of a gyro in proportion to the square of the specific force along each axis."""
 
     prior: q.PositiveSquareSensitivity | None = None
 
@@ -404,7 +416,7 @@ class SpecificForceBias(_ErrorTerm):
 
     prior: q.PositiveSpecificForce | None = None
     shape: Annotated[tuple[SpecificForceShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: a sum of functions, as written by `gradcal lot`."""
+    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`."""
 
     def _problems(self) -> Iterable[Problem]:
         return shape_problems(self.shape, self.size, self.prior)
@@ -414,9 +426,9 @@ class SpecificForceScale(_ErrorTerm):
     """An accelerometer's scale factor, or its asymmetry, over temperature."""
 
     prior: q.PositiveScaleFactor | None = None
-    """Standard deviation before the calibration, a ratio; absent: unknown."""
+    """Standard deviation of each coefficient before the calibration, a ratio; absent: unknown."""
     shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: a sum of functions, as written by `gradcal lot`."""
+    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`."""
 
     def _problems(self) -> Iterable[Problem]:
         return shape_problems(self.shape, self.size, self.prior)
@@ -435,23 +447,24 @@ class ThirdOrder(_ErrorTerm):
 
 
 class LeverArm(Section):
-    """Position of an accelerometer, from the intersection of the table's axes."""
+    """Position of an accelerometer relative to the intersection of the table's axes."""
 
     prior: q.PositiveLength | None = None
-    """Standard deviation of each of three coordinates before the calibration; absent: unknown."""
+    """Standard deviation of each of the three coordinates before the calibration; absent: unknown."""
 
 
 class GyroTriad(_Gyro, path_terms.TemperaturePath):
-    """`[sensor.gyro]`: common properties of the gyros. The term of an absent table is known, not estimated."""
+    """`[sensor.gyro]`: common properties of the gyros. An error term whose key is absent here is taken as known, and is
+    not estimated."""
 
     axes: BodyAxes = ("x", "y", "z")
-    """Which gyros the unit has."""
+    """Axes along which the IMU has a gyro."""
     misalignment: Misalignment | None = None
     """Directions of the input axes."""
     g_sensitivity: AccelerationSensitivity | None = None
-    """Drift proportional to the specific force."""
+    """Bias in proportion to the specific force."""
     g_squared: SquaredSensitivity | None = None
-    """Drift proportional to the square of the specific force."""
+    """Bias in proportion to the square of the specific force."""
 
     @model_validator(mode="after")
     def _something_to_find(self) -> "GyroTriad":
@@ -464,17 +477,18 @@ class GyroTriad(_Gyro, path_terms.TemperaturePath):
 
 
 class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
-    """`[sensor.accelerometer]`: common properties of the IMU's accelerometers. They are read at rest, and during
-    moves not faster than `read_on_moves_below`."""
+    """`[sensor.accelerometer]`: common properties of the accelerometers. They are read at rest, and during moves that
+    are not faster than `read_on_moves_below`. An error term whose key is absent here is taken as known, and is not
+    estimated."""
 
     FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk", "turn_on_bias")
 
     axes: BodyAxes = ("x", "y", "z")
-    """Which accelerometers the unit has."""
+    """Axes along which the IMU has an accelerometer."""
     velocity_random_walk: q.VelocityRandomWalk
     """White noise of the specific force."""
     drift: Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)] = ()
-    """In-run bias instabilities, which add."""
+    """In-run bias instabilities; their sum is the error."""
     turn_on_bias: q.SizeOfSpecificForce | None = None
     temperature_error: ForceTemperatureError | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     bias_temperature_gradient: Annotated[  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -486,8 +500,8 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     late_temperature_gradient: Annotated[tuple[path_terms.LateGradientOfForce, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
     thermometer_difference: path_terms.DifferenceOfForce | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     velocity_increments: bool = False
-    """Whether the output is an increment of velocity for each sample, so that the sample clock acts as a scale factor;
-    a specific force does not depend on the clock."""
+    """Whether the accelerometers output an increment of velocity for each sample. Then the error of the sample clock
+    acts like a scale factor; a specific force does not depend on the clock."""
     bias: SpecificForceBias
     """Bias over temperature."""
     scale_factor: SpecificForceScale | None = None
@@ -495,37 +509,41 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     misalignment: Misalignment | None = None
     """Directions of the input axes."""
     second_order: SecondOrder | None = None
-    """K2, output proportional to the square of the force."""
+    """K2: output in proportion to the square of the force."""
     third_order: ThirdOrder | None = None
-    """K3, output proportional to its cube."""
+    """K3: output in proportion to the cube of the force."""
     asymmetry: SpecificForceScale | None = None
-    """Scale factor for positive force minus that for negative force."""
+    """Scale factor for positive forces minus that for negative forces."""
     read_on_moves_below: q.PositiveRate | None = None
-    """Also read during moves not faster than this; absent: only at rest."""
+    """Largest rate of moves during which accelerometers are also read; absent: they are read only at rest."""
     lever_arm: LeverArm | None = None
-    """Positions of the accelerometers, from the intersection of the table's axes."""
+    """Positions of the accelerometers relative to the intersection of the table's axes."""
     cross_coupling: SecondOrder | None = None
-    """Output proportional to products of the force along two axes."""
+    """Output in proportion to products of the force along two axes."""
 
     @model_validator(mode="after")
     def _seen(self) -> "AccelerometerTriad":
         if self.lever_arm is not None and self.read_on_moves_below is None:
             message = (
-                "has no effect at rest, and accelerometers are read only at rest; leave it out, or read them on slow "
+                "has an effect only during moves, and accelerometers are read only at rest: leave this key out, or "
+                "also read them on slow "
             )
-            refuse(Problem(("lever_arm",), message + 'moves, too: read_on_moves_below = "5 deg/s"'))
+            refuse(Problem(("lever_arm",), message + 'moves, as in read_on_moves_below = "5 deg/s"'))
         if self.asymmetry is not None and self.read_on_moves_below is not None:
-            message = "is observable only at rest; remove it, or remove read_on_moves_below"
+            message = (
+                "is observable only if accelerometers are read only at rest: remove this key, or remove "
+                "read_on_moves_below"
+            )
             refuse(Problem(("asymmetry",), message))
         return self
 
 
 class BodyFrame(Section):
-    """The reference of the misalignments."""
+    """`[sensor.frame]`: the frame to which the misalignments refer."""
 
     fixed_by: Literal["table axes", "case"] = "table axes"
-    """"table axes": the table's axes at zero, through the nominal mounting; "case": the case, known to the mounting's
-    accuracy."""
+    """"table axes": the frame is given by the table's axes at zero and the nominal mounting; "case": by the IMU's case,
+    which is known to the accuracy of the mounting."""
 
 
 class Sensor(UncertainSection, _Instrument):
@@ -536,23 +554,27 @@ class Sensor(UncertainSection, _Instrument):
     name: q.Text | None = None
     """A title for tables and pages."""
     grade: Grade | None = None
-    """Class with the typical figures for omitted terms of the gyros; absent: chosen by drift or random walk."""
+    """Class whose typical figures replace terms that the spec omits; absent: the class follows from the drift or,
+    without drift, from the angle random walk."""
     gyro: GyroTriad | None = None
     """Common properties of the gyros."""
     accelerometer: AccelerometerTriad | None = None
     """Common properties of the accelerometers."""
     frame: BodyFrame | None = None
-    """What the misalignments count from."""
+    """The frame to which the misalignments refer."""
 
     def _problems(self) -> Iterator[Problem]:
         for name, triad in (("gyro", self.gyro), ("accelerometer", self.accelerometer)):
             if triad is not None and len(set(triad.axes)) < len(triad.axes):
-                yield Problem((name, "axes"), "names an axis twice", list(triad.axes))
+                yield Problem((name, "axes"), "must not name an axis twice", list(triad.axes))
             if triad is None or self.second_thermometer is not None:
                 continue
             for key in ("thermometer_difference", "scale_factor_thermometer_difference"):
                 if getattr(triad, key) is not None:
-                    message = 'needs [sensor] second_thermometer = { lag = "5 min" }: by which plans expect it'
+                    message = (
+                        'needs a second thermometer, as in [sensor] second_thermometer = { lag = "5 min" } (the lag '
+                        "is used in predictions)"
+                    )
                     yield Problem((name, key), message)
         if self.gyro is None and self.accelerometer is None:
             yield Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]")

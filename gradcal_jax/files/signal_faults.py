@@ -31,7 +31,7 @@ _FROZEN_S: Final = 30.0
 # K from row to row that no thermometer jumps, and the largest share of rows between such jumps.
 _JUMP_K, _JUMPED = 5.0, 0.2
 FAR: Final = 10.0
-"""Standard deviations from its neighbours beyond which a row is wrong."""
+"""A row that differs from its neighbours by more standard deviations than this is wrong."""
 # Rows around one with which it is compared at rest, and in motion; the largest share of wrong ones.
 _AROUND, _BESIDE, _RARE = 51, 5, 0.01
 # Rows of which the noise is taken in motion; rows at the ends of a standstill in which a table may still settle; least
@@ -147,7 +147,8 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
     if counts[most] > _ONE_VALUE * len(known) and counts[most] > _UNUSUAL * np.max(np.delete(counts, most), initial=0):
         return (
             f"{where}: {100.0 * counts[most] / len(known):.2g} % of its rows at rest have the same value "
-            f"({distinct[most]:.4g}, SI), and no other value is as frequent: a dead band? It takes from the noise"
+            f"({distinct[most]:.4g}, SI), and no other value is as frequent: a dead band? It makes the measured "
+            "noise too small"
         )
     # (The resolution may change in the course of a record.)
     for part in (known, *np.array_split(known, _PARTS)):

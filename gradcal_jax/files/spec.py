@@ -1,4 +1,4 @@
-"""gradcal-spec/1: sensor, rig, requirements, plan; the input of every command.
+"""Reads a spec (gradcal-spec/1) from a file, a text or tables; its model is in `spec_sections`.
 
 Files of one gyro axis, as earlier versions wrote them, are converted as they are read.
 """

@@ -26,16 +26,17 @@ FORMAT: Final = "gradcal-spec/1"
 
 
 class ExecutedPart(Section):
-    """The executed part of the plan of an interrupted run; `[[done]]`, written by `gradcal optimise RUN`."""
+    """`[[done]]`, written by `gradcal optimise RUN`: the part of a plan that an interrupted run has executed."""
 
     plan: MotionPlan
-    """The plan of this part."""
+    """The plan from which this part was executed."""
     start: SizeOfTime
-    """Its beginning, on that plan's clock."""
+    """Start of the executed part, on the clock of that plan."""
     end: Time
-    """Until when."""
+    """End of the executed part, on the same clock."""
     pause: Time = Quantity.of(1800.0, "s")
-    """Time until the next part or the plan begins; the device stays switched on. Absent: 30 min."""
+    """Time from the end of this part to the start of the next part or of the plan; the device stays switched on.
+    Absent: 30 min."""
 
 
 class Spec(TitledFile):
@@ -57,9 +58,10 @@ class Spec(TitledFile):
     plan: AnyPlan
     """Temperature profile of the chamber, and motion of the table."""
     done: Annotated[tuple[ExecutedPart, ...], Field(max_length=1000)] = ()
-    """The parts executed before the plan begins, in the same run; every prediction includes them."""
+    """Parts of plans that were executed in the same run before this plan begins; every prediction includes their
+    data."""
     design: Design | None = None
-    """What `optimise` may change; no other command reads it."""
+    """What `optimise` minimises, and what it may change; other commands do not use it."""
 
     def _problems(self) -> Iterator[Problem]:
         return problems_between(self)
@@ -105,7 +107,7 @@ class Spec(TitledFile):
     def gradient_schedule(self) -> PlanSchedule:
         """The schedule of a gradient plan. Raises `ValueError` for a standard one."""
         if isinstance(self.schedule, StandardSchedule):
-            raise ValueError('this needs a plan of method = "gradient"')
+            raise ValueError('this is only possible for a plan with method = "gradient"')
         return self.schedule
 
     @property
@@ -123,9 +125,10 @@ class Spec(TitledFile):
         spaced = not any(once) or (all(once) and table.drive == "hand" and table.standing == "held")
         if not ((schedule := self.gradient_schedule).is_plain and spaced):
             raise ValueError(
-                "for an IMU this needs a plan with a cycle without read, read_every, other_axes and duration, "
-                'and a table with a time as read_every (or a table with drive = "hand" that holds its angle, '
-                'with "rest" for every axis); other plans can be predicted, but not executed yet'
+                "for an IMU, this is only possible if the plan has a cycle without the keys read, read_every, "
+                "other_axes and duration, and if read_every of every table axis is a time (or is "
+                '"rest" on a table with drive = "hand" that holds its angle); other plans can be predicted, but not '
+                "executed yet"
             )
         return schedule
 

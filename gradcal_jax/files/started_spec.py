@@ -1,4 +1,4 @@
-"""The spec of `gradcal start`: error budget of the class, rig and targets of the answers, and a plan that fits them.
+"""The spec of `gradcal start`: the class's error budget, the rig and targets that were answered, and a plan that fits.
 
 Its text is `templates/spec.toml`.
 """

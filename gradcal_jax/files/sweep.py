@@ -54,23 +54,23 @@ class Axis(Section):
     """`[[axis]]`: keys of the spec that vary together, and their values."""
 
     name: Text | None = None
-    """Name of the dimension in the results; absent: the last word of the key."""
+    """Name of this axis as a dimension of the results; absent: the last word of the key."""
     key: Text | None = None
     """Key of the spec, such as "plan.gradient"."""
     keys: Annotated[tuple[Text, ...], Field(min_length=1, max_length=1000)] | None = None
     """Several keys that take the same values."""
     section: Literal["sensor", "rig", "plan"] | None = None
-    """In place of a key, a whole section, which is taken from other specs."""
+    """Instead of a key: name of a whole section, which is taken from other specs."""
     values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)] | None = None
     """List of values. If `section` is set: presets, or paths of specs relative to this file."""
     start: End | None = None
-    """First value, with its unit."""
+    """First value: a text with a unit, or a plain number."""
     stop: End | None = None
-    """Last value, with the same unit."""
+    """Last value: like `start`, a text with a unit or a plain number."""
     count: Annotated[int, Field(strict=True, ge=2, le=100_000)] | None = None
-    """How many values between them."""
+    """Number of values from start to stop, both included."""
     step: End | None = None
-    """Distance of the values."""
+    """Distance from one value to the next."""
     spacing: Literal["linear", "logarithmic"] = "linear"
     """Spacing: linear, or logarithmic."""
 
@@ -78,10 +78,10 @@ class Axis(Section):
     def _whole(self) -> "Axis":
         problems: list[Problem] = []
         if sum(of is not None for of in (self.key, self.keys, self.section)) != 1:
-            problems.append(Problem(("key",), 'give either "key" or "keys" or "section"', kind="missing"))
+            problems.append(Problem(("key",), 'give exactly one of "key", "keys" and "section"', kind="missing"))
         if self.section is not None and not all(isinstance(value, str) for value in self.values or (None,)):
             problems.append(
-                Problem(("values",), "for a section must be names of presets, or paths of specs", self.values)
+                Problem(("values",), 'must be names of presets or paths of specs if "section" is set', self.values)
             )
         for text in self.changes:
             try:
@@ -92,7 +92,7 @@ class Axis(Section):
         if self.values is not None:
             problems += [Problem((name,), 'cannot be combined with "values"', getattr(self, name)) for name in limits]
         elif self.start is None or self.stop is None:
-            problems.append(Problem((), 'expected "values", or "start" and "stop"', kind="missing"))
+            problems.append(Problem((), 'expected either "values", or both "start" and "stop"', kind="missing"))
         elif self.count is not None and self.step is not None:
             problems.append(Problem(("step",), 'cannot be combined with "count"; keep one of them', self.step))
         refuse(*problems)
@@ -139,13 +139,13 @@ class Axis(Section):
         if low == high:
             refuse(Problem(("stop",), "must differ from start", self.stop))
         if self.spacing == "logarithmic" and not (low > 0.0 and high > 0.0):
-            refuse(Problem(("spacing",), "needs a start and a stop above zero", self.spacing))
+            refuse(Problem(("spacing",), "logarithmic spacing needs a start and a stop above zero", self.spacing))
         return low, high
 
     def _number(self, name: str, end: End) -> float:
         unit = self.unit
         if isinstance(end, bool) or isinstance(end, str) != (unit is not None):
-            refuse(Problem((name,), "start and stop are both texts with a unit, or both plain numbers", end))
+            refuse(Problem((name,), "start and stop must both be texts with a unit, or both plain numbers", end))
         if not isinstance(end, str):
             return float(end)
         assert unit is not None
@@ -182,13 +182,13 @@ class Axis(Section):
             refuse(Problem(("count",), 'a grid needs "count" or "step" between start and stop', kind="missing"))
         assert self.step is not None
         if self.spacing == "logarithmic":
-            refuse(Problem(("step",), 'is for linear spacing; give "count"', self.step))
+            refuse(Problem(("step",), 'is only for linear spacing; give "count" instead', self.step))
         step = self._step(self.step)
         if step == 0.0 or (high - low) / step < 0.0:
-            refuse(Problem(("step",), "must lead from start to stop", self.step))
+            refuse(Problem(("step",), "must not be zero, and must lead from start to stop", self.step))
         steps = math.floor((high - low) / step * (1.0 + 1e-12) + 1e-9)
         if steps >= 100_000:
-            refuse(Problem(("step",), "makes more than 100000 values", self.step))
+            refuse(Problem(("step",), "gives more than 100000 values", self.step))
         return tuple(self._written(low + k * step) for k in range(steps + 1))
 
     def _step(self, step: End) -> float:
@@ -227,14 +227,14 @@ def _short(number: float) -> str:
 
 
 class Samples(Section):
-    """`[samples]`: points drawn over all axes together, the same for the same seed."""
+    """`[samples]`: random points over all axes together instead of a grid; the same seed gives the same points."""
 
     method: Literal["latin hypercube", "sobol"]
-    """How the points are drawn."""
+    """Method by which the points are drawn."""
     count: Count
-    """How many."""
+    """Number of points."""
     seed: Whole = 0
-    """Of the draws."""
+    """Seed of the random numbers; the same seed draws the same points."""
 
 
 class SweepFile(TitledFile):
@@ -244,16 +244,16 @@ class SweepFile(TitledFile):
     base: Text
     """A preset, or the path of a spec or recipe relative to this file."""
     do: Literal["predict", "optimise"] = "predict"
-    """The command for each point."""
+    """Command that is carried out for each point."""
     change: dict[str, Any] = Field(default_factory=dict)
-    """Keys of the base that vary."""
+    """Keys of the base spec to change at every point, with their new values."""
     axis: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=20)]
     """What is varied."""
     samples: Samples | None = None
-    """Random points over all axes together; absent: a grid."""
+    """Random points over all axes together; absent: the grid of all combinations."""
 
     def _problems(self) -> Iterable[Problem]:
-        message = 'two axes are called this; give one of them a different "name"'
+        message = 'two axes have this name; give one of them a different "name"'
         problems = repeated_names("axis", "name", [axis.label for axis in self.axis], message)
         seen: set[str] = set()
         for i, axis in enumerate(self.axis):
@@ -265,7 +265,9 @@ class SweepFile(TitledFile):
                 message = 'a grid needs "count" or "step" between start and stop'
                 problems.append(Problem(("axis", i, "count"), message, kind="missing"))
         if not problems and self.count > MOST_POINTS:
-            problems.append(Problem(("axis",), f"makes {self.count} points; at most {MOST_POINTS}"))
+            problems.append(
+                Problem(("axis",), f"the sweep has {self.count} points; at most {MOST_POINTS} are possible")
+            )
         return problems
 
     @property

@@ -29,35 +29,38 @@ _WHICH: Final = re.compile(
     r"(?:id|name|index|no|nr|num|number|type|kind|sensor|imu|device|unit|node|topic|source|instance|axis|signal|quantity|variable)",
     re.IGNORECASE,
 )
-"""A column that may tell several sensors apart."""
+"""Names of columns whose values may identify one of several sensors."""
 _MISSING: Final = re.compile(
     r"[+-]?(nan|inf(inity)?|1\.?#[a-z]+)?(\([a-z0-9]*\))?|n/?a|#[a-z/0]+[!?]?|null|none|missing|-+|\?+", re.IGNORECASE
 )
 """Words for a missing value."""
 _NANS: Final = ["", "nan", "NaN", "NAN", "-nan"]
 _TRUTHS: Final = ("rue", "alse", "RUE", "ALSE")
-"""Parts of words that pandas takes for numbers."""
+"""Parts of words that pandas reads as numbers."""
 _MANY_UNREAD, _SHARE_UNREAD = 20, 0.02
-"""Values in no notation of numbers beyond which a column is not one of numbers with a few torn ones."""
+"""A column with more values (number, share) than this that cannot be read as numbers is not a numeric column with a few
+damaged values."""
 _TEXT: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
 _APART: Final = {";": ";", "\t": "tab", ",": ",", "|": "|", " ": "whitespace"}
 _COMMA: Final = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 _HEXADECIMAL: Final = re.compile(r"0[xX][0-9a-fA-F]+")
 _MINUS: Final = "\u2212"
 _LEADER: Final = "\u2024"
-"""What stands for a point where the decimal sign is a comma: no number has one."""
+"""Replaces the points of a column with decimal commas: no number contains this character."""
 _COMMAS: Final = str.maketrans({",": ".", ".": _LEADER})
 _POINT: Final = re.compile(rf"[+-]?[\d.{_LEADER}]+{_LEADER}\d[\d.{_LEADER}]*([eE][+-]?\d+)?")
 _CERTAIN: Final = (_COMMA, _HEXADECIMAL, _POINT)
-"""Patterns of values that are not damaged numbers."""
+"""Patterns of values that are certainly in another notation, and not damaged numbers."""
 _WAYS: Final = {
     _COMMA: 'a decimal comma; write decimal = "," under [csv]',
-    _POINT: 'a decimal point, although decimal = "," states a decimal comma: is it a mark of thousands? Write '
+    _POINT: 'a decimal point, although decimal = "," states a decimal comma: is the point a thousands separator? Write '
     "the numbers without it",
     _HEXADECIMAL: "hexadecimal counts; write them as decimal numbers",
-    re.compile(r"(?=.*[A-Fa-f])[0-9A-Fa-f]{2,16}"): "hexadecimal counts, it seems; write them as decimal numbers",
+    re.compile(
+        r"(?=.*[A-Fa-f])[0-9A-Fa-f]{2,16}"
+    ): "values that look like hexadecimal counts; write them as decimal numbers",
     re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}.*|\d{1,2}:\d\d(:\d\d.*)?"): (
-        "dates or times of day; write time stamps in seconds, or leave time out and give sample_rate"
+        "dates or times of day; write time stamps in seconds, or leave out time and give sample_rate"
     ),
 }
 
@@ -83,7 +86,7 @@ def read_table(
     }
     if kind not in readers:
         known = ", ".join([*sorted(readers), ".csv.gz"])
-        raise LogError(f"{path}: the file name extension determines the kind of file; known are {known}")
+        raise LogError(f"{path}: unknown file name extension, which determines the kind of file; known are {known}")
     try:
         if path.is_dir():
             raise LogError(f"{path} is a directory")
@@ -124,10 +127,10 @@ def _read_text_table(path: Path, layout: TextTable, sources: Sequence[Source], w
             values, found = _values(rows, delimiter, layout.comment, names, list(words), len(header) * whole)
     except (UnicodeError, EOFError, gzip.BadGzipFile) as error:
         if not isinstance(error, UnicodeError):
-            raise LogError("is no whole gzip file: was it cut off?") from None
+            raise LogError("is not a complete gzip file: was it cut off?") from None
         name = "UTF-8" if layout.encoding == "utf-8-sig" else layout.encoding
-        text = f'is not text in {name}: name its encoding under [csv], such as encoding = "latin-1" or "utf-16"'
-        raise LogError(f"{text}, or is it a file of another kind?") from None
+        text = f'is not text in {name}: state its encoding under [csv], such as encoding = "latin-1" or "utf-16"'
+        raise LogError(f"{text}; or is it a file of another kind?") from None
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror or error}") from None
     by_place = {place: values[:, number] for number, place in enumerate(names)}
@@ -228,14 +231,14 @@ def _refuse_several(
         if layout.header:
             equals = kinds[0] if _number(kinds[0]) == _number(kinds[0]) else f'"{kinds[0]}"'
             raise LogError(
-                f"column '{header[place]}' has {len(kinds)} values in turns ({', '.join(kinds[:4])}): rows of "
-                f'several sensors? Select those of one, such as where = {{ column = "{header[place]}", equals = '
-                f"{equals} }}, in the map or in one of its columns"
+                f"column '{header[place]}' has {len(kinds)} alternating values ({', '.join(kinds[:4])}): does the "
+                "table mix rows of several sensors? Select the rows of one sensor, such as where = "
+                f'{{ column = "{header[place]}", equals = {equals} }}, for the whole map or for one of its columns'
             )
         if not any(_number(kind) == _number(kind) for kind in kinds):
             raise LogError(
-                f"there are lines of several kinds ({', '.join(kinds[:4])}): select those of one kind under "
-                f"[csv], such as lines = '{re.escape(kinds[0])}'"
+                f"the file mixes lines of several kinds ({', '.join(kinds[:4])}): select the lines of one kind "
+                f"under [csv], such as lines = '{re.escape(kinds[0])}'"
             )
 
 
@@ -274,7 +277,7 @@ def _first_names(lines: TextIO, layout: TextTable, delimiter: str | None) -> tup
         if remark:
             lines.seek(start)
             return [name.strip() for name in _split(remark, delimiter)], False
-        raise LogError("there is no line of column names: write header = false under [csv] if there is none")
+        raise LogError("the file has no line of column names: write header = false under [csv]")
 
 
 def _split(line: str, delimiter: str | None) -> list[str]:
@@ -288,20 +291,25 @@ def _split(line: str, delimiter: str | None) -> list[str]:
 
 def _place(source: Source, header: list[str], named: bool) -> int:
     if source.index is not None:
-        raise LogError(f"{source.words()}: a text table has no index; name the column itself")
+        raise LogError(
+            f"{source.words()}: in a text table, a column has no index: give only the name or number of the column"
+        )
     if isinstance(source.column, int):
         if named and source.column >= len(header):
-            raise LogError(f"there is no {source.words()}: the header has {len(header)}, counted from 0")
+            raise LogError(f"there is no {source.words()}: the header has {len(header)} columns, numbered from 0")
         return source.column
     if not named:
-        raise LogError(f"{source.words()} needs a header; without one columns are numbered from 0")
+        raise LogError(f"{source.words()} is a name, and the file has no header: give the number of the column, from 0")
     if source.column not in header:
         apart = next((name for mark, name in _APART.items() if len(header) == 1 and mark in header[0]), None)
-        hint = f'; or is it delimiter = "{apart}", under [csv]?' if apart else ""
+        hint = f'; or must delimiter = "{apart}" be written under [csv]?' if apart else ""
         raise LogError(f"there is no {source.words()}; {instead(source.column, header)}{hint}")
     if header.count(source.column) > 1:
         places = " or ".join(str(place) for place, name in enumerate(header) if name == source.column)
-        raise LogError(f"several columns are named '{source.column}': give the column number, {places}, from 0")
+        raise LogError(
+            f"several columns are named '{source.column}': give the number of the column instead, {places} "
+            "(numbered from 0)"
+        )
     return header.index(source.column)
 
 
@@ -359,7 +367,7 @@ def _values(
         raise LogError(
             f"{len(wide)} of {len(values)} rows have more fields than the {width} names of the header, such as "
             f"'{wide[0].strip()[:60]}': do the numbers contain commas, or does the first column have no name? "
-            "Correct the file, or number the columns, with header = false and skip = 1 under [csv]"
+            "Correct the file, or refer to the columns by numbers, with header = false and skip = 1 under [csv]"
         )
     for place, text in odd.items():
         shown = text[:40].replace(_LEADER, ".")
@@ -367,11 +375,11 @@ def _values(
             if way.fullmatch(text) and (place not in readable or way in _CERTAIN):
                 raise LogError(f"column {names[place]} has {meaning}: '{shown}'")
         if place not in readable:
-            raise LogError(f"column {names[place]} has no numbers, but texts such as '{shown}'")
+            raise LogError(f"column {names[place]} has no numbers, only texts such as '{shown}'")
         if unread[place] > max(_MANY_UNREAD, _SHARE_UNREAD * len(values)):
             raise LogError(
-                f"column {names[place]}: {unread[place]} of {len(values)} rows have no number, but for example "
-                f"'{shown}': is it another notation? Correct them, or leave the cells empty"
+                f"column {names[place]}: {unread[place]} of {len(values)} rows have no number but text, for example "
+                f"'{shown}': is this another notation of numbers? Correct these cells, or leave them empty"
             )
     return values, texts
 
@@ -426,11 +434,11 @@ def _read_npy(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbe
     if values.dtype.names is not None:
         return _of_arrays({name: values[name] for name in values.dtype.names})
     if values.ndim != 2:
-        raise LogError("the array needs one row for each sample and one column for each quantity")
+        raise LogError("the array must have one row for each sample and one column for each quantity")
 
     def find(source: Source) -> Array:
         if not isinstance(source.column, int) or source.index is not None or source.column >= values.shape[1]:
-            raise LogError(f"there is no {source.words()}: columns are numbered 0 to {values.shape[1] - 1}")
+            raise LogError(f"there is no {source.words()}: the columns are numbered 0 to {values.shape[1] - 1}")
         return values[:, source.column]
 
     return Numbers(find)
@@ -487,11 +495,13 @@ def _read_netcdf(path: Path, layout: TextTable, sources: Sequence[Source]) -> Nu
     try:
         dataset = load_netcdf(path)
     except NetcdfError as error:
-        raise LogError(f"is no netCDF file that can be read: {error}") from None
+        raise LogError(f"cannot be read as a netCDF file: {error}") from None
     for source in sources:
         stated = dataset[source.column].attrs.get("units") if source.column in dataset.variables else None
         if isinstance(source, Measured) and stated is not None and not _same_unit(str(stated), source.unit):
-            raise LogError(f"{source.words()} is in '{stated}' by its attribute, and in '{source.unit}' by the map")
+            raise LogError(
+                f"{source.words()} has the unit '{stated}' by its attribute, and '{source.unit}' by the column map"
+            )
     return _of_arrays({str(name): dataset[name].values for name in dataset.variables})
 
 
@@ -517,7 +527,7 @@ def _of_arrays(arrays: Mapping[str, Array]) -> Numbers:
         if values.ndim == 2 and source.index is not None and source.index < values.shape[1]:
             return values[:, source.index]
         raise LogError(
-            f"{source.words()}: the array has the shape {values.shape}; give the index of one of its columns"
+            f"{source.words()}: the array has the shape {values.shape}: give the index of one of its columns"
         )
 
     return Numbers(find)

@@ -23,16 +23,16 @@ Array = NDArray[Any]
 Name = Annotated[Text, Field(max_length=100)]
 
 DELIMITERS: Final = {"tab": "\t", "whitespace": None}
-"""Words for delimiters, and what they stand for."""
+"""Words for delimiters, and the characters that they stand for."""
 
 
 class Source(Section):
-    """A column, by name, or by number counted from 0."""
+    """A column of a table."""
 
     column: Text | Whole
-    """Name of the column, or its number counted from 0."""
+    """Name of the column, or its number, counted from 0."""
     index: Whole | None = None
-    """Column of a two-dimensional array."""
+    """Number of the column in a two-dimensional array, counted from 0."""
 
     def words(self) -> str:
         """In words, for messages."""
@@ -41,10 +41,10 @@ class Source(Section):
 
 
 class Where(Source):
-    """If several sensors share the columns: the rows of one sensor."""
+    """Selects the rows of one sensor, if several sensors share the columns."""
 
     equals: Text | Number
-    """Value of the column in the rows to read."""
+    """Value that the column has in the rows of this sensor."""
 
     def means(self, value: object) -> bool:
         """Whether this is the value of the rows that are taken."""
@@ -59,7 +59,7 @@ class Where(Source):
         """The error where no row has the value, but these."""
         equals = f'"{self.equals}"' if isinstance(self.equals, str) else f"{self.equals:g}"
         some = ", ".join(str(value) for value in itertools.islice(values, 8))
-        return LogError(f"where: no row has {equals} in {self.words()}; there are {some}")
+        return LogError(f"where: no row has {equals} in {self.words()}, but there are {some}")
 
     def chosen(self, values: Array) -> NDArray[np.bool_]:
         """The rows that are taken. Raises `LogError` where there are none."""
@@ -71,19 +71,19 @@ class Where(Source):
 
 
 class Measured(Source):
-    """A quantity: (number - zero) × scale, in the unit."""
+    """A column of a quantity, whose value is (number − zero) × scale in the unit."""
 
     DIMENSION: ClassVar[str]
 
     unit: Text
-    """Unit of the values."""
+    """Unit of the values, after `zero` and `scale` are applied."""
     scale: Number = 1.0
-    """Factor of the numbers, after `zero` is taken off."""
+    """Factor by which the numbers are multiplied, after `zero` is subtracted."""
     zero: Number = 0.0
-    """Number that stands for zero."""
+    """Number in the column that stands for the value zero."""
     where: Where | None = None
-    """If several sensors share the column: the rows of this one, such as `{ column = "id", equals = "gyro" }`; with
-    `interpolate = true`."""
+    """If several sensors share the column: selects the rows of this sensor, such as `{ column = "id", equals = "gyro"
+    }`; needs `interpolate = true`."""
 
     @field_validator("scale")
     @classmethod
@@ -96,37 +96,37 @@ class Measured(Source):
     @classmethod
     def _measures(cls, unit: str) -> str:
         if cls.DIMENSION == "temperature" and unit.strip().lower() in ("k", "kelvin", "kelvins"):
-            raise ValueError('for a column in kelvins write unit = "degC" and zero = 273.15')
+            raise ValueError('for a column in kelvins, write unit = "degC" and zero = 273.15')
         units.parse(f"1 {unit}", cls.DIMENSION)
         return unit
 
 
 class TimeColumn(Measured):
-    """Stamps."""
+    """A column of time stamps."""
 
     DIMENSION = "time"
 
 
 class RateColumn(Measured):
-    """An angular rate."""
+    """A column of an angular rate."""
 
     DIMENSION = "angular rate"
 
 
 class ForceColumn(Measured):
-    """A specific force."""
+    """A column of a specific force."""
 
     DIMENSION = "acceleration"
 
 
 class AngleColumn(Measured):
-    """An angle."""
+    """A column of an angle."""
 
     DIMENSION = "angle"
 
 
 class TemperatureColumn(Measured):
-    """An absolute temperature."""
+    """A column of a temperature."""
 
     DIMENSION = "temperature"
 
@@ -135,7 +135,7 @@ def _pattern(value: str) -> str:
     try:
         re.compile(value)
     except re.error as error:
-        raise ValueError(f"is no regular expression: {error}") from None
+        raise ValueError(f"is not a regular expression: {error}") from None
     return value
 
 
@@ -146,21 +146,22 @@ class TextTable(Section):
     """Layout of a text file."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=10)] = ","
-    """Between columns: ",", ";", "tab" or "whitespace"."""
+    """Character between columns: ",", ";", "tab" or "whitespace"."""
     header: Flag = True
-    """Whether a line names the columns: the first line with all names of the map, after any other lines."""
+    """Whether a line names the columns. This line is the first one that has all names of the map; other lines may stand
+    above it."""
     comment: Annotated[str, Field(min_length=1, max_length=1)] = "#"
     """Lines that begin with this text are left out."""
     skip: Whole = 0
-    """Lines before the table."""
+    """Number of lines above the table."""
     decimal: Literal[".", ","] = "."
-    """The decimal sign."""
+    """Decimal sign of the numbers."""
     lines: Pattern | None = None
-    """Regular expression: lines after the header that do not match are left out, such as "^.VNYMR"."""
+    """Regular expression, such as "^.VNYMR": lines below the header that do not match it are left out."""
     strip: Pattern = r"\*[0-9A-Fa-f]{2,8}\s*$"
-    """Regular expression of text to remove from every line; a checksum after an asterisk is always removed."""
+    """Regular expression of a text that is removed from every line; a checksum after an asterisk is always removed."""
     encoding: Text = "utf-8-sig"
-    """How text is encoded."""
+    """Encoding of the file's text."""
 
     @field_validator("encoding")
     @classmethod
@@ -207,7 +208,7 @@ class Numbers:
         if self.rows is None:
             self.rows = len(values)
         if len(values) != self.rows:
-            raise LogError(f"{source.words()} has {len(values)} rows, and the previous columns have {self.rows}")
+            raise LogError(f"{source.words()} has {len(values)} rows, and the columns before it have {self.rows}")
         return values if self.kept is None else values[self.kept]
 
     def measured(self, source: Measured) -> Floats:

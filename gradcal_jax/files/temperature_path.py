@@ -10,23 +10,24 @@ from gradcal_jax.files.section import Section, refuse
 
 
 class PlayOfBias(Section):
-    """An error that depends on the path of temperature: a play, which follows the temperature with a backlash of plus
-    and minus `width`. On legs longer than twice the width, heating and cooling differ by 2 × coefficient × width."""
+    """An error that depends on the path of temperature: a play follows the temperature with a backlash of ± `width`,
+    and the error is proportional to the difference between play and temperature. If the temperature changes by more
+    than twice the width, heating and cooling differ by 2 × coefficient × width."""
 
     width: q.PositiveTemperatureDifference
     """Half-width of the play."""
     prior: q.PositiveBiasSlope
-    """Standard deviation of the coefficient before the calibration, for each K between play and temperature."""
+    """Standard deviation of the coefficient (error for each K between play and temperature) before the calibration."""
 
 
 class PlayOfForce(PlayOfBias):
-    """The same, for an accelerometer."""
+    """Hysteresis of an accelerometer's bias, modelled like that of a gyro's bias."""
 
     prior: q.PositiveAccelerationSlope
 
 
 class PlayOfScaleFactor(PlayOfBias):
-    """The same, for the scale factor."""
+    """Hysteresis of the scale factor, modelled like that of the bias."""
 
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -39,26 +40,27 @@ class ScaleFactorTemperatureGradient(Section):
 
 
 class PowerOnTransient(Section):
-    """A bias that decays exponentially from power-on, which is at the beginning of the plan or the log."""
+    """A bias that decays exponentially after power-on; power-on is at the start of the plan or the log."""
 
     time_constant: q.Time
-    """Its known time constant."""
+    """Time constant of the decay, which is known."""
     prior: q.PositiveRate
-    """Standard deviation of its value at power-on, before the calibration."""
+    """Standard deviation of the bias at power-on, before the calibration."""
 
 
 class PowerOnForceTransient(PowerOnTransient):
-    """The same, for an accelerometer."""
+    """A bias of an accelerometer that decays exponentially after power-on, which is at the start of the plan or the
+    log."""
 
     prior: q.PositiveSpecificForce
 
 
 class LateGradientOfBias(Section):
-    """Bias proportional to dT/dt after a first-order lag, for example of a part that heats slowly. The lag starts in
-    equilibrium, as after a soak."""
+    """Bias proportional to dT/dt after a first-order lag, for example of a part that heats slowly. At the start, the
+    lag is in equilibrium, as after a soak."""
 
     time_constant: q.Time
-    """Its time constant."""
+    """Time constant of the lag."""
     prior: q.SizeOfGradientSensitivity
     """Standard deviation of the coefficient before the calibration."""
     time_constant_uncertainty: q.Time | None = None
@@ -75,18 +77,18 @@ class LateGradientOfBias(Section):
     @model_validator(mode="after")
     def _shorter(self) -> "LateGradientOfBias":
         if min(self.lags) <= 0.0:
-            refuse(Problem(("time_constant_uncertainty",), "it must be less than the time constant"))
+            refuse(Problem(("time_constant_uncertainty",), "must be less than the time constant"))
         return self
 
 
 class LateGradientOfForce(LateGradientOfBias):
-    """The same, for an accelerometer."""
+    """Bias of an accelerometer, proportional to dT/dt after a first-order lag."""
 
     prior: q.ForceGradientSensitivity
 
 
 class LateGradientOfScale(LateGradientOfBias):
-    """The same, for the scale factor."""
+    """Scale-factor error proportional to dT/dt after a first-order lag."""
 
     prior: q.PositiveScaleFactorGradient  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -99,33 +101,34 @@ class DifferenceOfBias(Section):
 
 
 class DifferenceOfForce(DifferenceOfBias):
-    """The same, for an accelerometer."""
+    """Bias of an accelerometer, proportional to the reading of the second thermometer minus that of the first."""
 
     prior: q.PositiveAccelerationSlope
 
 
 class DifferenceOfScale(DifferenceOfBias):
-    """The same, for the scale factor."""
+    """Scale-factor error proportional to the reading of the second thermometer minus that of the first."""
 
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class SecondThermometer(Section):
-    """A second thermometer, for example on the case, while the first is at the dies."""
+    """A second thermometer, for example on the case, in addition to the first one, which is at the dies."""
 
     lag: q.Time
-    """First-order lag of its temperature behind that of the first one, for predictions; logs have its readings."""
+    """First-order lag of the second thermometer's temperature behind that of the first; used in predictions only,
+    because logs have its readings."""
 
 
 class OwnError(Section):
-    """Your own error term, a subclass of `gradcal_jax.model.OwnTerm`, which is estimated."""
+    """An error term of your own, which is estimated: a subclass of `gradcal_jax.model.OwnTerm`."""
 
     term: q.Text
     """Name of the class."""
     prior: Annotated[q.Number, Field(gt=0.0)]
-    """Standard deviation of each of its parameters before the calibration, in the SI unit of the class."""
+    """Standard deviation of each parameter of the term before the calibration, in the SI unit of the class."""
     name: q.Text | None = None
-    """Name of its parameters; absent: the name of the class."""
+    """Name of the parameters; absent: the name of the class."""
 
 
 Plays = Annotated[tuple[PlayOfBias, ...], Field(max_length=10)]
@@ -134,22 +137,23 @@ Transients = Annotated[tuple[PowerOnTransient, ...], Field(max_length=5)]
 
 
 class TemperaturePath(Section):
-    """What depends on the path of temperature and not on its present value alone, each estimated; and own errors."""
+    """Errors that depend on the path of temperature, and not only on its present value, and error terms of your own;
+    all are estimated."""
 
     hysteresis: Plays = ()
-    """Hysteresis of the bias: a sum of plays."""
+    """Hysteresis of the bias, as a sum of plays."""
     scale_factor_hysteresis: ScaleFactorPlays = ()
-    """Hysteresis of the scale factor: a sum of plays."""
+    """Hysteresis of the scale factor, as a sum of plays."""
     scale_factor_temperature_gradient: ScaleFactorTemperatureGradient | None = None
     """Scale-factor error proportional to dT/dt."""
     turn_on_transient: Transients = ()
-    """Bias that decays after power-on: a sum of exponentials."""
+    """Bias that decays after power-on, as a sum of exponentials."""
     own: Annotated[tuple[OwnError, ...], Field(max_length=20)] = ()
-    """Your own error terms."""
+    """Error terms of your own."""
     late_temperature_gradient: Annotated[tuple[LateGradientOfBias, ...], Field(max_length=5)] = ()
-    """Bias proportional to dT/dt, delayed by first-order lags; a sum."""
+    """Bias proportional to dT/dt after a first-order lag, as a sum of such terms."""
     scale_factor_late_temperature_gradient: Annotated[tuple[LateGradientOfScale, ...], Field(max_length=5)] = ()
-    """The same for the scale factor."""
+    """Scale-factor error proportional to dT/dt after a first-order lag, as a sum of such terms."""
     thermometer_difference: DifferenceOfBias | None = None
     """Bias proportional to the difference of the two thermometers."""
     scale_factor_thermometer_difference: DifferenceOfScale | None = None
@@ -171,5 +175,5 @@ class TemperaturePath(Section):
         ):
             values = [float(getattr(entry, of)) for entry in entries]
             if len(set(values)) < len(values):
-                refuse(Problem((key,), f"two entries have one {of}: their coefficients cannot be separated"))
+                refuse(Problem((key,), f"two entries have the same {of}, so their coefficients cannot be separated"))
         return self

@@ -38,12 +38,12 @@ _NUMBER: Final = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?|[nN][aA][nN])"
 
 
 class SensorTime(Section):
-    """`time`, of the field `{time}`."""
+    """`[time]`: the time that the field `{time}` states."""
 
     unit: Literal["s", "ms", "us"] = "s"
-    """Its unit."""
+    """Unit of the time."""
     modulus: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
-    """The number at which the count restarts at 0; absent: never."""
+    """Number at which the time restarts at 0; absent: it never restarts."""
 
 
 class TextSensor(Section):
@@ -54,7 +54,7 @@ class TextSensor(Section):
     title: Text = "The sensor"
     """A title for tables and pages."""
     line: Text
-    """A line, with fields in braces."""
+    """A line that the sensor prints, with fields in braces in place of the numbers."""
     rate: Frequency
     """Number of samples per second."""
     gyro: Text = "deg/s"
@@ -64,18 +64,18 @@ class TextSensor(Section):
     temperature: Text = "degC"
     """Unit of temperatures."""
     counter: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
-    """The number at which `{count}` restarts at 0."""
+    """Number at which the field `{count}` restarts at 0."""
     time: SensorTime = SensorTime()
-    """Unit and period of `{time}`."""
+    """Unit of the field `{time}`, and the number at which it restarts."""
     checksum: Literal["none", "xor8"] = "none"
-    """Text after the line: nothing, or "*" and two hexadecimal digits of the exclusive or of the characters between
-    "$" and "*"."""
+    """Text at the end of the line: "none", or with "xor8" an asterisk and two hexadecimal digits, the exclusive or of
+    the characters between "$" and "*"."""
     baudrate: Count = 115200
     """Bits per second."""
     boot: SizeOfTime = Quantity(0.0, "0 s", "time")
-    """Waiting time after opening the port, which restarts many boards."""
+    """Waiting time after the port is opened, because opening it restarts many boards."""
     timeout: Time = Quantity(3.0, "3 s", "time")
-    """Timeout for its first lines."""
+    """Timeout for the sensor's first lines."""
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -85,22 +85,28 @@ class TextSensor(Section):
     def _problems(self) -> Iterator[Problem]:
         if {"{", "}"} & set(_FIELD.sub("", self.line)) or re.search(r"\}\{", self.line):
             yield Problem(
-                ("line",), "expected fields such as {gyro_x}, with a character between two of them", self.line
+                ("line",), "expected fields in braces, such as {gyro_x}, with a character between two fields", self.line
             )
             return
         for name in self.fields:
             if name not in NAMES:
-                yield Problem(("line",), f"{{{name}}} is not known here; {instead(name, NAMES)}", self.line)
+                yield Problem(("line",), f"{{{name}}} is not the name of a field; {instead(name, NAMES)}", self.line)
         if len(set(self.fields)) != len(self.fields):
             yield Problem(("line",), "a field appears twice", self.line)
         if not any(name.startswith(("gyro", "acceleration")) for name in self.fields):
-            yield Problem(("line",), "expected a field of a rate or an acceleration, such as {gyro_x}", self.line)
+            yield Problem(
+                ("line",), "expected at least one field of a rate or an acceleration, such as {gyro_x}", self.line
+            )
         if ("count" in self.fields) is not (self.counter is not None):
             yield Problem(
-                ("counter",), "expected with a field {count}, and only there: the number at which it restarts at 0"
+                ("counter",),
+                "this key, the number at which the count restarts at 0, is needed if the line has "
+                "a field {count}, and only then",
             )
         if {"count", "time"} <= set(self.fields):
-            yield Problem(("line",), "expected {count} or {time}, not both: name the other one {}", self.line)
+            yield Problem(
+                ("line",), "expected {count} or {time}, not both: write {} in place of one of them", self.line
+            )
         kinds = {"gyro": "angular rate", "acceleration": "acceleration", "temperature": "temperature"}
         yield from unit_problems(self, kinds)
 
@@ -112,5 +118,7 @@ class TextSensor(Section):
 def text_unit_of(value: object) -> TextSensor:
     """The description in a rig file. Raises `ValueError`, or (as `SpecError`) everything that is wrong with it."""
     if not isinstance(value, Mapping):
-        raise ValueError(f'expected the tables of a description: format = "{FORMAT}", line = "…", rate = "…"')
+        raise ValueError(
+            f'expected a table that describes the device, with the keys format = "{FORMAT}", line = "…", rate = "…"'
+        )
     return model_of(TextSensor, cast("Mapping[str, Any]", value), FORMAT, "")

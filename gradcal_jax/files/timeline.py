@@ -26,11 +26,11 @@ class SiteRow(Section):
     """Where the rig stands."""
 
     latitude: rows.Finite
-    """North positive (rad)."""
+    """Latitude, north positive (rad)."""
     gravity: rows.Size
-    """As it is used (m/s²)."""
+    """Local gravity, as used in the computation (m/s²)."""
     earth_rate: Vector3
-    """East, North, up (rad/s)."""
+    """Rate of the Earth: East, North and up component (rad/s)."""
 
 
 class TableAxisRow(Section):
@@ -38,17 +38,18 @@ class TableAxisRow(Section):
     standstill_offset² + reading_noise²/n, with n = 1 + the whole number of `read_every` in the standstill."""
 
     name: str
-    """Of the axis."""
+    """Name of the axis."""
     direction: Vector3
-    """With all axes at zero, in the frame that the next outer axis carries (outermost: East, North, up)."""
+    """Direction of the axis if all axes are at zero, in the frame that the next outer axis carries (for the outermost
+    axis: East, North, up)."""
     reading_noise: rows.Size
-    """Standard deviation of a reading (rad)."""
+    """Standard deviation of the white noise of a reading (rad)."""
     standstill_offset: rows.Size
     """Standard deviation of the error common to the readings of a standstill (rad)."""
     timing_error: rows.Size = 0.0
     """Standard deviation of the time of a reading on the move (s)."""
     read_every: rows.Size | None = None
-    """Spacing of readings (s); absent: one reading in each standstill."""
+    """Time between readings at rest (s); null: one reading in each standstill."""
     harmonics: tuple[rows.HarmonicRow, ...] = ()
     """Errors that are periodic in the angle."""
 
@@ -57,26 +58,27 @@ class MountingRow(Section):
     """The mounting of the body on the innermost axis."""
 
     name: str | None = None
-    """Of the mounting."""
+    """Name of the mounting."""
     rotation: Matrix3
-    """Matrix from the body to the innermost axis's frame."""
+    """Rotation matrix from the body's frame to the innermost axis's frame."""
 
 
 class TermRow(rows.MapRow):
     """One term of a channel: a function of temperature (and the channel's own rate) times the product of `signals`."""
 
     name: str
-    """Of the term."""
+    """Name of the term."""
     signals: tuple[str, ...]
-    """"rate x" (rad/s) and "force x" (m/s²) in the body, "|force x|" a magnitude; none: 1. "size ik" (1/s²) is
-    ω_i (ω + 2ω_earth)_k − δ_ik (ω + 2ω_earth)·ω, ω the rate against the Earth."""
+    """Signals that multiply the function: "rate x" (rad/s) and "force x" (m/s²) are components in the body's frame,
+    "|force x|" is a magnitude; empty: the function alone. "size ik" (1/s²) is ω_i (ω + 2ω_earth)_k − δ_ik (ω +
+    2ω_earth)·ω, where ω is the rate relative to the Earth."""
     parameters: tuple[str, ...]
     """Names of the coefficients in a prediction."""
     unit: str
-    """Of each coefficient, in SI."""
+    """SI unit of each coefficient."""
     lag: rows.Size | None = None
-    """Time constant (s) of a first-order lag of the temperature, which replaces it in the function; L = T at the
-    beginning of the plan."""
+    """Time constant (s) of a first-order lag L of the temperature T, if the function depends on L instead of T; L = T
+    at the start of the plan."""
 
 
 class PathTermRow(Section):
@@ -90,40 +92,42 @@ class PathTermRow(Section):
     """
 
     kind: Literal["hysteresis", "temperature gradient", "transient", "temperature difference"]
-    """Which function."""
+    """The function; see above."""
     signals: tuple[str, ...]
-    """Its factors; none: 1."""
+    """Signals that multiply the function; empty: the function alone."""
     parameters: tuple[str, ...]
     """Names of the coefficients in a prediction."""
     stds: tuple[rows.Size, ...]
-    """Prior standard deviation of each."""
+    """Prior standard deviation of each coefficient."""
     unit: str
-    """Of the first coefficient, in SI."""
+    """SI unit of the first coefficient."""
     width: rows.Size | None = None
     """Half-width of the play (K)."""
     time_constant: rows.Size | None = None
-    """Of the transient, or of the lag (s)."""
+    """Time constant of the transient or of the lag (s)."""
     gain: float | None = None
-    """Of the temperature difference (1, or 1/s)."""
+    """Gain of the temperature difference (1, or 1/s)."""
 
 
 class ChannelRow(Section):
-    """A gyro (rad) or accelerometer (m/s) along one axis of the body."""
+    """A gyro or an accelerometer along one axis of the body. Its output is the integral of the rate (rad) or of the
+    specific force (m/s)."""
 
     name: str
-    """Of the channel."""
+    """Name of the channel."""
     kind: Literal["gyro", "accelerometer"]
-    """Gyro or accelerometer."""
+    """Kind of sensor."""
     axis: Literal["x", "y", "z"]
     """Axis of the body."""
     white: rows.Size
-    """White noise of the integral, for √s (rad or m/s)."""
+    """White noise: standard deviation of the integral after 1 s, which grows with √s (rad/√s or m/s/√s)."""
     rate_random_walk: rows.Size = 0.0
-    """For s√s (rad or m/s)."""
+    """Random walk of the rate or force: its standard deviation after 1 s, which grows with √s (rad/s/√s or m/s²/√s)."""
     drift: tuple[rows.ProcessRow, ...] = ()
-    """In rad/s or m/s², stationary at the first used segment."""
+    """Gauss–Markov drifts of the bias (rad/s or m/s²), stationary at the start of the first segment whose data are
+    used."""
     scale_factor_instability: tuple[rows.ProcessRow, ...] = ()
-    """Multiplied by the rate, or the force, along the axis."""
+    """Gauss–Markov instabilities of the scale factor, which the rate or force along the axis multiplies."""
     turn_on_bias: rows.Size | None = None
     """Of a run (rad/s or m/s²): adds to the prior of the bias's constant (the coefficients of the function that is 1
     everywhere, all together), or acts alone where no bias is estimated."""
@@ -138,35 +142,34 @@ class ChannelRow(Section):
     terms: tuple[TermRow, ...]
     """What is estimated."""
     path: tuple[PathTermRow, ...] = ()
-    """What is estimated of the path of temperature."""
+    """Terms of the temperature's path that are estimated."""
 
 
 class InstallationRow(Section):
-    """An error common to all channels, with a prior for each parameter. `kind` gives the inserted rotation p (in the
-    body frame) and the part outside of it, which p turns relative to the body.
-
-    "base": p = Rᵀ times East, North, up (tilt, tilt, azimuth); outside: the Earth. "orthogonality" of axes l and l + 1:
-    p about e_{l+1} × e_l, carried by axis l; outside: the Earth and the axes up to l. "harmonics" of `axis` l: p = a_l
-    times cosine and sine of `orders` times its angle; outside: the axes before l; in addition, a_li times their change
-    while l turns. "mounting": p about the body's x, y, z, for each mounting while it is used; outside: everything.
-    "gravity" (m/s²): a force along up, for accelerometers. "sample_clock": the rate itself and, with `forces`, the
-    force itself.
-    """
+    """An error common to all channels, with a prior for each parameter. For each `kind` of angle error, a small
+    rotation p is inserted (given here in the body frame); it turns everything outside of it relative to the body.
+    "base": p = Rᵀ times East, North, up (tilt, tilt, azimuth); outside of it: the Earth. "orthogonality" of axes l and
+    l + 1: p about e_{l+1} × e_l, carried by axis l; outside: the Earth and the axes up to l. "harmonics" of `axis` l: p
+    = a_l times cosine and sine of `orders` times the angle of the axis; outside: the axes before l; while l turns, the
+    row of gyro i also has a_li times the change of these functions (a_l: direction of axis l in the body's frame).
+    "mounting": p about the body's x, y and z, one for each mounting, while the mounting is used; outside: everything.
+    "gravity" (m/s²): a force along up, for accelerometers. "sample_clock": an error in proportion to the rate itself
+    and, if `forces` is true, to the force itself."""
 
     kind: Literal["base", "orthogonality", "harmonics", "mounting", "gravity", "sample_clock"]
-    """Which error."""
+    """The error; see above."""
     parameters: tuple[str, ...]
     """Names of the parameters in a prediction."""
     stds: tuple[rows.Size, ...]
-    """Prior standard deviation of each."""
+    """Prior standard deviation of each parameter."""
     unit: str
-    """Of the parameters, in SI."""
+    """SI unit of the parameters."""
     axis: str | None = None
-    """Table axis; null where it concerns none."""
+    """Table axis concerned; null: the error concerns no single axis."""
     orders: tuple[int, ...] | None = None
-    """Periods in one turn, of harmonics."""
+    """For harmonics: periods in one turn."""
     forces: bool | None = None
-    """Of "sample_clock": whether it also affects accelerometers."""
+    """For "sample_clock": whether the error also affects accelerometers."""
 
 
 class SegmentRow(rows.CourseRow):
@@ -175,13 +178,13 @@ class SegmentRow(rows.CourseRow):
     axis: str | None = None
     """The axis that moves; null: all are at rest."""
     angles_before: tuple[rows.Finite, ...]
-    """Angles of all axes at its beginning, outermost first (rad)."""
+    """Angles of all axes at the start of the segment, outermost first (rad)."""
     angles_after: tuple[rows.Finite, ...]
-    """Angles of all axes at its end (rad)."""
+    """Angles of all axes at the end of the segment (rad)."""
     attitude: Matrix3
-    """Matrix from the body to East, North, up at its beginning."""
+    """Rotation matrix from the body's frame to East, North, up at the start of the segment."""
     mounting: int
-    """The mounting, counted from 0."""
+    """Number of the mounting, from 0."""
     standstill_ids: tuple[int | None, ...]
     """Number of each axis's standstill; null while it moves."""
 
@@ -223,7 +226,7 @@ class Timeline(Section):
     points: Literal["independent", "one run"] | None = None
     """Standard method: whether readings share the processes over the run, or have independent noise."""
     frame: Literal["table axes", "case"]
-    """The reference of the misalignments."""
+    """Reference of the misalignments: the table's axes or the case."""
     site: SiteRow
     """Where the rig stands."""
     table: tuple[TableAxisRow, ...]
@@ -233,9 +236,10 @@ class Timeline(Section):
     rate_accuracy: rows.Size = 0.0
     """Of a held rate, as a ratio."""
     mountings: tuple[MountingRow, ...]
-    """The mounting of the IMU on the innermost axis."""
+    """Mountings of the IMU on the innermost axis."""
     thermal_lag: rows.Size | None = None
-    """Time constant (s), first order, between the chamber and what all terms see; equilibrium at the start."""
+    """Time constant (s) of a first-order lag between the chamber's temperature and the temperature on which all terms
+    depend; both are equal at the start."""
     channels: tuple[ChannelRow, ...]
     """Gyros and accelerometers."""
     installation: tuple[InstallationRow, ...]

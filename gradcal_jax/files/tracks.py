@@ -36,98 +36,98 @@ _HAIR: Final = 1e-6  # of a step
 
 
 class Stability(Section):
-    """When a temperature counts as stable."""
+    """Conditions under which a temperature counts as stable."""
 
     within: q.PositiveTemperatureDifference = q.Quantity(0.5, "0.5 K", "temperature difference")
-    """Largest deviation from the goal, and largest change."""
+    """A stable temperature deviates from the goal, and changes, by no more than this."""
     for_at_least: q.Time = q.Quantity(300.0, "5 min", "time")
-    """For how long."""
+    """Time for which the temperature must stay so."""
     first_timeout: q.Time = q.Quantity(14400.0, "4 h", "time")
-    """Timeout for the first segment, which begins at room temperature."""
+    """Longest wait before the first segment, which begins at room temperature."""
     timeout: q.Time = q.Quantity(7200.0, "2 h", "time")
-    """Timeout for the other segments."""
+    """Longest wait before each of the other segments."""
 
 
 class ChamberSegment(Section):
-    """One line of the chamber's track."""
+    """One segment of what the chamber does."""
 
     name: q.Text
-    """Name of the segment, used by blocks of motion."""
+    """Name of the segment, to which blocks of motion refer."""
     kind: Literal["soak", "ramp", "step"]
-    """The action of the chamber."""
+    """What the chamber does: stay (soak), ramp, or step as fast as it can."""
     begins: Begins
-    """At its time, or when the temperature is stable."""
+    """Whether the segment begins at its time, or when the temperature is stable."""
     start: q.SizeOfTime
-    """On the plan's clock, which does not count waiting."""
+    """Start of the segment on the plan's clock, which stops while the run waits."""
     duration: q.Time
-    """How long."""
+    """Duration of the segment."""
     temperature_start: q.Temperature
-    """As it begins."""
+    """Temperature at the start."""
     temperature_end: q.Temperature
-    """As it ends."""
+    """Temperature at the end."""
     slope: q.TemperatureSlope | None = None
-    """Slope of a ramp, signed; absent: constant, or at the chamber's maximum rate."""
+    """Slope of a ramp, with its sign; absent: the temperature is constant, or changes at the chamber's maximum rate."""
     used: q.Flag
-    """Whether its readings are part of the data."""
+    """Whether the readings in this segment are part of the data."""
 
 
 class TrackMove(Section):
-    """One line of a block of motion."""
+    """One move of a block of motion."""
 
     start: q.SizeOfTime
-    """From the beginning of the repetition."""
+    """Start of the move, counted from the start of the repetition."""
     do: Doing
-    """The action of the axis; "wait": it is at rest while other axes turn, or nothing happens."""
+    """What the axis does; "wait": it is at rest because other axes turn, or because nothing is planned."""
     duration: q.Time
-    """How long."""
+    """Duration of the move."""
     axis: Name = "x"
     """Axis of the table."""
     angle: q.Angle | None = None
-    """Angle turned, signed."""
+    """Angle by which the axis turns; its sign is the direction."""
     rate: q.Rate | None = None
-    """Largest rate."""
+    """Largest rate of the move."""
     acceleration: q.PositiveAcceleration | None = None
     """Acceleration of the trapezoid with the same angle, peak rate and duration."""
     shape: q.Text | None = None
-    """Shape of the rate over time, as planned."""
+    """Shape of the rate over time in the plan."""
     repeat: q.Count = 1
-    """How often."""
+    """Number of times that the move is made."""
     read: Literal["end", "none"] | None = None
-    """One reading at its end, or none."""
+    """"end": one reading at the end of the move; "none": no reading."""
     read_every: q.Time | None = None
-    """Spacing of readings."""
+    """Time between readings during the move."""
 
 
 class MotionBlock(Section):
-    """Moves that repeat. The last repetition ends before its waits."""
+    """A block of moves that is repeated. The last repetition does not include the waits at its end."""
 
     name: q.Text
-    """Of the block."""
+    """Name of the block."""
     begins_with: q.Text
-    """Segment of the chamber's track with which it begins."""
+    """Name of the chamber's segment with which the block begins."""
     repeat: q.Count
-    """How often."""
+    """Number of repetitions."""
     period: q.Time
-    """Time from one repetition to the next."""
+    """Time from the start of one repetition to the start of the next."""
     standing_after: q.SizeOfTime
-    """Rest of the axis after the last repetition."""
+    """Duration of the rest after the last repetition."""
     read_every_after: q.Time | None = None
-    """Spacing of readings during this rest."""
+    """Time between readings during this rest; absent: no readings."""
     mounting: q.Count | None = None
-    """Number of the mounting, from 1, where there are several."""
+    """Number of the mounting, from 1, if there are several."""
     hang: q.Text | None = None
-    """The mounting on the table, in words, if it changes: the operator is asked to change it."""
+    """The mounting on the table, in words, if it changes before this block; the operator is asked to change it."""
     start: dict[Name, q.Angle] = Field(default_factory=dict)
-    """Angles of the table's axes as it begins, outermost first."""
+    """Angles of the table's axes at the start of the block, outermost first."""
     moves: Annotated[tuple[TrackMove, ...], Field(min_length=1)]
-    """One after the other."""
+    """Moves, one after the other."""
 
 
 class ChamberTrack(Section):
-    """`[chamber]` of a recipe."""
+    """`[chamber]` of a recipe: what the chamber does."""
 
     programme: Annotated[tuple[ChamberSegment, ...], Field(min_length=1)]
-    """Segments, in order."""
+    """Segments of the chamber, in order."""
 
 
 def tracks_of(spec: Spec, acceleration_step: float | None = None) -> tuple[ChamberTrack, tuple[MotionBlock, ...]]:

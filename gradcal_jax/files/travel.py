@@ -1,4 +1,4 @@
-"""A plan whose moves go beyond the travel of the table, made to fit: the turns go as far as the travel allows."""
+"""Makes a plan fit whose moves exceed the travel of the table: its turns go as far as the travel allows."""
 
 import copy
 import math

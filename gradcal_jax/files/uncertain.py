@@ -33,7 +33,7 @@ def _understood(value: object) -> object:
 
     entries = cast("Mapping[str, object]", value).values() if isinstance(value, Mapping) else [None]
     if not (isinstance(value, str) or all(known(entry) for entry in entries)):
-        raise ValueError('expected "factor 2", or a table of figures, each "factor 2" or [least, largest]')
+        raise ValueError('expected "factor 2", or a table that gives "factor 2" or [least, largest] for each figure')
     return cast("object", value)
 
 
@@ -41,12 +41,14 @@ Uncertain = Annotated[Text | dict[str, Text | Ends], BeforeValidator(_understood
 
 
 class UncertainSection(Section):
-    """A table of noise figures with a key `uncertain`: "factor 2", or by figure "factor 2" or [least, largest]."""
+    """A table of noise figures with a key `uncertain`: "factor 2" for all of them, or a table that gives "factor 2" or
+    [least, largest] for each figure."""
 
     FIGURES: ClassVar[tuple[str, ...]] = ()
 
     uncertain: Uncertain | None = None
-    """Ranges of the figures: "factor 2", or by figure "factor 2" or [least, largest]."""
+    """Ranges of the noise figures: "factor 2" for all of them, or a table that gives "factor 2" or [least, largest] for
+    each figure."""
 
     @model_validator(mode="after")
     def _uncertain(self) -> "UncertainSection":
@@ -63,7 +65,10 @@ class UncertainSection(Section):
         unknown = [name for name in self.uncertain if name not in there]
         refuse(
             *(
-                Problem(("uncertain", name), f"is not a figure of this table that can be uncertain: {one_of(there)}")
+                Problem(
+                    ("uncertain", name),
+                    f"is not a figure of this table that can be uncertain; expected {one_of(there)}",
+                )
                 for name in unknown
             )
         )
@@ -75,7 +80,7 @@ class UncertainSection(Section):
             match = _FACTOR.fullmatch(value.strip())
             factor = float(match.group(1)) if match else math.nan
             if not 1.0 < factor <= _LARGEST:
-                refuse(Problem(key, 'expected "factor 2" (more than 1), or [least, largest]', value))
+                refuse(Problem(key, 'expected "factor 2" (a factor above 1), or [least, largest]', value))
             ends = [Quantity.of(nominal * by, unit_of(nominal.text)) for by in (1.0 / factor, factor)]
             return ends[0], ends[1]
         ends: list[Quantity] = []
@@ -85,7 +90,7 @@ class UncertainSection(Section):
             except UnitError as error:
                 refuse(Problem((*key, i), str(error), text))
         if not 0.0 < ends[0] <= nominal <= ends[1]:
-            refuse(Problem(key, f"must contain the stated value, {nominal}, between its limits", list(value)))
+            refuse(Problem(key, f"the stated value, {nominal}, must lie within this range", list(value)))
         return ends[0], ends[1]
 
 

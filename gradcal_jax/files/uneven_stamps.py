@@ -1,15 +1,14 @@
-"""Stamps of a clock that restarts, that are no stamps, or change their rate; and those that are not even though the
-sensor's clock is: bursts of a queue, pairs, whole milliseconds.
+"""Faults of time stamps: restarts, changed rates, other numbers; uneven stamps of an even clock (bursts, pairs, whole
+ms).
 
 Uneven stamps come back to an even clock again and again, where lost rows leave it for ever:
 
-    t_i             stamps;  a burst begins where an interval is longer than jitter
-    P               median time from burst to burst;  m  rows of most bursts
-    even            the line through all t_i, or its running mean over many bursts, if all t_i stay within a burst of it
+t_i stamps; a burst begins where an interval is longer than jitter P median time from burst to burst; m rows of most
+bursts even the line through all t_i, or its running mean over many bursts, if all t_i stay within a burst of it
 
 A pause between two bursts of much more than P is a gap: it is taken out, the rest is looked at as one, and it is put
-back. Where bursts come evenly and some have fewer than m rows, rows were lost within them: the clock has m rows in P.
-"""
+back. Where bursts come evenly and some have fewer than m rows, rows were lost within them: the clock has m rows in
+P."""
 
 import importlib
 from typing import Any, Final
@@ -59,10 +58,14 @@ def refuse_restart(time: Floats, before: Floats, unordered: Bools, rows_before: 
             step, row = float(before[start] - time[start]), start + rows_before
             turns = [words for words, turn in _COUNTERS.items() if abs(step + usual - turn) < 0.01 * turn]
             raise LogError(
-                f"the clock steps back at row {row}, by {step:.6g} s, and continues from there: "
-                + (f"a counter of {turns[0]} that wrapped? " if turns else "did it restart, or wrap? ")
-                + f'Read the parts separately, --rows "0..{row}" and --rows "{row}..", or correct the time stamps'
-                + ("" if turns else "; or do rows of another sensor follow? Then select those of one sensor with where")
+                f"the clock steps back at row {row}, by {step:.6g} s, and continues from the earlier time: "
+                + (f"did a counter of {turns[0]} wrap? " if turns else "did the clock restart, or a counter wrap? ")
+                + f'Read the parts separately, with --rows "0..{row}" and --rows "{row}..", or correct the time stamps'
+                + (
+                    ""
+                    if turns
+                    else "; or do rows of another sensor follow? If so, select the rows of one sensor with where"
+                )
             )
 
 
@@ -74,9 +77,9 @@ def refuse_intervals(time: Floats) -> None:
     low, high = np.quantile(time, [0.05, 0.95])
     if np.mean(steps <= 0.0) > _NOT_FORWARD and high - low <= _SPANNED * np.mean(np.abs(steps)):
         raise LogError(
-            "the time stamps do not increase from row to row: is time a column of intervals between rows, of two "
-            "alternating clocks, or of a counter that wraps every few rows, or does it have too few digits? "
-            "Leave time out and give sample_rate"
+            "the time stamps do not increase from row to row: does the column hold intervals between rows, two "
+            "alternating clocks, a counter that wraps every few rows, or times with too few digits? Leave out time "
+            "and give sample_rate"
         )
 
 

@@ -74,14 +74,14 @@ class AllanDeviation:
     """Overlapping Allan deviation of one channel; see `overlapping_allan`."""
 
     averaging_time_s: Times
-    """τ, whole samples, s."""
+    """Averaging times τ, s; each is a whole number of samples."""
     deviation: Times
-    """√V, in the unit of the rates (rad/s in this package)."""
+    """Allan deviation √V, in the unit of the rates (rad/s in this package)."""
     difference_count: Steps
-    """Number of averaged second differences."""
+    """Number of averaged second differences at each τ."""
     sample_interval_s: float
     stretch_lengths: tuple[int, ...]
-    """Samples in each unbroken stretch, for the confidence."""
+    """Number of samples in each unbroken stretch, from which the confidence is computed."""
 
     __repr__ = summary
 
@@ -92,9 +92,10 @@ class Coefficient:
 
     value: float
     standard_error: float
-    """One sigma, to first order; for a value of zero, the value one sigma above it."""
+    """Standard error (1σ, to first order); if the value is zero, the value that would be one standard error above
+    zero."""
     shows: bool
-    """Whether its part of the variance is more than three standard errors above zero."""
+    """Whether the coefficient's part of the variance is more than three standard errors above zero."""
 
 
 @dataclass(frozen=True)
@@ -102,33 +103,35 @@ class AllanFit:
     """Noise coefficients of one channel and the confidence in its Allan deviation; see `fit_allan`."""
 
     quantisation: Coefficient
-    """Q, rad."""
+    """Quantisation Q, rad."""
     angle_random_walk: Coefficient
-    """N, rad/√s."""
+    """Angle random walk N, rad/√s."""
     bias_instability: Coefficient
-    """B, rad/s; the floor of the curve is 0.664 B."""
+    """Bias instability B, rad/s; the minimum of the Allan deviation is 0.664 B."""
     rate_random_walk: Coefficient
-    """K, rad/s/√s."""
+    """Rate random walk K, rad/s/√s."""
     averaging_time_s: Times
     model_deviation: Times
-    """The fitted model's Allan deviation."""
+    """Allan deviation of the fitted model."""
     degrees_of_freedom: Times
-    """Equivalent degrees of freedom of V(τ) under the fitted model."""
+    """Equivalent degrees of freedom of the Allan variance V(τ) under the fitted model."""
     lower: Times
     upper: Times
-    """Confidence limits of the true deviation, from the measured one and χ² with those degrees of freedom."""
+    """Confidence limits (`lower`, `upper`) of the true deviation, from the measured one and χ² with these degrees of
+    freedom."""
     confidence: float
     fitted_time_s: Float[np.ndarray, " fitted"]
-    """The averaging times in the fit."""
+    """Averaging times that the fit uses."""
     low_passed: bool
-    """Whether a low-pass shows at the shortest times, which the fit then leaves out."""
+    """Whether a low-pass filter shows at the shortest averaging times, which the fit then does not use."""
     chi_squared: float
-    """Distance of the V from the model, by their covariance, over all times but those below a low-pass's end."""
+    """χ² of the Allan variances against the model, by their covariance, over all averaging times except those affected
+    by a low-pass filter."""
     chi_squared_degrees: int
     chance: float
-    """Probability that a record of this model is as far from its fit as this one."""
+    """Probability that a record of this model deviates from its fit as much as this record does."""
     farthest_time_s: float
-    """The time at which the model differs most from the record."""
+    """Averaging time at which the record deviates most from the model."""
 
     __repr__ = summary
 
@@ -136,7 +139,7 @@ class AllanFit:
 def averaging_times(samples: int, sample_interval_s: float, *, per_decade: int = 10) -> Times:
     """Whole multiples of the sample interval, evenly spread on a logarithmic scale, up to a third of the record, s."""
     if samples < 3:
-        raise ValueError(f"an Allan deviation needs at least 3 samples, not {samples}")
+        raise ValueError(f"an Allan deviation needs at least 3 samples, and there are {samples}")
     longest = samples // 3
     count = max(2, round(per_decade * np.log10(longest)) + 1) if longest > 1 else 1
     return np.unique(np.rint(np.geomspace(1, longest, count))) * sample_interval_s
@@ -159,7 +162,9 @@ def overlapping_allan(
     """
     usable = np.ones(len(rate), bool) if valid is None else valid
     if usable.shape != rate.shape:
-        raise ValueError(f"the mask of usable samples has the shape {usable.shape}, the rates {rate.shape}")
+        raise ValueError(
+            f"the mask of usable samples has the shape {usable.shape}, and the rates have the shape {rate.shape}"
+        )
     edges = formulas.runs(usable)
     lengths = tuple((edges[:, 1] - edges[:, 0]).tolist())
     longest = max(lengths, default=0)
@@ -198,15 +203,18 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
     """
     unknown = [term for term in terms if term not in TERMS]
     if unknown or not terms:
-        raise ValueError(f"terms are taken from {', '.join(TERMS)}; not {', '.join(unknown) or 'none at all'}")
+        raise ValueError(
+            f"expected one or more of the terms {', '.join(TERMS)}, not {', '.join(unknown) or 'none at all'}"
+        )
     if not 0 < confidence < 1:
-        raise ValueError(f"a confidence lies between 0 and 1, not {confidence}")
+        raise ValueError(f"a confidence must lie between 0 and 1, and this one is {confidence}")
     chosen = np.array([term in terms for term in TERMS])
     tau, variance, interval = allan.averaging_time_s, allan.deviation**2, allan.sample_interval_s
     if len(tau) < chosen.sum():
         longest = max(allan.stretch_lengths, default=0) * interval
         raise ValueError(
-            f"unbroken stretches of at most {longest:.4g} s have {len(tau)} averaging times, which do not determine "
+            f"the longest unbroken part of the record has only {longest:.4g} s have {len(tau)} averaging times, too "
+            "few to determine "
             f"{chosen.sum()} coefficients"
         )
     if not np.all(variance > 0):
@@ -223,8 +231,8 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
         chosen[0] = False  # the low-pass's own term has the form of quantisation's
         if len(rows) < chosen.sum() + 1:
             raise ValueError(
-                f"a low-pass averages samples over about {end / 2 * interval:.3g} s, and the record has too few "
-                f"longer averaging times for {chosen.sum()} coefficients"
+                f"a low-pass filter averages the samples over about {end / 2 * interval:.3g} s, and the record has "
+                f"too few longer averaging times to determine {chosen.sum()} coefficients"
             )
     fit = whole = _least_squares(steps[rows], variance[rows], runs, interval, chosen, low_passed)
     farthest = float(tau[rows[whole.farthest]])
@@ -461,7 +469,7 @@ def _sum_of_squares(angle: Float[np.ndarray, " instants"], m: int) -> float:
 
 def _whole_samples(times_s: Times, sample_interval_s: float) -> Int[np.ndarray, " distinct"]:
     if not 0 < sample_interval_s < np.inf:
-        raise ValueError(f"the sample interval must be positive, not {sample_interval_s} s")
+        raise ValueError(f"the sample interval must be positive, and this one is {sample_interval_s} s")
     if len(times_s) == 0 or not (np.all(times_s > 0) and np.all(np.isfinite(times_s))):
-        raise ValueError("averaging times must be positive, and at least one is needed")
+        raise ValueError("at least one averaging time is needed, and all must be positive")
     return np.unique(np.maximum(np.rint(times_s / sample_interval_s), 1)).astype(np.int64)

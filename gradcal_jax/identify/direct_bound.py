@@ -56,42 +56,44 @@ _SCATTER_BLOCKS = 8
 
 @dataclass(frozen=True)
 class DirectBound:
-    """The process that bounds one channel, and the feasible boundary. Rates in the unit of the record (rad/s)."""
+    """The drift process (σ, τ) that bounds one channel, and the boundary of all pairs (σ, τ) that do. Rates are in the
+    unit of the record (rad/s)."""
 
     drift_std: float
-    """σ of the chosen pair; zero where the random walk alone bounds."""
+    """σ of the chosen pair; zero if the angle random walk alone is a bound."""
     correlation_time_s: float
     """τ of the chosen pair."""
     angle_random_walk: float
-    """Assumed N, rad/√s."""
+    """Angle random walk N that was assumed, rad/√s."""
     margin: float
-    """k: the data stay within k standard deviations."""
+    """k: the data stay within k standard deviations of the bounding process."""
     averaging_time_s: float
-    """Δ."""
+    """Averaging time Δ before the drift is measured, s."""
     integration_time_s: Times
     largest_drift: Times
-    """D_θ*(t)."""
+    """Largest drift D_θ*(t) in the record."""
     limiting_function: Times
-    """D_L(t) of the chosen pair, one standard deviation."""
+    """Limiting function D_L(t) of the chosen pair, one standard deviation."""
     limit: Times
-    """√(κ² N² (1/t + 1/Δ) + k² σ² g), k D_L where κ = k: nowhere below `largest_drift`."""
+    """The limit √(κ² N² (1/t + 1/Δ) + k² σ² g), which is k D_L if κ = k; it is nowhere below `largest_drift`."""
     random_walk_limit: Times
-    """κ N √(1/t + 1/Δ): the limit of random walk alone."""
+    """The limit by the angle random walk alone, κ N √(1/t + 1/Δ)."""
     boundary_correlation_time_s: Taus
     boundary_drift_std: Taus
-    """The feasible boundary σ(τ): pairs on or above it are bounds."""
+    """The boundary σ(τ): a pair on it or above it is a bound."""
     boundary_excess: Taus
-    """Mean over ln t of ln(limit / D_θ*) of each pair of the boundary."""
+    """For each pair of the boundary, the mean over ln t of ln(limit / D_θ*)."""
     deciding_time_s: float
-    """The t at which the chosen pair touches the data."""
+    """Integration time t at which the limit of the chosen pair touches the data."""
     deciding_start_index: int
-    """The first sample of the deciding drift, after its average over Δ."""
+    """First sample of the drift that decides the bound, after its average over Δ."""
     drift_shows: bool
-    """Whether some D_θ* exceeds the limit of random walk alone."""
+    """Whether D_θ*(t) exceeds the limit of the angle random walk anywhere."""
     hidden_drift_std: float
-    """Where no drift shows: largest σ that could be hidden for τ = √(Δ × longest t), which is `correlation_time_s`."""
+    """If no drift shows: the largest σ that a hidden drift with τ = √(Δ × longest t) could have; this τ is
+    `correlation_time_s`."""
     advised_averaging_time_s: float | None
-    """Where no drift shows: least Δ at which the hidden one would show; `None` without one for these t."""
+    """If no drift shows: the least Δ at which this hidden drift would show; `None` if there is none for these t."""
     messages: tuple[str, ...]
     """Warnings for the user; empty without any."""
 
@@ -132,7 +134,7 @@ def largest_of_random_walk(
     Zero where every level has a lower probability.
     """
     if not 0 < exceeded_with_probability < 1:
-        raise ValueError(f"a probability lies between 0 and 1, not {exceeded_with_probability}")
+        raise ValueError(f"a probability must lie between 0 and 1, and this one is {exceeded_with_probability}")
     t, delta = integration_time_s, averaging_time_s
     crossings = (1 / t**2 + 1 / delta**2 + 1 / (t * delta)) / (1 / t + 1 / delta) * start_count * sample_interval_s
     log_expected = float(np.log(-np.log1p(-exceeded_with_probability)))
@@ -173,12 +175,12 @@ def fit_direct_bound(
     """
     t, delta = observed.integration_time_s, observed.averaging_time_s
     if not 0 < margin < np.inf:
-        raise ValueError(f"the margin k must be positive, not {margin}")
+        raise ValueError(f"the margin k must be positive, and this one is {margin}")
     if not 0 <= angle_random_walk < np.inf:
-        raise ValueError(f"the angle random walk must be zero or more, not {angle_random_walk}")
+        raise ValueError(f"the angle random walk must be zero or more, and this one is {angle_random_walk}")
     largest = observed.largest_drift
     if largest.min() <= 0:
-        raise ValueError("the rate does not change: without visible drift there is nothing to bound")
+        raise ValueError("the rate is constant, so there is no drift to bound")
     tau = np.geomspace(t[0] / 3, 10 * t[-1], 201)
     starts, interval = observed.start_count, observed.sample_interval_s
     # Divided among the times: maxima at times a factor √e apart are nearly independent.
@@ -216,11 +218,11 @@ def fit_direct_bound(
             chosen_tau = float(np.exp(optimum.x))
     else:
         messages.append(
-            "the record does not determine the correlation time: the drift outlasts the longest integration; only its "
-            "slope, σ²/τ, is bounded"
+            "the record does not determine the correlation time, because it is longer than the longest integration "
+            "time; only σ²/τ of the drift is bounded"
             if best > 0
-            else "the record does not determine the correlation time: the drift ends within the shortest integration, "
-            "and only its density, σ²τ, is bounded"
+            else "the record does not determine the correlation time, because it is shorter than the shortest "
+            "integration time; only σ²τ of the drift is bounded"
         )
     chosen_std = float(boundary(np.array([chosen_tau]))[0][0])
     drift_part = chosen_std**2 * np.asarray(drift_shape_of_mean(t, delta, chosen_tau))
@@ -311,17 +313,20 @@ def _no_drift_shows(
     delta: float, mean_error: str, hidden: float, hidden_words: str, tau: float, advised: float | None
 ) -> str:
     sentence = (
-        f"averaged over {delta:g} s, the drift is not visible above the angle random walk, which alone gives the "
-        f"mean an uncertainty of N/√Δ = {mean_error}"
+        f"averaged over {delta:g} s, the drift is not visible above the angle random walk, which alone gives this "
+        f"average an uncertainty of N/√Δ = {mean_error}"
     )
     if not np.isfinite(hidden):
         return sentence + "; the record is too short to state how large a hidden drift could be"
     if hidden == 0:
-        return sentence + "; the random walk explains all of it (or was assumed too large)"
+        return sentence + "; the angle random walk explains the whole record (or was assumed too large)"
     sentence += f"; a drift of up to {hidden_words} with a correlation time of {tau:.3g} s could be present"
     if advised is None:
-        return sentence + "; no averaging time would make it visible with these integration times: integrate for longer"
-    return sentence + f"; averaging over {advised:.3g} s or more would make it visible"
+        return (
+            f"{sentence}; with these integration times, no averaging time would make such a drift visible: use longer "
+            "integration times"
+        )
+    return sentence + f"; averaging over {advised:.3g} s or more would make such a drift visible"
 
 
 @jax.jit

@@ -33,29 +33,29 @@ _BLOCKS_AT_ONCE = 1024
 
 @dataclass(frozen=True)
 class LargestDrift:
-    """D_θ*(t) of a channel; see `largest_drift`."""
+    """Largest drift D_θ*(t) of a channel; see `largest_drift`."""
 
     integration_time_s: Times
-    """t as whole samples, s, increasing."""
+    """Integration times t, s, increasing; each is a whole number of samples."""
     averaging_time_s: float
-    """Δ as whole samples, s."""
+    """Averaging time Δ, s; a whole number of samples."""
     largest_drift: Times
-    """D_θ*(t), in the unit of the rates (rad/s in this package)."""
+    """Largest drift D_θ*(t), in the unit of the rates (rad/s in this package)."""
     start_index: Int[np.ndarray, " times"]
-    """The first sample of the largest drift, after its average."""
+    """First sample of the largest drift, after the average before it."""
     start_count: Int[np.ndarray, " times"]
-    """Number of starts."""
+    """Number of starts over which the largest drift was searched."""
     sample_interval_s: float
 
 
 def integration_times(shortest_s: float, longest_s: float, sample_interval_s: float, *, count: int = 200) -> Times:
     """At most `count` distinct whole multiples of the sample interval, evenly spread on a logarithmic scale, s."""
     if not 0 < sample_interval_s < np.inf:
-        raise ValueError(f"the sample interval must be positive, not {sample_interval_s} s")
+        raise ValueError(f"the sample interval must be positive, and this one is {sample_interval_s} s")
     if not 0 < shortest_s <= longest_s < np.inf:
         raise ValueError(f"integration times must be positive and increasing, not {shortest_s} to {longest_s} s")
     if count < 1:
-        raise ValueError(f"at least one integration time is needed, not {count}")
+        raise ValueError(f"at least one integration time is needed, and there are {count}")
     wanted = np.geomspace(shortest_s, longest_s, count) if count > 1 else np.array([longest_s])
     return np.unique(np.maximum(np.rint(wanted / sample_interval_s), 1.0)) * sample_interval_s
 
@@ -89,7 +89,9 @@ def largest_drift(
     """
     usable = np.ones(len(rate), bool) if valid is None else valid
     if usable.shape != rate.shape:
-        raise ValueError(f"the mask of usable samples has the shape {usable.shape}, the rates {rate.shape}")
+        raise ValueError(
+            f"the mask of usable samples has the shape {usable.shape}, and the rates have the shape {rate.shape}"
+        )
     before = _whole_samples(averaging_time_s, sample_interval_s)
     lengths = np.unique([_whole_samples(float(time), sample_interval_s) for time in integration_times_s])
     if len(lengths) == 0:
@@ -113,9 +115,14 @@ def largest_drift(
         room = (longest - before) * sample_interval_s
         raise ValueError(
             f"an integration of {lengths[-1] * sample_interval_s:g} s after an average of "
-            f"{before * sample_interval_s:g} s is longer than every unbroken stretch; the longest is "
+            f"{before * sample_interval_s:g} s is longer than every unbroken part of the record, of which the "
+            "longest has "
             f"{longest * sample_interval_s:g} s: "
-            + (f"integrate for at most {room:g} s" if room > 0 else "use a shorter average, or a longer record")
+            + (
+                f"choose integration times of at most {room:g} s"
+                if room > 0
+                else "use a shorter averaging time, or a longer record"
+            )
         )
     return LargestDrift(
         lengths * sample_interval_s, before * sample_interval_s, drift, start_index, start_count, sample_interval_s

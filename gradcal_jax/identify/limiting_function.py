@@ -72,7 +72,7 @@ def limiting_function(
     0.38
     """
     if correction not in ("carried", "held"):
-        raise ValueError(f'correction is "carried" or "held", not {correction!r}')
+        raise ValueError(f'correction must be "carried" or "held", not {correction!r}')
     t, sigma, tau, walk, delta = _floating(
         integration_time_s, drift_std, correlation_time_s, angle_random_walk, alignment_time_s
     )

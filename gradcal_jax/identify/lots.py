@@ -1,4 +1,4 @@
-"""What the finished calibrations of a number of IMUs say of their type: a hierarchical model of a map.
+"""What the calibrations of several IMUs show about their type: a hierarchical model of a map.
 
     x_i ~ N(μ, S + C_i),        i = 1 … n
 
@@ -25,16 +25,16 @@ from scipy.stats import chi2, f, norm, t
 Floats = NDArray[np.floating[Any]]
 
 LEVEL: Final = 0.01
-"""Of the tests for the number of shapes, of strangers and of groups."""
+"""Significance level of the tests for the number of shapes, for outliers and for groups."""
 COVERAGE: Final = 0.95
-"""Of all intervals."""
+"""Probability that each stated interval contains the true value."""
 FEW: Final = 6
-"""Fewer IMUs say nothing of strangers, groups and of what the next IMU is like."""
+"""With fewer IMUs than this, nothing is stated about outliers, groups and the next IMU."""
 
 ENOUGH: Final = 5
-"""Fewer degrees of freedom do not show that shapes repeat."""
+"""With fewer degrees of freedom than this, it cannot be shown that shapes repeat."""
 NORMAL: Final = float(norm.ppf(0.5 + 0.5 * COVERAGE))
-"""Half of such an interval of a normal error, in standard deviations."""
+"""Half the width of such an interval for a normal error, in standard deviations."""
 
 _ROUNDS, _SETTLED, _REFITTED = 300, 1e-9, 30
 _SIMULATIONS, _AT_ONCE, _ENOUGH = 40_000, 500, 20
@@ -84,7 +84,7 @@ def restricted_likelihood(values: Floats, covariances: Floats) -> Spread:
     """
     count, size = values.shape
     if count < 2:
-        raise ValueError(f"a spread needs two or more calibrations, not {count}")
+        raise ValueError(f"a spread needs two or more calibrations, and there are {count}")
     unit = np.sqrt(np.mean((values - values.mean(axis=0)) ** 2 + np.einsum("ijj->ij", covariances)) + 1e-300)
     x, own = values / unit, covariances / unit**2
 

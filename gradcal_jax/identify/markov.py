@@ -1,12 +1,12 @@
-"""One first-order Markov process beside random walk in a record at rest, by maximum likelihood, and its information.
+"""Maximum-likelihood estimate of a random walk and a first-order Markov process in a record at rest, and its
+covariance.
 
 Source: P. Whittle, "The analysis of multiple stationary time series", J. R. Stat. Soc. B 15, 1953 (the likelihood in
 the frequency domain). Rows are means over Δ of the rate; θ = (ln N, ln σ, ln τ), a = exp(−Δ/τ):
 
-    S(ω) = N²/Δ + c₀ + 2 c₁ (cos ω − a)/(1 − 2 a cos ω + a²)       spectrum of such rows, exact
-    c₀ = 2σ²τ²(Δ/τ − 1 + a)/Δ²,   c₁ = σ²τ²(1 − a)²/Δ²
-    −ln L = Σ_j [ln S(ω_j) + I_j/S(ω_j)],   ω_j = 2πj/n,  j = 1 … n/2;   I the periodogram
-    information = Σ_j ∂ln S ∂ln Sᵀ
+S(ω) = N²/Δ + c₀ + 2 c₁ (cos ω − a)/(1 − 2 a cos ω + a²) spectrum of such rows, exact c₀ = 2σ²τ²(Δ/τ − 1 + a)/Δ², c₁ =
+σ²τ²(1 − a)²/Δ² −ln L = Σ_j [ln S(ω_j) + I_j/S(ω_j)], ω_j = 2πj/n, j = 1 … n/2; I the periodogram information = Σ_j ∂ln
+S ∂ln Sᵀ
 
 The record is taken as much longer than τ: below 20 τ the likelihood of frequencies leaks, and errors are larger.
 
@@ -56,7 +56,9 @@ def markov_covariance(duration_s: float, row_s: float, walk: float, sigma: float
     """`(3, 3)`: covariance of the maximum-likelihood estimates of ln N, ln σ, ln τ from a record of rows of `row_s`."""
     count = int(duration_s / row_s)
     if count < _FEWEST:
-        raise ValueError(f"{duration_s:g} s are {count} rows of {row_s:g} s, too few for a drift")
+        raise ValueError(
+            f"{duration_s:g} s of data are {count} rows of {row_s:g} s, which are too few to determine a drift"
+        )
     omega = 2.0 * np.pi * np.arange(1, count // 2) / count
     here = np.log([walk, sigma, tau])
 
@@ -130,7 +132,9 @@ def coefficient_errors(
     steps = np.rint(averaging_times(samples, sample_interval_s) / sample_interval_s).astype(np.int64)
     steps = steps[octaves(steps, at_least=5)]
     if len(steps) < 5:
-        raise ValueError(f"{duration_s:g} s at {1 / sample_interval_s:g} Hz have too few samples for four coefficients")
+        raise ValueError(
+            f"{duration_s:g} s of data at {1 / sample_interval_s:g} Hz have too few samples for four coefficients"
+        )
     squares = np.array([0.0, walk, instability, rate_walk]) ** 2
     table = design_of_noise(steps * sample_interval_s)
     root = np.linalg.cholesky(variance_covariance(steps, ((samples, 1),), sample_interval_s, squares))
@@ -148,7 +152,8 @@ def drift_errors(duration_s: float, walk: float, sigma: float, correlation_time_
     """Relative errors of N, σ and τ by `markov.fit_markov`. Raises `ValueError` for records of less than 20 τ."""
     if duration_s < _OF_TAU * correlation_time_s:
         raise ValueError(
-            f"a drift of {correlation_time_s:g} s needs a record that is at least {_OF_TAU:g} times as long"
+            f"a drift with a correlation time of {correlation_time_s:g} s needs a record that is at least {_OF_TAU:g} "
+            "times as long"
         )
     covariance = markov_covariance(duration_s, min(1.0, 0.1 * correlation_time_s), walk, sigma, correlation_time_s)
     walk_error, sigma_error, tau_error = np.sqrt(np.diag(covariance)).tolist()

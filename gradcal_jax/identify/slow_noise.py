@@ -1,4 +1,4 @@
-"""Bias instability and slow drift of a record at rest, for a map that is fitted to the same record.
+"""Estimates bias instability and slow drift from a record at rest, to which a map over temperature is fitted too.
 
 A map of bias over temperature, fitted while the sensor warms up once, absorbs the slowest part of the noise, so that
 the residuals underestimate it. The restricted likelihood uses contrasts that are independent of the map's parameters,
@@ -38,11 +38,11 @@ class SlowNoise(NamedTuple):
     """Slow noise of one channel, SI."""
 
     bias_instability: float
-    """B, rad/s."""
+    """Bias instability B, rad/s."""
     drift_std: float
-    """σ of the drift whose correlation time is the record's length, rad/s."""
+    """Standard deviation σ of the drift whose correlation time is the length of the record, rad/s."""
     processes: tuple[tuple[float, float], ...]
-    """(σ rad/s, τ s) of the Markov processes whose sum is the slow noise: those of B, and the drift."""
+    """(σ rad/s, τ s) of the Markov processes whose sum is the slow noise: first those of B, then the drift."""
 
 
 def slow_noise(
@@ -63,9 +63,11 @@ def slow_noise(
     """
     bins, p = columns.shape
     if bins < 2 * p + 8:
-        raise ValueError(f"{bins} stretches at rest cannot separate noise from {p} functions of temperature")
+        raise ValueError(
+            f"{bins} bins of data at rest are too few to separate the noise from {p} functions of temperature"
+        )
     if not 0 < angle_random_walk < np.inf:
-        raise ValueError(f"an angle random walk above zero is needed, not {angle_random_walk}")
+        raise ValueError(f"the angle random walk must be above zero, and this one is {angle_random_walk}")
     length = float(np.ptp(centre_s)) + width_s
     times = np.geomspace(width_s, _LONGEST_SHARE * length, _FLICKER)
     share = float(np.log(times[-1] / times[0])) / (_FLICKER - 1) / np.pi

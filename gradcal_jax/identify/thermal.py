@@ -25,13 +25,13 @@ class ThermalBias:
     """B(T) with its lag, as fitted by `fit_thermal_bias`."""
 
     coefficients: Float[np.ndarray, " powers"]
-    """Coefficients of the powers of z from zero on, in the unit of the rates."""
+    """Coefficients of the powers of z, from power 0 on, in the unit of the rates."""
     centre_c: float
     scale_k: float
     lag_time_s: float
-    """λ; zero: the bias follows the measured temperature without lag."""
+    """Lag λ; zero: the bias follows the measured temperature without lag."""
     residual_rms: float
-    """RMS residual of the fitted rates, in their unit."""
+    """Root mean square of the residuals of the fit, in the unit of the rates."""
 
     __repr__ = summary
 
@@ -81,14 +81,14 @@ def fit_thermal_bias(
     """
     usable = np.ones(len(rate), bool) if valid is None else valid
     if usable.shape != rate.shape or temperature_c.shape != rate.shape:
-        raise ValueError("rates, temperatures and the mask need one value for each sample")
+        raise ValueError("rates, temperatures and the mask must have one value for each sample")
     if degree < 0:
         raise ValueError(f"the degree of the polynomial must be zero or more, not {degree}")
     if lag_time_s is not None and not 0 <= lag_time_s < np.inf:
         raise ValueError(f"the lag must be zero or more, not {lag_time_s} s")
     known = np.isfinite(temperature_c)
     if not known[usable].all() or not np.isfinite(rate[usable]).all():
-        raise ValueError("a usable row has no rate or temperature: mark such rows as not valid")
+        raise ValueError("a row that is marked as usable has no rate or no temperature: mark such rows as unusable")
     if len(np.unique(temperature_c[usable])) <= degree:
         raise ValueError(f"a polynomial of degree {degree} needs more than {degree} different temperatures")
     rows = np.arange(len(rate))

@@ -1,4 +1,4 @@
-"""The product of whitened rows, `G = ΦᵀV⁻¹Φ`, and its triangular factor, with a derivative that filters nothing.
+"""The product of whitened rows `G = ΦᵀV⁻¹Φ`, its factor, with a derivative that needs no second run of the filter.
 
 With `U = V⁻¹Φ` the derivative is
 

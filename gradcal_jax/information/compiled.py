@@ -65,8 +65,8 @@ class CompiledSource(NamedTuple):
             output = getattr(e, "stderr", None)
             warnings.warn(
                 f"{self.what} could not be compiled, so JAX computes it, which is several times slower: "
-                f"{e}{': ' + output.strip()[-500:] if output else ''} (CXX names another compiler; "
-                "GRADCAL_NATIVE=0 tries none)",
+                f"{e}{': ' + output.strip()[-500:] if output else ''} (set the environment variable CXX to use "
+                "another compiler, or GRADCAL_NATIVE=0 to use none)",
                 RuntimeWarning,
                 stacklevel=2,
             )

@@ -71,7 +71,9 @@ def global_risks(s: float, u: float, limit: float, acceptance: float) -> GlobalR
     All four in one unit. Errors: `ValueError` unless `s` and `u` are positive.
     """
     if not (s > 0.0 and u > 0.0):
-        raise ValueError("risks need a positive spread of the errors and a positive uncertainty of the measurement")
+        raise ValueError(
+            "for risks, the spread of the errors and the uncertainty of the measurement must both be positive"
+        )
     # By symmetry one half suffices. Edges at steps of u about the acceptance limit and of s from zero.
     ends = {0.0, limit, *(k * s for k in (0.5, 1, 2, 3, 4, 6, 8)), *(acceptance + k * u for k in range(-10, 11, 2))}
     far = _FAR * s

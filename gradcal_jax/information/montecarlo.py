@@ -46,7 +46,8 @@ def simulated_errors(
     known = posterior(square_root(np.concatenate([whiten(steps, columns), prior]))) if plain is None else plain[1]
     if known.hidden.shape[1]:
         raise ValueError(
-            "the plan leaves some parameters unobservable, so no estimate of them can be compared: give them a prior"
+            "this plan cannot observe some parameters, so their estimates cannot be compared with the truth: give "
+            "them a prior"
         )
     p = columns.shape[1]
     drawn = np.linalg.pinv(prior) if len(prior) else np.zeros((p, 0))

@@ -74,7 +74,7 @@ def quantiles(count: int, false_alarm: float) -> np.ndarray:
     from scipy.special import chdtr, chdtri
 
     if not 0.0 < false_alarm < 1.0:
-        raise ValueError(f"a false-alarm level must be between 0 and 1, not {false_alarm:g}")
+        raise ValueError(f"a false-alarm probability must be between 0 and 1, not {false_alarm:g}")
     critical = chdtri(count, false_alarm)
     terms = 16
     while chdtr(count + 2 * terms, critical) > _NEGLIGIBLE:

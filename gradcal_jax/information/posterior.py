@@ -177,7 +177,9 @@ def at_readings(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
     angle where no angle is read.
     """
     if line.rates and model.harmonics is not None:
-        raise ValueError("encoder errors by angle do not apply to the standard method: leave the harmonics out")
+        raise ValueError(
+            "encoder errors that are periodic in the angle do not apply to the standard method: leave out the harmonics"
+        )
     increments = model.columns(gauss_nodes(line, model, rule))
     return increments if line.rates else since_origin(increments, line.gap, line.has_gaps)
 

@@ -26,7 +26,8 @@ def map_of(model: SensorModel, quantity: Quantity) -> Map:
     of = model.map(quantity)
     if of is None:
         raise ValueError(
-            f"the model takes the {quantity.replace('_', ' ')} as known, so there is no residual to report"
+            f"in this model, the {quantity.replace('_', ' ')} is known and not estimated, so there is no residual "
+            "to report"
         )
     return of
 

@@ -36,7 +36,8 @@ from gradcal_jax.information.native import native, plain
 from gradcal_jax.information.noise_steps import NoiseSteps
 
 SINGLE_PRECISION = (
-    "a covariance is not reported in single precision: call jax.config.update('jax_enable_x64', True) before the "
+    "a covariance would be wrong in single precision, so none is reported: call jax.config.update('jax_enable_x64', "
+    "True) before the "
     "first JAX array is made"
 )
 

@@ -93,7 +93,11 @@ def dataset_of(
         add("convergence", [r.note for r in results], {"long_name": "report of the optimiser"})
         add("optimised_spec", [r.spec for r in results], {"long_name": "gradcal-spec/1 with the optimised plan"})
         before = [np.nan if r.before is None else r.before for r in results]
-        add("objective_before", before, {"long_name": "the objective of the plan as written, in its unit"})
+        add(
+            "objective_before",
+            before,
+            {"long_name": "the objective of the plan in the spec before optimisation, in its unit"},
+        )
     failed = sum(bool(r.failure) for r in results)
     attributes = {
         "format": "gradcal-sweep-results/1",
@@ -102,7 +106,7 @@ def dataset_of(
         "sweep": job.text,
         "base": to_toml(job.base),
         "identity": json.dumps(identity),
-        "note": "residuals are predictions under the model of the base spec, one standard deviation",
+        "note": "residuals are predictions by the model of the base spec, as one standard deviation",
     }
     return xarray.Dataset(variables, coordinates, attributes)
 
@@ -126,7 +130,7 @@ def read_dataset(path: str | Path) -> "xarray.Dataset":
     except NetcdfError as error:
         raise ValueError(f"{path} is not a result file of a sweep: {error}") from None
     if results.attrs.get("format") != "gradcal-sweep-results/1":
-        raise ValueError(f"{path} is not the results of a sweep; gradcal sweep writes them")
+        raise ValueError(f"{path} was not written by gradcal sweep, so it is not a result file")
     return results
 
 

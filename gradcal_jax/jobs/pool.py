@@ -145,13 +145,13 @@ class Cluster(TaskRunner):
             from distributed import Client
         except ImportError:
             raise ValueError(
-                "a cluster needs Dask: install gradcal_jax[cluster], here and on the cluster's workers"
+                "a cluster needs Dask: install gradcal_jax[cluster] on this machine and on the cluster's workers"
             ) from None
         try:
             self._client = Client(address, timeout=timeout_s, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise ValueError(
-                f"no Dask scheduler answers at {address} ({error}); start one with `dask scheduler` and "
+                f"no Dask scheduler answers at {address} ({error}); to start one, call `dask scheduler` and "
                 "`dask worker ADDRESS`"
             ) from None
         self.workers = max(1, sum(w["nthreads"] for w in self._client.scheduler_info(n_workers=-1)["workers"].values()))

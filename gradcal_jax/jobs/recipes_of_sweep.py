@@ -27,12 +27,12 @@ def write_recipes(results: "xarray.Dataset", folder: str | Path) -> list[dict[st
     Errors: `ValueError` for a sweep without searches, and where `folder` cannot be written to.
     """
     if "optimised_spec" not in results:
-        raise ValueError('recipes need a sweep with do = "optimise"')
+        raise ValueError('recipes are only possible for a sweep with do = "optimise"')
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ValueError(f"{folder} cannot be a folder for recipes: {error.strerror}") from None
+        raise ValueError(f"the folder {folder} for recipes cannot be used: {error.strerror}") from None
     rows = list(_rows(results, folder))
     stream = io.StringIO()
     names = list(rows[0])

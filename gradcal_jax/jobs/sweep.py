@@ -85,11 +85,13 @@ class Store:
             if there != identity:
                 changed = ", ".join(k for k in {**there, **identity} if there.get(k) != identity.get(k))
                 raise ValueError(
-                    f"{self.folder} has parts of another sweep (different: {changed}); delete it to start again, "
-                    "or choose another output"
+                    f"the folder {self.folder} has parts of another sweep (which differs in {changed}); delete it "
+                    "to start again, or choose another output"
                 )
         elif self.folder.exists() and any(self.folder.iterdir()):
-            raise ValueError(f"{self.folder} exists and is not a sweep's; move it away, or choose another output")
+            raise ValueError(
+                f"the folder {self.folder} exists and was not made by a sweep; move it away, or choose another output"
+            )
         else:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_whole(mark, json.dumps(identity, indent=1))
@@ -152,7 +154,7 @@ def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, p
     if output.exists():
         raise ValueError(f"{output} exists and belongs to another sweep; choose another output, or delete it")
     if not output.parent.is_dir():
-        raise ValueError(f"there is no directory {output.parent}; make it first")
+        raise ValueError(f"the directory {output.parent} does not exist; make it first")
     points = Points(job)
     with borrowed(runner) as workers:
         chunks = chunks_of(len(points), CHUNK[job.file.do])
@@ -187,12 +189,14 @@ def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, p
     if lost:
         raise SweepIncomplete(
             f"{lost} of {len(points)} points could not be computed ({reason}); the others are saved in "
-            f"{store.folder}, and the same command continues from there"
+            f"{store.folder}; call the same command again to compute the rest"
         )
     ordered = tuple(results[index] for index in range(len(points)))
     if all(result.failure for result in ordered):
         store.remove()
-        raise ValueError(f"none of the {len(points)} points has a result; the first says: {ordered[0].failure}")
+        raise ValueError(
+            f"none of the {len(points)} points has a result; the reason at the first point: {ordered[0].failure}"
+        )
     save_netcdf(dataset_of(job, points, ordered, identity), output)
     store.remove()
     return Swept(ordered, time.monotonic() - begun, kept)
@@ -217,7 +221,7 @@ def dry_run(job: Sweep, *, runner: TaskRunner | None = None, progress: Report = 
             begun = time.monotonic()
             ((_, results),) = workers.run([Task(0, job.file.do, share)])
             if isinstance(results, Exception):
-                raise ValueError(f"the first chunk cannot be done: {results}")
+                raise ValueError(f"the first chunk of points cannot be computed: {results}")
             times[k:] = [time.monotonic() - begun] * (2 - k)
     failing = [result.failure for result in results if result.failure]
     rounds = -(-len(chunks) // workers.workers)

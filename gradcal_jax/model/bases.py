@@ -72,9 +72,11 @@ class Polynomial(Basis):
 
     def __check_init__(self):
         if self.degree < 0:
-            raise ValueError(f"a polynomial needs a degree of 0 or more, not {self.degree}")
+            raise ValueError(f"the degree of a polynomial must be 0 or more, not {self.degree}")
         if not self.scale > 0.0:
-            raise ValueError(f"a polynomial's scale must be positive, not {self.scale}: use half of its range")
+            raise ValueError(
+                f"the scale of a polynomial must be positive, not {self.scale}: use half the range of the variable"
+            )
 
     def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
         values = formulas.legendre if self.internal == "legendre" else formulas.chebyshev
@@ -106,7 +108,7 @@ class BSpline(Basis):
 
     def __check_init__(self):
         if self.degree < 0 or len(self.knots) < 2 or list(self.knots) != sorted(set(self.knots)):
-            raise ValueError("a B-spline needs a degree of 0 or more and at least two knots that increase")
+            raise ValueError("a B-spline needs a degree of 0 or more, and at least two knots in increasing order")
 
     def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
         return formulas.b_spline(x, self.knots, self.degree)
@@ -131,7 +133,7 @@ class Bins(Basis):
 
     def __check_init__(self):
         if len(self.edges) < 2 or list(self.edges) != sorted(set(self.edges)):
-            raise ValueError("bins need at least two edges that increase")
+            raise ValueError("bins need at least two edges, in increasing order")
 
     def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
         return formulas.bins(x, self.edges)

@@ -138,7 +138,7 @@ class CommonScale(InstallationTerm):
 
     def __check_init__(self):
         if self.of not in ("gravity", "sample_clock"):
-            raise ValueError(f'"{self.of}" is not common to all channels: gravity or sample_clock')
+            raise ValueError(f'"{self.of}" is not an error common to all channels: expected gravity or sample_clock')
 
     @property
     def unit(self) -> str:

@@ -344,7 +344,7 @@ class SignalMap(Term):
 
     def drive(self, group: NodeGroup) -> AnyArray:
         """Factor of the functions of temperature at the nodes."""
-        assert isinstance(group, SharedNodes), "signals are of a body's nodes"
+        assert isinstance(group, SharedNodes), "terms with signals can only be used in the model of an IMU"
         return group.product(self.signals)
 
 
@@ -389,7 +389,7 @@ class EncoderHarmonics(Term):
 
     def __check_init__(self):
         if len(self.orders) != self.amplitudes.shape[0]:
-            raise ValueError("give one amplitude for each harmonic order of the angle error")
+            raise ValueError("expected one amplitude for each harmonic order of the angle error")
 
     @property
     def unit(self) -> str:
@@ -439,7 +439,7 @@ def make_map(
         polynomials = [b for b in (temperature, rate) if isinstance(b, Polynomial)]
         if len(polynomials) < (1 if rate is None else 2):
             raise ValueError(
-                "a model discrepancy needs polynomial bases: B-splines and bins take a smoothness prior instead"
+                "a model discrepancy needs polynomial bases: for B-splines and bins, use a smoothness prior instead"
             )
         bases = [
             HigherPolynomials(b.degree + 1, degree, b.centre, b.scale)
@@ -516,7 +516,8 @@ def own_term(term: str, std: float, name: str) -> OwnTerm:
             importlib.import_module(entry.module)
     if term not in _KNOWN:
         raise ValueError(
-            f'no class "{term}" of gradcal_jax.model.OwnTerm is defined: define it, or import its module, before the '
-            f'spec is used; for commands and workers, an entry point "{ENTRY_POINTS}" of an installed package names it'
+            f'no class "{term}" of gradcal_jax.model.OwnTerm is defined: define it, or import its module, before '
+            "the spec is used. For commands and workers, an installed package must name its module in an entry "
+            f'point "{ENTRY_POINTS}"'
         )
     return _KNOWN[term](std=np.asarray(std), name=name)

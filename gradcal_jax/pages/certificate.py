@@ -131,7 +131,7 @@ def certificate_of(
         ("customer", customer or NOT_STATED),
         ("operator", who or NOT_STATED),
         # A name in a rig file or in a log is no number of the device.
-        ("unit", f"{calibration.title or 'inertial sensor'}, in the data {calibration.serial_number}"),
+        ("unit", f"{calibration.title or 'inertial sensor'}, named {calibration.serial_number} in the data"),
         ("serial number", number_of_unit),
         ("performed", _performed(performed, sources)),
     )
@@ -167,11 +167,11 @@ def _performed(stated: str, sources: Sources) -> str:
 
 
 def _method(sources: Sources, calibration: Calibration) -> str:
-    how = "As the log has it"
+    how = "As recorded in the log"
     if sources.spec is not None:
         how = "Stable temperatures, with a reference rate at each"
         if sources.spec.plan.method == "gradient":
-            parts = ["Temperature ramp; the reference is the angle of the table before and after each turn"]
+            parts = ["Temperature ramp; references: the angle of the table before and after each turn"]
             parts += ["gravity at each pose"] if sources.spec.sensor.accelerometer is not None else []
             how = ", and ".join(parts)
     estimator = calibration.provenance.get("estimator", NOT_STATED)
@@ -202,14 +202,16 @@ def _validity(calibration: Calibration) -> tuple[str, ...]:
         rows.append(f"NOT VALID: the data contradict the model ({failed}); nothing is certified.")
     rows += [
         "The values are valid for the sensor on the day of the recording, within the temperatures and rates "
-        "above. Outside this range the values at its edge apply, without a stated uncertainty.",
-        "The stated uncertainty of the bias corrections excludes the turn-on bias of another day. A result for "
-        "the bias includes it, unless its requirement is for one run.",
+        "above. Outside these ranges, the values at their edges apply, without a stated uncertainty.",
+        "The stated uncertainty of the bias corrections does not include the turn-on bias, which is different at "
+        "every power-on. A result for the bias includes it, unless its requirement is for a single run.",
     ]
     if names := dict.fromkeys(error.name for error in calibration.unseen):
-        rows.append(f"Every uncertainty also includes errors that no residual of the fit shows: {', '.join(names)}.")
+        rows.append(
+            f"Every uncertainty also includes errors that the residuals of the fit cannot show: {', '.join(names)}."
+        )
     if calibration.unobservable:
-        rows.append(f"Not observed by the data: {', '.join(calibration.unobservable)}.")
+        rows.append(f"The data do not observe: {', '.join(calibration.unobservable)}.")
     return tuple(rows)
 
 

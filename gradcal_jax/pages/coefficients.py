@@ -18,8 +18,8 @@ from gradcal_jax.pages.numbers import figures
 # Of more channels a table has a column for each axis.
 _MOST_CHANNELS: Final = 3
 _SYMBOLS: Final = (
-    "a: bias; b with the powers of rate and temperature, or s, is a scale factor; m: misalignment towards an "
-    "axis; g: drift for a specific force along an axis; k2: second order. Digits at the end count powers of "
+    "a: bias; b (followed by the powers of rate and temperature) or s: scale factor; m: misalignment towards an "
+    "axis; g: bias caused by a specific force along an axis; k2: second order. Digits at the end are powers of "
     "temperature."
 )
 _SUPERSCRIPTS: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -47,10 +47,13 @@ def write_dcc(certificate: Certificate, path: str | Path) -> None:
     """Write a certificate as a DCC, by `dcc.xml`. Errors: `ValueError` where a required entry is missing; `OSError`."""
     stated = dict(certificate.heading)
     if certificate.laboratory is None or certificate.laboratory.country is None:
-        raise ValueError('a DCC names the laboratory and its country: [laboratory] name = "…", country = "DE" in --rig')
+        raise ValueError(
+            'a DCC must name the laboratory and its country: state [laboratory] name = "…", country = "DE" in the '
+            "rig file given by --rig"
+        )
     for key, option in (("certificate number", "--number"), ("performed", "--performed 2026-11-22")):
         if stated[key] == NOT_STATED:
-            raise ValueError(f"a DCC says the {key}: give {option}")
+            raise ValueError(f"a DCC must state the {key}: give {option}")
     begin, _, end = stated["performed"].partition("..")
     sentences = ["This document claims no accreditation.", *certificate.validity]
     if certificate.simulated:

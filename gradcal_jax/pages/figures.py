@@ -80,7 +80,10 @@ def map_pictures(facts: Sequence[MapFact], targets: Mapping[str, float]) -> list
         maps = [fact for fact in own if fact.maps and len(fact.maps[0][1].rate_dps) > 1]
         curves = [fact for fact in own if fact.maps and fact not in maps]
         for fact in heading:
-            words = f"{name}: heading error over time, one standard deviation; own noise stays."
+            words = (
+                f"{name}: heading error after the calibration over time, one standard deviation. The IMU's own "
+                "noise cannot be removed by a calibration."
+            )
             draw = lambda ax, f=fact: plots.draw_heading(f.curves, ax=ax)  # noqa: E731
             groups.append([picture(f"{key}-curves", words, draw, _HIGH)])
         for fact in maps:
@@ -106,7 +109,7 @@ def _maps(fact: MapFact, key: str, where: str) -> Iterator[Picture]:
             ratio = box._replace(values=box.values / earlier[1].values, unit="ratio")
             if float(np.abs(ratio.values - 1.0).max()) < _SAME:
                 continue
-            words = f"{where}: residual {label} over that {earlier[0]}."
+            words = f"{where}: residual {label}, divided by the residual {earlier[0]}."
             # At least from a tenth less to a tenth more, so that small differences have nearly one colour.
             ends = Normalize(min(float(ratio.values.min()), 0.9), max(float(ratio.values.max()), 1.1))
             yield _map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, ends)
@@ -117,7 +120,10 @@ def _maps(fact: MapFact, key: str, where: str) -> Iterator[Picture]:
 
 def pose_picture(spec: Spec) -> Picture:
     """The vertical in the device's frame at every rest."""
-    words = "The vertical in the device's frame at every rest; the colour is the time, the size the duration."
+    words = (
+        "Direction of the vertical in the device's frame at every rest; the colour shows the time of the rest, and "
+        "the size its duration."
+    )
     return picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), _LOW, projection="mollweide")
 
 
@@ -134,9 +140,9 @@ def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Pi
             ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
 
     words = "Temperature of the chamber on the plan's clock"
-    words += "." if history is None else ", which stops while a step waits: plan and run."
+    words += "." if history is None else " (which stops while a step waits), as planned and as measured in the run."
     if recipe is None:
-        words = "Measured temperature of the chamber, on the plan's clock, which stops while a step waits."
+        words = "Measured temperature of the chamber on the plan's clock, which stops while a step waits."
     known = recipe is not None or (history is not None and len(history.chamber_s))
     pictures = [picture("temperature", words, temperatures, _LOW)] if known else []
     done = {} if history is None else history.rates
@@ -160,7 +166,9 @@ def _rate_picture(axis: str, recipe: Recipe | None, done: Mapping[str, tuple[np.
         several[-1].set_xlabel("time, min")
 
     how = f" in {which}: " if which else ", "
-    words = f"Rate of table axis {axis}{how}{' and '.join(curves)}" + (" by its executed commands." if done else ".")
+    words = f"Rate of table axis {axis}{how}{' and '.join(curves)}" + (
+        ", from the commands that were executed." if done else "."
+    )
     return picture(f"rate-{axis}", words, draw, _LOW if len(curves) < 2 else _HIGH, rows=len(curves))
 
 
@@ -171,7 +179,7 @@ def calibration_pictures(calibration: Calibration) -> list[Picture]:
     for channel in calibration.channel:
         if (term := channel.term_of("scale_factor")) is not None and term.rate is not None and term.rate.size > 1:
             over_rate.add(channel.kind)
-            words = f"Scale factor of {channel.label} as estimated; the bands are one standard deviation."
+            words = f"Estimated scale factor of {channel.label}; the bands are ± one standard deviation."
             draw.append(
                 (
                     f"scale-factor-{channel.axis}",
@@ -181,7 +189,7 @@ def calibration_pictures(calibration: Calibration) -> list[Picture]:
             )
     for kind, name in panels_of(calibration):
         if name == "bias" or kind not in over_rate:
-            words = f"{kind.capitalize()} {name.replace('_', ' ')} as estimated; the bands are one standard deviation."
+            words = f"{kind.capitalize()} {name.replace('_', ' ')}, estimated; the bands are ± one standard deviation."
             draw.append(
                 (f"{kind}-{name}", words, lambda ax, k=kind, n=name: draw_calibrated_term(calibration, k, n, ax=ax))
             )
@@ -190,12 +198,12 @@ def calibration_pictures(calibration: Calibration) -> list[Picture]:
     for channel in calibration.channel:
         wanted = len(calibration.channel) <= 3 or channel.name in failed
         if wanted and channel.residuals is not None and sum(channel.residuals.counts):
-            words = f"Residuals of {channel.label}, in standard deviations of the noise of the spec."
+            words = f"Residuals of {channel.label}, in units of the standard deviation that the spec's noise gives."
             draw.append((f"residuals-{channel.name}", words, lambda ax, c=channel: draw_residuals(c, ax=ax)))
             if channel.residuals.rms:
                 words = (
-                    f"Size of the residuals of {channel.label} during the run; by chance, 95 of 100 are within "
-                    "the band."
+                    f"Root mean square of the residuals of {channel.label} during the run; if the model is correct, "
+                    "95 of 100 values are within the band."
                 )
                 draw.append(
                     (f"residual-parts-{channel.name}", words, lambda ax, c=channel: draw_residual_parts(c, ax=ax))
@@ -256,7 +264,7 @@ def _map(box: Box, label: str, key: str, caption: str, norm: Normalize) -> Pictu
             _label(ax, ax.contour(box.rate_dps, box.temperature_c, shown, **style))
 
     if not np.all(np.isfinite(box.values)):
-        caption += " Blank: not observable."
+        caption += " Empty: not observable."
     return picture(key, caption, draw, _HIGH)
 
 
@@ -284,7 +292,7 @@ def _curves(boxes: Sequence[tuple[str, Box]], key: str, where: str, target: floa
     words = "the maximum over temperature, against rate" if by_rate else "over temperature"
     caption = f"{where}: residual {stage}".rstrip() + f", {words}, one standard deviation."
     if not all(np.all(np.isfinite(box.values)) for _, box in boxes):
-        caption += " Without a curve: not observable."
+        caption += " If a curve is missing, it is not observable."
     return picture(key, caption, lambda ax: plots.draw_curves(boxes, target, ax=ax)[0].set_title(stage), _HIGH)
 
 

@@ -1,4 +1,4 @@
-"""Objects as they show themselves in a notebook: the tables that their commands print, and a small picture, in HTML."""
+"""How objects are shown in a notebook: the tables that their commands print, and a small picture, in HTML."""
 
 import base64
 import io

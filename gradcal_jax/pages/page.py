@@ -46,7 +46,7 @@ _MOST_MOVES: Final = 80
 def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     """The whole page as HTML, in one file: styles and figures inside, and no script but that of the `panel`."""
     if panel and sources.spec is None:
-        raise ValueError("the panel needs a plan, and there is none here: leave --panel out")
+        raise ValueError("the panel needs a plan, and the sources have none: leave out --panel")
     template = page_templates(figures=figures, sentence=sentence).get_template("page.html")
     spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
     targets = {r.name: r.target / r.coverage for r in data.requirements if r.target is not None}
@@ -105,8 +105,9 @@ def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
         "fit": [(name, figures(value), str(degrees), figures(chance, 2)) for name, value, degrees, chance in data.fit],
         "table": _table_errors(sources),
         "order": "" if calibration is None else calibration.order,
-        "basis": symbols(spec, calibration) + ("" if data.axes else " The plan's own uncertainty of each."),
-        "exports": [(row.target, row.command, "; ".join(row.losses) or "nothing is lost") for row in data.exports],
+        "basis": symbols(spec, calibration)
+        + ("" if data.axes else " Uncertainty of each coefficient after this plan."),
+        "exports": [(row.target, row.command, "; ".join(row.losses) or "nothing") for row in data.exports],
         "provenance": [*data.provenance, ("page made", _time_and_version())],
         "parameters": {"head": head, "rows": cells, "numbers": numbers},
         **_requirements(data),
@@ -136,7 +137,7 @@ def _plan(spec: Spec) -> dict[str, Any]:
             )
             for step in schedule.steps[:_MOST_MOVES]
         ],
-        "more": f"… and {left} more moves: gradcal check --timeline segments prints all." if left > 0 else "",
+        "more": f"… and {left} more moves; gradcal check --timeline segments prints all of them." if left > 0 else "",
     }
 
 
@@ -151,13 +152,13 @@ def _verdict(data: ReportData) -> str:
         return f"Met: every target is met by the {done} residuals ({_against(with_target)})."
     if data.verdict == "missed":
         missed = [row for row in with_target if row.verdict == "missed"]
-        return f"Missed: the {done} residual exceeds a target ({_against(missed)})."
+        return f"Missed: a {done} residual exceeds its target ({_against(missed)})."
     if data.verdict == "not covered":
         names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "not covered"))
         return f"Not covered: the data do not cover all temperatures and rates of {names}, so there is no verdict."
     if data.verdict == "unobservable":
         names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "unobservable"))
-        return f"Unobservable: this plan does not observe {names}."
+        return f"Unobservable: this plan cannot observe {names}."
     return "No requirement has a target, so there is no verdict."
 
 
@@ -178,9 +179,9 @@ def _requirements(data: ReportData) -> dict[str, Any]:
         "before": "before",
         "predicted": "predicted",
         "achieved": "achieved",
-        "by named terms alone": "named",
+        "from the named terms alone": "named",
         "no plan leaves less than": "limit",
-        "own noise, which stays": "own",
+        "own noise of the IMU, which remains": "own",
         "target": "target",
         "verdict": "verdict",
         "limited by": "limited_by",
@@ -240,7 +241,9 @@ def _optimised(recipe: Recipe) -> list[str]:
     if record.get("structure"):
         lines.append(sentence(str(record["structure"])))
     if record.get("active_limits"):
-        lines.append("Limits that bind: " + "; ".join(str(limit) for limit in record["active_limits"]) + ".")
+        lines.append(
+            "Limits that the plan reaches: " + "; ".join(str(limit) for limit in record["active_limits"]) + "."
+        )
     return lines
 
 
@@ -256,7 +259,7 @@ def _done(data: ReportData) -> list[str]:
         "temperatures.",
         "Every device was verified to be safe at the end."
         if history.verified_safe
-        else "NOT verified safe at the end.",
+        else "NOT every device was verified to be safe at the end.",
     ]
     if history.seams:
         lines.append(f"The run was paused or resumed {history.seams} times.")
@@ -284,9 +287,11 @@ def panel_of(spec: Spec) -> dict[str, Any]:
     """
     plan = spec.plan
     if not isinstance(plan, MotionPlan) or plan.temperature is None or not isinstance(plan.gradient, Quantity):
-        raise ValueError("the panel varies the slope of one ramp, and this plan is not one ramp: leave --panel out")
+        raise ValueError(
+            "the panel varies the slope of a single ramp, and this plan is not a single ramp: leave out --panel"
+        )
     if not spec.requirement:
-        raise ValueError("the panel shows requirements, and this spec has none: leave --panel out")
+        raise ValueError("the panel shows requirements, and this spec has none: leave out --panel")
     points = [_point(spec, plan, *at) for at in product(SLOPES, RAMPS, ANGLES)]
     minute = 60.0 * float(plan.gradient)
     own = points[2 * len(RAMPS) * len(ANGLES) + 2]

@@ -142,14 +142,15 @@ def report_data_of(sources: Sources) -> ReportData:
     notes += [] if recipe is None else recipe.notes
     if left.differing:
         notes.append(
-            "the achieved maps use the covariance in the calibration file; its results also include errors "
-            f"outside this covariance, such as the estimate of a model discrepancy: {', '.join(left.differing)}"
+            "the achieved maps use the covariance in the calibration file; the results in this file also include "
+            "errors that are not in this covariance, such as the estimate of a model discrepancy: "
+            f"{', '.join(left.differing)}"
         )
     hidden = hidden_values(sources.hidden_truth, calibration)
     own: dict[str, Any] = {} if calibration is None else _of_calibration(calibration, sources.calibration_name, hidden)
     if calibration is not None:
         notes += [] if calibration.lacks is None else [calibration.lacks]
-        notes += [f"not observed by the data: {', '.join(calibration.unobservable)}"] * bool(calibration.unobservable)
+        notes += [f"the data do not observe: {', '.join(calibration.unobservable)}"] * bool(calibration.unobservable)
     titles = (source.title for source in (recipe, sources.spec, calibration) if source is not None and source.title)
     return ReportData(
         title=next(titles, "Calibration"),

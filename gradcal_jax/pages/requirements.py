@@ -115,13 +115,13 @@ def requirements_of(sources: Sources) -> RequirementFacts:
         if result is not None and result.value and shown and abs(shown - result.value) > _SEEN * result.value:
             both = f"{shown:.4g} {row.unit} in the map, {result.value:.4g} {row.unit} in the table"
             differing.append(f"{row.name} ({both})")
-    before_is = "" if not known_before else "the spec's priors, without a calibration"
+    before_is = "" if not known_before else "without a calibration: the priors in the spec"
     if other is not None:
-        before_is = f"the plan of {sources.before_name}, on the rig in that file"
+        before_is = f"the plan in {sources.before_name}, on the rig in this file"
     record = (sources.recipe and sources.recipe.optimisation) or {}
     name, value = re.sub(r" \([^)]*\)$", "", str(record.get("objective", ""))), record.get("before")
     if not before_is and name and isinstance(value, float | int):
-        before_is = "the plan that the optimisation began with"
+        before_is = "the plan with which the optimisation began"
         rows = [row._replace(before=float(value) if row.name == name else None) for row in rows]
     return RequirementFacts(before_is, tuple(rows), tuple(maps), tuple(differing))
 

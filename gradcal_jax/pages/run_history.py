@@ -65,7 +65,7 @@ def history_of(folder: RunFolder) -> RunHistory:
     notes, contents = folder.notes(), folder.events()
     events = _on_one_clock(contents.events, simulated=bool(notes["simulated"]))
     if not events:
-        raise ValueError(f"{folder.path} has a run that never began: its journal is empty")
+        raise ValueError(f"the run in {folder.path} never began: its journal is empty")
     start = events[0][0]
     last = max(time for time, _ in events)
     on_plan = _plan_clock(folder, events)

@@ -117,15 +117,17 @@ def read_sources(paths: Sequence[Path], *, before: Path | None = None, limits: P
         if "calibration" not in parts and (own := calibrations_in(run.path)):
             if len(own) > 1:
                 names = ", ".join(path.name for path in own)
-                raise ValueError(f"{run.path} has several calibrations ({names}): also name the intended one")
+                raise ValueError(
+                    f"{run.path} has several calibrations ({names}): also name the one that the page is for"
+                )
             take_calibration(own[0])
         parts["hidden_truth"] = _hidden_truth(run)
     if "plan" in parts and "recipe" in parts:
-        raise ValueError("a page shows one plan, and the recipe contains its spec: leave the other spec out")
+        raise ValueError("a page shows one plan, and the recipe already contains its spec: leave out the other spec")
     if not parts:
-        raise ValueError("a report of what? Name the folder of a run, a recipe or a spec, or a calibration")
+        raise ValueError("nothing to report: name the folder of a run, a recipe, a spec or a calibration")
     if (before is not None or limits is not None) and not parts.keys() & {"plan", "recipe"}:
-        raise ValueError("a calibration alone has no plan to compare with: also name its recipe or its spec")
+        raise ValueError("a calibration contains no plan to compare with: also name its recipe or its spec")
     if before is not None:
         parts["before"], parts["before_name"] = spec_in(before), before.name
         named.append((before.name, hashlib.sha256(before.read_bytes()).hexdigest()))
@@ -163,7 +165,7 @@ def _hidden_truth(run: RunFolder) -> dict[str, Any] | None:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        raise ValueError(f"{path} cannot be read: remove it from the folder, or repeat the rehearsal") from None
+        raise ValueError(f"{path} is damaged: remove it from the folder, or repeat the rehearsal") from None
 
 
 def _misfits(parts: dict[str, Any]) -> list[str]:
@@ -175,21 +177,24 @@ def _misfits(parts: dict[str, Any]) -> list[str]:
     if recipe is not None and calibration is not None:
         made_by = calibration.provenance.get("recipe")
         if made_by is None:
-            notes.append("the calibration does not state the recipe of its log")
+            notes.append(
+                "the calibration does not state with which recipe its log was made, so this cannot be compared with "
+                "the recipe here"
+            )
         elif made_by != recipe.fingerprint:
             notes.append(
-                f"the calibration's log was made with a different recipe ({made_by[:12]}) than the one here "
+                f"the calibration's log was made with a different recipe ({made_by[:12]}) than the one on this page "
                 f"({recipe.fingerprint[:12]}): prediction and result belong to different plans"
             )
     if run is not None and recipe is not None and run.notes().get("recipe") != recipe.fingerprint:
-        notes.append("the run was begun with a different recipe")
+        notes.append("the run was begun with a different recipe than the one on this page")
     return notes
 
 
 def assumptions(spec: Spec | None, calibration: Calibration | None) -> list[tuple[str, str]]:
     """The figures behind the numbers: those of a plan's spec, with what it leaves out, or of a calibration."""
     if spec is not None:
-        left_out = "not stated, so typical figures of the class count: "
+        left_out = "not stated in the spec, so typical figures of the class count: "
         omitted = [(term.key, left_out + term.typical) for term in absent_terms(spec)]
         return [*stated_figures(spec), *omitted]
     noise = None if calibration is None else calibration.noise

@@ -1,4 +1,4 @@
-"""The templates of this room, in the language of Jinja, and its other files."""
+"""The templates of the pages, in the language of Jinja, and the other files of this folder."""
 
 from importlib import resources
 from typing import Any

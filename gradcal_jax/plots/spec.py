@@ -60,7 +60,7 @@ def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> 
     """
     spec = expect_spec(spec)
     if not spec.requirement:
-        raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add one")
+        raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add a requirement")
     built = build_imu(spec)
     known = imu_posterior(built)
     count, across = len(spec.requirement) + (not spec.is_one_axis), 1 if spec.is_one_axis else _COLUMNS
@@ -114,7 +114,7 @@ def draw_comparison(specs: Sequence[tuple[str, Spec]], *, figure: Figure | SubFi
     plans = [(label, build_imu(expect_spec(spec))) for label, spec in specs]
     names = list(dict.fromkeys((r.name, r.quantity) for _, built in plans for r in built.spec.requirement))
     if not names:
-        raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add one")
+        raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add a requirement")
     figure, all_axes = new_panels(len(names), 1, (6.8, 4.0), figure)
     known = [imu_posterior(built) for _, built in plans]
     for axes, of_name in zip(all_axes[:, 0], names, strict=True):

@@ -62,8 +62,8 @@ def save(figure: Figure, path: str | Path) -> None:
     ending = Path(path).suffix.lstrip(".").lower()
     known = figure.canvas.get_supported_filetypes()
     if ending not in known:
-        raise ValueError(f"{path}: a figure's name ends in one of {', '.join('.' + k for k in sorted(known))}")
+        raise ValueError(f"{path}: the name of a figure must end in one of {', '.join('.' + k for k in sorted(known))}")
     if not Path(path).parent.is_dir():
-        raise ValueError(f"there is no directory {Path(path).parent}; make it first")
+        raise ValueError(f"the directory {Path(path).parent} does not exist; make it first")
     with whole(path) as passing:
         figure.savefig(passing, dpi=150)

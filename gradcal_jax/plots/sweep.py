@@ -151,7 +151,7 @@ def draw_frontier(points: Sequence[FrontierPoint], targets: Mapping[str, float],
     """
     known = [(p.motion / 60.0, p.plan) for p in points if p.plan is not None]
     if not known:
-        raise ValueError("no duration has a plan, so there is no frontier to draw")
+        raise ValueError("there is no plan for any duration, so there is no frontier to draw")
     figure = Figure(figsize=(6.4, 4.0), layout="constrained") if ax is None else ax.figure.get_figure(root=True)
     assert isinstance(figure, Figure)
     axes = figure.subplots() if ax is None else ax

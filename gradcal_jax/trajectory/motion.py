@@ -162,7 +162,9 @@ def turn(
     Errors: `ValueError` for an unknown shape or ramps longer than the move.
     """
     if 2.0 * ramp > duration * (1 + 1e-9):
-        raise ValueError(f"two ramps of {ramp} s do not fit into a move of {duration} s: reduce the ramp or the rate")
+        raise ValueError(
+            f"two ramps of {ramp} s do not fit into a move of {duration} s: shorten the ramps or reduce the rate"
+        )
     between = max(duration - 2.0 * ramp, 0.0)
     lasting = {"ramp": ramp, "flat": between, "turn": between}
     if shape == "hand":

@@ -34,7 +34,7 @@ class Programme(PytreeModule):
 
     def __check_init__(self):
         if not self.durations.shape == self.slopes.shape == self.jumps.shape:
-            raise ValueError("a temperature programme needs one slope for each duration")
+            raise ValueError("a temperature programme must have one slope for each duration")
 
     def times(self) -> Float[AnyArray, " knots"]:
         """Times (s) at which stretches begin and the last one ends."""

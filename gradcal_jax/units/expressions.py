@@ -39,7 +39,7 @@ def _power(text: str) -> int:
     if "/" in body:
         top, bottom = body.split("/")
         if bottom != "2":
-            raise Refusal(f"the power '{body}' is not a multiple of one half")
+            raise Refusal(f"the power '{body}' must be a multiple of one half")
         doubled = int(top)
     else:
         doubled = int(2 * Decimal(body))
@@ -80,7 +80,7 @@ class _Reader:
         while self.next()[1] in ("*", "/"):
             _, operator = self.take()
             if operator == "*" and divided:
-                raise Refusal("a product after a division is ambiguous; put the denominator into parentheses")
+                raise Refusal("a product after a division is ambiguous: put the denominator into parentheses")
             divided = divided or operator == "/"
             right = self.factor(depth, first=False)
             sign = 1 if operator == "*" else -1
@@ -97,10 +97,10 @@ class _Reader:
             result = self.closed(depth)
         elif kind == "name":
             if text == "1" and not (first and depth == 0):
-                raise Refusal("'1' may only stand first")
+                raise Refusal("'1' is allowed only at the beginning")
             result = self.named(text)
         elif kind == "end":
-            raise Refusal("the unit is not complete")
+            raise Refusal("the unit is incomplete")
         else:
             raise Refusal(f"'{text}' stands where a unit is expected")
         if self.next()[0] == "power":
@@ -136,7 +136,7 @@ class _Reader:
         if text not in SYMBOLS:
             raise Refusal(f"unit '{text}' is unknown{_nearest(text)}")
         if text in FAHRENHEIT and len(self.tokens) > 1:
-            raise Refusal("Fahrenheit is allowed only for absolute temperatures; write K")
+            raise Refusal("Fahrenheit is allowed only for absolute temperatures; for a temperature difference, write K")
         factor, powers = SYMBOLS[text]
         return Unit(factor, powers, text)
 
@@ -156,5 +156,5 @@ def read_unit(text: str) -> Unit:
         result = reader.unit(0)
     if reader.at != len(reader.tokens):
         rest = reader.next()[1]
-        raise Refusal(f"'{rest}' is left over; join units with '/' or '·'")
+        raise Refusal(f"'{rest}' does not belong to the unit before it: join units with '/' or '·'")
     return result

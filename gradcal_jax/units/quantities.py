@@ -53,9 +53,9 @@ def _check(unit: Unit, dimension: Dimension) -> None:
         if offset:
             return
         if unit.powers == dimension.powers:
-            raise Refusal("an absolute temperature is written in degC; K is for differences")
+            raise Refusal("write an absolute temperature in degC; K is only for temperature differences")
     elif offset and dimension.name == "temperature difference":
-        raise Refusal("a temperature difference is written in K; degC is for absolute temperatures")
+        raise Refusal("write a temperature difference in K; degC is only for absolute temperatures")
     elif unit.powers == dimension.powers:
         return
     other = _dimension_of_unit(unit)
@@ -103,7 +103,7 @@ def _compound(text: str, dimension: Dimension) -> Decimal | None:
         if level is None:
             return None
         if level <= previous:
-            raise Refusal("the parts must decrease in size, as in '2 h 40 min' or '1° 30′ 15″'")
+            raise Refusal("the units of the parts must become smaller, as in '2 h 40 min' or '1° 30′ 15″'")
         if "." in number and index < len(parts) - 1:
             raise Refusal("only the last part may have decimals")
         if index > 0 and Decimal(number) >= 60:
@@ -116,14 +116,14 @@ def _compound(text: str, dimension: Dimension) -> Decimal | None:
 def _hint(text: str) -> str:
     """Why the number could not be read, for the usual mistakes."""
     if re.match(r"[+-]?[0-9]+,[0-9]", text):
-        return "decimals take a point, not a comma"
+        return "write decimals with a point, not a comma"
     if re.match(r"[+-]?[0-9]+_[0-9]", text) or re.match(r"[+-]?[0-9]+ [0-9]{3}\b", text):
-        return "digits are written without separators"
+        return "write digits without separators"
     if re.match(r"[+-]? *(nan|inf)", text, re.IGNORECASE):
         return "the number must be finite"
     if text.startswith("±"):
-        return "write the size alone, without '±'"
-    return "it must begin with a number"
+        return "write only the size, without '±'"
+    return "the text must begin with a number"
 
 
 def _read(text: str, dimension: Dimension) -> float:
@@ -209,7 +209,7 @@ def dimension_of(unit: str) -> str:
 def _dimension(unit: Unit, text: str) -> Dimension:
     dimension = _dimension_of_unit(unit)
     if dimension is None:
-        raise UnitError(f"unit '{text}' measures no quantity of this program")
+        raise UnitError(f"'{text}' is not the unit of any quantity that this program knows")
     return dimension
 
 

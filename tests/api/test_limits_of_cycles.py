@@ -172,5 +172,5 @@ def test_the_command_finds_a_plan_that_notices_and_says_what_limits_are_worth(tm
 
 def test_what_must_be_noticed_needs_a_gyro_with_polynomials():
     spec = gj.parse_spec(gj.presets.text("accelerometer-six-positions-toured"))
-    with pytest.raises(SpecError, match="a scale factor that is a polynomial; the sensor has none"):
+    with pytest.raises(SpecError, match="a scale factor that is a polynomial in temperature; this sensor has none"):
         gj.changed(spec, {"design.notice": {"standard_deviation": "20 ppm"}})

@@ -188,7 +188,7 @@ def test_the_prior_of_shapes_is_their_covariance():
 @pytest.mark.parametrize(
     ("shapes", "sentence"),
     [
-        ([["1 dps"] * 5] * 6, "expected 6, as many as the bases have functions"),
+        ([["1 dps"] * 5] * 6, "expected 6 coefficients, as many as the map has"),
         ([["1 dps"] * 6] * 6, "the shapes of x do not span all 6 coefficients"),
     ],
 )
@@ -206,7 +206,7 @@ def test_shapes_beside_a_prior_are_refused():
         rows = [["1 dps" if i == j else "0 dps" for i in range(6)] for j in range(6)]
         gyro["bias"]["shape"] = [{"coefficients": row} for row in rows]
 
-    with pytest.raises(gj.SpecError, match='is a prior, like "prior"; leave one of them out'):
+    with pytest.raises(gj.SpecError, match='states the prior of the map, and so does "prior": leave one of them out'):
         spec_with(change)
 
 

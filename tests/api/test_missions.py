@@ -201,7 +201,7 @@ def test_pictures_and_the_page_show_missions(tmp_path):
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     (fact,) = (f for f in data.requirements if f.name == "h")
     assert fact.own == pytest.approx(row.own)
-    assert "own noise, which stays" in page
+    assert "own noise of the IMU, which remains" in page
     assert 'id="h-mission-heading-curves' in page
 
 

@@ -317,7 +317,7 @@ def test_a_target_that_no_plan_can_meet_is_refused_with_the_limit(spec):
 def test_a_standing_axis_has_a_limit_of_its_bias_and_the_standard_method_none():
     (row,) = limit(paper("static_gradient"))
     assert 0.8 < row.efficiency < 1.0
-    with pytest.raises(ValueError, match='needs a plan of method = "gradient"'):
+    with pytest.raises(ValueError, match='only possible for a plan with method = "gradient"'):
         limit(paper("static_standard"))
 
 

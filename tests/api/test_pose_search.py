@@ -449,7 +449,7 @@ def test_requirements_are_needed():
 
 def test_a_gyro_beyond_its_full_scale_is_refused_and_turns_are_searched_within():
     spec = gj.read_spec(EXPERIMENTS / "hand.toml")
-    with pytest.raises(gj.SpecError, match="reaches 300 deg/s and exceeds the sensor's full scale, 250 deg/s"):
+    with pytest.raises(gj.SpecError, match="reaches 300 deg/s, which exceeds the sensor's full scale, 250 deg/s"):
         gj.changed(spec, {"sensor.gyro.full_scale": "250 deg/s", "sensor.gyro.full_scale_margin": "10 %"})
     narrow = gj.changed(spec, {"sensor.gyro.full_scale": "350 deg/s", "sensor.gyro.full_scale_margin": "10 %"})
     plan = CyclePlan(narrow)

@@ -109,7 +109,7 @@ def test_what_cannot_be_planned_anew_is_refused(spec):
     there = changed(spec, {"plan.temperature": None, "plan.gradient": None, "plan.programme": programme})
     with pytest.raises(ValueError, match="not a single ramp"):
         rest_of(there, [(60.0, 600.0)])
-    with pytest.raises(SpecError, match="expected a time after its start"):
+    with pytest.raises(SpecError, match="expected a time after the start of this part"):
         with_done(spec, [(600.0, 500.0)])
     plan = tables_of(changed(spec, {"plan.cycle.moves[1].peak_rate": "300 deg/s"}))["plan"]
     done = {"plan": plan, "start": "0 s", "end": "900 s", "pause": "1 h"}

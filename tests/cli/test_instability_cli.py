@@ -210,7 +210,7 @@ def test_a_recording_without_a_map_gets_a_guess(tmp_path, capsys):
 def test_text_named_h5_is_told_from_damage(tmp_path, capsys):
     path = tmp_path / "a.h5"
     path.write_text("t,gx\n0,1\n", encoding="utf-8")
-    assert "but text: name it .csv" in printed(capsys, "allan", path)[1].err
+    assert "but a text file: name it .csv" in printed(capsys, "allan", path)[1].err
 
 
 @pytest.mark.parametrize(

@@ -137,8 +137,8 @@ def test_questions_are_asked_enter_takes_what_is_usual_and_back_goes_back(tmp_pa
         (SENSOR.format("x", "gyro").replace("500", "-5"), "more than zero"),
         ('a"b\n', "without quotes"),
         (SENSOR.format("x", "gyro") + "\n" * 7 + "20 degC, 25 degC, 1 K/min\n\n", "at least 10 K"),
-        (SENSOR.format("x", "gyro") + "\n\n\n\nnone" + "\n" * 9, "measure the angles"),
-        (SENSOR.format("x", "imu") + "0.1 m/s/sqrt(h), 10 mg, 0.1 mg/K\n\n\n2" + "\n" * 15, "with zaber or odrive"),
+        (SENSOR.format("x", "gyro") + "\n\n\n\nnone" + "\n" * 9, "the angles come from the accelerometers"),
+        (SENSOR.format("x", "imu") + "0.1 m/s/sqrt(h), 10 mg, 0.1 mg/K\n\n\n2" + "\n" * 15, "knows zaber and odrive"),
     ],
 )
 def test_answers_that_are_not_understood_are_sentences_and_nothing_is_written(

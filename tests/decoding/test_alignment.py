@@ -67,7 +67,7 @@ def test_another_run_or_another_axis_is_refused() -> None:
         align(unit.time_s, {"x": 0.5 * unit.rate_dps}, {"x": track})
     with pytest.raises(NoAlignment, match="opposite sign"):
         align(unit.time_s, {"x": -unit.rate_dps}, {"x": track})
-    with pytest.raises(NoAlignment, match="turned none of the recording's axes"):
+    with pytest.raises(NoAlignment, match="did not turn any axis of the recording"):
         align(unit.time_s, {"y": unit.rate_dps}, {"x": track})
 
 

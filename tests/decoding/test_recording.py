@@ -219,7 +219,7 @@ def test_datagrams_lost_whole_are_counted_with_their_rounds() -> None:
         lost=lose_101,
     )
     (gap,) = log.findings
-    assert (gap.kind, gap.message) == ("gap", "101 samples are missing in 1 places")
+    assert (gap.kind, gap.message) == ("gap", "101 samples are missing at 1 places")
     assert log.stretch_starts.tolist()[1:] == [int(np.argmax(np.diff(log.time_s))) + 1]
     assert np.diff(log.time_s).max() == pytest.approx(102 * 0.008)
     require_rest_in_standstills(log)

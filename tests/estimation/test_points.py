@@ -92,7 +92,7 @@ def test_the_command_takes_csv_and_netcdf_alike(tmp_path, capsys):
     dataset.to_netcdf(tmp_path / "wrong.nc", engine="h5netcdf")
     wrong = ["estimate", str(tmp_path / "wrong.nc"), "--points", str(columns), "--spec", str(tmp_path / "spec.toml")]
     assert main(wrong) == 2
-    assert "is in 'rad/s' by its attribute, and in 'deg/s' by the map" in capsys.readouterr().err
+    assert "has the unit 'rad/s' by its attribute, and 'deg/s' by the column map" in capsys.readouterr().err
     assert main(["estimate", str(csv), "--points", str(columns)]) == 2
     assert "--points needs the spec" in capsys.readouterr().err
 

@@ -172,7 +172,11 @@ valued("one value in most rows", lambda w: np.rint(w / 0.5) * 0.5, "dead band|co
 valued("steps of the noise", lambda w: np.rint(w / 0.05) * 0.05, "of its noise, and increase it")
 valued("steps of a fifth of the noise", lambda w: np.rint(w / 0.01) * 0.01)
 valued("one constant value", lambda w: np.full(ROWS, 0.25), "the same value|does not change")
-valued("counts of 16 bits without a sign", lambda w: np.rint(w / 0.004) % 65536, "unit in the map too large")
+valued(
+    "counts of 16 bits without a sign",
+    lambda w: np.rint(w / 0.004) % 65536,
+    "column map state a unit that is too large",
+)
 valued("the mean of 8 samples", lambda w: np.convolve(noise(ROWS + 7), np.ones(8) / 8, "valid"))
 valued("a sample that is read twice", lambda w: np.repeat(noise(ROWS // 2, 50.0), 2))
 valued("a sample that is read four times", lambda w: np.repeat(noise(ROWS // 4, 25.0), 4))
@@ -209,7 +213,7 @@ lines("decimal commas", "t;gx", lambda k, v: f"{k / HZ:.2f};{v:.6f}".replace("."
 lines("decimal commas, not said", "t;gx", lambda k, v: f"{k / HZ:.2f};{v:.6f}".replace(".", ","),
       '[csv]\ndelimiter = ";"\n', "decimal comma")  # fmt: skip
 lines("marks of thousands", "t;gx", lambda k, v: f"{k / HZ:.2f}".replace(".", ",") + ";" + german(1000 + v / 5e-4, 0),
-      SEMI, "mark of thousands", base=COUNTS)  # fmt: skip
+      SEMI, "thousands separator", base=COUNTS)  # fmt: skip
 lines("Swiss thousands", "t,gx", lambda k, v: f"{k / HZ:.2f}," + f"{1000 + v / 5e-4:,.0f}".replace(",", "'"),
       "", "notation", base=COUNTS)  # fmt: skip
 lines("spaces between thousands", "t,gx", lambda k, v: f"{k / HZ:.2f}," + f"{1000 + v / 5e-4:,.0f}".replace(",", " "),
@@ -437,8 +441,8 @@ def warmed(name: str, shown: np.ndarray, asks: str | None = None):
 
 warmed("at 0", 0.0 * WARM, "never changes")
 warmed("at 85", 0.0 * WARM + 85.0, "never changes")
-warmed("that begins at 85", np.where(K < 100, 85.0, WARM), "changes abruptly")
-warmed("that restarts", np.where(K % 700 < 20, 85.0, WARM), "changes abruptly")
-warmed("with a loose wire", np.where(K % 1000 == 7, 0.0, WARM), "changes abruptly")
+warmed("that begins at 85", np.where(K < 100, 85.0, WARM), "a temperature that jumps")
+warmed("that restarts", np.where(K % 700 < 20, 85.0, WARM), "a temperature that jumps")
+warmed("with a loose wire", np.where(K % 1000 == 7, 0.0, WARM), "a temperature that jumps")
 warmed("in tenths", 10.0 * WARM, "counts")
 warmed("that stops", np.where(K > 5000, WARM[5000], WARM), "constant temperature")

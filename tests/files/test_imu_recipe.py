@@ -131,5 +131,5 @@ def test_a_technician_reads_where_each_axis_stands() -> None:
 def test_tracks_changed_by_hand_are_refused() -> None:
     text = to_toml(recipe_of_unit(preset("two-axis-table")))
     axis = text.index('axis = "spin"', text.index("[[motion"))
-    with pytest.raises(SpecError, match=r"motion\[0\]\.moves\[\d+\]\.axis.*does not follow from the spec in"):
+    with pytest.raises(SpecError, match=r"motion\[0\]\.moves\[\d+\]\.axis.*does not agree with the spec in"):
         parse_recipe(text[:axis] + 'axis = "tilt"' + text[axis + len('axis = "spin"') :])

@@ -81,10 +81,10 @@ encoding = "latin-1"
         ("t,gx\n2024-05-01T12:00:00,1\n2024-05-01T12:00:01,2\n", "'t' has dates or times of day"),
         ("t,gx\n12:00:00.1,1\n12:00:00.2,2\n", "'t' has dates or times of day"),
         ("t,gx\n0,0x1F\n10,0x20\n", "'gx' has hexadecimal counts"),
-        ("t,gx\n0,FF1F\n10,FE20\n", "'gx' has hexadecimal counts"),
-        ("t,gx\n0,fast\n10,slow\n", "'gx' has no numbers, but texts such as 'slow'"),
-        ("t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': give the column number, 1 or 2, from 0"),
-        ("t;gx\n0;1\n10;3\n", 'or is it delimiter = ";", under'),
+        ("t,gx\n0,FF1F\n10,FE20\n", "'gx' has values that look like hexadecimal counts"),
+        ("t,gx\n0,fast\n10,slow\n", "'gx' has no numbers, only texts such as 'slow'"),
+        ("t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': give the number of the column instead, 1 or 2"),
+        ("t;gx\n0;1\n10;3\n", 'or must delimiter = ";" be written under'),
     ],
 )
 def test_columns_that_are_no_numbers_are_told_by_what_they_are(tmp_path, content, sentence):
@@ -328,7 +328,7 @@ def test_a_faulty_column_map_is_told_by_key(text, sentence):
 @pytest.mark.parametrize(
     ("name", "content", "extra", "sentence"),
     [
-        ("a.xyz", b"1", "", "the file name extension determines"),
+        ("a.xyz", b"1", "", "unknown file name extension"),
         ("a.csv", b"", "", "is empty"),
         ("a.csv", b"t,gx\n", "", "no rows below the header"),
         ("a.csv", b"1,2\n3,4\n", "", "no line of column names"),
@@ -339,7 +339,7 @@ def test_a_faulty_column_map_is_told_by_key(text, sentence):
         ("a.npy", b"\x93NUMPY nonsense", "", "cannot be read as NumPy's .npy"),
         ("a.mat", b"MATLAB 7.3 MAT-file", "", "-v7"),
         ("a.mat", b"nonsense" * 40, "", "cannot be read as MATLAB"),
-        ("a.csv", b"t,gx\n1,1\n2,2\n3,4\n9,9\n10,10\n11,11\n", "[policy]\ngaps = 'refuse'\n", "refuses"),
+        ("a.csv", b"t,gx\n1,1\n2,2\n3,4\n9,9\n10,10\n11,11\n", "[policy]\ngaps = 'refuse'\n", "as an error"),
     ],
 )
 def test_a_faulty_file_gets_a_sentence(tmp_path, name, content, extra, sentence):
@@ -357,7 +357,7 @@ def test_pickles_directories_and_missing_files_are_refused(tmp_path):
     with pytest.raises(LogError, match="has no numbers"):
         import_log(tmp_path / "w.npz", plain())
     np.savez(tmp_path / "l.npz", t=np.arange(3.0), gx=np.arange(4.0))
-    with pytest.raises(LogError, match="3 rows, and the previous columns have 4"):
+    with pytest.raises(LogError, match="3 rows, and the columns before it have 4"):
         import_log(tmp_path / "l.npz", plain())
     (tmp_path / "d.csv").mkdir()
     with pytest.raises(LogError, match="is a directory"):
@@ -454,10 +454,10 @@ def test_arbitrary_maps_give_a_sentence(text, tail):
 @pytest.mark.parametrize(
     ("header", "units", "asked"),
     [
-        ("t_ms,gx [deg/s]", ("ms", "rad/s"), r"'gx \[deg/s\]' states deg/s, and the map states rad/s"),
-        ("t_ms,gx_rad/s", ("ms", "deg/s"), "'gx_rad/s' states rad/s, and the map states deg/s"),
-        ("t_ms,gx", ("s", "deg/s"), "'t_ms' states ms, and the map states s"),
-        ("time_s,gx", ("ms", "deg/s"), "'time_s' states s, and the map states ms"),
+        ("t_ms,gx [deg/s]", ("ms", "rad/s"), r"'gx \[deg/s\]' states the unit deg/s, and the column map states rad/s"),
+        ("t_ms,gx_rad/s", ("ms", "deg/s"), "'gx_rad/s' states the unit rad/s, and the column map states deg/s"),
+        ("t_ms,gx", ("s", "deg/s"), "'t_ms' states the unit ms, and the column map states s"),
+        ("time_s,gx", ("ms", "deg/s"), "'time_s' states the unit s, and the column map states ms"),
         ("time [s],gx (dps)", ("s", "deg/s"), None),
         ("t,gx", ("s", "rad/s"), None),
     ],

@@ -57,16 +57,16 @@ def test_a_table_is_read_in_si_from_its_first_row_on():
         ("time (s), rate (deg/s), temperature (K)\n0,0,300", "line 1: column 'temperature (K)'"),
         ("time (s), rate (deg/s), temp (degC)\n0,0,0", "no column 'temperature (degC)'; there are: time, rate, temp"),
         ("time (s), time (s), rate (deg/s), temperature (degC)\n", "2 columns are named 'time'"),
-        ("time (s);rate (deg/s);temperature (degC)\n0;0;0", "columns are separated by commas"),
+        ("time (s);rate (deg/s);temperature (degC)\n0;0;0", "columns must be separated by commas"),
         (f"{HEAD}\n0, 0, 20", "fewer than two rows"),
-        (f"{HEAD}\n0, 0, 20\n1, nan, 20", "line 3: rate is 'nan', which is no number"),
+        (f"{HEAD}\n0, 0, 20\n1, nan, 20", "line 3: rate is 'nan', which is not a number"),
         (f"{HEAD}\n0, 0, 20\n1, inf, 20", "line 3: rate is 'inf'"),
         (f"{HEAD}\n0, 0, 20\n1, , 20", "line 3: rate is empty"),
-        (f"{HEAD}\n0, 0, 20\n1, 3 deg/s, 20", "line 3: rate is '3 deg/s', which is no number"),
+        (f"{HEAD}\n0, 0, 20\n1, 3 deg/s, 20", "line 3: rate is '3 deg/s', which is not a number"),
         (f'{HEAD}\n0, 0, 20\n1, "0,5", 20', "line 3: rate is '0,5', with a decimal comma"),
-        (f"{HEAD}\n0, 0, 20\n0,5, 0, 20", "line 3: 4 columns, and the header has 3"),
-        (f"{HEAD}\n0, 0, 20\n2, 0, 20\n1, 0, 20", "line 4: the time is not after that of line 3"),
-        (f"{HEAD}\n0, 0, 20\n0, 0, 20", "line 3: the time is not after that of line 2"),
+        (f"{HEAD}\n0, 0, 20\n0,5, 0, 20", "line 3: this line has 4 columns, and the header has 3"),
+        (f"{HEAD}\n0, 0, 20\n2, 0, 20\n1, 0, 20", "line 4: the time is not later than that of line 3"),
+        (f"{HEAD}\n0, 0, 20\n0, 0, 20", "line 3: the time is not later than that of line 2"),
         (f"{HEAD}\n0, 0, 20\n1, 1e400, 20", "line 3: rate is 1e400, which is not plausible"),
         (f"{HEAD}\n0, 0, 20\n1, 0, -300", "line 3: temperature is -300, which is not plausible"),
     ],
@@ -134,7 +134,7 @@ def test_the_form_of_one_and_of_several_missions(folder):
     [
         ('"fligth.csv"', "", 'does not exist; nearest: "flight.csv"'),
         ('"flight.csv"', '\nafter = "2 min"', "is after the end of flight.csv, which lasts 60 s"),
-        ('[{ file = "flight.csv", weight = 2 }]', '\nstatistic = "max"', 'no effect on the statistic "max"'),
+        ('[{ file = "flight.csv", weight = 2 }]', '\nstatistic = "max"', 'no effect with statistic = "max"'),
         ('[{ file = "flight.csv", weight = -1.0 }]', "", "must be above 0"),
         ("[]", "", "expected at least 1 entries"),
         ("3", "", "expected a list"),
@@ -153,7 +153,7 @@ def test_what_is_wrong_with_the_requirement_is_said(folder, mission, more, said)
 @pytest.mark.parametrize(
     ("row", "said"),
     [
-        ("120, 0, 80", "flight.csv, line 6: the temperature is 80 degC, outside the plan, -35 to 75 degC"),
+        ("120, 0, 80", "flight.csv, line 6: the temperature is 80 degC, outside the range of the plan, -35 to 75 degC"),
         ("120, 0, -36", "line 6: the temperature is -36 degC"),
     ],
 )
@@ -178,7 +178,7 @@ def test_a_mission_beyond_a_basis_is_refused(folder):
         ("latitude", '"90 deg"', "must be at most 89 deg"),
         ("latitude", '"48"', "unit"),
         ("after", '"0 s"', "must be above 0 s"),
-        ("temperature", '["10 degC", "0 degC"]', "must be above the entry before it"),
+        ("temperature", '["10 degC", "0 degC"]', "must be larger than the entry before it"),
     ],
 )
 def test_what_is_wrong_with_a_gyrocompass_is_said(key, value, said):

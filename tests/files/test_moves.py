@@ -115,8 +115,8 @@ def test_with_two_keys_the_ramps_use_the_tables_acceleration_in_full(shape, angl
 
 
 REFUSED = [
-    ({"shape": "cosine ramps", "turn": "360 deg"}, "", "not determined"),
-    ({"shape": "cosine ramps", "turn": "360 deg", "ramp": "1 s"}, "", "not determined"),
+    ({"shape": "cosine ramps", "turn": "360 deg"}, "", "do not determine the motion"),
+    ({"shape": "cosine ramps", "turn": "360 deg", "ramp": "1 s"}, "", "do not determine the motion"),
     ({"shape": "cosine ramps", "turn": "360 deg", "peak_rate": "10 deg/s", "duration": "30 s"}, "duration", "36 s"),
     ({"shape": "cosine ramps", "turn": "360 deg", "peak_rate": "10 deg/s", "duration": "80 s"}, "duration", "72 s"),
     (

@@ -80,7 +80,7 @@ def test_rounding_keeps_visits_that_fill_their_ramp_to_the_last_second(visits, s
     assert cycles(spec) == visits
     result = rounded(spec)
     assert cycles(result.spec) == visits
-    assert not any("leaves room" in note for note in result.notes)
+    assert not any("has room" in note for note in result.notes)
 
 
 @pytest.mark.parametrize("name", presets.names())

@@ -121,7 +121,7 @@ def log_start(time: np.ndarray) -> float:
 def test_units_in_headers_are_compared_with_the_map(name: str, unit: str, says: str):
     question = contradiction(name, unit)
     assert question is not None
-    assert f"states {says}, and the map states {unit}" in question
+    assert f"states the unit {says}, and the column map states {unit}" in question
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_points_among_decimal_commas_are_refused(tmp_path: Path):
     path = tmp_path / "record.csv"
     path.write_text("zeit;gx\n0,00;999\n0,01;1.105\n0,02;1.074\n", encoding="utf-8")
     with pytest.raises(
-        LogError, match=r"column 'gx' has a decimal point, although decimal.*mark of thousands.*'1\.105'"
+        LogError, match=r"column 'gx' has a decimal point, although decimal.*thousands separator.*'1\.105'"
     ):
         import_log(path, parse_column_map(text))
     path.write_text("zeit;gx;day\n0,00;999;1.1.\n0,01;1105,5;1.1.\n0,02;1074;1.1.\n", encoding="utf-8")

@@ -28,7 +28,7 @@ def test_all_moves_that_do_not_fit_are_named_at_once(tmp_path):
     error = problems_of(tables("one-axis-table", "170 deg"), tmp_path / "a.toml")
     assert [p.key[-1] for p in error.problems] == [1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27]
     assert lies_in_travel(error)
-    assert 'takes axis "turn" 1080 deg from zero; its travel is 170 deg each way' in str(error)
+    assert 'takes axis "turn" 1080 deg from zero; the travel of this axis is 170 deg in each direction' in str(error)
     # Others than those of the travel are not mended.
     document = tables("one-axis-table", "170 deg")
     document["requirement"][0]["target"] = "nothing"

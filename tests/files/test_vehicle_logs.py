@@ -95,7 +95,9 @@ def test_a_fifo_is_unrolled_and_takes_the_temperature_of_its_device(tmp_path):
 
 def test_sensor_combined_is_refused(tmp_path):
     rows = sensor_gyro(STAMPS_US, RATE, TEMPERATURE, 1)
-    with pytest.raises(LogError, match="calibration and bias subtracted: make PX4 log sensor_gyro"):
+    with pytest.raises(
+        LogError, match="from which calibration and bias are already subtracted: make PX4 log sensor_gyro"
+    ):
         read_vehicle_log(ulog(tmp_path / "a.ulg", ("sensor_combined", 0, rows)))
 
 
@@ -128,7 +130,7 @@ def test_what_ardupilot_took_off_is_put_back(tmp_path):
     assert log.units == ("IMU0", "IMU1")
     np.testing.assert_allclose(log.rate_rad_per_s[0], raw, atol=5e-7)  # float32 in the log
     np.testing.assert_allclose(log.rate_rad_per_s[1], raw, atol=5e-7)
-    assert any("offsets and thermal calibration are undone" in f.message for f in log.findings)
+    assert any("offsets and thermal calibration have been removed" in f.message for f in log.findings)
 
 
 def test_offsets_that_change_in_the_log_and_a_turned_board(tmp_path):

@@ -165,7 +165,7 @@ def test_what_cannot_be_planned_anew_is_a_sentence(spec: Spec) -> None:
     several = parse_spec(presets.text("one-axis-table"))
     with pytest.raises(ValueError, match="several mountings cannot be replanned: continue"):
         rest_of(several, [(0.0, 600.0)])
-    with pytest.raises(SpecError, match="expected a time after its start"):
+    with pytest.raises(SpecError, match="expected a time after the start of this part"):
         with_done(spec, [(60.0, 30.0)])
     rest = with_done(spec, [(0.0, spec.schedule.duration)])
     with pytest.raises(ValueError, match="a limit needs a plan that starts a run"):

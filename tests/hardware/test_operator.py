@@ -249,8 +249,8 @@ def test_the_templates_gimbal_is_a_rig() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("gravity_loaded = false", "gravity_loaded = true"), "it would fall"),
-        (('driver = "operator"', 'driver = "zaber"'), 'only the driver "operator" uses a terminal'),
+        (("gravity_loaded = false", "gravity_loaded = true"), "an axis that falls"),
+        (('driver = "operator"', 'driver = "zaber"'), '"terminal" is only for the driver "operator"'),
         (
             ("gravity_loaded = false", 'gravity_loaded = false\nencoder = { driver = "operator", port = "/dev/a" }'),
             "an encoder is only for",

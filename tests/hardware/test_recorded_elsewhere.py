@@ -80,7 +80,7 @@ def test_the_log_of_a_recording_has_the_table_and_the_chamber(tmp_path: Path, ca
     asked = ["log", str(tmp_path / "run"), "--recording", str(tmp_path / "unit.csv")]
     assert main([*asked, "--columns", str(tmp_path / "map.toml"), "-o", str(tmp_path / "log.nc")]) == 0
     said = capsys.readouterr().out
-    assert "the recording's clock is determined by" in said
+    assert "the recording's clock was determined from" in said
     log = read_log(tmp_path / "log.nc")
     assert log.standstill is not None
     assert log.table_course_rad is not None

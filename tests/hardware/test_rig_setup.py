@@ -83,7 +83,10 @@ sample_rate = "130 Hz"
     ("change", "expected"),
     [
         (('safe           = "hold"', 'safe           = "drop"'), "axis[0].safe"),
-        (("gravity_loaded = false       # true: it moves by itself without power\n", ""), "axis[0].gravity_loaded"),
+        (
+            ("gravity_loaded = false       # true: gravity moves the axis if its motor has no power\n", ""),
+            "axis[0].gravity_loaded",
+        ),
         (("/dev/ttyUSB2", "/dev/ttyUSB0"), "two devices use this port"),
         (('name   = "unit1"', 'name   = "table"'), "two devices have this name"),
         (("gradcal-rig/1", "gradcal-spec/1"), 'expected "gradcal-rig/1"'),

@@ -118,10 +118,10 @@ def test_a_doubled_line_counts_once() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"line": "$IMU,{gx},{gyro_y}"}, "{gx} is not known here"),
-        ({"line": "{gyro_x}{gyro_y}"}, "with a character between two of them"),
-        ({"line": "{temperature}"}, "expected a field of a rate or an acceleration"),
-        ({"line": "{gyro_x},{count}"}, "the number at which it restarts at 0"),
+        ({"line": "$IMU,{gx},{gyro_y}"}, "{gx} is not the name of a field"),
+        ({"line": "{gyro_x}{gyro_y}"}, "with a character between two fields"),
+        ({"line": "{temperature}"}, "expected at least one field of a rate or an acceleration"),
+        ({"line": "{gyro_x},{count}"}, "the number at which the count restarts at 0"),
         ({"gyro": "deg"}, "gyro"),
         ({"rate": "100"}, "rate"),
         ({"lines": "x"}, 'nearest: "line"'),

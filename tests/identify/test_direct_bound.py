@@ -114,7 +114,10 @@ def test_an_average_too_short_is_said_and_the_advised_one_shows_the_drift():
     assert 0.5 < hidden.hidden_drift_std / DEG_PER_H < 2.5
     assert hidden.advised_averaging_time_s is not None
     assert 15.0 < hidden.advised_averaging_time_s < 100.0
-    assert f"averaging over {hidden.advised_averaging_time_s:.3g} s or more would make it visible" in hidden.messages[0]
+    assert (
+        f"averaging over {hidden.advised_averaging_time_s:.3g} s or more would make such a drift visible"
+        in hidden.messages[0]
+    )
     assert f"{WALK / np.sqrt(10.0):.3g}" in hidden.messages[0]
     in_deg_per_h = fit_direct_bound(
         observe(rate, 10.0), WALK, rate_in_words=lambda rate: f"{rate / DEG_PER_H:.1f} deg/h"

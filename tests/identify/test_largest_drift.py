@@ -43,7 +43,7 @@ def test_equals_the_definition_over_all_starts(seed, samples, before, lengths, k
     expected = [plain_largest(rate, before, length, valid) for length in sorted(set(lengths))]
     run = lambda: largest_drift(rate, interval, np.array(lengths) * interval, before * interval, valid=valid)  # noqa: E731
     if expected[-1][1] == 0:
-        with pytest.raises(ValueError, match="is longer than every unbroken stretch"):
+        with pytest.raises(ValueError, match="is longer than every unbroken part of the record"):
             run()
         return
     result = run()
@@ -102,8 +102,8 @@ def test_integer_and_short_float_records_are_summed_in_full_precision():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"integration_times_s": np.array([90.0])}, "integrate for at most 80 s"),
-        ({"averaging_time_s": 200.0}, "use a shorter average"),
+        ({"integration_times_s": np.array([90.0])}, "choose integration times of at most 80 s"),
+        ({"averaging_time_s": 200.0}, "use a shorter averaging time"),
         ({"sample_interval_s": 0.0}, "must be positive"),
         ({"integration_times_s": np.array([-3.0])}, "must be positive"),
         ({"averaging_time_s": 0.3}, "shorter than half a sample"),

@@ -62,7 +62,7 @@ def test_what_does_not_determine_a_polynomial_is_said():
         ({"degree": 3}, "different temperatures"),
         ({"degree": -1}, "degree"),
         ({"lag_time_s": -1.0}, "lag must be"),
-        ({"temperature_c": np.where(np.arange(10) == 4, np.nan, 20.0)}, "has no rate or temperature"),
+        ({"temperature_c": np.where(np.arange(10) == 4, np.nan, 20.0)}, "has no rate or no temperature"),
     ]:
         with pytest.raises(ValueError, match=sentence):
             fit_thermal_bias(**{"rate": ones, "temperature_c": ones, "sample_interval_s": 1.0, **arguments})

@@ -57,7 +57,7 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("sensor.gyro.misalignment.temperature.degree", 1.5, "sensor.gyro.misalignment.temperature.degree", "whole"),
     ("sensor.gyro.misalignment.std", "1 mrad", "sensor.gyro.misalignment.std", "unknown"),
     ("sensor.gyro.g_sensitivity.prior", "50 deg/h", "sensor.gyro.g_sensitivity.prior", "acceleration"),
-    ("sensor.gyro.g_sensitivity", {"lever_arm": "3 mm"}, "sensor.gyro.g_sensitivity.lever_arm", "give its prior"),
+    ("sensor.gyro.g_sensitivity", {"lever_arm": "3 mm"}, "sensor.gyro.g_sensitivity.lever_arm", "give the prior"),
     ("sensor.gyro.g_sensitivity.lever_arm", "3 mrad", "sensor.gyro.g_sensitivity.lever_arm", "length"),
     ("sensor.gyro.g_squared", {"prior": "1 deg/h/g"}, "sensor.gyro.g_squared.prior", "deg/h/g^2"),
     ("sensor.accelerometer.velocity_random_walk", GONE, "sensor.accelerometer.velocity_random_walk", "missing"),
@@ -83,15 +83,15 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("rig.table.standing", "read often", "rig.table.standing", "held"),
     ("rig.table.drive", "hand", "plan.cycle.moves[1].shape", "by hand"),
     ("rig.table.drive", "horse", "rig.table.drive", "motor"),
-    ("sensor.accelerometer.lever_arm", {"prior": "5 cm"}, "sensor.accelerometer.lever_arm", "no effect at rest"),
+    ("sensor.accelerometer.lever_arm", {"prior": "5 cm"}, "sensor.accelerometer.lever_arm", "an effect only during moves"),
     ("sensor.accelerometer", GOOD["sensor"]["accelerometer"] | {"asymmetry": {}, "read_on_moves_below": "500 deg/s"},
-     "sensor.accelerometer.asymmetry", "observable only at rest"),
+     "sensor.accelerometer.asymmetry", "observable only if accelerometers are read only at rest"),
     ("sensor.accelerometer.lever_arm", {"prior": "5 deg"}, "sensor.accelerometer.lever_arm.prior", "length"),
     ("sensor.accelerometer.read_on_moves_below", "5 deg/s", "sensor.accelerometer.read_on_moves_below", "slowest move"),
     ("rig.table.tilt", "-100 urad", "rig.table.tilt", "at least"),
     ("rig.table.azimuth", 5, "rig.table.azimuth", "text with a unit"),
     ("rig.table.axis", [], "rig.table.axis", "at least 1"),
-    ("rig.table.axis.0.direction", [0.0, 0.0, 0.0], "rig.table.axis[0].direction", "no direction"),
+    ("rig.table.axis.0.direction", [0.0, 0.0, 0.0], "rig.table.axis[0].direction", "not a direction"),
     ("rig.table.axis.0.direction", [1.0, 0.0], "rig.table.axis[0].direction[2]", "missing"),
     ("rig.table.axis.0.direction", ["1", 0.0, 0.0], "rig.table.axis[0].direction[0]", "number"),
     ("rig.table.axis.1.name", "tilt", "rig.table.axis[1].name", "two axes have this name"),
@@ -103,7 +103,7 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("rig.table.axis.0.travel", "60 deg", f"{_MOVES}[4]", "travel"),
     ("rig.table.axis.0.keep_out", ["60 deg", "70 deg"], f"{_MOVES}[4]", "keeps between -290 and 60 deg"),
     ("rig.table.axis.1.keep_out", ["100 deg", "260 deg"], f"{_MOVES}[1]", "keeps between -100 and 100 deg"),
-    ("rig.table.axis.0.keep_out", ["-10 deg", "10 deg"], "rig.table.axis[0].keep_out", "zero outside"),
+    ("rig.table.axis.0.keep_out", ["-10 deg", "10 deg"], "rig.table.axis[0].keep_out", "the smaller one first"),
     ("rig.table.axis.0.keep_out", ["150 deg", "120 deg"], "rig.table.axis[0].keep_out", "smaller one first"),
     ("rig.table.mounting", {"x": "+x", "y": "+x", "z": "+z"}, "rig.table.mounting[0]", "right-handed"),
     ("rig.table.mounting", {"x": "+x", "y": "+z", "z": "+y"}, "rig.table.mounting[0]", "right-handed"),
@@ -115,8 +115,8 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("requirement.0.quantity", "gyro_scale", "requirement[0].quantity", "gyro_scale_factor"),
     ("requirement.0.quantity", GONE, "requirement[0].quantity", "missing"),
     ("requirement.0.rate", GONE, "requirement[0].rate", "missing"),
-    ("requirement.0.rate", ["300 deg/s", "-300 deg/s"], "requirement[0].rate[1]", "above the entry"),
-    ("requirement.1.temperature", ["70 degC", "-30 degC"], "requirement[1].temperature[1]", "above the entry"),
+    ("requirement.0.rate", ["300 deg/s", "-300 deg/s"], "requirement[0].rate[1]", "larger than the entry"),
+    ("requirement.1.temperature", ["70 degC", "-30 degC"], "requirement[1].temperature[1]", "larger than the entry"),
     ("requirement.1.axis", "w", "requirement[1].axis", "worst"),
     ("requirement.1.name", "gyro scale factor", "requirement[1].name", "two requirements"),
     ("requirement.2.relative_to", "moon", "requirement[2].relative_to", "internal"),
@@ -134,8 +134,8 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     (f"{_MOVES}.0.pose", {"tlit": "0 deg"}, f"{_MOVES}[0].pose.tlit", 'nearest: "tilt"'),
     (f"{_MOVES}.0.pose", {"tilt": "0 s"}, f"{_MOVES}[0].pose.tilt", "angle"),
     (f"{_MOVES}.5", {"rest": "2 s"}, _MOVES, "must return"),
-    (f"{_MOVES}.2.axis", "spin", f"{_MOVES}[2].axis", "rest is of all axes"),
-    (f"{_MOVES}.3.peak_rate", "400 deg/s", f"{_MOVES}[3].peak_rate", "goes up to"),
+    (f"{_MOVES}.2.axis", "spin", f"{_MOVES}[2].axis", "all axes rest"),
+    (f"{_MOVES}.3.peak_rate", "400 deg/s", f"{_MOVES}[3].peak_rate", "exceeds the maximum rate"),
     (f"{_MOVES}.3", {"trun": "90 deg", "axis": "spin"}, f"{_MOVES}[3].trun", 'nearest: "turn"'),
     (f"{_MOVES}.3", {}, f"{_MOVES}[3]", "expected a rest"),
     (f"{_MOVES}.0.rest", "2 h", "plan.cycle", "longest stretch"),
@@ -215,7 +215,7 @@ def test_a_sensor_that_is_not_there_is_no_perfect_one(requirement, kind, axes, w
         spec_of(document)
     (problem,) = caught.value.problems
     assert problem.dotted == "requirement[0].quantity"
-    assert f"needs {words}, which the sensor has not" in problem.message
+    assert f"needs {words}, which the sensor does not have" in problem.message
 
 
 # --- slips ------------------------------------------------------------------------------------------------------------
@@ -299,7 +299,7 @@ def test_what_would_be_without_effect_is_refused():
     for keys in ({"read_every": "1 s"}, {"read": "none"}, {"other_axes": True}):
         document = copy.deepcopy(GOOD)
         document["plan"]["cycle"]["moves"].append({"rest": "5 s"} | keys)
-        with pytest.raises(SpecError, match="leave it out"):
+        with pytest.raises(SpecError, match="leave this key out"):
             spec_of(document)
 
 
@@ -308,7 +308,7 @@ def test_a_cycle_of_several_stretches_returns():
     plan = {"method": "gradient", "programme": [{"soak": "10 min", "at": "20 degC", "used": True}]}
     plan["programme"] += [{"soak": "1 min"}, {"soak": "10 min", "used": True}]
     document["plan"] = plan | {"cycle": {"moves": [{"rest": "5 s"}, {"turn": "90 deg", "axis": "spin"}]}}
-    with pytest.raises(SpecError, match="starts again in every stretch"):
+    with pytest.raises(SpecError, match="starts again in every part"):
         spec_of(document)
     document["plan"]["cycle"]["moves"].append({"turn": "-90 deg", "axis": "spin"})
     assert len(spec_of(document).schedule.stretches) == 2

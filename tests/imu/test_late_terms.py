@@ -187,7 +187,7 @@ def test_a_plan_that_goes_on_keeps_the_lags():
                     }
                 }
             },
-            "needs a polynomial in temperature",
+            "must be a polynomial in temperature",
         ),
         (
             {"gyro": GYRO | {"late_temperature_gradient": PATH["late_temperature_gradient"][:1] * 2}},

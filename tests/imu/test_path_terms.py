@@ -282,7 +282,7 @@ def test_a_timeline_lists_the_terms_of_the_path():
 
 def test_two_entries_of_one_width_are_refused():
     plays = [{"width": "6 K", "prior": "5 deg/h/K"}, {"width": "6000 mK", "prior": "1 deg/h/K"}]
-    with pytest.raises(SpecError, match="two entries have one width"):
+    with pytest.raises(SpecError, match="two entries have the same width"):
         rested({"hysteresis": plays}, COURSE)
 
 

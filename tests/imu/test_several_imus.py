@@ -191,5 +191,5 @@ def test_more_imus_than_places_are_refused():
     log, _ = fixture_log(spec, 5)
     table = spec.rig.table.model_copy(update={"place": (Place(name="left"), Place(name="right"))})
     two = spec.model_copy(update={"rig": spec.rig.model_copy(update={"table": table})})
-    with pytest.raises((ValueError, LogError), match=r"the log has 4 IMUs and rig\.table\.place 2"):
+    with pytest.raises((ValueError, LogError), match=r"the log has 4 IMUs, and the spec has 2 places"):
         estimate_sensors(two, [log])

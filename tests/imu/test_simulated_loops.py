@@ -112,7 +112,7 @@ def test_the_rig_names_the_law_of_simulated_loops():
     forces = np.array([triads["accelerometer"].loops[0].size for triads in drawn])
     assert np.std(forces) == pytest.approx(30e-6, rel=0.1)
     equal = {"rig.simulated_loop": [loops[0] | {"time_constants": ["2 min", "120 s"]}]}
-    with pytest.raises(SpecError, match="two equal masses"):
+    with pytest.raises(SpecError, match="two equal thermal masses"):
         changed(spec, equal)
 
 

@@ -36,8 +36,8 @@ def without_encoder(spec):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"rig.table.axis[0].angle.reading_noise": "1 deg"}, "is for an encoder"),
-        ({"rig.table.standing": "read"}, "is for an encoder"),
+        ({"rig.table.axis[0].angle.reading_noise": "1 deg"}, "is only for an encoder"),
+        ({"rig.table.standing": "read"}, "is only for an encoder"),
         ({"sensor.accelerometer.axes": ["x", "y"]}, "accelerometers along x, y and z"),
         ({"plan.cycle.moves": [{"turns": 1, "duration": "5 s", "shape": "hand", "axis": "axle"},
                                {"turns": -1, "duration": "5 s", "shape": "hand", "axis": "axle"}, {"rest": "2 s"}]},

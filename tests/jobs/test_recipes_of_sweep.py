@@ -60,7 +60,7 @@ def test_a_section_is_taken_whole_and_single_keys_are_changed_after_it(tmp_path)
     [
         ('"slow.toml", "small.toml"', '"slow.tml", "small.toml"', "slow.tml: does not exist"),
         ('section = "rig"', 'section = "rigg"', "rig"),
-        ('section = "rig"', 'section = "rig"\nkey = "plan.gradient"', "give either"),
+        ('section = "rig"', 'section = "rig"\nkey = "plan.gradient"', "give exactly"),
         ('["slow.toml", "small.toml"]', "[1, 2]", "names of presets"),
     ],
 )
@@ -104,5 +104,5 @@ def test_recipes_are_of_searches_alone(tmp_path, capsys):
         sweep(read_sweep(path), tmp_path / "r.nc", runner=pool)
     from gradcal_jax.jobs.dataset import read_dataset
 
-    with pytest.raises(ValueError, match="recipes need a sweep"):
+    with pytest.raises(ValueError, match="recipes are only possible for a sweep"):
         write_recipes(read_dataset(tmp_path / "r.nc"), tmp_path / "r")

@@ -207,11 +207,11 @@ def test_the_parts_of_another_sweep_are_refused(done, pool, tmp_path):
     _, job, *_ = done
     output = tmp_path / "results.nc"
     Store(output, identity_of(job) | {"asked": "another"})
-    with pytest.raises(ValueError, match=r"parts of another sweep \(different: asked\)"):
+    with pytest.raises(ValueError, match=r"parts of another sweep \(which differs in asked\)"):
         sweep(job, output, runner=pool)
     (tmp_path / "other.nc.parts").mkdir()
     (tmp_path / "other.nc.parts" / "letter.txt").write_text("mine")
-    with pytest.raises(ValueError, match="is not a sweep's"):
+    with pytest.raises(ValueError, match="was not made by a sweep"):
         sweep(job, tmp_path / "other.nc", runner=pool)
     (tmp_path / "taken.nc").write_text("mine")
     with pytest.raises(ValueError, match="exists and belongs to another sweep"):

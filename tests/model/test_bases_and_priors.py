@@ -37,8 +37,8 @@ def test_every_basis_holds_the_constant(basis):
     ("make", "says"),
     [
         (lambda: Polynomial(-1, 0.0, 1.0), "degree of 0 or more"),
-        (lambda: Polynomial(2, 0.0, 0.0), "half of its range"),
-        (lambda: BSpline((0.0, 0.0, 1.0)), "knots that increase"),
+        (lambda: Polynomial(2, 0.0, 0.0), "half the range"),
+        (lambda: BSpline((0.0, 0.0, 1.0)), "knots in increasing order"),
         (lambda: Bins((1.0,)), "two edges"),
         (lambda: make_map(Bins((0.0, 1.0)), discrepancy=(1e-4, 3, 0)), "smoothness prior instead"),
         (lambda: make_map(Polynomial(3, 0.0, 1.0), discrepancy=(1e-4, 3, 0)), "exceed the model's"),

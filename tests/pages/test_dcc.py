@@ -251,7 +251,11 @@ def test_an_imu_s_document_has_every_quantity_in_its_si_unit(folder, tmp_path, c
 
 @pytest.mark.parametrize(
     ("leave", "said"),
-    [("--number", "certificate number"), ("--rig", "[laboratory] name"), ("--performed", "a DCC says the performed")],
+    [
+        ("--number", "certificate number"),
+        ("--rig", "[laboratory] name"),
+        ("--performed", "a DCC must state the performed"),
+    ],
 )
 def test_what_nobody_stated_is_asked_for(folder, tmp_path, leave, said, capsys):
     given = words(folder)

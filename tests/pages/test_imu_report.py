@@ -53,7 +53,7 @@ def test_every_number_is_the_prediction_s_and_every_warning_is_on_the_page(writt
     assert [row.verdict for row in data.requirements] == [row.verdict for row in predicted.requirements]
     assert [row.limited_by for row in data.requirements] == [row.limited_by for row in predicted.requirements]
     assert data.verdict == "missed"
-    assert "Missed: the predicted residual exceeds a target" in html
+    assert "Missed: a predicted residual exceeds its target" in html
     assert len(data.parameters) == len(predicted.parameters)
     bias = next(row for row in predicted.parameters if row.name == "accelerometer_x.a0")
     shown = next(row for row in data.parameters if (row.kind, row.name, row.axis) == ("accelerometer", "a0", "x"))
@@ -67,7 +67,7 @@ def test_every_number_is_the_prediction_s_and_every_warning_is_on_the_page(writt
 
 def test_before_a_calibration_is_what_the_priors_leave(written):
     data, _, _ = written
-    assert data.before_is == "the spec's priors, without a calibration"
+    assert data.before_is == "without a calibration: the priors in the spec"
     before = {row.quantity: row.before for row in data.requirements}
     assert before["g_sensitivity"] == pytest.approx(50.0)
     assert before["second_order"] == pytest.approx(1000.0)

@@ -245,7 +245,7 @@ def test_a_page_shows_one_cycle_as_planned_and_as_done(made, whole):
     html = whole[2]
     at = html.index('aria-labelledby="rate-x-caption"')
     svg = html[at : html.index("</figure>", at)]
-    assert "in cycle 9 of 16 of ramp 1: planned and done by its executed commands." in svg
+    assert "in cycle 9 of 16 of ramp 1: planned and done, from the commands that were executed." in svg
     assert re.findall(r">(planned|done)</text>", svg) == ["planned", "done"]
     # A curve of each, of two turns: not of all cycles.
     curves = [path.count("L ") for path in re.findall(r'<path d="([^"]*)" clip-path', svg)]
@@ -314,7 +314,7 @@ def test_a_calibration_of_any_name_in_the_folder_of_a_run_is_taken_with_it(made,
     assert read_sources([run]).calibration == made[2]
     shutil.copy(run / "unit 7, spring.toml", run / "autumn.toml")
     with pytest.raises(
-        ValueError, match=r"several calibrations \(autumn.toml, unit 7, spring.toml\): also name the intended one"
+        ValueError, match=r"several calibrations \(autumn.toml, unit 7, spring.toml\): also name the one one"
     ):
         read_sources([run])
     assert read_sources([run, run / "autumn.toml"]).calibration == made[2]
@@ -389,7 +389,7 @@ def test_files_that_do_not_belong_together_are_named(made, tmp_path, capsys):
     (tmp_path / "limit.json").write_text("{}", encoding="utf-8")
     out = str(tmp_path / "page.html")
     wrong: list[tuple[list[str], str]] = [
-        ([str(tmp_path / "spec.toml"), str(folder / "recipe.toml")], "leave the other spec out"),
+        ([str(tmp_path / "spec.toml"), str(folder / "recipe.toml")], "leave out the other spec"),
         ([str(tmp_path / "other.toml"), "--limits", str(tmp_path / "limit.json")], "name its recipe or its spec"),
         ([str(tmp_path)], "not the folder of a run"),
         ([str(folder / "recipe.toml")] * 2, "a second recipe"),
@@ -404,7 +404,7 @@ def test_files_that_do_not_belong_together_are_named(made, tmp_path, capsys):
 
 def test_the_glossary_explains_what_is_asked(capsys):
     assert main(["schema", "words", "standstill", "offset"]) == 0
-    assert "each time it comes to rest" in " ".join(capsys.readouterr().out.split())
+    assert "each time the table comes to rest" in " ".join(capsys.readouterr().out.split())
     assert main(["schema", "words", "warp", "drive"]) == 2
     assert "warp drive" in capsys.readouterr().err
 

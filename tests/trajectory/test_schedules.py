@@ -36,7 +36,7 @@ def test_a_move_takes_its_time_turns_its_angle_and_never_jumps(shape):
 
 
 def test_ramps_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match="reduce the ramp"):
+    with pytest.raises(ValueError, match="shorten the ramps"):
         trajectory.turn("cosine ramps", 1.0, 2.0, ramp=1.1)
 
 
@@ -73,7 +73,7 @@ def test_a_cycle_repeats_and_the_chambers_knee_divides_a_piece():
 
 
 def test_moves_that_fit_nowhere_are_refused():
-    with pytest.raises(ValueError, match="fit into no used part"):
+    with pytest.raises(ValueError, match="longer than every used part"):
         trajectory.gradient_plan(trajectory.programme(0.0, [(5.0, 0.1)]), (trajectory.rest(6.0),))
 
 

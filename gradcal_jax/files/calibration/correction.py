@@ -50,12 +50,12 @@ class Corrected(NamedTuple):
     outside_temperature: int
     outside_rate: int
     left_alone: tuple[str, ...]
-    """Channels of the log that the calibration does not have."""
+    """Channels of the log that the calibration does not have, and that are therefore not corrected."""
     unknown_branch: int = 0
-    """Rows at the beginning in which the state of a hysteresis is not known."""
+    """Number of rows at the beginning for which the state of a hysteresis is not known."""
     left_in: tuple[str, ...] = ()
-    """Coefficients under [[path]], as gyro_x.NAME, that are not taken off: transients after power-on, and errors by
-    classes of the user's own."""
+    """Coefficients under [[path]], as gyro_x.NAME, that the correction does not subtract: transients after power-on,
+    and errors of the user's own classes."""
 
     __repr__ = summary
 
@@ -241,7 +241,7 @@ def _refuse_or_leave(channel: CalibratedChannel, at: Floats, measured: Floats, c
     if len(rows := np.flatnonzero(unsolved & (np.abs(measured) <= limit))):
         raise ValueError(
             f"the calibration of {channel.label} is too steep to be inverted at {measured[rows[0]]:.4g} (SI), "
-            f"{at[rows[0]]:.4g} degC: does this calibration belong to another sensor?"
+            f"{at[rows[0]]:.4g} degC: is it the calibration of another sensor?"
         )
     now[unsolved] = np.nan
 
@@ -260,7 +260,7 @@ def known_temperature(log: Log, unit: int, *, second: bool = False) -> Floats:
     values = log.bridged_temperature(unit, second=second)
     if values is None:
         which = "second temperature" if second else "temperature"
-        raise LogError(f"the log has no {which} of IMU {log.units[unit]}, and the calibration depends on it")
+        raise LogError(f"the log has no {which} of IMU {log.units[unit]}, which the calibration needs")
     return values
 
 
@@ -375,13 +375,13 @@ def _common(calibration: Calibration, columns: Mapping[str, Floats]) -> list[Cal
     common = [channel for channel in calibration.channel if channel.label in has]
     if not common:
         raise LogError(
-            f"the log's channels ({', '.join(columns)}) are none of the calibration's "
+            f"none of the log's channels ({', '.join(columns)}) is in the calibration "
             f"({', '.join(channel.label for channel in calibration.channel)})"
         )
     needed = {name.strip("|") for channel in common for term in channel.term for name in term.signals}
     for channel in calibration.channel:
         if channel.label not in has and channel.input in needed:
-            raise LogError(f"the log has no {channel.label}, on which the correction of other channels depends")
+            raise LogError(f"the log has no {channel.label}, which the correction of other channels needs")
     return common
 
 

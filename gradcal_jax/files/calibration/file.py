@@ -37,33 +37,35 @@ ORDER: Final = (
     "before any rotation"
 )
 TEMPERATURE_RATE: Final = "temperature rate"
-"""The signal dT/dt, K/s: known, where the others are solved for."""
+"""The signal dT/dt, K/s. It is known; the other signals are solved for."""
 LOG_HASH: Final = "log_sha256"
-"""The provenance has the fingerprint of the calibration's log under this name."""
+"""Name under which the provenance has the fingerprint of the calibration's log."""
 
 
 class CalibratedTerm(Section):
-    """One term of a channel, in `unit` (SI). Without `temperature` it is constant; with `rate` it depends on the
-    channel's own rate."""
+    """One term of a channel; coefficients in `unit` (SI). Without `temperature` the term is constant; with `rate` it
+    depends on the channel's own rate."""
 
     name: q.Text
     """Name of the term, such as scale_factor."""
     unit: q.Text
-    """SI unit of its coefficients."""
+    """SI unit of the coefficients."""
     signals: Annotated[tuple[q.Text, ...], Field(max_length=4)] = ()
-    """Its factors, such as "rate x", "force z", "|force z|" or "temperature rate"; none: 1."""
+    """Signals that multiply the term, such as "rate x", "force z", "|force z|" or "temperature rate"; none: the term
+    stands alone."""
     temperature: TemperatureBasis | None = None
     """Basis over temperature; absent: constant."""
     rate: RateBasis | None = None
     """Basis over the channel's own rate; absent: the same at every rate."""
     lag: q.Time | None = None
-    """First-order lag behind the temperature of its channel; absent: no lag."""
+    """First-order lag of this term behind the temperature of its channel; absent: no lag."""
     coefficients: Annotated[dict[str, q.Number], Field(min_length=1, max_length=40_000)]
-    """By name, in SI; temperature slow, rate fast."""
+    """Coefficients by name, in SI, in an order in which the function of rate changes fastest and that of temperature
+    slowest."""
 
     def _problems(self) -> Iterator[Problem]:
         if len(self.coefficients) != self.size:
-            message = f"expected {self.size}, one for each function of the bases"
+            message = f"expected {self.size} coefficients, one for each function of the bases"
             yield Problem(("coefficients",), message, len(self.coefficients))
         elif self.name in ("bias", "scale_factor") and self.temperature is not None and self.size > 1:
             rates = 1 if self.rate is None else self.rate.size
@@ -73,8 +75,8 @@ class CalibratedTerm(Section):
                 if function_of(name) != functions_of_name:
                     place = " and ".join(map(str, functions_of_name))
                     message = (
-                        f"is not the coefficient that belongs here, which is for function {place} of temperature "
-                        "(and rate)"
+                        f"is not the coefficient expected at this position, which multiplies function {place} of "
+                        "temperature (and rate)"
                     )
                     yield Problem(("coefficients", name), message)
                     break
@@ -86,11 +88,11 @@ class CalibratedTerm(Section):
 
 
 class PathCoefficient(Section):
-    """An error that depends on the path of temperature, in addition to the maps, which are the mean of heating and
-    cooling. `apply` subtracts it with the temperatures of a log; exports cannot contain it."""
+    """An error that depends on the path of temperature (hysteresis, dT/dt), in addition to the maps, which are the mean
+    of heating and cooling. `apply` subtracts it, by the temperatures of a log; exports cannot contain it."""
 
     channel: q.Text
-    """As in gyro_x."""
+    """Name of the channel, such as gyro_x."""
     name: q.Text
     """Name of the coefficient, such as hysteresis_20K."""
     value: q.Number
@@ -98,43 +100,44 @@ class PathCoefficient(Section):
     standard_deviation: q.Number
     """Standard deviation of the estimate (SI)."""
     unit: q.Text
-    """SI unit of both."""
+    """SI unit of the estimate and its standard deviation."""
     width: q.PositiveTemperatureDifference | None = None
-    """Half-width of the play; absent: the term is not a hysteresis."""
+    """Half-width of the hysteresis (of its play); absent: the term is not a hysteresis."""
     time_constant: q.Time | None = None
-    """Time constant of a sensitivity to dT/dt with a first-order lag; absent: no lag."""
+    """Time constant of the first-order lag of a sensitivity to dT/dt; absent: no lag."""
     second_thermometer: q.Flag = False
-    """Whether the coefficient is per K of difference between the second thermometer and the first."""
+    """Whether the coefficient multiplies the difference between the second thermometer and the first."""
     own: q.Flag = False
-    """Whether it belongs to your own error class, which neither `apply` nor exports correct."""
+    """Whether the coefficient belongs to an error class of your own, which neither `apply` nor exports correct."""
 
 
 class Residuals(Section):
     """Whitened residuals of the fit, in standard deviations: independent and normal if the model is correct."""
 
     counts: Annotated[tuple[q.Whole, ...], Field(min_length=18, max_length=18)]
-    """Histogram: counts below -4, in bins of 0.5 up to 4, and above."""
+    """Histogram: number of residuals below -4, in bins of 0.5 from -4 to 4, and above 4."""
     rms: Annotated[tuple[q.Number, ...], Field(max_length=10)] = ()
-    """Root mean square of each tenth of them, in the order of time."""
+    """Root mean square of the residuals in each tenth of the run, in the order of time."""
 
 
 class CalibratedChannel(Section):
-    """A gyro or an accelerometer. Outside `valid_temperature` and `valid_rate` its maps keep the values at the edge."""
+    """A gyro or an accelerometer. Outside `valid_temperature` and `valid_rate`, its maps keep the values at the edge of
+    the range."""
 
     kind: Literal["gyro", "accelerometer"]
     """Kind of sensor."""
     axis: Annotated[q.Text, Field(max_length=100)]
-    """Its axis of the body."""
+    """Axis of the body along which the sensor measures."""
     valid_temperature: tuple[q.Temperature, q.Temperature]
-    """Temperatures that the data covered."""
+    """Lowest and highest temperature in the data of the calibration."""
     valid_rate: tuple[q.Rate, q.Rate]
-    """Rates that the data covered."""
+    """Lowest and highest rate in the data of the calibration."""
     thermal_lag: q.Time | None = None
-    """Time by which its maps follow the temperature; absent: none."""
+    """Time constant of the maps' lag behind the measured temperature; absent: no lag."""
     term: Annotated[tuple[CalibratedTerm, ...], Field(max_length=40)] = ()
-    """Its errors, which add."""
+    """Error terms of the channel; their sum is its error."""
     residuals: Residuals | None = None
-    """Residuals of its fit."""
+    """Residuals of this channel's fit."""
 
     def _problems(self) -> Iterator[Problem]:
         for key, span in (("valid_temperature", self.valid_temperature), ("valid_rate", self.valid_rate)):
@@ -164,79 +167,81 @@ class Covariance(Section):
     """Covariance of the observable coefficients."""
 
     names: Annotated[tuple[q.Text, ...], Field(max_length=5000)]
-    """Names of the coefficients, as in gyro_x.b00."""
+    """Names of the coefficients, such as gyro_x.b00."""
     matrix: tuple[tuple[q.Number, ...], ...]
-    """Their covariance, row by row, in their units."""
+    """Covariance of these coefficients, row by row, in the coefficients' units."""
 
     def _problems(self) -> Iterator[Problem]:
         count = len(self.names)
         if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
             yield Problem(("matrix",), f"expected {count} rows of {count} numbers, as many as there are names")
         elif any(self.matrix[i][i] < 0.0 for i in range(count)):
-            yield Problem(("matrix",), "a variance on its diagonal is negative")
+            yield Problem(("matrix",), "a variance on the diagonal is negative")
 
 
 class UnseenError(Section):
-    """An error that no residual of the fit shows: from a term of the spec or, with a figure typical of the class,
-    from an omitted term. The covariance with all of them is `covariance` plus the sum of their squares."""
+    """An error that the residuals of the fit cannot show: from a term of the spec or, with a typical figure of the
+    class, from a term that the spec omits. The covariance with all these errors is `covariance` plus the sum of their
+    outer products."""
 
     name: Annotated[q.Text, Field(max_length=200)]
-    """Which error."""
+    """Name of the error."""
     coefficients: dict[str, q.Number]
-    """One standard deviation of it in each coefficient, in the coefficients' units."""
+    """Change of each coefficient by one standard deviation of this error, in the coefficients' units."""
 
 
 class FitTest(Section):
     """A test of the fit."""
 
     name: q.Text
-    """Which test, of which channel, as in "gyro_x: chi-squared"."""
+    """Channel and name of the test, such as "gyro_x: chi-squared"."""
     statistic: q.Number
-    """Its χ²."""
+    """Value of χ²."""
     degrees: q.Whole
     """Degrees of freedom."""
     chance: q.Number
-    """Probability of a value at least as large."""
+    """Probability of such a χ², or a larger one, if the model is correct."""
 
 
 class TableError(Section):
-    """An estimated error of the *table's* installation, SI, with its prior."""
+    """An estimated error of the *table's* installation, SI, and its prior standard deviation."""
 
     name: q.Text
-    """Of the error."""
+    """Name of the error."""
     value: q.Number
     """Estimate (SI)."""
     standard_deviation: q.Number
     """Standard deviation of the estimate (SI)."""
     prior: q.Number
-    """Standard deviation in the spec (SI)."""
+    """Prior standard deviation, from the spec (SI)."""
     unit: q.Text
-    """SI unit of all three."""
+    """SI unit of the estimate, its standard deviation and its prior."""
 
 
 class Result(Section):
-    """The result for a requirement of the spec, in `unit`."""
+    """The result for one requirement of the spec; figures in `unit`."""
 
     name: q.Text
-    """Of the requirement."""
+    """Name of the requirement."""
     axis: q.Text
-    """Which axis, or how several are summed up."""
+    """Axis to which the result applies, or how the axes are combined ("worst", "all")."""
     quantity: q.Text
-    """Which quantity."""
+    """Quantity that the requirement limits."""
     statistic: q.Text
-    """The one that decides."""
+    """Statistic of the residual that decides the verdict."""
     value: q.Number | None = None
-    """The value (1σ), including omitted terms and, for "any run", the turn-on bias; absent: not observable."""
+    """The value of this statistic (1σ), including omitted terms and, for "any run", the turn-on bias; absent: not
+    observable."""
     named: q.Number | None = None
-    """The value from the named terms alone, in this run, if it differs."""
+    """The same statistic from the terms named in the spec alone, for this run, if it differs."""
     worst: q.Number | None = None
-    """The standard deviation at the worst point of the box."""
+    """The standard deviation at the worst point of the requirement's temperatures and rates."""
     unit: q.Text
     """Unit of all figures."""
     target: q.Number | None = None
     """Limit on the error."""
     verdict: q.Text | None = None
-    """Whether it is met."""
+    """Whether the limit is met: "met", "missed", "not covered", "unobservable" or "not valid"."""
     coverage: q.Number | None = None
     """Number of standard deviations that must be within the target."""
     risk: Annotated[q.Number, Field(gt=0.0, le=0.5)] | None = None
@@ -246,16 +251,16 @@ class Result(Section):
 
 
 class Noise(Section):
-    """The noise that the estimate assumed, for filters in other programs; drifts are random walks for short times."""
+    """The noise that the estimate assumed, for use in the filters of other programs."""
 
     angle_random_walk: q.AngleRandomWalk | None = None
     """White noise of the rate."""
     rate_random_walk: q.RateRandomWalk | None = None
-    """Random walk of the gyros' drifts, for times much shorter than their correlation time."""
+    """Random walk that equals the gyros' drifts over times much shorter than their correlation time."""
     velocity_random_walk: q.VelocityRandomWalk | None = None
     """White noise of the specific force."""
     sample_rate: q.Frequency | None = None
-    """Of the log."""
+    """Sample rate of the log."""
 
 
 class Calibration(TitledFile):
@@ -265,21 +270,21 @@ class Calibration(TitledFile):
 
     format: Literal["gradcal-calibration/2"]
     serial_number: q.Text
-    """Of the sensor."""
+    """Serial number of the sensor."""
     simulated: q.Flag
     """Whether the data are simulated."""
     frame: q.Text
-    """In which frame the axes are."""
+    """Frame in which the axes are given."""
     order: q.Text
-    """The meaning of the numbers, and the order of the correction."""
+    """What the numbers mean, and in which order a correction uses them."""
     channel: Annotated[tuple[CalibratedChannel, ...], Field(min_length=1, max_length=20)]
-    """Gyros and accelerometers."""
+    """Gyros and accelerometers, one table for each."""
     covariance: Covariance | None = None
-    """Of the coefficients that were observed, by the fit; absent: not kept."""
+    """Covariance of the observed coefficients from the fit; absent: it was not kept."""
     path: Annotated[tuple[PathCoefficient, ...], Field(max_length=500)] = ()
     """Errors that depend on the path of temperature, in addition to the maps."""
     unseen: Annotated[tuple[UnseenError, ...], Field(max_length=5000)] = ()
-    """Errors that no residual shows; the results and every stated uncertainty include them."""
+    """Errors that the residuals of the fit cannot show; the results and every stated uncertainty include them."""
     table: Annotated[tuple[TableError, ...], Field(max_length=500)] = ()
     """Estimated errors of the table."""
     fit: Annotated[tuple[FitTest, ...], Field(max_length=1000)] = ()
@@ -291,9 +296,9 @@ class Calibration(TitledFile):
     noise: Noise | None = None
     """The noise that the estimate assumed."""
     lacks: q.Text | None = None
-    """The part of the plan that is missing in the log, and the prediction for the executed part alone."""
+    """The part of the plan that is missing in the log, and the prediction for the executed part alone, in words."""
     result: Annotated[tuple[Result, ...], Field(max_length=1000)] = ()
-    """The results for the requirements."""
+    """Results for the requirements of the spec."""
     provenance: dict[str, q.Text] = Field(default_factory=dict)
     """Texts by name: versions, sources, the log's hash."""
 

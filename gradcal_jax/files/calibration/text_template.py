@@ -23,4 +23,4 @@ def rendered(template: str, values: Mapping[str, Any]) -> str:
         raise ValueError(f"the template, line {problem.lineno}: {problem.message}") from None
     except (TemplateError, units.UnitError, TypeError, ArithmeticError, LookupError) as problem:
         known = ", ".join(sorted(values))
-        raise ValueError(f"the template: {problem}; the names with values are {known}") from None
+        raise ValueError(f"the template: {problem}; the template can use the names {known}") from None

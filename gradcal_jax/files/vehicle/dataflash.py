@@ -54,8 +54,8 @@ def gyros(path: Path) -> Sequence[GyroStream]:
         raise LogError("the log has no IMU messages: set the IMU bit of LOG_BITMASK")
     if len(parameters) == 0:
         raise LogError(
-            "the log has no parameters (PARM), and ArduPilot has applied offsets and thermal calibration to its "
-            "IMU data: they cannot be undone"
+            "the log has no parameters (PARM), so the offsets and the thermal calibration that ArduPilot has "
+            "applied to its IMU data cannot be removed"
         )
     in_force = _parameters(parameters)
     streams: list[GyroStream] = []
@@ -98,7 +98,7 @@ def _undone(number: int, table: Any, in_force: Callable[[str, Floats, float], Fl
         rate,
         known,
         None,
-        (f"IMU{number}: ArduPilot's {note} are undone with the parameters in the log",),
+        (f"IMU{number}: ArduPilot's {note} have been removed from the data, by the parameters in the log",),
     )
 
 
@@ -109,7 +109,10 @@ def _to_sensor(orientation: int) -> Floats:
     vector = library("pymavlink.rotmat", "pymavlink").Vector3
     columns = [vector(*row).rotate_by_inverse_id(orientation) for row in np.eye(3).tolist()]
     if any(column is None for column in columns):
-        raise LogError(f"the board's orientation AHRS_ORIENTATION = {orientation} is not known: it cannot be undone")
+        raise LogError(
+            f"the orientation of the board, AHRS_ORIENTATION = {orientation}, is not known to this program, so the "
+            "board's rotation cannot be removed"
+        )
     return np.array([[column.x, column.y, column.z] for column in columns]).T
 
 

@@ -29,7 +29,7 @@ from gradcal_jax.files.vehicle.streams import GyroStream, interpolated, library
 _IMU: Final = ("sensor_msgs/msg/Imu", "sensor_msgs/Imu")
 _TEMPERATURE: Final = ("sensor_msgs/msg/Temperature", "sensor_msgs/Temperature")
 _SAME_CLOCK_S: Final = 1.0
-"""Stamps of a header this near to the receiver's, by the median, are of one clock."""
+"""If the stamps of the header differ from the receiver's by less than this (by the median), both are of one clock."""
 
 
 class _Topic:
@@ -50,8 +50,8 @@ def gyros(path: Path) -> Sequence[GyroStream]:
     raw = [topic for topic in imus if "mavros" not in topic.name]
     if not raw:
         raise LogError(
-            f"{imus[0].name} comes from MAVLink: its rates are not those of the sensor, because the estimator's "
-            "bias is subtracted; use the flight controller's own log"
+            f"{imus[0].name} comes from MAVLink: its rates are not the sensor's output, because the bias that the "
+            "flight controller's estimator determines is subtracted; use the flight controller's own log"
         )
     return [_stream(topic, temperatures) for topic in raw]
 
@@ -59,10 +59,10 @@ def gyros(path: Path) -> Sequence[GyroStream]:
 def _stream(topic: _Topic, temperatures: Sequence[_Topic]) -> GyroStream:
     stamps, values = _decoded(topic, first=13, count=3)
     received = np.array(topic.received_ns, np.int64)
-    notes = [f"{topic.name}: a ROS message does not state whether the driver has subtracted a bias"]
+    notes = [f"{topic.name}: the driver may have subtracted a bias from the rates, which a ROS message does not state"]
     if not stamps.any():
         stamps = received
-        notes.append(f"{topic.name} carries no stamps: the receiver's are taken")
+        notes.append(f"{topic.name} has no time stamps of its own: those of the receiver are used")
     time: Floats = (stamps - stamps[0]).astype(np.float64) * 1e-9
     host: Floats = (received - received[0]).astype(np.float64) * 1e-9
     temperature = _temperature(topic.name, time, stamps, received, temperatures)
@@ -158,7 +158,7 @@ def _from_mcap(path: Path) -> tuple[list[_Topic], list[_Topic]]:
             chosen = [c for c in summary.channels.values() if kinds.get(c.schema_id) in (*_IMU, *_TEMPERATURE)]
             strange = sorted({c.message_encoding for c in chosen} - {"cdr", "ros1"})
             if strange:
-                raise LogError(f"its messages are encoded as {', '.join(strange)}: known are cdr and ros1")
+                raise LogError(f"its messages are encoded as {', '.join(strange)}; this program reads cdr and ros1")
             wanted = [channel.topic for channel in chosen]
             if not wanted:
                 return [], []

@@ -28,9 +28,9 @@ KINDS: Final = {
 _WORDS: Final = {"ulog": "ULog", "dataflash": "DataFlash", "ros": "a ROS bag or MCAP"}
 _FIRMWARE: Final = {"ulog": {"firmware": "px4"}, "dataflash": {"firmware": "ardupilot"}}
 _FROM_MAVLINK: Final = (
-    "has MAVLink messages: their HIGHRES_IMU (as PX4 sends it) is not the output of the sensor: the estimator's "
-    "gyro bias is subtracted, and the temperature is that of the barometer. A calibration needs the log of the "
-    "flight controller: PX4's .ulg with sensor_gyro, ArduPilot's .bin"
+    "has MAVLink messages. Their HIGHRES_IMU, as PX4 sends it, is not the output of the sensor: the gyro bias of "
+    "PX4's estimator is subtracted, and the temperature is that of the barometer. A calibration needs the log of "
+    "the flight controller itself: PX4's .ulg with sensor_gyro, or ArduPilot's .bin"
 )
 
 
@@ -42,12 +42,12 @@ class GyroStream:
     time_s: Floats
     rate_rad_per_s: Floats
     temperature_c: Floats | None
-    """At the same stamps."""
+    """Temperature of the gyro at the same time stamps."""
     host_time_s: Floats | None = None
     notes: tuple[str, ...] = ()
     """Properties of this source that matter for a calibration, in sentences."""
     sensor_rate: str | None = None
-    """As of `files.log.SENSOR_RATE`."""
+    """The sensor's own sample rate, in the words of `files.log.SENSOR_RATE`."""
 
 
 def is_vehicle_log(path: Path) -> bool:
@@ -95,7 +95,7 @@ def _streams(path: Path) -> list[GyroStream]:
         with quietly(_WORDS[kind]):
             gyros: Sequence[GyroStream] = reader.gyros(path)
         if not (streams := [stream for stream in gyros if len(stream.time_s) > 1]):
-            raise LogError("it has no samples of a gyro")
+            raise LogError("the log has no samples of a gyro")
         return streams
 
 
@@ -126,13 +126,15 @@ def _log(
     log = examine(columns if rows is None else columns.part(rows), policy)
     notes = [Finding("source", "keep", 0, note) for stream in streams for note in stream.notes]
     notes += [
-        Finding("coarse thermometer", "keep", 0, f"the thermometer of {stream.name} has steps of {step:.3g} degC")
+        Finding(
+            "coarse thermometer", "keep", 0, f"the temperature of {stream.name} is recorded in steps of {step:.3g} degC"
+        )
         for stream in streams
         if stream.temperature_c is not None and (step := _step(stream.temperature_c)) > 0.4
     ]
     if others:
         names = ", ".join(stream.name for stream in others)
-        text = f"other gyros have separate clocks: {names}; choose one with --unit"
+        text = f"the log also has other gyros, with clocks of their own: {names}; choose one with --unit"
         notes.append(Finding("other units", "keep", 0, text))
     return replace(log, findings=(*notes, *log.findings))
 

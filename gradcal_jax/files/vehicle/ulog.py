@@ -23,7 +23,7 @@ from gradcal_jax.files.vehicle.streams import GyroStream, interpolated, library
 _RAW: Final = ("sensor_gyro", "sensor_gyro_fifo")
 _SLOWEST_HZ: Final = 90.0
 _THINNED: Final = 1.1
-"""Times the rows' rate, beyond which the published rate is another."""
+"""If the published rate exceeds the rate of the rows by more than this factor, rows are missing."""
 
 
 def gyros(path: Path) -> Sequence[GyroStream]:
@@ -36,7 +36,7 @@ def gyros(path: Path) -> Sequence[GyroStream]:
     names = {data.name for data in log.data_list} - {"vehicle_imu_status"}
     start_s = float(log.start_timestamp) * 1e-6
     if not topics:
-        only = "only sensor_combined, which has calibration and bias subtracted" if names else "no gyro"
+        only = "only sensor_combined, from which calibration and bias are already subtracted" if names else "no gyro"
         raise LogError(
             f"the log has {only}: make PX4 log sensor_gyro with the thermal calibration bit (4) of SDLOG_PROFILE"
         )
@@ -55,7 +55,7 @@ def gyros(path: Path) -> Sequence[GyroStream]:
 def _device(data: Any) -> str:
     ids = np.unique(data.data["device_id"])
     if len(ids) != 1:
-        raise LogError(f"{data.name} {data.multi_id} is of several devices: {', '.join(map(str, ids))}")
+        raise LogError(f"{data.name} {data.multi_id} has data of several devices: {', '.join(map(str, ids))}")
     return str(int(ids[0]))
 
 

@@ -147,7 +147,7 @@ def test_the_bias_of_a_changing_temperature_is_taken_off():
 def test_a_log_that_does_not_fit_is_a_sentence():
     found = parse_calibration(WHOLE)
     other = Log(np.arange(5.0), np.zeros((1, 5, 1)), ("SN-7",), ("roll",))
-    with pytest.raises(LogError, match="none of the calibration's"):
+    with pytest.raises(LogError, match="none of the log's channels"):
         apply(found, other)
     with pytest.raises(LogError, match="no temperature"):
         apply(found, Log(np.arange(5.0), np.zeros((1, 5, 1)), ("SN-7",), ("x",)))

@@ -21,10 +21,6 @@ os.environ.setdefault(
 )
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from gradcal_jax.cli.precision import keep_memory
-
-keep_memory()
-
 import jax
 import jaxtyping
 import matplotlib

@@ -27,7 +27,7 @@ def use_float64() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Likewise XLA's threads, which share out kernels of microseconds: a search has a thread for each core of its own.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
-    keep_memory()
+    _keep_memory()
     import jax
 
     from gradcal_jax.cache import cache_folder
@@ -41,7 +41,7 @@ def use_float64() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
-def keep_memory() -> None:
+def _keep_memory() -> None:
     """Collect garbage less often, and let the process retain freed memory, if its C library is GNU's.
 
     Arrays of some megabytes would otherwise be returned to the system after every call and cleared by it before the

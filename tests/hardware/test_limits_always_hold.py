@@ -35,7 +35,7 @@ def lab(
     folder: Path, track: Track, limits: InterlockLimits | None = None, *, stage: bool = True, attended: bool = False
 ) -> Iterator[tuple[Rig, Runner]]:
     clock = LineClock()
-    with Rig(clock, stage=stage) as rig, Journal(folder / "journal") as journal:
+    with Rig(clock, stage=stage, burst_s=0.512) as rig, Journal(folder / "journal") as journal:
         rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
         # Hours of pause go by: without the unit's stream, which has no part in any of this.
         with open_rig(only_of(rig.rig, {"chamber", "table"}), clock) as bench:

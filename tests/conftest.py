@@ -12,13 +12,10 @@ os.environ["GRADCAL_CONFIG"] = ""
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-# Most programs run for less time than XLA takes to optimise them. As in the command line, threads that share out
-# kernels of microseconds would wait for one another: with several workers, for many times as long as the work takes.
-os.environ.setdefault(
-    "XLA_FLAGS",
-    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
-    "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-)
+# Most programs run for less time than XLA takes to optimise them.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true")
+# As in the command line: OpenBLAS's threads, which share out products of some tens of columns, wait for one another.
+# With several workers on few cores that took four times as long as an estimate.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax

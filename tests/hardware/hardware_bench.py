@@ -241,8 +241,8 @@ def vectornav_bench(
 
 
 class Rig:
-    """A simulated rig under the template's rig file, with an ODrive (or a Zaber stage) as its table. The unit sends what
-    it sampled every `burst_s`."""
+    """A simulated rig under the template's rig file, with an ODrive (or a Zaber stage) as its table. The unit sends its
+    samples every `burst_s`."""
 
     def __init__(
         self, clock: Clock, truth: SensorTruth | None = None, *, stage: bool = False, burst_s: float = 0.128

@@ -24,7 +24,7 @@ from gradcal_jax.files.contracts import requirement_table
 
 LINES, WIDTH = 15, 80
 WORDS = "a sentence that goes on and on, " * 40
-PRESETS = [*gj.presets.names(), "accelerometer-six-positions", "gradient-three-axes", "heat-and-cool"]
+PRESETS = gj.presets.names()
 CALIBRATIONS = json.loads((Path(__file__).parent / "numbers/calibrations.json").read_text(encoding="utf-8"))
 
 

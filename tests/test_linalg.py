@@ -46,7 +46,7 @@ def test_scaled_rows_keep_their_condition_however_parallel_they_are(count, apart
         block[:, 4] = block[:, 0] + apart * block[:, 4]
         block *= [1e6, second, 1e-6, 1e3, 1.0]
     together = np.concatenate([rows, below])
-    factor, scale = scaled_factor(jnp.asarray(rows), jnp.asarray(below))
+    factor, scale = jax.jit(scaled_factor)(rows, below)
     lengths = np.linalg.norm(together, axis=0)
     np.testing.assert_allclose(scale, np.where(lengths > 0.0, lengths, 1.0), rtol=1e-14)
     wanted = np.abs(np.diagonal(np.linalg.qr(together / np.where(lengths > 0.0, lengths, 1.0), mode="r")))
@@ -69,25 +69,27 @@ def test_functions_of_the_gram_have_their_derivative(kind):
     span = np.linalg.pinv(rows) @ rows
     tangent = jnp.asarray(rng.standard_normal(rows.shape) @ span)
     primal = jnp.asarray(rows)
-    wanted = jax.jvp(direct, (primal,), (tangent,))[1]
-    result = jax.jvp(smooth_function_of_the_gram, (primal,), (tangent,))[1]
+    # In one program each: every operation by itself would be compiled by itself.
+    along = lambda of: jax.jit(lambda a, da: jax.jvp(of, (a,), (da,))[1])(primal, tangent)  # noqa: E731
+    wanted, result = along(direct), along(smooth_function_of_the_gram)
     np.testing.assert_allclose(result, wanted, rtol=1e-9, atol=1e-10)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_derivative_is_nan(kind):
     rows = jnp.asarray(rows_of(kind))
-    assert np.all(np.isfinite(jax.jacrev(triangular_factor)(rows)))
-    assert np.all(np.isfinite(jax.grad(smooth_function_of_the_gram)(rows)))
-    assert np.all(np.isfinite(jax.jacfwd(triangular_factor)(jnp.zeros_like(rows))))
+    assert np.all(np.isfinite(jax.jit(jax.jacrev(triangular_factor))(rows)))
+    assert np.all(np.isfinite(jax.jit(jax.grad(smooth_function_of_the_gram))(rows)))
+    assert np.all(np.isfinite(jax.jit(jax.jacfwd(triangular_factor))(jnp.zeros_like(rows))))
 
 
 def test_the_factor_of_a_full_rank_differentiates_as_differences_do():
     rows, tangent = rows_of("full"), np.random.default_rng(5).standard_normal((7, 4))
     step = 1e-5
-    at = lambda s: np.asarray(triangular_factor(jnp.asarray(rows + s * step * tangent)))  # noqa: E731
+    factor_of = jax.jit(triangular_factor)
+    at = lambda s: np.asarray(factor_of(rows + s * step * tangent))  # noqa: E731
     wanted = (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * step)
-    result = jax.jvp(triangular_factor, (jnp.asarray(rows),), (jnp.asarray(tangent),))[1]
+    result = jax.jit(lambda a, da: jax.jvp(triangular_factor, (a,), (da,))[1])(rows, tangent)
     np.testing.assert_allclose(result, wanted, atol=1e-9)
 
 
@@ -99,6 +101,6 @@ def test_solves_and_norms():
     norms = column_norms(rows)
     assert norms[1] == 1.0
     np.testing.assert_allclose(norms[0], np.linalg.norm(rows[:, 0]), rtol=1e-15)
-    slope = jax.grad(lambda a: jnp.sum(column_norms(a)))(rows)
+    slope = jax.jit(jax.grad(lambda a: jnp.sum(column_norms(a))))(rows)
     assert np.all(np.isfinite(slope))
     assert np.all(np.asarray(slope[:, 1]) == 0.0)

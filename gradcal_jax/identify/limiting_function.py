@@ -27,6 +27,7 @@ variances of the two windows add, and there is no difference of nearly equal ter
 
 from math import factorial
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
@@ -128,6 +129,8 @@ def random_walk_variance_of_mean(
     return walk**2 * (1.0 / t + 1.0 / delta)
 
 
+# Compiled as a whole: else each of its operations would be compiled alone for every new number of times.
+@jax.jit
 def alignment_variances(delta: Values, sigma: Values, tau: Values, walk: Values) -> tuple[Values, Values]:
     """Variance P of the drift's estimate at the end of a Kalman alignment of Δ seconds, and σ² - P, (rad/s)².
 
@@ -151,12 +154,14 @@ def alignment_variances(delta: Values, sigma: Values, tau: Values, walk: Values)
     return remaining, learnt
 
 
+@jax.jit
 def _decay_loss(u: Values) -> Values:
     """b(u) = (u - 1 + e⁻ᵘ)/u = 1 - a(u), b(u) → u/2."""
     small, large = _split(u)
     return jnp.where(u < _SERIES_BELOW, small * _horner(_DECAY_LOSS_SERIES, small), (large + jnp.expm1(-large)) / large)
 
 
+@jax.jit
 def _conditional_variance(u: Values) -> Values:
     """r(u) = [2u - 3 + 4e⁻ᵘ - e⁻²ᵘ]/u², r(u) → ⅔u."""
     small, large = _split(u)
@@ -179,6 +184,7 @@ def _horner(coefficients: tuple[float, ...], u: Values) -> Values:
     return total
 
 
+@jax.jit
 def _safe_sqrt(variance: Values) -> Values:
     """√, with a derivative of zero instead of infinity for a sensor without any error at all."""
     positive = variance > 0

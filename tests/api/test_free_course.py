@@ -73,7 +73,7 @@ def objective(plan: CyclePlan, sharpness: float):
     return lambda z: plan._value(z, args), of
 
 
-@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("late", [pytest.param(False, marks=pytest.mark.evidence), True])
 def test_the_gradient_goes_through_turning_points_and_slopes(late):
     """Central differences at three steps: between the smaller ones the error falls with the square of the step, until
     rounding; within the largest, a play may begin to move. The course has reversals within the width of the play."""
@@ -99,7 +99,9 @@ def test_the_gradient_goes_through_turning_points_and_slopes(late):
         assert errors[2] < 0.05 * errors[1] or errors[2] < 1e-6 * scale, (k, errors)
 
 
-@pytest.mark.parametrize(("back", "late"), [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize(
+    ("back", "late"), [(False, False), pytest.param(True, False, marks=pytest.mark.evidence), (True, True)]
+)
 def test_the_objective_of_a_free_course_is_about_that_of_its_plan(back, late):
     plan = CyclePlan(turning(back=back, late=late))
     value, of = objective(plan, np.inf)

@@ -167,7 +167,10 @@ def test_any_point_of_limited_travel_is_executed_as_it_is_written(spec, shape, c
     executed()
 
 
-@pytest.mark.parametrize(("travel", "cycles"), [(90.0, "alike"), (360.0, "alike"), (2000.0, "own")])
+@pytest.mark.parametrize(
+    ("travel", "cycles"),
+    [(360.0, "alike"), *(pytest.param(*of, marks=pytest.mark.evidence) for of in ((90.0, "alike"), (2000.0, "own")))],
+)
 def test_the_recipe_of_limited_travel_is_worth_what_was_found(spec, travel, cycles):
     given = limited(spec, travel, "linear ramps", cycles, starts=1)
     *_, best = run_search(given, steps=20)

@@ -77,6 +77,18 @@ def test_cases_in_a_loop_are_the_cases_one_by_one(spec):
 HIDDEN = {"standard_deviation": "20 ppm", "temperature_degree": 3, "rate_degree": 3}
 
 
+def test_a_search_finds_a_plan_that_notices_what_its_file_s_own_does_not(spec):
+    (row,) = predict(changed(spec, {"design.notice": HIDDEN}), notices=True).notices
+    notice = HIDDEN | {"standard_deviation": f"{0.5 * row.sure_from:.4g} ppm", "power": "90 %"}
+    must = changed(spec, {"design.notice": notice, "design.starts": 1})
+    assert not keeps_limits(must)
+    *_, best = optimise(must, steps=40)
+    assert isinstance(best, Optimised)
+    assert predict(best.spec, notices=True).notices[0].power > 0.89
+    assert best.now == pytest.approx(predict(best.spec).requirements[0].decisive)
+
+
+@pytest.mark.evidence
 def test_a_design_notices_what_it_must_and_pays_for_it(spec):
     *_, free = run_search(spec, steps=40)
     (row,) = predict(changed(free.spec, {"design.notice": HIDDEN}), notices=True).notices

@@ -241,16 +241,19 @@ def vectornav_bench(
 
 
 class Rig:
-    """A simulated rig under the template's rig file, with an ODrive (or a Zaber stage) as its table."""
+    """A simulated rig under the template's rig file, with an ODrive (or a Zaber stage) as its table. The unit sends its
+    samples every `burst_s`."""
 
-    def __init__(self, clock: Clock, truth: SensorTruth | None = None, *, stage: bool = False) -> None:
+    def __init__(
+        self, clock: Clock, truth: SensorTruth | None = None, *, stage: bool = False, burst_s: float = 0.128
+    ) -> None:
         plant = ChamberPlant(ChamberTruth(start_c=24.8, load_time_constant_s=60.0), clock.now())
         axis = AxisPlant(None, clock.now())
         self.chamber = SimulatedEspec(plant, clock)
         self.axis = axis
         self.table: Any = SimulatedZaber([axis], clock) if stage else SimulatedODrive([axis], clock)
         self.sensor = sensor_on_table(clock, truth, axis=axis, chamber=plant)
-        self.imu = SimulatedStim300(self.sensor, clock, Stim300Options(rate_code=0, burst_s=0.128))
+        self.imu = SimulatedStim300(self.sensor, clock, Stim300Options(rate_code=0, burst_s=burst_s))
         self.ports = [SimulatedPort(device, clock) for device in (self.chamber, self.table, self.imu)]
         text = TEMPLATE if stage else TEMPLATE.replace('"zaber" ', '"odrive" ')
         for index, port in enumerate(self.ports):

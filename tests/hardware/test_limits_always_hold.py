@@ -35,7 +35,7 @@ def lab(
     folder: Path, track: Track, limits: InterlockLimits | None = None, *, stage: bool = True, attended: bool = False
 ) -> Iterator[tuple[Rig, Runner]]:
     clock = LineClock()
-    with Rig(clock, stage=stage) as rig, Journal(folder / "journal") as journal:
+    with Rig(clock, stage=stage, burst_s=1.024) as rig, Journal(folder / "journal") as journal:
         rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
         # Hours of pause go by: without the unit's stream, which has no part in any of this.
         with open_rig(only_of(rig.rig, {"chamber", "table"}), clock) as bench:
@@ -267,7 +267,7 @@ def test_a_pause_that_nobody_ends_ends_the_run(tmp_path: Path) -> None:
 def test_a_pause_that_was_asked_for_may_last(tmp_path: Path) -> None:
     with lab(tmp_path, STANDS, attended=True) as (_, runner):
         after(runner, 60.0, lambda: runner.request("pause"))
-        after(runner, 3600.0, lambda: runner.request("resume"))
+        after(runner, 2400.0, lambda: runner.request("resume"))
         assert runner.run().exit_status == "success"
 
 

@@ -69,7 +69,13 @@ def test_mixing_the_two_alignments_would_ruin_it():
     assert float(jnp.sqrt(wrong[0])) / DEG_PER_H > 4.0
 
 
-@pytest.mark.parametrize(("drift_std", "correlation_time_s"), [(1.0, 120.0), (3.0, 120.0), (3.0, 600.0)])
+@pytest.mark.parametrize(
+    ("drift_std", "correlation_time_s"),
+    [
+        (3.0, 120.0),
+        *(pytest.param(*sizes, marks=pytest.mark.evidence) for sizes in ((1.0, 120.0), (3.0, 600.0))),
+    ],
+)
 def test_the_process_found_bounds_fresh_records_of_the_same_kind(drift_std, correlation_time_s):
     """Five records of 40 h, each bounding another: with k = 2.5 a Gaussian leaves 1.24 % of all starts beyond."""
     bounds, shares, ratios = [], [], []

@@ -188,7 +188,9 @@ def test_angles_that_do_not_stand_still_are_no_estimate(monkeypatch):
         estimate_sensors(spec, record(spec, truth, rng))
 
 
-@pytest.mark.parametrize(("plan", "spoilt"), [("two axes", 5.0), ("by hand", 20.0)])
+@pytest.mark.parametrize(
+    ("plan", "spoilt"), [("two axes", 5.0), pytest.param("by hand", 20.0, marks=pytest.mark.evidence)]
+)
 def test_angles_that_nobody_knows_are_estimated(plan, spoilt, monkeypatch):
     """The table stands degrees beside the plan, by a twin of quaternions, and the log's angles are the plan's."""
     spec = without_encoder(scene(plan, 0.1))

@@ -44,7 +44,7 @@ def test_rows_state_and_derivative_are_those_of_the_blocks(sizes):
     start = np.random.default_rng(1).standard_normal((n, p))
     found = filter_readings(start, steps.initial, steps, columns)
     state, *known = jax.tree.map(jax.numpy.asarray, (FilterState(start, steps.initial), steps, columns))
-    rows, after = whiten_from(state, *known, block=block_length(count))
+    rows, after = jax.jit(whiten_from, static_argnames="block")(state, *known, block=block_length(count))
     assert_close(found.rows, rows)
     assert_close(found.mean, after.mean)
     assert_close(found.covariance, after.covariance)
@@ -60,7 +60,7 @@ def test_rows_state_and_derivative_are_those_of_the_blocks(sizes):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GRADCAL_NATIVE", "0")
-        wanted = jax.grad(weighed, (0, 1, 2))(known[0].covariance, known[0].reading_variance, known[0].initial)
+        wanted = jax.jit(jax.grad(weighed, (0, 1, 2)))(known[0].covariance, known[0].reading_variance, known[0].initial)
     # ∂(weights · rowsᵀrows) by the adjoint states: −ρ W ρᵀ, −uᵀ W u.
     inner = (weights + weights.T) / 2
     parts = sorted(adjoint_parts(steps, found), key=lambda part: part[0].start)

@@ -88,10 +88,28 @@ def check(scene, sizes=None, one_sided=(), only=None):
     return dict(zip(names, gradient.T, strict=True))
 
 
-def test_every_continuous_quantity():
+def scene_of_everything():
     everything = SCENES["everything"]
-    two = [n for n in everything.noises if n.kind in ("drift", "scale")]
-    gradient = check(replace(everything, noises=tuple(two)))
+    return replace(everything, noises=tuple(n for n in everything.noises if n.kind in ("drift", "scale")))
+
+
+def test_along_random_directions_of_all_continuous_quantities():
+    f, names, size = in_relative_coordinates(scene_of_everything())
+    gradient = gradients(f, len(names))
+    assert np.all(np.isfinite(gradient))
+    # Harmonics' phases, some thousand degrees, change by the sum of all turns' changes: smaller steps than one by one.
+    for direction in np.random.default_rng(2).standard_normal((4, len(names))) * (size != 0.0):
+        along = direction / np.linalg.norm(direction)
+        at = lambda s, along=along: np.asarray(f(jnp.asarray(s * _STEP * along)))  # noqa: E731
+        wanted = sum(w * at(s) for s, w in {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}.items()) / _STEP
+        assert np.max(np.abs(gradient @ along - wanted) / np.linalg.norm(gradient, axis=1)) < 1e-6
+    for part in ("duration", "peak_rate", "ramp", "slopes", "decay", "diffusion", "[2]"):
+        assert any(part in name and np.any(g != 0.0) for name, g in zip(names, gradient.T, strict=True)), part
+
+
+@pytest.mark.evidence
+def test_every_continuous_quantity():
+    gradient = check(scene_of_everything())
     for part in ("duration", "peak_rate", "ramp", "slopes", "decay", "diffusion", "[2]"):
         assert any(part in name and np.any(g != 0.0) for name, g in gradient.items()), part
     for part in ("angle_random_walk", "reading_noise", "offset", "timing", "amplitudes", "prior_std", "initial_std"):

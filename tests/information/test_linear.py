@@ -74,10 +74,10 @@ def test_second_derivatives_with_what_is_known_in_it(inner, outer):
         return value(x, lambda m, a: forwards((m, None), a))
 
     at = jnp.asarray([0.7, -0.4, 1.1])
-    wanted = jax.hessian(derived)(at)
+    wanted = jax.jit(jax.hessian(derived))(at)
     np.testing.assert_allclose(jax.jit(outer(inner(told)))(at), wanted, rtol=1e-11, atol=1e-11)
     batch = jnp.stack([at, 2.0 * at])
-    np.testing.assert_allclose(jax.vmap(outer(inner(told)))(batch)[0], wanted, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(jax.jit(jax.vmap(outer(inner(told))))(batch)[0], wanted, rtol=1e-11, atol=1e-11)
 
 
 def test_shapes_are_as_jax_makes_them():

@@ -25,6 +25,7 @@ def test_it_is_committed_as_executed_and_its_search_converged():
     assert "no plan leaves less than" in said
 
 
+@pytest.mark.evidence
 def test_its_cells_run_with_a_short_search_and_no_frontier(monkeypatch):
     names, said = run_cells(NAME, monkeypatch, without="gj.frontier(", STEPS=20)
     in_order(names)

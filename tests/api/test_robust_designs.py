@@ -82,7 +82,7 @@ def test_a_search_finds_a_plan_that_notices_what_its_file_s_own_does_not(spec):
     notice = HIDDEN | {"standard_deviation": f"{0.5 * row.sure_from:.4g} ppm", "power": "90 %"}
     must = changed(spec, {"design.notice": notice, "design.starts": 1})
     assert not keeps_limits(must)
-    *_, best = optimise(must, steps=40)
+    *_, best = run_search(must, steps=40)
     assert isinstance(best, Optimised)
     assert predict(best.spec, notices=True).notices[0].power > 0.89
     assert best.now == pytest.approx(predict(best.spec).requirements[0].decisive)

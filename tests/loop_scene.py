@@ -11,7 +11,7 @@ from gradcal_jax.files import spec as specs
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.hardware.simulate.draws import draw_table
-from gradcal_jax.hardware.simulate.imu import ErrorTerm, ImuTruth, SimulatedImu
+from gradcal_jax.hardware.simulate.imu import ImuTruth, SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 
 COLD, WARM, LASTING_S = -20.0, 60.0, 4800.0
@@ -106,12 +106,12 @@ def on_branches(truth: ImuTruth) -> np.ndarray:
     """`(2, n, 3)`: the true bias at `AT` on a heating and on a cooling leg at 2 K/min, rad/s."""
     triad = truth.triads["gyro"]
     # The map's, and what a discrepancy says that it lacks.
-    biases = [error for error in triad.errors if isinstance(error, ErrorTerm) and error.factors == "one"]
+    biases = [error for error in triad.errors if error.factors == "one" and not error.differs]
     none = np.zeros((len(AT), 3))
     both, course = [], np.arange(COLDEST, WARMEST, 2.0 / 60.0)
     loops = [loop.begin(COLDEST) for loop in triad.loops]
     for sign, leg in ((1.0, course), (-1.0, course[::-1]), (1.0, course)):
-        values = sum((loop.take(leg, 1.0) for loop in loops), np.zeros((len(leg), 3)))
+        values = sum((loop(leg, 1.0) for loop in loops), np.zeros((len(leg), 3)))
         order = np.argsort(leg)
         path = np.stack([np.interp(AT, leg[order], values[order, k]) for k in range(3)], axis=1)
         slope = sign * np.array(triad.gradient) * 2.0 / 60.0

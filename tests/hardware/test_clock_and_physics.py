@@ -6,14 +6,15 @@ import time
 import numpy as np
 import pytest
 from hardware_bench import sensor_on_table, stim300_bench
-from simulated_devices.gyro import EARTH_RATE_DPS, Mounting, SensorTruth
+from simulated_devices.gyro import EARTH_RATE_DPS, Mounting, Powers, SensorTruth
+from simulated_devices.limited_axis import LimitedAxis
 from simulated_devices.line_clock import LineClock
 from simulated_devices.stim300 import Stim300Options
 
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.roles import join
-from gradcal_jax.hardware.simulate.imu import Process, TruthBasis
+from gradcal_jax.hardware.simulate.imu import Process
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 
 # --- clock ------------------------------------------------------------------------------------------------------------
@@ -171,7 +172,7 @@ def test_trapezoid_arrives_exactly_within_rate_and_acceleration() -> None:
 
 
 def test_short_move_is_a_triangle_and_travel_ends_a_spin() -> None:
-    plant = AxisPlant(AxisTruth(lowest_deg=-180.0, highest_deg=180.0))
+    plant = LimitedAxis((-180.0, 180.0))
     plant.move_to(0.0, 1.0, 300.0, 100.0)
     assert plant.state(0.2)[0] == pytest.approx(1.0)
     plant.spin(1.0, 90.0, 1000.0)
@@ -226,9 +227,9 @@ def test_sensor_error_is_bias_and_scale_factor_of_temperature_and_rate() -> None
     truth = SensorTruth(
         bias_dps=((0.01, 0.002, 0.0, 0.0),) * 3,
         scale_factor=(((1e-3, 2e-4), (5e-4, 0.0)),) * 3,
-        bias_basis=TruthBasis("polynomial", 3, 20.0, 50.0),
-        temperature_basis=TruthBasis("polynomial", 1, 20.0, 50.0),
-        rate_basis=TruthBasis("polynomial", 1, 0.0, 300.0),
+        bias_basis=Powers(3, 20.0, 50.0),
+        temperature_basis=Powers(1, 20.0, 50.0),
+        rate_basis=Powers(1, 0.0, 300.0),
     )
     axis = AxisPlant()
     axis.spin(0.0, 150.0, 1e6)

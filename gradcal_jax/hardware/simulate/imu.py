@@ -24,15 +24,15 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from ... import formulas
 from ...formulas import lag_filter
 from ..pose import turn_about, turn_by
 from .plants import AxisPlant, ChamberPlant, UncontrolledRoom
 
 Vectors = NDArray[np.float64]
+Functions = Callable[[Vectors], Vectors]
+"""Functions of a temperature (°C) or a rate (rad/s), `(n,) -> (n, k)`."""
 Law = Literal["relays", "thermal masses"]
 LAWS: Final[tuple[Law, ...]] = ("relays", "thermal masses")
 
@@ -55,7 +55,7 @@ class LoopTruth:
     `times_s`: time constants of two masses."""
 
     law: Law
-    size: tuple[float, float, float]
+    size: tuple[float, ...]
     width_k: float
     seed: int
     of_input: bool = False
@@ -63,77 +63,55 @@ class LoopTruth:
 
     def begin(self, temperature_c: float) -> "Loop":
         """The loop in a sensor that has been long at a temperature."""
-        made = _Relays if self.law == "relays" else _ThermalMasses
-        return made(self, temperature_c)
+        shape, size = (_relays if self.law == "relays" else _thermal_masses)(self, temperature_c), np.array(self.size)
+        return lambda temperatures_c, period_s: shape(temperatures_c, period_s)[:, None] * size
 
 
-class Loop(ABC):
-    """The state of a loop of error over temperature, by another law than the estimator's plays; scaled by half of what
-    heating and cooling differ by over a wide cycle (relays), or on a ramp (thermal masses).
-
-    "relays", Preisach: they switch up at `u + r` and down at `u - r`, u over temperatures, r over half-widths. "thermal
-    masses": two follow the temperature with different time constants, and the error is in proportion to the difference
-    of theirs, so that it depends on the slope.
-    """
-
-    def __init__(self, truth: LoopTruth) -> None:
-        self._size = np.array(truth.size)
-
-    @abstractmethod
-    def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
-        """`(n,)`: the loop at consecutive temperatures `(n,)`, ±1 on wide legs."""
-
-    def take(self, temperature_c: Vectors, period_s: float) -> Vectors:
-        """`(n, 3)`: the errors at consecutive temperatures."""
-        return self.shape(temperature_c, period_s)[:, None] * self._size
+Loop = Callable[[Vectors, float], Vectors]
+"""The errors of a loop `(n, 3)` at consecutive temperatures `(n,)`, with their period, s: by another law than the
+estimator's plays; scaled by half of what heating and cooling differ by over a wide cycle (relays), or on a ramp
+(thermal masses). A law's own function has no size: `(n,)`, ±1 on wide legs."""
 
 
-class _Relays(Loop):
-    """Weights add up to one for the relays that are open at a temperature, on average; the linear part of the mean of
+def _relays(truth: LoopTruth, temperature_c: float) -> Loop:
+    """Preisach: relays switch up at `u + r` and down at `u - r`, u over temperatures, r over half-widths.
+
+    Weights add up to one for the relays that are open at a temperature, on average; the linear part of the mean of
     heating and cooling, which is no hysteresis, is taken off."""
+    random = np.random.default_rng([truth.seed, 20264])
+    middle = random.uniform(_COLDEST_C, _WARMEST_C, _RELAYS)
+    half = truth.width_k * random.uniform(_NARROWEST, _WIDEST, _RELAYS)
+    up, down = middle + half, middle - half
+    weight = random.exponential(1.0, _RELAYS)
+    weight /= np.mean([weight[(down < t) & (t < up)].sum() for t in np.linspace(-30.0, 80.0, 56)])
+    slope, centre = 2.0 * weight.sum() / (_WARMEST_C - _COLDEST_C), 0.5 * (_COLDEST_C + _WARMEST_C)
+    on, last_c = middle < temperature_c, temperature_c
 
-    def __init__(self, truth: LoopTruth, temperature_c: float) -> None:
-        super().__init__(truth)
-        random = np.random.default_rng([truth.seed, 20264])
-        middle = random.uniform(_COLDEST_C, _WARMEST_C, _RELAYS)
-        half = truth.width_k * random.uniform(_NARROWEST, _WIDEST, _RELAYS)
-        self._up, self._down = middle + half, middle - half
-        weight = random.exponential(1.0, _RELAYS)
-        open_at = np.mean([weight[(self._down < t) & (t < self._up)].sum() for t in np.linspace(-30.0, 80.0, 56)])
-        self._weight = weight / open_at
-        self._slope = 2.0 * self._weight.sum() / (_WARMEST_C - _COLDEST_C)
-        self._centre = 0.5 * (_COLDEST_C + _WARMEST_C)
-        self._on = middle < temperature_c
-        self._last, self._value = temperature_c, self._output(temperature_c)
-
-    def _output(self, temperature_c: float) -> float:
-        total = float(self._weight @ np.where(self._on, 1.0, -1.0))
+    def output() -> float:
         # A heating leg is behind, so that it is lower: the sign is that of heating less cooling.
-        return self._slope * (temperature_c - self._centre) - total
+        return slope * (last_c - centre) - float(weight @ np.where(on, 1.0, -1.0))
 
-    def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
-        places, values = [-1], [self._value]
-        for k, t in enumerate(temperature_c.tolist()):
-            if abs(t - self._last) < _STEP_K and k < len(temperature_c) - 1:
-                continue
-            self._on = (self._on | (t > self._up)) & ~(t < self._down)
-            self._last, self._value = t, self._output(t)
-            places.append(k)
-            values.append(self._value)
-        return np.interp(np.arange(len(temperature_c)), places, values)
+    def shape(temperatures_c: Vectors, period_s: float) -> Vectors:
+        nonlocal on, last_c
+        places, values = [-1], [output()]
+        for k, t in enumerate(temperatures_c.tolist()):
+            if abs(t - last_c) >= _STEP_K or k == len(temperatures_c) - 1:
+                on, last_c = (on | (t > up)) & ~(t < down), t
+                places.append(k)
+                values.append(output())
+        return np.interp(np.arange(len(temperatures_c)), places, values)
+
+    return shape
 
 
-class _ThermalMasses(Loop):
-    def __init__(self, truth: LoopTruth, temperature_c: float) -> None:
-        super().__init__(truth)
-        spread = _SPREAD * np.random.default_rng([truth.seed, 20267]).uniform(-1.0, 1.0, 2)
-        fast_s, slow_s = np.array(truth.times_s) * (1.0 + spread)
-        self._masses = Mass(temperature_c, float(fast_s)), Mass(temperature_c, float(slow_s))
-        self._scale = 1.0 / (_SLOPE_K_PER_S * (slow_s - fast_s))
-
-    def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
-        fast, slow = (mass.take(temperature_c, period_s) for mass in self._masses)
-        return (fast - slow) * self._scale
+def _thermal_masses(truth: LoopTruth, temperature_c: float) -> Loop:
+    """Two masses follow the temperature with different time constants, and the error is in proportion to the difference
+    of theirs, so that it depends on the slope."""
+    spread = _SPREAD * np.random.default_rng([truth.seed, 20267]).uniform(-1.0, 1.0, 2)
+    fast_s, slow_s = np.array(truth.times_s) * (1.0 + spread)
+    fast, slow = Mass(temperature_c, float(fast_s)), Mass(temperature_c, float(slow_s))
+    scale = 1.0 / (_SLOPE_K_PER_S * (slow_s - fast_s))
+    return lambda t_c, period_s: (fast.take(t_c, period_s) - slow.take(t_c, period_s)) * scale
 
 
 class Mass:
@@ -144,36 +122,18 @@ class Mass:
 
     def take(self, temperature_c: Vectors, period_s: float) -> Vectors:
         """Its temperatures `(n,)` at consecutive ones that it follows, linear in between."""
-        signal: Any = importlib.import_module("scipy.signal")
         numerator, denominator = lag_filter(period_s, self._time_s)
-        state = [numerator[1] * self._given - denominator[1] * self._own]
-        result: Vectors = signal.lfilter(numerator, denominator, temperature_c, zi=state)[0]
+        state = np.array([numerator[1] * self._given - denominator[1] * self._own])
+        result = _filtered(numerator, denominator, temperature_c, state)
         if len(result):
             self._given, self._own = float(temperature_c[-1]), float(result[-1])
         return result
 
 
-_BLOCK = 64
-
-
-@dataclass(frozen=True)
-class TruthBasis:
-    """Functions of a temperature (°C) or a rate (deg/s): "polynomial" (monomials), "legendre", "b-spline" or "bins"."""
-
-    kind: Literal["polynomial", "legendre", "b-spline", "bins"] = "polynomial"
-    degree: int = 0
-    centre: float = 0.0
-    scale: float = 1.0
-    knots: tuple[float, ...] = ()
-
-    def __call__(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        if self.kind == "polynomial":
-            return formulas.monomials((x - self.centre) / self.scale, self.degree)
-        if self.kind == "legendre":
-            return np.asarray(legendre.legvander((x - self.centre) / self.scale, self.degree), np.float64)
-        return (
-            formulas.b_spline(x, self.knots, self.degree) if self.kind == "b-spline" else formulas.bins(x, self.knots)
-        )
+def _filtered(numerator: Any, denominator: Any, values: Vectors, state: Vectors) -> Vectors:
+    """A recursive filter along the first axis. SciPy's signals take their time to load."""
+    signal: Any = importlib.import_module("scipy.signal")
+    return signal.lfilter(numerator, denominator, values, axis=0, zi=state)[0]
 
 
 @dataclass(frozen=True)
@@ -195,32 +155,16 @@ class Drifts:
         self._taus_s = np.array([process.tau_s for process in processes])
         self._gains = np.array([(process.bias_gain, process.rate_gain) for process in processes]).reshape(-1, 2)
         self._states = self._sigmas * random.standard_normal((3, len(processes)))
-        self._period_s, self._weights = 0.0, np.zeros((0, 0, 0))
 
     def take(self, draws: Vectors, period_s: float) -> tuple[Vectors, Vectors]:
         """`(n, 3, k)` standard normals -> what the `k` processes add to the output and to the scale factor at the next
         samples, `(n, 3)` each."""
-        if not self._sigmas.size:
-            return np.zeros(draws.shape[:2]), np.zeros(draws.shape[:2])
-        if period_s != self._period_s:
-            self._period_s = period_s
-            # `(p, block, block + 1)`: x_k = φ^(k + 1) x_0 + Σ_j φ^(k−j) w_j.
-            decays, steps = np.exp(-period_s / self._taus_s), np.arange(_BLOCK, dtype=np.int64)
-            lag = steps[:, None] - np.append(steps, -1)
-            grown = decays[:, None, None] ** np.maximum(lag, 0)
-            size = np.append(np.ones(_BLOCK), 0.0) * (self._sigmas * np.sqrt(1.0 - decays**2))[:, None]
-            size[:, -1] = 1.0
-            self._weights = np.where(lag >= 0, grown, 0.0) * size[:, None, :]
-        # In blocks short enough for the little triangular matrices.
-        values = np.empty_like(draws)
-        for start in range(0, draws.shape[0], _BLOCK):
-            kicks = draws[start : start + _BLOCK]
-            count = len(kicks)
-            known = np.concatenate([kicks, self._states[None]]).transpose(2, 0, 1)
-            columns = [*range(count), -1]
-            weights = self._weights[:, :count] if count == _BLOCK else self._weights[:, :count, columns]
-            values[start : start + count] = (weights @ known).transpose(1, 2, 0)
-            self._states = values[start + count - 1]
+        values = np.zeros_like(draws)
+        for number, decay in enumerate(np.exp(-period_s / self._taus_s) if len(draws) else ()):
+            size = self._sigmas[number] * np.sqrt(1.0 - decay**2)
+            state = decay * self._states[None, :, number]
+            values[..., number] = _filtered([size], [1.0, -decay], draws[..., number], state)
+            self._states[:, number] = values[-1, :, number]
         return values @ self._gains[:, 0], values @ self._gains[:, 1]
 
 
@@ -272,7 +216,6 @@ EARTH_RATE = 7.292115e-5
 _STANDARD_GRAVITY = 9.80665  # m/s² in the g of SensorSamples
 # Parts of a sample: the attitude is that at the middle of each, and rates are exact means.
 _PARTS = 3
-Matrix = NDArray[np.float64]
 Kind = Literal["gyro", "accelerometer"]
 
 FACTORS: Final[Mapping[str, Callable[[Vectors, Vectors], NDArray[np.float64]]]] = {
@@ -292,63 +235,38 @@ sensor axis, or the same for all. The products are xy, xz and yz."""
 
 @dataclass(frozen=True)
 class ErrorTerm:
-    """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis;
-    `lag_s`: of the mass whose temperature it follows."""
+    """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis.
+    `factors`: a name of `FACTORS`, or the functions of the rate of M(T, ω). `lag_s`: of the mass whose
+    temperature it follows; `differs`: by how much that is warmer than the sensor."""
 
     values: NDArray[np.float64]
-    basis: TruthBasis
-    factors: str
+    basis: Functions
+    factors: str | Functions
     lag_s: float = 0.0
+    differs: bool = False
 
     def __call__(self, own: Vectors, force: Vectors, temperature_c: NDArray[np.float64]) -> Vectors:
         coefficients = np.einsum("nt,akt->nak", self.basis(temperature_c), self.values)
-        factors = np.broadcast_to(FACTORS[self.factors](own, force), coefficients.shape)
+        if isinstance(self.factors, str):
+            factors = np.broadcast_to(FACTORS[self.factors](own, force), coefficients.shape)
+        else:
+            factors = self.factors(own.ravel()).reshape(*own.shape, -1) * own[..., None]
         return np.einsum("nak,nak->na", coefficients, factors)
-
-
-@dataclass(frozen=True)
-class ScaleFactors:
-    """M(T, ω), `values` `(3, nT, nω)`, of gyros; ω in deg/s in its basis; `lag_s`: as of `ErrorTerm`."""
-
-    values: NDArray[np.float64]
-    temperature: TruthBasis
-    rate: TruthBasis
-    lag_s: float = 0.0
-
-    def __call__(self, own: Vectors, force: Vectors, temperature_c: NDArray[np.float64]) -> Vectors:
-        of_rate = self.rate(np.degrees(own).ravel()).reshape(*own.shape, -1)
-        return np.einsum("nt,naw,atw->na", self.temperature(temperature_c), of_rate, self.values) * own
-
-
-@dataclass(frozen=True)
-class DifferenceTruth:
-    """Errors of three sensors, `values`, for each K that a mass with the time constant `lag_s` is warmer; `of_input`:
-    they multiply the input."""
-
-    values: tuple[float, float, float]
-    lag_s: float
-    of_input: bool = False
 
 
 @dataclass(frozen=True)
 class TriadTruth:
     """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s;
     `gradient`: of the output for each K/s. `loops` over the temperature; `transients`: values at power-on of three
-    sensors, and time constant (s); `differences` of temperature."""
+    sensors, and time constant (s)."""
 
-    errors: tuple[ErrorTerm | ScaleFactors, ...]
+    errors: tuple[ErrorTerm, ...]
     white: float
     walk: float = 0.0
     drifts: tuple[Process, ...] = ()
-    gradient: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gradient: tuple[float, ...] = (0.0, 0.0, 0.0)
     loops: tuple[LoopTruth, ...] = ()
-    transients: tuple[tuple[tuple[float, float, float], float], ...] = ()
-    differences: tuple[DifferenceTruth, ...] = ()
-
-    @property
-    def lags_s(self) -> set[float]:
-        """Of the masses that it follows."""
-        return {of.lag_s for of in (*self.errors, *self.differences) if of.lag_s}
+    transients: tuple[tuple[tuple[float, ...], float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -361,7 +279,7 @@ class TableTruth:
     gravity: float
     base: tuple[float, float, float] = (0.0, 0.0, 0.0)
     orthogonality: tuple[float, ...] = ()
-    mountings: tuple[Matrix, ...] = (np.eye(3),)
+    mountings: tuple[Vectors, ...] = (np.eye(3),)
     earth_rate: float = EARTH_RATE
 
 
@@ -372,8 +290,8 @@ class ImuTruth:
     second thermometer measures; 0: none."""
 
     triads: Mapping[Kind, TriadTruth]
-    lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    gyro_lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lever: tuple[float, ...] = (0.0, 0.0, 0.0)
+    gyro_lever: tuple[float, ...] = (0.0, 0.0, 0.0)
     clock_error: float = 0.0
     names: dict[str, float] = field(default_factory=dict[str, float])
     second_lag_s: float = 0.0
@@ -403,7 +321,8 @@ class SimulatedImu(SampledSensor):
         self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
         self._drifts = {kind: Drifts(triad.drifts, self._random) for kind, triad in truth.triads.items()}
         self._loops: dict[Kind, list[tuple[LoopTruth, Loop]]] = {}
-        self._lags_s = {lag for triad in truth.triads.values() for lag in triad.lags_s} | {truth.second_lag_s} - {0.0}
+        self._lags_s = {error.lag_s for triad in truth.triads.values() for error in triad.errors}
+        self._lags_s = (self._lags_s | {truth.second_lag_s}) - {0.0}
         self._masses: dict[float, Mass] = {}
         self._power_on_s = start_s
         self.restart(start_s, sample_rate_hz)
@@ -427,16 +346,13 @@ class SimulatedImu(SampledSensor):
             mean = own.reshape(count, _PARTS, 3).mean(axis=1)
             sensed = own
             for error in triad.errors:
-                sensed = sensed + error(own, felt, late[error.lag_s])
+                followed = late[error.lag_s] - temperature if error.differs else late[error.lag_s]
+                sensed = sensed + error(own, felt, followed)
             output[kind] = sensed.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
             if any(triad.gradient):
                 change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
                 output[kind] = output[kind] + change[:, None] * np.array(triad.gradient)
             output[kind] = output[kind] + self._of_path(kind, triad, middles, mean, ends[1:] - 0.5 * self.true_period_s)
-            for of in triad.differences:
-                apart = (late[of.lag_s] - temperature).reshape(count, _PARTS).mean(axis=1)
-                driven = apart[:, None] * (mean if of.of_input else 1.0)
-                output[kind] = output[kind] + driven * np.array(of.values)
         lag_s = self.truth.second_lag_s
         second = late[lag_s].reshape(count, _PARTS).mean(axis=1) if lag_s else None
         outputs = np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY
@@ -456,7 +372,7 @@ class SimulatedImu(SampledSensor):
             self._loops[kind] = [(loop, loop.begin(float(temperature_c[0]))) for loop in triad.loops]
         total = np.zeros_like(mean)
         for truth, loop in self._loops[kind]:
-            total = total + loop.take(temperature_c, self.true_period_s) * (mean if truth.of_input else 1.0)
+            total = total + loop(temperature_c, self.true_period_s) * (mean if truth.of_input else 1.0)
         for values, time_constant_s in triad.transients:
             total = total + np.exp(-(time_s - self._power_on_s) / time_constant_s)[:, None] * np.array(values)
         return total

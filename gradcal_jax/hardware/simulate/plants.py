@@ -7,6 +7,7 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,24 +54,20 @@ class ChamberPlant:
                 self._set_point_c = target_c
 
     def move_set_point(self, now_s: float, set_point_c: float) -> None:
-        with self._lock:
-            self.advance(now_s)
-            self._set_point_c = set_point_c
+        self.advance(now_s)
+        self._set_point_c = set_point_c
 
     def switch(self, now_s: float, conditioning: bool) -> None:
-        with self._lock:
-            self.advance(now_s)
-            self.conditioning = conditioning
+        self.advance(now_s)
+        self.conditioning = conditioning
 
     def air_c(self, now_s: float) -> float:
-        with self._lock:
-            self.advance(now_s)
-            return self._air_c
+        self.advance(now_s)
+        return self._air_c
 
     def set_point_c(self, now_s: float) -> float:
-        with self._lock:
-            self.advance(now_s)
-            return self._set_point_c
+        self.advance(now_s)
+        return self._set_point_c
 
     def load_at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Temperature of the load at recent times, `(n,) -> (n,)`."""
@@ -111,7 +108,7 @@ _PIECES_BY_HAND = 24
 
 @dataclass(frozen=True)
 class AxisTruth:
-    """True properties of a rotary axis. Travel in degrees each way from zero, None: endless.
+    """True properties of a rotary axis.
 
     The encoder reads the true angle plus a repeatable error (`harmonics`: order, cosine and sine part in deg) plus an
     offset drawn at every standstill plus white noise; the time of each reading has an error of `timing_error_s`, one
@@ -121,8 +118,6 @@ class AxisTruth:
     counts at the commanded rate, and keeps the difference in angle until the axis is homed.
     """
 
-    lowest_deg: float | None = None
-    highest_deg: float | None = None
     harmonics: tuple[tuple[int, float, float], ...] = ()
     standstill_offset_deg: float = 0.0
     reading_noise_deg: float = 0.0
@@ -131,8 +126,7 @@ class AxisTruth:
     seed: int = 0
 
 
-@dataclass(frozen=True)
-class _Phase:
+class _Phase(NamedTuple):
     start_s: float
     position_deg: float
     rate_dps: float
@@ -178,22 +172,21 @@ class AxisPlant:
     def position(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """True angle, deg, unwrapped: `(n,) -> (n,)`."""
         with self._lock:
-            if self._table is None:
-                # The last phases are enough: no query is further behind than the moves of a minute.
-                recent = self._phases[-60:]
-                self._table = np.array([(p.start_s, p.position_deg, p.rate_dps, p.acceleration_dps2) for p in recent])
-            table = self._table
             self._known_until_s = max(self._known_until_s, float(times_s[-1]))
-        row = table[np.clip(np.searchsorted(table[:, 0], times_s, side="right") - 1, 0, None)]
-        after = np.maximum(times_s - row[:, 0], 0.0)
-        return row[:, 1] + row[:, 2] * after + 0.5 * row[:, 3] * after**2
+            return self._at(times_s)[0]
 
     def state(self, now_s: float) -> tuple[float, float]:
+        position, rate = self._at(np.array([now_s]))
+        return float(position[0]), float(rate[0])
+
+    def _at(self, times_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         with self._lock:
-            phase = next((p for p in reversed(self._phases) if p.start_s <= now_s), self._phases[0])
-        after = max(0.0, now_s - phase.start_s)
-        rate = phase.rate_dps + phase.acceleration_dps2 * after
-        return phase.position_deg + (phase.rate_dps + rate) / 2.0 * after, rate
+            if self._table is None:
+                self._table = np.array(self._phases)
+            table = self._table
+        row = table[np.clip(np.searchsorted(table[:, 0], times_s, side="right") - 1, 0, None)]
+        after = np.maximum(times_s - row[:, 0], 0.0)
+        return row[:, 1] + row[:, 2] * after + 0.5 * row[:, 3] * after**2, row[:, 2] + row[:, 3] * after
 
     def moving(self, now_s: float) -> bool:
         return now_s < self._phases[-1].start_s or self._phases[-1].rate_dps != 0.0
@@ -223,7 +216,7 @@ class AxisPlant:
             now_s = max(now_s, self._known_until_s)
             position, rate = self.state(now_s)
             phases = self._change(now_s, position, rate, self._held(position, rate_dps), acceleration_dps2)
-            self._replace(now_s, self._within_travel(phases))
+            self._replace(now_s, phases)
 
     def move_to(self, now_s: float, target_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Trapezoid (or triangle) to an angle; a motion under way is stopped first."""
@@ -251,7 +244,7 @@ class AxisPlant:
                     down = begin + up + cruise
                     phases.append(_Phase(down, target_deg - ramp, sign * peak, -sign * acceleration_dps2))
                     phases.append(_Phase(down + up, target_deg, 0.0, 0.0))
-            self._replace(now_s, self._within_travel(phases))
+            self._replace(now_s, phases)
 
     @property
     def ends_s(self) -> float:
@@ -294,15 +287,6 @@ class AxisPlant:
         slope = math.copysign(acceleration_dps2, wanted - rate)
         end = position + (rate + wanted) / 2.0 * duration
         return [_Phase(now_s, position, rate, slope), _Phase(now_s + duration, end, wanted, 0.0)]
-
-    def _within_travel(self, phases: list[_Phase]) -> list[_Phase]:
-        """A spin that would leave the travel ends abruptly at the limit."""
-        last = phases[-1]
-        limit = self.truth.highest_deg if last.rate_dps > 0.0 else self.truth.lowest_deg
-        if last.rate_dps != 0.0 and limit is not None:
-            at = last.start_s + max(0.0, (limit - last.position_deg) / last.rate_dps)
-            return [*phases, _Phase(at, limit, 0.0, 0.0)]
-        return phases
 
     def _replace(self, now_s: float, phases: list[_Phase]) -> None:
         self._offset_deg = self.truth.standstill_offset_deg * float(self._random.standard_normal())

@@ -39,7 +39,7 @@ def writable(path: Path, force: bool) -> None:
     if path.exists() and not force:
         raise ValueError(f"{path} exists; choose another name, or overwrite it with --force")
     if not path.absolute().parent.is_dir():
-        raise ValueError(f"there is no directory {path.parent}; create it first")
+        raise ValueError(f"there is no directory {path.parent}; make it first")
 
 
 def drawable(plot: Path | None) -> None:

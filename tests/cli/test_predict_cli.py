@@ -142,7 +142,7 @@ def test_a_wrong_file_is_status_2_and_names_the_key(command, specs):
         (["predict", BIAS, "--plot", "DIR/no/figure.png"], "make it first"),
         (["predict", BIAS, "--monte-carlo", "3"], "ask for"),
         (["predict", BIAS, "--monte-carlo", "many"], "many"),
-        (["check", BIAS, "--timeline", "segments", "--json", "--csv"], "choose one"),
+        (["check", BIAS, "--timeline", "segments", "--json", "--csv"], "use only one of them"),
         (["check", BIAS, "--csv", "--timeline", "reading"], "readings"),
         (["compare"], "SPECS"),
     ],

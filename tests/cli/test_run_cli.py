@@ -163,7 +163,7 @@ def test_a_terminal_that_was_told_to_stop_stops_no_run(tmp_path):
             ended = journal.exists() and any(event.name == "end" for event in read_journal(journal).events)
         assert ended
         os.write(master, b"\x11")  # Ctrl-Q
-        while b"make its log" not in said:
+        while b"write the log" not in said:
             said += os.read(master, 4096)
         assert process.wait(timeout=30.0) == 0
     finally:

@@ -1,6 +1,6 @@
 """A small problem for the search: two turns a visit, four coefficients, one ramp of 50 minutes."""
 
-from gradcal_jax.api.exact_objective import ExactObjective
+from gradcal_jax.api.objective import ExactObjective
 from gradcal_jax.files.spec_sections import Spec
 
 

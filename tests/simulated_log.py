@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from gradcal_jax import formulas
 from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.structures import gyro_of
+from gradcal_jax.api.turn_plan import gyro_of
 from gradcal_jax.files import Spec
 from gradcal_jax.files.log import AngleReadings, Log, ReadingKind
 from gradcal_jax.files.schedule import StandardSchedule

@@ -18,7 +18,7 @@ from simulated_log import simulate_log
 
 import gradcal_jax as gj
 from gradcal_jax import display, identify
-from gradcal_jax.api import estimate, frontier, instability, limit, optimise
+from gradcal_jax.api import estimate, instability, limit, optimise
 from gradcal_jax.files.calibration.file import upgraded
 from gradcal_jax.files.contracts import requirement_table
 
@@ -42,7 +42,7 @@ def fits(value):
 def hint_of(function):
     """What it returns; some name the classes of their results for type checkers alone."""
     names = {"xarray": xarray, "np": np}
-    for home in (estimate, frontier, limit, optimise, instability, identify):
+    for home in (estimate, limit, optimise, instability, identify):
         names |= {name: value for name, value in vars(home).items() if inspect.isclass(value)}
     return typing.get_type_hints(function, localns=names)["return"]
 

@@ -40,8 +40,7 @@ def problem():
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from gradcal_jax.api.measure import measure
-    from gradcal_jax.api.structures import structures
+    from gradcal_jax.api.turn_plan import measure, structures
     from gradcal_jax.files import changed, read_spec
 
     spec = changed(read_spec(SPEC), {"design.cycles": "alike", "design.moves": 4, "design.starts": STARTS})

@@ -22,8 +22,7 @@ SHARPNESS, STEPS = 40.0, 15
 
 def objectives():
     """The compiled objective without and with a discrepancy, and the sizes of their vectors, which are the same."""
-    from gradcal_jax.api.measure import measure
-    from gradcal_jax.api.structures import structures
+    from gradcal_jax.api.turn_plan import measure, structures
 
     return [measure(one).compiled(structures(one, [])[0].coordinates) for one in specs()]
 
@@ -53,11 +52,11 @@ def descent(objective, start: np.ndarray) -> tuple[float, int]:
 
 def whole_search(spec, seed: int) -> float:
     """Processor time (s) of `optimise` from a seed, to its end."""
-    from gradcal_jax.api.optimise import optimise
+    from gradcal_jax.api.optimise import run_search
     from gradcal_jax.files import changed
 
     begun = time.process_time()
-    for _ in optimise(changed(spec, {"design.seed": seed})):
+    for _ in run_search(changed(spec, {"design.seed": seed})):
         pass
     return time.process_time() - begun
 

@@ -17,11 +17,10 @@ import jax
 import numpy as np
 from variants import MOVING, STATIC, spec_of
 
-from gradcal_jax.api.measure import Measure, measure
-from gradcal_jax.api.optimise import optimise
-from gradcal_jax.api.scenarios import scenario_specs
-from gradcal_jax.api.search_results import SearchStep
-from gradcal_jax.api.structures import structures
+from gradcal_jax.api.objective import scenario_specs
+from gradcal_jax.api.optimise import run_search
+from gradcal_jax.api.searching import SearchStep
+from gradcal_jax.api.turn_plan import Measure, measure, structures
 from gradcal_jax.api.turn_search import PRICED, polished, shadow_prices
 from gradcal_jax.design import Coordinates, Optimum, polish
 
@@ -36,7 +35,7 @@ NAMES = [name for name in (*MOVING, *STATIC) if name != "shortest-for-77ppm"]
 def tried(name: str, count: int) -> dict[str, Any]:
     """Optimise a variant, perturb its optimum and polish `count` times, ease its limits."""
     spec = spec_of(name)
-    kept = [e.checkpoint for e in optimise(spec) if isinstance(e, SearchStep)][-1]
+    kept = [e.checkpoint for e in run_search(spec) if isinstance(e, SearchStep)][-1]
     structure = structures(spec, [s for s, _ in scenario_specs(spec)])[kept["at"][1]]
     of = measure(spec)
     unit = of.objective.name_and_unit()[1]

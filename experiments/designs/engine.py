@@ -27,9 +27,9 @@ import numpy as np  # noqa: E402
 
 import gradcal_jax as gj  # noqa: E402
 from gradcal_jax.api.cycle_plan import CyclePlan  # noqa: E402
-from gradcal_jax.api.optimise import optimise  # noqa: E402
+from gradcal_jax.api.optimise import run_search  # noqa: E402
 from gradcal_jax.api.pose_search import EVALUATIONS  # noqa: E402
-from gradcal_jax.api.search_results import Optimised  # noqa: E402
+from gradcal_jax.api.searching import Optimised  # noqa: E402
 from gradcal_jax.design.cycle_moves import Neighbourhood  # noqa: E402
 from gradcal_jax.files import write_toml  # noqa: E402
 
@@ -62,7 +62,7 @@ def cases() -> dict[str, tuple[gj.Spec, Path, int]]:
 def searched(start: gj.Spec, reference: Path, seed: int) -> tuple[dict[str, object], Optimised]:
     """One row of the table, and the optimum."""
     began, wall = time.process_time(), time.monotonic()
-    *_, best = optimise(gj.changed(start, {"design.seed": seed}))
+    *_, best = run_search(gj.changed(start, {"design.seed": seed}))
     assert isinstance(best, Optimised)
     took, wall = time.process_time() - began, time.monotonic() - wall
     before = [row.decisive or math.nan for row in gj.predict(gj.read_spec(reference)).requirements]

@@ -18,9 +18,9 @@ from gradcal_jax.cli.precision import use_float64
 use_float64()
 
 import gradcal_jax as gj  # noqa: E402
-from gradcal_jax.api.measure import design_block  # noqa: E402
-from gradcal_jax.api.optimise import optimise  # noqa: E402
-from gradcal_jax.api.search_results import Optimised  # noqa: E402
+from gradcal_jax.api.optimise import run_search  # noqa: E402
+from gradcal_jax.api.searching import Optimised  # noqa: E402
+from gradcal_jax.api.turn_plan import design_block  # noqa: E402
 
 HERE = Path(__file__).parent
 SEEDS = range(3)
@@ -37,7 +37,7 @@ def write_share(name: str, seed: int, folder: Path) -> None:
     begun = time.process_time()
     row: dict[str, object] = {"name": name, "seed": seed}
     try:
-        *_, best = optimise(gj.changed(design(name), {"design.seed": seed}))
+        *_, best = run_search(gj.changed(design(name), {"design.seed": seed}))
     except ValueError as error:
         row |= {"refused": str(error).splitlines()[0]}
     else:

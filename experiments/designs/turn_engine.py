@@ -21,9 +21,11 @@ from scipy.optimize import minimize
 jax.config.update("jax_enable_x64", True)
 
 import gradcal_jax as gj  # noqa: E402
-from gradcal_jax.api.measure import measure  # noqa: E402
-from gradcal_jax.api.scenarios import scenario_specs  # noqa: E402
-from gradcal_jax.api.structures import structures  # noqa: E402
+from gradcal_jax.api.objective import scenario_specs  # noqa: E402
+from gradcal_jax.api.turn_plan import (  # noqa: E402
+    measure,
+    structures,
+)
 from gradcal_jax.design.search import SHARPNESS, Compiled  # noqa: E402
 from gradcal_jax.files.recipe import spec_in  # noqa: E402
 

@@ -69,8 +69,8 @@ def spec_of(name: str) -> Spec:
 def run(name: str) -> dict[str, object]:
     """Optimise a variant, write its recipe, and say what is to be said of it."""
     from gradcal_jax import api
-    from gradcal_jax.api.flow import optimise
-    from gradcal_jax.api.search_results import record_of
+    from gradcal_jax.api.optimise import optimise
+    from gradcal_jax.api.searching import record_of
 
     spec = spec_of(name)
     begun = time.perf_counter()
@@ -92,13 +92,13 @@ def path_of(name: str) -> Path:
 def compared(name: str) -> dict[str, object]:
     """What the kept recipe leaves, and the limit, where there is a proof."""
     from gradcal_jax.api import predict
-    from gradcal_jax.api.limit import limits
+    from gradcal_jax.api.limit import limit
     from gradcal_jax.files.recipe import read_recipe
 
     spec = read_recipe(path_of(name)).spec
     if name not in MOVING:
         return {"residual": predict(spec).requirements[0].mean, "limit": None, "relaxed": []}
-    proven = limits(spec)[0]
+    proven = limit(spec)[0]
     return {"residual": proven.value, "limit": proven.certified, "relaxed": list(proven.relaxed)}
 
 

@@ -93,7 +93,7 @@ def write_tables() -> None:
 
 def searched(name: str) -> dict[str, object]:
     """Search a plan and keep its spec in `plans/`. What the search said, and its time of processor (s)."""
-    from gradcal_jax.api.flow import optimise
+    from gradcal_jax.api.optimise import optimise
     from gradcal_jax.files import changed, read_spec, write_toml
 
     spec = read_spec(HERE / f"{name.removeprefix('guarded ')}.toml")
@@ -116,7 +116,7 @@ def plan_of(name: str) -> Path:
 def compared(name: str) -> dict[str, object]:
     """What the plan for ppm, and the mission's own, leave of the mission, and the limit for both."""
     from gradcal_jax.api import predict
-    from gradcal_jax.api.limit import limits
+    from gradcal_jax.api.limit import limit
     from gradcal_jax.files import read_spec, tables_of
     from gradcal_jax.files.spec import spec_of
 
@@ -124,7 +124,7 @@ def compared(name: str) -> dict[str, object]:
     both = [predict(one).requirements for one in (own, spec_of(tables_of(own) | {"plan": tables_of(for_ppm)["plan"]}))]
     # Of what any plan may do, the chamber's programme free: not of this plan's own programme alone.
     asked = tables_of(read_spec(HERE / f"{name.removeprefix('guarded ')}.toml"))
-    (proven,) = limits(spec_of(asked | {"requirement": asked["requirement"][1:]}))
+    (proven,) = limit(spec_of(asked | {"requirement": asked["requirement"][1:]}))
     return {
         "unit": both[0][1].unit,
         "own": both[0][1].rms,

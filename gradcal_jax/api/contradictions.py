@@ -9,8 +9,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from gradcal_jax import estimation
+from gradcal_jax.api.objective import hidden_maps, tested_maps
 from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.api.tested_maps import hidden_maps, tested_maps
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.estimation import (
     CoarseFit,

@@ -1,4 +1,5 @@
-"""A spec's plan as a search of cycles sees it: what is free of it, its objective, and the plan of a point as a spec."""
+"""A spec's plan as a search of cycles sees it: what is free of it, its objective, and the plan of a point as a spec, in
+numbers that controllers take."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,19 +8,28 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
-from gradcal_jax.api.cycle_rounding import CycleRounding
-from gradcal_jax.api.exact_objective import Aim, ExactObjective, PlanCase, estimated_together
+from gradcal_jax.api.error_budget import columns_of_imu
 from gradcal_jax.api.imu_build import BuiltImu, course_before, executed_motion, geometry, waves_of
 from gradcal_jax.api.imu_residual import RequiredQuantity, quantity_of
-from gradcal_jax.api.plan_to_spec import programme_keys
-from gradcal_jax.api.systematic import columns_of_imu
-from gradcal_jax.api.tested_maps import hidden_test, imu_with_hidden, tested_maps
+from gradcal_jax.api.objective import (
+    Aim,
+    ExactObjective,
+    PlanCase,
+    estimated_together,
+    hidden_test,
+    imu_with_hidden,
+    tested_maps,
+)
+from gradcal_jax.api.turn_search import programme_keys
 from gradcal_jax.design import ProgrammeCoordinates
 from gradcal_jax.design.cycle_moves import Cycle
 from gradcal_jax.design.descent import Descent
 from gradcal_jax.design.free_course import FreeCourse, behind_on_leg, legs_of
 from gradcal_jax.design.pose_cycle import (
+    SHAPE,
+    STEEPNESS,
     WINDOW,
     CycleCoordinates,
     CycleObjective,
@@ -44,6 +54,102 @@ from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.tracks import makeable_acceleration
 from gradcal_jax.information import imu_system, whiten
 from gradcal_jax.model import SCALE_FACTOR, Hysteresis, ImuModel, SensorModel, TemperatureDifference
+
+# A smaller turn, deg, says nothing of a sensor, and is lost among the readings about it.
+_SHOWS = 0.5
+# Resolution of turns (deg), rates (deg/s) and rests (s) in a plan.
+_ANGLE, _RATE, _FINE_RATE, _REST = 0.01, 0.1, 0.01, 0.1
+# Share of the largest rate beyond which a turn keeps its rate when it is rounded.
+_FASTEST = 0.98
+_SLACK = 1e-9
+
+
+class CycleRounding(NamedTuple):
+    """Of cycles on the `axes` of a table within `limits`: the controllers' step of time `grid` (s), that of all angles
+    (rad; None: any angle), and whether a cycle is `closed`."""
+
+    limits: TableLimits
+    axes: tuple[str, ...]
+    grid: float
+    angle_step: float | None
+    closed: bool
+
+    def on_steps(self, cycle: Cycle) -> Cycle:
+        """The cycle with its turns rounded to whole angle steps, without turns of none."""
+        step, turned, result = self.angle_step or 1.0, {}, []
+        for t in cycle:
+            if t.axis >= 0:
+                goal = turned.get(t.axis, (0.0, 0.0))[0] + t.angle
+                count = round((goal - turned.get(t.axis, (0.0, 0.0))[1]) / step)
+                turned[t.axis] = goal, turned.get(t.axis, (0.0, 0.0))[1] + count * step
+                t = t._replace(angle=count * step)
+            if t.angle or t.rest or t.axis < 0:
+                result.append(t)
+        return tuple(result)
+
+    def rounded(self, cycle: Cycle, period: float, whole: Float[np.ndarray, " L"]) -> Cycle:
+        """Rounded turns, rates and rests that fit into the `period` (s) and turn every axis by the `whole` (rad)."""
+        step = _ANGLE if self.angle_step is None else 0.0
+        items, net = [], {}
+        for t in cycle:
+            degrees, rate = math.degrees(t.angle), math.degrees(t.rate)
+            degrees = round(degrees / step) * step if step else degrees
+            if t.axis >= 0:
+                most = math.floor(math.degrees(float(self.limits.rates[t.axis])) / _RATE + _SLACK) * _RATE
+                rate = min(math.ceil(rate / _RATE - _SLACK) * _RATE, most)
+                net[t.axis] = net.get(t.axis, 0.0) + degrees
+            rest = max(round(t.rest / _REST) * _REST, self.limits.shortest) if t.rest > 0.0 else 0.0
+            items.append([t.axis, round(degrees, 6), round(rate, 6), round(rest, 6)])
+        for axis, total in net.items() if self.closed else ():
+            last = max(k for k, item in enumerate(items) if item[0] == axis)
+            items[last][1] = round(items[last][1] - total + math.degrees(float(whole[axis])), 6)
+        for item in items:
+            # A turn that shows nothing: another one of its axis takes it along.
+            if item[0] >= 0 and 0.0 < abs(item[1]) < _SHOWS:
+                largest = max((of for of in items if of[0] == item[0]), key=lambda of: abs(of[1]))
+                if largest is not item:
+                    largest[1], item[1] = round(largest[1] + item[1], 6), 0.0
+        items = [item for item in items if item[1] or item[3]]
+
+        # The longest rests share what the controllers' steps of time cost, or leave.
+        turning = (self._made(l, a, w)[1] for l, a, w, _ in items if l >= 0 and a)
+        rests = sorted((item for item in items if item[3]), key=lambda item: -item[3])
+        change = math.floor((period - math.fsum([*turning, *(item[3] for item in items)])) / _REST + _SLACK)
+        for k in range(abs(change)) if rests else ():
+            item = rests[k % len(rests)]
+            item[3] = max(round(item[3] + math.copysign(_REST, change), 6), self.limits.shortest)
+        return tuple(PoseTurn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
+
+    def _made(self, axis: int, degrees: float, rate: float) -> tuple[float, float]:
+        """Peak rate (deg/s) and duration (s) of a turn in whole steps of the controllers' time: steepest, in the
+        nearest number of steps that its limits allow; one near its largest rate, which says most, keeps it."""
+        size, grid, slow = math.radians(abs(degrees)), self.grid, self.limits.slow
+        most = min(float(self.limits.rates[axis]), slow if math.radians(rate) <= slow else math.inf)
+        # θ = A·(duration − ramp), with ramp = steep·A and no flat part at the least.
+        steep = STEEPNESS / float(self.limits.accelerations[axis])
+        peaks = (min(w, math.sqrt(size / steep)) for w in (math.radians(rate), most))
+        planned, quickest = ((size / w + steep * w) / grid for w in peaks)
+        duration = max(round(planned), math.ceil(quickest - _SLACK)) * grid
+        if math.radians(rate) >= _FASTEST * most:
+            duration = math.ceil(planned - _SLACK) * grid
+            return min(rate, math.degrees(min(most, 2.0 * size / duration))), duration
+        peak = 2.0 * size / (duration + math.sqrt(max(duration**2 - 4.0 * steep * size, 0.0)))
+        peak = math.ceil(math.degrees(peak) / _FINE_RATE - _SLACK) * _FINE_RATE
+        return min(peak, math.degrees(most), math.degrees(2.0 * size / duration)), duration
+
+    def moves(self, cycle: Cycle) -> list[dict[str, str]]:
+        """A cycle as a list of moves for a spec."""
+        moves: list[dict[str, str]] = []
+        for t in cycle:
+            if t.axis >= 0 and t.angle:
+                rate, duration = self._made(t.axis, math.degrees(t.angle), math.degrees(t.rate))
+                turn = {"turn": f"{math.degrees(t.angle):.10g} deg", "axis": self.axes[t.axis]}
+                turn |= {"peak_rate": f"{rate:.8g} deg/s", "duration": f"{duration:.8g} s", "shape": SHAPE}
+                moves.append(turn)
+            if t.rest:
+                moves.append({"rest": f"{t.rest:.6g} s"})
+        return moves
+
 
 # Points of a requirement's grid on each side that a search evaluates: of a mean over one side those of the file.
 _SEARCH_GRID = 31

@@ -1,21 +1,394 @@
-"""The error budget of a plan: the share of every error source in each residual."""
+"""The error budget: errors that no residual of a run shows, and the share of every error source in each residual.
 
-from collections.abc import Callable, Mapping
-from typing import Any, Final
+Within one run the sample clock, the scale of an encoder, the cosine of a mounting, the offset of a thermometer or the
+Earth's rate act as a constant of a map, or as its slope over temperature: the data fit as well with them as without,
+and the estimate is off by a direction `v` of the parameters times the error. Each is therefore no parameter, but a
+column of the posterior's spread: the covariance is `C + Σ v vᵀ`, for predictions and estimates.
+
+`θ` of the input axis against the table's, each of two angles with standard deviation σ, multiplies the scale factor by
+`cos θ ≈ 1 − (θ₁² + θ₂²)/2`, whose root mean square is √2 σ². The Earth's rate along an axis of unknown direction is
+rectangular within ±15.04 deg/h (GUM, 4.3.7).
+"""
+
+from collections.abc import Callable, Container, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.api.imu_build import BuiltImu, unweighted_estimator
+from gradcal_jax.api.build import Assembled
+from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, unweighted_estimator
 from gradcal_jax.api.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.api.verdicts import mission_weights
+from gradcal_jax.design import Criterion
+from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.files.calibration import UnseenError
+from gradcal_jax.files.changes import changed
 from gradcal_jax.files.requirement import MisalignmentRequirement, Requirement
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import Posterior, estimator_of_means, imu_system, noise_parts, statistic
 from gradcal_jax.information.budget import Sensitivity, information_lost, sensitivity_of, weights_of
 from gradcal_jax.information.posterior import noise_of_sums
 from gradcal_jax.information.residual import Contrasts
-from gradcal_jax.model import ChannelKind, Discrepancy, ImuModel
+from gradcal_jax.model import (
+    BIAS,
+    SCALE_FACTOR,
+    TEMPERATURE_GRADIENT,
+    ChannelKind,
+    Discrepancy,
+    Hysteresis,
+    ImuModel,
+    Map,
+    SensorModel,
+    SignalMap,
+)
+from gradcal_jax.trajectory import EARTH_RATE, Trajectory
+
+TURN_ON: Final = "turn-on bias"
+BESIDE_THE_AXIS: Final = "input axis beside the table's axis"
+UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
+# Temperatures at which the slope of a map is taken, and the step of the difference, K.
+_AT: Final = 64
+_STEP_K: Final = 0.01
+# Part of a run over which its ramp is measured, s.
+_MINUTES: Final = 300.0
+# Last parts of the keys of omitted terms that are no noise: columns of `columns_of`, or terms with parameters.
+_NO_NOISE: Final = frozenset({
+    "thermal_lag", "bias_temperature_gradient", "temperature_offset", "temperature_lag", "mounting_accuracy",
+    "scale_error", "turn_on_bias", "hysteresis", "scale_factor_hysteresis", "lever_arm",
+})  # fmt: skip
+
+
+class ChannelTerms(NamedTuple):
+    """The terms of one channel with their places among all parameters; `kind`: "gyro" or "accelerometer"."""
+
+    kind: str
+    terms: tuple[tuple[slice, Map | SignalMap], ...]
+
+
+class SystematicFigures(NamedTuple):
+    """Standard deviations of the errors that no residual shows, SI: relative of the scale factor, by name, of the
+    gyros; the offset (K) and lag (s) of the thermometer; of biases, by kind: constant, per K/s, and new at every
+    power-on. `slopes`: typical ones of bias and scale factor over temperature, by kind. `hysteresis`: by kind and name
+    of the map, half of what heating and cooling differ by."""
+
+    scale: Mapping[str, float]
+    offset: float
+    lag: float
+    bias: Mapping[str, float]
+    gradient: Mapping[str, float]
+    turn_on: Mapping[str, float]
+    slopes: Mapping[str, tuple[float, float]]
+    hysteresis: Mapping[tuple[str, str], float] = MappingProxyType({})
+
+
+class EstimatedRun(NamedTuple):
+    """An estimate in the place of a plan: its parameters `(p,)`, the range of temperature of its data (°C), and the
+    standard deviation of its lag (s), if that was fitted. `one_way`: the temperature never returns."""
+
+    parameters: np.ndarray
+    temperature_c: tuple[float, float]
+    ramp: float
+    lag_std: float | None = None
+    one_way: bool = False
+
+
+def systematic_figures(spec: Spec) -> SystematicFigures:
+    """The figures that a spec names; what it does not name is zero."""
+    sensor = spec.sensor
+    common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
+    gyro, table = spec.sensor.gyro, spec.rig.table
+    scales = [float(axis.angle.scale_error or 0.0) for axis in table.axis]
+    triads = {"gyro": gyro, "accelerometer": spec.sensor.accelerometer}
+    # A table of several axes sees the directions of the input axes.
+    seen = len(table.axis) > 1 or (gyro is not None and gyro.misalignment is not None)
+    mounting = 0.0 if seen else float(table.mounting[0].accuracy)
+    return SystematicFigures(
+        scale={BESIDE_THE_AXIS: 2.0**0.5 * mounting**2, "scale of the table's angle": max(scales)},
+        bias={"Earth's rate": UNKNOWN_EARTH_RATE if spec.rig.site.is_unknown else 0.0},
+        gradient={kind: triad.gradient_std for kind, triad in triads.items() if triad is not None},
+        turn_on={kind: float(triad.turn_on_bias or 0.0) for kind, triad in triads.items() if triad is not None},
+        slopes={kind: slopes_of(spec.sensor, kind) for kind, triad in triads.items() if triad is not None},
+        hysteresis={
+            (kind, name): float(np.hypot.reduce([float(p.prior) * float(p.width) for p in plays], initial=0.0))
+            for kind, triad in triads.items()
+            if triad is not None
+            for name, plays in ((BIAS, triad.hysteresis), (SCALE_FACTOR, triad.scale_factor_hysteresis))
+        },
+        **common,
+    )
+
+
+def columns_of(
+    figures: SystematicFigures,
+    channels: Sequence[ChannelTerms],
+    size: int,
+    ramp: float,
+    done: EstimatedRun | None = None,
+) -> dict[str, np.ndarray]:
+    """Columns `(p, k)` of the spread by the name of their error, for `size` parameters and a `ramp` of that many K/s
+    (root mean square). In a plan a map has its class's slopes, in an estimate its own."""
+    columns: dict[str, list[np.ndarray]] = {}
+
+    def add(name: str, column: np.ndarray) -> None:
+        if np.any(column):
+            columns.setdefault(name, []).append(column)
+
+    for kind, terms in channels:
+        if kind == "gyro":
+            for name, std in figures.scale.items():
+                add(name, std * _constants(terms, size, SCALE_FACTOR))
+            for name, std in figures.bias.items():
+                add(name, std * _constants(terms, size, BIAS))
+        for (own, name), size_of_it in figures.hysteresis.items():
+            # A map from one branch is off by twice as much on the other as one from both.
+            if own == kind and done is not None:
+                add("hysteresis", size_of_it * (2.0 if done.one_way else 1.0) * _constants(terms, size, name))
+        add("bias from dT/dt", figures.gradient[kind] * ramp * _constants(terms, size, BIAS))
+        if done is None:
+            by_name = dict(zip((BIAS, SCALE_FACTOR), figures.slopes[kind], strict=True))
+            slope = sum((s * _constants(terms, size, name) for name, s in by_name.items()), np.zeros(size))
+        else:
+            slope = _slopes(terms, size, done)
+        lag = figures.lag if done is None or done.lag_std is None else done.lag_std
+        add("offset of the temperature", figures.offset * slope)
+        add("lag of the temperature", lag * ramp * slope)
+    return {name: np.stack(several, axis=1) for name, several in columns.items()}
+
+
+def widened(known: Posterior, columns: Mapping[str, np.ndarray]) -> Posterior:
+    """The posterior with further errors, each a set of columns `(p, k)`."""
+    return known._replace(spread=np.concatenate([known.spread, *columns.values()], axis=1)) if columns else known
+
+
+def another_run(figures: SystematicFigures, channels: Sequence[ChannelTerms], size: int) -> dict[str, np.ndarray]:
+    """Columns for the bias of another power-on."""
+    columns = [figures.turn_on[kind] * _constants(terms, size, BIAS) for kind, terms in channels]
+    return {TURN_ON: np.stack(columns, axis=1)} if any(np.any(c) for c in columns) else {}
+
+
+def _constants(terms, size: int, name: str) -> np.ndarray:
+    """Parameters `(p,)` of the term that is 1 everywhere; zero without the term."""
+    column = np.zeros(size)
+    for where, term in terms:
+        if term.name == name:
+            column[where] = term.constant if isinstance(term, Map) else term.temperature.constant
+    return column
+
+
+def _slopes(terms, size: int, done: EstimatedRun) -> np.ndarray:
+    """Parameters `(p,)` of the estimated terms' derivatives in temperature, `(1/K)`, by least squares over the data's
+    temperatures: exact for polynomials."""
+    column = np.zeros(size)
+    low, high = done.temperature_c
+    at = np.linspace(low, max(high, low + 1.0), _AT)
+    for where, term in terms:
+        functions = term.temperature(at)
+        change = (term.temperature(at + _STEP_K) - term.temperature(at - _STEP_K)) / (2.0 * _STEP_K)
+        # A map over rate is a tensor product, temperature first.
+        own = done.parameters[where].reshape(functions.shape[1], -1)
+        column[where] = np.linalg.lstsq(functions, change @ own, rcond=None)[0].ravel()
+    return column
+
+
+def ramp_of(lines: Sequence[Trajectory]) -> float:
+    """Root mean square of dT/dt over the data that are used, K/s."""
+    total, time = 0.0, 0.0
+    for line in lines:
+        kept = ~np.asarray(line.gap)
+        lasting, slope, excess = (np.asarray(of)[kept] for of in (line.duration, line.slope, line.excess))
+        # ∫(slope − a·e^(−λt))² dt over each piece, a = λ·excess
+        rate = float(line.lag_rate)
+        faded = -np.expm1(-rate * lasting)
+        square = slope**2 * lasting - 2.0 * slope * excess * faded + 0.5 * rate * excess**2 * faded * (2.0 - faded)
+        total += float(np.sum(square))
+        time += float(np.sum(lasting))
+    return (total / time) ** 0.5 if time else 0.0
+
+
+def ramp_of_record(time: np.ndarray, temperature: np.ndarray) -> float:
+    """Root mean square of dT/dt of a record (s, °C), over parts of five minutes, K/s."""
+    span = float(time[-1] - time[0])
+    if span <= 0.0:
+        return 0.0
+    at = np.linspace(time[0], time[-1], max(2, round(span / _MINUTES) + 1))
+    return float(np.sqrt(np.mean((np.diff(np.interp(at, time, temperature)) / np.diff(at)) ** 2)))
+
+
+def terms_of_axis(model: SensorModel) -> list[ChannelTerms]:
+    """The maps of one axis's model."""
+    maps = (model.bias, model.scale)
+    return [ChannelTerms("gyro", tuple((model.where(m.name), m) for m in maps if m is not None))]
+
+
+def terms_of_imu(built: BuiltImu) -> list[ChannelTerms]:
+    """The maps and terms of every channel of a unit."""
+    model, channels = built.model, []
+    for c in model.channels:
+        own = [(model.where(c.kind, c.axis, t.name), t) for t in c.model.terms if isinstance(t, Map | SignalMap)]
+        channels.append(ChannelTerms(c.kind, tuple(own)))
+    return channels
+
+
+class CountedPosteriors(NamedTuple):
+    """Posteriors of a plan or an estimate. `own`: with what the spec names; `whole`: with what it omits, at its class's
+    typical figures; `any_run`: with the bias of another power-on as well. `built`: whose model the last two are of.
+    `fit`, `columns`: the parts of `any_run`: of noise and priors alone, and of what no residual shows, by name (in an
+    estimate without the turn-on bias)."""
+
+    own: Posterior
+    whole: Posterior
+    any_run: Posterior
+    built: Any
+    fit: Posterior
+    columns: Mapping[str, np.ndarray] = MappingProxyType({})
+
+    def judged(self, run: str) -> Posterior:
+        """What a verdict judges in "any run" or in "this run"."""
+        return self.any_run if run == "any run" else self.whole
+
+
+def budget_of_imu(
+    built: BuiltImu, known: Posterior, complete: BuiltImu, fit: Posterior | None = None
+) -> CountedPosteriors:
+    """The posteriors of a unit's plan; `complete`: with what the spec omits, after the plan known as in `fit` (default:
+    by itself)."""
+    if fit is None:
+        fit = known if complete is built else imu_posterior(complete)
+    turn_on = another_run(systematic_figures(complete.spec), terms_of_imu(complete), complete.model.size)
+    every = columns_of_imu(complete)
+    own = own_of_imu(built, known)
+    whole = own if fit is known else widened(fit, every)
+    return CountedPosteriors(own, whole, widened(whole, turn_on), complete, fit, every | turn_on)
+
+
+def own_of_imu(built: BuiltImu, known: Posterior) -> Posterior:
+    """The posterior of a unit's plan with what the spec names."""
+    return widened(known, columns_of_imu(built))
+
+
+def columns_of_plan(built: Assembled) -> dict[str, np.ndarray]:
+    """Columns of what no residual of a plan's run shows, as far as the spec names it."""
+    figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
+    return columns_of(figures, terms_of_axis(built.model), built.model.size, ramp_of([built.trajectory()]))
+
+
+def columns_of_imu(built: BuiltImu) -> dict[str, np.ndarray]:
+    """The same of a whole unit."""
+    ramp = ramp_of([built.motion.line])
+    figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
+    return columns_of(figures, terms_of_imu(built), built.model.size, ramp)
+
+
+def _without_fitted(figures: SystematicFigures, fitted: Container[Any]) -> SystematicFigures:
+    """A sensitivity to dT/dt or a hysteresis that the model estimates is in its covariance."""
+    gradient = {kind: 0.0 if kind in fitted else std for kind, std in figures.gradient.items()}
+    hysteresis = {of: 0.0 if of in fitted else std for of, std in figures.hysteresis.items()}
+    return figures._replace(gradient=gradient, hysteresis=hysteresis)
+
+
+def _fitted(of: SensorModel | ImuModel) -> set[Any]:
+    """The kinds of channels whose sensitivity to dT/dt is estimated, and the kinds and maps whose hysteresis is."""
+    channels = [("gyro", of)] if isinstance(of, SensorModel) else [(c.kind, c.model) for c in of.channels]
+    fitted: set[Any] = {kind for kind, model in channels if model.term(TEMPERATURE_GRADIENT) is not None}
+    for kind, model in channels:
+        plays = [term for term in model.terms if isinstance(term, Hysteresis)]
+        fitted |= {(kind, SCALE_FACTOR if term.signals else BIAS) for term in plays}
+    return fitted
+
+
+def budget_of_estimate(
+    built: BuiltImu, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
+) -> CountedPosteriors:
+    """The posteriors of an estimate. `noise`: of `omitted_noise_of_imu`."""
+    named, complete = (
+        _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
+    )
+    size, terms = built.model.size, terms_of_imu(built)
+    own, whole = (columns_of(figures, terms, size, done.ramp, done) for figures in (named, complete))
+    turn_on = another_run(complete, terms, size)
+    left = widened(known, own)
+    columns = {**whole, **noise}
+    counted = widened(known, columns) if absent_terms(built.spec) else left
+    return CountedPosteriors(left, counted, widened(counted, turn_on), built, known, columns)
+
+
+# Share of a coefficient's variance below which a column is left out of a file.
+_NEGLIGIBLE: Final = 1e-4
+
+
+def counted_criterion(criterion: Criterion, built: Assembled) -> Criterion:
+    """The criterion with what no residual shows and the spec names: no plan removes it, so that it is a part of the
+    variance from the beginning."""
+    more = sum(np.sum((np.asarray(criterion.rows) @ c) ** 2, axis=1) for c in columns_of_plan(built).values())
+    return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
+
+
+def floor_of_plan(spec: Spec) -> tuple[BuiltImu, Posterior]:
+    """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
+    built = build_imu(spec)
+    nothing = np.zeros((built.model.size, 0))
+    return built, widened(Posterior(nothing, nothing), columns_of_imu(built))
+
+
+def shares_of_variance(
+    budget: CountedPosteriors, run: str, statistic_of: Callable[[Posterior], float]
+) -> tuple[float, dict[str, float]]:
+    """The share of noise and priors in the variance of a statistic, and those of what no residual shows, by name; they
+    add up to one."""
+    columns = {n: c for n, c in budget.columns.items() if run == "any run" or n != TURN_ON}
+    total = statistic_of(widened(budget.fit, columns)) ** 2
+    if not (np.isfinite(total) and total > 0.0):
+        return 1.0, {}
+    without = {n: statistic_of(widened(budget.fit, {m: c for m, c in columns.items() if m != n})) for n in columns}
+    parts = {name: 1.0 - value**2 / total for name, value in without.items()}
+    of_fit = statistic_of(budget.fit) ** 2 / total
+    whole = of_fit + sum(parts.values())
+    return of_fit / whole, {name: part / whole for name, part in parts.items()}
+
+
+def unseen_errors(budget: CountedPosteriors, names: Sequence[str], reported: np.ndarray) -> tuple[UnseenError, ...]:
+    """The errors of an estimate that no residual shows, in the coefficients `names`; `reported` `(n, p)`: the engine's
+    parameters to these."""
+    variance = np.sum((reported @ budget.whole.spread) ** 2, axis=1)
+    rows: list[UnseenError] = []
+    for name, columns in budget.columns.items():
+        for column in (reported @ columns).T:
+            large = column**2 > _NEGLIGIBLE * variance
+            if np.any(large):
+                own = {n: float(v) for n, v in zip(names, column, strict=True) if v != 0.0}
+                rows.append(UnseenError(name=name, coefficients=own))
+    return tuple(rows)
+
+
+def omitted_noise_of_imu(built: BuiltImu) -> dict[str, np.ndarray]:
+    """Columns of what the noise that a spec omits adds to the covariance of the sensor's own parameters after the
+    spec's own plan."""
+    noisy = noise_completed(built.spec)
+    if noisy is built.spec:
+        return {}
+    plan, more = (imu_posterior(of) for of in (built, build_imu(noisy)))
+    return {"omitted noise": _excess(plan, more, built.model.size, built.model.calibrated)}
+
+
+def noise_completed(spec: Spec) -> Spec:
+    """The spec with the omitted terms that are noise, or parameters of the table, at typical figures; without those
+    that change the parameters of the sensor or the temperatures of the plan."""
+    noise = {t.key: t.value for t in absent_terms(spec) if t.key.rpartition(".")[2] not in _NO_NOISE}
+    return changed(spec, noise) if noise else spec
+
+
+def _excess(spec: Posterior, noisy: Posterior, size: int, own: int) -> np.ndarray:
+    """Columns `(p, k)` of what the omitted noise adds to the covariance of the first `own` parameters."""
+    more = noisy.spread[:own] @ noisy.spread[:own].T - spec.spread[:own] @ spec.spread[:own].T
+    scale = np.sqrt(np.maximum(np.diag(noisy.spread[:own] @ noisy.spread[:own].T), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(more / np.outer(scale, scale))
+    columns = np.zeros((size, own))
+    columns[:own] = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return columns
+
 
 PRIOR: Final = "prior knowledge"
 DISCREPANCY: Final = "model discrepancy"

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.api.contract_rows import coefficient_rows, finite, judged_by_data
 from gradcal_jax.api.contradictions import (
     MeasuredDiscrepancy,
     RecordFaults,
@@ -30,11 +29,17 @@ from gradcal_jax.api.contradictions import (
     structure_tests,
     without_bad_rows,
 )
-from gradcal_jax.api.estimate_options import Lag, Options
+from gradcal_jax.api.error_budget import (
+    EstimatedRun,
+    budget_of_estimate,
+    omitted_noise_of_imu,
+    ramp_of_record,
+    unseen_errors,
+)
 from gradcal_jax.api.fit_of_log import FittedRows, Recorded, calibration_of, fit_of, points_of, tests_by_name, together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.imu_residual import internal_misalignments
-from gradcal_jax.api.log_rows import count_rows, imu_rows, with_earth, with_options
+from gradcal_jax.api.log_rows import Lag, Options, count_rows, imu_rows, with_earth, with_options
 from gradcal_jax.api.path_dependence import (
     HEATING_AGAINST_COOLING,
     BiasCurve,
@@ -44,13 +49,7 @@ from gradcal_jax.api.path_dependence import (
 )
 from gradcal_jax.api.plan_sentences import one_way_sentences
 from gradcal_jax.api.prediction import requirement_row
-from gradcal_jax.api.systematic import (
-    EstimatedRun,
-    budget_of_estimate,
-    omitted_noise_of_imu,
-    ramp_of_record,
-    unseen_errors,
-)
+from gradcal_jax.api.verdicts import coefficient_rows, finite, judged_by_data
 from gradcal_jax.display import html, summary
 from gradcal_jax.estimation import (
     Consistency,

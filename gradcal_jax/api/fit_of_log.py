@@ -12,12 +12,11 @@ from scipy import optimize
 
 from gradcal_jax import estimation, trajectory
 from gradcal_jax.api.build import move_of
-from gradcal_jax.api.contract_rows import fit_rows, provenance_of, random_walks, result_of_requirement, section_of
 from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible, refuse_misaligned
-from gradcal_jax.api.estimate_options import LONGEST_LAG_S, Lag, Options
 from gradcal_jax.api.imu_build import BuiltImu, course_before
-from gradcal_jax.api.log_rows import read_by_events
+from gradcal_jax.api.log_rows import LONGEST_LAG_S, Lag, Options, read_by_events
 from gradcal_jax.api.plan_sentences import prior_deviations, unobserved_parameters
+from gradcal_jax.api.verdicts import fit_rows, provenance_of, random_walks, result_of_requirement, section_of
 from gradcal_jax.estimation import (
     Consistency,
     ExecutedImu,

@@ -6,9 +6,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from gradcal_jax import estimation, formulas
-from gradcal_jax.api.contract_rows import coefficient_rows, fit_rows, provenance_of
-from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import bridged_temperature, time_of
+from gradcal_jax.api.log_rows import Options, bridged_temperature, time_of
+from gradcal_jax.api.verdicts import coefficient_rows, fit_rows, provenance_of
 from gradcal_jax.display import summary
 from gradcal_jax.estimation import Test
 from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions, solve_by_hand
@@ -65,7 +64,7 @@ def estimate_by_hand(
     """The calibration of every unit in `units` (default: all) from a log of many positions, by `gravity` (m/s²).
 
     Accelerometers by |f| = g over the standstills, then gyros by the turns of gravity between them
-    (`gradcal_jax.estimation.hand`). Readings may be raw counts. `options`: `api.estimate_options.Options`, of which
+    (`gradcal_jax.estimation.hand`). Readings may be raw counts. `options`: `api.log_rows.Options`, of which
     this takes `earth_rate` (rad/s, straight up), `clock` and `temperature_c`; `sources`: names of files, for the
     provenance. Returns reports with a `calibration` (SI), tests, residuals of gravity (m/s²) and of the turns (rad),
     and `messages`.

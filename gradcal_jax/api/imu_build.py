@@ -1,4 +1,4 @@
-"""A unit's spec in the core's terms: its channels, its installation, and the motion of the table."""
+"""A spec in the core's terms: its channels, its installation, the motion of the table, and the IMUs of a fixture."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -22,6 +22,7 @@ from gradcal_jax.files import sensor as sensor_file
 from gradcal_jax.files.bench import Rig
 from gradcal_jax.files.memory import too_large
 from gradcal_jax.files.motion_plan import PlanSchedule, plan_schedule
+from gradcal_jax.files.places import specs_at_places
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
@@ -521,3 +522,30 @@ def _breaks(of: ImuModel) -> tuple[tuple[float, ...], dict[int, tuple[float, ...
             if isinstance(term, Map) and term.rate is not None and term.rate.breaks:
                 fast.setdefault(c.axis, set()).update(term.rate.breaks)
     return tuple(sorted(warm)), {axis: tuple(sorted(at)) for axis, at in fast.items()}
+
+
+def hung_alike(spec: Spec) -> list[tuple[Spec, list[str]]]:
+    """The spec of the IMU at each place that hangs differently, with the names of the places that hang so; of a table
+    without places the spec itself."""
+    alike: dict[str, tuple[Spec, list[str]]] = {}
+    for name, at in specs_at_places(spec).items():
+        hung = [m.model_dump(exclude={"name"}) for m in at.rig.table.mounting]
+        alike.setdefault(repr((hung, at.sensor.model_dump())), (at, []))[1].append(name)
+    return list(alike.values())
+
+
+def known_together(
+    builts: Sequence[BuiltImu], alone: Sequence[Posterior], counts: Sequence[int]
+) -> tuple[list[Posterior], str]:
+    """The posteriors of IMUs at places that hang differently, estimated together with all others of the fixture. Where
+    the plan has more readings than can be held so, those of each `alone`, with a sentence."""
+    if sum(counts) == 1:
+        return list(alone), ""
+    # Imported where it is used: estimates import SciPy's larger rooms.
+    from gradcal_jax.estimation import posteriors_together
+
+    plans = [(b.model, b.motion, b.body_nodes(), one) for b, one in zip(builts, alone, strict=True)]
+    try:
+        return posteriors_together(plans, counts, clock=builts[0].spec.sensor.takes_host_clock), ""
+    except MemoryError as error:
+        return list(alone), f"{error}: each place is predicted for an IMU alone"

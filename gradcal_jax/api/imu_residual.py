@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.imu_build import (
     G_SENSITIVITY,
     GRADIENT_OF_SCALE,
@@ -17,7 +16,7 @@ from gradcal_jax.api.imu_build import (
     SPECIFIC_FORCE_BIAS,
     BuiltImu,
 )
-from gradcal_jax.api.verdicts import UNIT_OF, mission_weights
+from gradcal_jax.api.verdicts import UNIT_OF, finite, mission_weights
 from gradcal_jax.files.contracts import MissionRow
 from gradcal_jax.files.requirement import (
     AccelerometerBiasRequirement,

@@ -13,8 +13,8 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 
 from gradcal_jax import formulas, identify, units
-from gradcal_jax.api.contract_rows import finite
 from gradcal_jax.api.log_rows import BRANCHES, branch_of
+from gradcal_jax.api.verdicts import finite
 from gradcal_jax.display import summary
 from gradcal_jax.files.log import SENSOR_RATE, EvenSeries, Log, LogError, Reason
 from gradcal_jax.files.signal_faults import changing_noise, refuse_clipped, refuse_repeated, without_faults

@@ -1,9 +1,9 @@
-"""Proven lower limits on any plan with the rig and time of a spec, the efficiency of the spec's plan, and the proofs
-for an IMU, in the time of the data of the spec's plan; those for one gyro are in `axis_limit`.
+"""Proven lower limits on any plan with the rig and time of a spec, and the efficiency of the spec's plan.
 
-Two proofs. A **bias** `ψ(T)ᵀβ` under white noise and drift: with all else known exactly and the error itself observed
-at every instant, moving or not, generalised least squares has a known covariance of β; every row of any plan is a
-function of these observations.
+A gyro alone on the only axis of a table has the time that its plan and [design] leave to any plan, with drift, readings
+and clock. Of an IMU's channels in the time of the data of the spec's plan there are two proofs. A **bias** `ψ(T)ᵀβ`
+under white noise and drift: with all else known exactly and the error itself observed at every instant, moving or not,
+generalised least squares has a known covariance of β; every row of any plan is a function of these observations.
 
 A parameter multiplied by a **signal** s under white noise N² (a column `∫ψ s dt`): with all else known exactly, the
 drift too, its information is `∫ψψᵀs²dt/N²` plus its prior's. For the k elements of a quantity that share ψ, N and
@@ -17,42 +17,79 @@ the time, in white noise and under what multiplies its rate. Where the gyro is a
 axis's own limit, with drift, readings and clock; the errors of an encoder that other channels see, too, are no noise.
 """
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 
-from gradcal_jax import model, trajectory
-from gradcal_jax.api.axis_limit import (
-    Proof,
-    Windows,
-    between_readings,
-    bias_seen_continuously,
-    kept_in_words,
-    look_at,
-    middles_of_parts,
-    noise_density,
-    proofs_of_axis,
-    sensor_course,
-    windows_between_knots,
-)
-from gradcal_jax.api.build import chamber_programme
+from gradcal_jax import design, trajectory
+from gradcal_jax.api.build import assemble, chamber_programme
+from gradcal_jax.api.error_budget import floor_of_plan
 from gradcal_jax.api.imu_build import MISALIGNMENT, SECOND_ORDER, BuiltImu, build_imu
-from gradcal_jax.api.imu_residual import imu_residual
+from gradcal_jax.api.imu_residual import box, imu_residual
 from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.api.structures import LEAST_TURN, with_motion
-from gradcal_jax.api.systematic import floor_of_plan
+from gradcal_jax.api.turn_plan import (
+    LEAST_TURN,
+    ResolvedCycle,
+    criterion_of,
+    cycle_of,
+    design_of,
+    largest_rate,
+    motion_time,
+    ramp_ends,
+    with_motion,
+)
 from gradcal_jax.api.verdicts import UNIT_OF
-from gradcal_jax.design import PRIOR_OF_WALK, criterion, limit, scale_factor_floor
+from gradcal_jax.design import Criterion, Limit, bias_seen_continuously, longest_step, look_at
 from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.display import summary
 from gradcal_jax.files.absent import with_typical
+from gradcal_jax.files.design import TIMES
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, Requirement
 from gradcal_jax.files.spec import expect_spec, goes_on
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import square_root, statistic
-from gradcal_jax.model import AXIS_NAMES, Channel, Map, Polynomial, SignalMap
-from gradcal_jax.trajectory import EARTH_RATE, Programme
+from gradcal_jax.model import (
+    AXIS_NAMES,
+    BIAS,
+    SCALE_FACTOR,
+    Channel,
+    Map,
+    Polynomial,
+    SensorModel,
+    SignalMap,
+    angle_reference,
+    constant,
+    gyro_model,
+    make_map,
+)
+from gradcal_jax.trajectory import EARTH_RATE, Programme, programme
+from gradcal_jax.units import time_text
+
+# The time at the table is divided into at least this many equal parts of one temperature, two or more for each turn.
+_PARTS = 48
+_MOST_WINDOWS = 40
+# Longest step of the integrals of signals, s; most steps of a continuous observation.
+_LONGEST_S = 5.0
+_MOST_STEPS = 200_000
+_AT_KNOT = 1e-6
+# Nodes of the integral of a signal in a step.
+_NODES = 4
+# An axis this near to a gyro's is the same, by 1 less the cosine.
+_ALONG = 1e-12
+# Lags that differ by a smaller share are equal.
+_APART = 1e-6
+_RELAXED = (
+    "everything else is known exactly",
+    "the IMU is read continuously, at rest and during moves, with the best distribution of turns and poses",
+    "the noise is white, except for that of biases",
+)
+
+Windows = list[tuple[float, float]]
 
 
 class PlanLimit(NamedTuple):
@@ -79,10 +116,15 @@ class PlanLimit(NamedTuple):
     __repr__ = summary
 
 
-def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
-    """The limit of every requirement of a gradient plan for which there is a proof.
+def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
+    """The proven lower limit on the residual of any plan on this rig in this time, for every requirement of a gradient
+    plan that has a proof.
 
-    `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies are the plan's.
+    `certified` (proven) and `value` (of the spec's own plan) are in `unit`; `relaxed`: the limits of the rig that the
+    proof leaves out. `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies
+    are the plan's. The derivation for a scale factor, a convex problem with its certificate, is in
+    `gradcal_jax.design.limit`.
+
     Errors: `ValueError` where there is no requirement, no proof for one, or another kind of plan.
     """
     spec = expect_spec(spec)
@@ -91,9 +133,9 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     if not spec.requirement:
         raise ValueError("a limit is proven for requirements; the spec has none: add a [[requirement]]")
     if spec.turns_one_gyro and spec.gradient_schedule.steps:
-        proofs = proofs_of_axis(spec, motion)
+        proofs = _proofs_of_axis(spec, motion)
     else:
-        proofs = proofs_of_imu(spec if motion is None else with_motion(spec, motion))
+        proofs = _proofs_of_imu(spec if motion is None else with_motion(spec, motion))
     rows = {row.name: row for row in requirement_rows(spec)}
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value in the box.
     floors = [floor_of_plan(one) for one in (spec, with_typical(spec))]
@@ -114,54 +156,300 @@ def limits(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     return proven
 
 
-# Longest time step of the integrals of signals, s, and nodes in a step.
-_LONGEST_S = 5.0
-_NODES = 4
-# An axis this near to a gyro's is the same, by 1 less the cosine.
-_ALONG = 1e-12
-# Lags that differ by a smaller share are equal.
-_APART = 1e-6
-_RELAXED = (
-    "everything else is known exactly",
-    "the IMU is read continuously, at rest and during moves, with the best distribution of turns and poses",
-    "the noise is white, except for that of biases",
-)
+class Proof(NamedTuple):
+    """A requirement's limit in SI: `certified`, and the optimum of the relaxed problem, `reached`. `relaxed`: limits of
+    the rig that the proof leaves out; `kept`: what all plans of the proof have in common; both in words."""
+
+    requirement: Requirement
+    certified: float
+    reached: float
+    relaxed: tuple[str, ...]
+    kept: tuple[str, ...]
 
 
-def proofs_of_imu(spec: Spec) -> list[Proof]:
+class _Window(NamedTuple):
+    """When and at which temperatures a gyro may turn, and the least noise density of its motion.
+
+    `model`: of the channel as if it were alone. `time`, `every`: duration (s) of the axis at the table, and of all
+    data. `windows` (s) at the table, and the sensor's `temperature` and its rate there; `used`: windows (s) of all used
+    data. Both are empty where the programme is free.
+    """
+
+    model: SensorModel
+    time: float
+    every: float
+    temperatures: np.ndarray
+    fixed: bool
+    max_rate: float
+    density: float
+    windows: Windows
+    used: Windows
+    temperature: Course
+    relaxed: Sequence[str]
+
+    def of_requirement(self, requirement: Requirement) -> tuple[Limit, tuple[str, ...]]:
+        """The limit of a requirement in SI, and what the proof leaves out."""
+        criterion = criterion_of(self.model, requirement)
+        if requirement.quantity.endswith("scale_factor"):
+            result, relaxed = self.of_scale_factor(criterion, *box(requirement)), tuple(self.relaxed)
+        else:
+            result, relaxed = self._of_functionals(criterion)
+        if criterion.alone is not None:
+            relaxed = (*relaxed, "the calibration contains the discrepancy as far as the data determine it")
+        return result, relaxed
+
+    def of_scale_factor(self, criterion: Criterion, temperatures: np.ndarray, rates: np.ndarray) -> Limit:
+        """The limit of a criterion on the scale factor on a grid (°C, rad/s), the bias known."""
+        sure = design.scale_factor_floor(self.model, self.windows, self.temperature, temperatures)
+        return self._of_scale_factor(criterion, np.repeat(sure, len(rates)))
+
+    def _of_scale_factor(self, criterion: Criterion, sure: np.ndarray) -> Limit:
+        """The same; `sure`: a variance that no plan removes."""
+        return design.limit(
+            criterion,
+            self.model,
+            motion_time=self.time,
+            temperatures=self.temperatures,
+            fixed_programme=self.fixed,
+            max_rate=self.max_rate,
+            noise_density=self.density,
+            floor=sure,
+            prior_share=design.PRIOR_OF_WALK if np.any(sure) else 1.0,
+        )
+
+    def _of_functionals(self, criterion: Criterion) -> tuple[Limit, tuple[str, ...]]:
+        """The limit of a combination of bias and scale factor: the larger of two limits with one of the maps known."""
+        model = self.model
+        rows = np.asarray(criterion.rows)
+        of_bias, of_scale = rows[:, model.where(BIAS)], rows[:, model.where(SCALE_FACTOR)]
+        bounds: list[tuple[Limit, tuple[str, ...]]] = []
+        if np.any(of_scale):
+            relaxed = (*self.relaxed, *(["the bias is known"] if model.bias is not None else []))
+            if np.any(model.processes.rate_gain):
+                relaxed = (*relaxed, "errors that multiply the rate are left out")
+            bounds.append((self._of_scale_factor(criterion, np.zeros(len(rows))), relaxed))
+        if np.any(of_bias):
+            if self.used:
+                floor = design.bias_floor(model, self.used, self.temperature, of_bias)
+                relaxed = ("the angle is read continuously and without noise",)
+            else:
+                ends = float(np.min(self.temperatures)), float(np.max(self.temperatures))
+                floor = design.bias_floor_anywhere(model, self.every, ends, of_bias)
+                relaxed = (
+                    "the time is distributed optimally over the temperatures",
+                    "the only noise is the random walk",
+                )
+            relaxed += ("the scale factor is known",) if model.scale is not None else ()
+            known = self._seen_continuously(of_bias) if self.used and not np.any(of_scale) else None
+            for least in (np.sqrt(floor), known):
+                if least is not None:
+                    value = statistic(criterion.statistic, least.reshape(criterion.shape))
+                    bounds.append((Limit(value, value), relaxed))
+        return max(bounds, key=lambda pair: pair[0].certified)
+
+    def _seen_continuously(self, rows: np.ndarray) -> np.ndarray | None:
+        """Standard deviations of combinations `rows` of the bias; None: too many steps, or an extended structure."""
+        model = self.model
+        steps = self.every / longest_step(model.processes)
+        if model.bias is None or model.bias.beyond is not None or steps > _MOST_STEPS:
+            return None
+        white = float(model.angle_random_walk)
+        return bias_seen_continuously(model.bias, white, model.processes, self.used, self.temperature, rows)
+
+
+def _proofs_of_axis(spec: Spec, motion: float | None = None) -> list[Proof]:
+    """The limit of every requirement of a gradient plan that turns one gyro. Errors: `ValueError` without a proof.
+
+    `motion` s: time without soaks, in the place of the plan's or [design]'s.
+    """
+    schedule, of, built = spec.gradient_schedule, spec.design, assemble(spec)
+    free = set() if of is None else set(of.free)
+    cycle = cycle_of(spec)
+    assert cycle is not None
+    # A cycle that fills the ramp, as in a recipe, fits only that ramp.
+    as_is = motion is None and (of is None or of.minimise in TIMES or 2.0 * cycle.duration > schedule.motion)
+    one_ramp: tuple[float, float] | None = None
+    with suppress(ValueError):  # of any other programme
+        one_ramp = ramp_ends(spec)
+    if as_is or one_ramp is None:
+        # The plan as it is: its stretches with soaks that are used and every slope.
+        free -= {"gradient", "cycle"} if one_ramp is None else set()
+        chamber = built.schedule.programme
+        spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
+    else:
+        time = motion or motion_time(spec, design_of(spec))
+        chamber = programme(one_ramp[0], [(time, (one_ramp[1] - one_ramp[0]) / time)])
+        spans = [(0.0, time)]
+    every = sum(end - begin for begin, end in spans)
+    own = sum(move.repeat * move.duration for move in cycle.moves if not move.other_axes)
+    # An axis that no other axis waits for has the table all the time, whatever the cycles leave.
+    alone = own >= cycle.duration * (1.0 - 1e-9)
+    visits = spans if alone else [w for begin, end in spans for w in _visits(cycle, begin, end - begin)]
+    # A cycle of another length may have a little more or less of the same share.
+    total = max(sum(end - begin for begin, end in visits), every * own / cycle.duration)
+    tied = alone or ("cycle" not in free and len(visits) <= _MOST_WINDOWS)
+    density, relaxed = _noise_density(
+        built.model, *_spacing_of_cycle(cycle, built.trajectory()), visits if tied else None
+    )
+    if not tied:
+        relaxed.append("the axis may turn at any time within its share of the time")
+    followed = _sensor_course(chamber, built.thermal_lag)
+    fixed, windows, used = "gradient" not in free, [], []
+    if fixed:
+        used = _between_knots(spans, chamber.times())
+        # With a cycle of free length, the turns may lie anywhere in the used data.
+        turning = visits if tied else spans
+        temperatures = followed(_middles_of_parts(turning))[0]
+        windows = _between_knots(turning, chamber.times())
+    else:
+        assert one_ramp is not None
+        temperatures = np.linspace(*one_ramp, _PARTS)
+        relaxed.append("the time is distributed optimally over the temperatures")
+        if np.any(built.model.processes.rate_gain):
+            relaxed.append("errors that multiply the rate are left out, except for constant ones")
+    kept = _kept_in_words(total, when=tied and not alone, fixed=fixed)
+    window = _Window(
+        built.model,
+        total,
+        every,
+        temperatures,
+        fixed,
+        largest_rate(spec, []),
+        density,
+        windows,
+        used,
+        followed,
+        relaxed,
+    )
+    limits = ((r, *window.of_requirement(r)) for r in spec.requirement)
+    return [Proof(r, of.certified, of.reached, relaxed, kept) for r, of, relaxed in limits]
+
+
+def _kept_in_words(time: float, *, when: bool = False, fixed: bool = True) -> tuple[str, ...]:
+    """What the plans of a proof have in common: the `time` at the table (s), `when` it is there, the programme."""
+    at_table = f"{time_text(float(round(time)))} at the table" + (", when this plan has it" if when else "")
+    return (at_table, *(["the chamber follows the temperatures of this plan"] if fixed else []))
+
+
+def _noise_density(model: SensorModel, spacing: float, apart: float, visits: Windows | None) -> tuple[float, list[str]]:
+    """The least noise density (rad²/s) of any motion in the windows `visits` (None: at any times), and what the proof
+    leaves out. Readings are `spacing` s apart or more, standstills `apart` s."""
+    reference = model.reference
+    relaxed = ["acceleration and travel"]
+    if float(reference.reading_noise) > 0.0:
+        often = f"the angle is read at most every {spacing:.3g} s"
+        relaxed.append(f"{often}, also during moves (a plan with more frequent readings may leave less)")
+    if visits is not None and float(reference.reading_noise) > 0.0:
+        density = design.gated_noise_density(model, spacing, visits)
+    else:
+        density = design.least_noise_density(model, spacing)
+    if float(reference.standstill_offset) > 0.0:
+        # An offset is one draw a standstill.
+        other = eqx.tree_at(lambda m: m.reference.reading_noise, model, reference.standstill_offset)
+        density = max(density, design.least_noise_density(other, apart))
+        relaxed.append(f"standstills as little as {apart:.3g} s apart")
+    return density, relaxed
+
+
+def _spacing_of_cycle(cycle: ResolvedCycle, line: trajectory.Trajectory) -> tuple[float, float]:
+    """The least time between readings, and between standstills (s), of this plan and of any plan in a search."""
+    turns = [m.duration for m in cycle.moves if not m.is_rest]
+    rests = [m.read_every for m in cycle.moves if m.read_every is not None]
+    apart = min([LEAST_TURN, *turns])
+    return min([*rests, cycle.other_read_every or np.inf, apart, _between_readings(line)]), apart
+
+
+def _between_readings(line: trajectory.Trajectory) -> float:
+    """The least time (s) between two readings of a trajectory."""
+    times = np.concatenate([line.start[:1], (line.start + line.duration)[line.read | line.gap]])
+    return float(np.min(np.diff(times), initial=np.inf))
+
+
+def _middles_of_parts(windows: Windows) -> np.ndarray:
+    """The middles (s) of equal parts of all windows' time together."""
+    count = max(_PARTS, 2 * len(windows))
+    begin, end = np.array(windows).T
+    lasted = np.concatenate([[0.0], np.cumsum(end - begin)])
+    middle = lasted[-1] * (np.arange(count) + 0.5) / count
+    k = np.clip(np.searchsorted(lasted, middle, side="right") - 1, 0, len(begin) - 1)
+    return begin[k] + middle - lasted[k]
+
+
+def _between_knots(windows: Windows, knots: np.ndarray) -> Windows:
+    """The windows, divided where the chamber's slope changes."""
+    parts: Windows = []
+    for begin, end in windows:
+        inside = knots[(knots > begin + _AT_KNOT) & (knots < end - _AT_KNOT)]
+        parts += [(float(a), float(b)) for a, b in pairwise([begin, *inside, end])]
+    return parts
+
+
+def _sensor_course(chamber: Programme, lag: float | None) -> Course:
+    """The sensor's temperature (°C) and its rate (K/s) at any time (s)."""
+    of = chamber.sensor(lag)
+
+    def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        k = np.clip(np.searchsorted(of.times, t, side="right") - 1, 0, len(of.slope) - 1)
+        since = t - of.times[k]
+        fading = of.excess[k] * np.exp(-of.lag_rate * since)
+        return of.level[k] + of.slope[k] * since + fading, of.slope[k] - of.lag_rate * fading
+
+    return at
+
+
+def _visits(cycle: ResolvedCycle, start: float, time: float) -> Windows:
+    """When the axis has the table (begin, end; s) in a stretch of that time."""
+    period = cycle.duration
+    count = int((time + period - cycle.moving + 1e-6) // period)
+    visits: Windows = []
+    for begin in start + period * np.arange(count):
+        here = float(begin)
+        visits.append((here, here))
+        for move in cycle.moves:
+            there = here + move.repeat * move.duration
+            visits.append((there, there)) if move.other_axes else visits.append((visits.pop()[0], there))
+            here = there
+    return [(begin, end) for begin, end in visits if end > begin]
+
+
+# --- an IMU's channels ------------------------------------------------------------------------------------------------
+
+
+def _proofs_of_imu(spec: Spec) -> list[Proof]:
     """The limit of every requirement of a gradient plan for which there is a proof. Errors: `ValueError` for none."""
-    window = _window(build_imu(spec))
-    kept = kept_in_words(window.time)
-    proven = [(r, *bound) for r in spec.requirement if (bound := _certified(window, r)) is not None]
+    seen = _Data(build_imu(spec))
+    kept = _kept_in_words(seen.time)
+    proven = [Proof(r, *bound, kept) for r in spec.requirement if (bound := _certified(seen, r)) is not None]
     if not proven:
         raise ValueError(
             "for an IMU, limits are proven for biases, polynomial scale factors, misalignments to the table or "
             "the case, acceleration sensitivity and second-order terms; the spec has no requirement on any of "
             "these"
         )
-    return [Proof(r, *bound, relaxed, kept) for r, bound, relaxed in proven]
+    return proven
 
 
-class _Window(NamedTuple):
+class _Data:
     """The used data of a plan, `time` s in all: `spans`, and `windows`, divided where the chamber's slope changes (s);
     the `chamber`'s programme."""
 
-    built: BuiltImu
-    time: float
-    spans: Windows
-    windows: Windows
-    chamber: Programme
+    def __init__(self, built: BuiltImu) -> None:
+        schedule = built.spec.gradient_schedule
+        self.built, (self.chamber, _) = built, chamber_programme(schedule)
+        self.spans: Windows = [(s.start, s.start + s.duration) for s in schedule.stretches]
+        self.windows = _between_knots(self.spans, self.chamber.times())
+        self.time = sum(end - begin for begin, end in self.spans)
 
     def course(self, term: Map | SignalMap) -> Course:
         """The course of the temperature that a map follows."""
         lag, late = self.built.spec.sensor.lag, term.late
         if not late:
-            return sensor_course(self.chamber, lag)
+            return _sensor_course(self.chamber, lag)
         if not lag:
-            return sensor_course(self.chamber, late.lag)
+            return _sensor_course(self.chamber, late.lag)
         # One lag after another, in partial fractions; of two equal ones the limit, to a millionth of the lag.
         then = late.lag if abs(late.lag / lag - 1.0) > _APART else lag * (1.0 + _APART)
-        first, second = sensor_course(self.chamber, lag), sensor_course(self.chamber, then)
+        first, second = _sensor_course(self.chamber, lag), _sensor_course(self.chamber, then)
 
         def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             level, slope = ((lag * a - then * b) / (lag - then) for a, b in zip(first(t), second(t), strict=True))
@@ -170,67 +458,45 @@ class _Window(NamedTuple):
         return at
 
 
-def _window(built: BuiltImu) -> _Window:
-    schedule = built.spec.gradient_schedule
-    chamber, _ = chamber_programme(schedule)
-    spans = [(s.start, s.start + s.duration) for s in schedule.stretches]
-    windows = windows_between_knots(spans, chamber.times())
-    return _Window(built, sum(end - begin for begin, end in spans), spans, windows, chamber)
-
-
-# What a proof yields, in SI: certified, and the optimum of the relaxed problem; and what it leaves out.
-_Proof = tuple[tuple[float, float], tuple[str, ...]]
-
-
-def _certified(window: _Window, requirement: Requirement) -> _Proof | None:
-    """A requirement's limit; None without a proof."""
+def _certified(seen: _Data, requirement: Requirement) -> tuple[float, float, tuple[str, ...]] | None:
+    """A requirement's limit in SI: certified, and the optimum of the relaxed problem; and what the proof leaves out.
+    None without a proof."""
     cold, warm = (float(t) for t in requirement.temperature)
     temperatures = np.linspace(cold, warm, requirement.grid[0])
     if isinstance(requirement, GyroScaleFactorRequirement):
-        return _of_scale_factor(window, requirement, temperatures)
+        return _of_scale_factor(seen, requirement, temperatures)
     of = _of_bias if requirement.quantity in ("gyro_bias", "accelerometer_bias") else _of_signal
-    deviation = of(window, requirement, temperatures)
+    deviation = of(seen, requirement, temperatures)
     if deviation is None:
         return None
     value = statistic(requirement.statistic, deviation[:, None])
-    return (value, value), _RELAXED
+    return value, value, _RELAXED
 
 
 def _of_scale_factor(
-    window: _Window, requirement: GyroScaleFactorRequirement, temperatures: np.ndarray
-) -> _Proof | None:
+    seen: _Data, requirement: GyroScaleFactorRequirement, temperatures: np.ndarray
+) -> tuple[float, float, tuple[str, ...]] | None:
     """The limit for a gyro that turns all the time, at up to the rate of the rig's fastest axis."""
-    built = window.built
+    built = seen.built
     channel = _channel(built, "gyro", requirement.axis)
     scale, processes = channel.model.scale, channel.model.processes
     if scale is None or not isinstance(scale.rate, Polynomial) or scale.beyond is not None:
         return None
-    course, scale = window.course(scale), replace(scale, late=None)
-    rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), requirement.grid[1])
-    white = float(channel.model.angle_random_walk)
+    course, reference, scale = seen.course(scale), None, replace(scale, late=None)
     if alone := _has_the_table_alone(built, channel):
-        # As a spec of one axis. Other channels would show the encoder's errors and the clock's, which are left out.
+        # Other channels would show the encoder's errors and the clock's, which are left out.
         encoder, clock = built.model.encoder, built.spec.sensor.clock_error
-        reference = model.angle_reference(float(encoder.reading[0]), float(encoder.offset[0]))
-        if clock:
-            processes = processes + model.constant(clock, rate_gain=1.0)
-        seen = model.gyro_model(None, scale, white, processes, reference)
-    else:
-        seen = model.gyro_model(None, scale, white, processes)
-    density, relaxed = noise_density(seen, *_spacing(built), window.spans)
-    sure = np.repeat(scale_factor_floor(seen, window.windows, course, temperatures), len(rates))
-    result = limit(
-        criterion(seen, "scale_factor", temperatures, rates, requirement.statistic),
-        seen,
-        motion_time=window.time,
-        temperatures=course(middles_of_parts(window.spans))[0],
-        fixed_programme=True,
-        max_rate=_fastest_along(built, channel) if alone else _fastest(built),
-        noise_density=density,
-        floor=sure,
-        prior_share=PRIOR_OF_WALK if np.any(sure) else 1.0,
-    )
-    return (result.certified, result.reached), tuple(relaxed) if alone else _RELAXED
+        reference = angle_reference(float(encoder.reading[0]), float(encoder.offset[0]))
+        processes = processes + constant(clock, rate_gain=1.0) if clock else processes
+    model = gyro_model(None, scale, float(channel.model.angle_random_walk), processes, reference)
+    density, relaxed = _noise_density(model, *_spacing(built), seen.spans)
+    at, fastest = course(_middles_of_parts(seen.spans))[0], (_fastest_along if alone else _fastest)(built)
+    time, windows = seen.time, seen.windows
+    window = _Window(model, time, time, at, True, fastest, density, windows, windows, course, relaxed)
+    rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), requirement.grid[1])
+    criterion = design.criterion(model, SCALE_FACTOR, temperatures, rates, requirement.statistic)
+    result = window.of_scale_factor(criterion, temperatures, rates)
+    return result.certified, result.reached, tuple(relaxed) if alone else _RELAXED
 
 
 def _has_the_table_alone(built: BuiltImu, channel: Channel) -> bool:
@@ -245,12 +511,12 @@ def _has_the_table_alone(built: BuiltImu, channel: Channel) -> bool:
 def _spacing(built: BuiltImu) -> tuple[float, float]:
     """The least time between readings, and between standstills (s), of this plan and of any plan in a search."""
     apart = min([LEAST_TURN, *(step.move.duration for step in built.spec.gradient_schedule.steps if step.axis >= 0)])
-    return min([*np.asarray(built.model.encoder.every), apart, between_readings(built.motion.line)]), apart
+    return min([*np.asarray(built.model.encoder.every), apart, _between_readings(built.motion.line)]), apart
 
 
-def _of_bias(window: _Window, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
+def _of_bias(seen: _Data, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
     """Standard deviations of a bias under white noise and drift, seen continuously."""
-    channel = _channel(window.built, requirement.quantity.removesuffix("_bias"), requirement.axis)
+    channel = _channel(seen.built, requirement.quantity.removesuffix("_bias"), requirement.axis)
     term = channel.model.term("bias")
     assert isinstance(term, Map | SignalMap)
     if isinstance(term, Map):
@@ -258,16 +524,14 @@ def _of_bias(window: _Window, requirement: Requirement, temperatures: np.ndarray
             return None
         bias = replace(term, late=None)
     else:
-        bias = model.make_map(
-            term.temperature, prior_std=float(term.std) if term.has_prior else np.inf, shapes=term.shapes
-        )
+        bias = make_map(term.temperature, prior_std=float(term.std) if term.has_prior else np.inf, shapes=term.shapes)
     white, rows = float(channel.model.angle_random_walk), bias.values(temperatures, 0.0 * temperatures)
-    return bias_seen_continuously(bias, white, channel.model.processes, window.windows, window.course(term), rows)
+    return bias_seen_continuously(bias, white, channel.model.processes, seen.windows, seen.course(term), rows)
 
 
-def _of_signal(window: _Window, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
+def _of_signal(seen: _Data, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
     """Standard deviations from the mean information of all elements."""
-    built = window.built
+    built = seen.built
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         return None
     kind = "gyro" if requirement.quantity in ("gyro_misalignment", "g_sensitivity") else "accelerometer"
@@ -282,7 +546,7 @@ def _of_signal(window: _Window, requirement: Requirement, temperatures: np.ndarr
     term = next(t for t in channel.model.terms if t.name.startswith(name))
     assert isinstance(term, SignalMap)
     nodes, weights = trajectory.quadrature(_NODES)
-    look = look_at(window.windows, window.course(term), _LONGEST_S)
+    look = look_at(seen.windows, seen.course(term), _LONGEST_S)
     at = (look.begin[:, None] + (look.end - look.begin)[:, None] * nodes)[look.used]
     functions = term.temperature(at.ravel())
     root = np.sqrt((look.duration[look.used, None] * weights).ravel() * bound) / float(channel.model.angle_random_walk)
@@ -299,7 +563,7 @@ def _most(built: BuiltImu, requirement: Requirement, channels: list[Channel]) ->
     return {
         "gyro_misalignment": (MISALIGNMENT.format(""), fastest**2 * beside),
         "accelerometer_misalignment": (MISALIGNMENT.format(""), gravity**2 * beside),
-        "accelerometer_scale_factor": (model.SCALE_FACTOR, gravity**2 / len(channels)),
+        "accelerometer_scale_factor": (SCALE_FACTOR, gravity**2 / len(channels)),
         "second_order": (SECOND_ORDER, gravity**4 / len(channels)),
         "g_sensitivity": ("g_sensitivity", gravity**2 / 3.0),
     }.get(requirement.quantity)
@@ -310,7 +574,7 @@ def _fastest(built: BuiltImu) -> float:
     return max(float(axis.max_rate) for axis in built.spec.rig.table.axis) + EARTH_RATE
 
 
-def _fastest_along(built: BuiltImu, channel: Channel) -> float:
+def _fastest_along(built: BuiltImu) -> float:
     """The largest rate (rad/s) of the gyro along the table's only axis, the Earth's share included."""
     of = built.motion.geometry
     return float(built.spec.rig.table.axis[0].max_rate) + abs(float(of.base @ of.axes[0] @ of.earth_rate()))

@@ -1,18 +1,16 @@
-"""What a log says of its rows, and the rows as an estimate takes them: readings of the table, clocks, temperatures and
-their branches, turns by hand, and which rows may be used."""
+"""How a log is estimated, what it says of its rows, and the rows as an estimate takes them: readings of the table,
+clocks, temperatures and their branches, and which rows may be used."""
 
-import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.imu_build import BuiltImu
-from gradcal_jax.estimation import ImuRows
+from gradcal_jax.estimation import HUBER, ImuRows
 from gradcal_jax.files.absent import absent_lever_arm
 from gradcal_jax.files.calibration.correction import temperature_slope
 from gradcal_jax.files.changes import changed
@@ -24,6 +22,62 @@ from gradcal_jax.files.sensor import HOST_CLOCK
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.model import SECOND
+
+LONGEST_LAG_S = 1800.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of an estimate; `api.log_flow.estimate` explains each."""
+
+    earth_rate: float | None = None
+    """Earth rate along the sensor's axis, rad/s; it is subtracted. None: the spec's, or else none."""
+    robust: bool = False
+    threshold: float = HUBER
+    lag: float | Literal["fit"] = 0.0
+    """Lag of the maps behind the measured temperature, s; "fit": estimated."""
+    smoothness: Literal["spec", "auto"] = "spec"
+    clock: Literal["sensor", "host"] | None = None
+    """None: the spec's, or else the computer's where the log has both."""
+    read_every: float | None = None
+    """s, of a log with the angle at every row; None: as the spec says, or else every second."""
+    table_axis: str | None = None
+    neighbours_k: float | None = None
+    """Also group moves of one rate within this temperature difference, without a structure; K."""
+    temperature_c: float | None = None
+    """Temperature of a log without a thermometer, °C."""
+
+
+class Lag(NamedTuple):
+    """The lag of the maps, s; `std`: its standard deviation where it was fitted."""
+
+    seconds: float
+    std: float | None = None
+
+    @property
+    def doubts(self) -> list[str]:
+        """What speaks against a fitted lag, in sentences."""
+        if self.std is None:
+            return []
+        said: list[str] = []
+        if self.seconds > 0.99 * LONGEST_LAG_S:
+            said.append(
+                f"the lag reaches the longest allowed value, {self.seconds:.0f} s: the data do not determine it"
+            )
+        if self.seconds < 2.0 * self.std:
+            said.append(
+                f"no lag of the maps is significant: the estimate is {self.seconds:.2g} s, its uncertainty "
+                f"(1σ) {self.std:.2g} s"
+            )
+        return said
+
+    @property
+    def sentences(self) -> list[str]:
+        """What is said of a fitted lag."""
+        if self.std is None or self.doubts:
+            return self.doubts
+        return [f"the maps follow the temperature {self.seconds:.4g} s late (1σ {self.std:.2g} s)"]
+
 
 # A comparison of clocks that is no better than this, a ratio, is worth less than a quartz.
 _POOR_CLOCK = 2e-5
@@ -508,60 +562,3 @@ def _table_angles(built: BuiltImu, log: Log, chosen: str | None) -> tuple[np.nda
         rows, of_row = np.unique(np.where(alone[read.row], read.row, stopped), return_inverse=True)
         angles[rows, k] = np.bincount(of_row, read.angle_rad, len(rows)) / np.bincount(of_row, None, len(rows))
     return angles, np.isfinite(angles).sum(axis=1) > 0
-
-
-# Relative tolerance of the sensed turn; smallest angle between two rests that is a turn, rad.
-_LIKE, _JOLT = 0.2, np.radians(5.0)
-
-
-class Turn(NamedTuple):
-    """One turn from rest to rest (s): its listed angle, and the integrated rate less its bias (rad)."""
-
-    begin_s: float
-    end_s: float
-    listed_rad: float
-    sensed_rad: float
-
-
-def with_turns(
-    log: Log, turns_rad: Sequence[float], *, axis: str | int = 0, unit: str | int = 0
-) -> tuple[Log, list[Turn]]:
-    """The log with the table's angle about an axis and its standstills, and the turns of `turns_rad` with their times.
-
-    **Raises:** `LogError` where the record has other turns than `turns_rad`, with a list of its turns.
-    """
-    index, column = log.unit_index(unit), log.axis_index(axis)
-    name, usable = log.axes[column], log.usable(index)
-    number = estimation.find_standstills(log.rate_rad_per_s[index], log.sample_interval_s, valid=usable)
-    rate = np.nan_to_num(log.rate_rad_per_s[index, :, column])
-    rest_rows = [np.flatnonzero(number == k) for k in range(int(number.max()) + 1)]
-    turned = np.cumsum(rate * np.diff(log.time_s, prepend=log.time_s[0]))
-    angle = np.full(len(rate), np.nan)
-    angle[rest_rows[0]] = total = 0.0
-    turns: list[Turn] = []
-    unlike = None
-    for before, after in itertools.pairwise(rest_rows):
-        first, last = int(before[-1]), int(after[0])
-        bias = float(np.mean(rate[np.concatenate([before, after])]))
-        sensed = float(turned[last] - turned[first] - bias * (log.time_s[last] - log.time_s[first]))
-        if abs(sensed) > _JOLT:
-            listed_rad = float(turns_rad[len(turns)]) if len(turns) < len(turns_rad) else 0.0
-            turns.append(Turn(float(log.time_s[first]), float(log.time_s[last]), listed_rad, sensed))
-            if unlike is None and not abs(sensed - listed_rad) <= _LIKE * abs(listed_rad):
-                unlike = len(turns)
-            total += listed_rad
-        angle[after] = total
-    if len(turns) != len(turns_rad) or unlike is not None:
-        listed = ", ".join(f"{np.degrees(turn.sensed_rad):.0f} deg at {turn.begin_s:.4g} s" for turn in turns[:40])
-        wrong = (
-            f"turn {unlike} is listed as {np.degrees(turns[unlike - 1].listed_rad):.0f} deg"
-            if unlike is not None and unlike <= len(turns_rad)
-            else f"{len(turns_rad)} turns are listed"
-        )
-        raise LogError(
-            f"{wrong}, and about {name} the sensor has {listed or 'none'}: are order, signs and axis correct?"
-        )
-    marked = replace(
-        log, table_axes=(name,), table_angle_rad=angle[:, None], table_rate_rad_per_s=None, standstill=number
-    )
-    return marked, turns

@@ -17,6 +17,8 @@ from gradcal_jax.files.absent import absent_terms, minutes_of_change
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
 from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.spec import expect_spec
+from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.information import Posterior, posterior, square_root, unobservable_combinations
 from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, Hysteresis, Map, PathTerm, RotationSensitivity
 from gradcal_jax.trajectory import Trajectory, frames
@@ -116,6 +118,16 @@ def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
     fastest = _fastest(built, axes)
     sentences += _saturated(built, fastest) + _beyond(built) + _beyond_rates(built, fastest)
     return sentences + _of_this_run(built) + _both_ways(built)
+
+
+def check(spec: Spec) -> list[str]:
+    """Warnings on a spec's prediction, in sentences: parameter combinations that the plan cannot observe, and
+    requirements beyond the temperatures (°C) and rates (deg/s) that the plan visits.
+
+    Errors: none; `read_spec` has validated the spec.
+    """
+    built = build_imu(expect_spec(spec))
+    return plan_warnings(built, imu_posterior(built))
 
 
 def one_way_sentences(built: BuiltImu, known: Posterior, line: Trajectory | None = None) -> list[str]:

@@ -6,10 +6,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 import gradcal_jax
-from gradcal_jax.api.contract_rows import finite, versions_of
-from gradcal_jax.api.error_budget import ErrorBudget, limited_by
-from gradcal_jax.api.fixture import hung_alike, known_together
-from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, unweighted_estimator
+from gradcal_jax.api.error_budget import CountedPosteriors, ErrorBudget, budget_of_imu, limited_by, shares_of_variance
+from gradcal_jax.api.imu_build import (
+    BuiltImu,
+    build_imu,
+    hung_alike,
+    imu_posterior,
+    known_together,
+    unweighted_estimator,
+)
 from gradcal_jax.api.imu_residual import (
     ImuResidual,
     errors_of,
@@ -19,11 +24,18 @@ from gradcal_jax.api.imu_residual import (
     quantity_of,
     together,
 )
+from gradcal_jax.api.objective import extremes, noticing
 from gradcal_jax.api.plan_sentences import plan_warnings
-from gradcal_jax.api.scenarios import extremes
-from gradcal_jax.api.systematic import CountedPosteriors, budget_of_imu, shares_of_variance
-from gradcal_jax.api.tested_maps import noticing
-from gradcal_jax.api.verdicts import UNIT_OF, decision_rule, mission_weights, run_of, target_of, verdict_of
+from gradcal_jax.api.verdicts import (
+    UNIT_OF,
+    decision_rule,
+    finite,
+    mission_weights,
+    run_of,
+    target_of,
+    verdict_of,
+    versions_of,
+)
 from gradcal_jax.display import summary
 from gradcal_jax.files import Prediction
 from gradcal_jax.files.absent import absent_terms, with_typical
@@ -48,7 +60,7 @@ from gradcal_jax.information.residual import Statistic, statistic_of_each
 from gradcal_jax.model import Discrepancy, ImuModel
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.search_results import Optimised
+    from gradcal_jax.api.searching import Optimised
 
 # The chances of keeping a target are computed on a grid of at most this many temperatures and rates.
 _GRID = 41
@@ -418,7 +430,7 @@ def recipe(
     """
     spec = expect_spec(getattr(plan, "spec", plan))
     if not isinstance(plan, Spec):
-        from gradcal_jax.api.search_results import record_of
+        from gradcal_jax.api.searching import record_of
 
         status, optimisation = status or plan.sentence, optimisation or record_of(plan)
         seed = plan.spec.design.seed if seed is None and plan.spec.design is not None else seed

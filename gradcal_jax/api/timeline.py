@@ -8,9 +8,9 @@ import numpy as np
 
 from gradcal_jax import model
 from gradcal_jax.api.build import Assembled, assemble, shapes_of
-from gradcal_jax.api.contract_rows import finite, section_of
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
-from gradcal_jax.api.structures import gyro_of
+from gradcal_jax.api.turn_plan import gyro_of
+from gradcal_jax.api.verdicts import finite, section_of
 from gradcal_jax.files import Timeline
 from gradcal_jax.files import imu_timeline as imu_rows
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis

@@ -27,7 +27,7 @@ from gradcal_jax.display import columns
 from gradcal_jax.display import columns as table
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.lot import Lot
+    from gradcal_jax.api.calibrations import Lot
     from gradcal_jax.api.validation import Acceptance, AxisValidation
     from gradcal_jax.files.calibration.exports import Export
 
@@ -330,7 +330,7 @@ def lot(
         writable(output, force)
     drawable(plot)
     read = [read_calibration(path) for path in calibrations]
-    from gradcal_jax.api import lot as work
+    from gradcal_jax.api import calibrations as work
 
     found = work.lot(read)
     print(as_json(work.lot_tables(found)) if json else lot_text(found))

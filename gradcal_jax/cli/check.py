@@ -106,7 +106,7 @@ def check(
 def blind_of(spec: "Spec") -> list[str]:
     """All warnings of `check`: what the plan cannot observe, and requirements beyond its range."""
     use_float64()
-    from gradcal_jax.api.flow import check as check_of
+    from gradcal_jax.api.plan_sentences import check as check_of
 
     return check_of(spec)
 

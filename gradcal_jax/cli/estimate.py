@@ -171,8 +171,8 @@ def estimate(
     files = _files(output, names, force)
     use_float64()
     from gradcal_jax.api.estimate import EstimateReport, estimate_log, estimate_rows
-    from gradcal_jax.api.estimate_options import Options
-    from gradcal_jax.api.warm_up import estimate_points, estimate_warm_up
+    from gradcal_jax.api.log_flow import estimate_points, estimate_warm_up
+    from gradcal_jax.api.log_rows import Options
 
     sources = {"log": ", ".join(path.name for path in (log, *more)), "spec": (spec or recipe or Path()).name}
     chosen = Options(**options, table_axis=table_axis, robust=robust)
@@ -215,8 +215,8 @@ def _by_hand(
     json: bool,
 ) -> int:
     """The estimate of IMUs that were laid down in many positions, without a table."""
-    from gradcal_jax.api.estimate_options import Options
     from gradcal_jax.api.hand_estimate import estimate_by_hand, hand_estimate_rows
+    from gradcal_jax.api.log_rows import Options
 
     reports = estimate_by_hand(recorded, gravity, units=units, options=Options(**options), sources={"log": path.name})
     if json:
@@ -255,7 +255,7 @@ def _options(
     neighbours: str | None,
     temperature: str | None,
 ) -> dict[str, Any]:
-    """The options' texts as fields of `api.estimate_options.Options`, in SI. Raises `ValueError` with the option's
+    """The options' texts as fields of `api.log_rows.Options`, in SI. Raises `ValueError` with the option's
     name."""
     earth = None
     if earth_rate is not None and latitude is not None:
@@ -437,8 +437,8 @@ def _sizes(report: "SensorEstimate") -> list[tuple[str, ...]]:
 
 
 def text_of_held(report: "HandReport") -> str:
-    from gradcal_jax.api.contract_rows import deviations_of
     from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
+    from gradcal_jax.api.verdicts import deviations_of
 
     calibration = report.calibration
     lines = _head(report, f"{len(report.solution.positions.duration)} positions, {report.solution.turns} turns")

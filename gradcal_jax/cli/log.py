@@ -50,7 +50,7 @@ def turns(
     writable(output, force)
     recorded = load(log, source, unit=unit)
     use_float64()
-    from gradcal_jax.api.log_rows import with_turns
+    from gradcal_jax.api.log_flow import with_turns
     from gradcal_jax.display import columns
     from gradcal_jax.files.log_file import write_log
 

@@ -32,8 +32,8 @@ from gradcal_jax.display import amount, columns
 from gradcal_jax.units import parse, time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.frontier import FrontierPoint
-    from gradcal_jax.api.search_results import Optimised, SearchStep
+    from gradcal_jax.api.optimise import FrontierPoint
+    from gradcal_jax.api.searching import Optimised, SearchStep
     from gradcal_jax.files.spec_sections import Spec
     from gradcal_jax.files.tracks import Stability
 
@@ -154,12 +154,12 @@ def optimise(
         write_recipe(specification, output, stability, keep_shapes=keep_shapes, json=json)
         return DONE
     from gradcal_jax import api
-    from gradcal_jax.api import checkpoints
-    from gradcal_jax.api.search_results import record_of
+    from gradcal_jax.api import searching
+    from gradcal_jax.api.searching import record_of
     from gradcal_jax.files import write_toml
 
     kept = output.with_name(output.name + ".search.npz")
-    checkpoint = checkpoints.read(kept, specification) if resume else None
+    checkpoint = searching.read_checkpoint(kept, specification) if resume else None
     best, interrupted = search_and_watch(
         specification, kept, steps=steps, quick=quick, until_met=until_met, checkpoint=checkpoint
     )
@@ -217,21 +217,21 @@ def search_and_watch(
     spec: "Spec", kept: Path | None = None, *, quick: bool = False, **options: Any
 ) -> tuple["Optimised", bool]:
     """The best plan, with a line of progress; and whether Ctrl-C ended the search. `kept`: file of its checkpoints;
-    `options`: of `api.optimise.optimise`."""
-    from gradcal_jax.api import checkpoints
-    from gradcal_jax.api.optimise import optimise as search
-    from gradcal_jax.api.search_results import Optimised
+    `options`: of `api.optimise.run_search`."""
+    from gradcal_jax.api import searching
+    from gradcal_jax.api.optimise import run_search
+    from gradcal_jax.api.searching import Optimised
 
     best: Optimised | None = None
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
         if not spec.turns_one_gyro:
             line.show("compiling the objective and its gradient: 10 to 30 s")
-        for event in search(spec, quick=quick, stop=lambda: interrupt.asked, **options):
+        for event in run_search(spec, quick=quick, stop=lambda: interrupt.asked, **options):
             if isinstance(event, Optimised):
                 best = event
                 continue
             if kept is not None and event.checkpoint:
-                checkpoints.write_checkpoint(kept, spec, event.checkpoint)
+                searching.write_checkpoint(kept, spec, event.checkpoint)
             line.show(progress_of(event), event.share, number=amount(event.best, event.unit))
     assert best is not None
     return best, interrupt.asked
@@ -312,8 +312,8 @@ def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quic
     done = stretches_of(folder)
     use_float64()
     from gradcal_jax import api
-    from gradcal_jax.api.replan import rest_of
-    from gradcal_jax.api.search_results import record_of
+    from gradcal_jax.api.optimise import rest_of
+    from gradcal_jax.api.searching import record_of
 
     spans = [(part.start_s, part.end_s) for part in done]
     rest = rest_of(recipe.spec, spans, left_s=left_s, pause_s=pause_s)
@@ -386,7 +386,7 @@ def show_frontier(
     """Search for a plan of each duration of the ramp (s), with a line of progress; print them, and the shortest plan
     for each target. `output`: a folder for their recipes."""
     from gradcal_jax import api
-    from gradcal_jax.api import frontier as room
+    from gradcal_jax.api import optimise as room
     from gradcal_jax.files import write_toml
 
     if output is not None:
@@ -398,7 +398,7 @@ def show_frontier(
         line.show(f"{time_text(motion)}: {step.share:4.0%}  {best}", number=(motion, best))
 
     with MovingLine(sys.stderr) as line:
-        for point in room.frontier(spec, times, steps=steps, watch=show):
+        for point in room.frontier_points(spec, times, steps=steps, watch=show):
             reached.append(point)
             if output is not None and point.plan is not None:
                 write_toml(api.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")

@@ -297,7 +297,7 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
 
     specification = spec_in(spec)
     use_float64()
-    from gradcal_jax.api.flow import limit as limit_of
+    from gradcal_jax.api.limit import limit as limit_of
 
     rows = limit_of(specification)
     if json:

@@ -86,7 +86,7 @@ def _known(run: Path) -> list[dict[str, Any]]:
     folder = RunFolder(run)
     spec, spans = folder.recipe().spec, [(part.start_s, part.end_s) for part in stretches_of(folder)]
     use_float64()
-    from gradcal_jax.api.replan import known_so_far
+    from gradcal_jax.api.optimise import known_so_far
 
     return [row._asdict() for row in known_so_far(spec, spans, goes_on_at(folder))]
 

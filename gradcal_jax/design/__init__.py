@@ -15,8 +15,11 @@ from gradcal_jax.design.noise_floor import (
     PRIOR_OF_WALK,
     bias_floor,
     bias_floor_anywhere,
+    bias_seen_continuously,
     gated_noise_density,
     least_noise_density,
+    longest_step,
+    look_at,
     scale_factor_floor,
 )
 from gradcal_jax.design.objective import AnyCoordinates, Case, Objective

@@ -42,12 +42,15 @@ shares hardly matter).
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
+import jax
 import numpy as np
 import scipy.linalg
 
-from gradcal_jax.model import BIAS, SCALE_FACTOR, Basis, SensorModel
-from gradcal_jax.trajectory import quadrature
+from gradcal_jax.information import information
+from gradcal_jax.model import BIAS, SCALE_FACTOR, Basis, Map, Processes, SensorModel, gyro_model
+from gradcal_jax.trajectory import held, quadrature
 
 # Begin and end of windows, s; the sensor's temperature (°C) and its rate (K/s) at times (s).
 Windows = Sequence[tuple[float, float]]
@@ -67,6 +70,9 @@ _INSET, _AT_ONCE = 1e-9, 1e-12
 _GRID = 2001
 # Observable: singular values of scaled columns above this share of the largest.
 _SEEN = 1e-9
+# Longest step of a continuous observation: as a share of the shortest correlation time, and in s.
+_SHARE_OF_CORRELATION = 0.05
+_LONGEST_S = 5.0
 
 
 def scale_factor_floor(model: SensorModel, windows: Windows, temperature: Course, at: np.ndarray) -> np.ndarray:
@@ -294,3 +300,64 @@ class _Spectrum:
             return np.real(np.sum(terms, axis=0))
 
         return 1.0 / flat, smooth
+
+
+def longest_step(processes: Processes) -> float:
+    """The longest time step (s) of `bias_seen_continuously`."""
+    decays = processes.decay[np.asarray(processes.rate_gain) == 0.0]
+    return min(_LONGEST_S, _SHARE_OF_CORRELATION / np.max(decays, initial=1e-12))
+
+
+def bias_seen_continuously(
+    bias: Map, angle_random_walk: float, processes: Processes, windows: Windows, course: Course, rows: np.ndarray
+) -> np.ndarray:
+    """Standard deviations `(g,)`, rad/s, of combinations `rows` of a bias's parameters that no plan reduces.
+
+    All else is known exactly and the error itself is observed at every instant of the `windows` (s, in order; the
+    chamber's slope is constant in each), moving or not: every reading of any plan is a function of this observation.
+    The noise is white (rad/√s), with the processes that act at rate zero.
+    """
+    at_rest = jax.tree.map(lambda of: of[np.asarray(processes.rate_gain) == 0.0], processes)
+    alone = gyro_model(bias, None, angle_random_walk, at_rest)
+
+    def variance(longest: float) -> np.ndarray:
+        look = look_at(windows, course, longest)
+        none = np.zeros(len(look.start), bool)
+        line = held(
+            look.start, look.duration, np.zeros(len(none)), look.begin, look.end,
+            read=look.used, at_rest=~none, moving=none, gap=~look.used,
+        )  # fmt: skip
+        return information(line, alone).deviations(rows) ** 2
+
+    # Integrals over steps have less information than instants: halving all further steps adds at most as much as this
+    # one.
+    step = longest_step(processes)
+    coarse, fine = variance(step), variance(0.5 * step)
+    return np.sqrt(np.maximum(fine - np.abs(coarse - fine), 0.0))
+
+
+class Look(NamedTuple):
+    """Windows of time in steps, and the times between them: `start`, `duration` s, the temperature (°C) at their
+    `begin` and `end`, and whether they belong to a window (`used`)."""
+
+    start: np.ndarray
+    duration: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+    used: np.ndarray
+
+
+def look_at(windows: Windows, course: Course, longest: float) -> Look:
+    """The windows in steps no longer than `longest` s."""
+    edges, used = [np.array(windows[0][:1])], []
+    for begin, end in windows:
+        if begin - edges[-1][-1] > _TOUCHING:
+            edges.append(np.array([begin]))
+            used.append(np.zeros(1, bool))
+        parts = max(1, int(np.ceil((end - begin) / longest * (1.0 - 1e-9))))
+        edges.append(np.linspace(begin, end, parts + 1)[1:])
+        used.append(np.ones(parts, bool))
+    at = np.concatenate(edges)
+    # The slope jumps at a knot, the temperature does not.
+    temperature, _ = course(at)
+    return Look(at[:-1], np.diff(at), temperature[:-1], temperature[1:], np.concatenate(used))

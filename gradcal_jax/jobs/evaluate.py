@@ -45,7 +45,7 @@ def _predicted(index: int, spec: Spec) -> PointResult:
 
 
 def _optimised(index: int, spec: Spec) -> PointResult:
-    from gradcal_jax.api.flow import optimise
+    from gradcal_jax.api.optimise import optimise
 
     best = optimise(spec)
     done = _predicted(index, best.spec)

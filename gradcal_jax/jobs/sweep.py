@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import gradcal_jax
-from gradcal_jax.api.contract_rows import versions_of
+from gradcal_jax.api.verdicts import versions_of
 from gradcal_jax.display import summary
 from gradcal_jax.files import tables_of
 from gradcal_jax.files.locking import take

@@ -15,9 +15,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 import gradcal_jax
-from gradcal_jax.api.contract_rows import finite
-from gradcal_jax.api.ieee_terms import calibration_map
+from gradcal_jax.api.calibrations import calibration_map
 from gradcal_jax.api.prediction import counted_shares
+from gradcal_jax.api.verdicts import finite
 from gradcal_jax.files.absent import with_typical
 from gradcal_jax.files.calibration import LOG_HASH, CalibratedChannel, Calibration, Result
 from gradcal_jax.files.log import SERIAL_NUMBER

@@ -6,8 +6,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.contract_rows import coefficient_rows
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
+from gradcal_jax.api.verdicts import coefficient_rows
 from gradcal_jax.files.calibration import Calibration, Covariance
 from gradcal_jax.files.contracts import Prediction
 from gradcal_jax.files.recipe import Predicted

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from gradcal_jax import plots
-from gradcal_jax.api.ieee_terms import Box
+from gradcal_jax.api.calibrations import Box
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.spec_sections import Spec

@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.ieee_terms import IeeeTerm, standard_terms
+from gradcal_jax.api.calibrations import IeeeTerm, standard_terms
 from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.calibration.correction import correct

@@ -6,11 +6,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.ieee_terms import Box, calibrated_posterior, calibration_map, grid_of
+from gradcal_jax.api.calibrations import Box, calibrated_posterior, calibration_map, grid_of
+from gradcal_jax.api.error_budget import TURN_ON, CountedPosteriors, widened
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.api.imu_residual import ErrorCurve, ImuResidual, error_curves, quantity_of
 from gradcal_jax.api.prediction import counted_posteriors
-from gradcal_jax.api.systematic import TURN_ON, CountedPosteriors, widened
 from gradcal_jax.api.verdicts import run_of
 from gradcal_jax.files.calibration import Calibration, Result
 from gradcal_jax.files.contracts import RequirementRow

@@ -241,7 +241,7 @@ def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
 
 
 def _of_rig(rig: Rig) -> list[tuple[str, str]]:
-    from gradcal_jax.api.systematic import BESIDE_THE_AXIS
+    from gradcal_jax.api.error_budget import BESIDE_THE_AXIS
 
     """The figures of site and table; of each axis, where there are several."""
     table = rig.table
@@ -276,7 +276,7 @@ def _stated(rows: Iterable[tuple[str, Any]]) -> list[tuple[str, str]]:
 
 def provenance_rows(sources: Sources) -> list[tuple[str, str]]:
     """Fingerprints, versions, seeds and names of files."""
-    from gradcal_jax.api.contract_rows import versions_of
+    from gradcal_jax.api.verdicts import versions_of
 
     rows: list[tuple[str, str]] = []
     recipe, calibration, run = sources.recipe, sources.calibration, sources.run

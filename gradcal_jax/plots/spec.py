@@ -9,7 +9,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.api.ieee_terms import Box
+from gradcal_jax.api.calibrations import Box
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, rest_poses
 from gradcal_jax.api.imu_residual import ErrorCurve, error_curves, imu_residual
 from gradcal_jax.api.verdicts import target_of

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import LogLocator, StrMethodFormatter
 
-from gradcal_jax.api.frontier import FrontierPoint
+from gradcal_jax.api.optimise import FrontierPoint
 from gradcal_jax.api.sensitivity import Sensitivities
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_figure, style_of
 

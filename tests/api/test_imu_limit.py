@@ -7,7 +7,7 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.limit import limits
+from gradcal_jax.api.limit import limit
 from gradcal_jax.files import presets
 from gradcal_jax.files.spec import read_spec, spec_of
 from gradcal_jax.formulas import followed
@@ -65,7 +65,7 @@ def test_a_tumble_in_white_noise_reaches_its_limit_but_for_its_moves():
     spec = unit({"bias": {}, "scale_factor": {}, "misalignment": {}})
     used = sum(stretch.duration for stretch in spec.schedule.stretches)
     one, gravity = 0.05 / 60.0 / np.sqrt(used), float(spec.rig.site.gravity)
-    found = {row.name: row for row in limits(spec)}
+    found = {row.name: row for row in limit(spec)}
     assert found["bias"].certified == pytest.approx(one / G * 1e6, rel=1e-6)
     assert found["scale_factor"].certified == pytest.approx(np.sqrt(3.0) * one / gravity * PPM, rel=1e-6)
     assert found["misalignment"].certified == pytest.approx(np.sqrt(3.0) * one / gravity * 1e6, rel=1e-6)
@@ -76,10 +76,10 @@ def test_a_tumble_in_white_noise_reaches_its_limit_but_for_its_moves():
 def test_an_axis_alone_may_have_all_of_gravity():
     spec = unit({"bias": {}, "scale_factor": {}, "misalignment": {}, "second_order": {}})
     document = spec.model_dump(mode="json", exclude_unset=True)
-    worst = {row.name: row.certified for row in limits(spec)}
+    worst = {row.name: row.certified for row in limit(spec)}
     for requirement in document["requirement"]:
         requirement["axis"] = "x"
-    alone = {row.name: row.certified for row in limits(spec_of(document))}
+    alone = {row.name: row.certified for row in limit(spec_of(document))}
     ratio = {name: worst[name] / alone[name] for name in worst}
     wanted = {"bias": 1.0, "scale_factor": np.sqrt(3.0), "misalignment": np.sqrt(1.5), "second_order": np.sqrt(3.0)}
     assert ratio == pytest.approx(wanted, rel=1e-9)
@@ -89,10 +89,10 @@ def test_a_prior_counts_as_information():
     """A prior as good as the limit without it leaves 1/√2 of both."""
     spec = unit({"bias": {}, "scale_factor": {}})
     document = spec.model_dump(mode="json", exclude_unset=True)
-    free = {row.name: row.certified for row in limits(spec)}
+    free = {row.name: row.certified for row in limit(spec)}
     document["sensor"]["accelerometer"]["bias"] = {"prior": f"{free['bias']!r} ug"}
     document["sensor"]["accelerometer"]["scale_factor"] = {"prior": f"{free['scale_factor']!r} ppm"}
-    with_prior = {row.name: row.certified for row in limits(spec_of(document))}
+    with_prior = {row.name: row.certified for row in limit(spec_of(document))}
     for name, value in free.items():
         assert with_prior[name] == pytest.approx(value / np.sqrt(2.0), rel=1e-6)
 
@@ -105,7 +105,7 @@ def test_maps_that_lag_have_their_own_limits(pytestconfig, thermal_lag):
         "sensor.gyro.bias.lag": "200 s", "sensor.gyro.scale_factor.lag": "100 s", "sensor.gyro.turn_on_bias": "0 deg/h",
         "sensor.gyro.temperature_error": {"standard_deviation": "0 K"},
     })  # fmt: skip
-    found = {row.name: row for row in limits(spec)}
+    found = {row.name: row for row in limit(spec)}
     for row in found.values():
         assert 0.0 < row.certified < row.value, row.name
     built, schedule = build_imu(spec), spec.gradient_schedule
@@ -136,7 +136,7 @@ def test_what_has_no_proof_is_refused_with_what_has_one(pytestconfig):
         {"name": "m", "quantity": "gyro_misalignment", "relative_to": "internal", "temperature": ["0 degC", "1 degC"]},
     ]
     with pytest.raises(ValueError, match="proven for biases, polynomial scale factors"):
-        limits(spec_of(document))
+        limit(spec_of(document))
 
 
 def test_a_continuous_look_at_a_bias_is_the_spectrums_floor_for_long_times():
@@ -144,7 +144,7 @@ def test_a_continuous_look_at_a_bias_is_the_spectrums_floor_for_long_times():
     drift = [{"standard_deviation": "50 ug", "correlation_time": "20 s"}]
     spec = unit({"bias": {}, "drift": drift})
     used = sum(stretch.duration for stretch in spec.schedule.stretches)
-    (row,) = limits(spec)
+    (row,) = limit(spec)
     density = (0.05 / 60.0) ** 2 + 2.0 * (50e-6 * G) ** 2 * 20.0
     assert row.certified == pytest.approx(np.sqrt(density / used) / G * 1e6, rel=2e-2)
 

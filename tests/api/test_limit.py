@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from random_specs import FAMILIES, random_spec
 
-from gradcal_jax.api.limit import limits
+from gradcal_jax.api.limit import limit
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.files import spec_of
 from gradcal_jax.files.problems import SpecError
@@ -59,7 +59,7 @@ def check(seed: int) -> tuple[str, float]:
     rng = np.random.default_rng(50_000 + seed)
     document = random_spec(rng, family=str(rng.choice(MOVING)))
     try:
-        proven = limits(spec_of(document))
+        proven = limit(spec_of(document))
     except ValueError as error:
         said = str(error)
         if not any(word in said for word in REFUSALS):
@@ -71,13 +71,13 @@ def check(seed: int) -> tuple[str, float]:
         found = values_of(plan)
         if found is None:
             continue
-        for limit in proven:
-            assert limit.certified > 0.0
-            assert np.isfinite(limit.certified)
+        for one in proven:
+            assert one.certified > 0.0
+            assert np.isfinite(one.certified)
             for (name, axis), value in found.items():
-                if name == limit.name and value is not None:
-                    assert value >= limit.certified * (1.0 - SLACK), (seed, name, axis, value, limit)
-                    least = min(least, value / limit.certified)
+                if name == one.name and value is not None:
+                    assert value >= one.certified * (1.0 - SLACK), (seed, name, axis, value, one)
+                    least = min(least, value / one.certified)
     return "held", least
 
 

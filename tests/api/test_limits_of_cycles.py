@@ -12,9 +12,9 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
-from gradcal_jax.api.cycle_prices import active_limits, shadow_prices
 from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.tested_maps import hidden_test, imu_with_hidden
+from gradcal_jax.api.objective import hidden_test, imu_with_hidden
+from gradcal_jax.api.pose_search import active_limits, shadow_prices
 from gradcal_jax.cli import main
 from gradcal_jax.files import SpecError
 from gradcal_jax.information import imu_information

@@ -9,10 +9,10 @@ import pytest
 from lot_scene import HOUR, MEAN, calibrations, drawn_maps, read_maps, spread_at
 
 import gradcal_jax as gj
-from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.calibrations import lot, lot_priors
 from gradcal_jax.api.hand_estimate import estimate_by_hand
 from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.lot import lot, lot_priors
+from gradcal_jax.api.log_rows import Options
 from gradcal_jax.files import presets, spec_of
 from gradcal_jax.files.calibration import UnseenError
 from gradcal_jax.files.importers import import_log, parse_column_map

@@ -10,9 +10,9 @@ import gradcal_jax as gj
 from gradcal_jax import api
 from gradcal_jax.api.error_budget import ErrorBudget
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.limit import limits
-from gradcal_jax.api.measure import measure
+from gradcal_jax.api.limit import limit
 from gradcal_jax.api.sensitivity import sensitivity
+from gradcal_jax.api.turn_plan import measure
 from gradcal_jax.files import changed, read_spec, tables_of, to_toml
 from gradcal_jax.files.recipe import parse_recipe
 from gradcal_jax.files.spec import spec_of
@@ -111,7 +111,7 @@ def test_a_limit_lies_below_the_plan_whatever_is_free(more):
     design = {"free": ["duration", "peak_rate", *more], "minimise": "h"}
     spec = with_requirements(heading(hover()), heading(spin(), name="s"), NORTH, design=design)
     spec = spec_of(tables_of(spec) | {"requirement": tables_of(spec)["requirement"][1:]})
-    found = {row.name: row for row in limits(spec)}
+    found = {row.name: row for row in limit(spec)}
     for name in ("h", "s", "n"):
         assert 0.0 < found[name].certified < found[name].value
         assert found[name].relaxed
@@ -127,7 +127,7 @@ def test_the_limit_of_the_bias_holds_for_a_plan_that_does_nothing_else(drift):
     angle = tables["rig"]["table"]["axis"][0]["angle"]
     tables["rig"]["table"]["axis"][0]["angle"] = {"reading_noise": "0.001 arcsec", "read_every": angle["read_every"]}
     tables["design"] = {"minimise": "n", "free": ["duration"]}
-    (row,) = limits(spec_of(tables))
+    (row,) = limit(spec_of(tables))
     assert row.certified < row.value
     assert row.efficiency > 0.6
 

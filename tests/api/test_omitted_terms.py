@@ -9,10 +9,10 @@ from estimate_scenes import draw_truth, record, scene
 from simulated_log import simulate_log
 
 import gradcal_jax as gj
+from gradcal_jax.api.calibrations import calibration_map
 from gradcal_jax.api.contradictions import omitted_sentences
 from gradcal_jax.api.estimate import estimate_log, estimate_sensors
-from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.ieee_terms import calibration_map
+from gradcal_jax.api.log_rows import Options
 from gradcal_jax.cli import main
 from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.files.log import LogError

@@ -13,15 +13,12 @@ from search_problem import SPEC, exact, keeps_limits, targets_met
 import gradcal_jax as gj
 from gradcal_jax import files
 from gradcal_jax.api import assemble, predict
-from gradcal_jax.api.frontier import FrontierPoint, shortest
-from gradcal_jax.api.limit import limits
-from gradcal_jax.api.measure import measure
-from gradcal_jax.api.optimise import optimise
-from gradcal_jax.api.plan_to_spec import plan_to_spec
-from gradcal_jax.api.search_results import Optimised, PricedLimit, priced
+from gradcal_jax.api.limit import limit
+from gradcal_jax.api.optimise import FrontierPoint, run_search, shortest
+from gradcal_jax.api.searching import Optimised, PricedLimit, priced
 from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.api.structures import cycle_of, structures
-from gradcal_jax.api.turn_search import best_programme
+from gradcal_jax.api.turn_plan import cycle_of, measure, structures
+from gradcal_jax.api.turn_search import best_programme, plan_to_spec
 from gradcal_jax.design import ProgrammeCoordinates, search
 from gradcal_jax.design.search import _program
 from gradcal_jax.files import SpecError, changed, tables_of
@@ -38,7 +35,7 @@ def spec() -> Spec:
 
 @pytest.fixture(scope="module")
 def best(spec) -> Optimised:
-    *steps, found = optimise(spec, steps=80)
+    *steps, found = run_search(spec, steps=80)
     assert steps[-1].best <= steps[0].best
     assert isinstance(found, Optimised)
     return found
@@ -60,7 +57,7 @@ def test_the_optimum_is_better_is_what_predict_says_and_lies_above_the_limit(spe
     # Whole readings and hundredths of a deg/s cost little; rests that become whole readings longer may even gain.
     assert 0.9 * best.optimum < best.now < 1.03 * best.optimum
     assert best.converged, best.sentence
-    before, after = limits(spec)[0], limits(best.spec)[0]
+    before, after = limit(spec)[0], limit(best.spec)[0]
     # The recipe knows when the axis had the table, so that its limit is the spec's, but for rounded times.
     assert after.certified == pytest.approx(before.certified, rel=2e-3)
     assert before.certified <= before.reached * (1 + 1e-9)
@@ -73,7 +70,7 @@ def test_prices_are_what_a_slower_table_costs(spec, best):
     """The envelope theorem against the optimum found again with 1 % less rate."""
     price = next(p for p in best.prices if p.limit == "largest rate")
     eased = changed(spec, {"rig.table.axis[0].max_rate": "297 deg/s"})
-    *_, again = optimise(eased, steps=80)
+    *_, again = run_search(eased, steps=80)
     assert isinstance(again, Optimised)
     assert again.optimum - best.optimum == pytest.approx(-3.0 * price.change, rel=0.1)
 
@@ -173,7 +170,7 @@ def test_any_point_of_limited_travel_is_executed_as_it_is_written(spec, shape, c
 @pytest.mark.parametrize(("travel", "cycles"), [(90.0, "alike"), (360.0, "alike"), (2000.0, "own")])
 def test_the_recipe_of_limited_travel_is_worth_what_was_found(spec, travel, cycles):
     given = limited(spec, travel, "linear ramps", cycles, starts=1)
-    *_, best = optimise(given, steps=20)
+    *_, best = run_search(given, steps=20)
     assert isinstance(best, Optimised)
     check_executable(given, best.spec)
     assert best.now < 1.05 * best.optimum, best.sentence
@@ -194,7 +191,7 @@ def test_rests_read_otherwise_than_one_another_are_refused_where_their_times_sta
 
 def test_a_quick_search_is_near_and_compiles_no_more_than_its_one_program(spec, best):
     before = _program.cache_info().currsize
-    *steps, quick = optimise(spec, quick=True)
+    *steps, quick = run_search(spec, quick=True)
     assert isinstance(quick, Optimised)
     assert quick.now < 1.03 * best.now
     assert len(steps) < 30
@@ -203,7 +200,7 @@ def test_a_quick_search_is_near_and_compiles_no_more_than_its_one_program(spec, 
     other = changed(
         spec, {"plan.cycle.other_axes.duration": "700 s", "sensor.gyro.angle_random_walk": "0.2 deg/sqrt(h)"}
     )
-    *_, again = optimise(other, quick=True)
+    *_, again = run_search(other, quick=True)
     assert isinstance(again, Optimised)
     assert _program.cache_info().currsize == before
 
@@ -212,7 +209,7 @@ def test_steps_of_a_search_are_logged(spec, caplog):
     steps = []
     with caplog.at_level("INFO", "gradcal_jax"):
         found = gj.optimise(spec, quick=True, watch=steps.append)
-    of_search = [record.getMessage() for record in caplog.records if record.name == "gradcal_jax.api.flow"]
+    of_search = [record.getMessage() for record in caplog.records if record.name == "gradcal_jax.api.optimise"]
     assert len(of_search) == len(steps) + 1
     assert len(steps) > 1
     assert f"{steps[-1].best:.4g} {steps[-1].unit}, {100.0 * steps[-1].share:.0f} % done" in of_search[-2]
@@ -224,7 +221,7 @@ def test_an_optimum_that_rounds_to_nothing_observed_is_a_sentence(spec):
     coarse = changed(
         spec, {"rig.resolution": {"angle": "3000 turn"}, "design.starts": 1, "rig.table.axis[0].travel": "60 turn"}
     )
-    *_, best = optimise(coarse, steps=20)
+    *_, best = run_search(coarse, steps=20)
     assert isinstance(best, Optimised)
     assert not best.converged
     assert "does not observe enough" in best.sentence or "cannot be rounded" in best.sentence
@@ -302,7 +299,7 @@ def test_a_polished_programme_runs_along_the_chambers_limits_and_not_beyond():
 )
 def test_limits_that_exclude_each_other_are_named(spec, changes, says):
     with pytest.raises(ValueError, match=says):
-        next(optimise(changed(spec, changes), steps=20))
+        next(run_search(changed(spec, changes), steps=20))
 
 
 def test_a_design_for_nothing_that_is_required_is_refused(spec):
@@ -311,17 +308,17 @@ def test_a_design_for_nothing_that_is_required_is_refused(spec):
 
 
 def test_a_target_that_no_plan_can_meet_is_refused_with_the_limit(spec):
-    limit = limits(spec)[0].certified
-    asked = changed(spec, {"requirement[0].target": f"{0.9 * limit} ppm", "design.minimise": "motion time"})
-    with pytest.raises(ValueError, match=f"proven limits show that no plan leaves less than {limit:.4g} ppm in 50 min"):
-        next(optimise(asked))
+    least = limit(spec)[0].certified
+    asked = changed(spec, {"requirement[0].target": f"{0.9 * least} ppm", "design.minimise": "motion time"})
+    with pytest.raises(ValueError, match=f"proven limits show that no plan leaves less than {least:.4g} ppm in 50 min"):
+        next(run_search(asked))
 
 
 def test_a_standing_axis_has_a_limit_of_its_bias_and_the_standard_method_none():
-    (row,) = limits(paper("static_gradient"))
+    (row,) = limit(paper("static_gradient"))
     assert 0.8 < row.efficiency < 1.0
     with pytest.raises(ValueError, match='needs a plan of method = "gradient"'):
-        limits(paper("static_standard"))
+        limit(paper("static_standard"))
 
 
 def test_the_shortest_plan_lies_between_the_points_of_the_frontier(best):
@@ -349,7 +346,7 @@ def with_targets(spec, own: str, bias: str = "") -> Spec:
 
 def test_until_met_searches_nothing_where_the_plan_meets_its_targets_with_margin(spec):
     before = residual(spec)
-    (found,) = optimise(with_targets(spec, f"{before / 0.88} ppm"), until_met=True)
+    (found,) = run_search(with_targets(spec, f"{before / 0.88} ppm"), until_met=True)
     assert isinstance(found, Optimised)
     assert "without a search" in found.sentence
     assert found.converged
@@ -364,7 +361,7 @@ def test_until_met_stops_at_a_plan_that_meets_every_target_with_margin(spec, bes
     """And far sooner than the search that goes on."""
     target = best.now / 0.6
     assert target < residual(spec)
-    *steps, found = optimise(with_targets(spec, f"{target} ppm"), steps=80, until_met=True)
+    *steps, found = run_search(with_targets(spec, f"{target} ppm"), steps=80, until_met=True)
     assert isinstance(found, Optimised)
     assert "stopped early: every target is met with a margin of 10%" in found.sentence
     rows = {row.name: row for row in predict(found.spec).requirements}
@@ -375,7 +372,7 @@ def test_until_met_stops_at_a_plan_that_meets_every_target_with_margin(spec, bes
 
 @pytest.mark.parametrize("change", [{"requirement": None}, {"minimise": "motion time"}])
 def test_until_met_needs_targets_and_a_residual_to_minimise(spec, change):
-    from gradcal_jax.api.flow import optimise as whole
+    from gradcal_jax.api.optimise import optimise as whole
 
     design = {"minimise": "full range", "free": ["duration"]}
     made = with_targets(spec, "1000000 ppm") if "requirement" not in change else spec
@@ -453,7 +450,7 @@ def test_a_worse_result_does_not_replace_a_plan_that_misses_the_same_target(best
     hard = changed(spec, {"requirement": two, "design.starts": 1})
     known = exact(hard)
     assert not keeps_limits(hard)
-    *_, found = optimise(hard, steps=20, quick=True)
+    *_, found = run_search(hard, steps=20, quick=True)
     assert isinstance(found, Optimised)
     assert found.now <= known * (1.0 + 1e-9)
     assert not found.converged

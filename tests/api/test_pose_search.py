@@ -13,8 +13,8 @@ import pytest
 import gradcal_jax as gj
 from gradcal_jax import files
 from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
-from gradcal_jax.api.optimise import optimise
-from gradcal_jax.api.search_results import Optimised, SearchStep
+from gradcal_jax.api.optimise import run_search
+from gradcal_jax.api.searching import Optimised, SearchStep
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.cli import main
 from gradcal_jax.design.cycle_moves import Neighbourhood
@@ -49,7 +49,7 @@ def left_by(plan: CyclePlan, cycle: RepeatedCycle) -> tuple[np.ndarray, Repeated
 @pytest.fixture(scope="module")
 def searched() -> tuple[gj.Spec, list[SearchStep], Optimised]:
     spec = small()
-    *states, best = optimise(spec, steps=300)
+    *states, best = run_search(spec, steps=300)
     return spec, states, best
 
 
@@ -306,12 +306,12 @@ def test_the_targets_of_other_requirements_limit_a_search():
     value = jax.jit(limited.objective.value, compiler_options=QUICKLY)
     assert float(value(z, of, ramps, np.inf)) == pytest.approx(own + 10.0 * math.log(2.0), abs=0.4)
     assert float(value(z, of, ramps, 30.0)) > float(value(z, of, ramps, np.inf))
-    *_, free = optimise(alone.spec, steps=200)
+    *_, free = run_search(alone.spec, steps=200)
     target = 0.97 * min(free.rows[1].now, left)
-    *_, best = optimise(small(**minimising(name, **{other.quantity: f"{target} {unit}"})), steps=200)
+    *_, best = run_search(small(**minimising(name, **{other.quantity: f"{target} {unit}"})), steps=200)
     assert best.converged
     assert best.rows[1].now <= target < free.rows[1].now
-    *_, never = optimise(small(**minimising(name, **{other.quantity: f"{1e-6 * target} {unit}"})), steps=40)
+    *_, never = run_search(small(**minimising(name, **{other.quantity: f"{1e-6 * target} {unit}"})), steps=40)
     assert not never.converged
     assert f"meets the target of {other.name}" in never.sentence
 
@@ -319,7 +319,7 @@ def test_the_targets_of_other_requirements_limit_a_search():
 def test_the_result_is_never_worse_than_the_plan_as_it_was(searched):
     """A search from an optimum that may do nothing finds nothing, and says so."""
     _, _, best = searched
-    *_, again = optimise(best.spec, steps=20, stop=lambda: True)
+    *_, again = run_search(best.spec, steps=20, stop=lambda: True)
     if again.kept:
         assert again.spec == best.spec
         assert [row[2] for row in again.rows] == [row[3] for row in again.rows]
@@ -332,7 +332,7 @@ def test_a_plan_that_meets_its_targets_is_not_searched(searched):
     _, _, best = searched
     rows = [r.model_dump(mode="json", exclude_unset=True) for r in best.spec.requirement]
     wide = [row | {"target": f"{3.0 * now} {unit}"} for row, (_, unit, _, now) in zip(rows, best.rows, strict=True)]
-    (only,) = optimise(gj.changed(best.spec, {"requirement": wide}), until_met=True)
+    (only,) = run_search(gj.changed(best.spec, {"requirement": wide}), until_met=True)
     assert only.kept
     assert only.evaluations == 0
 
@@ -373,13 +373,13 @@ def test_a_target_counts_by_its_rule():
 def test_a_table_turned_by_hand_is_refused_before_anything_is_computed():
     spec = gj.parse_spec(gj.presets.text("gimbal-by-hand"))
     with pytest.raises(ValueError, match=r'drive is "hand".*drive = "motor"'):
-        next(optimise(spec))
+        next(run_search(spec))
 
 
 def test_a_search_can_be_stopped_and_keeps_the_best(searched):
     spec, _, _ = searched
     asked = iter([False] * 3 + [True] * 60)
-    *some, best = optimise(spec, steps=300, stop=asked.__next__)
+    *some, best = run_search(spec, steps=300, stop=asked.__next__)
     assert best.evaluations < 200
     assert best.gain >= 1.0
     assert some[-1].best <= some[0].best
@@ -393,13 +393,13 @@ def test_until_met_stops_where_every_target_is_met_with_margin(searched):
         row | {"target": f"{math.sqrt(now * before) / 0.89} {unit}"}
         for row, (_, unit, before, now) in zip(rows, best.rows, strict=True)
     ]
-    *some, found = optimise(gj.changed(spec, {"requirement": easy}), steps=300, until_met=True)
+    *some, found = run_search(gj.changed(spec, {"requirement": easy}), steps=300, until_met=True)
     assert 1 <= len(some) < len(states)
     for (_, _, _, now), (_, _, before, least) in zip(found.rows, best.rows, strict=True):
         assert now <= 0.91 * math.sqrt(least * before) / 0.89
     without = [{k: v for k, v in row.items() if k != "target"} for row in rows]
     with pytest.raises(ValueError, match="give a requirement a target"):
-        next(optimise(gj.changed(spec, {"requirement": without}), until_met=True))
+        next(run_search(gj.changed(spec, {"requirement": without}), until_met=True))
 
 
 def test_the_command_writes_a_recipe_that_is_worth_what_is_said(tmp_path, capsys, searched):
@@ -422,9 +422,9 @@ def test_an_interrupted_search_goes_on_to_the_same_end(searched):
     spec, states, best = searched
     calls = iter(range(1000))
     # A round of descents is broken off, and made again.
-    *some, _ = optimise(spec, steps=300, stop=lambda: next(calls) > 14)
+    *some, _ = run_search(spec, steps=300, stop=lambda: next(calls) > 14)
     assert [s.best for s in some[:2]] == [s.best for s in states[:2]]
-    *more, again = optimise(spec, steps=300, checkpoint=some[-1].checkpoint)
+    *more, again = run_search(spec, steps=300, checkpoint=some[-1].checkpoint)
     assert 0 < len(more) < len(states)
     assert [s.best for s in more] == [s.best for s in states[-len(more) :]]
     assert again.spec == best.spec
@@ -434,7 +434,7 @@ def test_an_interrupted_search_goes_on_to_the_same_end(searched):
 def test_turns_of_whole_angle_steps(searched):
     spec, _, _ = searched
     stepped = gj.changed(spec, {"design.angle_step": "15 deg"})
-    *_, best = optimise(stepped, steps=200)
+    *_, best = run_search(stepped, steps=200)
     turned = [math.degrees(s.move.angle) / 15.0 for s in best.spec.schedule.steps if s.axis >= 0]
     assert turned == pytest.approx(np.round(turned), abs=1e-9)
     assert best.gain > 1.0
@@ -442,7 +442,7 @@ def test_turns_of_whole_angle_steps(searched):
 
 def test_requirements_are_needed():
     with pytest.raises(ValueError, match="to minimise: add one"):
-        next(optimise(small(requirement=[])))
+        next(run_search(small(requirement=[])))
     with pytest.raises(ValueError, match="expected the name of a requirement"):
         small(**{"design.minimise": "the bias"})
 
@@ -469,7 +469,7 @@ def test_nor_are_turns_by_hand_of_a_single_axis_searched():
 def test_an_axis_of_limited_travel_is_searched():
     """Within its travel, which turns that are inserted at its ends would leave."""
     spec = gj.changed(gj.parse_spec(turning()), {"rig.table.axis[0].travel": "520 deg"})
-    *_, best = optimise(spec, steps=400)
+    *_, best = run_search(spec, steps=400)
     assert best.gain > 1.05
     angles = np.cumsum([s.move.angle for s in best.spec.plain_schedule.steps if s.axis == 0])
     assert np.max(np.abs(angles)) <= math.radians(520.0)

@@ -7,8 +7,8 @@ from search_problem import SPEC
 
 from gradcal_jax import files
 from gradcal_jax.api import assemble, predict
-from gradcal_jax.api.measure import measure
-from gradcal_jax.api.replan import known_so_far, replan, rest_of, with_done
+from gradcal_jax.api.optimise import known_so_far, replan, rest_of, with_done
+from gradcal_jax.api.turn_plan import measure
 from gradcal_jax.files import SpecError, changed, tables_of
 
 SLOW = {

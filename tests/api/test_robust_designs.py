@@ -9,11 +9,10 @@ from search_problem import SPEC, keeps_limits, targets_met
 
 from gradcal_jax.api import predict
 from gradcal_jax.api.build import assemble
-from gradcal_jax.api.measure import measure
-from gradcal_jax.api.optimise import optimise
-from gradcal_jax.api.scenarios import extremes, scenario_specs
-from gradcal_jax.api.search_results import Optimised
-from gradcal_jax.api.structures import structures
+from gradcal_jax.api.objective import extremes, scenario_specs
+from gradcal_jax.api.optimise import run_search
+from gradcal_jax.api.searching import Optimised
+from gradcal_jax.api.turn_plan import measure, structures
 from gradcal_jax.api.turn_search import belief_of
 from gradcal_jax.files import SpecError, changed, parse_spec, spec_of, to_toml
 from gradcal_jax.files.spec_sections import Spec
@@ -79,13 +78,13 @@ HIDDEN = {"standard_deviation": "20 ppm", "temperature_degree": 3, "rate_degree"
 
 
 def test_a_design_notices_what_it_must_and_pays_for_it(spec):
-    *_, free = optimise(spec, steps=40)
+    *_, free = run_search(spec, steps=40)
     (row,) = predict(changed(free.spec, {"design.notice": HIDDEN}), notices=True).notices
     assert row.standard_deviation == pytest.approx(20.0)
     # Twice as small as what the plan is sure to notice.
     notice = HIDDEN | {"standard_deviation": f"{0.5 * row.sure_from:.4g} ppm", "power": "90 %"}
     must = changed(spec, {"design.notice": notice})
-    *_, best = optimise(must, steps=40)
+    *_, best = run_search(must, steps=40)
     assert isinstance(best, Optimised)
     (seen,) = predict(best.spec, notices=True).notices
     assert seen.power > 0.89 > predict(changed(free.spec, {"design.notice": notice}), notices=True).notices[0].power

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api.measure import design_block, design_of, measure
+from gradcal_jax.api.turn_plan import design_block, design_of, measure
 from gradcal_jax.cli import main
 from gradcal_jax.files.absent import absent_terms
 from gradcal_jax.files.begin import PRESETS, files_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.api import assemble
-from gradcal_jax.api.measure import criterion_of
+from gradcal_jax.api.turn_plan import criterion_of
 from gradcal_jax.design import polynomial_grid
 from gradcal_jax.files import changed, read_spec
 from gradcal_jax.information import information

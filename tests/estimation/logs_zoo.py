@@ -1,7 +1,7 @@
 """Short specs for logs: a gyro that turns and rests while the temperature ramps, small enough to be simulated often."""
 
 from gradcal_jax.api.estimate import SensorEstimate, estimate_log
-from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.log_rows import Options
 from gradcal_jax.files import Spec, parse_spec
 from gradcal_jax.files.log import Log
 

@@ -11,9 +11,8 @@ from simulated_log import simulate_log
 
 from gradcal_jax.api import assemble
 from gradcal_jax.api.estimate import estimate_log
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fit_of_log import fitted_lag
-from gradcal_jax.api.log_rows import host_time
+from gradcal_jax.api.log_rows import Options, host_time
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.log import Log, LogError, Reason

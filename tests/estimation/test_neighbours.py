@@ -7,7 +7,7 @@ import pytest
 from logs_zoo import estimated, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.log_rows import Options
 from gradcal_jax.estimation import closest_neighbours, moves_between_rests
 
 

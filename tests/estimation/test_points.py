@@ -7,7 +7,7 @@ import pytest
 import xarray
 from logs_zoo import GRADIENT, STANDARD
 
-from gradcal_jax.api.warm_up import estimate_points
+from gradcal_jax.api.log_flow import estimate_points
 from gradcal_jax.cli import main
 from gradcal_jax.files import SpecError, parse_spec
 from gradcal_jax.files.log import LogError

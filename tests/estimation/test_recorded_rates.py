@@ -14,7 +14,7 @@ from logs_zoo import GRADIENT, estimated
 from scipy.ndimage import uniform_filter1d
 
 from gradcal_jax.api.estimate import estimate_log
-from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.log_rows import Options
 from gradcal_jax.estimation import find_standstills
 from gradcal_jax.files import parse_spec
 from gradcal_jax.files.importers import import_log, parse_column_map

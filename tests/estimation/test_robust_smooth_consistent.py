@@ -8,8 +8,8 @@ from logs_zoo import GRADIENT, estimated, spec_of
 from scipy import stats
 from simulated_log import simulate_log
 
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.api.log_rows import Options
 from gradcal_jax.estimation import (
     Whitened,
     choose_smoothness,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from logs_zoo import GRADIENT, estimated
 
-from gradcal_jax.api.log_rows import with_turns
+from gradcal_jax.api.log_flow import with_turns
 from gradcal_jax.cli import main
 from gradcal_jax.files import parse_spec
 from gradcal_jax.files.log import Log, LogError

@@ -11,8 +11,8 @@ import pytest
 from vehicle_samples import dataflash, imu_rows, sensor_gyro, ulog
 from warm_ups import DEG_PER_H, output, vehicle, warming
 
-from gradcal_jax.api.ieee_terms import calibration_map
-from gradcal_jax.api.warm_up import estimate_warm_up
+from gradcal_jax.api.calibrations import calibration_map
+from gradcal_jax.api.log_flow import estimate_warm_up
 from gradcal_jax.cli import main
 from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.calibration.correction import term_values

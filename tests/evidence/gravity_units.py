@@ -17,10 +17,9 @@ from unguided import recorded
 
 import gradcal_jax as gj
 from gradcal_jax.api.estimate import with_options
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fit_of_log import fitted_twice
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.log_rows import imu_rows
+from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.files import presets
 from gradcal_jax.files.spec_sections import Spec
 

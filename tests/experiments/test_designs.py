@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gradcal_jax.api import predict
-from gradcal_jax.api.limit import limits
+from gradcal_jax.api.limit import limit
 from gradcal_jax.files.recipe import read_recipe
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
@@ -69,4 +69,4 @@ def test_every_recipe_predicts_what_its_file_says_and_lies_above_its_limit(path)
         value = getattr(kept, name)
         assert value is None or getattr(found, name) == pytest.approx(value, rel=1e-9)
     if found.quantity == "scale_factor":
-        assert all(row.value is not None and row.certified <= row.value for row in limits(said.spec))
+        assert all(row.value is not None and row.certified <= row.value for row in limit(said.spec))

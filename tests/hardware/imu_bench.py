@@ -6,10 +6,9 @@ from typing import Any, Literal
 import numpy as np
 from hardware_bench import unpredicted
 
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fit_of_log import fitted_twice
 from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.log_rows import clock_fit, imu_rows, with_options
+from gradcal_jax.api.log_rows import Options, clock_fit, imu_rows, with_options
 from gradcal_jax.files import changed
 from gradcal_jax.files.changes import tables_of
 from gradcal_jax.files.log import Log

@@ -10,10 +10,10 @@ from scipy.stats import chi2
 
 from gradcal_jax import api
 from gradcal_jax.api.imu_build import build_imu, executed_motion, executed_parts, imu_posterior
-from gradcal_jax.api.limit import limits
-from gradcal_jax.api.replan import known_so_far, rest_of, with_done
-from gradcal_jax.api.structures import motion_time
+from gradcal_jax.api.limit import limit
+from gradcal_jax.api.optimise import known_so_far, rest_of, with_done
 from gradcal_jax.api.timeline import timeline
+from gradcal_jax.api.turn_plan import motion_time
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import SpecError, changed, presets, tables_of
@@ -169,7 +169,7 @@ def test_what_cannot_be_planned_anew_is_a_sentence(spec: Spec) -> None:
         with_done(spec, [(60.0, 30.0)])
     rest = with_done(spec, [(0.0, spec.schedule.duration)])
     with pytest.raises(ValueError, match="a limit needs a plan that starts a run"):
-        limits(rest)
+        limit(rest)
     with pytest.raises(ValueError, match="a timeline needs a plan that starts a run"):
         timeline(rest)
 

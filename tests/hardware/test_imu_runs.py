@@ -13,9 +13,8 @@ from imu_bench import estimated, hand, made, short, stopped_in_its_second_cycle,
 from scipy.stats import chi2
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.log_rows import imu_rows, with_options
+from gradcal_jax.api.log_rows import Options, imu_rows, with_options
 from gradcal_jax.decoding import run_log
 from gradcal_jax.estimation.imu_executed import executed_imu
 from gradcal_jax.files import changed, presets

@@ -13,7 +13,7 @@ from simulated_devices.port_lab import SimulatedLab
 from test_end_to_end import SMALL, distance
 
 from gradcal_jax.api.estimate import estimate_log
-from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.log_rows import Options
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files.log import Log

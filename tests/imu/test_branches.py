@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api.flow import check
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.api.plan_sentences import check
 from gradcal_jax.cli.predict import omitted_lines
 from gradcal_jax.files import presets
 from gradcal_jax.files.absent import attitude_sentences, branch_sentences

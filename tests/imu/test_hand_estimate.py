@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.hand_estimate import HandReport, estimate_by_hand
+from gradcal_jax.api.log_rows import Options
 from gradcal_jax.files.calibration.correction import apply
 from gradcal_jax.files.log import Log, LogError
 

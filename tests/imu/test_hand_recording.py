@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.hand_estimate import HandReport, estimate_by_hand
+from gradcal_jax.api.log_rows import Options
 from gradcal_jax.cli import main
 from gradcal_jax.files.calibration.correction import linear_part
 from gradcal_jax.files.importers import import_log, parse_column_map

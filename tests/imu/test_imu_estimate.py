@@ -9,11 +9,10 @@ from estimate_scenes import PLANS, draw_truth, record, scene
 from scipy import stats
 
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fit_of_log import fitted_twice
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.imu_residual import quantity_of
-from gradcal_jax.api.log_rows import imu_rows
+from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.estimation.imu_executed import ImuRows, across_stops, executed_imu
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.log import Log, LogError

@@ -15,8 +15,7 @@ import pytest
 
 from gradcal_jax import estimation
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.api.estimate_options import Options
-from gradcal_jax.api.log_rows import imu_rows
+from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.spec_sections import Spec

@@ -9,10 +9,9 @@ from estimate_scenes import draw_truth, record, scene
 from scipy import stats
 
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.api.estimate_options import Options
 from gradcal_jax.api.fit_of_log import Fit, fitted_twice
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.log_rows import imu_rows
+from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.estimation import posteriors_together, solve_together
 from gradcal_jax.files.bench import Place

@@ -165,7 +165,7 @@ def test_a_verdict_follows_its_rule_and_says_it(keys, said):
 
 
 def test_a_target_limits_a_search_by_its_rule():
-    from gradcal_jax.api.measure import measure
+    from gradcal_jax.api.turn_plan import measure
 
     text = gj.presets.text("paper-dynamic-gradient").replace("coverage    = 1 ", "coverage    = 2 ")
     spec = gj.parse_spec(text + '[design]\nminimise = "motion time"\nfree = ["duration"]\nmax_motion = "100 min"\n')

@@ -18,7 +18,7 @@ from simulated_log import simulate_log
 
 from gradcal_jax.api.contradictions import discrepancies
 from gradcal_jax.api.estimate import estimate_log, estimate_sensors
-from gradcal_jax.api.estimate_options import Options
+from gradcal_jax.api.log_rows import Options
 from gradcal_jax.files import changed
 from gradcal_jax.files import spec as specs
 from gradcal_jax.files.changes import tables_of

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from gradcal_jax import api
-from gradcal_jax.api.contract_rows import result_of_requirement
 from gradcal_jax.api.fit_of_log import calibrated_channels
 from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.api.verdicts import result_of_requirement
 from gradcal_jax.files import Spec, changed, parse_spec, presets
 from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration, Covariance
 from gradcal_jax.files.recipe import Recipe

@@ -10,7 +10,7 @@ from imu_bench import short
 from report_samples import calibration_of_plan
 
 import gradcal_jax as gj
-from gradcal_jax.api.ieee_terms import calibrated_posterior
+from gradcal_jax.api.calibrations import calibrated_posterior
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.cli import main

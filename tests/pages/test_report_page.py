@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 from report_samples import calibration, recipe, rehearse, spec
 
-from gradcal_jax.api.ieee_terms import calibration_map, standard_terms
+from gradcal_jax.api.calibrations import calibration_map, standard_terms
 from gradcal_jax.cli import main
 from gradcal_jax.files import to_toml
 from gradcal_jax.files.calibration import write_calibration

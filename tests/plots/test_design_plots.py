@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from gradcal_jax import plots
-from gradcal_jax.api.frontier import FrontierPoint
+from gradcal_jax.api.optimise import FrontierPoint
 from gradcal_jax.api.sensitivity import Elasticity, Sensitivities
 
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from statistics import fmean
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Final, Literal, NamedTuple, cast
 
 import equinox as eqx
 import numpy as np
@@ -20,7 +20,6 @@ from gradcal_jax.api.build import basis
 from gradcal_jax.api.error_budget import own_of_imu
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, hung_alike, imu_posterior, known_together
 from gradcal_jax.api.imu_residual import ImuResidual, imu_residual, quantity_of
-from gradcal_jax.api.searching import MARGIN, NO_TARGET, RequirementChange
 from gradcal_jax.api.verdicts import UNIT_OF, limit_of
 from gradcal_jax.design import KEPT, Missed, Optimality
 from gradcal_jax.design.pose_cycle import EXCESS
@@ -267,6 +266,10 @@ def _row(quantity: str, axis: str, of: TestedMap, gain: np.ndarray) -> NoticeRow
     )
 
 
+MARGIN: Final = 0.1
+"""A target is met with margin where the residual is less than the target by this share."""
+MET: Final = f"every target is met with a margin of {MARGIN:.0%}"
+NO_TARGET: Final = "to stop when every target is met, give a requirement a target"
 MISSED = "the probability of missing a hidden map"
 # The smallest chance that counts.
 _NEVER = 1e-12
@@ -451,6 +454,16 @@ def residuals_of_plan(spec: Spec) -> dict[str, ImuResidual]:
         r.name: max((imu_residual(*of, r) for of in zip(builts, known, strict=True)), key=ImuResidual.finite_statistic)
         for r in spec.requirement
     }
+
+
+class RequirementChange(NamedTuple):
+    """A requirement's statistic (`unit`, 1σ, by the terms that the spec names) before and after a search; None: not
+    observable."""
+
+    name: str
+    unit: str
+    before: float | None
+    now: float | None
 
 
 def requirement_changes(spec: Spec, plan: Spec) -> tuple[RequirementChange, ...]:

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from gradcal_jax.api.objective import ExactObjective, Residuals, requirement_changes
+from gradcal_jax.api.objective import MET, ExactObjective, RequirementChange, Residuals, requirement_changes
 from gradcal_jax.api.verdicts import finite
 from gradcal_jax.display import summary
 from gradcal_jax.files import to_toml
@@ -23,11 +23,6 @@ from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rounding import rounded
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.writing import whole
-
-MARGIN: Final = 0.1
-"""A target is met with margin where the residual is less than the target by this share."""
-MET: Final = f"every target is met with a margin of {MARGIN:.0%}"
-NO_TARGET: Final = "to stop when every target is met, give a requirement a target"
 
 
 class SearchStep(NamedTuple):
@@ -93,16 +88,6 @@ def priced(value: float, limits: Sequence[PricedLimit], log: Callable[[np.ndarra
         bent = (abs((log(s * unit * by) - start) / (slope * s * unit) - 1.0) for s in steps)
         prices.append(Price(name, per, price, next((s for s, b in zip(steps, bent, strict=True) if b < _LINEAR), None)))
     return tuple(prices)
-
-
-class RequirementChange(NamedTuple):
-    """A requirement's statistic (`unit`, 1σ, by the terms that the spec names) before and after a search; None: not
-    observable."""
-
-    name: str
-    unit: str
-    before: float | None
-    now: float | None
 
 
 class Optimised(NamedTuple):

@@ -198,15 +198,6 @@ def shape_pieces(
     raise ValueError(f"unknown motion shape {shape!r}; known: {', '.join(SHAPES)}")
 
 
-def turned_angle(shape: str, peak_rate: Array, duration: Array, ramp: Array = 0.0) -> Array:
-    """Net angle of a whole move, in peak_rate's angle unit. Errors: `ValueError` for an unknown shape."""
-    if shape in RAMPED_SHAPES:
-        return peak_rate * (duration - ramp)
-    if shape == "hand":
-        return peak_rate * (duration - 2.0 * ramp) / 2.0
-    raise ValueError(f"unknown motion shape {shape!r}; known: {', '.join(SHAPES)}")
-
-
 def repetitions(duration: float, own: float, period: float) -> tuple[int, float]:
     """Number of cycles of `period`, of which the first `own` are its moves, in `duration`, and the remaining time.
 

@@ -71,15 +71,11 @@ def test_pieces_are_the_shape(act):
     points = [*np.linspace(0.0, act.duration, 13)[1:-1], act.ramp, act.duration - act.ramp]
     wanted = quad(lambda t: float(textbook_rate(act, np.array(t))), 0, act.duration, points=points, epsabs=1e-13)[0]
     assert angle == pytest.approx(wanted, abs=1e-11)
-    formula = formulas.turned_angle(act.shape, np.array(act.peak), act.duration, act.ramp)
-    assert float(formula) == pytest.approx(wanted, abs=1e-11)
 
 
 def test_unknown_shapes_are_refused_by_name():
     with pytest.raises(ValueError, match="cosine ramps"):
         formulas.shape_pieces("cosine ramp")
-    with pytest.raises(ValueError, match="spline"):
-        formulas.turned_angle("spline", np.array(1.0), 1.0)
 
 
 def test_cycles_and_readings_survive_rounding():

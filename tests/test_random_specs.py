@@ -5,14 +5,14 @@ import pytest
 from random_specs import BASES, FAMILIES, MOST_READINGS, SHAPES, random_spec
 
 from gradcal_jax.files import spec_of
-from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
+from gradcal_jax.files.axis_as_imu import convert, turned_axes
 from gradcal_jax.files.motion_plan import row_count
 from gradcal_jax.files.schedule import StandardSchedule
 
 
 def as_read(tables):
     """A plan of several axes is none of a table, and is read for the first of them alone."""
-    return spec_of(axis_as_imu(tables, turned_axes(tables)[0]))
+    return spec_of(convert(tables, turned_axes(tables)[0])[0])
 
 
 def test_random_specs_are_valid_small_and_of_every_kind():

@@ -84,14 +84,6 @@ def units_in(folder: str | Path) -> list[str | None]:
     return list(names) if len(names) > 1 else [None]
 
 
-def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:
-    """The log of one unit (by name; None: the rig's only one), decoded with the configuration in the journal.
-
-    Raises `HardwareError` where the journal holds no samples of a stretch with data."""
-    with contextlib.ExitStack() as stack:
-        return _of_unit(stack, None, contents, recipe, rig, unit, contents.records).whole()
-
-
 def _of_unit(
     stack: contextlib.ExitStack,
     spool: Path | None,

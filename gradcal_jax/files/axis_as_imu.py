@@ -18,7 +18,6 @@ from pydantic import TypeAdapter, ValidationError
 from gradcal_jax.files.moves import AXES, Axis, Move, ResolvedMove, choose_move
 from gradcal_jax.files.problems import Key, Problem, SpecError, from_validation, hint
 from gradcal_jax.files.quantity import EarthRate, PositiveAcceleration, Quantity, SizeOfTime, Time
-from gradcal_jax.files.section import refuse
 from gradcal_jax.formulas import EARTH_RATE
 
 Tables = dict[str, Any]
@@ -59,19 +58,13 @@ def is_of_axis(document: Mapping[str, Any]) -> bool:
     return bool(sensor or table) and not general
 
 
-def axis_as_imu(document: Mapping[str, Any], axis: Axis | None = None) -> Tables:
-    """The tables of a one-axis spec as those of an IMU of one gyro, which predict the same; not validated.
-
-    `axis`: of a plan that turns several, the one whose gyro is seen; moves of the others are rests. Errors: `SpecError`
-    for a plan that turns several axes, without `axis`, and for what a file of one axis may not have.
-    """
-    tables, problems = convert(document, axis)
-    refuse(*problems)
-    return tables
-
-
 def convert(document: Mapping[str, Any], axis: Axis | None = None) -> tuple[Tables, list[Problem]]:
-    """As `axis_as_imu`, with the problems of the conversion, whose keys are those of the file."""
+    """The tables of a one-axis spec as those of an IMU of one gyro, which predict the same; not validated. With the
+    problems of the conversion, whose keys are those of the file: a plan that turns several axes, without `axis`, and
+    what a file of one axis may not have.
+
+    `axis`: of a plan that turns several, the one whose gyro is seen; moves of the others are rests.
+    """
     spec = copy.deepcopy(dict(document))
     problems: list[Problem] = []
     turned = turned_axes(spec)

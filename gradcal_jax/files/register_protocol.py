@@ -5,7 +5,6 @@ Every value that is written is read back, from its own register or from the one 
 commands and their verification are in the driver (`hardware.drivers.registers`).
 """
 
-import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Final, Literal
 
@@ -17,7 +16,6 @@ from gradcal_jax.files.quantity import Count, Flag, Quantity, SizeOfTime, Text, 
 from gradcal_jax.files.section import Section
 
 FORMAT: Final = "gradcal-registers/1"
-VALUE: Final = re.compile(r"\{([a-z]+)\}")
 _VALUES: Final[Mapping[str, str]] = {
     "setpoint": "setpoint", "ramp": "ramp", "on": "", "off": "", "no_ramp": "", "end_program": "",
 }  # fmt: skip

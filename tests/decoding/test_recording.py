@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 from hardware_bench import sensor_on_table, short_recipe
+from journal_log import log_of
 from simulated_devices.gyro import SensorTruth
 from simulated_devices.line_clock import LineClock
 from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 from simulated_devices.vectornav import SimulatedVectorNav
 
-from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.rig import TEMPLATE, parse_rig
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents

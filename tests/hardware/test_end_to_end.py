@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from hardware_bench import short_recipe
 from hardware_evidence import record
+from journal_log import log_of
 from scipy.stats import chi2
 from simulated_devices.line_clock import LineClock
 from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.api import predict
-from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import changed, presets
 from gradcal_jax.files.calibration import Calibration, read_calibration
 from gradcal_jax.files.log import Log

@@ -18,9 +18,9 @@ import pytest
 from hardware_bench import short_recipe
 from hardware_evidence import record
 from hardware_processes import laboratory
+from journal_log import log_of
 from killing import SAFE, STANDING, STARTING, TURNING, WAITING, Killer, Watched, require_seams
 
-from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.recipe import read_recipe
 from gradcal_jax.files.writing import write_toml

@@ -23,12 +23,12 @@ from hardware_bench import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from journal_log import log_of
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
 from simulated_devices.line_clock import LineClock
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.port import SimulatedPort
 
-from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files.line_protocol import formatted, protocol_of, protocol_text, reply_pattern, shipped, shows
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import rig_of

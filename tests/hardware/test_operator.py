@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hardware_bench import served, unpredicted
+from journal_log import log_of
 from simulated_devices.line_clock import LineClock
 from simulated_devices.operator import OperatorOptions, SimulatedOperator
 from simulated_devices.port_lab import SimulatedLab
 from simulated_devices.zaber import SimulatedZaber
 
 from gradcal_jax.decoding import run_log
-from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import Quantity, changed, parse_spec, presets
 from gradcal_jax.files.log import ReadingKind
 from gradcal_jax.files.problems import SpecError

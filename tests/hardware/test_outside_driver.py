@@ -11,11 +11,11 @@ from pathlib import Path
 import jsonschema
 import pytest
 from hardware_bench import Rig, short_recipe
+from journal_log import log_of
 from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
-from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files.problems import SpecError
 from gradcal_jax.files.rig import TEMPLATE, RigFile, parse_rig, rig_of
 from gradcal_jax.files.writing import write_toml

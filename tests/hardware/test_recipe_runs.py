@@ -10,12 +10,12 @@ import pytest
 from hardware_bench import short_recipe, unpredicted
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
+from journal_log import log_of
 from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.decoding.run_log import log_of
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.motion_plan import PlanSchedule, row_count
 from gradcal_jax.files.recipe import read_recipe

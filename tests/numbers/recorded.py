@@ -15,7 +15,7 @@ from gradcal_jax.api.log_flow import estimate as estimate_log
 from gradcal_jax.api.prediction import counted_shares
 from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.files import spec_of, tables_of
-from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
+from gradcal_jax.files.axis_as_imu import convert, turned_axes
 from gradcal_jax.files.calibration import parse_calibration
 from gradcal_jax.files.calibration.correction import apply
 from gradcal_jax.files.calibration.exports import export
@@ -42,7 +42,7 @@ def prediction(tables: Tables) -> Tables:
     found: Tables = {"requirements": {}, "parameters": {}}
     for axis in turned_axes(tables):
         # A plan of several axes is none of a table, and is read for each alone.
-        answer = predict(spec_of(axis_as_imu(tables, axis)))
+        answer = predict(spec_of(convert(tables, axis)[0]))
         found["requirements"] |= rows(answer)
         found["parameters"] |= {f"{p.name.removeprefix(f'gyro_{axis}.')} / {axis}": p.std for p in answer.parameters}
     return found
@@ -83,7 +83,7 @@ def elasticities(tables: Tables) -> Tables:
     """Per cent of each requirement's residual for one per cent of each figure. Raises `ValueError` where refused."""
     found: dict[str, dict[str, float]] = {}
     for axis in turned_axes(tables):
-        for row in sensitivity(spec_of(axis_as_imu(tables, axis))).rows:
+        for row in sensitivity(spec_of(convert(tables, axis)[0])).rows:
             of = found.setdefault(row.requirement, {})
             of[row.figure] = row.percent
     return found

@@ -7,7 +7,7 @@ import pytest
 import recorded
 
 from gradcal_jax.files import SpecError, spec_of
-from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
+from gradcal_jax.files.axis_as_imu import convert, turned_axes
 from gradcal_jax.files.rounding import rounded, steps_of
 from gradcal_jax.files.tracks import tracks_of
 from gradcal_jax.formulas import reading_times
@@ -22,7 +22,7 @@ def test_an_axis_has_the_same_recipe_as_an_imu(name):
     if len(turned_axes(tables)) > 1:
         pytest.skip("no table turns several axes of a sensor alone")
     told = []
-    for spec in (spec_of(tables), spec_of(axis_as_imu(tables))):
+    for spec in (spec_of(tables), spec_of(convert(tables)[0])):
         made = rounded(spec)
         step = steps_of(made.spec).acceleration
         chamber, blocks = tracks_of(made.spec, None if step is None else float(step))
@@ -41,7 +41,7 @@ def test_an_axis_has_the_same_recipe_as_an_imu(name):
 
 def test_several_axes_that_turn_alone_are_no_table():
     with pytest.raises(SpecError, match="turns sensor axes x, z as if each had a separate table"):
-        axis_as_imu(KEPT["any 0"]["tables"])
+        spec_of(KEPT["any 0"]["tables"])
 
 
 def test_the_tables_of_an_axis_stay_and_become_those_of_an_imu():
@@ -49,7 +49,7 @@ def test_the_tables_of_an_axis_stay_and_become_those_of_an_imu():
     axis["sensor"]["uncertain"] = {"turn_on_bias": "factor 2", "sample_clock_error": "factor 3"}
     axis["rig"]["earth_rate"] = "7.5 deg/h"
     before = copy.deepcopy(axis)
-    imu = spec_of(axis_as_imu(axis))
+    imu = spec_of(convert(axis)[0])
     assert axis == before
     assert set(imu.sensor.uncertain_figures()) == {"sensor.gyro.turn_on_bias", "sensor.sample_clock_error"}
     # The axis points up where the Earth turns about it at that rate.

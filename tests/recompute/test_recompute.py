@@ -21,7 +21,7 @@ from random_specs import random_spec
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.api.timeline import timeline
 from gradcal_jax.files import presets, spec_of
-from gradcal_jax.files.axis_as_imu import axis_as_imu, turned_axes
+from gradcal_jax.files.axis_as_imu import convert, turned_axes
 from gradcal_jax.files.motion_plan import PlanSchedule, row_count
 
 TOLERANCE = 1e-9
@@ -52,7 +52,7 @@ def test_a_program_that_has_the_timeline_alone_finds_the_same_standard_deviation
     tables = random_spec(np.random.default_rng(seed))
     for axis in turned_axes(tables):
         # A plan of several axes is none of a table, and is read for each alone.
-        spec = spec_of(axis_as_imu(tables, axis))
+        spec = spec_of(convert(tables, axis)[0])
         expected = {axis: [p.std for p in predict(spec).parameters]}
         written = json.loads(timeline_text(spec))
         if isinstance(spec.schedule, PlanSchedule):

@@ -189,7 +189,7 @@ def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str
     sensor, channels = spec.sensor, []
     sources: dict[ChannelKind, dict[str, tuple[int, ...]]] = {}
     if (gyro := sensor.gyro) is not None:
-        clock = 0.0 if _has_common_clock(spec) else sensor.clock_error
+        clock = 0.0 if has_common_clock(spec) else sensor.clock_error
         own = named_processes(gyro, clock=clock, earth_is_unknown=spec.rig.site.is_unknown)
         processes, sources["gyro"] = processes_of(own)
         channels += [
@@ -224,7 +224,7 @@ def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str
     return ImuModel(tuple(channels), _installation(spec), encoder), sources
 
 
-def _has_common_clock(spec: Spec) -> bool:
+def has_common_clock(spec: Spec) -> bool:
     """Whether the sample clock is a parameter common to all channels; independent points each have their own."""
     return not isinstance(spec.plan, StandardPlan) or spec.plan.points == "one run"
 
@@ -249,7 +249,7 @@ def _installation(spec: Spec) -> tuple[model.InstallationTerm, ...]:
         terms.append(model.CommonScale(np.array([float(site.gravity_accuracy)]), "gravity"))
     force = spec.sensor.accelerometer
     timed = force is not None and force.velocity_increments
-    if spec.sensor.clock_error and _has_common_clock(spec) and (timed or spec.sensor.gyro is not None):
+    if spec.sensor.clock_error and has_common_clock(spec) and (timed or spec.sensor.gyro is not None):
         terms.append(model.CommonScale(np.array([spec.sensor.clock_error]), "sample_clock", forces=timed))
     return tuple(terms)
 

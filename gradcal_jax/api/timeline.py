@@ -1,5 +1,4 @@
-"""The timeline of a spec: segments, readings and the sensor's model, as the contracts gradcal-timeline/2 of one gyro
-and gradcal-unit-timeline/1 of an IMU."""
+"""The timeline of a spec: segments, readings and the channels' models, as the contract gradcal-timeline/3."""
 
 from collections.abc import Iterable
 from typing import Any, Literal, cast
@@ -7,12 +6,11 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from gradcal_jax import model
-from gradcal_jax.api.build import Assembled, assemble, shapes_of
-from gradcal_jax.api.imu_build import BuiltImu, build_imu
-from gradcal_jax.api.turn_plan import gyro_of
+from gradcal_jax.api.build import shapes_of
+from gradcal_jax.api.error_budget import UNKNOWN_EARTH_RATE
+from gradcal_jax.api.imu_build import BuiltImu, build_imu, has_common_clock
 from gradcal_jax.api.verdicts import finite, section_of
-from gradcal_jax.files import Timeline
-from gradcal_jax.files import imu_timeline as imu_rows
+from gradcal_jax.files import timeline as contract
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis
 from gradcal_jax.files.contracts import (
     BasisRow,
@@ -22,20 +20,16 @@ from gradcal_jax.files.contracts import (
     HarmonicRow,
     MapRow,
     ProcessRow,
-    ReadingRow,
-    SegmentRow,
-    SensorRow,
-    StartsRow,
     TemperatureErrorRow,
 )
-from gradcal_jax.files.memory import too_large
-from gradcal_jax.files.motion_plan import PlanSchedule, PlanStep
-from gradcal_jax.files.moves import Axis, ResolvedMove
+from gradcal_jax.files.motion_plan import PlanSchedule
+from gradcal_jax.files.moves import ResolvedMove
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy, Sensor
+from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy
 from gradcal_jax.files.spec import expect_spec, goes_on
 from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.timeline import Timeline
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import (
     AXIS_NAMES,
@@ -48,245 +42,97 @@ from gradcal_jax.model import (
     TemperatureDifference,
     TurnOnTransient,
 )
-from gradcal_jax.trajectory import Move, frames
+from gradcal_jax.trajectory import frames
 
 _CONSTANT = BasisRow(basis="polynomial", degree=0, centre=0.0, scale=1.0, prior_functions="monomial")
 
 
-def timeline(spec: Spec) -> Timeline | imu_rows.ImuTimeline:
+def timeline(spec: Spec) -> Timeline:
     """Every segment and reading of a spec's plan in SI; temperatures (°C) are the chamber's.
 
-    Another program can compute the covariance from it alone. Of one gyro that the only axis of a table turns: contract
-    gradcal-timeline/2, with every reading of the angle; else gradcal-unit-timeline/1, with the angles of all axes and
-    attitudes. Errors: `ValueError` for a spec with [[done]].
+    Another program can compute the covariance from it alone: contract gradcal-timeline/3. Errors: `ValueError` for a
+    spec with [[done]] or with an error term from outside the package.
     """
     if expect_spec(spec).done:
         raise goes_on("a timeline")
-    if too := too_large(spec):
-        raise MemoryError(too)
-    return _of_channel(spec) if spec.turns_one_gyro else _of_imu(spec)
-
-
-def _of_channel(spec: Spec) -> Timeline:
-    built = assemble(spec)
-    channel = cast("Axis", gyro_of(spec).axes[0])
-    if isinstance(spec.schedule, StandardSchedule):
-        segments, readings = _standard_rows(built, spec.schedule, channel)
-    else:
-        segments, readings = _gradient_rows(built, channel)
+    built = build_imu(spec)
+    geometry, sensor, table = built.motion.geometry, spec.sensor, spec.rig.table
     standard = spec.plan if isinstance(spec.plan, StandardPlan) else None
     return Timeline(
         title=spec.title,
         estimator="best linear" if standard is None else standard.estimator,
         points=None if standard is None else standard.points,
-        sensor=_sensor_row(spec.sensor, gyro_of(spec)),
-        harmonics=_harmonic_rows(spec.rig.table.axis[0].angle),
-        segments=tuple(segments),
-        readings=tuple(readings),
-    )
-
-
-def _gradient_rows(built: Assembled, channel: Axis) -> tuple[list[SegmentRow], list[ReadingRow]]:
-    line, schedule = built.trajectory(), built.schedule
-    times = schedule.programme.times()
-    begins, ends = schedule.programme.chamber()
-    chamber = np.append(begins, ends[-1])
-    start, turned = line.start, line.turned()
-    end = start + line.duration
-    reference = built.model.reference
-    white, offset = float(reference.reading_noise), float(reference.standstill_offset)
-    timing = float(reference.timing_error)
-
-    def reading(time: float, standstill: int | None, *, origin: bool = False) -> ReadingRow:
-        stands = standstill is not None
-        return ReadingRow(
-            time=time,
-            kind="angle",
-            axis=channel,
-            origin=origin,
-            white_std=white,
-            standstill_id=standstill,
-            offset_std=offset if stands else 0.0,
-            timing_std=0.0 if stands else timing,
-        )
-
-    def add(begin: float, finish: float, **own: Any) -> None:
-        row = {"shape": "rest", "start": begin, "duration": finish - begin} | own
-        segments.append(SegmentRow(axis=channel, **row, **_temperatures_between(times, chamber, begin, finish)))
-
-    segments: list[SegmentRow] = []
-    readings = [reading(float(start[0]), 0, origin=True)]
-    standstill = 0
-    if start[0] > 0.0:
-        add(0.0, float(start[0]), standstill_id=0, read=True, used=False)
-    for pieces in np.split(np.arange(line.piece_count), np.flatnonzero(np.diff(line.segment)) + 1):
-        first, last = pieces[0], pieces[-1]
-        index = int(schedule.pieces.move[first])
-        # After the moves of the spec the axis stands until the stretch ends.
-        move, own = (built.moves[index] if index < len(built.moves) else None), {}
-        if line.moving[first]:
-            assert move is not None
-            own = _shape_row(move, float(turned[pieces].sum()))
-            standstill += 1
-        readings += [reading(float(end[k]), standstill if line.at_rest[k] else None) for k in pieces if line.read[k]]
-        # A gap in which the chamber bends has several pieces, but the angle is read once, at its end.
-        unused = bool(line.gap[last])
-        if unused:
-            readings.append(reading(float(end[last]), standstill, origin=True))
-        add(
-            float(start[first]),
-            float(end[last]),
-            table_axis=None if move is None or move.shape == "rest" else channel,
-            standstill_id=None if line.moving[first] else standstill,
-            read=unused or bool(np.any(line.read[pieces])),
-            used=not unused,
-            **own,
-        )
-    return segments, readings
-
-
-def _standard_rows(
-    built: Assembled, plan: StandardSchedule, channel: Axis
-) -> tuple[list[SegmentRow], list[ReadingRow]]:
-    accuracy = float(built.model.reference.rate_accuracy)
-    soak, integration = plan.soak_each, plan.integration
-    segments: list[SegmentRow] = []
-    readings: list[ReadingRow] = []
-    clock, point = 0.0, 0
-    for temperature in plan.temperatures:
-        at: dict = {"temperature_start": float(temperature), "temperature_end": float(temperature)}
-        segments.append(
-            SegmentRow(axis=channel, start=clock, duration=soak, shape="rest", read=False, used=False, **at)
-        )
-        clock += soak
-        for rate in plan.rates:
-            both: dict = {"axis": channel, "standstill_id": point, "duration": integration}
-            turned = {
-                "peak_rate": float(rate),
-                "angle": float(rate) * integration,
-                "table_axis": channel if rate else None,
-            }
-            shape = "constant" if rate else "rest"
-            segments.append(SegmentRow(read=True, start=clock, shape=shape, **both, **turned, **at))
-            clock += integration
-            error: dict = {"white_std": 0.0, "offset_std": accuracy * abs(float(rate))}
-            readings.append(ReadingRow(time=clock, kind="rate", rate=float(rate), **both, **error))
-            point += 1
-    return segments, readings
-
-
-def _sensor_row(sensor: Sensor, gyro: GyroTriad) -> SensorRow:
-    return SensorRow(
-        arw=gyro.angle_random_walk,
-        rate_random_walk=gyro.rate_random_walk or 0.0,
-        turn_on_bias=gyro.turn_on_bias,
-        drift=_process_rows(gyro.drift),
-        scale_factor_instability=_process_rows(gyro.scale_factor_instability),
-        thermal_lag=sensor.lag,
-        sample_clock_error=sensor.clock_error or None,
-        starts=_starts_row(sensor, gyro),
-        **_of_temperature(gyro),
-        bias=None if gyro.bias is None else _map_row(gyro.bias, gyro.axes[0]),
-        scale_factor=None if gyro.scale_factor is None else _map_row(gyro.scale_factor, gyro.axes[0]),
-    )
-
-
-def _of_temperature(sensor: GyroTriad | AccelerometerTriad) -> dict[str, Any]:
-    """The rows of a channel's errors by temperature and its slope."""
-    error, gradient = sensor.thermometer_noise, sensor.gradient_sensitivity
-    return {
-        "temperature_error": None
-        if error is None
-        else TemperatureErrorRow(
-            sigma=error.standard_deviation,
-            tau=error.correlation_time,
-            bias_slope=error.bias_slope,
-            scale_factor_slope=error.scale_factor_slope,
-        ),
-        "bias_temperature_gradient": None if gradient is None else GradientSensitivityRow(prior=gradient.prior),
-    }
-
-
-def _starts_row(sensor: Sensor, gyro: GyroTriad) -> StartsRow:
-    error = gyro.thermometer_noise
-    return StartsRow(
-        drift="stationary" if gyro.drift else None,
-        rate_random_walk="zero" if gyro.rate_random_walk else None,
-        scale_factor_instability="stationary" if gyro.scale_factor_instability else None,
-        temperature_error=None if error is None else "stationary" if error.correlation_time else "constant",
-        sample_clock_error="constant" if sensor.clock_error else None,
-        turn_on_bias=None if not gyro.turn_on_bias else "constant" if gyro.bias is None else "prior",
-    )
-
-
-# --- an IMU -----------------------------------------------------------------------------------------------------------
-
-
-def _of_imu(spec: Spec) -> imu_rows.ImuTimeline:
-    """Every segment with attitudes, the terms of each channel, and all priors."""
-    built, plan = build_imu(spec), spec.plain_schedule
-    geometry, sensor, table = built.motion.geometry, spec.sensor, spec.rig.table
-    return imu_rows.ImuTimeline(
-        title=spec.title,
         frame="table axes" if sensor.frame is None else sensor.frame.fixed_by,
-        site=imu_rows.SiteRow(
+        site=contract.SiteRow(
             latitude=float(geometry.latitude),
             gravity=float(geometry.gravity),
             earth_rate=_vector(geometry.earth_rate()),
         ),
         table=tuple(
-            imu_rows.TableAxisRow(
+            contract.TableAxisRow(
                 name=axis.name,
                 direction=_vector(axis.unit_vector),
                 reading_noise=axis.angle.reading_noise,
                 standstill_offset=axis.angle.standstill_offset,
+                timing_error=axis.angle.timing_error,
                 read_every=finite(float(axis.angle.read_every)),
-                harmonics=_harmonic_rows(axis.angle),
+                harmonics=tuple(HarmonicRow(order=h.order, sigma=h.amplitude) for h in axis.angle.harmonics),
             )
             for axis in table.axis
         ),
         standing=table.standing,
+        rate_accuracy=float(built.model.encoder.rate),
         mountings=tuple(
-            imu_rows.MountingRow(name=m.name, rotation=_matrix(rotation))
+            contract.MountingRow(name=m.name, rotation=_matrix(rotation))
             for m, rotation in zip(table.mounting, np.asarray(geometry.mountings), strict=True)
         ),
         thermal_lag=sensor.lag,
-        channels=tuple(
-            _channel_row(c, sensor.gyro if c.kind == "gyro" else sensor.accelerometer) for c in built.model.channels
-        ),
+        channels=tuple(_channel_row(spec, c) for c in built.model.channels),
         installation=tuple(_installation_row(term) for term in built.model.installation),
-        segments=tuple(_imu_rows(built, plan)),
+        **_rows_of_plan(built),
     )
 
 
-def _vector(values) -> imu_rows.Vector3:
-    return cast("imu_rows.Vector3", tuple(float(v) for v in values))
+def _vector(values) -> contract.Vector3:
+    return cast("contract.Vector3", tuple(float(v) for v in values))
 
 
-def _matrix(values) -> imu_rows.Matrix3:
-    return cast("imu_rows.Matrix3", tuple(_vector(row) for row in values))
+def _matrix(values) -> contract.Matrix3:
+    return cast("contract.Matrix3", tuple(_vector(row) for row in values))
 
 
-def _channel_row(channel: Channel, triad: GyroTriad | AccelerometerTriad | None) -> imu_rows.ChannelRow:
-    assert triad is not None
+def _channel_row(spec: Spec, channel: Channel) -> contract.ChannelRow:
+    triad: GyroTriad | AccelerometerTriad = getattr(spec.sensor, channel.kind)
+    error, gradient = triad.thermometer_noise, triad.gradient_sensitivity
     own: dict[str, Any] = {
         "white": float(channel.model.angle_random_walk),
         "drift": _process_rows(triad.drift),
         "scale_factor_instability": _process_rows(triad.scale_factor_instability),
         "turn_on_bias": triad.turn_on_bias or None,
-        **_of_temperature(triad),
     }
+    if error is not None:
+        own["temperature_error"] = TemperatureErrorRow(
+            sigma=error.standard_deviation,
+            tau=error.correlation_time,
+            bias_slope=error.bias_slope,
+            scale_factor_slope=error.scale_factor_slope,
+        )
+    if gradient is not None:
+        own["bias_temperature_gradient"] = GradientSensitivityRow(prior=gradient.prior)
     if isinstance(triad, GyroTriad):
         own["rate_random_walk"] = triad.rate_random_walk or 0.0
+        own["sample_clock_error"] = None if has_common_clock(spec) else spec.sensor.clock_error or None
+        unknown = spec.rig.site.is_unknown and triad.bias is None
+        own["unknown_earth_rate"] = UNKNOWN_EARTH_RATE if unknown else None
     if outside := [term.name for term in channel.model.terms if isinstance(term, OwnTerm)]:
         raise ValueError(f"a timeline cannot contain an error term of your own, such as {outside[0]}: leave it out")
     terms = [_term_row(channel, term, triad) for term in channel.model.terms if isinstance(term, Map | SignalMap)]
     own["path"] = tuple(_path_row(channel, term) for term in channel.model.terms if isinstance(term, PathTerm))
     axis = AXIS_NAMES[channel.axis]
-    return imu_rows.ChannelRow(name=channel.name, kind=channel.kind, axis=cast("Any", axis), terms=tuple(terms), **own)
+    return contract.ChannelRow(name=channel.name, kind=channel.kind, axis=cast("Any", axis), terms=tuple(terms), **own)
 
 
-def _path_row(channel: Channel, term: PathTerm) -> imu_rows.PathTermRow:
+def _path_row(channel: Channel, term: PathTerm) -> contract.PathTermRow:
     kind: Any = "temperature gradient"
     own: dict[str, float] = {}
     if isinstance(term, Hysteresis):
@@ -297,10 +143,10 @@ def _path_row(channel: Channel, term: PathTerm) -> imu_rows.PathTermRow:
         kind, own = "temperature difference", {"time_constant": term.other.lag, "gain": term.gain}
     names = tuple(f"{channel.name}.{name}" for name in term.names())
     stds = tuple((1.0 / np.diagonal(term.prior_rows())).tolist())
-    return imu_rows.PathTermRow(kind=kind, signals=term.signals, parameters=names, stds=stds, unit=term.unit, **own)
+    return contract.PathTermRow(kind=kind, signals=term.signals, parameters=names, stds=stds, unit=term.unit, **own)
 
 
-def _term_row(channel: Channel, term: Map | SignalMap, triad: GyroTriad | AccelerometerTriad) -> imu_rows.ImuTermRow:
+def _term_row(channel: Channel, term: Map | SignalMap, triad: GyroTriad | AccelerometerTriad) -> contract.TermRow:
     section = getattr(triad, section_of(triad, term.name))
     if isinstance(section, Bias | ScaleFactor):
         row = _map_row(section, AXIS_NAMES[channel.axis])
@@ -314,7 +160,7 @@ def _term_row(channel: Channel, term: Map | SignalMap, triad: GyroTriad | Accele
     names = tuple(f"{channel.name}.{name}" for name in term.names())
     fields = {name: getattr(row, name) for name in MapRow.model_fields}
     fields["lag"] = None if term.late is None else term.late.lag
-    return imu_rows.ImuTermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)
+    return contract.TermRow(name=term.name, signals=signals, parameters=names, unit=term.unit, **fields)
 
 
 _KINDS = {
@@ -325,9 +171,9 @@ _KINDS = {
 }
 
 
-def _installation_row(term: model.InstallationTerm) -> imu_rows.InstallationRow:
+def _installation_row(term: model.InstallationTerm) -> contract.InstallationRow:
     harmonics = isinstance(term, model.AxisHarmonics)
-    return imu_rows.InstallationRow(
+    return contract.InstallationRow(
         kind=cast("Any", term.of if isinstance(term, model.CommonScale) else _KINDS[type(term)]),
         parameters=tuple(term.names()),
         stds=tuple(float(s) for s in term.stds),
@@ -338,65 +184,110 @@ def _installation_row(term: model.InstallationTerm) -> imu_rows.InstallationRow:
     )
 
 
-def _imu_rows(built: BuiltImu, plan: PlanSchedule) -> list[imu_rows.ImuSegmentRow]:
-    motion = built.motion
-    line, at = motion.line, segments_of(motion, built.model)
-    before, after = (np.asarray(a) for a in motion.angles())
-    attitude = np.asarray(frames(motion.geometry, before[at.first], motion.mounting[at.first]).attitude)
-    begin, lasting = np.asarray(line.start)[at.first], at.sums(np.asarray(line.duration))
-    ends = [s.start for s in plan.segments] + [plan.duration]
-    chamber = [s.temperature_start for s in plan.segments] + [plan.segments[-1].temperature_end]
-    steps = [step for step in plan.steps for _ in range(step.move.repeat)]
-    axes = [axis.name for axis in built.spec.rig.table.axis]
-    rows: list[imu_rows.ImuSegmentRow] = []
-    stands = [0] * len(axes)
+class _Course:
+    """What a plan does, segment by segment: the shape of the motion, and the chamber's temperature."""
 
-    def add(start: float, duration: float, step: PlanStep | None, k: int | None, **more: Any) -> None:
-        moving = -1 if step is None else step.axis
-        shape = {"shape": "rest"} if step is None or moving < 0 else _shape_row(step.move, float(step.move.angle))
-        if moving >= 0:
-            stands[moving] += 1
-        first = at.first[0] if k is None else at.first[k]
-        last = first if k is None else at.last[k]
-        rows.append(
-            imu_rows.ImuSegmentRow(
-                start=start,
-                duration=duration,
+    def __init__(self, plan: PlanSchedule | StandardSchedule) -> None:
+        self._plan, self._number = plan, 0
+        self._stretch = -1 if isinstance(plan, StandardSchedule) else 0
+
+    def pause(self) -> None:
+        """A segment that is not used begins."""
+        self._number, self._stretch = 0, self._stretch + 1
+
+    def move(self) -> tuple[int, dict[str, Any]]:
+        """The axis (−1: none) that the next segment moves, and its shape."""
+        plan, number = self._plan, self._number
+        self._number += 1
+        if isinstance(plan, StandardSchedule):
+            rate = float(plan.rates[number])
+            shape = {"shape": "constant", "peak_rate": rate, "angle": rate * plan.integration}
+            return (0, shape) if rate else (-1, {"shape": "rest"})
+        steps = (*plan.every_step, *plan.after)
+        # After the moves of the spec the table stands until the stretch ends.
+        if number >= plan.stretches[self._stretch].cycles * len(steps) - len(plan.after):
+            return -1, {"shape": "rest"}
+        step = steps[number % len(steps)]
+        if step.axis < 0:
+            return -1, {"shape": "rest"}
+        return step.axis, _shape_row(step.move)
+
+    def temperatures(self, begin: float, end: float) -> dict[str, Any]:
+        """The chamber's temperature (°C) at both ends of a segment (s), and its bends between them."""
+        if isinstance(self._plan, StandardSchedule):
+            at = float(self._plan.temperatures[self._stretch])
+            return {"temperature_start": at, "temperature_end": at}
+        segments = self._plan.segments
+        times = [s.start for s in segments] + [self._plan.duration]
+        chamber = [s.temperature_start for s in segments] + [segments[-1].temperature_end]
+        bends = [(t, c) for t, c in zip(times, chamber, strict=True) if begin + 1e-6 < t < end - 1e-6]
+        first, last = (float(c) for c in np.interp([begin, end], times, chamber))
+        return {"temperature_start": first, "temperature_end": last, "temperature_bends": tuple(bends) or None}
+
+
+def _rows_of_plan(built: BuiltImu) -> dict[str, Any]:
+    """The segments and the readings of a plan."""
+    motion, line, course = built.motion, built.motion.line, _Course(built.spec.schedule)
+    first = np.flatnonzero(np.diff(line.segment, prepend=line.segment[0] - 1))
+    last = np.append(first[1:], line.piece_count) - 1
+    before, after = (np.asarray(a) for a in motion.angles())
+    attitude = np.asarray(frames(motion.geometry, before[first], motion.mounting[first]).attitude)
+    start, end = np.asarray(line.start), np.asarray(line.start + line.duration)
+    axes = [axis.name for axis in built.spec.rig.table.axis]
+    segments: list[contract.SegmentRow] = []
+    stands, after_segment = [0] * len(axes), list[tuple[int, ...]]()
+
+    def add(k: int, begin: float, finish: float, moving: int, **more: Any) -> None:
+        segments.append(
+            contract.SegmentRow(
+                start=begin,
+                duration=finish - begin,
                 axis=None if moving < 0 else axes[moving],
-                angles_before=tuple(float(a) for a in before[first]),
-                angles_after=tuple(float(a) for a in (before[first] if k is None else after[last])),
-                attitude=_matrix(attitude[0 if k is None else k]),
-                mounting=int(motion.mounting[first]),
+                angles_before=tuple(before[first[k]].tolist()),
+                attitude=_matrix(attitude[k]),
+                mounting=int(motion.mounting[first[k]]),
                 standstill_ids=tuple(None if l == moving else n for l, n in enumerate(stands)),
-                **_temperatures_between(ends, chamber, start, start + duration),
-                **shape,
+                **course.temperatures(begin, finish),
                 **more,
             )
         )
 
-    if begin[0] > 0.0:
-        add(0.0, float(begin[0]), None, None, read=(), used=False)
-    number, stretch, move = 0, 0, np.asarray(line.segment)[at.first]
-    step: PlanStep | None = None
-    names = [c.name for c in built.model.channels]
-    for k in range(len(at.first)):
-        read = tuple(names[c] for c in at.row_channel[(at.row_segment == k) & at.used])
-        gap = bool(line.gap[at.first[k]])
-        if gap:
-            step, number, stretch = None, 0, stretch + 1
-        elif k == 0 or move[k] != move[k - 1]:
-            inside = number < plan.stretches[stretch].cycles * len(steps)
-            step, number = steps[number % len(steps)] if inside else None, number + 1
-        add(float(begin[k]), float(lasting[k]), step, k, read=read, used=not gap)
-    return rows
+    if start[0] > 0.0:
+        add(0, 0.0, float(start[0]), -1, shape="rest", angles_after=tuple(before[0].tolist()), used=False)
+    for k, (a, b) in enumerate(zip(first, last, strict=True)):
+        moving, shape = -1, {"shape": "rest"}
+        if used := not line.gap[b]:
+            moving, shape = course.move()
+        else:
+            course.pause()
+        if moving >= 0:
+            stands[moving] += 1
+        after_segment.append(tuple(stands))
+        add(k, float(start[a]), float(end[b]), moving, used=used, angles_after=tuple(after[b].tolist()), **shape)
+    at, names = segments_of(motion, built.model), [c.name for c in built.model.channels]
+    channels: dict[int, list[str]] = {}
+    for row, segment in zip(at.row_channel[at.used].tolist(), at.row_segment[at.used].tolist(), strict=True):
+        channels.setdefault(segment, []).append(names[row])
+    readings: list[contract.ReadingRow] = []
+    for k, own in channels.items():
+        a, b = at.first[k], at.last[k]
+        ids = after_segment[int(np.searchsorted(last, b))]
+        on_the_move = [not line.at_rest[b] and l == motion.axis[b] for l in range(len(axes))]
+        readings.append(
+            contract.ReadingRow(
+                start=float(start[a]),
+                time=float(end[b]),
+                channels=tuple(own),
+                standstill_ids=tuple(None if moves else n for n, moves in zip(ids, on_the_move, strict=True)),
+                rate=float(line.terms[b, 0]) if line.rates else None,
+            )
+        )
+    return {"segments": tuple(segments), "readings": tuple(readings)}
 
 
-# --- rows of both -----------------------------------------------------------------------------------------------------
-
-
-def _shape_row(move: Move | ResolvedMove, angle: float) -> dict[str, Any]:
+def _shape_row(move: ResolvedMove) -> dict[str, Any]:
     """The shape of a move and its parameters, by their names in the contract."""
-    row: dict[str, Any] = {"shape": move.shape, "peak_rate": float(move.peak_rate), "angle": angle}
+    row: dict[str, Any] = {"shape": move.shape, "peak_rate": float(move.peak_rate), "angle": float(move.angle)}
     if move.shape in ("cosine ramps", "linear ramps"):
         row["ramp"] = float(move.ramp)
     elif move.shape == "hand":
@@ -446,14 +337,3 @@ def _basis_row(section: TemperatureBasis | RateBasis, smooth: bool) -> BasisRow:
 def _process_rows(sections: Iterable[Any]) -> tuple[ProcessRow, ...]:
     """Drifts, or instabilities of the scale factor."""
     return tuple(ProcessRow(sigma=r.standard_deviation, tau=r.correlation_time) for r in sections)
-
-
-def _temperatures_between(times: Any, chamber: Any, begin: float, end: float) -> dict[str, Any]:
-    """The chamber's temperature (°C) at both ends of a segment (s), and its bends between them."""
-    bends = [(float(t), float(c)) for t, c in zip(times, chamber, strict=True) if begin + 1e-6 < t < end - 1e-6]
-    first, last = (float(c) for c in np.interp([begin, end], times, chamber))
-    return {"temperature_start": first, "temperature_end": last, "temperature_bends": tuple(bends) or None}
-
-
-def _harmonic_rows(angle) -> tuple[HarmonicRow, ...]:
-    return tuple(HarmonicRow(order=h.order, sigma=h.amplitude) for h in angle.harmonics)

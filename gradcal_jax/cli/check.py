@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from gradcal_jax.files import Timeline
-    from gradcal_jax.files.imu_timeline import ImuTimeline
     from gradcal_jax.files.motion_plan import PlanSchedule
     from gradcal_jax.files.moves import ResolvedMove
     from gradcal_jax.files.requirement import Requirement
@@ -61,8 +60,7 @@ def check(
         Leave out what the plan cannot observe, which takes a few seconds to compute.
     json
         Print the plan's times, notes, and what it cannot observe, as JSON; of a recipe its contents; with --timeline
-        gradcal-timeline/2: segments, readings and the sensor's model, in SI (of an IMU gradcal-unit-timeline/1, with
-        the angles of all axes and the attitude).
+        gradcal-timeline/3: segments, readings and the channels' models, in SI.
     """
     from gradcal_jax.files.memory import needed_bytes, too_large
     from gradcal_jax.files.recipe import Recipe, spec_or_recipe
@@ -334,20 +332,11 @@ def print_timeline(spec: "Spec", rows: str, *, csv: bool, json: bool) -> None:
     """Print the `rows` of a spec's timeline, "segments" or "readings": as a table, as CSV, or all as JSON."""
     if json and csv:
         raise ValueError("--json or --csv: choose one")
-    from gradcal_jax.files import Timeline
-
     use_float64()
     from gradcal_jax import api
 
     contents = api.timeline(spec)
-    if not isinstance(contents, Timeline):
-        if rows == "readings":
-            raise ValueError("for an IMU every segment lists the channels with a row in it: --timeline segments")
-        if json:
-            print(contents.model_dump_json(exclude_none=True))
-        else:
-            _as_csv(contents.segments) if csv else print(_table_of_imu(contents))
-    elif json:
+    if json:
         print(contents.model_dump_json(indent=2, exclude_none=True))
     elif csv:
         _as_csv(contents.segments if rows == "segments" else contents.readings)
@@ -371,44 +360,26 @@ def _cell(value: object) -> object:
 
 
 def _table(plan: "Timeline", rows: str) -> str:
+    axes = [f"{axis.name}, deg" for axis in plan.table]
     if rows == "segments":
-        table: list[tuple[str, ...]] = [
-            ("start", "axis", "what", "lasts", "angle, deg", "peak, deg/s", "chamber, degC")
-        ]
-        for s in plan.segments:
+        table: list[tuple[str, ...]] = [("start", "what", "lasts", *axes, "up, from the IMU", "chamber, degC")]
+        for s in plan.segments[:_MOST_PRINTED]:
+            what = s.shape if s.axis is None else f"{s.axis}: {s.shape}, {math.degrees(s.angle):+.4g} deg"
+            pairs = zip(s.angles_before, s.angles_after, strict=True)
+            angles = (_degrees(a) + (f" -> {_degrees(b)}" if a != b else "") for a, b in pairs)
+            up = " ".join(f"{round(v, 2) + 0.0:+.2f}" for v in s.attitude[2]) if s.axis is None else ""
             chamber = f"{s.temperature_start:.2f} -> {s.temperature_end:.2f}"
-            turns = (f"{math.degrees(s.angle):+.4g}", f"{math.degrees(s.peak_rate):+.4g}") if s.peak_rate else ("", "")
-            table.append((time_text(s.start), s.axis, s.shape, time_text(s.duration), *turns, chamber))
+            table.append((time_text(s.start), what, time_text(s.duration), *angles, up, chamber))
     else:
-        table = [("time, s", "axis", "kind", "standstill", "white", "common to the standstill")]
-        for r in plan.readings:
-            unit = "deg" if r.kind == "angle" else "deg/s"
-            stands = "" if r.standstill_id is None else str(r.standstill_id)
-            noise = (f"{math.degrees(e):.4g} {unit}" for e in (r.white_std, r.offset_std))
-            table.append((f"{r.time:.3f}", r.axis, r.kind, stands, *noise))
-    lines = [columns(table[: _MOST_PRINTED + 1], indent="")]
-    if len(table) > _MOST_PRINTED + 1:
-        lines.append(f"… and {len(table) - _MOST_PRINTED - 1} more: --csv or --json gives all")
-    lines.append(f"{len(plan.segments)} segments, {len(plan.readings)} readings")
-    return "\n".join(lines)
-
-
-def _table_of_imu(unit: "ImuTimeline") -> str:
-    axes = [f"{axis.name}, deg" for axis in unit.table]
-    table: list[tuple[str, ...]] = [("start", "what", "lasts", *axes, "up, from the IMU", "chamber, degC", "read")]
-    for s in unit.segments[:_MOST_PRINTED]:
-        what = s.shape if s.axis is None else f"{s.axis}: {s.shape}, {math.degrees(s.angle):+.4g} deg"
-        pairs = zip(s.angles_before, s.angles_after, strict=True)
-        angles = (_degrees(a) + (f" -> {_degrees(b)}" if a != b else "") for a, b in pairs)
-        up = " ".join(f"{round(v, 2) + 0.0:+.2f}" for v in s.attitude[2]) if s.axis is None else ""
-        chamber = f"{s.temperature_start:.2f} -> {s.temperature_end:.2f}"
-        kinds = dict.fromkeys(name.rpartition("_")[0] + "s" for name in s.read)
-        table.append((time_text(s.start), what, time_text(s.duration), *angles, up, chamber, ", ".join(kinds)))
-    lines = [columns(table, indent="")]
-    if len(unit.segments) > _MOST_PRINTED:
-        lines.append(f"… and {len(unit.segments) - _MOST_PRINTED} more: --csv or --json gives all")
-    rows = sum(len(s.read) for s in unit.segments)
-    lines.append(f"{len(unit.segments)} segments, {rows} rows of {len(unit.channels)} channels")
+        table = [("from, s", "to, s", "standstill", "read")]
+        for r in plan.readings[:_MOST_PRINTED]:
+            stands = " ".join("-" if k is None else str(k) for k in r.standstill_ids)
+            kinds = dict.fromkeys(name.rpartition("_")[0] + "s" for name in r.channels)
+            table.append((f"{r.start:.3f}", f"{r.time:.3f}", stands, ", ".join(kinds)))
+    lines, count = [columns(table, indent="")], len(plan.segments if rows == "segments" else plan.readings)
+    if count > _MOST_PRINTED:
+        lines.append(f"… and {count - _MOST_PRINTED} more: --csv or --json gives all")
+    lines.append(f"{len(plan.segments)} segments, {len(plan.readings)} readings of {len(plan.channels)} channels")
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""Contracts for other programs: gradcal-timeline/2 and gradcal-prediction/1. SI unless a name ends in its unit.
+"""Contracts for other programs: gradcal-prediction/1, rows of gradcal-timeline/3. SI unless a name ends in its unit.
 
 Other programs read them, so every number is plain. An unobservable value is null, with a warning; no value is nan or
 infinite.
@@ -113,59 +113,6 @@ class GradientSensitivityRow(Section):
     """Standard deviation (rad/K); null: flat."""
 
 
-class StartsRow(Section):
-    """How each slow error begins with the first segment whose data are used; null where the sensor has none.
-
-    "stationary": a Gauss–Markov process in its stationary state; "zero": a walk from 0; "constant": one draw that
-    stays; "prior": no noise, but a part of B's prior, where B has one: its variance is added to that of the
-    coefficients of the function that is 1 everywhere, all together.
-    """
-
-    drift: Literal["stationary"] | None = None
-    """Of each drift."""
-    rate_random_walk: Literal["zero"] | None = None
-    """Of the rate random walk."""
-    scale_factor_instability: Literal["stationary"] | None = None
-    """Of each scale-factor instability."""
-    temperature_error: Literal["stationary", "constant"] | None = None
-    """Of the temperature error."""
-    sample_clock_error: Literal["constant"] | None = None
-    """Of the clock."""
-    turn_on_bias: Literal["constant", "prior"] | None = None
-    """Of the turn-on bias."""
-
-
-class SensorRow(Section):
-    """The error model. Sensor and chamber are in equilibrium at the start of the first segment."""
-
-    quantity: Literal["gyro"] = "gyro"
-    """What the sensor measures."""
-    arw: Size
-    """Angle random walk (rad/√s)."""
-    rate_random_walk: Size = 0.0
-    """Rate random walk (rad/s/√s)."""
-    turn_on_bias: Size | None = None
-    """Standard deviation of the turn-on bias (rad/s)."""
-    drift: tuple[ProcessRow, ...] = ()
-    """Rate errors (rad/s)."""
-    scale_factor_instability: tuple[ProcessRow, ...] = ()
-    """Errors multiplied by the rate (a ratio)."""
-    thermal_lag: Size | None = None
-    """Time constant (s), first order, between the chamber and what the maps and dT/dt see."""
-    sample_clock_error: Size | None = None
-    """Standard deviation of an error multiplied by the rate (a ratio)."""
-    starts: StartsRow
-    """How each slow error begins."""
-    temperature_error: TemperatureErrorRow | None = None
-    """Error of the measured temperature."""
-    bias_temperature_gradient: GradientSensitivityRow | None = None
-    """Bias in proportion to dT/dt."""
-    bias: MapRow | None = None
-    """The map B."""
-    scale_factor: MapRow | None = None
-    """The map M."""
-
-
 class CourseRow(Section):
     """A motion, and the chamber's course meanwhile."""
 
@@ -184,54 +131,13 @@ class CourseRow(Section):
     unevenness: Size | None = None
     """For a turn by hand, as a fraction of the rate."""
     used: bool = True
-    """False if the data are not part of the calibration; a reading at its end is the new origin of the angle."""
+    """False if the data are not part of the calibration."""
     temperature_start: Finite
-    """The chamber's at the start (°C)."""
+    """The chamber's at the start (°C); where it differs from that at the end of the previous one, it steps."""
     temperature_end: Finite
     """The chamber's at the end (°C), linear in between."""
     temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
     """Points (time in s, °C) in between."""
-
-
-class SegmentRow(CourseRow):
-    """The motion of one sensor axis and the chamber's temperature from `start` for `duration`.
-
-    If a segment begins at a different temperature than the end of the previous one, the temperature steps.
-    """
-
-    axis: Axis
-    """Axis of the sensor."""
-    table_axis: Axis | None = None
-    """Axis that the table turns during this segment; null: none."""
-    read: bool
-    """Whether a reading of this axis falls into the segment, its start excepted."""
-    standstill_id: int | None = None
-    """Number of the standstill; null while the axis moves."""
-
-
-class ReadingRow(Section):
-    """One reading: an angle at a time, or the mean rate up to it."""
-
-    time: Finite
-    """When (s); of a rate, the end of the mean."""
-    kind: Literal["angle", "rate"]
-    """Angle or rate."""
-    axis: Axis
-    """Axis of the sensor."""
-    origin: bool = False
-    """Whether the angle counts from this reading on, with the angle turned before unknown."""
-    white_std: Size
-    """Standard deviation of this reading alone (rad or rad/s)."""
-    standstill_id: int | None = None
-    """Standstill or set point that it shares `offset_std` with."""
-    offset_std: Size = 0.0
-    """Standard deviation of the error common to the standstill or set point (rad or rad/s)."""
-    timing_std: Size = 0.0
-    """Standard deviation of its time (s)."""
-    duration: Size | None = None
-    """Length of a rate's mean (s)."""
-    rate: Finite | None = None
-    """Reference rate (rad/s)."""
 
 
 class HarmonicRow(Section):
@@ -241,27 +147,6 @@ class HarmonicRow(Section):
     """Periods in one turn."""
     sigma: Size
     """Standard deviation of the cosine and of the sine (rad)."""
-
-
-class Timeline(Section):
-    """gradcal-timeline/2: all inputs for another program to compute the information matrix. Axes share no errors."""
-
-    format: Literal["gradcal-timeline/2"] = "gradcal-timeline/2"
-    """Name and version of this contract."""
-    title: str | None = None
-    """Of the spec."""
-    estimator: Literal["best linear", "least squares"] = "best linear"
-    """Generalised least squares with all priors, or unweighted mean rate errors without priors."""
-    points: Literal["independent", "one run"] | None = None
-    """Standard method: whether readings share the processes of `starts` over the run, or have independent noise."""
-    sensor: SensorRow
-    """The error model."""
-    harmonics: tuple[HarmonicRow, ...] = ()
-    """Errors of the angle that repeat with it."""
-    segments: tuple[SegmentRow, ...]
-    """Motion of axes, and temperature of the chamber."""
-    readings: tuple[ReadingRow, ...]
-    """What is read."""
 
 
 class CheckRow(Section):

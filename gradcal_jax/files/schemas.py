@@ -17,8 +17,7 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "lines": ("line_protocol", "LineProtocol"),
     "registers": ("register_protocol", "RegisterProtocol"),
     "text": ("text_unit", "TextSensor"),
-    "timeline": ("contracts", "Timeline"),
-    "unit-timeline": ("imu_timeline", "ImuTimeline"),
+    "timeline": ("timeline", "Timeline"),
     "prediction": ("contracts", "Prediction"),
     "columns": ("importers", "ColumnMap"),
     "points": ("points", "PointMap"),
@@ -29,7 +28,7 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "config": ("user_config", "UserConfig"),
 }
 # Versions other than 1.
-_VERSIONS: Final[Mapping[str, str]] = {"timeline": "2", "calibration": "2"}
+_VERSIONS: Final[Mapping[str, str]] = {"timeline": "3", "calibration": "2"}
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 

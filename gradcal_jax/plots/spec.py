@@ -168,10 +168,9 @@ def draw_poses(spec: Spec, *, ax: Axes | None = None) -> tuple[Axes, PathCollect
 def draw_temperature(
     timeline: Timeline, *, label: str = "", index: int = 0, ax: Axes | None = None
 ) -> tuple[Axes, Line2D]:
-    """The chamber's temperature against time, from a `gradcal-timeline/2`."""
-    axis = timeline.segments[0].axis
+    """The chamber's temperature against time, from a `gradcal-timeline/3`."""
     points: list[tuple[float, float]] = []
-    for segment in (s for s in timeline.segments if s.axis == axis):
+    for segment in timeline.segments:
         points.append((segment.start, segment.temperature_start))
         points += segment.temperature_bends or ()
         points.append((segment.start + segment.duration, segment.temperature_end))

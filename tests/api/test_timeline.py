@@ -47,7 +47,7 @@ def test_every_reading_that_is_counted_is_in_the_timeline(rests, turns):
     spec = spec_with(rests, turns)
     written, schedule = timeline(spec), spec.gradient_schedule
     count = row_count(schedule, spec.rig.table)
-    assert sum(not r.origin for r in written.readings) == count
+    assert len(written.readings) == count
 
     def readings(move, lasts):
         if move.get("read") == "none":
@@ -61,9 +61,8 @@ def test_every_reading_that_is_counted_is_in_the_timeline(rests, turns):
     (stretch,) = schedule.stretches
     left = stretch.leftover > 0.0 if every is None else stretch.leftover // every
     assert count == stretch.cycles * own + left
-    for segment in written.segments:
-        end = segment.start + segment.duration
-        assert segment.read == any(segment.start + 1e-9 < r.time <= end + 1e-9 for r in written.readings)
+    # Every row begins where the one before it ends.
+    assert [r.start for r in written.readings[1:]] == pytest.approx([r.time for r in written.readings[:-1]], abs=1e-9)
 
 
 def test_a_rest_that_is_read_as_its_table_is_read_at_its_end_too():
@@ -76,7 +75,7 @@ def test_a_rest_that_is_read_as_its_table_is_read_at_its_end_too():
     spec = spec_of(tables)
     count = row_count(spec.schedule, spec.rig.table)
     assert count == 8 * 6  # 8 cycles of two rests and two turns, without a rest beside
-    assert sum(not r.origin for r in timeline(spec).readings) == count
+    assert len(timeline(spec).readings) == count
     steps = track_of(recipe(spec), [spec.rig.table.axis[0].name]).steps
     assert sum(len(step.read_at_s) for step in steps) == count + 1  # and the first
 
@@ -102,7 +101,8 @@ def test_unused_stretches_end_with_a_new_origin():
     moves = spec_with([{"read_every": "2 s"}, {}], temperature=None, gradient=None, programme=programme)
     written = timeline(moves)
     unused = [s for s in written.segments if not s.used]
-    origins = [r.time for r in written.readings if r.origin]
+    rows = zip(written.readings, written.readings[1:], strict=False)
+    origins = [written.readings[0].start, *(b.start for a, b in rows if b.start > a.time + 1e-6)]
     assert len(unused) == 2
     assert origins == pytest.approx([s.start + s.duration for s in unused])
     assert np.all(np.diff([s.start for s in written.segments]) > 0)
@@ -116,14 +116,14 @@ def test_standard_points_say_what_they_share_and_how_they_are_weighed():
     written = timeline(spec_of(tables))
     assert written.points == "independent"
     assert written.estimator == "least squares"
-    assert written.sensor.starts.drift == "stationary"
-    assert {r.standstill_id for r in written.readings} == set(range(36))
+    assert len(written.readings) == 36
+    assert {r.rate for r in written.readings} == set(spec_of(tables).plan.rates)
     assert sum(s.used for s in written.segments) == 36
 
 
-def test_starts_and_functions_of_priors_are_named():
+def test_processes_and_functions_of_priors_are_named():
     tables = copy.deepcopy(TABLES)
-    tables["sensor"] |= {"sample_clock_error": "5 ppm"}
+    tables["sensor"] |= {"sample_clock_error": "5 ppm", "clock": "sensor"}
     sensor = tables["sensor"]["gyro"]
     sensor |= {"rate_random_walk": "1 deg/h/sqrt(h)", "turn_on_bias": "1 deg/h"}
     sensor["temperature_error"] = {"standard_deviation": "0.1 K", "scale_factor_slope": "1 ppm/K"}
@@ -131,18 +131,17 @@ def test_starts_and_functions_of_priors_are_named():
         "rate": {"basis": "bins", "edges": ["-300 deg/s", "0 deg/s", "300 deg/s"]},
         "smoothness": "10 ppm",
     }
-    row = timeline(spec_of(tables)).sensor
-    found = row.starts.model_dump()
-    assert found == {
-        "drift": "stationary",
-        "rate_random_walk": "zero",
-        "scale_factor_instability": None,
-        "temperature_error": "constant",
-        "sample_clock_error": "constant",
-        "turn_on_bias": "constant",
-    }
-    assert row.scale_factor is not None
-    assert row.scale_factor.rate is not None
-    assert row.scale_factor.rate.prior_functions == "bins"
-    assert row.scale_factor.temperature.prior_functions == "monomial"
-    assert row.scale_factor.temperature.smoothness_functions == "monomial"
+    written = timeline(spec_of(tables))
+    (channel,) = written.channels
+    assert channel.rate_random_walk > 0.0
+    assert channel.temperature_error.tau is None
+    assert channel.sample_clock_error is None
+    assert [row.kind for row in written.installation] == ["sample_clock"]
+    (scale,) = channel.terms
+    assert scale.name == "scale_factor"
+    assert scale.rate.prior_functions == "bins"
+    assert scale.temperature.prior_functions == "monomial"
+    assert scale.temperature.smoothness_functions == "monomial"
+    # Of independent points every one has an error of the clock.
+    tables["plan"] = tomllib.loads(presets.text("paper-dynamic-standard"))["plan"]
+    assert timeline(spec_of(tables)).channels[0].sample_clock_error == pytest.approx(5e-6)

@@ -51,7 +51,7 @@ class Plan:
         used = [s for s in told.segments if s.used]
         self.begin = used[0].start
         self.end = used[-1].start + used[-1].duration
-        self.readings = np.array([r.time for r in told.readings]) - self.begin
+        self.readings = np.array([told.readings[0].start, *(r.time for r in told.readings)]) - self.begin
         self.segments = used
 
     def at(self, t):

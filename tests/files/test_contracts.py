@@ -15,7 +15,7 @@ from gradcal_jax.files.schemas import schema, schema_names
 def test_schemas_are_valid_and_closed(name):
     found = schema(name)
     jsonschema.Draft202012Validator.check_schema(found)
-    version = 2 if name in ("timeline", "calibration") else 1
+    version = {"timeline": 3, "calibration": 2}.get(name, 1)
     assert found["$id"] == f"gradcal-{name}/{version}"
     assert found["additionalProperties"] is False
     assert json.loads(json.dumps(found)) == found
@@ -36,26 +36,38 @@ def test_every_preset_satisfies_the_schema_of_specs_and_slips_do_not(name):
 
 
 TIMELINE = {
-    "format": "gradcal-timeline/2",
-    "sensor": {
-        "arw": 2.9e-5,
-        "drift": [{"sigma": 4.8e-6, "tau": 120.0}],
-        "starts": {"drift": "stationary"},
-        "scale_factor": {
-            "temperature": {
-                "basis": "polynomial", "degree": 3, "centre": 20.0, "scale": 50.0, "prior_functions": "monomial",
-            },
-            "rate": {"basis": "polynomial", "degree": 3, "centre": 0.0, "scale": 5.2, "prior_functions": "monomial"},
-            "prior": None,
-        },
-    },
+    "format": "gradcal-timeline/3",
+    "frame": "table axes",
+    "site": {"latitude": 0.8, "gravity": 9.81, "earth_rate": [0.0, 5.1e-5, 5.2e-5]},
+    "table": [
+        {"name": "x", "direction": [0.0, 0.0, 1.0], "reading_noise": 8.7e-4, "standstill_offset": 0.0}
+    ],
+    "standing": "read",
+    "mountings": [{"rotation": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]}],
+    "channels": [
+        {
+            "name": "gyro_x", "kind": "gyro", "axis": "x", "white": 2.9e-5, "drift": [{"sigma": 4.8e-6, "tau": 120.0}],
+            "terms": [
+                {
+                    "name": "scale_factor", "signals": ["rate x"], "parameters": ["gyro_x.b00"], "unit": "1",
+                    "temperature": {
+                        "basis": "polynomial", "degree": 0, "centre": 20.0, "scale": 50.0,
+                        "prior_functions": "monomial",
+                    },
+                    "prior": None,
+                }
+            ],
+        }
+    ],
+    "installation": [],
     "segments": [
         {
-            "axis": "x", "start": 0.0, "duration": 10.0, "shape": "rest", "read": True,
-            "temperature_start": -30.0, "temperature_end": -29.9, "standstill_id": 0,
+            "start": 0.0, "duration": 10.0, "shape": "rest", "temperature_start": -30.0, "temperature_end": -29.9,
+            "angles_before": [0.0], "angles_after": [0.0], "mounting": 0, "standstill_ids": [0],
+            "attitude": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]],
         },
     ],
-    "readings": [{"time": 1.0, "kind": "angle", "axis": "x", "white_std": 8.7e-4, "standstill_id": 0}],
+    "readings": [{"start": 0.0, "time": 1.0, "channels": ["gyro_x"], "standstill_ids": [0]}],
 }  # fmt: skip
 PREDICTION = {
     "format": "gradcal-prediction/1",
@@ -83,7 +95,7 @@ def test_contracts_read_validate_and_write_json(model, name, example):
     written = json.loads(found.model_dump_json())
     jsonschema.validate(written, schema(name))
     assert model.model_validate(written) == found
-    for key in ("sensor", "requirements"):
+    for key in ("channels", "requirements"):
         if key in example:
             with pytest.raises(ValueError, match="missing"):
                 model.model_validate({k: v for k, v in example.items() if k != key})

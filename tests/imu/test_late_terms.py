@@ -141,7 +141,7 @@ def test_columns_are_the_integrals_of_the_definition(lag):
 
 def test_a_timeline_and_the_names_of_the_terms():
     document = json.loads(gj.timeline(spec_with(SENSOR)).model_dump_json())
-    jsonschema.Draft202012Validator(schema("unit-timeline")).validate(document)
+    jsonschema.Draft202012Validator(schema("timeline")).validate(document)
     gyro, force = document["channels"]
     assert [(row["kind"], row["time_constant"]) for row in gyro["path"]] == [
         ("temperature difference", lag) for lag in (*LAGS, SECOND_S, LAGS[1], SECOND_S)

@@ -268,7 +268,7 @@ def test_a_plan_that_goes_on_keeps_the_state_of_the_play():
 
 def test_a_timeline_lists_the_terms_of_the_path():
     document = json.loads(gj.timeline(spec_with({"gyro": GYRO, "accelerometer": FORCE})).model_dump_json())
-    jsonschema.Draft202012Validator(schema("unit-timeline")).validate(document)
+    jsonschema.Draft202012Validator(schema("timeline")).validate(document)
     gyro, force = (channel["path"] for channel in document["channels"])
     kinds = ["hysteresis"] * 3 + ["temperature gradient", "transient"]
     assert [row["kind"] for row in gyro] == kinds

@@ -1,4 +1,5 @@
-"""The standard deviations that a plan leaves, from a timeline (gradcal-timeline/2) alone.
+"""The standard deviations that a plan of one gyro along a table's only axis leaves, from a timeline
+(gradcal-timeline/3) alone.
 
     python recompute.py timeline.json        # as `gradcal check SPEC --timeline segments --json` writes it
 
@@ -607,21 +608,64 @@ def _known(rows: np.ndarray, root: np.ndarray, reported: int) -> Known:
     return Known(spread[:reported], np.any(np.abs(unseen[:, :reported]) > 1e-7, axis=0))
 
 
+def plain(timeline: Json) -> Json:
+    """One gyro and the only axis of its table: the sensor, the axis's motion, and every reading with its errors."""
+    (channel,), (axis,) = timeline["channels"], timeline["table"]
+    terms = {term["name"]: term for term in channel["terms"]}
+    clock = [row["stds"][0] for row in timeline["installation"] if row["kind"] == "sample_clock"]
+    error = channel.get("temperature_error")
+    sensor = {key: channel[key] for key in channel.keys() - {"terms", "path", "name", "kind", "axis", "white"}} | {
+        "arw": channel["white"],
+        "thermal_lag": timeline.get("thermal_lag"),
+        "sample_clock_error": clock[0] if clock else channel.get("sample_clock_error"),
+        "bias": terms.get("bias"),
+        "scale_factor": terms.get("scale_factor"),
+    }
+    sensor["starts"] = {
+        "drift": "stationary",
+        "rate_random_walk": "zero" if channel.get("rate_random_walk") else None,
+        "scale_factor_instability": "stationary",
+        "temperature_error": error and ("stationary" if error.get("tau") else "constant"),
+        "sample_clock_error": "constant" if sensor["sample_clock_error"] else None,
+        "turn_on_bias": channel.get("turn_on_bias") and ("prior" if "bias" in terms else "constant"),
+    }
+    waves = [row for row in timeline["installation"] if row["kind"] == "harmonics"]
+    harmonics = [{"order": k, "sigma": row["stds"][2 * n]} for row in waves for n, k in enumerate(row["orders"])]
+    reading = {"axis": channel["axis"], "white_std": axis["reading_noise"]}
+    moves = [s["start"] + s["duration"] for s in timeline["segments"] if s.get("axis") is not None]
+    readings: list[Json] = []
+    for r in timeline["readings"]:
+        (stands,) = r["standstill_ids"]
+        if r.get("rate") is not None:
+            offset = timeline["rate_accuracy"] * abs(r["rate"])
+            held = {"kind": "rate", "duration": r["time"] - r["start"], "white_std": 0.0, "offset_std": offset}
+            readings.append(reading | held | {"time": r["time"], "standstill_id": len(readings)})
+            continue
+        if not readings or r["start"] > readings[-1]["time"] + 1e-9:
+            # The axis stands where a row begins that follows no other.
+            begun = sum(end <= r["start"] + 1e-6 for end in moves)
+            at_rest = {"standstill_id": begun, "offset_std": axis["standstill_offset"]}
+            readings.append(reading | at_rest | {"time": r["start"], "kind": "angle", "origin": True})
+        own = {"timing_std": axis["timing_error"]} if stands is None else {"offset_std": axis["standstill_offset"]}
+        readings.append(reading | own | {"time": r["time"], "kind": "angle", "standstill_id": stands})
+    segments = [s | {"axis": channel["axis"]} for s in timeline["segments"]]
+    found = {"sensor": sensor, "harmonics": harmonics, "segments": segments, "readings": readings}
+    return found | {"estimator": timeline["estimator"], "points": timeline.get("points")}
+
+
 def knowledge(timeline: Json) -> dict[str, Known]:
-    """What is left of B's and M's coefficients and of dB/dṪ, in the contract's order, for each axis."""
-    if timeline["format"] != "gradcal-timeline/2":
+    """What is left of B's and M's coefficients and of dB/dṪ, in the contract's order, by the name of the axis."""
+    if timeline["format"] != "gradcal-timeline/3":
         raise ValueError(f"a format that this recomputation does not know: {timeline['format']}")
+    timeline = plain(timeline)
     priors = _block_rows([rows for _, rows in Columns(timeline).priors()])
-    found: dict[str, Known] = {}
-    for axis in dict.fromkeys(r["axis"] for r in timeline["readings"]):
-        held = next(r["kind"] for r in timeline["readings"] if r["axis"] == axis) == "rate"
-        system = rates(timeline, axis) if held else angles(timeline, axis)
-        found[axis] = least_squares(system) if timeline["estimator"] == "least squares" else best_linear(system, priors)
-    return found
+    axis, kind = timeline["readings"][0]["axis"], timeline["readings"][0]["kind"]
+    system = rates(timeline, axis) if kind == "rate" else angles(timeline, axis)
+    return {axis: least_squares(system) if timeline["estimator"] == "least squares" else best_linear(system, priors)}
 
 
 def sigmas(timeline: Json) -> dict[str, list[float | None]]:
-    """Standard deviations (SI) of the reported parameters of each axis; null where the plan does not determine one."""
+    """Standard deviations (SI) of the reported parameters; null where the plan does not determine one."""
     return {axis: known.sigmas for axis, known in knowledge(timeline).items()}
 
 

@@ -1,6 +1,6 @@
-"""gradcal-unit-timeline/1: all inputs for another program to compute the covariance of an IMU. SI, °C.
+"""gradcal-timeline/3: all inputs for another program to compute the covariance of a plan. SI, °C.
 
-Every channel has one row of each segment that lists it in `read`: its own integral over the segment, in the body, less
+Every channel has one row of each reading that lists it: its own integral since the reading's `start`, in the body, less
 what is known,
 
     gyro            ∫ω̃_i dt − ∫(Rᵀω_earth)_i dt − Σ_l a_li Δθ̃_l          (rad)
@@ -34,8 +34,8 @@ class SiteRow(Section):
 
 
 class TableAxisRow(Section):
-    """A table axis, outermost first. An encoder error at each standstill has the variance standstill_offset² +
-    reading_noise²/n, with n = 1 + the whole number of `read_every` in the standstill."""
+    """A table axis, outermost first. Where it is held, its encoder error at each standstill has the variance
+    standstill_offset² + reading_noise²/n, with n = 1 + the whole number of `read_every` in the standstill."""
 
     name: str
     """Of the axis."""
@@ -45,6 +45,8 @@ class TableAxisRow(Section):
     """Standard deviation of a reading (rad)."""
     standstill_offset: rows.Size
     """Standard deviation of the error common to the readings of a standstill (rad)."""
+    timing_error: rows.Size = 0.0
+    """Standard deviation of the time of a reading on the move (s)."""
     read_every: rows.Size | None = None
     """Spacing of readings (s); absent: one reading in each standstill."""
     harmonics: tuple[rows.HarmonicRow, ...] = ()
@@ -60,7 +62,7 @@ class MountingRow(Section):
     """Matrix from the body to the innermost axis's frame."""
 
 
-class ImuTermRow(rows.MapRow):
+class TermRow(rows.MapRow):
     """One term of a channel: a function of temperature (and the channel's own rate) times the product of `signals`."""
 
     name: str
@@ -78,7 +80,7 @@ class ImuTermRow(rows.MapRow):
 
 
 class PathTermRow(Section):
-    """A function of the path of temperature times the product of `signals`, as of `ImuTermRow`. By `kind`:
+    """A function of the path of temperature times the product of `signals`, as of `TermRow`. By `kind`:
 
     "hysteresis": of the two extreme states of a play, `P = max(T − width, min(T + width, P⁻))` from P = T ± width at
     the beginning of the temperature profile, soaks included: the functions (high + low)/2 − T and
@@ -123,12 +125,17 @@ class ChannelRow(Section):
     scale_factor_instability: tuple[rows.ProcessRow, ...] = ()
     """Multiplied by the rate, or the force, along the axis."""
     turn_on_bias: rows.Size | None = None
-    """Of a run (rad/s or m/s²): adds to the prior of the bias's constant, or acts alone where no bias is estimated."""
+    """Of a run (rad/s or m/s²): adds to the prior of the bias's constant (the coefficients of the function that is 1
+    everywhere, all together), or acts alone where no bias is estimated."""
+    sample_clock_error: rows.Size | None = None
+    """Of a clock of its own, as a ratio: one draw, multiplied by the rate; absent: see "sample_clock"."""
+    unknown_earth_rate: rows.Size | None = None
+    """One draw (rad/s): the Earth's rate, where neither the site nor a bias is known."""
     temperature_error: rows.TemperatureErrorRow | None = None
     """Error of the measured temperature."""
     bias_temperature_gradient: rows.GradientSensitivityRow | None = None
     """Bias in proportion to dT/dt, estimated."""
-    terms: tuple[ImuTermRow, ...]
+    terms: tuple[TermRow, ...]
     """What is estimated."""
     path: tuple[PathTermRow, ...] = ()
     """What is estimated of the path of temperature."""
@@ -162,7 +169,7 @@ class InstallationRow(Section):
     """Of "sample_clock": whether it also affects accelerometers."""
 
 
-class ImuSegmentRow(rows.CourseRow):
+class SegmentRow(rows.CourseRow):
     """A rest, or the move of one axis."""
 
     axis: str | None = None
@@ -177,23 +184,44 @@ class ImuSegmentRow(rows.CourseRow):
     """The mounting, counted from 0."""
     standstill_ids: tuple[int | None, ...]
     """Number of each axis's standstill; null while it moves."""
-    read: tuple[str, ...]
-    """Channels with a row for it."""
 
 
-class ImuTimeline(Section):
-    """gradcal-unit-timeline/1: all inputs for another program to compute the covariance of an IMU.
+class ReadingRow(Section):
+    """The rows of one time, of the channels that have one."""
 
-    With `standing` "read" every segment ends with a reading of all axes, whose error is its standstill's draw of
-    `standstill_offset` and a draw of `reading_noise`, and a rest from reading to reading is a segment; a gyro's row has
-    each axis's mean direction times its error's change, and what stands turns the attitude by the mean of the errors at
-    both ends. Processes go on through segments that are not used.
+    start: rows.Finite
+    """Where they begin (s): the reading before, or the end of a segment that is not used, whose reading is the new
+    origin of the angle."""
+    time: rows.Finite
+    """Where they end (s)."""
+    channels: tuple[str, ...]
+    """Names of the channels."""
+    standstill_ids: tuple[int | None, ...]
+    """Number of each axis's standstill at `time`; null: it moves."""
+    rate: rows.Finite | None = None
+    """Reference rate (rad/s), where it is the reference."""
+
+
+class Timeline(Section):
+    """gradcal-timeline/3: all inputs for another program to compute the covariance of a plan.
+
+    With `standing` "held" every rest and every move is a reading, and a held axis does not turn. With "read" the error
+    of a reading is its standstill's draw of `standstill_offset` and a draw of `reading_noise` or, on the move, a draw
+    of `reading_noise` and the rate times a draw of `timing_error`; a gyro's row has each axis's mean direction times
+    its error's change, and what stands turns the attitude by the mean of the errors at both ends. A reading with a
+    `rate` has one error for all of its time, `rate_accuracy` times the rate. Processes begin with the first used
+    segment (drifts and instabilities stationary, a random walk at zero, the rest with one draw), and go on through
+    segments that are not used.
     """
 
-    format: Literal["gradcal-unit-timeline/1"] = "gradcal-unit-timeline/1"
+    format: Literal["gradcal-timeline/3"] = "gradcal-timeline/3"
     """Name and version of this contract."""
     title: str | None = None
     """Of the spec."""
+    estimator: Literal["best linear", "least squares"] = "best linear"
+    """Generalised least squares with all priors, or unweighted mean rate errors without priors."""
+    points: Literal["independent", "one run"] | None = None
+    """Standard method: whether readings share the processes over the run, or have independent noise."""
     frame: Literal["table axes", "case"]
     """The reference of the misalignments."""
     site: SiteRow
@@ -202,6 +230,8 @@ class ImuTimeline(Section):
     """Axes of the table, outermost first."""
     standing: Literal["held", "read"]
     """The model of axes at rest: see above."""
+    rate_accuracy: rows.Size = 0.0
+    """Of a held rate, as a ratio."""
     mountings: tuple[MountingRow, ...]
     """The mounting of the IMU on the innermost axis."""
     thermal_lag: rows.Size | None = None
@@ -210,5 +240,7 @@ class ImuTimeline(Section):
     """Gyros and accelerometers."""
     installation: tuple[InstallationRow, ...]
     """Errors that all channels see."""
-    segments: tuple[ImuSegmentRow, ...]
+    segments: tuple[SegmentRow, ...]
     """Motion of the table, and temperature of the chamber."""
+    readings: tuple[ReadingRow, ...]
+    """Which rows there are."""

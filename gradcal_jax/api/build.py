@@ -25,14 +25,13 @@ _CORRELATION_TIMES_A_PIECE = 3.0
 class Assembled(NamedTuple):
     """A spec of one gyro along the only axis of a table in the core's terms.
 
-    `moves`: the first moves of the schedule, with their shapes. `sources`: the indices of the model's noise processes
-    by the name of their error source. `past`: the motion before the plan begins.
+    `sources`: the indices of the model's noise processes by the name of their error source. `past`: the motion before
+    the plan begins.
     """
 
     spec: Spec
     model: SensorModel
     schedule: Schedule
-    moves: tuple[Move, ...]
     thermal_lag: float | None
     sources: dict[str, tuple[int, ...]]
     past: Past | None
@@ -65,19 +64,22 @@ def assemble(spec: Spec) -> Assembled:
     )
     harmonics = {h.order: float(h.amplitude) for h in angle.harmonics}
     channel, lag = gyro_channel(gyro, gyro.axes[0], processes, reference, harmonics=harmonics), spec.sensor.lag
-    schedule, moves = table_schedule(spec.schedule, spec)
+    schedule = table_schedule(spec.schedule, spec)
     past: Past | None = None
     for part in spec.done:
-        plan, _ = table_schedule(plan_schedule(part.plan, spec.rig), spec)
-        line = plan.trajectory(lag).between(float(part.start), float(part.end))
+        line = (
+            table_schedule(plan_schedule(part.plan, spec.rig), spec)
+            .trajectory(lag)
+            .between(float(part.start), float(part.end))
+        )
         past = Past(line if past is None else past.then(line), np.asarray(float(part.pause)))
-    return Assembled(spec, channel, schedule, moves, lag, sources, past)
+    return Assembled(spec, channel, schedule, lag, sources, past)
 
 
-def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[Schedule, tuple[Move, ...]]:
-    """The schedule of a plan as a channel sees it that every axis turns, and the moves of its cycle."""
+def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> Schedule:
+    """The schedule of a plan as a channel sees it that every axis turns."""
     if isinstance(plan, StandardSchedule):
-        return held_rates(plan), ()
+        return held_rates(plan)
     table, gyro = spec.rig.table, spec.sensor.gyro
     course, used = chamber_programme(plan)
     every = float(table.axis[0].angle.read_every) if table.standing == "read" else None
@@ -91,7 +93,7 @@ def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[S
     moves, after = (tuple(move(s.move) for s in part) for part in (plan.every_step, plan.after))
     # What no cycle fills is read once at its end, but by an operator, who types angles after turns only.
     left = None if every is None or (np.isinf(every) and not table.typed) else every
-    return trajectory.gradient_plan(course, moves, after, used=used, read_every=left), (*moves, *after)
+    return trajectory.gradient_plan(course, moves, after, used=used, read_every=left)
 
 
 def processes_of(parts: list[tuple[str, Processes]]) -> tuple[Processes, dict[str, tuple[int, ...]]]:

@@ -18,7 +18,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.api.build import Assembled
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, unweighted_estimator
 from gradcal_jax.api.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.api.verdicts import mission_weights
@@ -41,7 +40,6 @@ from gradcal_jax.model import (
     Hysteresis,
     ImuModel,
     Map,
-    SensorModel,
     SignalMap,
 )
 from gradcal_jax.trajectory import EARTH_RATE, Trajectory
@@ -217,12 +215,6 @@ def ramp_of_record(time: np.ndarray, temperature: np.ndarray) -> float:
     return float(np.sqrt(np.mean((np.diff(np.interp(at, time, temperature)) / np.diff(at)) ** 2)))
 
 
-def terms_of_axis(model: SensorModel) -> list[ChannelTerms]:
-    """The maps of one axis's model."""
-    maps = (model.bias, model.scale)
-    return [ChannelTerms("gyro", tuple((model.where(m.name), m) for m in maps if m is not None))]
-
-
 def terms_of_imu(built: BuiltImu) -> list[ChannelTerms]:
     """The maps and terms of every channel of a unit."""
     model, channels = built.model, []
@@ -269,14 +261,8 @@ def own_of_imu(built: BuiltImu, known: Posterior) -> Posterior:
     return widened(known, columns_of_imu(built))
 
 
-def columns_of_plan(built: Assembled) -> dict[str, np.ndarray]:
-    """Columns of what no residual of a plan's run shows, as far as the spec names it."""
-    figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
-    return columns_of(figures, terms_of_axis(built.model), built.model.size, ramp_of([built.trajectory()]))
-
-
 def columns_of_imu(built: BuiltImu) -> dict[str, np.ndarray]:
-    """The same of a whole unit."""
+    """Columns of what no residual of a plan's run shows, as far as the spec names it."""
     ramp = ramp_of([built.motion.line])
     figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
     return columns_of(figures, terms_of_imu(built), built.model.size, ramp)
@@ -289,13 +275,12 @@ def _without_fitted(figures: SystematicFigures, fitted: Container[Any]) -> Syste
     return figures._replace(gradient=gradient, hysteresis=hysteresis)
 
 
-def _fitted(of: SensorModel | ImuModel) -> set[Any]:
+def _fitted(of: ImuModel) -> set[Any]:
     """The kinds of channels whose sensitivity to dT/dt is estimated, and the kinds and maps whose hysteresis is."""
-    channels = [("gyro", of)] if isinstance(of, SensorModel) else [(c.kind, c.model) for c in of.channels]
-    fitted: set[Any] = {kind for kind, model in channels if model.term(TEMPERATURE_GRADIENT) is not None}
-    for kind, model in channels:
-        plays = [term for term in model.terms if isinstance(term, Hysteresis)]
-        fitted |= {(kind, SCALE_FACTOR if term.signals else BIAS) for term in plays}
+    fitted: set[Any] = {c.kind for c in of.channels if c.model.term(TEMPERATURE_GRADIENT) is not None}
+    for c in of.channels:
+        plays = [term for term in c.model.terms if isinstance(term, Hysteresis)]
+        fitted |= {(c.kind, SCALE_FACTOR if term.signals else BIAS) for term in plays}
     return fitted
 
 
@@ -319,10 +304,11 @@ def budget_of_estimate(
 _NEGLIGIBLE: Final = 1e-4
 
 
-def counted_criterion(criterion: Criterion, built: Assembled) -> Criterion:
-    """The criterion with what no residual shows and the spec names: no plan removes it, so that it is a part of the
-    variance from the beginning."""
-    more = sum(np.sum((np.asarray(criterion.rows) @ c) ** 2, axis=1) for c in columns_of_plan(built).values())
+def counted_criterion(criterion: Criterion, built: BuiltImu) -> Criterion:
+    """The criterion of a single gyro's parameters with what no residual shows and the spec names: no plan removes it,
+    so that it is a part of the variance from the beginning."""
+    rows, maps = np.asarray(criterion.rows), slice(sum(t.size for t in built.model.terms if isinstance(t, Map)))
+    more = sum(np.sum((rows[:, maps] @ c[maps]) ** 2, axis=1) for c in columns_of_imu(built).values())
     return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
 
 

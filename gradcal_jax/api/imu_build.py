@@ -469,7 +469,7 @@ def _divisions(spec: Spec, of: ImuModel, built: BuiltImu) -> tuple[object, ...]:
 def _schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[Schedule, list[int], np.ndarray]:
     """The schedule of a plan as a channel sees it that every axis turns, the axis of each of its moves (−1: a rest),
     and the axes' angles (rad) at its begin."""
-    schedule, _ = table_schedule(plan, spec)
+    schedule = table_schedule(plan, spec)
     if isinstance(plan, StandardSchedule):
         return schedule, [-1] + [0] * len(plan.rates), np.zeros(len(spec.rig.table.axis))
     return schedule, [s.axis for s in (*plan.every_step, *plan.after)], np.array(plan.start)

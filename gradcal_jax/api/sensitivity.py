@@ -281,7 +281,7 @@ class Differentiable(eqx.Module):
         return {name: xp.asarray(c(info) * self._factors[name]) for name, c in self._criteria.items()}
 
     def _planned(self, figures: Mapping[str, Any]) -> Schedule:
-        schedule, moves = self._schedule, np.array(self._moves)
+        schedule, moves = self._schedule, np.array(self._moves, dtype=int)
         for name, (field, of_moves) in _PLAN.items():
             if name in figures:
                 whole = put(field(schedule), moves, figures[name]) if of_moves else figures[name]
@@ -346,14 +346,14 @@ def differentiable(spec: Spec) -> Differentiable | DifferentiableCycle:
             raise ValueError("the table does not move, so there is no cycle to change")
         angle, rate, rest = (np.array(x, dtype=float) for x in list(zip(*plan.start.turns, strict=True))[1:])
         return DifferentiableCycle({"turns": angle, "peak rates": rate, "rests": rest}, plan)
-    built = assemble(spec)
+    built, whole = assemble(spec), build_imu(spec)
     schedule = built.schedule
     moves = np.setdiff1d(np.arange(len(schedule.duration)), schedule.fill_move)
     return Differentiable(
         _figures(built, schedule, moves),
         built.model,
         schedule,
-        {r.name: counted_criterion(criterion_of(built.model, r), built) for r in spec.requirement},
+        {r.name: counted_criterion(criterion_of(built.model, r), whole) for r in spec.requirement},
         {r.name: UNIT_OF[r.quantity][1] for r in spec.requirement},
         built.sources,
         tuple(int(k) for k in moves),

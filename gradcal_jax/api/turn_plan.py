@@ -517,7 +517,7 @@ def measure(spec: Spec) -> Measure:
     counted = [aim for aim in exact.aims if aim.counted]
     limiting = [aim for aim in exact.aims if aim.limiting]
     cases = []
-    for case in exact.cases:
+    for case, whole in zip(exact.cases, exact.builts, strict=True):
         one = case.spec
         if design.whole_turns:
             # Whole turns cancel the encoder's harmonics; while turns are not yet whole, these only disturb the search.
@@ -527,7 +527,7 @@ def measure(spec: Spec) -> Measure:
         criteria: dict[str, Any] = {}
         for r, aim in zip(spec.requirement, exact.aims, strict=False):
             if aim.counted or aim.limiting:
-                criteria[r.name] = counted_criterion(criterion_of(model, r, aim.statistic, _GRID), built)
+                criteria[r.name] = counted_criterion(criterion_of(model, r, aim.statistic, _GRID), whole)
         if design.minimise in OPTIMALITIES:
             criteria[design.minimise] = optimality(model, design.minimise)
         if design.notice is not None:

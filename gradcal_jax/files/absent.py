@@ -25,8 +25,8 @@ from gradcal_jax.files.spec_sections import Spec
 _OF_BIAS: Final = frozenset({"turn_on_bias", "bias_temperature_gradient"})
 _OF_SCALE_FACTOR: Final = frozenset({"sample_clock_error", "scale_factor_instability"})
 _OF_RAMPS: Final = frozenset({"thermal_lag", "bias_temperature_gradient", "temperature_lag"})
-# Terms of the rig that a whole unit has in the place of one axis's.
-_OF_UNIT_TABLES: Final = ("tilt", "azimuth")
+# Terms of the table itself: of one axis the first, of any other IMU the others.
+_OF_TABLE: Final = frozenset({"rate_accuracy", "tilt", "azimuth"})
 EARTH: Final = "rig.site.latitude"
 EARTH_IS_UNKNOWN: Final = (
     "the Earth's rate along the axis is not stated, so up to 15.04 deg/h count in the bias: give [rig.site] "
@@ -99,29 +99,41 @@ def _fourth_power_of_rates(spec: Spec) -> float:
 
 def absent_terms(spec: Spec) -> list[AbsentTerm]:
     """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
-    return list(_of_axis(spec) if spec.is_one_axis else _of_imu(spec))
+    return list(_absent(spec))
 
 
-def _of_axis(spec: Spec) -> Iterator[AbsentTerm]:
-    sensor, grade = spec.sensor, sensor_grade(spec.sensor).name
-    gyro = sensor.gyro
-    assert gyro is not None
-    of_sensor, of_table = terms_of("sensor", grade), terms_of("table", table_grade(spec).name)
-    matters = _matters_of_sensor(gyro, sensor.clock, spec.plan)
-    own = [_of_clock(_of_the_maps(term, gyro), sensor) for term in of_sensor if term.key in matters]
-    matters = _matters_of_table(spec, gyro)
-    of_table = [t for t in of_table if t.key in matters]
-    of_angle = _below("angle.", of_table)
+def _absent(spec: Spec) -> Iterator[AbsentTerm]:
+    sensor, table, site, alone = spec.sensor, spec.rig.table, spec.rig.site, spec.is_one_axis
+    gyro, force, keys = sensor.gyro, sensor.accelerometer, _keys_of_axis(spec) if alone else _keys_of_imu(spec)
+    terms = [t for t in terms_of("sensor", sensor_grade(sensor).name) if t.key in keys]
+    every = terms_of("table", table_grade(spec).name)
+    of_table = [t for t in every if t.key in keys]
     common = set(type(sensor).model_fields)
-    yield from _unnamed(sensor, "sensor", [t for t in own if t.key in common])
-    yield from _unnamed(gyro, "sensor.gyro", [t for t in own if t.key not in common])
+    yield from _unnamed(sensor, "sensor", [_of_clock(t, sensor) for t in terms if t.key in common])
+    if gyro is not None:
+        own = [_of_the_maps(t, gyro) for t in terms if t.key not in common]
+        for term in _unnamed(gyro, "sensor.gyro", own):
+            # Beside other channels a sensitivity to dT/dt is a figure, and no parameter.
+            figure = not alone and term.key.endswith("gradient")
+            yield term._replace(value=term.value["prior"]) if figure else term
+        if (arm := absent_lever_arm(spec)) is not None:
+            yield arm
+    if force is not None:
+        of_force = terms_of("accelerometer", accelerometer_grade(sensor).name)
+        yield from _unnamed(force, "sensor.accelerometer", of_force)
+        of_site = [t for t in every if t.key == "gravity_accuracy"]
+        yield from _unnamed(site, "rig.site", of_site if site.gravity is not None else [_NORMAL_GRAVITY])
     yield from _of_branches(spec)
     for term in of_table:
         if term.key == "mounting_accuracy":
-            yield from _unhung(spec.rig.table, term)
-    yield from _unnamed(spec.rig.table, "rig.table", [t for t in of_table if t.key == "rate_accuracy"])
-    yield from _unnamed(spec.rig.table.axis[0].angle, "rig.table.axis[0].angle", of_angle)
-    if spec.rig.site.latitude is None:
+            yield from _unhung(table, term)
+    yield from _unnamed(table, "rig.table", [t for t in of_table if t.key in _OF_TABLE])
+    for k, axis in enumerate(table.axis):
+        if k < len(table.axis) - 1:
+            yield from _unnamed(axis, f"rig.table.axis[{k}]", [t for t in every if t.key == "orthogonality"])
+        if alone or not table.by_gravity:
+            yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", _below("angle.", of_table))
+    if alone and site.latitude is None:
         reason = "the Earth turns at 15.04 deg/h, and the direction of the axis is not stated"
         yield AbsentTerm(EARTH, "unknown", reason)
 
@@ -132,38 +144,6 @@ def _unhung(table: RigTable, term: AbsentTerm) -> Iterator[AbsentTerm]:
         yield term._replace(key="rig.table.mounting", value=[{"accuracy": term.value}])
     else:
         yield from _unnamed(table.mounting[0], "rig.table.mounting[0]", [term._replace(key="accuracy")])
-
-
-def _of_imu(spec: Spec) -> Iterator[AbsentTerm]:
-    sensor, table, site = spec.sensor, spec.rig.table, spec.rig.site
-    terms = terms_of("sensor", sensor_grade(sensor).name)
-    of_table = terms_of("table", table_grade(spec).name)
-    gyro, force = sensor.gyro, sensor.accelerometer
-    scaled = gyro is not None and gyro.scale_factor is not None
-    common = {"temperature_offset", "temperature_lag"}
-    if (scaled or (force is not None and force.velocity_increments)) and sensor.clock != "host":
-        common.add("sample_clock_error")
-    yield from _unnamed(sensor, "sensor", [_of_clock(t, sensor) for t in terms if t.key in common])
-    if gyro is not None:
-        own = {"drift", "rate_random_walk", "turn_on_bias", "bias_temperature_gradient"}
-        own |= {"scale_factor_instability"} if scaled else set[str]()
-        for term in _unnamed(gyro, "sensor.gyro", [t for t in terms if t.key in own]):
-            yield term._replace(value=term.value["prior"] if term.key.endswith("gradient") else term.value)
-        if (arm := absent_lever_arm(spec)) is not None:
-            yield arm
-    if force is not None:
-        terms = terms_of("accelerometer", accelerometer_grade(sensor).name)
-        yield from _unnamed(force, "sensor.accelerometer", terms)
-        of_site = [t for t in of_table if t.key == "gravity_accuracy"]
-        yield from _unnamed(site, "rig.site", of_site if site.gravity is not None else [_NORMAL_GRAVITY])
-    yield from _of_branches(spec)
-    yield from _unnamed(table, "rig.table", [t for t in of_table if t.key in _OF_UNIT_TABLES])
-    within = [t for t in _below("angle.", of_table) if t.key != "timing_error" and (scaled or t.key != "scale_error")]
-    for k, axis in enumerate(table.axis):
-        if k < len(table.axis) - 1:
-            yield from _unnamed(axis, f"rig.table.axis[{k}]", [t for t in of_table if t.key == "orthogonality"])
-        if not table.by_gravity:
-            yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", within)
 
 
 _OF_BRANCHES: Final = {
@@ -331,32 +311,41 @@ def typical_g_sensitivity(grade: str) -> str:
     return _row("sensor", grade)["g_sensitivity"]["value"]
 
 
-def _matters_of_sensor(gyro: GyroTriad, clock: str | None, plan: object) -> set[str]:
-    left_out: set[str] = set()
-    if gyro.bias is None:
-        left_out |= _OF_BIAS - {"turn_on_bias"}
-    if gyro.scale_factor is None:
-        left_out |= _OF_SCALE_FACTOR
-    if clock == "host":
-        left_out.add("sample_clock_error")
-    if isinstance(plan, StandardPlan):
-        left_out |= _OF_RAMPS
-    return {term.key for term in terms_of("sensor", grades()[0])} - left_out
-
-
-def _matters_of_table(spec: Spec, gyro: GyroTriad) -> set[str]:
-    plan = spec.plan
+def _keys_of_axis(spec: Spec) -> set[str]:
+    """The terms that affect the plan of a gyro along the only axis of a table."""
+    gyro, plan = spec.sensor.gyro, spec.plan
+    assert gyro is not None
+    without = set(_OF_BIAS) - {"turn_on_bias"} if gyro.bias is None else set[str]()
+    without |= _OF_SCALE_FACTOR if gyro.scale_factor is None else set()
+    without |= {"sample_clock_error"} if spec.sensor.clock == "host" else set()
+    without |= _OF_RAMPS if isinstance(plan, StandardPlan) else set()
+    keys = {term.key for term in terms_of("sensor", grades()[0])} - without
     mounting = set[str]() if gyro.scale_factor is None else {"mounting_accuracy"}
     if isinstance(plan, StandardPlan):
-        return {"rate_accuracy", *mounting} if any(float(rate) for rate in plan.rates or ()) else set()
+        return keys | ({"rate_accuracy", *mounting} if any(float(rate) for rate in plan.rates or ()) else set())
     moves = [step.move for step in spec.gradient_schedule.steps]
     if not moves:
         # A standing axis is read at one angle: only errors that change between readings have an effect.
-        return {"angle.reading_noise"}
-    matters = {"angle.reading_noise", "angle.standstill_offset", "angle.harmonics", *mounting}
-    matters |= {"angle.scale_error"} if mounting else set()
+        return keys | {"angle.reading_noise"}
+    keys |= {"angle.reading_noise", "angle.standstill_offset", "angle.harmonics", *mounting}
+    keys |= {"angle.scale_error"} if mounting else set()
     on_the_move = any(move.read_every is not None and not move.is_rest for move in moves)
-    return matters | ({"angle.timing_error"} if on_the_move else set())
+    return keys | ({"angle.timing_error"} if on_the_move else set())
+
+
+def _keys_of_imu(spec: Spec) -> set[str]:
+    """The same of any other IMU, but for accelerometers."""
+    gyro, force = spec.sensor.gyro, spec.sensor.accelerometer
+    keys = {"temperature_offset", "temperature_lag", "drift", "rate_random_walk", "turn_on_bias"}
+    keys |= {"bias_temperature_gradient", "tilt", "azimuth"}
+    keys |= {t.key for t in terms_of("table", _table()["table"][0]["grade"]) if t.key.startswith("angle.")}
+    keys -= {"angle.timing_error"}
+    if gyro is not None and gyro.scale_factor is not None:
+        keys |= {"scale_factor_instability", "sample_clock_error"}
+    else:
+        keys -= {"angle.scale_error"}
+        keys |= {"sample_clock_error"} if force is not None and force.velocity_increments else set()
+    return keys - ({"sample_clock_error"} if spec.sensor.clock == "host" else set())
 
 
 def _of_the_maps(term: AbsentTerm, sensor: GyroTriad) -> AbsentTerm:

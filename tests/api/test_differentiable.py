@@ -87,6 +87,12 @@ def test_a_plan_is_moved_as_its_file_would(spec, residual, slopes):
     assert along == pytest.approx((at(1e-6) - at(-1e-6)) / 2e-6, rel=1e-4)
 
 
+def test_a_plan_without_turns_is_a_function_of_the_chambers_course():
+    spec = parse_spec(gj.presets.text("paper-static-gradient"))
+    (row,) = predict(spec).requirements
+    assert gj.differentiable(spec)({})[row.name] == pytest.approx(row.decisive, rel=1e-13)
+
+
 def test_many_at_once_are_one_after_the_other(residual):
     rates = residual.quantities["peak rates"] * np.linspace(0.7, 1.0, 5)[:, None]
     together = jax.jit(jax.vmap(lambda r: residual({"peak rates": r})["full range"]))(jnp.asarray(rates))

@@ -305,21 +305,16 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
     _BOUNDS = "{low:g} to {high:g} degC, the limits in the protocol of {device}. Change the plan."
 
     @abstractmethod
-    def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None: ...
+    def _tell_shown(self, name: str, value: float, *, ramps: bool = False) -> float:
+        """Send a command's value, in the device's unit, until the device shows it; returns the value shown. `ramps`:
+        what is in force moves towards it."""
 
     @abstractmethod
-    def _resolution_k(self) -> float: ...
+    def _step_of(self, command: str) -> float:
+        """The resolution of a command's value, in the device's unit; 0: any."""
 
-    @abstractmethod
-    def _tell_ramp(self, rate: float) -> float:
-        """Send a ramp's rate, in the device's unit, until the device shows it; returns the rate shown."""
-
-    @abstractmethod
-    def _ramp_step(self) -> float: ...
-
-    @abstractmethod
-    def _free_ramp(self) -> None:
-        """Remove the ramp, which otherwise stays in force, also for the next user of the panel."""
+    def _resolution_k(self) -> float:
+        return float(self._config.described.limits.resolution)
 
     def limits(self) -> ChamberLimits:
         known, ends = self._config.described.limits, self._read("lowest", "highest")
@@ -329,8 +324,9 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
         )
         slowest = 0.0 if known.slowest is None else float(known.slowest) * 60.0
         fastest = math.inf if known.fastest is None else float(known.fastest) * 60.0
-        ramps = "ramp" in self._config.described.tell
-        return ChamberLimits(lowest, highest, self._resolution_k(), ramps, slowest, fastest, self._ramp_step())
+        ramps, unit = "ramp" in self._config.described.tell, self._config.described.units.ramp
+        step = units.convert(self._step_of("ramp"), unit, "K/min") if ramps else 0.0
+        return ChamberLimits(lowest, highest, self._resolution_k(), ramps, slowest, fastest, step)
 
     def read(self) -> ChamberReading:
         states = self._asks_of("conditioning", "alarm", "program")
@@ -362,7 +358,7 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
             # A ramp begins at the set point: set it to the temperature of the air.
             self.hold(min(max(now.air_c, limits.lowest_c), limits.highest_c))
         unit = self._config.described.units.ramp
-        shown = self._tell_ramp(units.convert(rate_k_per_min, "K/min", unit))
+        shown = self._tell_shown("ramp", units.convert(rate_k_per_min, "K/min", unit))
         self._go_to(temperature_c, ramps=True)
         self._condition(True)
         return units.convert(shown, unit, "K/min")
@@ -372,6 +368,18 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
             raise Rejected(f"{self._title} cannot be put into standby: its description has no [tell] off.")
         self._condition(False)
         self._free_ramp()
+
+    def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
+        unit = self._config.described.units.temperature
+        self._tell_shown("setpoint", units.convert(temperature_c, "degC", unit), ramps=ramps)
+
+    def _free_ramp(self) -> None:
+        """Remove the ramp, which otherwise stays in force, also for the next user of the panel."""
+        tell, free = self._config.described.tell, self._config.described.limits.free_ramp
+        if "no_ramp" in tell:
+            self._switch("no_ramp", "ramps", False)
+        elif "ramp" in tell and free is not None:
+            self._tell_shown("ramp", free)
 
     def _condition(self, on: bool) -> None:
         if "on" in self._config.described.tell:

@@ -183,8 +183,8 @@ class _Spoken(DescribedDevice[LinesConfig]):
                 f"{self._title} acknowledged {text!r} by {received!r}, which is the reply to a different command."
             )
 
-    def _tell_shown(self, name: str, values: Mapping[str, float], shown_by: tuple[str, ...]) -> Texts:
-        """Send a value until the device shows it; returns the value shown."""
+    def _until_shown(self, name: str, values: Mapping[str, float], *shown_by: str) -> Texts:
+        """Send a command's value until the device shows it in these fields; returns them."""
         (value,) = {text for send in self._protocol.tell[name].send for text in formatted(send, values)[1].values()}
         return self._verify(
             f"{name} {value}",
@@ -195,31 +195,20 @@ class _Spoken(DescribedDevice[LinesConfig]):
 
 
 class LinesChamber(_Spoken, DescribedChamber[LinesConfig]):
-    def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
-        value = {"setpoint": units.convert(temperature_c, "degC", self._protocol.units.temperature)}
-        self._tell_shown("setpoint", value, ("target" if "target" in self._protocol.fields else "setpoint",))
+    def _tell_shown(self, name: str, value: float, *, ramps: bool = False) -> float:
+        target = ("target" if "target" in self._protocol.fields else "setpoint",)
+        shown_by = target if name == "setpoint" else self._protocol.tell[name].shown_by
+        return float(self._until_shown(name, {name: value}, *shown_by)[shown_by[0]])
 
-    def _resolution_k(self) -> float:
-        return float(self._protocol.limits.resolution)
-
-    def _tell_ramp(self, rate: float) -> float:
-        shown_by = self._protocol.tell["ramp"].shown_by
-        return float(self._tell_shown("ramp", {"ramp": rate}, shown_by)[shown_by[0]])
+    def _step_of(self, command: str) -> float:
+        text = formatted(self._protocol.tell[command].send[0], {command: 1.0})[1][command]
+        return 10.0 ** -len(text.partition(".")[2])
 
     def _free_ramp(self) -> None:
-        free, command = self._protocol.limits.free_ramp, self._protocol.tell.get("ramp")
-        if command is None or free is None:
-            return
-        shown = self._read(*command.shown_by)
-        if not all(shows(str(free), shown[part]) for part in command.shown_by):
-            self._tell_shown("ramp", {"ramp": free}, command.shown_by)
-
-    def _ramp_step(self) -> float:
-        command = self._protocol.tell.get("ramp")
-        if command is None:
-            return 0.0
-        decimals = len(formatted(command.send[0], {"ramp": 1.0})[1]["ramp"].partition(".")[2])
-        return units.convert(10.0**-decimals, self._protocol.units.ramp, "K/min")
+        shown_by = self._protocol.tell["ramp"].shown_by if "ramp" in self._protocol.tell else ()
+        shown = self._read(*shown_by)
+        if not all(shows(str(self._protocol.limits.free_ramp), shown[part]) for part in shown_by):
+            super()._free_ramp()
 
 
 class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
@@ -306,7 +295,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
             far = units.to_unit(float(self._protocol.limits.spin_angle), self._protocol.units.angle)
             values["way"] = math.copysign(far, signed)
         if shown_by:
-            self._tell_shown("spin", values, shown_by)
+            self._until_shown("spin", values, *shown_by)
             return
         what = f"The rate {rate_dps:g} deg/s"
         self._verify(what, lambda: self._tell("spin", values), self.read, lambda reading: reading.moving)
@@ -363,7 +352,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         return self._read(*shown_by)[shown_by[0]]
 
     def _set(self, name: str, value: str) -> None:
-        self._tell_shown(name, {name: float(value)}, self._protocol.tell[name].shown_by)
+        self._until_shown(name, {name: float(value)}, *self._protocol.tell[name].shown_by)
 
     def _stop_if_moving(self) -> None:
         if self.read().moving:

@@ -16,7 +16,6 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ... import units
 from ...files.register_protocol import RegisterProtocol, register_protocol_of
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded
@@ -75,26 +74,11 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
             written[register] = self._write(name, register, number, register if by_itself else shown_in or register)
         return written
 
-    def _go_to(self, temperature_c: float, *, ramps: bool = False) -> None:
-        value = units.convert(temperature_c, "degC", self._protocol.units.temperature)
-        # What is in force moves while a ramp runs.
-        self._tell("setpoint", {"setpoint": value}, by_itself=ramps)
+    def _tell_shown(self, name: str, value: float, *, ramps: bool = False) -> float:
+        return float(self._tell(name, {name: value}, by_itself=ramps)[self._register_of(name)])
 
     def _resolution_k(self) -> float:
-        return self._step_of("setpoint") or float(self._protocol.limits.resolution)
-
-    def _tell_ramp(self, rate: float) -> float:
-        return float(self._tell("ramp", {"ramp": rate})[self._register_of("ramp")])
-
-    def _ramp_step(self) -> float:
-        step = self._step_of("ramp") if "ramp" in self._protocol.tell else 0.0
-        return units.convert(step, self._protocol.units.ramp, "K/min")
-
-    def _free_ramp(self) -> None:
-        if "no_ramp" in self._protocol.tell:
-            self._switch("no_ramp", "ramps", False)
-        elif "ramp" in self._protocol.tell and (free := self._protocol.limits.free_ramp) is not None:
-            self._tell("ramp", {"ramp": free})
+        return self._step_of("setpoint") or super()._resolution_k()
 
     def _make_ready(self) -> None:
         super()._make_ready()
@@ -120,7 +104,6 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
         return next(name for name, written in self._protocol.tell[command].items() if written == f"{{{command}}}")
 
     def _step_of(self, command: str) -> float:
-        """The resolution of a command's value; 0: that of a float."""
         name = self._register_of(command)
         return 0.0 if self._protocol.registers[name].type == "float32" else 10.0 ** -self._decimals(name)
 

@@ -11,7 +11,7 @@ from gradcal_jax.files import spec as specs
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.hardware.simulate.draws import draw_table
-from gradcal_jax.hardware.simulate.imu import ErrorTerm, ImuTruth, SimulatedImu
+from gradcal_jax.hardware.simulate.imu import ImuTruth, SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 
 COLD, WARM, LASTING_S = -20.0, 60.0, 4800.0
@@ -106,7 +106,7 @@ def on_branches(truth: ImuTruth) -> np.ndarray:
     """`(2, n, 3)`: the true bias at `AT` on a heating and on a cooling leg at 2 K/min, rad/s."""
     triad = truth.triads["gyro"]
     # The map's, and what a discrepancy says that it lacks.
-    biases = [error for error in triad.errors if isinstance(error, ErrorTerm) and error.factors == "one"]
+    biases = [error for error in triad.errors if error.factors == "one" and not error.differs]
     none = np.zeros((len(AT), 3))
     both, course = [], np.arange(COLDEST, WARMEST, 2.0 / 60.0)
     loops = [loop.begin(COLDEST) for loop in triad.loops]

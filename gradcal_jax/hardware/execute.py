@@ -39,8 +39,7 @@ from .run_folder import (
 )
 from .runner import Runner
 from .setup import Bench, configs_of, open_rig
-from .simulate.devices import RATES_HZ
-from .simulate.lab import SimulatedLab
+from .simulate.lab import RATES_HZ, SimulatedLab
 from .supervision import Knows, RunProgress, RunResult, RunState, StatusFile, sound_alarm
 from .track import track_of
 from .transport import Terminal

@@ -599,8 +599,8 @@ def test_rehearsed_units_send_what_the_data_sheet_says(rate_hz: float) -> None:
     """The simulator's one kind of datagram is that of the peer which has all kinds."""
     from simulated_devices.datagrams import datagrams
 
-    from gradcal_jax.hardware.simulate.devices import datagrams as rehearsed
     from gradcal_jax.hardware.simulate.imu import SensorSamples
+    from gradcal_jax.hardware.simulate.lab import datagrams as rehearsed
 
     random, count = np.random.default_rng(5), 300
     rates, forces = 600.0 * random.standard_normal((count, 3)), 9.0 * random.standard_normal((count, 3))

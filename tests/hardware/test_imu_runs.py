@@ -29,7 +29,7 @@ from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
-from gradcal_jax.hardware.simulate.devices import SimulatedPerson
+from gradcal_jax.hardware.simulate.lab import SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.hardware.track import AxisCommand, track_of
 

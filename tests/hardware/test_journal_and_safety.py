@@ -30,7 +30,7 @@ from gradcal_jax.hardware.journal import (
 )
 from gradcal_jax.hardware.roles import AxisLimits
 from gradcal_jax.hardware.setup import Bench, open_rig
-from gradcal_jax.hardware.simulate.devices import SimulatedAxis, SimulatedChamber
+from gradcal_jax.hardware.simulate.lab import SimulatedAxis, SimulatedChamber
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 
 # --- journal ----------------------------------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ from gradcal_jax.hardware.journal import Chunk, read_journal
 from gradcal_jax.hardware.roles import AxisLimits, AxisSafe, ChamberLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.simulate.devices import SimulatedHand, SimulatedPerson
+from gradcal_jax.hardware.simulate.lab import SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, track_of
 from gradcal_jax.hardware.transport import Terminal

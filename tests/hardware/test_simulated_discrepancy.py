@@ -6,7 +6,7 @@ import pytest
 import gradcal_jax as gj
 from gradcal_jax.files import presets
 from gradcal_jax.hardware.simulate.draws import draw_truth
-from gradcal_jax.hardware.simulate.imu import ErrorTerm, ScaleFactors
+from gradcal_jax.hardware.simulate.imu import TruthBasis
 
 OF_BIAS = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"}
 SPEC = gj.changed(gj.parse_spec(presets.text("paper-dynamic-gradient")), {"sensor.gyro.bias": {"temperature": OF_BIAS}})
@@ -20,13 +20,9 @@ HIDDEN = {
 def drawn(spec, count=200):
     """The hidden scale factors and biases of many devices, along x."""
     triads = [draw_truth(spec, seed, 0).triads["gyro"].errors for seed in range(count)]
-    scales = [e.values[0] for errors in triads for e in errors if isinstance(e, ScaleFactors) and _of(e, "temperature")]
-    biases = [e.values[0, 0] for errors in triads for e in errors if isinstance(e, ErrorTerm) and _of(e, "basis")]
-    return np.array(scales), np.array(biases)
-
-
-def _of(error, name) -> bool:
-    return getattr(error, name).kind == "legendre"
+    beyond = [error for errors in triads for error in errors if error.basis.kind == "legendre"]
+    scales = [error.values[0].T for error in beyond if isinstance(error.factors, TruthBasis)]
+    return np.array(scales), np.array([error.values[0, 0] for error in beyond if error.factors == "one"])
 
 
 def test_functions_beyond_the_maps_have_the_size_that_the_spec_says():

@@ -12,7 +12,7 @@ from gradcal_jax.hardware.drivers.operator import OperatorAxis, OperatorConfig
 from gradcal_jax.hardware.drivers.switch import SwitchAxis, SwitchConfig, open_exchange
 from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
 from gradcal_jax.hardware.roles import AxisLimits, AxisSafe
-from gradcal_jax.hardware.simulate.devices import SimulatedAxis, SimulatedHand, SimulatedPerson
+from gradcal_jax.hardware.simulate.lab import SimulatedAxis, SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 
 TOLD = AxisLimits(300.0, 400.0, None, None, 0.01, hardware_watchdog=False, told=True)

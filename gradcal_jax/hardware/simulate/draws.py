@@ -6,7 +6,7 @@ seed draws, too.
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -18,22 +18,7 @@ from ...files.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureEr
 from ...files.spec_sections import Spec
 from ...units import to_unit
 from ..pose import turn_by
-from .imu import (
-    LAWS,
-    DifferenceTruth,
-    ErrorTerm,
-    ImuTruth,
-    Kind,
-    Law,
-    LoopTruth,
-    Matrix,
-    Process,
-    ScaleFactors,
-    TableTruth,
-    TriadTruth,
-    TruthBasis,
-    Vectors,
-)
+from .imu import LAWS, ErrorTerm, ImuTruth, Kind, Law, LoopTruth, Process, TableTruth, TriadTruth, TruthBasis, Vectors
 from .plants import AxisTruth
 
 # A plan may use all of its allowed travel: the cable's hard end is this far beyond.
@@ -108,7 +93,7 @@ class _Draws:
         self.values: dict[str, float] = {}
 
     def triad(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> TriadTruth:
-        errors: list[ErrorTerm | ScaleFactors] = []
+        errors: list[ErrorTerm] = []
         for name, typical, factors, symbols in _ERRORS[kind]:
             section: Any = getattr(triad, name)
             if section is not None:
@@ -137,15 +122,14 @@ class _Draws:
                     self.values[name] += float(values[row, 0, 0])
         return ErrorTerm(values, TruthBasis(), "one")
 
-    def _gradient(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> tuple[float, float, float]:
+    def _gradient(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> tuple[float, ...]:
         if triad.bias_temperature_gradient is None:
             return (0.0, 0.0, 0.0)
         typical = _TYPICAL_GRADIENT[kind] if triad.gradient_sensitivity is not None else 0.0
-        x, y, z = (triad.gradient_std or typical) * self.random.standard_normal(3)
+        values = (triad.gradient_std or typical) * self.random.standard_normal(3)
         if triad.gradient_sensitivity is not None:
-            named = zip(_XYZ, (x, y, z), strict=True)
-            self.values |= {f"{kind}_{a}.{_GRADIENT}": float(v) for a, v in named if a in triad.axes}
-        return float(x), float(y), float(z)
+            self.values |= _named(kind, _GRADIENT, values, triad.axes)
+        return tuple(values.tolist())
 
     def _term(
         self, kind: Kind, section: Any, size: float, factors: str, symbols: list[list[str]], axes: tuple[str, ...]
@@ -164,7 +148,7 @@ class _Draws:
                 values[row, column, power] = 0.0
         return ErrorTerm(values, basis, factors, float(section.lag or 0.0))
 
-    def _scale_factors(self, section: Any, size: float, axes: tuple[str, ...]) -> ScaleFactors:
+    def _scale_factors(self, section: Any, size: float, axes: tuple[str, ...]) -> ErrorTerm:
         of_t, of_w = basis_truth(section.temperature), basis_truth(section.rate, "deg/s")
         values = size * self.random.standard_normal((3, section.temperature.size, section.rate.size))
         powers = of_t.kind == of_w.kind == "polynomial" and max(values.shape[1:]) <= 10
@@ -172,7 +156,11 @@ class _Draws:
             symbol = f"b{j}{i}" if powers else f"b{ordinal(of_w, j)}_{ordinal(of_t, i)}"
             if _XYZ[row] in axes:
                 self.values[f"gyro_{_XYZ[row]}.{symbol}"] = float(values[row, i, j])
-        return ScaleFactors(values, of_t, of_w, float(section.lag or 0.0))
+        return ErrorTerm(values.transpose(0, 2, 1), of_t, of_w, float(section.lag or 0.0))
+
+
+def _named(kind: Kind, name: str, values: Vectors, axes: Sequence[str]) -> dict[str, float]:
+    return {f"{kind}_{a}.{name}": float(v) for a, v in zip(_XYZ, values, strict=True) if a in axes}
 
 
 def _draw_path(spec: Spec, kind: Kind, truth: TriadTruth, random: np.random.Generator, law: Law | None) -> TriadTruth:
@@ -187,45 +175,40 @@ def _draw_path(spec: Spec, kind: Kind, truth: TriadTruth, random: np.random.Gene
         for one in of_rig:
             size: Vectors = float(one.size(kind, quantity) or 0.0) * random.standard_normal(3)
             times = float(one.time_constants[0]), float(one.time_constants[1])
-            at = one.law, _three(size), float(one.width), int(random.integers(1 << 31))
+            at = one.law, tuple(size.tolist()), float(one.width), int(random.integers(1 << 31))
             loops.append(LoopTruth(*at, quantity == "scale_factor", times))
         if len(sizes) and not of_rig:
             width = float(np.average([float(p.width) for p in plays], weights=sizes))
             size = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
-            loops.append(LoopTruth(own, _three(size), width, int(random.integers(1 << 31)), quantity == "scale_factor"))
+            at = own, tuple(size.tolist()), width, int(random.integers(1 << 31))
+            loops.append(LoopTruth(*at, quantity == "scale_factor"))
     transients = tuple(
-        (_three(float(t.prior or 0.0) * random.standard_normal(3)), float(t.time_constant))
+        (tuple((float(t.prior or 0.0) * random.standard_normal(3)).tolist()), float(t.time_constant))
         for t in triad.turn_on_transient
     )
     return replace(truth, loops=tuple(loops), transients=transients)
 
 
-def _draw_hidden(triad: Any, random: np.random.Generator) -> tuple[ErrorTerm | ScaleFactors, ...]:
+def _draw_hidden(triad: Any, random: np.random.Generator) -> Iterator[ErrorTerm]:
     """Structure beyond a triad's maps, of the size of its discrepancies: Legendre polynomials of higher degrees."""
-    found: list[ErrorTerm | ScaleFactors] = []
-    bias: Any = triad.bias
-    scale: Any = getattr(triad, "scale_factor", None)
-    if (of := getattr(bias, "discrepancy", None)) is not None:
-        values = float(of.standard_deviation) * random.standard_normal((3, 1, of.temperature_degree + 1))
-        values[..., : bias.temperature.size] = 0.0
-        basis = replace(basis_truth(bias.temperature), kind="legendre", degree=of.temperature_degree)
-        found.append(ErrorTerm(values, basis, "one", float(bias.lag or 0.0)))
-    if (of := getattr(scale, "discrepancy", None)) is not None:
-        sizes = of.temperature_degree + 1, of.rate_degree + 1
-        values = float(of.standard_deviation) * random.standard_normal((3, *sizes))
-        values[:, : scale.temperature.size, : scale.rate.size] = 0.0
-        of_t = replace(basis_truth(scale.temperature), kind="legendre", degree=of.temperature_degree)
-        of_w = replace(basis_truth(scale.rate, "deg/s"), kind="legendre", degree=of.rate_degree)
-        found.append(ScaleFactors(values, of_t, of_w, float(scale.lag or 0.0)))
-    return tuple(found)
+    sections: Any = ((triad.bias, False), (getattr(triad, "scale_factor", None), True))
+    for section, of_input in sections:
+        if (of := getattr(section, "discrepancy", None)) is not None:
+            count, known = (of.rate_degree + 1, section.rate.size) if of_input else (1, 1)
+            values = float(of.standard_deviation) * random.standard_normal((3, of.temperature_degree + 1, count))
+            values[:, : section.temperature.size, :known] = 0.0
+            basis = replace(basis_truth(section.temperature), kind="legendre", degree=of.temperature_degree)
+            factors = "one"
+            if of_input:
+                factors = replace(basis_truth(section.rate, "deg/s"), kind="legendre", degree=of.rate_degree)
+            yield ErrorTerm(values.transpose(0, 2, 1), basis, factors, float(section.lag or 0.0))
 
 
 def _draw_differences(
     sensor: Sensor, kind: Kind, second_lag_s: float, random: np.random.Generator, names: dict[str, float]
-) -> tuple[DifferenceTruth, ...]:
+) -> Iterator[ErrorTerm]:
     """Errors of three sensors by masses that follow the temperature late; `names`: their names and values, added to."""
     triad: Any = getattr(sensor, kind)
-    result: list[DifferenceTruth] = []
     for head in ("", "scale_factor_"):
         late = [
             (f"{head}{_LATE}_{float(of.time_constant):g}s", of, _uncertain_lag(of, random))
@@ -233,22 +216,17 @@ def _draw_differences(
         ]
         second = getattr(triad, f"{head}{_DIFFERENCE}")
         for name, of, lag_s in [*late, *([] if second is None else [(f"{head}{_DIFFERENCE}", second, second_lag_s)])]:
-            values: Vectors = float(of.prior) * random.standard_normal(3)
-            names |= {f"{kind}_{a}.{name}": float(v) for a, v in zip(_XYZ, values, strict=True) if a in triad.axes}
+            values = float(of.prior) * random.standard_normal(3)
+            names |= _named(kind, name, values, triad.axes)
             # A mass that is behind by τ dT/dt is cooler where that is positive.
-            gain = 1.0 if of is second else -1.0 / lag_s
-            result.append(DifferenceTruth(_three(gain * values), lag_s, bool(head)))
-    return tuple(result)
+            slopes = np.outer(values * (1.0 if of is second else -1.0 / lag_s), [0.0, 1.0])[:, None, :]
+            yield ErrorTerm(slopes, TruthBasis(degree=1), "own" if head else "one", lag_s, differs=True)
 
 
 def _uncertain_lag(of: Any, random: np.random.Generator) -> float:
     """The time constant, s: by a triangular distribution of its uncertainty, which ends before zero."""
     apart = min(6.0**0.5 * float(of.time_constant_uncertainty or 0.0), 0.9 * float(of.time_constant))
     return float(of.time_constant) + (apart * float(random.triangular(-1.0, 0.0, 1.0)) if apart else 0.0)
-
-
-def _three(values: Vectors) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
 
 
 def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> ImuTruth:
@@ -264,9 +242,8 @@ def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> Im
         second_lag_s = float(second.lag) * (1.0 + _LAG_SPREAD * float(random.uniform(-1.0, 1.0)))
     for kind, truth in triads.items():
         differences = _draw_differences(sensor, kind, second_lag_s, random, draws.values)
-        errors = *truth.errors, *_draw_hidden(both[kind], hidden)
-        walked = _draw_path(spec, kind, truth, path, law)
-        triads[kind] = replace(walked, errors=errors, differences=differences)
+        errors = *truth.errors, *_draw_hidden(both[kind], hidden), *differences
+        triads[kind] = replace(_draw_path(spec, kind, truth, path, law), errors=errors)
     lever = _LEVER_M * draws.random.standard_normal(3)
     clock = 0.0
     if sensor.sample_clock_error:
@@ -337,7 +314,7 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
             )
         )
     in_case = _in_case(spec)
-    mountings: list[Matrix] = []
+    mountings: list[Vectors] = []
     for number, mounting in enumerate(table.mounting, start=1):
         size = float(mounting.accuracy) if in_case else 0.0
         off = [draw(size, f"mounting{number}_{axis}") for axis in _XYZ]

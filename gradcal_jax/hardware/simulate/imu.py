@@ -55,7 +55,7 @@ class LoopTruth:
     `times_s`: time constants of two masses."""
 
     law: Law
-    size: tuple[float, float, float]
+    size: tuple[float, ...]
     width_k: float
     seed: int
     of_input: bool = False
@@ -272,7 +272,6 @@ EARTH_RATE = 7.292115e-5
 _STANDARD_GRAVITY = 9.80665  # m/s² in the g of SensorSamples
 # Parts of a sample: the attitude is that at the middle of each, and rates are exact means.
 _PARTS = 3
-Matrix = NDArray[np.float64]
 Kind = Literal["gyro", "accelerometer"]
 
 FACTORS: Final[Mapping[str, Callable[[Vectors, Vectors], NDArray[np.float64]]]] = {
@@ -292,63 +291,38 @@ sensor axis, or the same for all. The products are xy, xz and yz."""
 
 @dataclass(frozen=True)
 class ErrorTerm:
-    """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis;
-    `lag_s`: of the mass whose temperature it follows."""
+    """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis.
+    `factors`: a name of `FACTORS`, or the functions of the rate (deg/s) of M(T, ω). `lag_s`: of the mass whose
+    temperature it follows; `differs`: by how much that is warmer than the sensor."""
 
     values: NDArray[np.float64]
     basis: TruthBasis
-    factors: str
+    factors: str | TruthBasis
     lag_s: float = 0.0
+    differs: bool = False
 
     def __call__(self, own: Vectors, force: Vectors, temperature_c: NDArray[np.float64]) -> Vectors:
         coefficients = np.einsum("nt,akt->nak", self.basis(temperature_c), self.values)
-        factors = np.broadcast_to(FACTORS[self.factors](own, force), coefficients.shape)
+        if isinstance(self.factors, TruthBasis):
+            factors = self.factors(np.degrees(own).ravel()).reshape(*own.shape, -1) * own[..., None]
+        else:
+            factors = np.broadcast_to(FACTORS[self.factors](own, force), coefficients.shape)
         return np.einsum("nak,nak->na", coefficients, factors)
-
-
-@dataclass(frozen=True)
-class ScaleFactors:
-    """M(T, ω), `values` `(3, nT, nω)`, of gyros; ω in deg/s in its basis; `lag_s`: as of `ErrorTerm`."""
-
-    values: NDArray[np.float64]
-    temperature: TruthBasis
-    rate: TruthBasis
-    lag_s: float = 0.0
-
-    def __call__(self, own: Vectors, force: Vectors, temperature_c: NDArray[np.float64]) -> Vectors:
-        of_rate = self.rate(np.degrees(own).ravel()).reshape(*own.shape, -1)
-        return np.einsum("nt,naw,atw->na", self.temperature(temperature_c), of_rate, self.values) * own
-
-
-@dataclass(frozen=True)
-class DifferenceTruth:
-    """Errors of three sensors, `values`, for each K that a mass with the time constant `lag_s` is warmer; `of_input`:
-    they multiply the input."""
-
-    values: tuple[float, float, float]
-    lag_s: float
-    of_input: bool = False
 
 
 @dataclass(frozen=True)
 class TriadTruth:
     """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s;
     `gradient`: of the output for each K/s. `loops` over the temperature; `transients`: values at power-on of three
-    sensors, and time constant (s); `differences` of temperature."""
+    sensors, and time constant (s)."""
 
-    errors: tuple[ErrorTerm | ScaleFactors, ...]
+    errors: tuple[ErrorTerm, ...]
     white: float
     walk: float = 0.0
     drifts: tuple[Process, ...] = ()
-    gradient: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gradient: tuple[float, ...] = (0.0, 0.0, 0.0)
     loops: tuple[LoopTruth, ...] = ()
-    transients: tuple[tuple[tuple[float, float, float], float], ...] = ()
-    differences: tuple[DifferenceTruth, ...] = ()
-
-    @property
-    def lags_s(self) -> set[float]:
-        """Of the masses that it follows."""
-        return {of.lag_s for of in (*self.errors, *self.differences) if of.lag_s}
+    transients: tuple[tuple[tuple[float, ...], float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -361,7 +335,7 @@ class TableTruth:
     gravity: float
     base: tuple[float, float, float] = (0.0, 0.0, 0.0)
     orthogonality: tuple[float, ...] = ()
-    mountings: tuple[Matrix, ...] = (np.eye(3),)
+    mountings: tuple[Vectors, ...] = (np.eye(3),)
     earth_rate: float = EARTH_RATE
 
 
@@ -372,8 +346,8 @@ class ImuTruth:
     second thermometer measures; 0: none."""
 
     triads: Mapping[Kind, TriadTruth]
-    lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    gyro_lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lever: tuple[float, ...] = (0.0, 0.0, 0.0)
+    gyro_lever: tuple[float, ...] = (0.0, 0.0, 0.0)
     clock_error: float = 0.0
     names: dict[str, float] = field(default_factory=dict[str, float])
     second_lag_s: float = 0.0
@@ -403,7 +377,8 @@ class SimulatedImu(SampledSensor):
         self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
         self._drifts = {kind: Drifts(triad.drifts, self._random) for kind, triad in truth.triads.items()}
         self._loops: dict[Kind, list[tuple[LoopTruth, Loop]]] = {}
-        self._lags_s = {lag for triad in truth.triads.values() for lag in triad.lags_s} | {truth.second_lag_s} - {0.0}
+        self._lags_s = {error.lag_s for triad in truth.triads.values() for error in triad.errors}
+        self._lags_s = (self._lags_s | {truth.second_lag_s}) - {0.0}
         self._masses: dict[float, Mass] = {}
         self._power_on_s = start_s
         self.restart(start_s, sample_rate_hz)
@@ -427,16 +402,13 @@ class SimulatedImu(SampledSensor):
             mean = own.reshape(count, _PARTS, 3).mean(axis=1)
             sensed = own
             for error in triad.errors:
-                sensed = sensed + error(own, felt, late[error.lag_s])
+                followed = late[error.lag_s] - temperature if error.differs else late[error.lag_s]
+                sensed = sensed + error(own, felt, followed)
             output[kind] = sensed.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
             if any(triad.gradient):
                 change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
                 output[kind] = output[kind] + change[:, None] * np.array(triad.gradient)
             output[kind] = output[kind] + self._of_path(kind, triad, middles, mean, ends[1:] - 0.5 * self.true_period_s)
-            for of in triad.differences:
-                apart = (late[of.lag_s] - temperature).reshape(count, _PARTS).mean(axis=1)
-                driven = apart[:, None] * (mean if of.of_input else 1.0)
-                output[kind] = output[kind] + driven * np.array(of.values)
         lag_s = self.truth.second_lag_s
         second = late[lag_s].reshape(count, _PARTS).mean(axis=1) if lag_s else None
         outputs = np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY

@@ -5,29 +5,304 @@ attitudes of base and axes, harmonics of the encoders, the mountings. The accele
 axes and sense it. With the frame "table axes" the mounting has no error, by definition of the frame. Where the spec's
 table is driven by hand, a person turns it, and types its angles where the plan does not read the axes at rest; else an
 encoder is read. Where gravity is the reference nothing is read, and axes stop some degrees off. The operator hangs the
-devices anew where there are several mountings; at the places of a fixture sits one each. The devices are STIM300. What
-a `discrepancy` says that the maps lack is drawn, too.
+devices anew where there are several mountings; at the places of a fixture sits one each. What a `discrepancy` says that
+the maps lack is drawn, too.
+
+The devices have the methods of their roles and no lines. They wait on the run's clock alone, so that a run in virtual
+time takes as long as its computation. A unit gives the raw bytes of a STIM300, which go into the journal and are
+decoded from it as a real one's. The tests run every driver against devices that answer byte for byte.
 """
 
-from dataclasses import replace
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...files.bench import TableAxis
 from ...files.rig import RigFile, rig_of
 from ...files.spec_sections import Spec
 from ...files.tracks import read_at_rest, tracks_of
 from ...units import to_unit
+from .. import roles
+from ..checksums import crc32_mpeg2_of_rows
 from ..clock import Clock
+from ..drivers.base import AxisDriver, AxisOptions, ChamberDriver
 from ..drivers.operator import OperatorAxis, OperatorConfig
-from ..drivers.stim300 import Stim300Config
-from ..roles import AxisLimits
+from ..drivers.stim300 import Stim300Config, Stim300Decoder, decoder_of
 from ..setup import Bench
-from .devices import RATES_HZ, SimulatedAxis, SimulatedChamber, SimulatedHand, SimulatedPerson, SimulatedStream
 from .draws import draw_places, draw_table, draw_truth
-from .imu import SimulatedImu
+from .imu import SampledSensor, SensorSamples, SimulatedImu
 from .plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom
+
+RATES_HZ: Final = (125.0, 250.0, 500.0, 1000.0, 2000.0)
+# Identifier of rates, forces and temperatures, and the bytes that its CRC includes and the line does not.
+_IDENTIFIER: Final = 0xA5
+_UNSENT: Final = 2
+_LATENCY_US: Final = 506
+
+
+def datagrams(samples: SensorSamples, first: int, rate_hz: float) -> NDArray[np.uint8]:
+    """A row for each sample, of which `first` is the number since the unit began; of a range of 10 g."""
+    count = samples.time_s.shape[0]
+    none = np.zeros((count, 1), np.uint8)
+    gyro = samples.rate_dps * 2.0**14
+    second = samples.temperature_c if samples.second_c is None else samples.second_c
+    gyros, forces = (_int16(of) for of in (samples.temperature_c, second))
+    number: NDArray[np.int64] = first + np.arange(count, dtype=np.int64)
+    counter = ((number + 1) * round(2000.0 / rate_hz) % 256).astype(np.uint8)[:, None]
+    latency = np.tile(np.frombuffer(_LATENCY_US.to_bytes(2, "big"), np.uint8), (count, 1))
+    parts = [
+        none + np.uint8(_IDENTIFIER),
+        _int24(gyro),
+        _overload(gyro),
+        _int24(samples.acceleration_g * 2.0**19),
+        none,
+    ]
+    bodies = np.concatenate([*parts, gyros, none, forces, none, counter, latency], axis=1)
+    crc = crc32_mpeg2_of_rows(np.hstack([bodies, np.zeros((count, _UNSENT), np.uint8)]))
+    return np.hstack([bodies, crc.astype(">u4")[:, None].view(np.uint8)])
+
+
+def _int16(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """(n,) temperatures -> (n, 6) bytes of three channels of them."""
+    raw = np.clip(np.rint(values * 256.0), -32768, 32767).astype(">i2")
+    return np.ascontiguousarray(np.repeat(raw[:, None], 3, axis=1)).view(np.uint8).reshape(-1, 6)
+
+
+def _int24(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """(n, 3) numbers -> (n, 9) big-endian bytes of the nearest 24-bit integers, clipped to the range."""
+    # A sensor that the unit lacks has no number: zero.
+    whole = np.clip(np.rint(np.nan_to_num(values)), -(2**23), 2**23 - 1).astype(">i4")
+    return np.ascontiguousarray(whole).view(np.uint8).reshape(-1, 3, 4)[:, :, 1:].reshape(-1, 9)
+
+
+def _overload(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Status bit 4 and the channel's bit where a value is beyond the 24 bits."""
+    beyond = np.abs(values) >= 2**23 - 1
+    bits = (beyond * np.array([1, 2, 4])).sum(axis=1)
+    return np.where(bits, 0x10 | bits, 0).astype(np.uint8)[:, None]
+
+
+_HANG: Final = re.compile(r"mount the IMUs as follows: mounting (\d+)")
+_TURN: Final = re.compile(r"([\w-]+): turn (?:by \S+ deg in (\S+) s, )?to (\S+) deg")
+_ZERO: Final = re.compile(r"([\w-]+): bring it to its zero mark")
+_HOME_S, _HANGS_S, _HOMES_AT_DPS = 5.0, 120.0, 30.0
+# Where a motor without feedback stops, about its goal (standard deviation), deg.
+_STOPS_OFF_DEG = 5.0
+_RANGES: Final = "400,400,400,10,10,10,1.7,1.7,1.7,NA"
+
+
+class SimulatedChamber(ChamberDriver[ChamberPlant]):
+    """Role `TemperatureChamber`, on a plant: from `lowest_c` to `highest_c`, ramps of any rate."""
+
+    _BOUNDS = "{low:g} to {high:g} degC, the limits of the {device}."
+
+    def __init__(self, plant: ChamberPlant, clock: Clock, lowest_c: float, highest_c: float) -> None:
+        self.plant, self._clock, self._title = plant, clock, "simulated chamber"
+        self._limits = roles.ChamberLimits(lowest_c, highest_c, 0.1, hardware_ramp=True)
+        self.alarms: tuple[str, ...] = ()
+
+    def identify(self) -> roles.Identity:
+        return roles.Identity("simulated", "chamber")
+
+    def limits(self) -> roles.ChamberLimits:
+        return self._limits
+
+    def read(self) -> roles.ChamberReading:
+        now, plant = self._clock.now(), self.plant
+        mode, air_c = "CONSTANT" if plant.conditioning else "STANDBY", round(plant.air_c(now), 1)
+        return roles.ChamberReading(now, air_c, None, plant.set_point_c(now), mode, plant.conditioning, self.alarms)
+
+    def hold(self, temperature_c: float) -> None:
+        self._check(temperature_c)
+        now = self._clock.now()
+        self.plant.command(now, target_c=round(temperature_c, 1))
+        self.plant.switch(now, True)
+
+    def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
+        self._check(temperature_c)
+        now, plant = self._clock.now(), self.plant
+        if not plant.conditioning or abs(plant.set_point_c(now) - plant.air_c(now)) >= 2.0:
+            plant.move_set_point(now, plant.air_c(now))
+        plant.command(now, target_c=round(temperature_c, 1), gradient_k_per_min=rate_k_per_min)
+        plant.switch(now, True)
+        return rate_k_per_min
+
+    def standby(self) -> None:
+        self.plant.switch(self._clock.now(), False)
+
+
+class SimulatedAxis(AxisDriver[AxisOptions]):
+    def __init__(self, plant: AxisPlant, clock: Clock, limits: roles.AxisLimits) -> None:
+        self.plant, self._clock, self._title, self._limits = plant, clock, "The simulated axis", limits
+        self.settings = roles.KeptSettings()
+        self._referenced = False
+        self._off_deg, self._random = 0.0, np.random.default_rng([plant.truth.seed, 5])
+        self._acceleration_dps2 = limits.max_acceleration_dps2
+
+    def identify(self) -> roles.Identity:
+        return roles.Identity("simulated", "axis")
+
+    def limits(self) -> roles.AxisLimits:
+        return self._limits
+
+    def read(self) -> roles.AxisReading:
+        now = self._clock.now()
+        angle, rate = self._on_grid(self.plant.reading(now)), self.plant.state(now)[1]
+        angle -= self._off_deg
+        return roles.AxisReading(now, angle, rate, self.plant.moving(now), self._referenced, (), ())
+
+    def home(self) -> None:
+        now = self._clock.now()
+        angle, _ = self.plant.state(now)
+        away = (angle + 180.0) % 360.0 - 180.0
+        self.plant.move_to(now, angle - away, _HOMES_AT_DPS, self._acceleration_dps2)
+        self._clock.sleep(abs(away) / _HOMES_AT_DPS + 1.0)
+        self.plant.set_zero(self._clock.now())
+        self._referenced, self._off_deg = True, 0.0
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        self._require(position_deg, rate_dps, acceleration_dps2)
+        if self._limits.told:
+            # A motor that is switched on and off stops anywhere near, and nothing shows where.
+            self._off_deg = _STOPS_OFF_DEG * float(self._random.standard_normal())
+        goal_deg = self._on_grid(position_deg) + self._off_deg
+        self.plant.move_to(self._clock.now(), goal_deg, rate_dps, acceleration_dps2)
+
+    def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
+        self._require(0.0, abs(rate_dps), acceleration_dps2)
+        self.plant.spin(self._clock.now(), rate_dps, acceleration_dps2)
+
+    def stop(self) -> None:
+        self.plant.spin(self._clock.now(), 0.0, self._acceleration_dps2)
+        self._clock.sleep_until(self.plant.ends_s)
+
+    def safe(self, policy: roles.AxisSafe) -> roles.SafeReport:
+        self.stop()
+        return self._left_safe(policy, "", self.read)
+
+    def _on_grid(self, angle_deg: float) -> float:
+        step = self._limits.resolution_deg
+        return step * round(angle_deg / step)
+
+    def _require(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        limits = self._limits
+        self._require_travel(position_deg, limits.travel_deg)
+        self._require_motion(rate_dps, limits.max_rate_dps, acceleration_dps2, limits.max_acceleration_dps2)
+        self._acceleration_dps2 = acceleration_dps2
+
+    def _per_turn(self) -> float:
+        return 360.0
+
+
+@dataclass(frozen=True)
+class SimulatedHand:
+    """How a person turns axes: reacts after a while, turns unevenly, misses the mark a little, and reads the dial, to
+    its digits, when the axis stands."""
+
+    seed: int = 0
+    reaction_s: float = 1.5
+    reading_s: float = 2.0
+    miss_deg: float = 0.3
+    pace_spread: float = 0.1
+    unevenness: float = 0.3
+    digits: int = 3
+
+
+class SimulatedPerson:
+    """Role `OperatorAsked`, for `drivers.operator`: turns axes, by name, on their plants as the questions say, types
+    angles, and hangs the units anew by `hang` with the number of the mounting."""
+
+    def __init__(
+        self,
+        clock: Clock,
+        plants: Mapping[str, AxisPlant],
+        hand: SimulatedHand,
+        hang: Callable[[int], None] | None = None,
+    ) -> None:
+        self.hand, self._clock, self._plants, self._hang = hand, clock, plants, hang
+        self._random = np.random.default_rng([hand.seed, 4])
+        self._answers_s, self._mounting, self._axis, self._types = math.inf, 0, "", True
+
+    def ask(self, question: str) -> None:
+        hand, random, now = self.hand, self._random, self._clock.now()
+        if hung := _HANG.search(question):
+            self._mounting, self._answers_s = int(hung[1]), now + _HANGS_S
+            return
+        # A doubted answer is given again in the same way: "press Enter again", "type it again".
+        self._types = "Enter" not in question
+        if turn := _TURN.search(question):
+            begins_s = now + hand.reaction_s * float(random.lognormal(0.0, 0.3))
+            pace = max(0.5, 1.0 + hand.pace_spread * float(random.standard_normal()))
+            planned_s = _HOME_S if turn[2] is None else float(turn[2])
+            self._turn(turn[1], float(turn[3]), begins_s, planned_s * pace)
+        elif zero := _ZERO.search(question):
+            # At the zero mark the angle becomes zero, without whole turns.
+            plant = self._plants[zero[1]]
+            angle, _ = plant.state(now)
+            plant.set_zero(now, angle - 360.0 * round(angle / 360.0))
+            self._turn(zero[1], 0.0, now + hand.reaction_s, _HOME_S)
+        else:
+            self._answers_s = now + hand.reading_s
+
+    def ring(self) -> None:
+        """It is late, and turns no faster."""
+
+    def answer(self) -> tuple[str, float] | None:
+        at_s = self._answers_s
+        if self._clock.now() < at_s:
+            return None
+        self._answers_s = math.inf
+        if self._mounting and self._hang is not None:
+            self._hang(self._mounting)
+        if self._mounting or not self._types:
+            self._mounting = 0
+            return "", at_s
+        return f"{self._plants[self._axis].reading(at_s) % 360.0:.{self.hand.digits}f} deg", at_s
+
+    def withdraw(self, why: str) -> None:
+        self._answers_s, self._mounting = math.inf, 0
+
+    def _turn(self, name: str, goal_deg: float, begins_s: float, lasts_s: float) -> None:
+        miss = self.hand.miss_deg * float(self._random.standard_normal())
+        self._plants[name].turn_by_hand(begins_s, goal_deg + miss, lasts_s, self.hand.unevenness)
+        self._axis, self._answers_s = name, begins_s + lasts_s + self.hand.reading_s
+
+
+class SimulatedStream:
+    """Role `ImuStream`: a STIM300 whose bytes reach the computer every `burst_s`."""
+
+    def __init__(self, sensor: SampledSensor, clock: Clock, config: Stim300Config, burst_s: float, serial: str) -> None:
+        self.sensor, self._clock, self._config, self._burst_s = sensor, clock, config, burst_s
+        self.serial = serial
+        self.settings = roles.KeptSettings()
+        self._registers = {"irng": _RANGES, "it": f"{config.baudrate},1,N,1,0,0"}
+
+    def identify(self) -> roles.Identity:
+        return roles.Identity("stim300", "simulated", self.serial)
+
+    def configure(self) -> roles.ImuSettings:
+        return roles.ImuSettings(self._config.sample_rate_hz, self._registers)
+
+    def start(self) -> None:
+        self.sensor.restart(self._clock.now(), self._config.sample_rate_hz)
+
+    def stop(self) -> None: ...
+
+    def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
+        ahead = max(1, round(self._burst_s / self.sensor.true_period_s))
+        self._clock.sleep_until(self.sensor.next_time_s(ahead))
+        now = self._clock.now()
+        first, samples = self.sensor.taken, self.sensor.take(self.sensor.due(now))
+        return datagrams(samples, first, self._config.sample_rate_hz).tobytes(), now
+
+    def decoder(self) -> Stim300Decoder:
+        return decoder_of(self._config, self._registers)
+
 
 # Bits/s. 2000 datagrams/s of rates, forces and temperatures leave no margin on the usual line.
 _BAUDRATE: Final = 921_600
@@ -151,8 +426,8 @@ class SimulatedLab:
             unit.mounting = number - 1
 
 
-def _limits_of(says: TableAxis, *, told: bool) -> AxisLimits:
+def _limits_of(says: TableAxis, *, told: bool) -> roles.AxisLimits:
     rate, acceleration = to_unit(float(says.max_rate), "deg/s"), to_unit(float(says.max_acceleration), "deg/s^2")
     travel = float(np.degrees(float(says.travel)))
     lowest, highest = (None, None) if np.isinf(travel) else (-travel, travel)
-    return AxisLimits(rate, acceleration, lowest, highest, _AXIS_STEP_DEG, hardware_watchdog=False, told=told)
+    return roles.AxisLimits(rate, acceleration, lowest, highest, _AXIS_STEP_DEG, hardware_watchdog=False, told=told)

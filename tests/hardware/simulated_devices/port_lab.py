@@ -15,7 +15,7 @@ from gradcal_jax.files.rig import rig_of
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate import lab
-from gradcal_jax.hardware.simulate.devices import RATES_HZ
+from gradcal_jax.hardware.simulate.lab import RATES_HZ
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 
 

@@ -17,8 +17,8 @@ from simulated_devices.datagrams import datagrams
 
 from gradcal_jax.hardware.checksums import crc8_stim300, crc32_mpeg2
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.simulate.devices import RATES_HZ
 from gradcal_jax.hardware.simulate.imu import SampledSensor, SensorSamples
+from gradcal_jax.hardware.simulate.lab import RATES_HZ
 
 
 @dataclass

@@ -52,19 +52,13 @@ class AxisControl:
         *,
         keep_track: bool = False,
     ) -> None:
-        self._axes = axes
-        self._clock = clock
-        self._event = event
-        self._latest_s = latest_s
-        self._keep_track = keep_track
-        self._draw = draw
+        self._axes, self._clock, self._event = axes, clock, event
+        self._latest_s, self._keep_track, self._draw = latest_s, keep_track, draw
         self._goal_deg: dict[str, float] = {}
-        # Moves that end by themselves: the time of the next reading; of turns by hand the planned end.
+        # Moves that end by themselves: the time of the next reading.
         self._turning: dict[str, float] = {}
-        self._planned_end_s: dict[str, float] = {}
-        self._spinning: set[str] = set()
         self._by_hand: set[str] = set()
-        # Commanded: the rate now, the rate before and until when that is still allowed, and ends of turns.
+        # Commanded: the rate now, the rate before and until when that is still allowed, and when turns are to end.
         self._asked_dps: dict[str, float] = {}
         self._asked_at_s: dict[str, float] = {}
         self._easing: dict[str, tuple[float, float]] = {}
@@ -75,6 +69,7 @@ class AxisControl:
         # An axis is left to its search for the reference: nothing else is asked of it.
         self._searching: set[str] = set()
         self._homing: dict[str, float] = {}
+        # Constant rates, and when they are reached.
         self._spins: dict[str, tuple[float, float]] = {}
         self._off_rate: dict[str, int] = {}
         # Axes of which the recipe takes a reading as soon as they stand.
@@ -110,7 +105,7 @@ class AxisControl:
 
     @property
     def turned_by_hand(self) -> bool:
-        return bool(self._planned_end_s)
+        return not self._by_hand.isdisjoint(self._due_end_s)
 
     @property
     def by_hand(self) -> bool:
@@ -140,10 +135,9 @@ class AxisControl:
         name = move.axis
         if (late_s := self._clock.now() - due_s) > self._latest_s:
             self.amiss.append(f"a {move.kind} of axis {name} began {late_s:.1f} s late")
-        if move.kind in ("go", "turn") and (name in self._turning or name in self._spinning):
-            if name in self._spinning:
+        if move.kind in ("go", "turn") and (name in self._turning or name in self._spins):
+            if self._spins.pop(name, None):
                 self._axes[name].stop()
-                self._spinning.discard(name)
             self.settle(name, meanwhile)
         for other in sorted(self._turning.keys() - {name}):
             self.settle(other, meanwhile)
@@ -169,7 +163,7 @@ class AxisControl:
         """
         now = self._clock.now()
         for name in self._axes:
-            under_way = name in self._turning or name in self._spinning
+            under_way = name in self._turning or name in self._spins
             last = self.newest.get(name)
             every_s = _WATCH_MOVING_S if under_way else _WATCH_STANDING_S
             left_alone = name in self._searching or self._limits_of(name).by_hand
@@ -230,7 +224,7 @@ class AxisControl:
             self._clock.sleep(_POLL_BY_HAND_S if name in self._by_hand else _POLL_S)
 
     def end_spins(self, step: str, at_s: float) -> None:
-        for name in sorted(self._spinning):
+        for name in sorted(self._spins):
             self._command(step, AxisCommand(at_s, name, "stop"))
 
     def stop(self) -> None:
@@ -238,13 +232,8 @@ class AxisControl:
             axis.stop()
             self._asks(name, 0.0)
             self._event("stopped", at_once=False, axis=name)
-        self._spinning.clear()
-        self._turning.clear()
-        self._planned_end_s.clear()
-        self._due_end_s.clear()
-        self._ends_s.clear()
-        self._spins.clear()
-        self.amiss.clear()
+        for under_way in (self._turning, self._due_end_s, self._ends_s, self._spins, self.amiss):
+            under_way.clear()
 
     def _stands_at(self, name: str, goal_deg: float) -> bool:
         """Whether an axis is near enough to a goal: no error for a motor, a tolerance for turns by hand."""
@@ -257,10 +246,8 @@ class AxisControl:
         axis, name = self._axes[move.axis], move.axis
         self._awaited.discard(name)
         self._asks(name, abs(move.rate_dps), move.acceleration_dps2)
-        self._due_end_s.pop(name, None)
-        self._ends_s.pop(name, None)
-        self._stands.pop(name, None)
-        self._spins.pop(name, None)
+        for before in (self._due_end_s, self._ends_s, self._stands, self._spins):
+            before.pop(name, None)
         began = self._clock.now()
         if move.kind in ("go", "turn"):
             turned = self._goal_deg.get(name, 0.0) + move.angle_deg
@@ -269,25 +256,22 @@ class AxisControl:
                 axis.draw(self._draw({**self._goal_deg, name: goal}))
             axis.move_to(goal, move.rate_dps, move.acceleration_dps2)
             self._goal_deg[name] = goal
-            self._spinning.discard(name)
             ends_s = began + (move.duration_s + move.answer_s if move.kind == "turn" else 0.0)
+            self._turning[name], self._due_end_s[name] = ends_s, ends_s
             if name in self._by_hand:
-                self._planned_end_s[name], self._turning[name] = ends_s, began
+                self._turning[name] = began
             else:
-                self._turning[name] = ends_s
                 self._due_end_s[name] = ends_s if move.kind == "turn" else math.inf
                 way = replace(move, kind="turn", angle_deg=goal - self._at(name))
                 self._ends_s[name] = began + way.duration_s
         elif move.kind == "spin":
             axis.spin(move.rate_dps, move.acceleration_dps2)
-            self._spinning.add(name)
-            before = self.newest.get(name)
-            change = abs(move.rate_dps - (before.rate_dps if before is not None else 0.0))
+            newest = self.newest.get(name)
+            change = abs(move.rate_dps - (newest.rate_dps if newest is not None else 0.0))
             self._spins[name] = (move.rate_dps, began + change / move.acceleration_dps2 + _EASING_S)
             self._turning.pop(name, None)
         else:
             axis.stop()
-            self._spinning.discard(name)
             self._turning[name] = began
         self._event("move", at_once=False, step=step, began_s=began, **event_fields(move))
 
@@ -303,10 +287,7 @@ class AxisControl:
             self._awaited.discard(name)
             self._turning.pop(name, None)
             self._ends_s.pop(name, None)
-            planned_s = self._planned_end_s.pop(name, reading.time_s)
-            # An early turn makes up for late ones before it.
-            self.late_s = max(0.0, self.late_s + reading.time_s - planned_s)
-            if name not in self._spinning:
+            if name not in self._spins:
                 self._stood(name, reading)
         return reading
 
@@ -325,6 +306,10 @@ class AxisControl:
             self._asks(name, 0.0)
         due_s = self._due_end_s.pop(name, None)
         if due_s is None:
+            return
+        if name in self._by_hand:
+            # An early turn makes up for late ones before it.
+            self.late_s = max(0.0, self.late_s + reading.time_s - due_s)
             return
         if (late_s := reading.time_s - due_s) > self._latest_s:
             self.amiss.append(

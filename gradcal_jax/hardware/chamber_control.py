@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from .clock import Clock, holding
+from .clock import Clock, holding, in_thread
 from .errors import Disconnected
 from .journal import event_fields
 from .roles import ChamberLimits, ChamberReading, TemperatureChamber
@@ -222,15 +222,8 @@ class ChamberControl:
     def tell(self, course: Course, due_s: float, failed: Callable[[str], None]) -> None:
         """Runs in a separate thread: a chamber that takes seconds to acknowledge delays no move and no reading."""
         self.expect(course, due_s)
-
-        def tell() -> None:
-            with self._clock.party():
-                try:
-                    self.follow(course)
-                except Exception as problem:
-                    failed(f"The chamber did not get its temperature profile: {problem}")
-
-        threading.Thread(target=tell, daemon=True, name="telling the chamber").start()
+        why = "The chamber did not get its temperature profile"
+        in_thread(lambda: self.follow(course), self._clock, lambda problem: failed(f"{why}: {problem}"))
 
     def stable_at(self, temperature_c: float, wanted: Stable) -> float | None:
         """The newest temperature, if it has been stable for the required time; else None."""

@@ -71,23 +71,32 @@ class RealClock:
 _BESIDE_S = 0.1
 
 
-def beside(work: Callable[[], object], clock: Clock, duties: Callable[[], None]) -> None:
-    """Do `work`, which may wait for a device, in a thread of its own, and the `duties` of this thread beside it. Raises
-    what either raises; where a duty does, nobody waits for the work any more."""
-    problems: list[Exception] = []
+def in_thread(
+    work: Callable[[], object], clock: Clock, failed: Callable[[Exception], object], *, waits_on_clock: bool = True
+) -> threading.Event:
+    """Begin `work` in a thread of its own, a party of the clock if it waits on that; `failed` gets what it raises.
+    Returns what is set at its end."""
     begun, over = threading.Event(), threading.Event()
 
     def attempt() -> None:
-        with clock.party():
+        with clock.party() if waits_on_clock else nullcontext():
             begun.set()
             try:
                 work()
             except Exception as problem:
-                problems.append(problem)
+                failed(problem)
             over.set()
 
-    threading.Thread(target=attempt, daemon=True, name="waiting for a device").start()
+    threading.Thread(target=attempt, daemon=True, name="beside the run").start()
     begun.wait()
+    return over
+
+
+def beside(work: Callable[[], object], clock: Clock, duties: Callable[[], None]) -> None:
+    """Do `work`, which may wait for a device, in a thread of its own, and the `duties` of this thread beside it. Raises
+    what either raises; where a duty does, nobody waits for the work any more."""
+    problems: list[Exception] = []
+    over = in_thread(work, clock, problems.append)
     while not over.is_set():
         duties()
         clock.sleep(_BESIDE_S)
@@ -143,34 +152,30 @@ class VirtualClock:
 
     @contextmanager
     def party(self) -> Generator[None, None, None]:
-        thread = threading.get_ident()
-        with self.lock:
-            self._members[thread] = self._members.get(thread, 0) + 1
-            self._working += self._members[thread] == 1
+        before = self._members.get(threading.get_ident(), 0)
+        self._enter(before + 1)
         try:
             yield
         finally:
-            with self.lock:
-                self._members[thread] -= 1
-                if not self._members[thread]:
-                    del self._members[thread]
-                    self._working -= 1
-                self.advance_if_all_wait()
+            self._enter(before)
 
     @contextmanager
     def aside(self) -> Generator[None, None, None]:
-        thread = threading.get_ident()
-        with self.lock:
-            depth = self._members.pop(thread, 0)
-            self._working -= depth > 0
-            self.advance_if_all_wait()
+        before = self._enter(0)
         try:
             yield
         finally:
-            with self.lock:
-                if depth:
-                    self._members[thread] = depth
-                    self._working += 1
+            self._enter(before)
+
+    def _enter(self, depth: int) -> int:
+        """Set how deep in parties this thread is; returns how deep it was. In none it holds no time."""
+        with self.lock:
+            before = self._members.pop(threading.get_ident(), 0)
+            if depth:
+                self._members[threading.get_ident()] = depth
+            self._working += (depth > 0) - (before > 0)
+            self.advance_if_all_wait()
+            return before
 
     def advance_if_all_wait(self) -> None:
         """Wake the next sleepers when no party works. The caller holds `lock`."""

@@ -20,7 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
@@ -28,13 +28,12 @@ from typing import Any, Literal
 from ..files.rig import ImuDevice
 from .axis_control import AxisControl
 from .chamber_control import ChamberControl
-from .clock import Clock, beside
+from .clock import Clock, beside, in_thread
 from .dry_run import dry_run_of
 from .errors import HardwareError, LimitExceeded, sentence_of
 from .guard import make_safe, put_back
-from .interlocks import Interlocks, Situation
+from .interlocks import ExecutedStep, Interlocks, SampleLosses, Situation, StepNotDone
 from .journal import Journal, event_fields
-from .losses import ExecutedStep, SampleLosses, StepNotDone
 from .roles import ImuSettings, MotionAxis
 from .setup import Bench, require_identity
 from .supervision import RunProgress, RunResult, RunState, SafeOutcome
@@ -123,7 +122,7 @@ class Runner:
         self._requests.append((what, reason))
 
     def run(self) -> RunResult:
-        helpers: list[threading.Thread] = []
+        helpers: list[threading.Event] = []
         status: Literal["success", "stopped", "aborted"] = "success"
         reason = ""
         with self.clock.party():
@@ -147,7 +146,7 @@ class Runner:
             self._working.clear()
             with self.clock.aside():
                 for helper in helpers:
-                    helper.join(timeout=5.0)
+                    helper.wait(timeout=5.0)
             # At the end: no other thread reads the lines of the units any more.
             for name, problem in put_back(self.bench).items():
                 self._event("settings put back", device=name, problem=problem)
@@ -161,7 +160,7 @@ class Runner:
     def _drawn(self, angles_deg: Mapping[str, float]) -> str:
         return "" if self.draw is None else self.draw(angles_deg, self.mounting)
 
-    def _prepare(self, helpers: list[threading.Thread]) -> None:
+    def _prepare(self, helpers: list[threading.Event]) -> None:
         for name, entry, device in self.bench.devices():
             identity = device.identify()
             require_identity(name, entry, identity)
@@ -175,25 +174,20 @@ class Runner:
         if problems := dry_run_of(self.track, self.bench.chamber_limits(), axes).problems:
             raise LimitExceeded("The run was not started. " + " ".join(problems))
 
-        def start(failed: str, work: Callable[..., None], *arguments: Any, waits_on_clock: bool = True) -> None:
+        def start(failed: str, work: Callable[[], None], *, waits_on_clock: bool = True) -> None:
             """Work in a thread of its own; a sentence that begins with `failed` ends the run where it cannot go on."""
 
-            def attempt() -> None:
-                try:
-                    with self.clock.party() if waits_on_clock else nullcontext():
-                        work(*arguments)
-                except Exception as problem:
-                    self._fail(f"{failed}: {problem}")
+            def fail(problem: Exception) -> None:
+                self._fail(f"{failed}: {problem}")
 
-            thread = threading.Thread(target=attempt, daemon=True, name=work.__name__.strip("_"))
-            helpers.append(thread)
-            thread.start()
+            helpers.append(in_thread(work, self.clock, fail, waits_on_clock=waits_on_clock))
 
         if self._chamber is not None:
             reading, limits = self._chamber.chamber.read(), self._chamber.chamber.limits()
             self._range_c = min(limits.lowest_c, reading.air_c), max(limits.highest_c, reading.air_c)
             self._chamber.heard(reading)
-            start("The chamber is not watched", self._chamber.watch, self.chamber_every_s, self._watching, self._fail)
+            watch = partial(self._chamber.watch, self.chamber_every_s, self._watching, self._fail)
+            start("The chamber is not watched", watch)
         self.begun = True
         self.on_begin()
         # The search for references lets go of a watchdog, and the units' data begin after it.
@@ -202,12 +196,12 @@ class Runner:
         for axis in guarded:
             axis.arm_watchdog()
         if guarded:
-            start("A watchdog could not be fed", self._feed_watchdogs, guarded)
+            start("A watchdog could not be fed", partial(self._feed_watchdogs, guarded))
         for name in self.bench.imus:
             self.bench.imus[name].start()
             self._imu_heard_s[name] = self.clock.now()
             # A simulated unit waits on the clock, not on a line.
-            start(name, self._carry_bytes, name, waits_on_clock=self.bench.simulated)
+            start(name, partial(self._carry_bytes, name), waits_on_clock=self.bench.simulated)
 
     def _feed_watchdogs(self, axes: list[MotionAxis]) -> None:
         while self._working.is_set():

@@ -22,21 +22,11 @@ from ..files.quantity import Of, Quantity
 from ..files.rig import OPERATOR, TERMINAL, AxisDevice, ChamberDevice, EncoderDevice, ImuDevice, OperatorPlace, RigFile
 from ..files.section import Section
 from ..units import to_unit
+from . import roles
 from .clock import Clock
 from .drivers.operator import Console, OperatorConfig
 from .errors import HardwareError, WrongIdentity
 from .journal import Recorder
-from .roles import (
-    AxisLimits,
-    ChamberLimits,
-    Identity,
-    ImuSettings,
-    ImuStream,
-    KeptSettings,
-    MotionAxis,
-    OperatorAsked,
-    TemperatureChamber,
-)
 from .transport import Terminal, TextLine, Transport, same_port
 
 LEFT: Final = "left streaming"
@@ -255,10 +245,10 @@ class Bench(AbstractContextManager["Bench"]):
     """The open devices of a rig. Closing it closes every port; it does not make anything safe (see `guard`)."""
 
     rig: RigFile
-    chamber: TemperatureChamber | None = None
-    axes: dict[str, MotionAxis] = field(default_factory=dict[str, MotionAxis])
-    imus: dict[str, ImuStream] = field(default_factory=dict[str, ImuStream])
-    console: OperatorAsked | None = None
+    chamber: roles.TemperatureChamber | None = None
+    axes: dict[str, roles.MotionAxis] = field(default_factory=dict[str, roles.MotionAxis])
+    imus: dict[str, roles.ImuStream] = field(default_factory=dict[str, roles.ImuStream])
+    console: roles.OperatorAsked | None = None
     """Where the operator is asked to hang the units anew."""
     lines: dict[str, Transport] = field(default_factory=dict[str, Transport])
     """The open serial line of every device, by its name; absent for the terminal."""
@@ -267,10 +257,10 @@ class Bench(AbstractContextManager["Bench"]):
     _ports: ExitStack = field(default_factory=ExitStack)
 
     @property
-    def settings(self) -> dict[str, KeptSettings]:
+    def settings(self) -> dict[str, roles.KeptSettings]:
         return {name: device.settings for name, device in (*self.axes.items(), *self.imus.items())}
 
-    def chamber_limits(self) -> ChamberLimits | None:
+    def chamber_limits(self) -> roles.ChamberLimits | None:
         if self.chamber is None or self.rig.chamber is None:
             return None
         limits, below, above = self.chamber.limits(), self.rig.chamber.never_below, self.rig.chamber.never_above
@@ -278,7 +268,7 @@ class Bench(AbstractContextManager["Bench"]):
         highest = limits.highest_c if above is None else min(limits.highest_c, float(above))
         return dataclasses.replace(limits, lowest_c=lowest, highest_c=highest)
 
-    def devices(self) -> list[tuple[str, Device, MotionAxis | TemperatureChamber | ImuStream]]:
+    def devices(self) -> list[tuple[str, Device, roles.MotionAxis | roles.TemperatureChamber | roles.ImuStream]]:
         """Name, entry in the rig file, and device: of the axes, the chamber and the units."""
         opened: dict[str, Any] = {**self.axes, **self.imus, "chamber": self.chamber}
         return [(name, entry, opened[name]) for _, _, name, entry in _entries(self.rig) if opened.get(name)]
@@ -370,8 +360,8 @@ class DeviceReport:
     name: str
     driver: str
     port: str
-    identity: Identity | None = None
-    limits: ChamberLimits | AxisLimits | ImuSettings | None = None
+    identity: roles.Identity | None = None
+    limits: roles.ChamberLimits | roles.AxisLimits | roles.ImuSettings | None = None
     problem: str = ""
     remark: str = ""
     """What is to be mended though the device answers: it does so late."""
@@ -418,24 +408,24 @@ def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
 
 
 def _report(
-    bench: Bench, name: str, entry: Device, device: MotionAxis | TemperatureChamber | ImuStream
+    bench: Bench, name: str, entry: Device, device: roles.MotionAxis | roles.TemperatureChamber | roles.ImuStream
 ) -> DeviceReport:
     identity = None
     try:
         identity = device.identify()
         require_identity(name, entry, identity)
-        if isinstance(device, ImuStream):
+        if isinstance(device, roles.ImuStream):
             limits = device.configure()
         else:
             limits = bench.chamber_limits() if device is bench.chamber else device.limits()
-            # Identity and limits may stand in the rig file alone: at least this is asked of the device.
+            # roles.Identity and limits may stand in the rig file alone: at least this is asked of the device.
             device.read()
         return DeviceReport(name, entry.driver, entry.port, identity, limits)
     except HardwareError as problem:
         return DeviceReport(name, entry.driver, entry.port, identity, problem=str(problem))
 
 
-def require_identity(name: str, entry: Device, identity: Identity) -> None:
+def require_identity(name: str, entry: Device, identity: roles.Identity) -> None:
     """Raises `WrongIdentity` when the rig file names another serial number than the device."""
     if entry.serial_number is not None and entry.serial_number != identity.serial_number:
         raise WrongIdentity(

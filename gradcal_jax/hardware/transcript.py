@@ -15,7 +15,7 @@ Bytes other than printable ASCII are written `\\xNN`, `\\r`, `\\n`, the backslas
 import json
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -36,7 +36,7 @@ _STREAM_S = 2.0
 _MOVE_DEG, _MOVE_DPS, _MOVE_DPS2 = 10.0, 10.0, 20.0
 
 
-class Transcript:
+class Transcript(AbstractContextManager["Transcript"]):
     """Append-only file. Each chunk reaches the operating system before it returns."""
 
     def __init__(self, path: Path, rig: RigFile | None = None) -> None:
@@ -61,15 +61,9 @@ class Transcript:
                 self._file.write(f"{time_s:.6f} {line} {direction} {printable(data, len(data))}\n")
                 self._file.flush()
 
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         with self._lock:
             self._file.close()
-
-    def __enter__(self) -> "Transcript":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def conversation(bench: Bench, clock: Clock, *, move: bool) -> Iterator[tuple[str, str, str]]:

@@ -231,12 +231,12 @@ def test_zaber_golden_vectors() -> None:
 def test_odrive_golden_vectors() -> None:
     for words, sent in golden.ODRIVE_REQUESTS.items():
         assert odrive.request(words) == sent + b"\n"
-    assert odrive.parse_feedback(golden.ODRIVE_REPLIES[0]) == (0.0, 0.0)
-    assert odrive.parse_feedback(golden.ODRIVE_REPLIES[1]) == (0.25, 0.0)
-    assert odrive.parse_number(golden.ODRIVE_REPLIES[2]) == 24.087744
+    assert odrive.parse_numbers(golden.ODRIVE_REPLIES[0], 2) == [0.0, 0.0]
+    assert odrive.parse_numbers(golden.ODRIVE_REPLIES[1], 2) == [0.25, 0.0]
+    assert odrive.parse_numbers(golden.ODRIVE_REPLIES[2]) == [24.087744]
     assert odrive.request(f"v 0 {odrive.decimal(10 / 360)}") == golden.ODRIVE_REQUESTS["v 0 0.0277778"] + b"\n"
     with pytest.raises(ChecksumError):
-        odrive.parse_feedback(b"0.250000 0.000000")
+        odrive.parse_numbers(b"0.250000 0.000000", 2)
     with pytest.raises(Rejected):
         odrive.parse_line(b"unknown command*%d" % checksums.xor8(b"unknown command"))
 

@@ -11,8 +11,8 @@ from hardware_bench import Rig, short_recipe
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, decoder_of
+from gradcal_jax.hardware.interlocks import ExecutedStep, SampleLosses
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
-from gradcal_jax.hardware.losses import ExecutedStep, SampleLosses
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.track import track_of

@@ -18,19 +18,9 @@ from typing import Any, Generic, Literal, TypeVar
 from ... import units
 from ...files.line_protocol import LineProtocol
 from ...files.register_protocol import RegisterProtocol
+from .. import roles
 from ..errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
 from ..request_reply import TRIES, Exchange, Reply
-from ..roles import (
-    AxisReading,
-    AxisSafe,
-    ChamberLimits,
-    ChamberReading,
-    ChamberSafe,
-    Identity,
-    MotionAxis,
-    SafeReport,
-    TemperatureChamber,
-)
 
 Config = TypeVar("Config")
 _BETWEEN_LOOKS_S = 0.2
@@ -88,7 +78,7 @@ class ImuDriver(ExchangeDriver[Config]):
         return self._exchange.transport.read_stamped(timeout_s)
 
 
-class ChamberDriver(ExchangeDriver[Config], TemperatureChamber, ABC):
+class ChamberDriver(ExchangeDriver[Config], roles.TemperatureChamber, ABC):
     _BOUNDS: str
     """What the limits `low` and `high` of a set point are, and what to do about them."""
 
@@ -104,16 +94,16 @@ class ChamberDriver(ExchangeDriver[Config], TemperatureChamber, ABC):
             bounds = self._BOUNDS.format(low=limits.lowest_c, high=limits.highest_c, device=self._title)
             raise LimitExceeded(f"{temperature_c:.1f} degC is outside {bounds}")
 
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        if policy is ChamberSafe.STANDBY:
+    def safe(self, policy: roles.ChamberSafe, ambient_c: float = 23.0) -> roles.SafeReport:
+        if policy is roles.ChamberSafe.STANDBY:
             self.standby()
         else:
             limits = self.limits()
-            wanted_c = self.read().air_c if policy is ChamberSafe.HOLD else ambient_c
+            wanted_c = self.read().air_c if policy is roles.ChamberSafe.HOLD else ambient_c
             self.hold(min(max(wanted_c, limits.lowest_c), limits.highest_c))
         reading = self.read()
-        verified = reading.conditioning is (policy is not ChamberSafe.STANDBY)
-        return SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
+        verified = reading.conditioning is (policy is not roles.ChamberSafe.STANDBY)
+        return roles.SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
 
 
 class Unwatched:
@@ -138,7 +128,7 @@ class AxisOptions:
 Options = TypeVar("Options", bound=AxisOptions)
 
 
-class AxisDriver(ExchangeDriver[Options], Unwatched, MotionAxis, ABC):
+class AxisDriver(ExchangeDriver[Options], Unwatched, roles.MotionAxis, ABC):
     """An axis with a scale of its own: its angles, what it may be commanded, and the wait until it stands."""
 
     _POLL_S = 0.05
@@ -174,17 +164,17 @@ class AxisDriver(ExchangeDriver[Options], Unwatched, MotionAxis, ABC):
                 f"The axis cannot be moved: {', '.join(reading.faults) or 'it has no reference'}. Home it first."
             )
 
-    def _left_safe(self, policy: AxisSafe, lack: str, unpower: Callable[[], object]) -> SafeReport:
+    def _left_safe(self, policy: roles.AxisSafe, lack: str, unpower: Callable[[], object]) -> roles.SafeReport:
         """The end of `safe`, where the axis stands: without power, if that is wanted and nothing lacks for it."""
-        if policy is AxisSafe.UNPOWER:
+        if policy is roles.AxisSafe.UNPOWER:
             if lack:
                 raise Rejected(f"{self._title} cannot be unpowered: {lack}.")
             unpower()
         reading = self.read()
         state = "; ".join((*reading.faults, *reading.warnings)) or "no faults"
-        return SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
+        return roles.SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
 
-    def _until_still(self, longest_s: float, doing: str, *, raise_faults: bool = True) -> AxisReading:
+    def _until_still(self, longest_s: float, doing: str, *, raise_faults: bool = True) -> roles.AxisReading:
         end = self._clock.now() + longest_s
         while (reading := self.read()).moving:
             if self._clock.now() > end:
@@ -267,7 +257,7 @@ class DescribedDevice(ExchangeDriver[Described], ABC):
     def _tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
         """Send a command; returns its values as text."""
 
-    def identify(self) -> Identity:
+    def identify(self) -> roles.Identity:
         known = self._read("model", "serial", "firmware")
         required = self._config.described.require if self._config.require else ()
         needed = self._read(*(need.field for need in required))
@@ -275,7 +265,7 @@ class DescribedDevice(ExchangeDriver[Described], ABC):
             if not any(needed[need.field] == text or _same_number(needed[need.field], text) for text in need.equals):
                 raise Rejected(f"{self._title} says {need.field} = {needed[need.field]}: {need.why}.")
         model = f"{self._title} {known.get('model', '')}".strip()
-        return Identity(self._DRIVER, model, known.get("serial", ""), known.get("firmware", ""))
+        return roles.Identity(self._DRIVER, model, known.get("serial", ""), known.get("firmware", ""))
 
     def _switch(self, name: str, state: str, on: bool) -> None:
         """Send "on" or "off" until the device shows that state, unless it does already."""
@@ -316,7 +306,7 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
     def _resolution_k(self) -> float:
         return float(self._config.described.limits.resolution)
 
-    def limits(self) -> ChamberLimits:
+    def limits(self) -> roles.ChamberLimits:
         known, ends = self._config.described.limits, self._read("lowest", "highest")
         lowest, highest = (
             self._celsius(ends[name]) if name in ends else float(limit) if limit is not None else math.nan
@@ -326,9 +316,9 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
         fastest = math.inf if known.fastest is None else float(known.fastest) * 60.0
         ramps, unit = "ramp" in self._config.described.tell, self._config.described.units.ramp
         step = units.convert(self._step_of("ramp"), unit, "K/min") if ramps else 0.0
-        return ChamberLimits(lowest, highest, self._resolution_k(), ramps, slowest, fastest, step)
+        return roles.ChamberLimits(lowest, highest, self._resolution_k(), ramps, slowest, fastest, step)
 
-    def read(self) -> ChamberReading:
+    def read(self) -> roles.ChamberReading:
         states = self._asks_of("conditioning", "alarm", "program")
         texts = self._read("air", "setpoint", "product", "mode", *states, *self._alarm_fields())
         time_s = self._clock.now()
@@ -336,7 +326,7 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
         product = self._celsius(texts["product"]) if "product" in texts else None
         air_c, setpoint_c = self._celsius(texts["air"]), self._celsius(texts["setpoint"])
         mode = self._mode(texts)
-        return ChamberReading(time_s, air_c, product, setpoint_c, mode, conditions, self._alarms(texts))
+        return roles.ChamberReading(time_s, air_c, product, setpoint_c, mode, conditions, self._alarms(texts))
 
     def hold(self, temperature_c: float) -> None:
         self._check(temperature_c)

@@ -50,8 +50,7 @@ VELOCITY_CONTROL, POSITION_CONTROL = 2, 3
 
 _ERRORS = codes_of("odrive")
 _REFUSALS = ("invalid command format", "invalid motor", "invalid property", "not implemented", "unknown command")
-_NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
-_FEEDBACK = re.compile(rf"({_NUMBER}) ({_NUMBER})")
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _STANDING_TURNS_PER_S = 1e-3
 _SYNCHRONISED_DEG = 0.2
 # Where a generation shows errors, and whether the encoder is valid (in 0.6 an error); the bit of an expired watchdog.
@@ -98,18 +97,12 @@ def parse_line(frame: bytes) -> str:
     return text
 
 
-def parse_feedback(frame: bytes) -> tuple[float, float]:
-    match = _FEEDBACK.fullmatch(parse_line(frame))
-    if match is None:
-        raise FramingError(f"f was answered {printable(frame)!r}; position and velocity were expected.")
-    return float(match[1]), float(match[2])
-
-
-def parse_number(frame: bytes) -> float:
-    text = parse_line(frame)
-    if re.fullmatch(_NUMBER, text) is None:
-        raise FramingError(f"A property was answered {printable(frame)!r}; a number was expected.")
-    return float(text)
+def parse_numbers(frame: bytes, count: int = 1) -> list[float]:
+    """One number of a property, or the position and velocity of the feedback."""
+    texts = parse_line(frame).split(" ")
+    if len(texts) != count or not all(map(_NUMBER.fullmatch, texts)):
+        raise FramingError(f"It answered {printable(frame)!r}; numbers expected: {count}.")
+    return list(map(float, texts))
 
 
 def decimal(value: float) -> str:
@@ -253,10 +246,10 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         self._exchange.write(request(words))
 
     def _property(self, path: str) -> float:
-        return self._exchange.query(request(f"r axis{self._config.motor}.{path}"), parse_number)
+        return self._exchange.query(request(f"r axis{self._config.motor}.{path}"), parse_numbers)[0]
 
-    def _feedback(self) -> tuple[float, float]:
-        return self._exchange.query(request(f"f {self._config.motor}"), parse_feedback)
+    def _feedback(self) -> list[float]:
+        return self._exchange.query(request(f"f {self._config.motor}"), partial(parse_numbers, count=2))
 
     def _state(self) -> int:
         return int(self._property("current_state"))

@@ -39,15 +39,9 @@ from .base import ImuDriver, codes_of
 INTERNAL_RATE_HZ = 2000
 _MODULUS = 256  # of the counter of internal samples
 # By the codes of `$sd`: (accelerometer, inclinometer, temperatures), identifier, identifier with PPS, of older units.
-CONTENTS = (
-    ((False, False, False), 0x90, 0xF0, 0x98),
-    ((True, False, False), 0x91, 0xF1, 0x99),
-    ((False, True, False), 0x92, 0xF2, 0x9A),
-    ((True, True, False), 0x93, 0xF3, 0x9B),
-    ((False, False, True), 0x94, 0xF4, 0x9C),
-    ((True, False, True), 0xA5, 0xF5, 0xAD),
-    ((False, True, True), 0xA6, 0xF6, 0xAE),
-    ((True, True, True), 0xA7, 0xF7, 0xAF),
+CONTENTS = tuple(
+    ((bool(k & 1), bool(k & 2), k > 3), (0x90 if k < 5 else 0xA0) + k, 0xF0 + k, (0x98 if k < 5 else 0xA8) + k)
+    for k in range(8)
 )
 _ARRIVALS = 256  # remembered, for the quickest of them
 START_UP = 0x40  # status bit of a cluster that is not valid yet

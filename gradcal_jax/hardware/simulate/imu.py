@@ -144,16 +144,18 @@ class Mass:
 
     def take(self, temperature_c: Vectors, period_s: float) -> Vectors:
         """Its temperatures `(n,)` at consecutive ones that it follows, linear in between."""
-        signal: Any = importlib.import_module("scipy.signal")
         numerator, denominator = lag_filter(period_s, self._time_s)
-        state = [numerator[1] * self._given - denominator[1] * self._own]
-        result: Vectors = signal.lfilter(numerator, denominator, temperature_c, zi=state)[0]
+        state = np.array([numerator[1] * self._given - denominator[1] * self._own])
+        result = _filtered(numerator, denominator, temperature_c, state)
         if len(result):
             self._given, self._own = float(temperature_c[-1]), float(result[-1])
         return result
 
 
-_BLOCK = 64
+def _filtered(numerator: Any, denominator: Any, values: Vectors, state: Vectors) -> Vectors:
+    """A recursive filter along the first axis. SciPy's signals take their time to load."""
+    signal: Any = importlib.import_module("scipy.signal")
+    return signal.lfilter(numerator, denominator, values, axis=0, zi=state)[0]
 
 
 @dataclass(frozen=True)
@@ -195,32 +197,16 @@ class Drifts:
         self._taus_s = np.array([process.tau_s for process in processes])
         self._gains = np.array([(process.bias_gain, process.rate_gain) for process in processes]).reshape(-1, 2)
         self._states = self._sigmas * random.standard_normal((3, len(processes)))
-        self._period_s, self._weights = 0.0, np.zeros((0, 0, 0))
 
     def take(self, draws: Vectors, period_s: float) -> tuple[Vectors, Vectors]:
         """`(n, 3, k)` standard normals -> what the `k` processes add to the output and to the scale factor at the next
         samples, `(n, 3)` each."""
-        if not self._sigmas.size:
-            return np.zeros(draws.shape[:2]), np.zeros(draws.shape[:2])
-        if period_s != self._period_s:
-            self._period_s = period_s
-            # `(p, block, block + 1)`: x_k = φ^(k + 1) x_0 + Σ_j φ^(k−j) w_j.
-            decays, steps = np.exp(-period_s / self._taus_s), np.arange(_BLOCK, dtype=np.int64)
-            lag = steps[:, None] - np.append(steps, -1)
-            grown = decays[:, None, None] ** np.maximum(lag, 0)
-            size = np.append(np.ones(_BLOCK), 0.0) * (self._sigmas * np.sqrt(1.0 - decays**2))[:, None]
-            size[:, -1] = 1.0
-            self._weights = np.where(lag >= 0, grown, 0.0) * size[:, None, :]
-        # In blocks short enough for the little triangular matrices.
-        values = np.empty_like(draws)
-        for start in range(0, draws.shape[0], _BLOCK):
-            kicks = draws[start : start + _BLOCK]
-            count = len(kicks)
-            known = np.concatenate([kicks, self._states[None]]).transpose(2, 0, 1)
-            columns = [*range(count), -1]
-            weights = self._weights[:, :count] if count == _BLOCK else self._weights[:, :count, columns]
-            values[start : start + count] = (weights @ known).transpose(1, 2, 0)
-            self._states = values[start + count - 1]
+        values = np.zeros_like(draws)
+        for number, decay in enumerate(np.exp(-period_s / self._taus_s) if len(draws) else ()):
+            size = self._sigmas[number] * np.sqrt(1.0 - decay**2)
+            state = decay * self._states[None, :, number]
+            values[..., number] = _filtered([size], [1.0, -decay], draws[..., number], state)
+            self._states[:, number] = values[-1, :, number]
         return values @ self._gains[:, 0], values @ self._gains[:, 1]
 
 

@@ -7,6 +7,7 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,8 +132,7 @@ class AxisTruth:
     seed: int = 0
 
 
-@dataclass(frozen=True)
-class _Phase:
+class _Phase(NamedTuple):
     start_s: float
     position_deg: float
     rate_dps: float
@@ -180,8 +180,7 @@ class AxisPlant:
         with self._lock:
             if self._table is None:
                 # The last phases are enough: no query is further behind than the moves of a minute.
-                recent = self._phases[-60:]
-                self._table = np.array([(p.start_s, p.position_deg, p.rate_dps, p.acceleration_dps2) for p in recent])
+                self._table = np.array(self._phases[-60:])
             table = self._table
             self._known_until_s = max(self._known_until_s, float(times_s[-1]))
         row = table[np.clip(np.searchsorted(table[:, 0], times_s, side="right") - 1, 0, None)]

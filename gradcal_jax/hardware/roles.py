@@ -30,8 +30,8 @@ class KeptSettings:
 
     def __init__(
         self,
-        read: Callable[[str], str] | None = None,
-        write: Callable[[str, str], None] | None = None,
+        read: Callable[[str], str] = str,
+        write: Callable[[str, str], object] = lambda name, value: None,
         same: Callable[[str, str], bool] = str.__eq__,
     ) -> None:
         self._read, self._write, self._same = read, write, same
@@ -40,13 +40,11 @@ class KeptSettings:
 
     def change(self, name: str, value: str) -> None:
         """Change a setting, unless it has that value already."""
-        assert self._write is not None
         if not self._same(self.note(name, value), value):
             self._write(name, value)
 
     def note(self, name: str, value: str) -> str:
         """Keep the value of a setting before another command changes it to `value`. Returns the value."""
-        assert self._read is not None
         shown = self._read(name)
         if name not in self.before and not self._same(shown, value):
             self.before[name] = shown
@@ -61,8 +59,6 @@ class KeptSettings:
         """Restore every setting, the last change first. All are tried; raises the first problem."""
         problem: HardwareError | None = None
         for name, value in reversed(list(self.before.items())):
-            assert self._read is not None
-            assert self._write is not None
             try:
                 if not self._same(self._read(name), value):
                     self._write(name, value)

@@ -8,7 +8,7 @@ follow one another without a break; each has the angles, from the axes' zeros, a
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -254,16 +254,8 @@ def _course(segment: ChamberSegment, start_s: float) -> Course:
     return Course(start_s, float(segment.temperature_end), ramp)
 
 
-@dataclass
-class _Piece:
-    """A step under construction, on the stretch's own clock."""
-
-    name: str
-    start_s: float
-    duration_s: float
-    moves: list[AxisCommand] = field(default_factory=list[AxisCommand])
-    read_at_s: list[float] = field(default_factory=list[float])
-    slack_s: float = 0.0
+Part = tuple[float, TrackStep]
+"""When a step begins, on the clock of its stretch, s; and the step, without the chamber."""
 
 
 def _stretch(
@@ -278,41 +270,34 @@ def _stretch(
     """The steps of a stretch of data; without a block one step, whose samples are not used and whose axes stand."""
     waits = segments[0].begins == "when stable"
     total = math.fsum(float(segment.duration) for segment in segments)
-    pieces = [_Piece(segments[0].name, 0.0, total)] if block is None else _pieces(block, total, names, ends=ends)
+    unread: list[Part] = [(0.0, TrackStep(segments[0].name, total, read_every_s=_BETWEEN_READINGS_S))]
     ends_s = itertools.accumulate((float(segment.duration) for segment in segments), initial=0.0)
     knees = [_course(segment, begins_s) for segment, begins_s in zip(segments, ends_s, strict=False)]
     placed = {} if block is None else block.start
     at = {} if block is None else dict.fromkeys(names.values(), 0.0)
     at |= {names[name]: to_unit(float(angle), "deg") for name, angle in placed.items()}
     steps: list[TrackStep] = []
-    for number, piece in enumerate(pieces):
-        end = piece.start_s + piece.duration_s
-        target = [course for course in knees if course.start_s <= piece.start_s + 1e-6][-1]
-        inside = [course for course in knees if not block or piece.start_s - 1e-6 <= course.start_s < end - 1e-6]
-        later = tuple(replace(course, start_s=course.start_s - piece.start_s) for course in inside)
-        steps.append(
-            TrackStep(
-                piece.name,
-                piece.duration_s,
-                target.temperature_c,
-                target.ramp_k_per_min,
-                ready=_stable(stability, first=first) if waits and number == 0 else None,
-                moves=tuple(piece.moves),
-                read_every_s=_BETWEEN_READINGS_S if block is None else 1.0,
-                start_c=_temperature(segments, piece.start_s) if block else float(segments[0].temperature_start),
-                courses=later,
-                follows=number > 0 or (not waits and not first),
-                again=_stable(stability, first=True),  # after a break the chamber may come from anywhere
-                start_deg=dict(at),
-                read_at_s=tuple(piece.read_at_s),
-                slack_s=piece.slack_s,
-                goes_there=bool(placed) and number == 0,
-                hang=(block and block.hang) or "",
-                mounting=(block and block.mounting) or 0,
-                used=block is not None,
-            )
+    for number, (begins_s, part) in enumerate(unread if block is None else _parts(block, total, names, ends=ends)):
+        end = begins_s + part.duration_s
+        target = [course for course in knees if course.start_s <= begins_s + 1e-6][-1]
+        inside = [course for course in knees if not block or begins_s - 1e-6 <= course.start_s < end - 1e-6]
+        step = replace(
+            part,
+            temperature_c=target.temperature_c,
+            ramp_k_per_min=target.ramp_k_per_min,
+            ready=_stable(stability, first=first) if waits and number == 0 else None,
+            start_c=_temperature(segments, begins_s) if block else float(segments[0].temperature_start),
+            courses=tuple(replace(course, start_s=course.start_s - begins_s) for course in inside),
+            follows=number > 0 or (not waits and not first),
+            again=_stable(stability, first=True),  # after a break the chamber may come from anywhere
+            start_deg=dict(at),
+            goes_there=bool(placed) and number == 0,
+            hang=(block and block.hang) or "",
+            mounting=(block and block.mounting) or 0,
+            used=block is not None,
         )
-        for move in piece.moves:
+        steps.append(step)
+        for move in part.moves:
             at[move.axis] += move.angle_deg
     return steps
 
@@ -329,56 +314,46 @@ def _temperature(segments: Sequence[ChamberSegment], at_s: float) -> float:
     return float(segments[-1].temperature_end)
 
 
-def _pieces(block: MotionBlock, total: float, names: dict[str, str], *, ends: bool) -> list[_Piece]:
+def _parts(block: MotionBlock, total: float, names: dict[str, str], *, ends: bool) -> Iterator[Part]:
     if block.repeat == 1 and len(block.moves) == 1 and block.moves[0].do in ("rest", "wait"):
-        return _standing(block, total)
+        yield from _standing(block, total)
+        return
     if any(move.do == "spin" for move in block.moves):
-        return _points(block, names)
-    pieces: list[_Piece] = []
-    period = float(block.period)
+        yield from _points(block, names)
+        return
+    period, after = float(block.period), float(block.standing_after)
     own = [move for move in block.moves if move.do != "wait"]
     busy = math.fsum(move.repeat * float(move.duration) for move in own)
     for number in range(block.repeat):
         last = number == block.repeat - 1
-        start = number * period
-        piece = _Piece(
-            f"{block.name}, {number + 1} of {block.repeat}" if block.repeat > 1 else block.name,
-            start,
-            total - start if last else period,
-            slack_s=float(block.standing_after) if last else max(0.0, period - busy),
-        )
-        if number == 0:
-            piece.read_at_s.append(0.0)
+        start, lasts_s = number * period, total - number * period if last else period
+        moves: list[AxisCommand] = []
+        reads = [0.0] if number == 0 else list[float]()
         for move in own if last else block.moves:
-            _add(piece, move, names, ends=ends)
-        if last and block.standing_after > 0.0 and block.read_every_after is not None:
-            begin = piece.duration_s - float(block.standing_after)
-            times = reading_times(float(block.standing_after), float(block.read_every_after))
-            piece.read_at_s += [begin + time for time in times]
-        piece.read_at_s.sort()
-        pieces.append(piece)
-    return pieces
+            _add(moves, reads, move, names, ends=ends)
+        if last and after > 0.0 and block.read_every_after is not None:
+            reads += [lasts_s - after + time for time in reading_times(after, float(block.read_every_after))]
+        name = f"{block.name}, {number + 1} of {block.repeat}" if block.repeat > 1 else block.name
+        slack_s = after if last else max(0.0, period - busy)
+        yield start, TrackStep(name, lasts_s, moves=tuple(moves), read_at_s=tuple(sorted(reads)), slack_s=slack_s)
 
 
-def _standing(block: MotionBlock, total: float) -> list[_Piece]:
+def _standing(block: MotionBlock, total: float) -> Iterator[Part]:
     every = block.moves[0].read_every
     times = [0.0, *reading_times(total, None if every is None else float(every))]
     count = max(1, math.ceil(total / _LONGEST_STAND_S - 1e-9))
     size = total / count
-    pieces: list[_Piece] = []
     for number in range(count):
         start = number * size
         end = total if number == count - 1 else start + size
         inside = [t - start for t in times if start - 1e-9 < t <= end + 1e-9 and (t > start + 1e-9 or number == 0)]
         name = f"{block.name}, {number + 1} of {count}" if count > 1 else block.name
-        pieces.append(_Piece(name, start, end - start, read_at_s=inside))
-    return pieces
+        yield start, TrackStep(name, end - start, read_at_s=tuple(inside))
 
 
-def _points(block: MotionBlock, names: dict[str, str]) -> list[_Piece]:
+def _points(block: MotionBlock, names: dict[str, str]) -> Iterator[Part]:
     """The standard method's rates: a step for each; a standstill begins with a stop."""
     axis = next(iter(names.values()), "")
-    pieces: list[_Piece] = []
     for number, move in enumerate(block.moves, 1):
         rate = to_unit(float(move.rate or 0.0), "deg/s")
         duration = float(move.duration)
@@ -387,24 +362,23 @@ def _points(block: MotionBlock, names: dict[str, str]) -> list[_Piece]:
             moves.append(AxisCommand(0.0, axis, "spin", rate_dps=rate, acceleration_dps2=_SPIN_ACCELERATION_DPS2))
         elif axis and number > 1:
             moves.append(AxisCommand(0.0, axis, "stop"))
-        reads = [0.0, *reading_times(duration, 1.0)] if number == 1 else reading_times(duration, 1.0)
+        reads = (*([0.0] if number == 1 else []), *reading_times(duration, 1.0))
         name = f"{block.begins_with}, rate {number} of {len(block.moves)}"
-        pieces.append(_Piece(name, float(move.start), duration, moves, reads))
-    return pieces
+        yield float(move.start), TrackStep(name, duration, moves=tuple(moves), read_at_s=reads)
 
 
-def _add(piece: _Piece, move: TrackMove, names: dict[str, str], *, ends: bool) -> None:
+def _add(moves: list[AxisCommand], reads: list[float], move: TrackMove, names: dict[str, str], *, ends: bool) -> None:
     duration = float(move.duration)
     for repetition in range(move.repeat):
         start = float(move.start) + repetition * duration
         if move.do not in ("rest", "wait"):
-            piece.moves.append(_command(move, start, names[move.axis]))
+            moves.append(_command(move, start, names[move.axis]))
         if move.read_every is not None:
-            piece.read_at_s += [start + time for time in reading_times(duration, float(move.read_every))]
-            if ends and move.do == "rest" and piece.read_at_s[-1:] != [start + duration]:
-                piece.read_at_s.append(start + duration)
+            reads += [start + time for time in reading_times(duration, float(move.read_every))]
+            if ends and move.do == "rest" and reads[-1:] != [start + duration]:
+                reads.append(start + duration)
         elif move.read == "end":
-            piece.read_at_s.append(start + duration)
+            reads.append(start + duration)
 
 
 def _command(move: TrackMove, start: float, axis: str) -> AxisCommand:

@@ -178,21 +178,21 @@ class AxisPlant:
     def position(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """True angle, deg, unwrapped: `(n,) -> (n,)`."""
         with self._lock:
-            if self._table is None:
-                # The last phases are enough: no query is further behind than the moves of a minute.
-                self._table = np.array(self._phases[-60:])
-            table = self._table
             self._known_until_s = max(self._known_until_s, float(times_s[-1]))
-        row = table[np.clip(np.searchsorted(table[:, 0], times_s, side="right") - 1, 0, None)]
-        after = np.maximum(times_s - row[:, 0], 0.0)
-        return row[:, 1] + row[:, 2] * after + 0.5 * row[:, 3] * after**2
+            return self._at(times_s)[0]
 
     def state(self, now_s: float) -> tuple[float, float]:
+        position, rate = self._at(np.array([now_s]))
+        return float(position[0]), float(rate[0])
+
+    def _at(self, times_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         with self._lock:
-            phase = next((p for p in reversed(self._phases) if p.start_s <= now_s), self._phases[0])
-        after = max(0.0, now_s - phase.start_s)
-        rate = phase.rate_dps + phase.acceleration_dps2 * after
-        return phase.position_deg + (phase.rate_dps + rate) / 2.0 * after, rate
+            if self._table is None:
+                self._table = np.array(self._phases)
+            table = self._table
+        row = table[np.clip(np.searchsorted(table[:, 0], times_s, side="right") - 1, 0, None)]
+        after = np.maximum(times_s - row[:, 0], 0.0)
+        return row[:, 1] + row[:, 2] * after + 0.5 * row[:, 3] * after**2, row[:, 2] + row[:, 3] * after
 
     def moving(self, now_s: float) -> bool:
         return now_s < self._phases[-1].start_s or self._phases[-1].rate_dps != 0.0

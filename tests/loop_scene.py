@@ -111,7 +111,7 @@ def on_branches(truth: ImuTruth) -> np.ndarray:
     both, course = [], np.arange(COLDEST, WARMEST, 2.0 / 60.0)
     loops = [loop.begin(COLDEST) for loop in triad.loops]
     for sign, leg in ((1.0, course), (-1.0, course[::-1]), (1.0, course)):
-        values = sum((loop.take(leg, 1.0) for loop in loops), np.zeros((len(leg), 3)))
+        values = sum((loop(leg, 1.0) for loop in loops), np.zeros((len(leg), 3)))
         order = np.argsort(leg)
         path = np.stack([np.interp(AT, leg[order], values[order, k]) for k in range(3)], axis=1)
         slope = sign * np.array(triad.gradient) * 2.0 / 60.0

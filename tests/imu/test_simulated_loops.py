@@ -18,7 +18,7 @@ UP = np.arange(-30.0, 70.0, 2.0 / 60.0 * PERIOD_S)
 
 def legs(law: str, courses: list[np.ndarray], seed: int = 1) -> list[np.ndarray]:
     loop = LoopTruth(law, (1.0, 2.0, 0.0), 10.0, seed).begin(float(courses[0][0]))  # pyright: ignore[reportArgumentType]
-    return [loop.take(course, PERIOD_S) for course in courses]
+    return [loop(course, PERIOD_S) for course in courses]
 
 
 @pytest.mark.parametrize("law", ["relays", "thermal masses"])

@@ -63,77 +63,55 @@ class LoopTruth:
 
     def begin(self, temperature_c: float) -> "Loop":
         """The loop in a sensor that has been long at a temperature."""
-        made = _Relays if self.law == "relays" else _ThermalMasses
-        return made(self, temperature_c)
+        shape, size = (_relays if self.law == "relays" else _thermal_masses)(self, temperature_c), np.array(self.size)
+        return lambda temperatures_c, period_s: shape(temperatures_c, period_s)[:, None] * size
 
 
-class Loop(ABC):
-    """The state of a loop of error over temperature, by another law than the estimator's plays; scaled by half of what
-    heating and cooling differ by over a wide cycle (relays), or on a ramp (thermal masses).
-
-    "relays", Preisach: they switch up at `u + r` and down at `u - r`, u over temperatures, r over half-widths. "thermal
-    masses": two follow the temperature with different time constants, and the error is in proportion to the difference
-    of theirs, so that it depends on the slope.
-    """
-
-    def __init__(self, truth: LoopTruth) -> None:
-        self._size = np.array(truth.size)
-
-    @abstractmethod
-    def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
-        """`(n,)`: the loop at consecutive temperatures `(n,)`, ±1 on wide legs."""
-
-    def take(self, temperature_c: Vectors, period_s: float) -> Vectors:
-        """`(n, 3)`: the errors at consecutive temperatures."""
-        return self.shape(temperature_c, period_s)[:, None] * self._size
+Loop = Callable[[Vectors, float], Vectors]
+"""The errors of a loop `(n, 3)` at consecutive temperatures `(n,)`, with their period, s: by another law than the
+estimator's plays; scaled by half of what heating and cooling differ by over a wide cycle (relays), or on a ramp
+(thermal masses). A law's own function has no size: `(n,)`, ±1 on wide legs."""
 
 
-class _Relays(Loop):
-    """Weights add up to one for the relays that are open at a temperature, on average; the linear part of the mean of
+def _relays(truth: LoopTruth, temperature_c: float) -> Loop:
+    """Preisach: relays switch up at `u + r` and down at `u - r`, u over temperatures, r over half-widths.
+
+    Weights add up to one for the relays that are open at a temperature, on average; the linear part of the mean of
     heating and cooling, which is no hysteresis, is taken off."""
+    random = np.random.default_rng([truth.seed, 20264])
+    middle = random.uniform(_COLDEST_C, _WARMEST_C, _RELAYS)
+    half = truth.width_k * random.uniform(_NARROWEST, _WIDEST, _RELAYS)
+    up, down = middle + half, middle - half
+    weight = random.exponential(1.0, _RELAYS)
+    weight /= np.mean([weight[(down < t) & (t < up)].sum() for t in np.linspace(-30.0, 80.0, 56)])
+    slope, centre = 2.0 * weight.sum() / (_WARMEST_C - _COLDEST_C), 0.5 * (_COLDEST_C + _WARMEST_C)
+    on, last_c = middle < temperature_c, temperature_c
 
-    def __init__(self, truth: LoopTruth, temperature_c: float) -> None:
-        super().__init__(truth)
-        random = np.random.default_rng([truth.seed, 20264])
-        middle = random.uniform(_COLDEST_C, _WARMEST_C, _RELAYS)
-        half = truth.width_k * random.uniform(_NARROWEST, _WIDEST, _RELAYS)
-        self._up, self._down = middle + half, middle - half
-        weight = random.exponential(1.0, _RELAYS)
-        open_at = np.mean([weight[(self._down < t) & (t < self._up)].sum() for t in np.linspace(-30.0, 80.0, 56)])
-        self._weight = weight / open_at
-        self._slope = 2.0 * self._weight.sum() / (_WARMEST_C - _COLDEST_C)
-        self._centre = 0.5 * (_COLDEST_C + _WARMEST_C)
-        self._on = middle < temperature_c
-        self._last, self._value = temperature_c, self._output(temperature_c)
-
-    def _output(self, temperature_c: float) -> float:
-        total = float(self._weight @ np.where(self._on, 1.0, -1.0))
+    def output() -> float:
         # A heating leg is behind, so that it is lower: the sign is that of heating less cooling.
-        return self._slope * (temperature_c - self._centre) - total
+        return slope * (last_c - centre) - float(weight @ np.where(on, 1.0, -1.0))
 
-    def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
-        places, values = [-1], [self._value]
-        for k, t in enumerate(temperature_c.tolist()):
-            if abs(t - self._last) < _STEP_K and k < len(temperature_c) - 1:
-                continue
-            self._on = (self._on | (t > self._up)) & ~(t < self._down)
-            self._last, self._value = t, self._output(t)
-            places.append(k)
-            values.append(self._value)
-        return np.interp(np.arange(len(temperature_c)), places, values)
+    def shape(temperatures_c: Vectors, period_s: float) -> Vectors:
+        nonlocal on, last_c
+        places, values = [-1], [output()]
+        for k, t in enumerate(temperatures_c.tolist()):
+            if abs(t - last_c) >= _STEP_K or k == len(temperatures_c) - 1:
+                on, last_c = (on | (t > up)) & ~(t < down), t
+                places.append(k)
+                values.append(output())
+        return np.interp(np.arange(len(temperatures_c)), places, values)
+
+    return shape
 
 
-class _ThermalMasses(Loop):
-    def __init__(self, truth: LoopTruth, temperature_c: float) -> None:
-        super().__init__(truth)
-        spread = _SPREAD * np.random.default_rng([truth.seed, 20267]).uniform(-1.0, 1.0, 2)
-        fast_s, slow_s = np.array(truth.times_s) * (1.0 + spread)
-        self._masses = Mass(temperature_c, float(fast_s)), Mass(temperature_c, float(slow_s))
-        self._scale = 1.0 / (_SLOPE_K_PER_S * (slow_s - fast_s))
-
-    def shape(self, temperature_c: Vectors, period_s: float) -> Vectors:
-        fast, slow = (mass.take(temperature_c, period_s) for mass in self._masses)
-        return (fast - slow) * self._scale
+def _thermal_masses(truth: LoopTruth, temperature_c: float) -> Loop:
+    """Two masses follow the temperature with different time constants, and the error is in proportion to the difference
+    of theirs, so that it depends on the slope."""
+    spread = _SPREAD * np.random.default_rng([truth.seed, 20267]).uniform(-1.0, 1.0, 2)
+    fast_s, slow_s = np.array(truth.times_s) * (1.0 + spread)
+    fast, slow = Mass(temperature_c, float(fast_s)), Mass(temperature_c, float(slow_s))
+    scale = 1.0 / (_SLOPE_K_PER_S * (slow_s - fast_s))
+    return lambda t_c, period_s: (fast.take(t_c, period_s) - slow.take(t_c, period_s)) * scale
 
 
 class Mass:
@@ -414,7 +392,7 @@ class SimulatedImu(SampledSensor):
             self._loops[kind] = [(loop, loop.begin(float(temperature_c[0]))) for loop in triad.loops]
         total = np.zeros_like(mean)
         for truth, loop in self._loops[kind]:
-            total = total + loop.take(temperature_c, self.true_period_s) * (mean if truth.of_input else 1.0)
+            total = total + loop(temperature_c, self.true_period_s) * (mean if truth.of_input else 1.0)
         for values, time_constant_s in triad.transients:
             total = total + np.exp(-(time_s - self._power_on_s) / time_constant_s)[:, None] * np.array(values)
         return total

@@ -209,9 +209,11 @@ class MotionAxis(Protocol):
         """Controlled stop; returns when the axis stands."""
 
     def arm_watchdog(self) -> None:
-        """Switch the device's watchdog on, where it has one; from now on `heartbeat` must come in time."""
+        """Switch the device's watchdog on, where it has one; from now on `heartbeat` must come in time. What inherits
+        this has none."""
 
-    def heartbeat(self) -> None: ...
+    def heartbeat(self) -> None:
+        """In time, once the watchdog is on."""
 
     def safe(self, policy: AxisSafe) -> SafeReport: ...
 

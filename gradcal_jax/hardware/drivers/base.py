@@ -106,14 +106,6 @@ class ChamberDriver(ExchangeDriver[Config], roles.TemperatureChamber, ABC):
         return roles.SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
 
 
-class Unwatched:
-    """An axis without a watchdog."""
-
-    def arm_watchdog(self) -> None: ...
-
-    def heartbeat(self) -> None: ...
-
-
 @dataclass(frozen=True)
 class AxisOptions:
     """Options of every axis: the rig's angle at the device's 0, the sign of its direction, and how long it may take to
@@ -128,7 +120,7 @@ class AxisOptions:
 Options = TypeVar("Options", bound=AxisOptions)
 
 
-class AxisDriver(ExchangeDriver[Options], Unwatched, roles.MotionAxis, ABC):
+class AxisDriver(ExchangeDriver[Options], roles.MotionAxis, ABC):
     """An axis with a scale of its own: its angles, what it may be commanded, and the wait until it stands."""
 
     _POLL_S = 0.05

@@ -27,7 +27,6 @@ from ..errors import Disconnected, HardwareError, LimitExceeded, Rejected
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, MotionAxis, OperatorAsked, SafeReport
 from ..track import AxisCommand
 from ..transport import TextLine
-from .base import Unwatched
 
 _BELL = "\a"
 
@@ -118,7 +117,7 @@ def open_exchange(line: TextLine, clock: Clock, config: OperatorConfig) -> Conso
     return Console(line, clock)
 
 
-class OperatorAxis(Unwatched):
+class OperatorAxis(MotionAxis):
     """Role `MotionAxis`. `name` is shown to the operator; `encoder` is an axis whose motor gets no commands."""
 
     def __init__(

@@ -13,9 +13,9 @@ from ..clock import Clock
 from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
 from ..framing import LineFramer, NotThisReply
 from ..request_reply import Exchange
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, MotionAxis, SafeReport
 from ..transport import Transport
-from .base import ExchangeDriver, Unwatched
+from .base import ExchangeDriver
 
 _ANSWERS_S = 1.0
 
@@ -46,7 +46,7 @@ def open_exchange(transport: Transport, clock: Clock, config: SwitchConfig) -> E
     return Exchange(transport, LineFramer(), clock, "The motor", _ANSWERS_S)
 
 
-class SwitchAxis(ExchangeDriver[SwitchConfig], Unwatched):
+class SwitchAxis(ExchangeDriver[SwitchConfig], MotionAxis):
     def __init__(self, exchange: Exchange, config: SwitchConfig) -> None:
         super().__init__(exchange, config)
         self.settings = KeptSettings()

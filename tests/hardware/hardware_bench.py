@@ -168,10 +168,10 @@ def zaber_bench(
     clock: Clock,
     options: ZaberOptions | None = None,
     config: zaber.ZaberConfig | None = None,
-    truth: AxisTruth | None = None,
+    plant: AxisPlant | None = None,
     **port_options: Any,
 ) -> Iterator[tuple[zaber.ZaberAxis, SimulatedZaber, SimulatedPort]]:
-    device = SimulatedZaber([AxisPlant(truth, clock.now())], clock, options)
+    device = SimulatedZaber([plant or AxisPlant(None, clock.now())], clock, options)
     config = config or zaber.ZaberConfig(reply_timeout_s=0.2)
     with served(device, clock, config.baudrate, **port_options) as (port, transport):
         yield zaber.ZaberAxis(zaber.open_exchange(transport, clock, config), config), device, port

@@ -19,6 +19,7 @@ from hardware_bench import (
     zaber_bench,
 )
 from simulated_devices.faults import Faults
+from simulated_devices.limited_axis import LimitedAxis
 from simulated_devices.line_clock import LineClock
 from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 from simulated_devices.port import SimulatedPort
@@ -44,7 +45,7 @@ from gradcal_jax.hardware.errors import (
 )
 from gradcal_jax.hardware.roles import AxisSafe, ImuBatch, ImuStream, MotionAxis, join
 from gradcal_jax.hardware.setup import DRIVERS
-from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
+from gradcal_jax.hardware.simulate.plants import AxisPlant
 
 AXES = {"zaber": zaber_bench, "odrive": odrive_bench, "grbl": grbl_bench, "aerosmith": aerosmith_bench}
 QUICK = {
@@ -312,8 +313,8 @@ def test_stage_that_does_not_tell_its_microsteps_needs_them_from_the_rig_file() 
 
 def test_stage_with_limited_travel() -> None:
     clock = LineClock()
-    truth = AxisTruth(lowest_deg=0.0, highest_deg=360.0)
-    with zaber_bench(clock, ZaberOptions(endless=False), truth=truth) as (axis, _, _):
+    plant = LimitedAxis((0.0, 360.0), clock.now())
+    with zaber_bench(clock, ZaberOptions(endless=False), plant=plant) as (axis, _, _):
         axis.identify()
         axis.home()
         assert (axis.limits().lowest_deg, axis.limits().highest_deg) == (0.0, 360.0)

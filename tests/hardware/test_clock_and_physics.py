@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hardware_bench import sensor_on_table, stim300_bench
 from simulated_devices.gyro import EARTH_RATE_DPS, Mounting, SensorTruth
+from simulated_devices.limited_axis import LimitedAxis
 from simulated_devices.line_clock import LineClock
 from simulated_devices.stim300 import Stim300Options
 
@@ -171,7 +172,7 @@ def test_trapezoid_arrives_exactly_within_rate_and_acceleration() -> None:
 
 
 def test_short_move_is_a_triangle_and_travel_ends_a_spin() -> None:
-    plant = AxisPlant(AxisTruth(lowest_deg=-180.0, highest_deg=180.0))
+    plant = LimitedAxis((-180.0, 180.0))
     plant.move_to(0.0, 1.0, 300.0, 100.0)
     assert plant.state(0.2)[0] == pytest.approx(1.0)
     plant.spin(1.0, 90.0, 1000.0)

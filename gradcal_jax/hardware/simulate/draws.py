@@ -21,8 +21,6 @@ from ..pose import turn_by
 from .imu import LAWS, ErrorTerm, ImuTruth, Kind, Law, LoopTruth, Process, TableTruth, TriadTruth, TruthBasis, Vectors
 from .plants import AxisTruth
 
-# A plan may use all of its allowed travel: the cable's hard end is this far beyond.
-_BEYOND_DEG: Final = 2.0
 _XYZ: Final = "xyz"
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
 _LEVER_M: Final = 0.03
@@ -300,11 +298,8 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
             cosine = draw(size, f"angle_{axis.name}_cos{order}")
             sine = draw(size, f"angle_{axis.name}_sin{order}")
             waves.append((order, -float(np.degrees(cosine)), -float(np.degrees(sine))))
-        limit = None if np.isinf(axis.travel) else float(np.degrees(axis.travel)) + _BEYOND_DEG
         encoders.append(
             AxisTruth(
-                lowest_deg=None if limit is None else -limit,
-                highest_deg=limit,
                 harmonics=tuple(waves),
                 standstill_offset_deg=float(np.degrees(axis.angle.standstill_offset)),
                 reading_noise_deg=float(np.degrees(axis.angle.reading_noise)),

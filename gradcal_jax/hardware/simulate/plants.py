@@ -112,7 +112,7 @@ _PIECES_BY_HAND = 24
 
 @dataclass(frozen=True)
 class AxisTruth:
-    """True properties of a rotary axis. Travel in degrees each way from zero, None: endless.
+    """True properties of a rotary axis.
 
     The encoder reads the true angle plus a repeatable error (`harmonics`: order, cosine and sine part in deg) plus an
     offset drawn at every standstill plus white noise; the time of each reading has an error of `timing_error_s`, one
@@ -122,8 +122,6 @@ class AxisTruth:
     counts at the commanded rate, and keeps the difference in angle until the axis is homed.
     """
 
-    lowest_deg: float | None = None
-    highest_deg: float | None = None
     harmonics: tuple[tuple[int, float, float], ...] = ()
     standstill_offset_deg: float = 0.0
     reading_noise_deg: float = 0.0
@@ -222,7 +220,7 @@ class AxisPlant:
             now_s = max(now_s, self._known_until_s)
             position, rate = self.state(now_s)
             phases = self._change(now_s, position, rate, self._held(position, rate_dps), acceleration_dps2)
-            self._replace(now_s, self._within_travel(phases))
+            self._replace(now_s, phases)
 
     def move_to(self, now_s: float, target_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Trapezoid (or triangle) to an angle; a motion under way is stopped first."""
@@ -250,7 +248,7 @@ class AxisPlant:
                     down = begin + up + cruise
                     phases.append(_Phase(down, target_deg - ramp, sign * peak, -sign * acceleration_dps2))
                     phases.append(_Phase(down + up, target_deg, 0.0, 0.0))
-            self._replace(now_s, self._within_travel(phases))
+            self._replace(now_s, phases)
 
     @property
     def ends_s(self) -> float:
@@ -293,15 +291,6 @@ class AxisPlant:
         slope = math.copysign(acceleration_dps2, wanted - rate)
         end = position + (rate + wanted) / 2.0 * duration
         return [_Phase(now_s, position, rate, slope), _Phase(now_s + duration, end, wanted, 0.0)]
-
-    def _within_travel(self, phases: list[_Phase]) -> list[_Phase]:
-        """A spin that would leave the travel ends abruptly at the limit."""
-        last = phases[-1]
-        limit = self.truth.highest_deg if last.rate_dps > 0.0 else self.truth.lowest_deg
-        if last.rate_dps != 0.0 and limit is not None:
-            at = last.start_s + max(0.0, (limit - last.position_deg) / last.rate_dps)
-            return [*phases, _Phase(at, limit, 0.0, 0.0)]
-        return phases
 
     def _replace(self, now_s: float, phases: list[_Phase]) -> None:
         self._offset_deg = self.truth.standstill_offset_deg * float(self._random.standard_normal())

@@ -8,6 +8,8 @@ refused while `FF` or `FH` is up, and infos or alerts may come between (`chatter
 import re
 from dataclasses import dataclass, field
 
+from simulated_devices.limited_axis import LimitedAxis
+
 from gradcal_jax.hardware.checksums import lrc_zaber
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate.plants import AxisPlant
@@ -125,9 +127,9 @@ class SimulatedZaber:
             stage.homing_until_s = -1.0
             stage.plant.set_zero(now)
             stage.warning = "" if stage.warning in ("WR", "WH") else stage.warning
-        truth, (position, rate) = stage.plant.truth, stage.plant.state(now)
+        position, rate = stage.plant.state(now)
         stands = rate == 0.0 and stage.homing_until_s < 0.0 and position != 0.0
-        if truth.highest_deg is not None and stands and position in (truth.lowest_deg, truth.highest_deg):
+        if isinstance(stage.plant, LimitedAxis) and stands and position in stage.plant.ends_deg:
             stage.warning = "FE"
         return stage.homing_until_s >= 0.0 or stage.plant.moving(now)
 

@@ -22,6 +22,7 @@ repeated otherwise. `hold`, `standby` and `safe` remove the gradient.
 import math
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 from pydantic import Field
@@ -208,16 +209,15 @@ class WeissChamber(ChamberDriver[WeissConfig]):
 
     def __init__(self, exchange: Exchange, config: WeissConfig) -> None:
         super().__init__(exchange, config)
-        self._known: Layout | None = None
         self._acknowledges = False
         self._orders = 0
 
     def identify(self) -> Identity:
-        layout = self._layout()
+        layout = self._layout
         return Identity("weiss", "ASCII-2 chamber", details={"channels": " ".join(layout.read)} | layout.names)
 
     def limits(self) -> ChamberLimits:
-        layout = self._layout()
+        layout = self._layout
         return ChamberLimits(layout.lowest_c, layout.highest_c, 0.1, self._config.hardware_ramp, 0.1, math.inf, 0.1)
 
     def read(self) -> ChamberReading:
@@ -268,30 +268,27 @@ class WeissChamber(ChamberDriver[WeissConfig]):
     def _runs(self, record: Record) -> bool:
         return record.digital[self._config.start_channel] == "1"
 
+    @cached_property
     def _layout(self) -> Layout:
-        if self._known is None:
-            config = self._config
-            if config.read_layout:
-                names = config.read_layout.split(), config.write_layout.split()
-                channel = config.temperature_channel or names[0][0]
-                self._known = Layout(tuple(names[0]), tuple(names[1]), channel, config.lowest_c, config.highest_c, {})
-            else:
-                with self._exchange.alone():
-                    self._exchange.write(self._request("?"))
-                    # There is no end mark: the first byte has the reply's time-out, then silence ends the text.
-                    received = self._exchange.transport.read(config.reply_timeout_s)
-                    received += self._exchange.transport.drain(config.description_silence_s, longest_s=10.0)
-                if not received:
-                    raise ReplyTimeout(
-                        f"The chamber at {self._exchange.transport.url} did not describe itself ($aa?). Check address, "
-                        "baud rate and cable; if it has a fixed layout, write read_layout and write_layout in the rig "
-                        "file."
-                    )
-                self._known = parse_description(received.decode("ascii", "replace"), config.temperature_channel)
-        return self._known
+        config = self._config
+        if config.read_layout:
+            reads, writes = config.read_layout.split(), config.write_layout.split()
+            channel = config.temperature_channel or reads[0]
+            return Layout(tuple(reads), tuple(writes), channel, config.lowest_c, config.highest_c, {})
+        with self._exchange.alone():
+            self._exchange.write(self._request("?"))
+            # There is no end mark: the first byte has the reply's time-out, then silence ends the text.
+            received = self._exchange.transport.read(config.reply_timeout_s)
+            received += self._exchange.transport.drain(config.description_silence_s, longest_s=10.0)
+        if not received:
+            raise ReplyTimeout(
+                f"The chamber at {self._exchange.transport.url} did not describe itself ($aa?). Check address, baud "
+                "rate and cable; if it has a fixed layout, write read_layout and write_layout in the rig file."
+            )
+        return parse_description(received.decode("ascii", "replace"), config.temperature_channel)
 
     def _record(self) -> Record:
-        layout = self._layout()
+        layout = self._layout
 
         def parse(frame: bytes) -> Record:
             if frame.strip() == b"0":

@@ -54,24 +54,20 @@ class ChamberPlant:
                 self._set_point_c = target_c
 
     def move_set_point(self, now_s: float, set_point_c: float) -> None:
-        with self._lock:
-            self.advance(now_s)
-            self._set_point_c = set_point_c
+        self.advance(now_s)
+        self._set_point_c = set_point_c
 
     def switch(self, now_s: float, conditioning: bool) -> None:
-        with self._lock:
-            self.advance(now_s)
-            self.conditioning = conditioning
+        self.advance(now_s)
+        self.conditioning = conditioning
 
     def air_c(self, now_s: float) -> float:
-        with self._lock:
-            self.advance(now_s)
-            return self._air_c
+        self.advance(now_s)
+        return self._air_c
 
     def set_point_c(self, now_s: float) -> float:
-        with self._lock:
-            self.advance(now_s)
-            return self._set_point_c
+        self.advance(now_s)
+        return self._set_point_c
 
     def load_at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Temperature of the load at recent times, `(n,) -> (n,)`."""

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 from hardware_bench import sensor_on_table, stim300_bench
-from simulated_devices.gyro import EARTH_RATE_DPS, Mounting, SensorTruth
+from simulated_devices.gyro import EARTH_RATE_DPS, Mounting, Powers, SensorTruth
 from simulated_devices.limited_axis import LimitedAxis
 from simulated_devices.line_clock import LineClock
 from simulated_devices.stim300 import Stim300Options
@@ -14,7 +14,7 @@ from simulated_devices.stim300 import Stim300Options
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.roles import join
-from gradcal_jax.hardware.simulate.imu import Process, TruthBasis
+from gradcal_jax.hardware.simulate.imu import Process
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 
 # --- clock ------------------------------------------------------------------------------------------------------------
@@ -227,9 +227,9 @@ def test_sensor_error_is_bias_and_scale_factor_of_temperature_and_rate() -> None
     truth = SensorTruth(
         bias_dps=((0.01, 0.002, 0.0, 0.0),) * 3,
         scale_factor=(((1e-3, 2e-4), (5e-4, 0.0)),) * 3,
-        bias_basis=TruthBasis("polynomial", 3, 20.0, 50.0),
-        temperature_basis=TruthBasis("polynomial", 1, 20.0, 50.0),
-        rate_basis=TruthBasis("polynomial", 1, 0.0, 300.0),
+        bias_basis=Powers(3, 20.0, 50.0),
+        temperature_basis=Powers(1, 20.0, 50.0),
+        rate_basis=Powers(1, 0.0, 300.0),
     )
     axis = AxisPlant()
     axis.spin(0.0, 150.0, 1e6)

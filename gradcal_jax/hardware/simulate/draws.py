@@ -8,17 +8,19 @@ import itertools
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
+from ... import formulas
 from ...files.absent import absent_lever_arm
-from ...files.bases import PolynomialKeys, SplineKeys
+from ...files.bases import PolynomialKeys
+from ...files.places import rotation_of
 from ...files.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureError
 from ...files.spec_sections import Spec
-from ...units import to_unit
 from ..pose import turn_by
-from .imu import LAWS, ErrorTerm, ImuTruth, Kind, Law, LoopTruth, Process, TableTruth, TriadTruth, TruthBasis, Vectors
+from .imu import LAWS, ErrorTerm, ImuTruth, Kind, Law, LoopTruth, Process, TableTruth, TriadTruth, Vectors
 from .plants import AxisTruth
 
 _XYZ: Final = "xyz"
@@ -67,22 +69,12 @@ def processes_of(
     return (*biases, *scales, Process(float(error.standard_deviation), lasts, *gains))
 
 
-def basis_truth(section: Any, unit: str = "") -> TruthBasis:
-    """A spec's basis of temperatures (°C), or of rates in a unit."""
-
-    def numbers(*values: Any) -> tuple[float, ...]:
-        return tuple(to_unit(float(value), unit) if unit else float(value) for value in values)
-
-    if isinstance(section, PolynomialKeys):
-        centre, scale = numbers(section.centre, section.scale)
-        return TruthBasis("polynomial", section.degree, centre, scale)
-    if isinstance(section, SplineKeys):
-        return TruthBasis("b-spline", section.degree, knots=numbers(*section.knots))
-    return TruthBasis("bins", knots=numbers(*section.edges))
+def _constant(x: Vectors) -> Vectors:
+    return np.ones((len(x), 1))
 
 
-def ordinal(basis: TruthBasis, number: int) -> str:
-    return {"polynomial": "", "b-spline": "_spline", "bins": "_bin"}[basis.kind] + str(number)
+def _ordinal(section: Any, number: int) -> str:
+    return {"polynomial": "", "b-spline": "_spline", "bins": "_bin"}[section.basis] + str(number)
 
 
 class _Draws:
@@ -118,7 +110,7 @@ class _Draws:
             for name in self.values:
                 if axis in axes and re.fullmatch(rf"{kind}_{axis}\.a(0|_(bin|spline)\d+)?", name):
                     self.values[name] += float(values[row, 0, 0])
-        return ErrorTerm(values, TruthBasis(), "one")
+        return ErrorTerm(values, _constant, "one")
 
     def _gradient(self, kind: Kind, triad: GyroTriad | AccelerometerTriad) -> tuple[float, ...]:
         if triad.bias_temperature_gradient is None:
@@ -132,29 +124,28 @@ class _Draws:
     def _term(
         self, kind: Kind, section: Any, size: float, factors: str, symbols: list[list[str]], axes: tuple[str, ...]
     ) -> ErrorTerm:
-        basis, count = TruthBasis(), 1
-        if section.temperature is not None:
-            basis, count = basis_truth(section.temperature), section.temperature.size
+        of_t = section.temperature
+        basis, count = (_constant, 1) if of_t is None else (of_t.values, of_t.size)
         values = size * self.random.standard_normal((3, len(symbols[0]), count))
         # A gyro's bias is numbered also where it is constant.
         counted = count > 1 or (kind, factors) == ("gyro", "one")
         for row, column, power in np.ndindex(values.shape):
             if symbols[row][column] and _XYZ[row] in axes:
-                ending = ordinal(basis, power) if counted else ""
+                ending = ("0" if of_t is None else _ordinal(of_t, power)) if counted else ""
                 self.values[f"{kind}_{_XYZ[row]}.{symbols[row][column]}{ending}"] = float(values[row, column, power])
             else:
                 values[row, column, power] = 0.0
         return ErrorTerm(values, basis, factors, float(section.lag or 0.0))
 
     def _scale_factors(self, section: Any, size: float, axes: tuple[str, ...]) -> ErrorTerm:
-        of_t, of_w = basis_truth(section.temperature), basis_truth(section.rate, "deg/s")
-        values = size * self.random.standard_normal((3, section.temperature.size, section.rate.size))
-        powers = of_t.kind == of_w.kind == "polynomial" and max(values.shape[1:]) <= 10
+        of_t, of_w = section.temperature, section.rate
+        values = size * self.random.standard_normal((3, of_t.size, of_w.size))
+        powers = of_t.basis == of_w.basis == "polynomial" and max(values.shape[1:]) <= 10
         for row, i, j in np.ndindex(values.shape):
-            symbol = f"b{j}{i}" if powers else f"b{ordinal(of_w, j)}_{ordinal(of_t, i)}"
+            symbol = f"b{j}{i}" if powers else f"b{_ordinal(of_w, j)}_{_ordinal(of_t, i)}"
             if _XYZ[row] in axes:
                 self.values[f"gyro_{_XYZ[row]}.{symbol}"] = float(values[row, i, j])
-        return ErrorTerm(values.transpose(0, 2, 1), of_t, of_w, float(section.lag or 0.0))
+        return ErrorTerm(values.transpose(0, 2, 1), of_t.values, of_w.values, float(section.lag or 0.0))
 
 
 def _named(kind: Kind, name: str, values: Vectors, axes: Sequence[str]) -> dict[str, float]:
@@ -195,11 +186,14 @@ def _draw_hidden(triad: Any, random: np.random.Generator) -> Iterator[ErrorTerm]
             count, known = (of.rate_degree + 1, section.rate.size) if of_input else (1, 1)
             values = float(of.standard_deviation) * random.standard_normal((3, of.temperature_degree + 1, count))
             values[:, : section.temperature.size, :known] = 0.0
-            basis = replace(basis_truth(section.temperature), kind="legendre", degree=of.temperature_degree)
-            factors = "one"
-            if of_input:
-                factors = replace(basis_truth(section.rate, "deg/s"), kind="legendre", degree=of.rate_degree)
+            basis = partial(_legendre, section.temperature, of.temperature_degree)
+            factors = partial(_legendre, section.rate, of.rate_degree) if of_input else "one"
             yield ErrorTerm(values.transpose(0, 2, 1), basis, factors, float(section.lag or 0.0))
+
+
+def _legendre(powers: PolynomialKeys, degree: int, x: Vectors) -> Vectors:
+    """Legendre polynomials up to a degree, where a map has powers: no other map has a discrepancy."""
+    return formulas.legendre((x - float(powers.centre)) / float(powers.scale), degree)
 
 
 def _draw_differences(
@@ -217,8 +211,9 @@ def _draw_differences(
             values = float(of.prior) * random.standard_normal(3)
             names |= _named(kind, name, values, triad.axes)
             # A mass that is behind by τ dT/dt is cooler where that is positive.
-            slopes = np.outer(values * (1.0 if of is second else -1.0 / lag_s), [0.0, 1.0])[:, None, :]
-            yield ErrorTerm(slopes, TruthBasis(degree=1), "own" if head else "one", lag_s, differs=True)
+            slopes = values * (1.0 if of is second else -1.0 / lag_s)
+            factors = "own" if head else "one"
+            yield ErrorTerm(slopes[:, None, None], lambda apart_k: apart_k[:, None], factors, lag_s, differs=True)
 
 
 def _uncertain_lag(of: Any, random: np.random.Generator) -> float:
@@ -313,8 +308,7 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
     for number, mounting in enumerate(table.mounting, start=1):
         size = float(mounting.accuracy) if in_case else 0.0
         off = [draw(size, f"mounting{number}_{axis}") for axis in _XYZ]
-        drawn = mounting.rotation or (0.0, 0.0, 0.0)
-        mountings.append(np.array(mounting.columns).T @ turn_by([float(angle) for angle in drawn]) @ turn_by(off))
+        mountings.append(rotation_of(mounting) @ turn_by(off))
     truth = TableTruth(
         axes=tuple(axis.unit_vector for axis in table.axis),
         latitude=site.latitude_rad,
@@ -332,9 +326,7 @@ def draw_places(spec: Spec, truth: TableTruth, seed: int) -> list[TableTruth]:
     tables: list[TableTruth] = []
     for place in spec.rig.table.place:
         off = (float(place.accuracy) if in_case else 0.0) * random.standard_normal(3)
-        drawn = [float(angle) for angle in place.rotation or (0.0, 0.0, 0.0)]
-        first = np.array(place.columns).T if place.matrix is None else np.array(place.matrix)
-        held = first @ turn_by(drawn) @ turn_by(off)
+        held = rotation_of(place) @ turn_by(off)
         tables.append(replace(truth, mountings=tuple(mounting @ held for mounting in truth.mountings)))
     return tables
 

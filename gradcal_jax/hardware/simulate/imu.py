@@ -24,15 +24,15 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from ... import formulas
 from ...formulas import lag_filter
 from ..pose import turn_about, turn_by
 from .plants import AxisPlant, ChamberPlant, UncontrolledRoom
 
 Vectors = NDArray[np.float64]
+Functions = Callable[[Vectors], Vectors]
+"""Functions of a temperature (°C) or a rate (rad/s), `(n,) -> (n, k)`."""
 Law = Literal["relays", "thermal masses"]
 LAWS: Final[tuple[Law, ...]] = ("relays", "thermal masses")
 
@@ -137,26 +137,6 @@ def _filtered(numerator: Any, denominator: Any, values: Vectors, state: Vectors)
 
 
 @dataclass(frozen=True)
-class TruthBasis:
-    """Functions of a temperature (°C) or a rate (deg/s): "polynomial" (monomials), "legendre", "b-spline" or "bins"."""
-
-    kind: Literal["polynomial", "legendre", "b-spline", "bins"] = "polynomial"
-    degree: int = 0
-    centre: float = 0.0
-    scale: float = 1.0
-    knots: tuple[float, ...] = ()
-
-    def __call__(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        if self.kind == "polynomial":
-            return formulas.monomials((x - self.centre) / self.scale, self.degree)
-        if self.kind == "legendre":
-            return np.asarray(legendre.legvander((x - self.centre) / self.scale, self.degree), np.float64)
-        return (
-            formulas.b_spline(x, self.knots, self.degree) if self.kind == "b-spline" else formulas.bins(x, self.knots)
-        )
-
-
-@dataclass(frozen=True)
 class Process:
     """A Gauss–Markov process of each axis; it adds `bias_gain` times itself to the rate (deg/s) and `rate_gain` times
     itself to the scale factor. An infinite `tau_s` is one draw."""
@@ -256,21 +236,21 @@ sensor axis, or the same for all. The products are xy, xz and yz."""
 @dataclass(frozen=True)
 class ErrorTerm:
     """An error of the three sensors: factors times functions of temperature, `values` `(3, k, nT)` by sensor axis.
-    `factors`: a name of `FACTORS`, or the functions of the rate (deg/s) of M(T, ω). `lag_s`: of the mass whose
+    `factors`: a name of `FACTORS`, or the functions of the rate of M(T, ω). `lag_s`: of the mass whose
     temperature it follows; `differs`: by how much that is warmer than the sensor."""
 
     values: NDArray[np.float64]
-    basis: TruthBasis
-    factors: str | TruthBasis
+    basis: Functions
+    factors: str | Functions
     lag_s: float = 0.0
     differs: bool = False
 
     def __call__(self, own: Vectors, force: Vectors, temperature_c: NDArray[np.float64]) -> Vectors:
         coefficients = np.einsum("nt,akt->nak", self.basis(temperature_c), self.values)
-        if isinstance(self.factors, TruthBasis):
-            factors = self.factors(np.degrees(own).ravel()).reshape(*own.shape, -1) * own[..., None]
-        else:
+        if isinstance(self.factors, str):
             factors = np.broadcast_to(FACTORS[self.factors](own, force), coefficients.shape)
+        else:
+            factors = self.factors(own.ravel()).reshape(*own.shape, -1) * own[..., None]
         return np.einsum("nak,nak->na", coefficients, factors)
 
 

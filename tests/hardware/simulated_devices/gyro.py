@@ -13,11 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.hardware.pose import turn_about
-from gradcal_jax.hardware.simulate.imu import Drifts, Process, SampledSensor, SensorSamples, TruthBasis, Vectors
+from gradcal_jax.hardware.simulate.imu import Drifts, Process, SampledSensor, SensorSamples, Vectors
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant
 
 EARTH_RATE_DPS = 15.041067 / 3600.0
 Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Powers:
+    """Powers of (x - centre)/scale, of a temperature (°C) or a rate (deg/s)."""
+
+    degree: int = 0
+    centre: float = 0.0
+    scale: float = 1.0
+
+    def __call__(self, x: Vectors) -> Vectors:
+        return ((x - self.centre) / self.scale)[..., None] ** np.arange(self.degree + 1)
 
 
 @dataclass(frozen=True)
@@ -37,9 +49,9 @@ class SensorTruth:
     processes: tuple[Process, ...] = ()
     rate_random_walk_dps_sqrt_s: float = 0.0
     gradient_deg_per_k: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    bias_basis: TruthBasis = field(default_factory=TruthBasis)
-    temperature_basis: TruthBasis = field(default_factory=TruthBasis)
-    rate_basis: TruthBasis = field(default_factory=TruthBasis)
+    bias_basis: Powers = field(default_factory=Powers)
+    temperature_basis: Powers = field(default_factory=Powers)
+    rate_basis: Powers = field(default_factory=Powers)
     clock_error: float = 0.0
 
 

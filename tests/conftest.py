@@ -47,8 +47,8 @@ _SURE = (
     "plots",
 )
 """Rooms whose tests use the core by ways that its own tests, and the recorded numbers, have checked."""
-_ESTIMATES = ("estimate", "recording", "logs", "read_tables", "several", "late_terms", "without_encoder")
-"""The same of files in `imu`."""
+_ESTIMATES = ("estimate", "recording", "logs", "read_tables", "several", "late_terms", "without_encoder", "known_plans")
+"""The same of files in `imu`, and of whole plans, whose figures have sources of their own."""
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -61,7 +61,7 @@ def block_heading(block: MotionBlock) -> str:
     else:
         text = f"{block.name}: begins with {block.begins_with}, {block.repeat} times, one every {block.period}"
     if any(block.start.values()):
-        text += f"; first turn {', '.join(f'{name} to {angle}' for name, angle in block.start.items())}"
+        text += f"; initial angles: {', '.join(f'{name} {angle}' for name, angle in block.start.items())}"
     if block.standing_after > 0.0:
         read = "not read" if block.read_every_after is None else f"read every {block.read_every_after}"
         text += f"; then rest for {block.standing_after} ({read})"

@@ -28,7 +28,7 @@ from gradcal_jax.linalg import solve_transposed
 from gradcal_jax.model import DISCREPANCY, Discrepancy, SensorModel
 
 SEEN = 1e-4
-"""Components below this share of the largest gain are left out of the test."""
+"""Components whose gain is below this share of the largest gain are left out of the test."""
 # The mixture ends where its remainder is smaller than this.
 _NEGLIGIBLE = 1e-14
 _BEYOND_PPM_OF_ALL = 1e12

@@ -125,7 +125,7 @@ def test_a_technician_reads_where_each_axis_stands() -> None:
     assert rows[1][1:5] == ("turn", "turn", str(recipe.motion[0].moves[1].duration), "+1080 deg, to 1080 deg")
     assert rows[3][4] == "-1080 deg, to 0 deg"
     placed = changed(preset("one-axis-table"), {"plan.cycle.start": {"turn": "30 deg"}})
-    assert "before, turn to 30 deg" in block_heading(recipe_of_unit(placed).motion[0])
+    assert "initial angles: turn 30 deg" in block_heading(recipe_of_unit(placed).motion[0])
 
 
 def test_tracks_changed_by_hand_are_refused() -> None:

@@ -161,7 +161,7 @@ def test_a_log_refuses_what_does_not_fit():
         ({"rate_rad_per_s": np.zeros((1, 3, 2))}, "shape"),
         ({"units": ("a", "a"), "rate_rad_per_s": np.zeros((2, 3, 1))}, "labels are the same"),
         ({"temperature_c": np.zeros((1, 4))}, "temperature has the shape"),
-        ({"stretch_starts": np.array([1])}, "stretches"),
+        ({"stretch_starts": np.array([1])}, "stretch_starts"),
         ({"rows_read": 9}, "9 rows were read, but 3 kept"),
     ]:
         with pytest.raises(LogError, match=sentence):
@@ -330,8 +330,8 @@ def test_wrong_units_are_found_by_size_and_against_the_table():
         ({"rate": quiet(3000), "temperature_c": np.full((1, 3000), 293.0) + time}, "K, degF, or counts"),
         ({"rate": quiet(3000), "sample_rate_hz": 1e5}, "times those of the stated rate"),
         ({"rate": quiet(3000), "time": time * 1e9}, "another unit"),
-        ({"rate": np.degrees(turning), "table_rate_rad_per_s": turning[:, None]}, "deg for rad"),
-        ({"rate": turning / 57.2958, "table_angle_rad": -np.cos(time)[:, None]}, "deg for rad"),
+        ({"rate": np.degrees(turning), "table_rate_rad_per_s": turning[:, None]}, "deg instead of rad"),
+        ({"rate": turning / 57.2958, "table_angle_rad": -np.cos(time)[:, None]}, "deg instead of rad"),
     ]:
         arguments = {"time": time, "table_axes": ("inner",), **arguments}
         raw = columns(arguments.pop("rate"), arguments.pop("time"), **arguments)

@@ -168,7 +168,9 @@ def test_a_mission_beyond_a_basis_is_refused(folder):
     knots = ["-60 deg/s", "0 deg/s", "29 deg/s"]
     spec = read_spec(folder / "spec.toml")
     rate = {"basis": "b-spline", "knots": knots}
-    with pytest.raises(SpecError, match=r"line 5: the rate is 30 deg/s, outside the rate basis, -60 to 29"):
+    with pytest.raises(
+        SpecError, match=r"line 5: the rate is 30 deg/s, outside the range of the rate basis, -60 to 29"
+    ):
         changed(spec, {"sensor.gyro.scale_factor.rate": rate, "requirement[0].rate": ["-20 deg/s", "20 deg/s"]})
 
 

@@ -60,8 +60,7 @@ class CalibratedTerm(Section):
     lag: q.Time | None = None
     """First-order lag of this term behind the temperature of its channel; absent: no lag."""
     coefficients: Annotated[dict[str, q.Number], Field(min_length=1, max_length=40_000)]
-    """Coefficients by name, in SI, in an order in which the function of rate changes fastest and that of temperature
-    slowest."""
+    """Coefficients by name, in SI: for each function of temperature, in order, those of all functions of rate."""
 
     def _problems(self) -> Iterator[Problem]:
         if len(self.coefficients) != self.size:

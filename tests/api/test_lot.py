@@ -189,7 +189,7 @@ def test_the_prior_of_shapes_is_their_covariance():
     ("shapes", "sentence"),
     [
         ([["1 dps"] * 5] * 6, "expected 6 coefficients, as many as the map has"),
-        ([["1 dps"] * 6] * 6, "the shapes of x do not span all 6 coefficients"),
+        ([["1 dps"] * 6] * 6, "the shapes of axis x do not span all 6 coefficients"),
     ],
 )
 def test_shapes_that_are_no_prior_are_refused(shapes, sentence):

@@ -133,8 +133,7 @@ DEVICES = (
         "The flight controller records the IMU with its own logger, and the run controls the table and the chamber.\n"
         "`gradcal log` compares the motion of the IMU with that of the table, and so aligns the recording with the\n"
         "clock of the run. The spec states how far the gyros are from the accelerometers (`lever_arm`), which\n"
-        "matters at the rates of this plan. With this seed of the simulated devices, tests of the fit find that\n"
-        "parts of the data disagree; the cause is not known.",
+        "matters at the rates of this plan.",
         True,
     ),
     (

@@ -145,8 +145,8 @@ def test_what_is_believed_is_said(spec):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"design.min_distinct_rates": 6}, "is gone"),
-        ({"sensor.gyro.drift[0].uncertain": "factor 0.5"}, "more than 1"),
+        ({"design.min_distinct_rates": 6}, "no longer exists"),
+        ({"sensor.gyro.drift[0].uncertain": "factor 0.5"}, "above 1"),
         ({"sensor.gyro.drift[0].uncertain": "about 2"}, "factor 2"),
         ({"sensor.gyro.drift[0].uncertain": 3}, "a table that gives"),
         ({"sensor.gyro.drift[0].uncertain": {"tau": "factor 2"}}, "not a figure of this table"),

@@ -146,7 +146,7 @@ def test_check_says_what_the_plan_does(spec, capsys):
         "cycle: 6 min, made 17 times: moves 2 min, other axes 4 min (read every 1 s)",
         "+360 deg  up to 10 deg/s   1.662 deg/s^2",
         "readings: 4402",
-        "the table is at rest for 2 min",
+        "the table stays at rest for 2 min",
     ):
         assert words in out
     spec.write_text(presets.text("paper-dynamic-standard"), encoding="utf-8")

@@ -42,7 +42,7 @@ def test_from_a_log_to_a_corrected_log_and_a_header(folder, capsys):
     assert "SIMULATED" in said
     assert "gyro scale factor" in said
     assert "error of the table" in said
-    assert "µg rms as corrected" in said
+    assert "µg rms after the correction" in said
     assert (folder / "fit.png").stat().st_size > 20_000
     assert main(["apply", out, log, "-o", str(folder / "true.nc")]) == 0
     capsys.readouterr()
@@ -106,7 +106,7 @@ def test_all_numbers_as_json(folder, capsys):
 @pytest.mark.parametrize(
     ("extra", "said"),
     [
-        (["--axis", "x"], "one gyro along the only axis of a table"),
+        (["--axis", "x"], "a single gyro, along the only axis of the table"),
         (["--unit", "nobody"], "no unit 'nobody'"),
     ],
 )

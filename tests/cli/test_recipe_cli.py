@@ -69,7 +69,7 @@ def test_show_is_a_table_that_a_technician_can_follow(made, capsys):
     [
         (["--steps", "0", "--quick"], "--quick: no effect with --steps 0"),
         (["--steps", "0", "--plot", "a.png"], "--plot"),
-        (["--pause", "1 h"], "--pause: no effect but of the folder of a run"),
+        (["--pause", "1 h"], "--pause: no effect unless SPEC is the folder of a run"),
         (["--points", "3"], "--points: no effect without --motion"),
         (["--motion", "50min", "--until-met", "--timeout", "4 h"], "--timeout, --until-met: no effect with --motion"),
     ],
@@ -82,7 +82,7 @@ def test_options_without_effect_are_refused(made, tmp_path, options, useless, ca
 
 def test_of_the_folder_of_a_run_options_of_searches_are_refused(tmp_path, capsys):
     assert main(["optimise", str(tmp_path), "-o", str(tmp_path / "rest.toml"), "--steps", "40"]) == 2
-    assert "--steps: no effect of the folder of a run" in capsys.readouterr().err
+    assert "--steps: no effect if SPEC is the folder of a run" in capsys.readouterr().err
     assert main(["optimise", str(tmp_path)]) == 2
     assert "-o rest.toml" in capsys.readouterr().err
 

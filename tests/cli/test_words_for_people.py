@@ -22,7 +22,7 @@ def test_the_help_lists_every_command_once_in_the_order_of_work(capsys):
     assert sorted(listed) == sorted(name for name in build() if not name.startswith("-"))
     places = [alone.index(f"\n  {name}:") for name in listed]
     assert places == sorted(places)
-    assert alone.index("Begin:") < alone.index("Execute it:") < alone.index("Calibrate:")
+    assert alone.index("Begin:") < alone.index("Execute a plan:") < alone.index("Calibrate:")
 
 
 @pytest.mark.parametrize("preset", [n for n in gj.presets.names() if gj.parse_spec(gj.presets.text(n)).is_one_axis])

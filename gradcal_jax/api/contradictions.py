@@ -352,8 +352,8 @@ def structure_in_words(test: StructureTest) -> str:
     of_temperature, of_rate = test.asked
     degree = f"degree {of_temperature} in temperature" + (f" and {of_rate} in rate" if test.quantity != BIAS else "")
     return (
-        f"the {test.quantity.replace('_', ' ')} has more structure than the model (chance "
-        f"{test.test.probability:.1g}): {degree} fits significantly better"
+        f"the log shows structure of the {test.quantity.replace('_', ' ')} that the model lacks (p-value "
+        f"{test.test.probability:.1g}): a polynomial of {degree} fits significantly better"
     )
 
 

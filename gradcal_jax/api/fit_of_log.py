@@ -216,9 +216,10 @@ def _read(
             break
         if number == _LINEARISED:
             raise LogError(
-                f"{name}: the angles from gravity do not converge ({np.degrees(largest):.2g} deg from one "
-                f"linearisation to the next, after {number}): is the IMU at rest in the standstills, and do the "
-                "plan's turns and the directions of the axes agree with the log?"
+                f"{name}: the angles from gravity do not converge (they still change by "
+                f"{np.degrees(largest):.2g} deg from one linearisation to the next, after {number} linearisations): is "
+                "the IMU at rest in the standstills, and do the plan's turns and the directions of the axes agree with "
+                "the log?"
             )
         share = 0.5 if number >= _HALF_FROM else 1.0
         angles = rows.angles + share * np.where(np.isfinite(errors), errors, 0.0)

@@ -1,6 +1,6 @@
-"""The steps that start from a log, each one function with the name of its command; they load most of SciPy. Beside them
-estimates without the log of a table: one gyro from a table of points, and B(T) with covariance from a record at rest
-during warm-up, without a spec (the static gradient method for vehicles).
+"""The functions that start from a log or an array: `instability`, `allan`, `estimate`, an estimate from a table of
+points, the turns of a table by hand, and B(T) with covariance from a record at rest during warm-up, without a spec (the
+static gradient method for vehicles). They read and write no files, and load most of SciPy.
 
 A flight controller heats up after it is switched on; PX4 and ArduPilot fit a cubic to its bias and subtract it. Here
 the same cubic is estimated by the one measurement model, with a spec from the record: angle random walk from the Allan

@@ -476,8 +476,8 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
         place = _places_of(built, log, options.table_axis)[0] if known or options.table_axis else None
         if not known:
             messages.append(
-                "the log has no table angle: the estimate uses only rates at rest, and the scale factor is "
-                "not observable"
+                "the log has no table angle: the estimate uses only the gyro rates at rest, and the scale factor "
+                "is not observable"
             )
         noise = float(built.model.encoder.reading[0])
         read, standing = table_readings(log, place, standing, _spacing(built, options), messages, noise)

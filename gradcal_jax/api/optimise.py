@@ -1,5 +1,6 @@
-"""`optimise`: the best plan that a search finds for a spec, by what its rig can turn; the shortest plan that meets the
-targets, the best one for each of several durations, and that for the rest of an interrupted run.
+"""`optimise`: the best plan for a spec, by the search that suits it: the turns of one gyro, the poses of any other IMU,
+or the shortest time that meets the targets. `frontier`: the best plan for each of several durations; `replan`: that for
+the rest of an interrupted run.
 
 The executed part of an interrupted run is in the spec as `[[done]]`, so that every prediction of the new plan includes
 its readings and noise. Both are one run: the drifts continue through the pause, the turn-on bias stays (the IMU is not
@@ -257,7 +258,8 @@ def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimi
         before=spec.gradient_schedule.motion / 60.0 if not isinstance(spec.schedule, StandardSchedule) else None,
         optimum=minutes,
         now=minutes,
-        sentence=f"{best.sentence}; {best.now:.3g} times the target; {longest / 60.0:.4g} min were allowed",
+        sentence=f"{best.sentence}; the remaining error is {best.now:.3g} times the target; the search allowed at most "
+        f"{longest / 60.0:.4g} min",
         starts=(),
         active=(*best.active, bound),
         prices=prices,

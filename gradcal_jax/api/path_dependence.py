@@ -1,5 +1,5 @@
-"""What a record shows of the path of temperature: half of what heating and cooling differ by, curves of the bias over
-temperature, and terms that explain what the maps of a model lack.
+"""How a sensor's bias in a record depends on the path of temperature: half the difference between heating and cooling,
+curves of the bias over temperature, and terms that explain what the maps of a model lack.
 
 Plays of several half-widths, dT/dt at once and late by several lags, transients from power-on, the second thermometer's
 difference, and a lag of the maps of the bias are columns beside those of the model, of all channels. The whitened rows

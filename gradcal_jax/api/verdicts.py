@@ -1,5 +1,5 @@
-"""Targets of requirements and verdicts on residuals: units for people, statistics, decision rules; and the rows of
-calibration files that the estimators share."""
+"""Targets of requirements in their display units, decision rules, and verdicts on residuals; and the rows of
+calibration files that all estimators write."""
 
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -318,9 +318,10 @@ def lot(
 ) -> int:
     """Compute the mean and the spread of every map over temperature, from calibrations of several IMUs of one type.
 
-    The uncertainty of each calibration does not count in the spread. A chi-squared test at 1 % gives the number of
-    shapes over temperature that repeat from IMU to IMU. Further tests detect groups, and outliers (at 1 % for the whole
-    lot). The exit status is 1 if there are outliers or groups, or if priors are requested and no shape repeats.
+    The uncertainty of each calibration does not count in the spread. The command also prints the smallest number of
+    functions of temperature (shapes) that, added to the mean map with a factor for each IMU, explain the maps of all
+    IMUs (chi-squared test at 1 %). Further tests detect groups, and outliers (at 1 % for the whole lot). The exit
+    status is 1 if there are outliers or groups, or if priors are requested and no map has such shapes.
 
     Parameters
     ----------

@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 
 
 def config_path() -> Path | None:
-    """The file: `GRADCAL_CONFIG` (no file if that is empty), or config.toml by the XDG rule, if it exists."""
+    """Path of the user's configuration: the value of the environment variable `GRADCAL_CONFIG` (empty: None); if it is
+    not set, gradcal/config.toml in the XDG configuration folder, or None if that file does not exist."""
     if (named := os.environ.get("GRADCAL_CONFIG")) is not None:
         return Path(named) if named else None
     path = Path(os.environ.get("XDG_CONFIG_HOME") or "~/.config").expanduser() / "gradcal" / "config.toml"

@@ -156,7 +156,8 @@ _OF_BRANCHES: Final = {
     "accelerometer_bias": ("accelerometer", "hysteresis"),
     "accelerometer_scale_factor": ("accelerometer", "scale_factor_hysteresis"),
 }
-"""The kind of channel and the key of the hysteresis of each quantity that may be required on a branch."""
+"""For each quantity whose requirement may state a `branch` (heating or cooling): the kind of its channel, and the key
+of its hysteresis terms."""
 
 
 def _of_branches(spec: Spec) -> Iterator[AbsentTerm]:

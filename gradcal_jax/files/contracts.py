@@ -130,7 +130,8 @@ class CourseRow(Section):
     ramp: Size | None = None
     """Time from rest to the peak rate (s); for a turn by hand, the time at rest before and after the turn."""
     unevenness: Size | None = None
-    """Unevenness of a turn by hand, as a fraction of the rate."""
+    """For a turn by hand: amplitude e of the third-harmonic ripple in the rate A·½(1 − cos 2πu)·(1 + e·sin 6πu), where
+    u is the elapsed fraction of the turn."""
     used: bool = True
     """False if the data are not part of the calibration."""
     temperature_start: Finite
@@ -178,9 +179,10 @@ class MissionRow(Section):
 
 
 class RequirementRow(Section):
-    """The residual of a requirement, in `unit`. A figure is null if this plan cannot observe it, or if it was not
-    requested. The statistics are for this run, with the terms that the spec names. The verdict and the risks also
-    include the terms that the spec omits (`with_typical`) and the bias of another power-on (`another_run`)."""
+    """The error that remains after the calibration in the quantity of a requirement (the residual; one standard
+    deviation), in `unit`. A figure is null if this plan cannot observe it, or if it was not requested. The statistics
+    are for this run, with the terms that the spec names. The verdict and the risks also include the terms that the spec
+    omits (`with_typical`) and the bias of another power-on (`another_run`)."""
 
     name: str
     """Name of the requirement."""

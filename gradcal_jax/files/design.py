@@ -50,14 +50,14 @@ class Notice(Section):
     standard_deviation: q.PositiveScaleFactor
     """Standard deviation of each hidden coefficient, a ratio."""
     temperature_degree: Degree | None = None
-    """Highest hidden degree in temperature; absent: that of the scale factor's discrepancy or, without one, the map's
-    degree plus two."""
+    """Highest degree in temperature of the polynomials to detect. Absent: the `temperature_degree` of the scale
+    factor's `discrepancy`; if it has no discrepancy, the degree of the map plus two."""
     rate_degree: Degree | None = None
-    """Highest hidden degree in rate; absent: the same default as for temperature."""
+    """Highest degree in rate of the polynomials to detect. Absent: the same default as for temperature."""
     power: q.Probability = q.Quantity(0.9, "90 %", "scale factor")
-    """Required probability of detection."""
-    false_alarm: q.Probability = q.Quantity(0.01, "1 %", "scale factor")
-    """False-alarm probability of the test with which `estimate` looks for hidden structure in the log."""
+    """Required probability of detection, as a ratio."""
+    false_alarm: q.FalseAlarm = q.Quantity(0.01, "1 %", "scale factor")
+    """False-alarm probability of the test with which `estimate` looks for hidden structure in the log, as a ratio."""
 
 
 ALL = "all requirements"

@@ -289,12 +289,18 @@ class LineProtocol(Section):
                 continue
             written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
             if (name == "setpoint" or command.shown_by) and len(written) != 1:
-                yield Problem((*key, "send"), "expected the same value in all lines")
-            if wrong := {value for value, _ in written} - set(known[name]):
-                allowed = ", ".join(f"{{{value}}}" for value in known[name]) or "no values"
-                yield Problem(
-                    (*key, "send"), f"{{{sorted(wrong)[0]}}} is not a value of this command, which has {allowed}"
+                message = (
+                    "expected exactly one placeholder, the same one with the same format wherever it appears, such as "
+                    f"{{{known[name][0]}:.1f}}"
+                    if known[name]
+                    else "this command sends no value that a reply could show: leave shown_by out"
                 )
+                yield Problem((*key, "send"), message)
+            if wrong := {value for value, _ in written} - set(known[name]):
+                allowed = ", ".join(f"{{{value}}}" for value in known[name])
+                only = f"it may contain only: {allowed}" if allowed else "it may contain no placeholder"
+                message = f"the placeholder {{{sorted(wrong)[0]}}} cannot be used in this command; {only}"
+                yield Problem((*key, "send"), message)
             if command.reply and len(command.reply) not in (1, len(command.send)):
                 yield Problem(
                     (*key, "reply"), f"expected one reply, or {len(command.send)} replies: one for each line of send"

@@ -41,7 +41,8 @@ _SHUFFLED: Final = 0.01
 """If rows are out of order by more than this share of the record's span, the column mixes two clocks."""
 _INTERVALS: Final = (2e-5, 1.5)
 _LONGEST_S: Final = 14 * 86400.0
-"""If stamps are closer or farther apart than `_INTERVALS` (s), or a record is longer, their unit is wrong."""
+"""If the interval between time stamps is outside `_INTERVALS` (s), or the record is longer than `_LONGEST_S`, the unit
+of the stamps is taken to be wrong."""
 _NOISIEST: Final = np.radians(300.0) / 60.0
 """rad/√s, 300 deg/√h: a hundred times the angle random walk of the coarsest MEMS gyros on sale."""
 _DRIFT: Final = 50e-6

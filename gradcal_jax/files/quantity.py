@@ -55,7 +55,8 @@ class Quantity(float):
 
 @dataclass(frozen=True)
 class Of:
-    """Marks a field as a quantity of a dimension, with bounds (as texts); `infinite` is the word for no limit."""
+    """Marks a field as a quantity of a dimension, with bounds (as texts); `infinite` is the word for no limit.
+    `example`: a usual value of the field, if that of the dimension is none."""
 
     dimension: str
     above: str | None = None
@@ -63,6 +64,7 @@ class Of:
     below: str | None = None
     at_most: str | None = None
     infinite: str | None = None
+    example: str | None = None
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(
@@ -72,11 +74,12 @@ class Of:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         dimension = units.DIMENSIONS[self.dimension]
-        words = f"{dimension.described}, such as '{dimension.example}'"
+        example = self.example or dimension.example
+        words = f"{dimension.described}, such as '{example}'"
         return {
             "type": "string",
             "description": words + (f", or '{self.infinite}'" if self.infinite else ""),
-            "examples": [dimension.example],
+            "examples": [example],
         }
 
     def read(self, value: object) -> Quantity:
@@ -89,10 +92,9 @@ class Of:
             quantity = Quantity.read(value, self.dimension)
         else:
             dimension = units.DIMENSIONS[self.dimension]
+            example = self.example or dimension.example
             named = f" or {one_of([self.infinite])}" if self.infinite else ""
-            raise ValueError(
-                f'expected {dimension.described} as text with a unit, such as "{dimension.example}"{named}'
-            )
+            raise ValueError(f'expected {dimension.described} as text with a unit, such as "{example}"{named}')
         self._bounded(quantity)
         return quantity
 
@@ -129,8 +131,9 @@ AngleRandomWalk = Annotated[Quantity, Of("angle random walk", above="0 deg/sqrt(
 RateRandomWalk = Annotated[Quantity, Of("rate random walk", at_least="0 deg/h/sqrt(h)")]
 PositiveScaleFactor = Annotated[Quantity, Of("scale factor", above="0 ppm")]
 SizeOfScaleFactor = Annotated[Quantity, Of("scale factor", at_least="0 ppm")]
-Margin = Annotated[Quantity, Of("scale factor", at_least="0 %", below="100 %")]
-Probability = Annotated[Quantity, Of("scale factor", above="0 %", below="100 %")]
+Margin = Annotated[Quantity, Of("scale factor", at_least="0 %", below="100 %", example="5 %")]
+Probability = Annotated[Quantity, Of("scale factor", above="0 %", below="100 %", example="90 %")]
+FalseAlarm = Annotated[Quantity, Of("scale factor", above="0 %", below="100 %", example="1 %")]
 ScaleFactorSlope = Annotated[Quantity, Of("scale factor slope")]
 PositiveScaleFactorSlope = Annotated[Quantity, Of("scale factor slope", above="0 ppm/K")]
 PositiveScaleFactorGradient = Annotated[

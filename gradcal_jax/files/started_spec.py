@@ -104,7 +104,11 @@ def _terms(answers: Answers, known: Known, grade: str) -> dict[str, tuple[Any, s
         _, bias_slope, scale_slope = _parts(answers["sheet"])
         of_class = terms["temperature_error"][0]
         slopes = {"bias_slope": bias_slope, "scale_factor_slope": scale_slope}
-        terms["temperature_error"] = {**of_class, **slopes}, "slopes: data sheet, as answered; error: estimate"
+        source = (
+            "slopes: your data-sheet answer; standard deviation and correlation time of the temperature error: typical "
+            "figures estimated for this class"
+        )
+        terms["temperature_error"] = {**of_class, **slopes}, source
     if known["turn_on"]:
         terms["turn_on_bias"] = answers["turn_on"].strip(), _SHEET
     return terms

@@ -38,7 +38,7 @@ _NUMBER: Final = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?|[nN][aA][nN])"
 
 
 class SensorTime(Section):
-    """`[time]`: the time that the field `{time}` states."""
+    """`[time]`: unit of the field `{time}`, and the number at which it restarts at 0."""
 
     unit: Literal["s", "ms", "us"] = "s"
     """Unit of the time."""

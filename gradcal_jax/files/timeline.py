@@ -202,7 +202,7 @@ class ReadingRow(Section):
     standstill_ids: tuple[int | None, ...]
     """Number of each axis's standstill at `time`; null: it moves."""
     rate: rows.Finite | None = None
-    """Reference rate (rad/s), where it is the reference."""
+    """Reference rate of the table (rad/s); null: the reference is the table's angle, not its rate."""
 
 
 class Timeline(Section):

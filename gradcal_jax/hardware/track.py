@@ -165,7 +165,8 @@ class Track:
                 raise ValueError(f"Step {step.name!r} waits for a temperature but sets none.")
             if step.ramp_k_per_min is not None and not step.ramp_k_per_min > 0.0:
                 raise ValueError(
-                    f"Step {step.name!r}: a ramp's rate is above zero; its sign must agree with its target."
+                    f"Step {step.name!r}: the rate of a ramp must be above zero; the target temperature gives its "
+                    "direction."
                 )
         if self.steps[0].follows:
             raise ValueError("The first step follows none.")

@@ -319,4 +319,4 @@ class Terminal:
 
 
 TextLine = Transport | Terminal
-"""Where a driver of text writes and hears."""
+"""What the driver of a text protocol writes to and reads from."""

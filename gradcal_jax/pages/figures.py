@@ -109,7 +109,7 @@ def _maps(fact: MapFact, key: str, where: str) -> Iterator[Picture]:
             ratio = box._replace(values=box.values / earlier[1].values, unit="ratio")
             if float(np.abs(ratio.values - 1.0).max()) < _SAME:
                 continue
-            words = f"{where}: residual {label}, divided by the residual {earlier[0]}."
+            words = f"{where}: ratio of the remaining error '{label}' to the remaining error '{earlier[0]}'."
             # At least from a tenth less to a tenth more, so that small differences have nearly one colour.
             ends = Normalize(min(float(ratio.values.min()), 0.9), max(float(ratio.values.max()), 1.1))
             yield _map(ratio, f"{label} / {earlier[0]}", f"{key}-{label}", words, ends)

@@ -17,7 +17,8 @@ def reference(name: str) -> str:
     """The page of a file or contract, as `schema` names it. Errors: `ValueError` for other names."""
     page = name.removeprefix("gradcal-").partition("/")[0]
     own, pages = _schema(name), _pages()
-    lines = [f"# {own['$id']}", "", f"Made by `gradcal schema {page} --markdown`; all of a format's keys.", ""]
+    head = f"This page lists all keys of this format; `gradcal schema {page} --markdown` generates it."
+    lines = [f"# {own['$id']}", "", head, ""]
     for title, body in _tables(own):
         if pages[title][0] == page and "properties" in body:
             lines += _section(title, body, _places(own, title), pages, page)

@@ -78,7 +78,7 @@ def test_an_imu_is_tested_for_more_structure_and_what_it_lacks_is_measured() -> 
     (test,) = (test for channel, test in report.structure if (channel, test.quantity) == ("gyro_x", "scale_factor"))
     assert test.noticed
     assert test.asked == (3, 1)
-    assert any("gyro x: the scale factor has more structure" in m for m in report.messages)
+    assert any("gyro x: the log shows structure of the scale factor" in m for m in report.messages)
     assert "gyro_x: structure of the scale factor" in report.calibration.contradicted
     (row,) = (row for row in discrepancies(as_imu(spec), report.structure) if row.quantity == "scale_factor")
     assert row.low > 0.0

@@ -357,7 +357,7 @@ def test_maps_that_look_alike_are_shown_as_a_ratio_whose_colours_tell_its_size(w
             assert between == []
             continue
         (second,) = between
-        assert ("residual predicted over that before" in second.caption) == (factor < 1.3)
+        assert ("'predicted' to the remaining error 'before'" in second.caption) == (factor < 1.3)
         shades.append(second.svg)
     assert shades[0] != shades[1]
 

@@ -330,7 +330,8 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
         self.settings.change(_CONTROL_MODE, str(POSITION_CONTROL))
         self._verify(
-            "Position control at the present position (mode, turns from there to the set point)",
+            "The command to hold the present position (read-back: control mode, and distance in turns from the present "
+            "position to the set point)",
             lambda: self._tell(f"w axis{self._config.motor}.{_CONTROL_MODE} {POSITION_CONTROL}"),
             astray,
             lambda shown: shown[0] == POSITION_CONTROL and abs(shown[1]) <= tolerance,

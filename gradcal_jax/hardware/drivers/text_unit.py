@@ -1,4 +1,4 @@
-"""Units that print their samples as lines of text, which a rig file describes (`files.text_unit`).
+"""Driver of IMUs that print their samples as lines of text, as a rig file describes them (`files.text_unit`).
 
 Nothing is sent to such a unit, and it cannot be asked who it is: its lines are its identity. A counter that wraps
 early shows losses modulo its modulus, and the host's clock the rest (as of a STIM300); a time or a long counter shows

@@ -60,7 +60,7 @@ def check(
         Leave out what the plan cannot observe, which takes a few seconds to compute.
     json
         Print as JSON: the times of the plan, the notes, and what the plan cannot observe; or the contents of a recipe.
-        With --timeline, print gradcal-timeline/3: segments, readings and the models of the channels, in SI units.
+        With --timeline, print gradcal-timeline/3: segments, readings and the models of all sensors, in SI units.
     """
     from gradcal_jax.files.memory import needed_bytes, too_large
     from gradcal_jax.files.recipe import Recipe, spec_or_recipe

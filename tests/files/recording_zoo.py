@@ -105,7 +105,7 @@ stamped(
     "32 bits of microseconds",
     (2**32 - 60_000_000 + K * 10_000) % 2**32,
     in_unit("us"),
-    "counter of 32 bits of µs wrap",
+    "µs wrap",
     stamp="d",
 )
 stamped("a restart", np.where(K < 6000, K, K - 6000) / HZ, asks="steps back")
@@ -254,7 +254,7 @@ lines("names of sensors, and whose", "t,sensor,gx", lambda k, v: f"{k / HZ:.4f},
 lines("rows of another channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f},\n{k / HZ + 0.004:.4f},,9.8")
 lines("a slower channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f}," + ("" if k % 4 else f"{9.8 + v:.4f}"),
       'interpolate = true\n[force]\nx = { column = "ax", unit = "m/s^2" }\n')  # fmt: skip
-lines("rad/s by the header", "t,gx (rad/s)", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.9f}", "", "states the unit rad/s",
+lines("rad/s by the header", "t,gx (rad/s)", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.9f}", "", "the unit rad/s",
       base=HEAD + TIME + 'rate.x = { column = "gx (rad/s)", unit = "deg/s" }\n')  # fmt: skip
 lines("mdps by the header", "t,gx [mdps]", lambda k, v: f"{k / HZ:.2f},{1000 * v:.3f}", "", "states the unit mdps",
       base=HEAD + TIME + 'rate.x = { column = "gx [mdps]", unit = "deg/s" }\n')  # fmt: skip
@@ -359,7 +359,7 @@ lines(
     "t,gx\ns,rad/s",
     lambda k, v: f"{k / HZ:.2f},{np.radians(v):.8f}",
     "",
-    "states the unit rad/s",
+    "the unit rad/s",
 )
 lines(
     "a row of units in brackets",
@@ -425,7 +425,7 @@ stamped("two logs on end", np.concatenate([K[:6000], K[:6000]]) / HZ, asks="step
 stamped("intervals for stamps", 0.01 + 1e-5 * rng.standard_normal(ROWS), asks="do not increase", stamp=".7f")
 stamped("one interval for all stamps", np.full(ROWS, 0.01), asks="do not increase")
 stamped("six digits of an epoch", 1.7e9 + K / HZ, asks="do not increase", stamp=".5E")
-stamped("32 bits with a sign", (2**31 - 60_000_000 + K * 10_000 + 2**31) % 2**32 - 2**31, in_unit("us"), "counter of 32 bits of µs wrap",
+stamped("32 bits with a sign", (2**31 - 60_000_000 + K * 10_000 + 2**31) % 2**32 - 2**31, in_unit("us"), "µs wrap",
         stamp="d")  # fmt: skip
 stamped("days of a spreadsheet", 45_000.0 + K / HZ / 86_400.0, in_unit("d"), stamp=".9f")
 

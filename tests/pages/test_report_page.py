@@ -357,7 +357,7 @@ def test_maps_that_look_alike_are_shown_as_a_ratio_whose_colours_tell_its_size(w
             assert between == []
             continue
         (second,) = between
-        assert ("residual predicted over that before" in second.caption) == (factor < 1.3)
+        assert ("residual predicted, divided by the residual before" in second.caption) == (factor < 1.3)
         shades.append(second.svg)
     assert shades[0] != shades[1]
 
@@ -369,7 +369,7 @@ def test_another_plan_to_compare_with_and_a_limit(made, tmp_path):
     (tmp_path / "limit.json").write_text('[{"name": "all rates", "certified": 1.5}]', encoding="utf-8")
     sources = read_sources([folder / "recipe.toml"], before=tmp_path / "before.toml", limits=tmp_path / "limit.json")
     data = report_data_of(sources)
-    assert data.before_is.startswith("the plan of before.toml")
+    assert data.before_is.startswith("the plan in before.toml")
     assert data.requirements[0].before > data.requirements[0].predicted
     assert [row.limit for row in data.requirements] == [1.5, None, None]
     # The same plan before and now leaves the same.

@@ -101,7 +101,13 @@ stamped(
     asks="wrap|steps back|too coarse to distinguish",
     stamp="d",
 )
-stamped("32 bits of microseconds", (2**32 - 60_000_000 + K * 10_000) % 2**32, in_unit("us"), "wrapped", stamp="d")
+stamped(
+    "32 bits of microseconds",
+    (2**32 - 60_000_000 + K * 10_000) % 2**32,
+    in_unit("us"),
+    "µs wrap",
+    stamp="d",
+)
 stamped("a restart", np.where(K < 6000, K, K - 6000) / HZ, asks="steps back")
 stamped("the end of a week", (604_740.0 + K / HZ) % 604_800.0, asks="steps back")
 stamped("newest first", (ROWS - K) / HZ, asks="steps back|newest first")
@@ -248,9 +254,9 @@ lines("names of sensors, and whose", "t,sensor,gx", lambda k, v: f"{k / HZ:.4f},
 lines("rows of another channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f},\n{k / HZ + 0.004:.4f},,9.8")
 lines("a slower channel", "t,gx,ax", lambda k, v: f"{k / HZ:.4f},{v:.6f}," + ("" if k % 4 else f"{9.8 + v:.4f}"),
       'interpolate = true\n[force]\nx = { column = "ax", unit = "m/s^2" }\n')  # fmt: skip
-lines("rad/s by the header", "t,gx (rad/s)", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.9f}", "", "states rad/s",
+lines("rad/s by the header", "t,gx (rad/s)", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.9f}", "", "the unit rad/s",
       base=HEAD + TIME + 'rate.x = { column = "gx (rad/s)", unit = "deg/s" }\n')  # fmt: skip
-lines("mdps by the header", "t,gx [mdps]", lambda k, v: f"{k / HZ:.2f},{1000 * v:.3f}", "", "states mdps",
+lines("mdps by the header", "t,gx [mdps]", lambda k, v: f"{k / HZ:.2f},{1000 * v:.3f}", "", "states the unit mdps",
       base=HEAD + TIME + 'rate.x = { column = "gx [mdps]", unit = "deg/s" }\n')  # fmt: skip
 lines("deg/s as rad/s", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}", "", "any gyro|no gyro",
       base=HEAD + TIME + 'rate.x = { column = "gx", unit = "rad/s" }\n')  # fmt: skip
@@ -343,13 +349,25 @@ named("as an angle", "roll", "states an angle")
 named("as a specific force", "acc_x", "states a specific force")
 named("as a magnetic field", "mag_x", "states a magnetic field")
 named("as counts", "gx (LSB)", "states counts")
-named("in turns a minute", "gx [rpm]", "states rpm")
+named("in turns a minute", "gx [rpm]", "states the unit rpm")
 lines("stamps named as ticks", "t [ticks],gx", lambda k, v: f"{k * 328},{v:.6f}", "", "states counts",
       base=HEAD + 'time = { column = "t [ticks]", unit = "us" }\n' + RATE)  # fmt: skip
 lines("unnamed ticks beside a stated rate", "t,gx", lambda k, v: f"{k * 12800},{v:.6f}", "", "clock ticks",
       base=HEAD + 'sample_rate = "100 Hz"\ntime = { column = "t", unit = "us" }\n' + RATE)  # fmt: skip
-lines("a row of other units", "t,gx\ns,rad/s", lambda k, v: f"{k / HZ:.2f},{np.radians(v):.8f}", "", "states rad/s")
-lines("a row of units in brackets", "t,gx\n[s],[mdps]", lambda k, v: f"{k / HZ:.2f},{1e3 * v:.3f}", "", "states mdps")
+lines(
+    "a row of other units",
+    "t,gx\ns,rad/s",
+    lambda k, v: f"{k / HZ:.2f},{np.radians(v):.8f}",
+    "",
+    "the unit rad/s",
+)
+lines(
+    "a row of units in brackets",
+    "t,gx\n[s],[mdps]",
+    lambda k, v: f"{k / HZ:.2f},{1e3 * v:.3f}",
+    "",
+    "states the unit mdps",
+)
 lines("whole numbers", "t,gx", lambda k, v: f"{k / HZ:.2f},{v / 0.2:.0f}", "", "are they counts")
 lines("row numbers without a name", "t,gx", lambda k, v: f"{k + 1},{k / HZ:.2f},{v:.6f}", "", "more fields than")
 lines("unquoted thousands", "t,gx", lambda k, v: f"{k / HZ:.2f},{1000 + v / 5e-4:,.0f}", "", "more fields than",
@@ -407,7 +425,7 @@ stamped("two logs on end", np.concatenate([K[:6000], K[:6000]]) / HZ, asks="step
 stamped("intervals for stamps", 0.01 + 1e-5 * rng.standard_normal(ROWS), asks="do not increase", stamp=".7f")
 stamped("one interval for all stamps", np.full(ROWS, 0.01), asks="do not increase")
 stamped("six digits of an epoch", 1.7e9 + K / HZ, asks="do not increase", stamp=".5E")
-stamped("32 bits with a sign", (2**31 - 60_000_000 + K * 10_000 + 2**31) % 2**32 - 2**31, in_unit("us"), "wrapped",
+stamped("32 bits with a sign", (2**31 - 60_000_000 + K * 10_000 + 2**31) % 2**32 - 2**31, in_unit("us"), "µs wrap",
         stamp="d")  # fmt: skip
 stamped("days of a spreadsheet", 45_000.0 + K / HZ / 86_400.0, in_unit("d"), stamp=".9f")
 

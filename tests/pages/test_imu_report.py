@@ -122,7 +122,7 @@ def test_another_plan_to_compare_with_and_the_command_prints_the_page_s_numbers(
     assert [row["predicted"] for row in tables["requirements"]] == [row.predicted for row in data.requirements]
     others = gj.predict(slower).requirements
     assert [row["before"] for row in tables["requirements"]] == pytest.approx([row.judged for row in others], rel=1e-9)
-    assert tables["before_is"].startswith("the plan of slower.toml")
+    assert tables["before_is"].startswith("the plan in slower.toml")
 
 
 def test_a_calibration_s_covariance_leaves_what_the_posterior_behind_it_does(found):

@@ -124,7 +124,7 @@ def test_wrong_points_are_sentences(tmp_path):
     with pytest.raises(SpecError, match="unit"):
         parse_point_map(MAP.replace(', unit = "degF"', ""))
     csv.write_text(csv.read_text(encoding="utf-8") + "\n20.0,40.0,nan,0.1", encoding="utf-8")
-    with pytest.raises(LogError, match="the output of row 60 is no number"):
+    with pytest.raises(LogError, match="the output of row 60 is not a number"):
         read_points(csv, columns)
     with pytest.raises(LogError, match="standard method"):
         estimate_points(parse_spec(GRADIENT), points)

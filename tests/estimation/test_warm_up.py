@@ -70,7 +70,7 @@ def test_px4_from_its_log_to_its_parameters(tmp_path, capsys):
     assert main(["estimate", str(path), "-o", str(out), "--parameters", str(parameters)]) in (0, 1)
     said = capsys.readouterr().out
     assert "Earth's" in said
-    assert "unit 1310988" in said
+    assert "IMU 1310988" in said
     assert "TC_G" not in said
     values = numbers(parameters, 2, 3)
     assert values["TC_G_ENABLE"] == 1.0

@@ -191,11 +191,10 @@ def test_transcript_text_keeps_every_byte(data: bytes) -> None:
 
 def test_transcript_opens_however_it_was_torn(tmp_path: Path) -> None:
     path = tmp_path / "torn.txt"
-    record = transcript.Transcript(path)
-    for index in range(5):
-        record.recorder("line")(index + 0.5, ">", f"TEMP?{index}\r\n".encode())
-        record.recorder("line")(index + 0.75, "<", b"\x80\\26.4\r\n")
-    record.close()
+    with transcript.Transcript(path) as record:
+        for index in range(5):
+            record.recorder("line")(index + 0.5, ">", f"TEMP?{index}\r\n".encode())
+            record.recorder("line")(index + 0.75, "<", b"\x80\\26.4\r\n")
     whole = path.read_text()
     entries = transcripts.read(path)
     assert len(entries) == 10

@@ -45,7 +45,7 @@ def test_the_test_notices_ten_per_cent():
 def test_what_cannot_be_observed_is_refused():
     scene = replace(SCENES["gap"], moves=SCENES["gap"].moves[:1], scale_prior=np.inf)
     plan, model = core(scene)
-    with pytest.raises(ValueError, match="unobservable"):
+    with pytest.raises(ValueError, match="cannot observe"):
         monte_carlo_errors(plan.trajectory(), model, 10)
 
 

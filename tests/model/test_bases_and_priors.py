@@ -36,7 +36,7 @@ def test_every_basis_holds_the_constant(basis):
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Polynomial(-1, 0.0, 1.0), "degree of 0 or more"),
+        (lambda: Polynomial(-1, 0.0, 1.0), "degree of a polynomial must be 0 or more"),
         (lambda: Polynomial(2, 0.0, 0.0), "half the range"),
         (lambda: BSpline((0.0, 0.0, 1.0)), "knots in increasing order"),
         (lambda: Bins((1.0,)), "two edges"),

@@ -314,7 +314,7 @@ def test_a_calibration_of_any_name_in_the_folder_of_a_run_is_taken_with_it(made,
     assert read_sources([run]).calibration == made[2]
     shutil.copy(run / "unit 7, spring.toml", run / "autumn.toml")
     with pytest.raises(
-        ValueError, match=r"several calibrations \(autumn.toml, unit 7, spring.toml\): also name the one one"
+        ValueError, match=r"several calibrations \(autumn.toml, unit 7, spring.toml\): also name the one that"
     ):
         read_sources([run])
     assert read_sources([run, run / "autumn.toml"]).calibration == made[2]
@@ -369,7 +369,7 @@ def test_another_plan_to_compare_with_and_a_limit(made, tmp_path):
     (tmp_path / "limit.json").write_text('[{"name": "all rates", "certified": 1.5}]', encoding="utf-8")
     sources = read_sources([folder / "recipe.toml"], before=tmp_path / "before.toml", limits=tmp_path / "limit.json")
     data = report_data_of(sources)
-    assert data.before_is.startswith("the plan of before.toml")
+    assert data.before_is.startswith("the plan in before.toml")
     assert data.requirements[0].before > data.requirements[0].predicted
     assert [row.limit for row in data.requirements] == [1.5, None, None]
     # The same plan before and now leaves the same.

@@ -22,7 +22,7 @@ def test_the_frontier_has_a_mark_for_each_plan_and_numbers_on_its_axis():
     shown = [t.get_text() for t in axes.get_yticklabels() if low <= t.get_position()[1] <= high]
     assert len(shown) >= 3
     assert "5" in shown
-    with pytest.raises(ValueError, match="no duration has a plan"):
+    with pytest.raises(ValueError, match="there is no plan for any duration"):
         plots.draw_frontier(points[:0], {})
 
 

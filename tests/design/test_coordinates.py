@@ -126,5 +126,7 @@ def test_padded_coordinates_decode_to_the_same_plan(plain):
 def test_what_excludes_each_other_is_said():
     with pytest.raises(ValueError, match="the moves need at least 5 s, but the axis may turn for only 4 s"):
         coordinates(own_time=4.0)
-    with pytest.raises(ValueError, match=r"the ramp needs a slope of 1\.667 K/min, but the chamber reaches only 1 K/min"):
+    with pytest.raises(
+        ValueError, match=r"the ramp needs a slope of 1\.667 K/min, but the chamber reaches only 1 K/min"
+    ):
         coordinates(LIMITS._replace(max_slope=1.0 / 60.0))

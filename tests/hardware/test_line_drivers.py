@@ -174,11 +174,7 @@ def changed(name: str, change: Any) -> dict[str, Any]:
         ("cts", lambda t: t["tell"]["ramp"].update(shown_by=["up", "side"]), "{side}"),
         ("aerosmith-like", lambda t: t["tell"]["acceleration"].pop("shown_by"), "must be read back"),
         ("aerosmith-like", lambda t: t["state"].pop("powered"), "no reply shows the effect of tell.on"),
-<<<<<<< HEAD
         ("grbl", lambda t: t["tell"]["move"].update(send="$J=X{place:.3f}"), "placeholder {place} cannot be used"),
-=======
-        ("grbl", lambda t: t["tell"]["move"].update(send="$J=X{place:.3f}"), "{place} is not a value"),
->>>>>>> words2
         ("grbl", lambda t: t["tell"]["move"].update(send="$J=X{position!r}"), "expected values in braces, such as"),
         ("grbl", lambda t: t["ask"]["status"].update(reply="<{a:text}{position}>"), "a text field ends at"),
         ("grbl", lambda t: t["ask"]["settings"].pop("last"), "the lines of one reply"),

@@ -138,11 +138,7 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     (f"{_MOVES}.3.peak_rate", "400 deg/s", f"{_MOVES}[3].peak_rate", "exceeds the maximum rate"),
     (f"{_MOVES}.3", {"trun": "90 deg", "axis": "spin"}, f"{_MOVES}[3].trun", 'nearest: "turn"'),
     (f"{_MOVES}.3", {}, f"{_MOVES}[3]", "expected a rest"),
-<<<<<<< HEAD
     (f"{_MOVES}.0.rest", "2 h", "plan.cycle", "longer than every part with used data"),
-=======
-    (f"{_MOVES}.0.rest", "2 h", "plan.cycle", "the longest has"),
->>>>>>> words2
     ("plan.cycle.start", {"roll": "90 deg"}, "plan.cycle.start.roll", "no axis of this name"),
     ("plan.gradient", "9 K/min", "plan.gradient", "rig.chamber.max_heating"),
 ]  # fmt: skip

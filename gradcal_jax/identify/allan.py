@@ -213,8 +213,8 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
     if len(tau) < chosen.sum():
         longest = max(allan.stretch_lengths, default=0) * interval
         raise ValueError(
-            f"the longest unbroken part of the record has only {longest:.4g} s, with {len(tau)} averaging times: too few "
-            f"to determine {chosen.sum()} coefficients"
+            f"the longest unbroken part of the record has only {longest:.4g} s, with {len(tau)} averaging times: too "
+            f"few to determine {chosen.sum()} coefficients"
         )
     if not np.all(variance > 0):
         raise ValueError("the rate does not change: the record has no noise to fit")

@@ -264,7 +264,7 @@ class Noise(Section):
 
 class Calibration(TitledFile):
     """A calibration file, in SI (and °C), with the channels of one sensor: one gyro axis, or an IMU. Made by
-    `estimate`, `estimate_by_hand` and `read_calibration`. `read_calibration` raises `SpecError`.
+    `estimate`, `estimate_by_hand` and `read_calibration`. Errors: `SpecError` from `read_calibration`.
     """
 
     format: Literal["gradcal-calibration/2"]

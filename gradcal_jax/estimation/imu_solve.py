@@ -441,14 +441,8 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
     if not np.isfinite(readings.observed[used]).all():
         raise ValueError("a used reading is not finite")
     estimate = _solved(readings, steps, columns, used, about)
-    for _ in range(_LINEARISED if about is not None else 0):
-        at = estimate.parameters
-        # Where channels see errors of angles by their own, the noise is that of the estimate, too.
-        weighed = about is None or readings.free or not any(readings.sees_angles(at)) or _near(estimate, about)
-        if estimate.curved < _CURVED and weighed:
-            break
-        steps, columns = readings.linear(at)
-        estimate, about = _solved(readings, steps, columns, used, at), at
+    if about is not None:
+        estimate, steps, columns = _linearised_again(readings, estimate, steps, columns, used, about)
     if threshold is None:
         return estimate
 
@@ -471,11 +465,33 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
     return estimate._replace(weights=weights)
 
 
-def _near(estimate: ImuEstimate, about: np.ndarray) -> bool:
-    """Whether all parameters are nearer to `about` than a part of their standard deviation."""
-    deviation = estimate.known.deviations(np.eye(len(about)))
-    apart = np.abs(estimate.parameters - about)
-    return bool(np.all(apart <= _WEIGHED * np.where(np.isfinite(deviation), deviation, np.inf)))
+def _linearised_again(
+    readings: ImuReadings,
+    estimate: ImuEstimate,
+    steps: NoiseSteps,
+    columns: np.ndarray,
+    used: np.ndarray,
+    about: np.ndarray,
+) -> tuple[ImuEstimate, NoiseSteps, np.ndarray]:
+    """The estimate with noise steps and derivatives about itself, where those about `about` are not good enough. If it
+    does not stand still, `moved` is what the last linearisation changed."""
+    of = np.eye(len(about))
+    for number in range(_LINEARISED + 1):
+        at = estimate.parameters
+        # Where channels see errors of angles by their own, the noise is that of the estimate, too.
+        weighed = readings.free or not any(readings.sees_angles(at))
+        if weighed and estimate.curved < _CURVED:
+            break
+        deviation = estimate.known.deviations(of)
+        counted = np.isfinite(deviation) & (deviation > 0.0)
+        change = float(np.max(np.abs(at - about)[counted] / deviation[counted], initial=0.0))
+        if change <= _WEIGHED and estimate.curved < _CURVED:
+            break
+        if number == _LINEARISED:
+            return estimate._replace(moved=max(estimate.moved, change)), steps, columns
+        steps, columns = readings.linear(at)
+        estimate, about = _solved(readings, steps, columns, used, at), at
+    return estimate, steps, columns
 
 
 def innovation_variance(steps: NoiseSteps) -> np.ndarray:

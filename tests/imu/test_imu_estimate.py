@@ -115,6 +115,24 @@ def test_how_a_case_hangs_is_found_where_only_products_of_small_errors_show_it(s
     assert stats.chi2.ppf(1e-3, len(truth)) < above < stats.chi2.ppf(1.0 - 1e-3, len(truth))
 
 
+def test_an_estimate_that_does_not_stand_still_from_one_linearisation_to_the_next_is_said(monkeypatch):
+    """On a table of 0.1 deg with misalignments of 60 mrad, the linearisation about the first estimate is not enough."""
+    axes = [of.model_dump(exclude_unset=True) for of in scene("two axes", 0.1).rig.table.axis]
+    coarse = {"reading_noise": "0.02 deg", "standstill_offset": "0.1 deg"}
+    keys = {
+        "rig.table.axis": [of | {"angle": coarse} for of in axes],
+        "sensor.accelerometer.misalignment.prior": "60 mrad",
+    }
+    spec, rng = changed(scene("two axes", 0.1), keys), np.random.default_rng(2)
+    logs = record(spec, draw_truth(spec, rng), rng)
+    words = "the estimate has not converged"
+    (report,) = estimate_sensors(spec, logs)
+    assert not any(words in message for message in report.messages)
+    monkeypatch.setattr("gradcal_jax.estimation.imu_solve._LINEARISED", 0)
+    (report,) = estimate_sensors(spec, logs)
+    assert any(words in message for message in report.messages)
+
+
 def test_standstills_that_no_log_marks_are_found_and_lost_rows_do_no_harm():
     spec, rng = scene("two axes", 0.1), np.random.default_rng(8)
     truth = draw_truth(spec, rng)

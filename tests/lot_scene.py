@@ -54,7 +54,7 @@ def calibrations(values: np.ndarray, covariances: np.ndarray, **others) -> list[
         box = {"valid_temperature": ("-30 degC", "70 degC"), "valid_rate": ("0 deg/s", "0 deg/s")}
         channel = CalibratedChannel(kind="gyro", axis="x", term=(term,), **box)
         known = Covariance(names=tuple(f"gyro_x.{n}" for n in names), matrix=tuple(map(tuple, covariance.tolist())))
-        fields = {"format": "gradcal-calibration/2", "serial_number": f"no. {k + 1}", "simulated": True}
+        fields = {"format": "gradcal-calibration/3", "serial_number": f"no. {k + 1}", "simulated": True}
         fields |= {"frame": "case", "order": "subtract", "channel": (channel,), "covariance": known}
         made.append(Calibration(**(fields | others)))
     return made

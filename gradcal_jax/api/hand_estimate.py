@@ -184,12 +184,13 @@ def _terms(solution: ByHand) -> Iterator[tuple[Literal["gyro", "accelerometer"],
     gyro, force = solution.gyro, solution.accelerometer
     for j, a in enumerate(AXIS_NAMES):
         row = gyro.gain * gyro.parameters.reshape(3, 7)[j]
+        own = gyro.gain + row[j]
         terms = [
             build_term("bias", "rad/s", (), {"a": float(gyro.centre[j] + row[3])}),
-            build_term("scale_factor", "1", (f"rate {a}",), {"b00": float(gyro.gain + row[j] - 1.0)}, rate=_GYRO_RATE),
+            build_term("scale_factor", "1", (f"rate {a}",), {"b00": float(own - 1.0)}, rate=_GYRO_RATE),
         ]
         terms += [
-            build_term(f"misalignment_{b}", "rad", (f"rate {b}",), {f"m_{b}": float(row[l])})
+            build_term(f"misalignment_{b}", "rad", (f"rate {b}",), {f"m_{b}": float(row[l] / own)})
             for l, b in enumerate("xyz")
             if l != j
         ]
@@ -206,8 +207,9 @@ def _terms(solution: ByHand) -> Iterator[tuple[Literal["gyro", "accelerometer"],
             build_term("bias", "m/s^2", (), {"a": float(force.centre[j] + force.gain * force.parameters[j])}),
             build_term("scale_factor", "1", (f"force {a}",), {"s": float(force.gain + matrix[j, j] - 1.0)}),
         ]
+        own = force.gain + matrix[j, j]
         terms += [
-            build_term(f"misalignment_{b}", "rad", (f"force {b}",), {f"m_{b}": float(matrix[j, l])})
+            build_term(f"misalignment_{b}", "rad", (f"force {b}",), {f"m_{b}": float(matrix[j, l] / own)})
             for l, b in enumerate("xyz"[:j])
         ]
         yield "accelerometer", a, tuple(terms)
@@ -224,7 +226,17 @@ def _covariance(solution: ByHand) -> tuple[list[str], np.ndarray]:
     whole = np.block(
         [[solution.accelerometer.covariance, solution.cross], [solution.cross.T, solution.gyro.covariance]]
     )
-    return names, whole * np.outer(gains, gains)
+    # The scale factor multiplies misalignments: of an element of the matrix, over that on its diagonal.
+    values = {f"{kind}_{a}": terms for kind, a, terms in _terms(solution)}
+    slopes = np.diag(gains)
+    for row, name in enumerate(names):
+        channel, _, symbol = name.partition(".")
+        if symbol.startswith("m_"):
+            found = {n: v for term in values[channel] for n, v in term.coefficients.items()}
+            own = "b00" if channel.startswith("gyro") else "s"
+            slopes[row, names.index(f"{channel}.{own}")] = -found[symbol] * gains[row]
+            slopes[row] /= 1.0 + found[own]
+    return names, slopes @ whole @ slopes.T
 
 
 def _words(

@@ -288,15 +288,17 @@ def _upgraded(text: str, document: dict[str, Any], file: Path) -> "tuple[Section
     """The file's contents, and what of its form is an earlier version's. Raises `SpecError`, and `ValueError` for files
     of other kinds."""
     from gradcal_jax.files.axis_as_imu import is_of_axis
-    from gradcal_jax.files.calibration.file import OLD_FORMAT, is_calibration, parse_calibration
+    from gradcal_jax.files.calibration.file import OLD_FORMATS, is_calibration, parse_calibration
     from gradcal_jax.files.mission import missions_from
     from gradcal_jax.files.recipe import is_recipe, parse_recipe
     from gradcal_jax.files.spec import FORMAT, parse_spec
 
     if is_calibration(document):
         model = parse_calibration(text, str(file))
-        old = document["format"] == OLD_FORMAT
-        return model, [f"{OLD_FORMAT} -> {model.format}, with a [[channel]] for each sensor axis"] if old else []
+        if (old := document["format"]) not in OLD_FORMATS:
+            return model, []
+        channels = ", with a [[channel]] for each sensor axis" if old == OLD_FORMATS[0] else ""
+        return model, [f"{old} -> {model.format}{channels}; the scale factor multiplies misalignments"]
     if is_recipe(document):
         model = parse_recipe(text, str(file))
         if not is_of_axis(document["spec"]):

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.estimation.imu_solve import ImuEstimate, ImuReadings
+from gradcal_jax.estimation.imu_readings import ImuReadings
+from gradcal_jax.estimation.imu_solve import ImuEstimate
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import SCALE_FACTOR
 

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from gradcal_jax.estimation.consistency import Test, chi_squared_test
-from gradcal_jax.estimation.imu_solve import ImuEstimate, ImuReadings
+from gradcal_jax.estimation.imu_readings import ImuReadings
+from gradcal_jax.estimation.imu_solve import ImuEstimate
 from gradcal_jax.estimation.solve import factored
 from gradcal_jax.information import NoiseSteps, Posterior, imu_system, segments_of, whiten
 from gradcal_jax.information.posterior import OBSERVABLE

@@ -8,8 +8,13 @@ Row of a channel i over a segment of the motion (a rest, or one move of one axis
 Each is linear in the channel's own terms (`terms`, signal × function of temperature), in the installation's
 (`installation`), and in the encoders' errors at each standstill, which are noise. The parameter vector is the channels'
 one after the other, then the installation's.
+
+A sensor multiplies what it senses: M(T, ω) acts on the rate along its own axis of sensitivity, ω_i + Σ m_ij ω_j with
+the misalignments m. About an ideal sensor this is a sum of terms; estimates use `with_misalignments`.
 """
 
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
@@ -20,12 +25,13 @@ from jaxtyping import Float
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
 from gradcal_jax.model.bases import Basis, Polynomial
 from gradcal_jax.model.installation import InstallationTerm
-from gradcal_jax.model.nodes import AXIS_NAMES, BodyNodes, OtherTemperature
+from gradcal_jax.model.nodes import AXIS_NAMES, BodyGroup, BodyNodes, OtherTemperature
 from gradcal_jax.model.path import PathTerm, TemperatureDifference
 from gradcal_jax.model.sensor import SensorModel
 from gradcal_jax.model.terms import DISCREPANCY, Discrepancy, GradientOfBias, Map, SignalMap, Term, block_diagonal
 
 ChannelKind = Literal["gyro", "accelerometer"]
+INPUTS: Mapping[ChannelKind, str] = {"gyro": "rate", "accelerometer": "force"}
 KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
 
 
@@ -142,6 +148,33 @@ class ImuModel(PytreeModule):
         """`(p, p)`: the engine's parameters to the reported ones."""
         blocks = [c.model.to_reported for c in self.channels]
         return block_diagonal([*blocks, np.eye(self.size - self.calibrated)])
+
+    def misalignments(self) -> Iterator[tuple[int, SignalMap, slice]]:
+        """The terms by which a channel senses what acts across its axis: number of the channel, term, and the indices
+        of its parameters."""
+        begin = 0
+        for number, c in enumerate(self.channels):
+            across = [f"{INPUTS[c.kind]} {axis}" for k, axis in enumerate(AXIS_NAMES) if k != c.axis]
+            for term in c.model.terms:
+                end = begin + term.size
+                if isinstance(term, SignalMap) and len(term.signals) == 1 and term.signals[0] in across:
+                    yield number, term, slice(begin, end)
+                begin = end
+
+    def with_misalignments(self, nodes: BodyNodes, parameters: Float[np.ndarray, " p"]) -> BodyNodes:
+        """The nodes of an executed motion, of which each piece is a kind of its own, with what the sensors sense by
+        their misalignments at the mean temperature of each piece."""
+        if not (terms := list(self.misalignments())):
+            return nodes
+        groups: list[BodyGroup] = []
+        for group in nodes.groups:
+            across, shared = np.zeros((*group.weight.shape, 2 * len(AXIS_NAMES))), group.shared()
+            for number, term, places in terms:
+                functions = np.mean(term.temperature(shared.temperature_at(term.late)), axis=1)
+                size = (functions @ parameters[places])[:, None]
+                across[..., self.channels[number].index] += size * shared.signal(term.signals[0])
+            groups.append(replace(group, across=across))
+        return replace(nodes, groups=tuple(groups))
 
     def columns(self, nodes: BodyNodes) -> tuple[list[AnyArray], Float[AnyArray, "K 6 i"]]:
         """Contribution of each parameter's unit, rad or m/s: for each channel `(P, own)` over every piece (zero over

@@ -156,8 +156,9 @@ class BodyGroup(PytreeModule):
     and `force` m/s² in body components, the Earth's rate and gravity in them; `earth` rad/s and `up`, the Earth's rate
     and the vertical; `attitude`: body to East-North-Up. `axes`: the axes' directions; `crosses`: see
     `trajectory.table_motion`; `outer`: the rate of the stage outside each axis; `joint`: rate (rad/s) and `angle` (rad)
-    of each axis. `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`. `time`, `slope`,
-    `others`: see `SharedNodes`.
+    of each axis. `felt`: the force where the gyros are, off the axes, m/s²; None: as `force`. `across`: what each
+    sensor senses by its misalignments, gyros first (rad/s, m/s²); None: nothing. `time`, `slope`, `others`: see
+    `SharedNodes`.
     """
 
     kinds: Int[np.ndarray, " U"]
@@ -177,6 +178,7 @@ class BodyGroup(PytreeModule):
     joint: Float[AnyArray, "U q L"]
     angle: Float[AnyArray, "U q L"]
     felt: Float[AnyArray, "U q 3"] | None = None
+    across: Float[AnyArray, "U q 6"] | None = None
     time: Float[AnyArray, "k m"] | None = None
     slope: Float[AnyArray, "k m"] | None = None
     others: dict[str, Float[AnyArray, "k m"]] | None = None
@@ -192,7 +194,8 @@ class BodyGroup(PytreeModule):
         return xp.concatenate([cross(self.outer[..., k, :], axis), cross(self.force, axis)], axis=-1)
 
     def shared(self, own: str = "rate", index: int = 0) -> SharedNodes:
-        """The nodes with a component of rate or force for the `rate` of a single axis, and all of them as signals."""
+        """The nodes with the input of a sensor, along its own axis of sensitivity, for the `rate` of a single axis, and
+        all components of rate and force as signals."""
         force = self.force if own == "force" or self.felt is None else self.felt
         seen = {
             "rate": self.rate,
@@ -202,7 +205,10 @@ class BodyGroup(PytreeModule):
             "north": self.attitude[..., 1, :],
         }
         signals = {f"{name} {AXIS_NAMES[k]}": of[..., k] for name, of in seen.items() for k in range(3)}
-        along = signals[f"{own} {AXIS_NAMES[index]}"]
+        name = f"{own} {AXIS_NAMES[index]}"
+        if self.across is not None:
+            signals[name] = signals[name] + self.across[..., index + 3 * (own == "force")]
+        along = signals[name]
         at = self.pieces, self.kind, self.temperature, self.weight
         return SharedNodes(*at, along, signals, self.share, self.time, self.slope, others=self.others)
 

@@ -72,7 +72,7 @@ def test_a_calibration_is_the_same_calibration(tmp_path, capsys):
     source, new = tmp_path / "old.toml", tmp_path / "new.toml"
     source.write_text(tomlkit.dumps(tables), encoding="utf-8")
     assert main(["check", "--upgrade", str(source), "-o", str(new)]) == 0
-    assert "gradcal-calibration/1 -> gradcal-calibration/2" in capsys.readouterr().out
+    assert "gradcal-calibration/1 -> gradcal-calibration/3" in capsys.readouterr().out
     assert read_calibration(new) == read_calibration(source)
 
 

@@ -91,7 +91,7 @@ def document(truth: dict[str, float]) -> dict:
                     terms.append(term(f"misalignment_{b}", "rad", [f"{own} {b}"], f"m_{b}", temperature=LINEAR))
             channels.append({"kind": kind, "axis": a, "term": terms})
     return {
-        "format": "gradcal-calibration/2",
+        "format": "gradcal-calibration/3",
         "serial_number": "SN 1",
         "simulated": True,
         "frame": "the table's axes",

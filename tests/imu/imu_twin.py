@@ -2,7 +2,8 @@
 
 Attitude is a product of quaternions with the base, the axes, the encoders and the mounting finitely off; every sample
 is the mean of what the channel says within its interval (three Gauss–Legendre points). What a channel says is written
-out from the names of the calibration's coefficients. Accelerometers sit off the axes and feel it.
+out from the names of the calibration's coefficients, as the projection on its own axis and then what the sensor makes
+of it. Accelerometers sit off the axes and feel it.
 """
 
 from dataclasses import dataclass, field, replace
@@ -217,7 +218,8 @@ def _inverse(q: np.ndarray) -> np.ndarray:
 
 
 def _gyro(truth, axis: int, omega, force, warm, pace):
-    name, own = f"gyro_{'xyz'[axis]}.", omega[:, axis]
+    name = f"gyro_{'xyz'[axis]}."
+    own = _along(truth, name, axis, omega, warm)
     said = own.copy()
     for key, value in truth.items():
         if not key.startswith(name):
@@ -228,7 +230,7 @@ def _gyro(truth, axis: int, omega, force, warm, pace):
         elif symbol[0] == "b":
             said += value * (own / pace) ** int(symbol[1]) * warm ** int(symbol[2]) * own
         elif symbol.startswith("m_"):
-            said += value * warm ** int(symbol[3:] or 0) * omega[:, "xyz".index(symbol[2])]
+            continue
         elif symbol.startswith("g_"):
             said += value * warm ** int(symbol[3:] or 0) * force[:, "xyz".index(symbol[2])]
         else:
@@ -236,8 +238,20 @@ def _gyro(truth, axis: int, omega, force, warm, pace):
     return said
 
 
+def _along(truth, name: str, axis: int, vector, warm) -> np.ndarray:
+    """The component of rate or force along the sensor's own axis, which leans towards the others."""
+    leans = np.zeros_like(vector)
+    leans[:, axis] = 1.0
+    for other in range(3):
+        for key, value in truth.items():
+            if other != axis and key.startswith(f"{name}m_{'xyz'[other]}"):
+                leans[:, other] += value * warm ** int(key.removeprefix(f"{name}m_")[1:] or 0)
+    return np.sum(leans * vector, axis=1)
+
+
 def _accelerometer(truth, axis: int, force, warm):
-    name, own = f"accelerometer_{'xyz'[axis]}.", force[:, axis]
+    name = f"accelerometer_{'xyz'[axis]}."
+    own = _along(truth, name, axis, force, warm)
     said = own.copy()
     for key, value in truth.items():
         if not key.startswith(name):
@@ -248,7 +262,7 @@ def _accelerometer(truth, axis: int, force, warm):
         elif symbol[0] == "s":
             said += value * warm ** int(symbol[1:] or 0) * own
         elif symbol.startswith("m_"):
-            said += value * warm ** int(symbol[3:] or 0) * force[:, "xyz".index(symbol[2])]
+            continue
         elif symbol == "k2":
             said += value * own**2
         else:

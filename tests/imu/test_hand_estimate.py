@@ -38,20 +38,22 @@ def drawn(rng: np.random.Generator) -> dict[str, float]:
 
 
 def said(truth: dict[str, float], kind: str, omega: np.ndarray, f: np.ndarray) -> np.ndarray:
-    """What three sensors of a kind say of true rates and forces (n, 3)."""
+    """What three sensors of a kind say of true rates and forces (n, 3): each multiplies what is along its own axis."""
     own = omega if kind == "gyro" else f
-    out = own.copy()
+    leans = np.array([[float(a == b) or truth.get(f"{kind}_{a}.m_{b}", 0.0) for b in "xyz"] for a in "xyz"])
+    along = own @ leans.T
+    out = along.copy()
     for j, a in enumerate("xyz"):
         for key, value in truth.items():
-            if not key.startswith(f"{kind}_{a}."):
-                continue
             symbol = key.partition(".")[2]
+            if not key.startswith(f"{kind}_{a}.") or symbol.startswith("m_"):
+                continue
             if symbol == "a":
                 out[:, j] += value
             elif symbol in ("s", "b00"):
-                out[:, j] += value * own[:, j]
+                out[:, j] += value * along[:, j]
             else:
-                out[:, j] += value * (f if symbol[0] == "g" else own)[:, "xyz".index(symbol[2])]
+                out[:, j] += value * f[:, "xyz".index(symbol[2])]
     return out
 
 

@@ -53,6 +53,7 @@ def header(
         channels=", ".join(f"[{k}] {_comment(_label(name))}" for k, name in enumerate(inputs)),
         count=len(inputs),
         terms=len(terms),
+        across=sum(channel.misaligns(term) for channel, term in terms),
         factors=_FACTORS,
         rounds=rounds,
         arrays="\n".join(arrays),
@@ -82,25 +83,27 @@ def rounds_in_single(calibration: Calibration, raw: Floats, temperature_c: Float
     reading, temperature = raw.astype(f), temperature_c.astype(f)
     out, inverse = np.zeros_like(reading), _inverse(calibration, inputs).astype(f)
     while True:
-        error = np.zeros_like(out)
+        along, error = out.copy(), np.zeros_like(out)
         for place, channel, term, ((t0, ts), (w0, ws), table, _) in terms:
             low, high, slow, fast = (f(float(v)) for v in (*channel.valid_temperature, *channel.valid_rate))
             x = (np.clip(temperature, low, high) - f(t0)) * f(1.0 / ts)
-            w = (np.clip(out[:, place], slow, fast) - f(w0)) * f(1.0 / ws)
+            w = (np.clip(along[:, place], slow, fast) - f(w0)) * f(1.0 / ws)
             value = _evaluated(table, x, w)
             for name in term.signals:
-                signal = out[:, inputs.index(name.strip("|"))]
+                number = inputs.index(name.strip("|"))
+                signal = (along if number == place else out)[:, number]
                 value = value * (np.abs(signal) if name.startswith("|") else signal)
-            error[:, place] += value
-        left = reading - out - error
+            (along if channel.misaligns(term) else error)[:, place] += value
+        left = reading - along - error
         for j in range(len(inputs)):
             out += inverse[:, j] * left[:, j : j + 1]
         yield out.astype(np.float64)
 
 
 def _terms(calibration: Calibration) -> Iterable[tuple[CalibratedChannel, CalibratedTerm]]:
-    """The terms that a header has: no dT/dt."""
-    return ((c, term) for c in calibration.channel for term in c.term if TEMPERATURE_RATE not in term.signals)
+    """The terms that a header has, misalignments first: no dT/dt."""
+    carried = [(c, term) for c in calibration.channel for term in c.term if TEMPERATURE_RATE not in term.signals]
+    return sorted(carried, key=lambda of: not of[0].misaligns(of[1]))
 
 
 def _evaluated(table: NDArray[Any], x: Any, w: Any) -> Any:

@@ -1,11 +1,11 @@
 """Correction of data by a calibration, in NumPy, by the same formulas as the estimator.
 
-    measured = input + Σ map(T, ω) · signals
+    measured = s + Σ map(T, s) · signals,        s = input + Σ misalignment(T) · inputs across it
 
-is solved for the inputs of all channels together: the residual of the equation at the corrected values is divided by
-the linear part and added to them, until nothing changes. The error shrinks in each iteration by a factor of the size of
-the terms that are not linear, or that differ from their value at the middle temperature; so raw counts converge, too.
-Outside the range of the data, the maps keep their values at its edge.
+with s as the channel's own signal, is solved for the inputs of all channels together: the residual of the equation at
+the corrected values is divided by the linear part and added to them, until nothing changes. The error shrinks in each
+iteration by a factor of the size of the terms that are not linear, or that differ from their value at the middle
+temperature; so raw counts converge, too. Outside the range of the data, the maps keep their values at its edge.
 
 Plays ([[path]] of a calibration) follow the temperature along a log, row by row. Until it has traversed twice their
 half-width, their state at the log's beginning counts, of which the middle of what it may be is taken. Lags begin in
@@ -99,20 +99,31 @@ def channel_error(
     temperature_c: Floats,
     signals: Mapping[str, Floats],
     maps: Sequence[Floats] | None = None,
+    path: OnPath | None = None,
 ) -> Floats:
     """The error of a channel's output, `(n,)`, for the true inputs `signals` ("rate x" rad/s, "force z" m/s²; an
-    unknown input counts as zero). `maps`: of each term, `_at_temperatures`."""
+    unknown input counts as zero). `maps`: of each term, `_at_temperatures`; `path`: what is added to the maps."""
     at = np.clip(temperature_c, *channel.valid_temperature)
+    known = [
+        (term, _at_temperatures(term, at) if maps is None else maps[k])
+        for k, term in enumerate(channel.term)
+        if all(name.strip("|") in signals for name in term.signals)
+    ]
     total = np.zeros(len(at))
-    for k, term in enumerate(channel.term):
-        if all(name.strip("|") in signals for name in term.signals):
-            own = np.clip(signals[channel.input], *channel.valid_rate) if term.rate is not None else at
-            product = _at_rates(term, _at_temperatures(term, at) if maps is None else maps[k], own)
+    for term, of_temperature in known:
+        if channel.misaligns(term):
+            total += of_temperature[:, 0] * signals[term.signals[0]]
+    sensed = signals[channel.input] + total
+    signals = {**signals, channel.input: sensed}
+    for term, of_temperature in known:
+        if not channel.misaligns(term):
+            own = np.clip(sensed, *channel.valid_rate) if term.rate is not None else at
+            product = _at_rates(term, of_temperature, own)
             for name in term.signals:
                 signal = signals[name.strip("|")]
                 product = product * (np.abs(signal) if name.startswith("|") else signal)
             total += product
-    return total
+    return total if path is None else total + path.bias + path.scale * sensed
 
 
 def linear_part(
@@ -127,13 +138,17 @@ def linear_part(
     matrix, bias = np.eye(len(inputs)), np.zeros(len(inputs))
     for channel in channels:
         if channel.input in inputs:
-            place = inputs.index(channel.input)
+            place, gain, others = inputs.index(channel.input), 1.0, np.zeros(len(inputs))
             for term in channel.term:
                 value = value_at(channel, term, temperature_c, mean_over_rates=mean_over_rates)
                 if not term.signals:
                     bias[place] += value
+                elif term.signals == (channel.input,):
+                    gain += value
                 elif len(term.signals) == 1 and term.signals[0] in inputs:
-                    matrix[place, inputs.index(term.signals[0])] += value
+                    to = matrix[place] if channel.misaligns(term) else others
+                    to[inputs.index(term.signals[0])] += value
+            matrix[place] = gain * matrix[place] + others
     return matrix, bias
 
 
@@ -207,9 +222,7 @@ def _correct(
             left = measured - now
             for (channel, at, path), of_temperature in zip(channels, maps, strict=True):
                 own = inputs.index(channel.input)
-                left[own] -= channel_error(channel, at, signals, of_temperature)
-                if path is not None:
-                    left[own] -= path.bias + path.scale * now[own]
+                left[own] -= channel_error(channel, at, signals, of_temperature, path)
             settled = True
             for k in range(len(inputs)):
                 # Only channels with an effect: a missing reading does not affect the other triad.

@@ -1,17 +1,19 @@
-"""gradcal-calibration/2: the estimated terms of a sensor's channels, their covariance, and the range of validity.
+"""gradcal-calibration/3: the estimated terms of a sensor's channels, their covariance, and the range of validity.
 
-    measured = input + Σ map(T, ω) · signals          of each channel; rates in rad/s, specific force in m/s²
+    measured = s + Σ map(T, s) · signals,   s = input + Σ misalignment(T) · inputs across it       of each channel
 
-A channel is a gyro or an accelerometer; one gyro axis is a file with one channel. Its terms are maps over temperature
-(of a gyro's scale factor over its own rate, too) times a product of signals: none for a bias, "rate x" for the scale
-factor of gyro x, "force y" for a sensitivity to acceleration. Signals are true inputs, in the frame that the file
-names; "temperature rate" is dT/dt. Coefficients are those of the paper: `a{k}` multiplies the k-th power of
-`(T − centre)/scale` in a bias, `b{j}{i}` the j-th power of `(ω − centre)/scale` and the i-th of the temperature's in
-a scale factor; other bases count their functions. Numbers without a unit are SI.
+with rates in rad/s and specific forces in m/s². A channel is a gyro or an accelerometer; one gyro axis is a file with
+one channel. Its terms are maps over temperature (of a gyro's scale factor over its own rate, too) times a product of
+signals: none for a bias, "rate x" for the scale factor of gyro x, "force y" for its sensitivity to acceleration, "rate
+y" for its misalignment. Signals are true inputs, in the frame that the file names, but the channel's own, which is s:
+its input along its own axis of sensitivity. "temperature rate" is dT/dt. Coefficients are those of the paper: `a{k}`
+multiplies the k-th power of `(T − centre)/scale` in a bias, `b{j}{i}` the j-th power of `(ω − centre)/scale` and the
+i-th of the temperature's in a scale factor; other bases count their functions. Numbers without a unit are SI.
 
-**Version 1**, which is converted as it is read, had two forms, of a gyro's axes (`[[axis]]` with maps of its own) and
-of a whole IMU (`quantity = "unit"`, with one range for all channels). Faults of an old file stay faults, which the
-validation reports.
+**Version 2** added misalignments after the scale factor: the same sum with s = input. They are converted as it is
+read, exactly at the middle temperature. **Version 1**, which is converted, too, had two forms, of a gyro's axes
+(`[[axis]]` with maps of its own) and of a whole IMU (`quantity = "unit"`, with one range for all channels). Faults of
+an old file stay faults, which the validation reports.
 """
 
 import copy
@@ -21,6 +23,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
+import numpy as np
 from pydantic import Field
 
 from gradcal_jax.display import amount, columns, html
@@ -32,8 +35,9 @@ from gradcal_jax.files.section import Section
 from gradcal_jax.files.writing import write_toml
 
 ORDER: Final = (
-    "measured = input + sum of map(T) * signals, with the true inputs as signals; subtract the sum, computed "
-    "from the corrected values, and iterate until they converge (three iterations for errors of a per cent), "
+    "measured = s + sum of map(T) * signals of the terms that are no misalignments, where s = input + sum of "
+    "misalignment(T) * inputs across it takes the place of the channel's own input as a signal; subtract the sums, "
+    "computed from the corrected values, and iterate until they converge (three iterations for errors of a per cent), "
     "before any rotation"
 )
 TEMPERATURE_RATE: Final = "temperature rate"
@@ -157,6 +161,11 @@ class CalibratedChannel(Section):
         """The signal that it measures, as in "rate x"."""
         return f"{'rate' if self.kind == 'gyro' else 'force'} {self.axis}"
 
+    def misaligns(self, term: CalibratedTerm) -> bool:
+        """Whether by this term the channel senses what acts across its axis, so that its other terms multiply it."""
+        across = len(term.signals) == 1 and term.signals[0] != self.input
+        return across and term.signals[0].split(" ")[0] == self.input.split(" ")[0]
+
     def term_of(self, name: str) -> CalibratedTerm | None:
         """The term of that name, if there is one."""
         return next((term for term in self.term if term.name == name), None)
@@ -267,7 +276,7 @@ class Calibration(TitledFile):
     `estimate`, `estimate_by_hand` and `read_calibration`. Errors: `SpecError` from `read_calibration`.
     """
 
-    format: Literal["gradcal-calibration/2"]
+    format: Literal["gradcal-calibration/3"]
     serial_number: q.Text
     """Serial number of the sensor."""
     simulated: q.Flag
@@ -383,19 +392,24 @@ class Calibration(TitledFile):
 
 def is_calibration(document: Mapping[str, Any]) -> bool:
     """Whether tables are those of a calibration file."""
-    return document.get("format") in (FORMAT, OLD_FORMAT)
+    return document.get("format") in (FORMAT, *OLD_FORMATS)
 
 
 def parse_calibration(text: str, source: str = "") -> Calibration:
     """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
-    return from_text(lambda document, _: model_of(Calibration, upgraded(document), FORMAT, source), text, source)
+
+    def read(document: dict[str, Any], _: Any) -> Calibration:
+        calibration = model_of(Calibration, upgraded(document), FORMAT, source)
+        return _multiplied(calibration) if document.get("format") in OLD_FORMATS else calibration
+
+    return from_text(read, text, source)
 
 
 def read_calibration(path: str | Path) -> Calibration:
     """Read a calibration file: coefficients and covariance in SI (rad/s, m/s², ratios), range of validity, residuals.
 
-    Files of gradcal-calibration/1 are read as the same calibration in today's form. Errors: `SpecError` with every
-    fault.
+    Files of gradcal-calibration/1 and /2 are read as the same calibration in today's form. Errors: `SpecError` with
+    every fault.
     """
     return parse_calibration(read_text(path), str(path))
 
@@ -418,28 +432,67 @@ def build_term(
 
 _HEADER: Final = """\
 A calibration of gyros and accelerometers. Apply it with `gradcal apply`, check it with `gradcal validate`.
-    measured = input + sum of map(T) * signals       rates in rad/s, specific force in m/s^2
+    measured = s + sum of map(T) * signals           rates in rad/s, specific force in m/s^2
+    s = input + sum of misalignment(T) * inputs      of the other axes; s is the channel's own signal
 a{k}: times the k-th power of (T - centre)/scale, in a bias.
 b{j}{i}: times the j-th power of (rate - centre)/scale and the i-th of the temperature's, in a scale factor.
 Numbers without a unit are SI: rad, s, m, degC."""
 _SIMULATED: Final = "\nSIMULATED: made from simulated data, not from a real sensor."
 
 
-FORMAT: Final = "gradcal-calibration/2"
-OLD_FORMAT: Final = "gradcal-calibration/1"
+FORMAT: Final = "gradcal-calibration/3"
+OLD_FORMATS: Final = ("gradcal-calibration/1", "gradcal-calibration/2")
 _GRADIENT: Final = "bias_temperature_gradient"
 Tables = dict[str, Any]
 
 
 def upgraded(document: Mapping[str, Any]) -> Tables:
     """The tables of a calibration in today's form; tables of other formats, and what is not understood, as they are."""
-    if document.get("format") != OLD_FORMAT:
+    if document.get("format") not in OLD_FORMATS:
         return dict(document)
     tables = copy.deepcopy(dict(document)) | {"format": FORMAT}
+    if document["format"] != OLD_FORMATS[0]:
+        return tables
     try:
         return _FORMS[tables.pop("quantity")](tables)
     except (AttributeError, KeyError, TypeError):
         return dict(document) | {"format": FORMAT}
+
+
+def _multiplied(calibration: Calibration) -> Calibration:
+    """A calibration whose misalignments were added after the scale factor, `(1 + M) ω_i + m_ij ω_j`, with those that
+    the scale factor multiplies: the same correction at the middle of the channel's temperatures, at slow rates."""
+    channels: list[CalibratedChannel] = []
+    gains: dict[str, float] = {}
+    for channel in calibration.channel:
+        middle = 0.5 * float(sum(map(float, channel.valid_temperature)))
+        own = [term for term in channel.term if term.signals == (channel.input,)]
+        gain = 1.0 + sum(slow_value(term, middle) for term in own)
+        terms: list[CalibratedTerm] = []
+        for term in channel.term:
+            if channel.misaligns(term) and gain:
+                gains |= {f"{channel.name}.{name}": gain for name in term.coefficients}
+                term = term.model_copy(update={"coefficients": {n: v / gain for n, v in term.coefficients.items()}})
+            terms.append(term)
+        channels.append(channel.model_copy(update={"term": tuple(terms)}))
+    changed: dict[str, Any] = {"channel": tuple(channels), "order": ORDER}
+    if (known := calibration.covariance) is not None:
+        by = 1.0 / np.array([gains.get(name, 1.0) for name in known.names])
+        matrix = by[:, None] * np.array(known.matrix).reshape(len(by), -1) * by
+        changed["covariance"] = known.model_copy(update={"matrix": tuple(map(tuple, matrix.tolist()))})
+    unseen = [
+        e.model_copy(update={"coefficients": {n: v / gains.get(n, 1.0) for n, v in e.coefficients.items()}})
+        for e in calibration.unseen
+    ]
+    return calibration.model_copy(update=changed | {"unseen": tuple(unseen)})
+
+
+def slow_value(term: CalibratedTerm, temperature_c: float) -> float:
+    """The map of a term at one temperature, for slow rates."""
+    coefficients, at = np.array(list(term.coefficients.values())), np.array([temperature_c])
+    of_t = np.ones(1) if term.temperature is None else term.temperature.values(at)[0]
+    of_w = np.ones(1) if term.rate is None else term.rate.values(np.zeros(1))[0]
+    return float(of_t @ coefficients.reshape(len(of_t), -1) @ of_w)
 
 
 def _from_unit(tables: Tables) -> Tables:

@@ -1,5 +1,6 @@
 /* calibration of $serial_number, made by gradcal
-$remarks * measured = input + sum of map(T) * signals, solved for the inputs; frame: $frame
+$remarks * measured = s + sum of map(T) * signals, s = input + sum of misalignment(T) * inputs across it; solved for the
+ * inputs; frame: $frame
  * $channels
  * temperature in degC, rates in rad/s, specific force in m/s^2. Beyond its range the values at the edge hold.
  */
@@ -7,7 +8,7 @@ $remarks * measured = input + sum of map(T) * signals, solved for the inputs; fr
 #define GRADCAL_CALIBRATION_H
 
 #define GRADCAL_CHANNELS $count
-#define GRADCAL_TERMS $terms
+#define GRADCAL_TERMS $terms     /* the first $across are misalignments */
 
 struct gradcal_term {
     int of;                /* number of its channel */
@@ -44,12 +45,14 @@ static inline void gradcal_correct(float temperature, const float raw[GRADCAL_CH
 {
     for (int k = 0; k < GRADCAL_CHANNELS; k++) out[k] = 0.0f;
     for (int round = 0; round < $rounds; round++) {
+        float along[GRADCAL_CHANNELS];    /* inputs along the axes of sensitivity: the channels' own signals */
         float error[GRADCAL_CHANNELS] = {0.0f};
+        for (int k = 0; k < GRADCAL_CHANNELS; k++) along[k] = out[k];
         for (int k = 0; k < GRADCAL_TERMS; k++) {
             const struct gradcal_term *a = &gradcal_terms[k];
             const float *range = gradcal_ranges[a->of];
             const float x = (gradcal_clip(temperature, range[0], range[1]) - a->t_centre) * a->t_inverse;
-            const float w = (gradcal_clip(out[a->of], range[2], range[3]) - a->w_centre) * a->w_inverse;
+            const float w = (gradcal_clip(along[a->of], range[2], range[3]) - a->w_centre) * a->w_inverse;
             float value = 0.0f;
             for (int i = a->t_count - 1; i >= 0; i--) {
                 float row = 0.0f;
@@ -59,12 +62,14 @@ static inline void gradcal_correct(float temperature, const float raw[GRADCAL_CH
             for (int j = 0; j < $factors; j++) {
                 const int s = a->signal[j];
                 if (s == 0) continue;
-                const float signal = out[(s < 0 ? -s : s) - 1];
+                const int number = (s < 0 ? -s : s) - 1;
+                const float signal = number == a->of ? along[number] : out[number];
                 value *= s < 0 && signal < 0.0f ? -signal : signal;
             }
-            error[a->of] += value;
+            if (k < $across) along[a->of] += value;
+            else error[a->of] += value;
         }
-        for (int k = 0; k < GRADCAL_CHANNELS; k++) error[k] = raw[k] - out[k] - error[k];
+        for (int k = 0; k < GRADCAL_CHANNELS; k++) error[k] = raw[k] - along[k] - error[k];
         for (int k = 0; k < GRADCAL_CHANNELS; k++) {
             for (int j = 0; j < GRADCAL_CHANNELS; j++) out[k] += gradcal_inverse[k][j] * error[j];
         }

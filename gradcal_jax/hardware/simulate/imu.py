@@ -8,10 +8,11 @@ The unit turns at the Earth's rate and at those of the axes, and senses the reac
 accelerometers are off the intersection of the axes, some millimetres apart, so that they also sense the acceleration by
 rotation. Each sample is the mean over its interval, with the sensors' own errors (IEEE 1431, 1293):
 
-    gyro           ω_i + B(T) + M(T, ω_i)ω_i + Σ m_ij(T)ω_j + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + k dT/dt + drift + walks
-    accelerometer  f_i + b(T) + s(T)f_i + Σ m_ij(T)f_j + k(T)f_i² + h(T)f_i³ + a(T)|f_i| + Σ c_jl(T)f_j f_l + drift
-                   + walk
-    both           loops over the temperature (`Loop`), exponentials since the unit was switched on, and differences of
+    gyro           s_i + B(T) + M(T, s_i)s_i + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + k dT/dt + drift + walks
+    accelerometer  s_i + b(T) + s(T)s_i + k(T)s_i² + h(T)s_i³ + a(T)|s_i| + Σ c_jl(T)f_j f_l + drift + walk
+    both           s_i = ω_i + Σ m_ij(T)ω_j, or of f: the input along the sensor's own axis of sensitivity, on which
+                   its scale factor acts;
+                   loops over the temperature (`Loop`), exponentials since the unit was switched on, and differences of
                    temperature to other masses, one of which the second thermometer measures
 
 Units are SI here (rad/s, m/s², °C), unlike in the rest of this package.
@@ -245,6 +246,11 @@ class ErrorTerm:
     lag_s: float = 0.0
     differs: bool = False
 
+    @property
+    def misaligns(self) -> bool:
+        """Whether it changes what the sensors sense, before their other errors."""
+        return self.factors == "inputs"
+
     def __call__(self, own: Vectors, force: Vectors, temperature_c: NDArray[np.float64]) -> Vectors:
         coefficients = np.einsum("nt,akt->nak", self.basis(temperature_c), self.values)
         if isinstance(self.factors, str):
@@ -343,12 +349,14 @@ class SimulatedImu(SampledSensor):
             lever = self.truth.gyro_lever if kind == "gyro" else self.truth.lever
             felt = force + _at_lever(np.array(lever), rate, edges)
             noise, own = self._noise(kind, triad, count), rate if kind == "gyro" else felt
-            mean = own.reshape(count, _PARTS, 3).mean(axis=1)
-            sensed = own
+            along = own + sum(e(own, felt, late[e.lag_s]) for e in triad.errors if e.misaligns)
+            said = along
             for error in triad.errors:
-                followed = late[error.lag_s] - temperature if error.differs else late[error.lag_s]
-                sensed = sensed + error(own, felt, followed)
-            output[kind] = sensed.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
+                if not error.misaligns:
+                    followed = late[error.lag_s] - temperature if error.differs else late[error.lag_s]
+                    said = said + error(along, felt, followed)
+            mean = along.reshape(count, _PARTS, 3).mean(axis=1)
+            output[kind] = said.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
             if any(triad.gradient):
                 change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
                 output[kind] = output[kind] + change[:, None] * np.array(triad.gradient)

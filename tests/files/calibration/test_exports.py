@@ -128,8 +128,9 @@ MEANS = {f"b{j}": np.mean(np.linspace(-1.0, 1.0, 201) ** j) for j in range(4)}
 
 
 def linear(truth, kind, at):
-    """Matrix and bias of a kind at one temperature, by names: an own reading of them."""
-    warm, matrix, bias = (at - 20.0) / 50.0, np.eye(3), np.zeros(3)
+    """Matrix and bias of a kind at one temperature, by names: an own reading of them. Scale factors multiply the rows
+    of the sensors' axes."""
+    warm, axes, gain, bias = (at - 20.0) / 50.0, np.eye(3), np.ones(3), np.zeros(3)
     for i, a in enumerate("xyz"):
         for name, value in truth.items():
             head, _, symbol = name.partition(".")
@@ -138,10 +139,10 @@ def linear(truth, kind, at):
             if symbol[0] == "a":
                 bias[i] += value * warm ** int(symbol[1:])
             elif symbol[0] == "s" or symbol[:2] in MEANS:
-                matrix[i, i] += MEANS.get(symbol[:2], 1.0) * value * warm ** int(symbol[-1])
+                gain[i] += MEANS.get(symbol[:2], 1.0) * value * warm ** int(symbol[-1])
             elif symbol.startswith("m_"):
-                matrix[i, "xyz".index(symbol[2])] += value * warm ** int(symbol[3:])
-    return matrix, bias
+                axes[i, "xyz".index(symbol[2])] += value * warm ** int(symbol[3:])
+    return np.diag(gain) @ axes, bias
 
 
 def test_kalibr_s_form_is_the_same_imu_in_its_own_frame():

@@ -20,6 +20,7 @@ from gradcal_jax.files.calibration import (
     read_calibration,
     write_calibration,
 )
+from gradcal_jax.files.calibration.correction import correct
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.log_file import write_log
 from gradcal_jax.files.problems import SpecError
@@ -86,7 +87,41 @@ def test_version_1_of_an_imu_has_one_range_for_all_channels():
     shared = {key: today["channel"][0][key] for key in ("valid_temperature", "valid_rate")}
     channels = [{k: v for k, v in c.items() if k not in shared} for c in today["channel"]]
     old = today | shared | {"format": "gradcal-calibration/1", "quantity": "unit", "channel": channels}
-    assert parse_calibration(tomlkit.dumps(old)) == calibration_of(a_truth())
+    second = today | {"format": "gradcal-calibration/2"}
+    found = parse_calibration(tomlkit.dumps(old))
+    assert found == parse_calibration(tomlkit.dumps(second))
+    assert {c.valid_rate for c in found.channel} == {calibration_of(a_truth()).channel[0].valid_rate}
+
+
+@pytest.mark.parametrize("scale", [0.003, 15.0], ids=["SI", "counts"])
+def test_misalignments_of_version_2_are_divided_by_the_scale_factor(scale):
+    """Version 2 added them: at the middle temperature the correction is the same, by its own formula."""
+    truth = a_truth()
+    truth |= {f"gyro_{a}.b00": scale for a in "xyz"} | {f"accelerometer_{a}.s0": scale for a in "xyz"}
+    for name in truth:
+        if name.endswith(("m_y1", "m_x1", "m_z1")) or (".b" in name and name[-3:] != "b00"):
+            truth[name] = 0.0
+    known = {"covariance": {"names": ["gyro_x.b00", "gyro_x.m_y0"], "matrix": [[1e-8, 2e-9], [2e-9, 4e-8]]}}
+    found = parse_calibration(tomlkit.dumps(document(truth) | known | {"format": "gradcal-calibration/2"}))
+    assert found.format == "gradcal-calibration/3"
+    rng = np.random.default_rng(1)
+    rate, force = rng.uniform(-3.0, 3.0, (2, 50, 3))
+    matrix = np.array([[float(a == b) * (1.0 + scale) or truth[f"gyro_{a}.m_{b}0"] for b in "xyz"] for a in "xyz"])
+    bias = np.array([truth[f"gyro_{a}.a0"] for a in "xyz"])
+    felt = np.array([[truth[f"gyro_{a}.g_{b}"] for b in "xyz"] for a in "xyz"])
+    gyros = [channel for channel in found.channel if channel.kind == "gyro"]
+    said = dict(zip(("rate x", "rate y", "rate z"), (rate @ matrix.T + bias + force @ felt.T).T, strict=True))
+    forces = dict(zip(("force x", "force y", "force z"), force.T, strict=True))
+    there = correct(gyros, said | forces, np.full(50, 20.0))
+    assert np.max(np.abs(np.stack([there[f"rate {a}"] for a in "xyz"], axis=1) - rate)) < 1e-12
+    # A standard deviation of a misalignment is divided, too.
+    assert found.covariance is not None
+    by = 1.0 / (1.0 + scale)
+    assert (
+        np.max(np.abs(np.array(found.covariance.matrix) / [[1e-8, 2e-9 * by], [2e-9 * by, 4e-8 * by**2]] - 1)) < 1e-12
+    )
+    # What was read is today's form, and stays as it is.
+    assert parse_calibration(to_toml(found)) == found
 
 
 @pytest.mark.parametrize(

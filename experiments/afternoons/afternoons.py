@@ -64,10 +64,11 @@ def afternoon(folder: Path, preset: str, own: bool) -> Iterator[str]:
     for line in COMMANDS.format(preset=preset, recording=recording).splitlines():
         if own and line.startswith("gradcal log"):
             recorded_by_itself(folder / "mine/run", folder / "imu.csv")
+            # The template has counts in one column, as an example; this logger writes degrees per second in all.
             columns = folder / "mine/columns.toml"
-            columns.write_text(
-                columns.read_text(encoding="utf-8").replace(", scale = 0.0305 }     # counts: deg/s per count", " }")
-            )
+            text, count = re.subn(r", scale = 0\.0305 \}.*", " }", columns.read_text(encoding="utf-8"))
+            assert count == 1, "the template of a column map has changed"
+            columns.write_text(text, encoding="utf-8")
             yield (
                 "\n`imu.csv` is the recording of the IMU's own logger, with the times of its own clock; "
                 "`mine/columns.toml` describes its columns.\n"

@@ -520,7 +520,7 @@ def _unit_errors(scene: Scene, made: dict[str, Any], quantity: str, t: np.ndarra
             elif name == "scale_factor":
                 true = truth.along[own] * (1.0 + truth.scale(t, truth.along[own] * x)) - 1.0
             elif name == "misalignment":
-                true = truth.along[j] * (1.0 + truth.scale(t, np.zeros_like(t)))
+                true = np.full(len(t), truth.along[j] / truth.along[own])
             else:
                 true, signal = np.full(len(t), truth.force[j]), "force"
             pointing = name in ("misalignment", "g_sensitivity")

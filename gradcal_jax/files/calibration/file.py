@@ -479,7 +479,8 @@ def _multiplied(calibration: Calibration) -> Calibration:
     if (known := calibration.covariance) is not None:
         by = 1.0 / np.array([gains.get(name, 1.0) for name in known.names])
         matrix = by[:, None] * np.array(known.matrix).reshape(len(by), -1) * by
-        changed["covariance"] = known.model_copy(update={"matrix": tuple(map(tuple, matrix.tolist()))})
+        rows: list[list[float]] = matrix.tolist()
+        changed["covariance"] = known.model_copy(update={"matrix": tuple(map(tuple, rows))})
     unseen = [
         e.model_copy(update={"coefficients": {n: v / gains.get(n, 1.0) for n, v in e.coefficients.items()}})
         for e in calibration.unseen

@@ -97,7 +97,9 @@ def test_the_same_recording_twice_is_one_table_with_half_the_noise_of_the_imus()
 
 
 @lru_cache
-def together(seed: int, ideal: bool = False) -> tuple[list[SensorEstimate], list[SensorEstimate], dict[str, dict[str, float]]]:
+def together(
+    seed: int, ideal: bool = False
+) -> tuple[list[SensorEstimate], list[SensorEstimate], dict[str, dict[str, float]]]:
     """Four IMUs estimated together, and each alone."""
     spec = scene("two axes", 1.0)
     log, truths = fixture_log(spec, seed, ideal=ideal)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimate_scenes import aligned, PLANS, draw_truth, record, scene
+from estimate_scenes import PLANS, aligned, draw_truth, record, scene
 from scipy import stats
 
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors

@@ -93,8 +93,10 @@ def rounds_in_single(calibration: Calibration, raw: Floats, temperature_c: Float
                 number = inputs.index(name.strip("|"))
                 signal = (along if number == place else out)[:, number]
                 value = value * (np.abs(signal) if name.startswith("|") else signal)
-            (along if channel.misaligns(term) else error)[:, place] += value
-        left = reading - along - error
+            error[:, place] += value
+            if channel.misaligns(term):
+                along[:, place] += value
+        left = reading - out - error
         for j in range(len(inputs)):
             out += inverse[:, j] * left[:, j : j + 1]
         yield out.astype(np.float64)

@@ -66,10 +66,10 @@ static inline void gradcal_correct(float temperature, const float raw[GRADCAL_CH
                 const float signal = number == a->of ? along[number] : out[number];
                 value *= s < 0 && signal < 0.0f ? -signal : signal;
             }
+            error[a->of] += value;
             if (k < $across) along[a->of] += value;
-            else error[a->of] += value;
         }
-        for (int k = 0; k < GRADCAL_CHANNELS; k++) error[k] = raw[k] - along[k] - error[k];
+        for (int k = 0; k < GRADCAL_CHANNELS; k++) error[k] = raw[k] - out[k] - error[k];
         for (int k = 0; k < GRADCAL_CHANNELS; k++) {
             for (int j = 0; j < GRADCAL_CHANNELS; j++) out[k] += gradcal_inverse[k][j] * error[j];
         }

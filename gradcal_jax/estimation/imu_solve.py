@@ -203,12 +203,19 @@ def estimate_unweighted(readings: ImuReadings) -> ImuEstimate:
     motion, model = readings.done.motion, readings.model
     at, weighted = segments_of(motion, model), solve_imu(readings)
     steps, columns = readings.linear(None)
-    estimator, own = estimator_of_means(motion, model, steps, columns), model.calibrated
-    nothing = np.zeros(model.size)
-    apart = readings.by_steps(np.where(at.used, readings.observed - readings.expected(nothing), 0.0))
-    beta = np.append(estimator.back @ (estimator.weights.T @ apart), nothing[own:])
-    rest = weighted.white.data - weighted.white.rows @ beta
+    estimator = estimator_of_means(motion, model, steps, columns)
     known = imu_unweighted(motion, model, readings.nominal())
+    beta, deviation = np.zeros(model.size), known.deviations(np.eye(model.size))
+    counted = np.isfinite(deviation) & (deviation > 0.0)
+    # Scale factors multiply misalignments: the columns are those of an ideal sensor.
+    for _ in range(_ROUNDS):
+        apart = readings.by_steps(np.where(at.used, readings.observed - readings.expected(beta), 0.0))
+        step = np.zeros(model.size)
+        step[: model.calibrated] = estimator.back @ (estimator.weights.T @ apart)
+        if np.max(np.abs(step[counted]) / deviation[counted], initial=0.0) <= _SETTLED:
+            break
+        beta = beta + step
+    rest = weighted.white.data - weighted.white.rows @ beta
     fitted = weighted.estimate._replace(parameters=beta, known=known, residuals=rest)
     return weighted._replace(estimate=fitted)
 

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax.files import quantity as q
 from gradcal_jax.files import temperature_path as path_terms
-from gradcal_jax.files.bases import Degree, RateBasis, TemperatureBasis
+from gradcal_jax.files.bases import Degree, PolynomialKeys, RateBasis, TemperatureBasis
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import Of, Quantity, Rate
 from gradcal_jax.files.section import Section, refuse
@@ -195,6 +195,8 @@ class Bias(_Lagging):
 
     def _problems(self) -> Iterable[Problem]:
         yield from _smoothness(self.smoothness, self.temperature.basis)
+        if self.discrepancy is not None:
+            yield from _beyond((self.temperature, self.discrepancy.temperature_degree))
         yield from shape_problems(self.shape, self.size, self.prior)
 
     @property
@@ -223,6 +225,8 @@ class ScaleFactor(_Lagging):
 
     def _problems(self) -> Iterable[Problem]:
         yield from _smoothness(self.smoothness, self.temperature.basis, self.rate.basis)
+        if (hidden := self.discrepancy) is not None:
+            yield from _beyond((self.temperature, hidden.temperature_degree), (self.rate, hidden.rate_degree))
         yield from shape_problems(self.shape, self.size, self.prior)
 
     @property
@@ -236,6 +240,16 @@ def _smoothness(value: q.Quantity | None, *bases: str) -> list[Problem]:
         message = 'neighbouring coefficients exist only for "b-spline" and "bins"; leave this key out'
         return [Problem(("smoothness",), message, value.text)]
     return []
+
+
+def _beyond(*bases: tuple[TemperatureBasis | RateBasis, int]) -> Iterator[Problem]:
+    """What is wrong with a discrepancy up to a degree in each basis."""
+    polynomials = [(basis, degree) for basis, degree in bases if isinstance(basis, PolynomialKeys)]
+    if len(polynomials) < len(bases):
+        message = 'continues polynomials; for B-splines and bins, use "smoothness" instead'
+        yield Problem(("discrepancy",), message)
+    elif all(degree <= basis.degree for basis, degree in polynomials):
+        yield Problem(("discrepancy",), "at least one of its degrees must exceed that of the map")
 
 
 HOST_CLOCK: Final = 1e-6

@@ -348,6 +348,20 @@ def test_sizes_of_bases():
     assert files.spec_of(document).sensor.gyro.bias.size == 2
 
 
+def test_a_discrepancy_goes_beyond_polynomials():
+    document = tables()
+    scale = document["sensor"]["gyro"]["scale_factor"]
+    hidden = {"standard_deviation": "5 ppm", "temperature_degree": 3, "rate_degree": 5}
+    scale["discrepancy"] = hidden
+    assert files.spec_of(document).sensor.gyro.scale_factor.discrepancy.rate_degree == 5
+    scale["discrepancy"] = hidden | {"rate_degree": 1}
+    assert keys_of(document) == {"sensor.gyro.scale_factor.discrepancy"}
+    scale["discrepancy"] = hidden
+    scale["rate"] = {"basis": "b-spline", "knots": ["-300 deg/s", "0 deg/s", "300 deg/s"]}
+    with pytest.raises(SpecError, match=r'scale_factor\.discrepancy.*use "smoothness" instead'):
+        files.spec_of(document)
+
+
 def test_other_axes_read_as_the_table_unless_they_say_how():
     document = tables()
     document["plan"]["cycle"]["other_axes"]["read_every"] = "2 s"

@@ -29,7 +29,7 @@ from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.signal_faults import without_faults
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.model import AXIS_NAMES, BIAS, Channel
+from gradcal_jax.model import AXIS_NAMES, BIAS, KINDS, Channel
 
 # K by which a die may be colder or warmer than the chamber's limits, self-heating included.
 _COLDER, _WARMER = 10.0, 35.0
@@ -41,6 +41,8 @@ _SHORT_K, _SHORT_RATE = 1.5, 1e-3
 # Sizes that no channel has: of a scale-factor error, of a misalignment (rad), of any coefficient in its priors.
 SCALE_FACTOR_ERROR: Final = 0.5
 _MISALIGNED, _PRIORS = 0.3, 50.0
+# Standard deviations of the spec's misalignments beyond which a rotation of all sensors together is reported.
+_TURNED = 4.0
 _OTHER_UNITS: Final = (
     ("°F", lambda t: (t - 32.0) / 1.8),
     ("K", lambda t: t - 273.15),
@@ -161,6 +163,30 @@ def refuse_implausible(where: str, names: Sequence[str], values: np.ndarray, pri
             f"{where}: {names[worst]} is {ratios[worst]:.3g} times its prior standard deviation in the spec: does "
             "the column have another unit, or is the prior too small?"
         )
+
+
+def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> Iterator[str]:
+    """A sentence for each axis about which all sensors are turned by far more than the spec's misalignments: names as
+    in `gyro_x.m_y`, values and priors as of `refuse_implausible`."""
+    known = {name: (float(v), float(p)) for name, v, p in zip(names, values, priors, strict=True) if 0.0 < p < np.inf}
+    for k, axis in enumerate(AXIS_NAMES):
+        a, b = AXIS_NAMES[(k + 1) % 3], AXIS_NAMES[(k + 2) % 3]
+        # A sensor along a that is turned about the axis leans towards b, and one along b away from a.
+        both = [(f"{kind}_{one}.m_{other}", sign) for kind in KINDS for one, other, sign in ((a, b, 1.0), (b, a, -1.0))]
+        found = [
+            (sign * v, p) for name, sign in both for v, p in [known.get(name) or known.get(f"{name}0") or (0.0, 0.0)]
+        ]
+        sizes = np.array([of for of, p in found if p > 0.0])
+        if len(sizes) < 2:
+            continue
+        mean, prior = float(np.mean(sizes)), float(np.mean([p for _, p in found if p > 0.0]))
+        alike = np.max(np.abs(sizes - mean)) < abs(mean) / 3.0
+        if alike and abs(mean) > _TURNED * prior / np.sqrt(len(sizes)):
+            yield (
+                f"all sensors are turned by {np.degrees(mean):.3g} deg about {axis} from where the spec has them, and "
+                f"their misalignments (1σ) are {np.degrees(prior):.2g} deg in the spec: are the mounting and the zeros "
+                "of the table's angles as in the spec?"
+            )
 
 
 def refuse_misaligned(name: str, fits: Mapping[str, CoarseFit], channels: Sequence[Channel]) -> None:

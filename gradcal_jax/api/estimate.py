@@ -27,6 +27,7 @@ from gradcal_jax.api.contradictions import (
     refuse_other_units,
     structure_in_words,
     structure_tests,
+    turned_together,
     without_bad_rows,
 )
 from gradcal_jax.api.error_budget import (
@@ -47,7 +48,7 @@ from gradcal_jax.api.path_dependence import (
     bias_curves,
     path_dependence,
 )
-from gradcal_jax.api.plan_sentences import one_way_sentences
+from gradcal_jax.api.plan_sentences import one_way_sentences, prior_deviations
 from gradcal_jax.api.prediction import requirement_row
 from gradcal_jax.api.verdicts import coefficient_rows, finite, judged_by_data
 from gradcal_jax.display import html, summary
@@ -504,6 +505,9 @@ def _words(report: SensorEstimate, solution: ImuEstimate) -> list[str]:
                 f"the table's {error.name.replace('_', ' ')} is {error.value / error.prior:+.1f} times its "
                 "standard deviation in the spec: is the spec of the table correct?"
             )
+    model = report.built.model
+    values = model.to_reported @ report.solution.parameters
+    sentences += turned_together(model.names(), values, prior_deviations(report.built))
     if report.calibration.unobservable:
         sentences.append(f"the data say nothing of {', '.join(report.calibration.unobservable)}")
     return sentences

@@ -1,5 +1,6 @@
 """`gradcal schema`: the keys of every file and contract, all commands, and the words that they use."""
 
+import re
 from typing import Annotated, Final
 
 from cyclopts import Parameter
@@ -86,6 +87,6 @@ def commands_page() -> str:
 
     head = "# Commands\n\nThis page lists all commands and options; `gradcal schema commands --markdown` makes it.\n\n"
     page = build().generate_docs(heading_level=2, flatten_commands=True, usage_name="gradcal")
-    # (The usage of a module that is run says so, and a link to an option has all its hyphens.)
-    page = page.replace(" -m gradcal_jax ", " ").replace("(#gradcal-install-", "(#gradcal---install-")
+    # (The usage names the module that is run, and a link to an option has all its hyphens.)
+    page = re.sub(r"(?m)^(gradcal\b.*?) -m \w+ ", r"\1 ", page).replace("(#gradcal-install-", "(#gradcal---install-")
     return f"{head}{page}\n{_COMMANDS_END}"

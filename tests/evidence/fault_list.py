@@ -345,6 +345,79 @@ def half_heated(scene: Scene) -> None:
     scene.climate = replace(scene.climate, corners=((0.0, -20.0), (END / 2, 20.0), (END, 20.0)))
 
 
+def of_forces(**fields: object) -> Callable[[Scene], None]:
+    """Of every accelerometer."""
+
+    def change(scene: Scene) -> None:
+        scene.channels = [replace(c, **fields) if c.kind == "accelerometer" else c for c in scene.channels]
+
+    return change
+
+
+def leaning(channel: int, towards: int) -> Callable[[Scene], None]:
+    """A misalignment that changes by 1 mrad over 40 K."""
+
+    def change(r: Recorded) -> Recorded:
+        more = np.zeros_like(r.values)
+        more[:, channel] = 1e-3 * (r.temperature - 20.0) / 40.0 * r.values[:, towards]
+        return replace(r, values=r.values + more)
+
+    return rows(change)
+
+
+def behind(seconds: float) -> Callable[[Scene], None]:
+    """The thermometer follows the die."""
+
+    def change(r: Recorded) -> Recorded:
+        own, share = r.temperature.copy(), (r.time[1] - r.time[0]) / seconds
+        for k in range(1, len(own)):
+            own[k] = own[k - 1] + share * (r.temperature[k] - own[k - 1])
+        return replace(r, temperature=own)
+
+    return rows(change)
+
+
+def steep(r: Recorded) -> Recorded:
+    """A thermometer whose degrees are 3 % too small."""
+    return replace(r, temperature=20.0 + 1.03 * (r.temperature - 20.0))
+
+
+def by_heading(r: Recorded) -> Recorded:
+    """A bias of 8 deg/h that points to a place in the room, as by a magnetic field."""
+    angle, none_of_them = r.angles[:, -1], np.zeros((len(r.time), r.values.shape[1] - 2))
+    field = 8 * DEG_H * np.stack([np.cos(angle), -np.sin(angle)], axis=1)
+    return replace(r, values=r.values + np.concatenate([field, none_of_them], axis=1))
+
+
+def by_acceleration(v: np.ndarray) -> np.ndarray:
+    """A scale factor of gyro z that depends on the acceleration along z, 150 ppm/g."""
+    return v * np.where(np.arange(v.shape[1]) == 2, 1.0 + 150 * PPM * v[:, 5:6] / G, 1.0)
+
+
+def beating(r: Recorded) -> Recorded:
+    """40 deg/h with a period of 100 s in the first gyro, as of two sample rates."""
+    more = 40 * DEG_H * np.sin(2.0 * np.pi * r.time / 100.0)
+    return replace(r, values=r.values + more[:, None] * (np.arange(r.values.shape[1]) == 0))
+
+
+def by_direction_of_force(scene: Scene) -> None:
+    def one(c: Channel) -> Channel:
+        scale = c.scale
+        return replace(c, scale=lambda t, x: scale(t, x) + 300 * PPM * np.tanh(x / (0.05 * G)))
+
+    scene.channels = [one(c) if c.kind == "accelerometer" else c for c in scene.channels]
+
+
+def zero_of_outer_axis(r: Recorded) -> Recorded:
+    return replace(r, angles=r.angles + np.array([3.0 * DEG, 0.0]))
+
+
+def force_jumps(r: Recorded) -> Recorded:
+    """Accelerometer x, by 2 mg, in the middle."""
+    later = r.time > r.time.mean()
+    return replace(r, values=r.values + 2e-3 * G * later[:, None] * (np.arange(r.values.shape[1]) == 3))
+
+
 AXIS, UNIT, AXIS_FULL, UNIT_FULL = "axis, lean", "unit, lean", "axis, full", "unit, full"
 
 # --- the list ---------------------------------------------------------------------------------------------------------
@@ -497,4 +570,32 @@ FAULTS: tuple[Fault, ...] = (
     Fault("scale factor differs by direction, ±100 ppm", UNIT_FULL, STRUCTURE, kinked(100 * PPM)),
     Fault("bias steps by 30 deg/h at 30 degC", AXIS_FULL, STRUCTURE, stepped(30 * DEG_H)),
     Fault("bias steps by 30 deg/h at 30 degC", UNIT_FULL, STRUCTURE, stepped(30 * DEG_H)),
+    # Of the accelerometers, of axes that lean by the temperature, of what no term of a spec is.
+    Fault("accelerometers 100 ug/g2, not in the spec", UNIT, rf"second.order|square|nonlinear|{NOISE}",
+          of_forces(square=100e-6 / G)),
+    Fault("gyro x leans by 1 mrad over 40 K", UNIT, rf"misalign|{NOISE}", leaning(0, 1)),
+    Fault("gyro x leans by 1 mrad over 40 K", UNIT_FULL, rf"misalign|{NOISE}", leaning(0, 1)),
+    Fault("accelerometer x leans by 1 mrad over 40 K", UNIT_FULL, rf"misalign|{NOISE}", leaning(3, 4)),
+    Fault("accelerometers x and y swapped", UNIT_FULL, SWAPPED, values(lambda v: v[:, [0, 1, 2, 4, 3, 5]])),
+    Fault("thermometer 3 % too steep", AXIS, THERMOMETER, rows(steep)),
+    Fault("thermometer 3 % too steep", UNIT, THERMOMETER, rows(steep)),
+    Fault("thermometer 60 s behind the die, one ramp", AXIS, LAG, behind(60.0)),
+    Fault("thermometer 60 s behind the die, one ramp", UNIT, LAG, behind(60.0)),
+    Fault("thermometer 60 s behind the die, up and down", UNIT_FULL, LAG, behind(60.0)),
+    Fault("scale factor 150 ppm/g", UNIT, rf"scale.factor|{NOISE}", values(by_acceleration)),
+    Fault("scale factor 150 ppm/g", UNIT_FULL, rf"scale.factor|{NOISE}", values(by_acceleration)),
+    Fault("accelerometer x jumps by 2 mg", UNIT_FULL, rf"{EVENT}|{NOISE}", rows(force_jumps)),
+    Fault("accelerometers: play of 1 mg, up and down", UNIT_FULL, HYSTERESIS,
+          of_forces(hysteresis=play(10.0, 1e-3 * G))),
+    Fault("accelerometers: play of 1 mg, one ramp", UNIT, HYSTERESIS, of_forces(hysteresis=play(10.0, 1e-3 * G))),
+    Fault("accelerometers: 200 ug/(K/min), one ramp", UNIT, GRADIENT, of_forces(gradient=200e-6 * G * 60.0)),
+    Fault("accelerometers: turn-on bias 2 mg", UNIT, TURN_ON, of_forces(turn_on=2e-3 * G)),
+    Fault("accelerometers differ by direction, ±300 ppm", UNIT, rf"asymmetr|{NOISE}", by_direction_of_force),
+    Fault("accelerometers differ by direction, ±300 ppm", UNIT_FULL, rf"asymmetr|{NOISE}", by_direction_of_force),
+    Fault("zero of the outer axis 3 deg off", UNIT_FULL, TABLE, rows(zero_of_outer_axis)),
+    Fault("gyro z says nothing", UNIT_FULL, rf"{FROZEN}|not a gyro|0 times", values(lambda v: v * (np.arange(6) != 2))),
+    Fault("bias by heading, 8 deg/h", UNIT, rf"magnet|attitude|{NOISE}", rows(by_heading)),
+    Fault("bias by heading, 8 deg/h", UNIT_FULL, rf"magnet|attitude|{NOISE}", rows(by_heading)),
+    Fault("a beat of 100 s, 40 deg/h", AXIS_FULL, NOISE, rows(beating)),
+    Fault("a beat of 100 s, 40 deg/h", UNIT_FULL, NOISE, rows(beating)),
 )  # fmt: skip

@@ -79,6 +79,18 @@ def test_an_installation_error_put_in_by_hand_is_found_as_such():
     assert worst < 4.0
 
 
+@pytest.mark.parametrize("degrees", [0.0, 5.0])
+def test_sensors_that_are_turned_together_are_said(degrees):
+    """As by a zero of the inner axis that is off: the misalignments have the rotation, and nothing else shows it."""
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(8)
+    logs = record(spec, draw_truth(spec, rng), rng)
+    shift = np.array([0.0, np.radians(degrees)])
+    (report,) = estimate_sensors(spec, [replace(log, table_angle_rad=log.table_angle_rad + shift) for log in logs])
+    said = [message for message in report.messages if "all sensors are turned by" in message]
+    assert len(said) == (degrees > 0.0)
+    assert all("about z" in message for message in said)
+
+
 def test_gyros_off_the_axes_are_sensitive_to_what_they_feel_there():
     """At 0.4 m a move adds a whole g to gravity, and a sensitivity of 50 deg/h/g makes minutes of arc of it."""
     spec, rng = scene("two axes", 0.1), np.random.default_rng(21)

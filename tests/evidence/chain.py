@@ -26,9 +26,9 @@ _PIECES = np.array([0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.
 
 @dataclass(frozen=True)
 class Chain:
-    """Of one seed. `nees` of `degrees`: the calibration's errors in their own covariance; `fit`: χ² of the data and its
-    degrees; `ratios`: of each requirement (by name), achieved over predicted; `sigmas`: of each parameter, likewise,
-    without what the estimate widens for its fit."""
+    """Of one seed. `nees` of `degrees`: the calibration's errors, of misalignments times scale factors, in their own
+    covariance; `fit`: χ² of the data and its degrees; `ratios`: of each requirement (by name), achieved over predicted;
+    `sigmas`: of each parameter, likewise, without what the estimate widens for its fit."""
 
     nees: float
     degrees: int
@@ -130,9 +130,19 @@ def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> C
     truth = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
     names, matrix, values, hidden = _coefficients(made, truth)
     error = np.array([values[name] - hidden[name] for name in names])
-    scale = np.sqrt(np.diag(matrix))
+    slopes = np.eye(len(names))
+    # A plan may tell the element (1 + M) m of a sensor's matrix far better than M and m, whose errors are then no sum.
+    for k, name in enumerate(names):
+        channel, _, symbol = name.partition(".")
+        constant = next((f"{channel}.{s}" for s in ("b00", "s0", "s") if f"{channel}.{s}" in names), None)
+        if symbol.startswith("m_") and constant is not None:
+            error[k] = (1.0 + values[constant]) * values[name] - (1.0 + hidden[constant]) * hidden[name]
+            slopes[k, k], slopes[k, names.index(constant)] = 1.0 + values[constant], values[name]
+    elements = slopes @ matrix @ slopes.T
+    scale = np.sqrt(np.diag(elements))
     apart = error / scale
-    nees = float(apart @ np.linalg.solve(matrix / np.outer(scale, scale), apart))
+    nees = float(apart @ np.linalg.solve(elements / np.outer(scale, scale), apart))
+    scale = np.sqrt(np.diag(matrix))
     fit = (float(made["fit"][0]["statistic"]), int(made["fit"][0]["degrees"]))
     before = {row["name"]: row["std"] for row in predicted["parameters"]}
     sigmas = {name: s / before[name] for name, s in zip(names, scale, strict=True) if before.get(name)}

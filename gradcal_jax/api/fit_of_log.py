@@ -37,6 +37,7 @@ from gradcal_jax.files.calibration import (
     Covariance,
     Noise,
     PathCoefficient,
+    PathPolynomial,
     Residuals,
     TableError,
     build_term,
@@ -499,11 +500,18 @@ def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarr
                 of_path["own"] = True
             elif isinstance(term, TemperatureDifference):
                 of_path["time_constant"] = Quantity.of(term.other.lag, "s")
+            polynomials: dict[str, dict[str, Any]] = {}
+            if isinstance(term, Hysteresis) and (over := term.over_temperature) is not None:
+                at = {"centre": Quantity.of(over.centre, "degC"), "scale": Quantity.of(over.scale, "K")}
+                polynomials = {
+                    name: {"polynomial": PathPolynomial(degree=k, **at)}
+                    for k, name in enumerate(term.names()[-over.size :], start=1)
+                }
             for name, value, std in zip(term.names(), values[own], deviations[own], strict=True):
                 if not isinstance(term, PathTerm) or name not in term.nuisances:
                     yield PathCoefficient(
                         channel=c.name, name=name, value=float(value), standard_deviation=float(std), unit=term.unit,
-                        **of_path,
+                        **of_path, **polynomials.get(name, {}),
                     )  # fmt: skip
 
 

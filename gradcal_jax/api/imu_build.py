@@ -126,6 +126,9 @@ def build_imu(
     # A lagging unit's exponentials, and transients, are no polynomials; a play is linear in T on each piece.
     own = any(isinstance(t, OwnTerm) for c in model_.channels for t in c.model.terms)
     exponential = spec.sensor.lag is not None or bool(_decays(model_)) or own
+    # A play is linear in T on each piece, and what it varies by multiplies it.
+    plays = [t.over_temperature for c in model_.channels for t in c.model.terms if isinstance(t, Hysteresis)]
+    degree = max(degree, *(1 + over.degree for over in plays if over is not None), 0)
     points = max(degree + 1, _LAGGED if exponential else 2 if model_.knows_path else 1)
     rough = model_.knows_path or any(b.breaks for b in bases)
     if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
@@ -322,7 +325,11 @@ def _path_terms(
     def play(p: PlayOfBias, signals: tuple[str, ...], name: str, si_unit: str) -> PathTerm:
         std, width = np.asarray(float(p.prior)), np.asarray(float(p.width))
         named = name.format(f"{float(width):g}")
-        return Hysteresis(std=std, width=width, signals=signals, name=named, si_unit=si_unit)
+        more: dict[str, HigherPolynomials | np.ndarray] = {}
+        if (v := p.over_temperature) is not None:
+            over = HigherPolynomials(1, v.degree, float(v.centre), float(v.scale))
+            more = {"over_temperature": over, "variation": np.asarray(float(v.standard_deviation))}
+        return Hysteresis(std=std, width=width, signals=signals, name=named, si_unit=si_unit, **more)
 
     terms: list[PathTerm | OwnTerm] = [play(p, (), HYSTERESIS, f"{unit}/K") for p in triad.hysteresis]
     terms += [play(p, own, SCALE_FACTOR_HYSTERESIS, "1/K") for p in triad.scale_factor_hysteresis]

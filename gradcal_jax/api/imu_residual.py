@@ -221,8 +221,8 @@ def together(requirement: Requirement, each: np.ndarray) -> np.ndarray:
 
 class QuantityElement(NamedTuple):
     """A linear function of an IMU's parameters in `where` on `g` points, with a model's discrepancy apart; or a map of
-    a channel, by its model, the map's name and the temperatures and rates of a grid. `path` `(s, k)`: what is added to
-    the rows in each state of the service, of which the worst counts at every point."""
+    a channel, by its model, the map's name and the temperatures and rates of a grid. `path` `(s, g, k)`: what is added
+    to the rows in each state of the service, of which the worst counts at every point."""
 
     label: str
     where: slice
@@ -373,7 +373,7 @@ def _elements(
             if c.kind == kind and requirement.axis in ("all", "worst", axis):
                 for term, label in terms(axis):
                     element = _of_term(model, c, term, label, temperatures, rates)
-                    yield element._replace(path=_states(c, requirement))
+                    yield element._replace(path=_states(c, requirement, np.repeat(temperatures, len(rates))))
 
 
 # The terms of the path by the quantity that they belong to: of dT/dt, and a play's name.
@@ -385,21 +385,21 @@ _PATHS = {
 }
 
 
-def _states(channel: Channel, requirement: Requirement) -> np.ndarray | None:
-    """The states of the service `(s, channel's p)`: after a leg of more than twice its width a play is behind the
-    temperature by its width, between that and its opposite elsewhere, where the error is smaller than at one of both
-    ends. None without a path."""
+def _states(channel: Channel, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
+    """The states of the service at every point of the grid `(s, g, channel's p)`: after a leg of more than twice its
+    width a play is behind the temperature by its width, between that and its opposite elsewhere, where the error is
+    smaller than at one of both ends. None without a path."""
     service = getattr(requirement, "service", None)
     states = ((0.0, 0.0),) if service is None else service()
     if states == ((0.0, 0.0),):
         return None
     model, (gradient, play) = channel.model, _PATHS[requirement.quantity]
     head = play.partition("{")[0]
-    of_dt, of_play = np.zeros(model.size), np.zeros(model.size)
+    of_dt, of_play = np.zeros(model.size), np.zeros((len(temperatures), model.size))
     of_dt[model.where(gradient)] = 1.0
     for term in model.terms:
         if isinstance(term, Hysteresis) and term.name.startswith(head):
-            of_play[model.where(term.name).start] = float(term.width)
+            of_play[:, model.where(term.name)] = float(term.width) * term.coefficients(temperatures)
         elif isinstance(term, TemperatureDifference) and bool(term.signals) == (gradient == GRADIENT_OF_SCALE):
             of_dt[model.where(term.name)] = term.by_slope
     return np.stack([slope * of_dt - sign * of_play for sign, slope in states])

@@ -136,6 +136,8 @@ def _path_row(channel: Channel, term: PathTerm) -> contract.PathTermRow:
     kind: Any = "temperature gradient"
     own: dict[str, float] = {}
     if isinstance(term, Hysteresis):
+        if term.over_temperature is not None:
+            raise ValueError("a timeline cannot contain the over_temperature of a hysteresis: leave it out")
         kind, own = "hysteresis", {"width": float(term.width)}
     elif isinstance(term, TurnOnTransient):
         kind, own = "transient", {"time_constant": float(term.time_constant)}

@@ -259,7 +259,8 @@ class CycleCoordinates(NamedTuple):
 
 class GridElement(NamedTuple):
     """A linear function of the parameters on a grid: `rows` `(g, k)` of the parameters `where`; the variance `added` to
-    its own, less that of `alone`. `path` `(s, k)`: added to the rows in each state of the service; the worst counts."""
+    its own, less that of `alone`. `path` `(s, g, k)`: added to the rows in each state of the service, of which the
+    worst counts."""
 
     where: slice
     rows: AnyArray

@@ -9,6 +9,33 @@ from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.section import Section, refuse
 
 
+class VariationOfBias(Section):
+    """How the coefficient of a play varies with temperature: Legendre polynomials of the degrees 1 to `degree` in
+    (T − `centre`)/`scale` are added to it. A loop that is not a sum of plays, for example one of many relays, is
+    wider at some temperatures than at others."""
+
+    standard_deviation: q.PositiveBiasSlope
+    """Standard deviation of the coefficient of each polynomial before the calibration."""
+    degree: Annotated[int, Field(ge=1, le=20)]
+    """Highest degree."""
+    centre: q.Temperature
+    """Temperature at which the argument of the polynomials is 0."""
+    scale: q.PositiveTemperatureDifference
+    """Change of temperature over which the argument of the polynomials changes by 1."""
+
+
+class VariationOfForce(VariationOfBias):
+    """Variation of the coefficient of an accelerometer's play with temperature, like that of a gyro's."""
+
+    standard_deviation: q.PositiveAccelerationSlope
+
+
+class VariationOfScaleFactor(VariationOfBias):
+    """Variation of the coefficient of a scale factor's play with temperature, like that of a bias."""
+
+    standard_deviation: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
 class PlayOfBias(Section):
     """An error that depends on the path of temperature: a play follows the temperature with a backlash of ± `width`,
     and the error is proportional to the difference between play and temperature. If the temperature changes by more
@@ -18,18 +45,22 @@ class PlayOfBias(Section):
     """Half-width of the play."""
     prior: q.PositiveBiasSlope
     """Standard deviation of the coefficient (error for each K between play and temperature) before the calibration."""
+    over_temperature: VariationOfBias | None = None
+    """Variation of the coefficient with temperature, which is estimated; absent: the coefficient is constant."""
 
 
 class PlayOfForce(PlayOfBias):
     """Hysteresis of an accelerometer's bias, modelled like that of a gyro's bias."""
 
     prior: q.PositiveAccelerationSlope
+    over_temperature: VariationOfForce | None = None
 
 
 class PlayOfScaleFactor(PlayOfBias):
     """Hysteresis of the scale factor, modelled like that of the bias."""
 
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
+    over_temperature: VariationOfScaleFactor | None = None
 
 
 class ScaleFactorTemperatureGradient(Section):

@@ -19,6 +19,8 @@ from gradcal_jax.files.calibration import read_calibration, write_calibration
 from gradcal_jax.files.calibration.correction import apply, temperature_slope
 from gradcal_jax.files.calibration.exports import export
 from gradcal_jax.files.calibration.file import CalibratedChannel, PathCoefficient, build_term
+from gradcal_jax.files.calibration.path_losses import path_losses
+from gradcal_jax.files.changes import changed
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.log_file import read_log, write_log
 from gradcal_jax.formulas import followed
@@ -101,6 +103,46 @@ def test_an_exact_play_is_recovered():
             assert one.standard_deviation < 0.4 * HOUR
 
 
+def test_a_coefficient_that_varies_over_temperature_is_recovered():
+    """Of a play of 10 K whose coefficient is a line over temperature."""
+    plain = spec_of(back=True)
+    varies = {"standard_deviation": "1 deg/h/K", "degree": 2, "centre": "20 degC", "scale": "40 K"}
+    key = "sensor.gyro.hysteresis"
+    plays = [{"width": f"{w:g} K", "prior": "1 deg/h/K"} for w in WIDTHS]
+    spec = changed(plain, {key: [p | {"over_temperature": varies} if p["width"] == "10 K" else p for p in plays]})
+    truth = draw_truth(spec_of(back=True, size=1e-6), 36, 9, "relays")
+    log = recorded(truth, plain, back=True, seed=11)
+    assert log.temperature_c is not None
+    temperature, state = log.temperature_c[0], float(log.temperature_c[0, 0]) + 10.0
+    behind = np.empty_like(temperature)
+    for k, t in enumerate(temperature):
+        state = max(t - 10.0, min(t + 10.0, state))
+        behind[k] = state - t
+    both = np.array([0.5, 1.2]) * HOUR
+    loop = behind * (both[0] + both[1] * (temperature - 20.0) / 40.0)
+    with_loop = replace(log, rate_rad_per_s=log.rate_rad_per_s + loop[None, :, None] * np.array([1.0, 0.0, 0.0]))
+    (report,) = estimate_sensors(spec, [with_loop])
+    assert report.calibration.contradicted == ()
+    found = {(one.channel, one.name): one for one in report.calibration.path}
+    for axis, values in (("x", both), ("y", np.zeros(2))):
+        for name, value in zip(("hysteresis_10K", "hysteresis_10K_b10"), values, strict=True):
+            one = found[f"gyro_{axis}", name]
+            assert abs(one.value - value) < 4.0 * one.standard_deviation < 1.5 * HOUR, (axis, name)
+    assert found["gyro_x", "hysteresis_10K"].polynomial is None
+    of = found["gyro_x", "hysteresis_10K_b10"].polynomial
+    assert of is not None
+    assert (of.degree, float(of.centre), float(of.scale)) == (1, 20.0, 40.0)
+    # An export states half of the largest difference between the branches: more than the constant part's.
+    losses = [loss for loss, _ in path_losses(report.calibration) if loss is not None and "hysteresis" in loss.what]
+    constant = sum(
+        one.value * float(one.width)
+        for one in report.calibration.path
+        if one.channel == "gyro_x" and one.width is not None and one.polynomial is None
+    )
+    assert losses[0].channel == "gyro x"
+    assert losses[0].value > abs(constant) / HOUR + 3.0
+
+
 def test_a_one_way_record_says_what_remains():
     report, _ = estimated(back=False)
     assert any(m.startswith("one-way ramp: hysteresis is not observable; ±") for m in report.messages)
@@ -168,6 +210,8 @@ def test_a_play_of_the_scale_factor_and_dt_dt_are_taken_off_exactly():
     )  # fmt: skip
     on_path = [
         {"name": "scale_factor_hysteresis_8K", "value": 4e-5, "unit": "1/K", "width": "8 K"},
+        {"name": "scale_factor_hysteresis_8K_b20", "value": 1e-5, "unit": "1/K", "width": "8 K"}
+        | {"polynomial": {"degree": 2, "centre": "20 degC", "scale": "40 K"}},
         {"name": "scale_factor_temperature_gradient", "value": 2e-2, "unit": "s/K"},
     ]
     path = [PathCoefficient(channel="gyro_x", standard_deviation=1e-6, **of) for of in on_path]  # pyright: ignore[reportArgumentType]
@@ -181,7 +225,8 @@ def test_a_play_of_the_scale_factor_and_dt_dt_are_taken_off_exactly():
             state = of[k] = max(t - 8.0, min(t + 8.0, state))
     true = 2.0 * np.sin(time / 7.0)
     slope = temperature_slope(temperature, time)
-    scale = 4e-5 * (0.5 * (states[0] + states[1]) - temperature) + 2e-2 * slope
+    varying = 4e-5 + 1e-5 * (1.5 * ((temperature - 20.0) / 40.0) ** 2 - 0.5)
+    scale = varying * (0.5 * (states[0] + states[1]) - temperature) + 2e-2 * slope
     log = Log(time, (true * (1.0 + 1e-3 + scale))[None, :, None], ("u",), ("x",), temperature[None])
     done = apply(calibration, log)
     assert done.log.rate_rad_per_s[0, :, 0] == pytest.approx(true, rel=1e-12, abs=1e-12)

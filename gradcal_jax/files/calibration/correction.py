@@ -309,6 +309,7 @@ def on_path(calibration: Calibration, channel: CalibratedChannel, own: Floats, l
         if one.width is not None:
             low, high = formulas.play_states(own, float(one.width))
             function = 0.5 * (low + high) - own
+            function = function if one.polynomial is None else function * one.polynomial(own)
             known &= high - low <= _KNOWN_K
         elif one.second_thermometer:
             function = known_temperature(log, unit, second=True) - own

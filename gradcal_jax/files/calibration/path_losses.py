@@ -33,6 +33,7 @@ def path_losses(calibration: Calibration) -> Iterator[tuple[Loss | None, str]]:
     """What [[path]] of a calibration knows and no target carries, each with its sentence; of an error class of the
     user's own nobody else knows the size."""
     sizes: dict[tuple[str, bool, tuple[str, str, str]], float] = {}
+    varying: dict[tuple[str, bool, tuple[str, str, str]], float] = {}
     for one in calibration.path:
         if one.own:
             channel = one.channel.replace("_", " ")
@@ -49,11 +50,16 @@ def path_losses(calibration: Calibration) -> Iterator[tuple[Loss | None, str]]:
         else:
             continue
         of = one.channel, one.unit in ("1/K", "s/K"), kind
+        if one.polynomial is not None:
+            # Legendre polynomials are within ±1 over the range that they are meant for.
+            varying[of] = varying.get(of, 0.0) + abs(one.value) * size
+            continue
         sizes[of] = sizes.get(of, 0.0) + one.value * size
-    for (name, of_scale, (what, condition, words)), size in sizes.items():
+    for key, size in sizes.items():
+        name, of_scale, (what, condition, words) = key
         channel, of = name.replace("_", " "), "scale factor" if of_scale else "bias"
         unit, factor = _unit(name, of_scale)
-        value = abs(size) * factor
+        value = (abs(size) + varying.get(key, 0.0)) * factor
         yield Loss(channel, f"{of}: {what}", value, unit + condition), f"{of} of {channel}: {words.format(value, unit)}"
 
 

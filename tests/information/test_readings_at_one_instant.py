@@ -19,7 +19,7 @@ HAND2 = Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml"
 @pytest.fixture(scope="module")
 def system():
     """Steps and columns of a short ramp of a whole IMU."""
-    spec = changed(read_spec(HAND2), {"plan.gradient": "5 K/min", "rig.chamber.max_heating": "5 K/min"})
+    spec = changed(read_spec(HAND2), {"plan.gradient": "20 K/min", "rig.chamber.max_heating": "20 K/min"})
     built = build_imu(spec)
     return jax.tree.map(np.asarray, imu_system(built.motion, built.model, built.body_nodes()))
 

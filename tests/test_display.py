@@ -22,33 +22,34 @@ from gradcal_jax.files.calibration.file import upgraded
 from gradcal_jax.files.contracts import requirement_table
 
 LINES, WIDTH = 15, 80
-# A `repr` takes at most some twenty thousand; what went through the rows of a log would take many more.
-CALLS = 60_000
+# A `repr` runs at most some fifty thousand lines of Python.
+MOST = 100_000
 WORDS = "a sentence that goes on and on, " * 40
 PRESETS = gj.presets.names()
 CALIBRATIONS = json.loads((Path(__file__).parent / "numbers/calibrations.json").read_text(encoding="utf-8"))
 
 
 def counted(function, value):
-    """What it returns, and how many functions it called: as many on every machine, however busy that is."""
-    calls = 0
+    """What it returns, and the lines of Python that it ran: as many on every machine, however busy that is."""
+    lines = 0
 
     def count(frame, event, argument):
-        nonlocal calls
-        calls += event in ("call", "c_call")
+        nonlocal lines
+        lines += 1
+        return count
 
-    before = sys.getprofile()
-    sys.setprofile(count)
+    before = sys.gettrace()
+    sys.settrace(count)
     try:
         result = function(value)
-        return result, calls
     finally:
-        sys.setprofile(before)
+        sys.settrace(before)
+    return result, lines
 
 
 def fits(value):
-    shown, calls = counted(repr, value)
-    assert calls < CALLS, f"{calls} calls"
+    shown, ran = counted(repr, value)
+    assert ran < MOST, f"{ran} lines of Python"
     lines = shown.splitlines()
     assert 1 <= len(lines) <= LINES
     assert max(map(len, lines)) <= WIDTH

@@ -185,7 +185,7 @@ def test_the_lag_of_a_whole_imu_is_fitted(tmp_path, capsys):
         del document["plan"][key]
     document["plan"]["programme"] = [
         {"soak": "1 min", "at": "-30 degC"},
-        *({"ramp_to": f"{end} degC", "rate": "25 K/min"} for end in (70, -30)),
+        *({"ramp_to": f"{end} degC", "rate": "12.5 K/min"} for end in (70, -30)),
     ]
     spec = spec_of(document)
     (log,) = record(spec, draw_truth(spec, rng), rng)

@@ -18,6 +18,7 @@ import numpy as np
 
 from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
 from gradcal_jax.api.searching import Optimised, PlanOutcome, Price, PricedLimit, priced
+from gradcal_jax.design.compiling import compiler_options
 from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.design.pose_cycle import CycleCoordinates, CycleStructure, PoseTurn, Ramp
 from gradcal_jax.files.spec_sections import Spec
@@ -34,7 +35,8 @@ def shadow_prices(plan: CyclePlan, cycle: RepeatedCycle, value: float) -> tuple[
     vanishes (envelope theorem), with the cost of exceeded targets; by central differences of a compiled value."""
     of = plan.structure(cycle)
     args = plan.point(cycle, of), jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps
-    log = jax.jit(lambda by: _eased(plan, *args, by), compiler_options={"xla_backend_optimization_level": 0})
+    quickly = compiler_options() | {"xla_backend_optimization_level": 0}
+    log = jax.jit(lambda by: _eased(plan, *args, by), compiler_options=quickly)
     return priced(value, [PricedLimit(*row) for row in _limits_of(plan)], lambda by: float(log(by)))
 
 

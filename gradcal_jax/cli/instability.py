@@ -1,7 +1,7 @@
 """`gradcal instability` and `gradcal allan`: a sensor's noise from a record at rest, and how long that must be."""
 
 import math
-from functools import partial
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -465,23 +465,33 @@ def plan_record(
     use_float64()
     from gradcal_jax.identify.markov import coefficient_errors, drift_errors, shortest_record
 
-    def errors(duration_s: float) -> dict[str, float]:
-        """By name; infinite where the record is too short."""
+    # (Kept: the search for the shortest record asks of each coefficient for mostly the same durations.)
+    @cache
+    def of_noise(duration_s: float) -> dict[str, float]:
+        """Of N, B and K; infinite where the record is too short."""
         try:
             fit = coefficient_errors(duration_s, interval, walk, flicker, slow)
         except ValueError:
             fit = (math.inf,) * 3
-        found = {name: value for name, value in zip("NBK", fit, strict=True) if not math.isnan(value)}
-        if sigma > 0.0:
-            try:
-                _, found["σ"], found["τ"] = drift_errors(duration_s, walk, sigma, tau)
-            except ValueError:
-                found["σ"] = found["τ"] = math.inf
-        return found
+        return {name: value for name, value in zip("NBK", fit, strict=True) if not math.isnan(value)}
+
+    @cache
+    def of_drift(duration_s: float) -> dict[str, float]:
+        """Of σ and τ of a drift; infinite where the record is too short."""
+        if not sigma > 0.0:
+            return {}
+        try:
+            _, *both = drift_errors(duration_s, walk, sigma, tau)
+        except ValueError:
+            both = (math.inf,) * 2
+        return dict(zip("στ", both, strict=True))
 
     if wanted is not None:
-        names = list(errors(100.0 * interval))
-        lengths = {name: shortest_record(lambda t, n=name: errors(t)[n], wanted, 100.0 * interval) for name in names}
+        lengths = {
+            name: shortest_record(lambda t, of=of, n=name: of(t)[n], wanted, 100.0 * interval)
+            for of in (of_noise, of_drift)
+            for name in of(100.0 * interval)
+        }
         if json:
             rows = {name: length if math.isfinite(length) else None for name, length in lengths.items()}
             print(as_json({"error": wanted, "duration_s": rows}))
@@ -493,7 +503,7 @@ def plan_record(
     durations = _DURATIONS_S if duration is None else (quantity(duration, "time", "--duration"),)
     if not min(durations) > 0.0:
         raise ValueError("--duration must be positive")
-    table = {t: errors(t) for t in durations}
+    table = {t: of_noise(t) | of_drift(t) for t in durations}
     if json:
         rows = [
             {"duration_s": t, "relative_error": {n: e if math.isfinite(e) else None for n, e in row.items()}}

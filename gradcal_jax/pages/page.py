@@ -65,10 +65,12 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
         "chamber_head": ["segment", *CHAMBER_HEAD[1:]],
         "chamber": [] if recipe is None else chamber_rows(recipe),
     }
-    # The page explains only the terms that it uses.
-    text = template.render(**context, glossary=()).lower()
+    # The page explains only the terms that it uses. (Of pictures only the words: their paths are a megabyte of digits.)
+    text = re.sub(r"<[^>]*>", " ", template.render(**context, glossary=())).lower()
     used = [
-        (term, words) for term, words in OF_THE_FIELD.items() if re.search(rf"\b{re.escape(term.lower())}s?\b", text)
+        (term, words)
+        for term, words in OF_THE_FIELD.items()
+        if term.lower() in text and re.search(rf"\b{re.escape(term.lower())}s?\b", text)
     ]
     return one_sign(template.render(**context, glossary=used))
 

@@ -70,20 +70,6 @@ def test_the_help_of_all_commands_needs_neither_arrays_nor_files():
     assert done.stdout.splitlines()[-1] == "set()"
 
 
-def test_help_answers_in_under_half_a_second():
-    gradcal("--help")  # the first start writes byte code
-    # User and system time of this one process: what it costs, whoever else keeps the machine busy.
-    before = os.times()
-    wall = time.perf_counter()
-    done = gradcal("--help")
-    wall = time.perf_counter() - wall
-    after = os.times()
-    spent = (after.children_user - before.children_user) + (after.children_system - before.children_system)
-    assert done.returncode == 0
-    assert "check" in done.stdout
-    assert min(wall, spent) < 0.5
-
-
 def test_new_writes_a_spec_that_checks_and_refuses_to_overwrite(tmp_path, capsys):
     goal = tmp_path / "my.toml"
     assert main(["new", "rig-hand", "-o", str(goal)]) == 0

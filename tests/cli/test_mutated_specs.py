@@ -90,7 +90,7 @@ def mutate(document, key, mutation, keys):
     return None
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(sorted(GOOD)), st.lists(st.tuples(st.integers(0, 10_000), mutations), min_size=1, max_size=3))
 def test_slips_are_named_or_harmless_and_never_a_traceback(tmp_path, capsys, name, slips):
     document = copy.deepcopy(GOOD[name])
@@ -114,7 +114,7 @@ def test_slips_are_named_or_harmless_and_never_a_traceback(tmp_path, capsys, nam
         assert dotted(only[0]) in err
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(sorted(GOOD)), st.integers(0, 10_000), st.integers(0, 4), st.text(max_size=4))
 def test_slips_of_the_typing_hand_are_a_sentence_too(tmp_path, capsys, name, place, count, typed):
     text = presets.text(name)

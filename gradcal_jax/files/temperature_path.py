@@ -53,14 +53,14 @@ class PlayOfForce(PlayOfBias):
     """Hysteresis of an accelerometer's bias, modelled like that of a gyro's bias."""
 
     prior: q.PositiveAccelerationSlope
-    over_temperature: VariationOfForce | None = None
+    over_temperature: VariationOfForce | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class PlayOfScaleFactor(PlayOfBias):
     """Hysteresis of the scale factor, modelled like that of the bias."""
 
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
-    over_temperature: VariationOfScaleFactor | None = None
+    over_temperature: VariationOfScaleFactor | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class ScaleFactorTemperatureGradient(Section):

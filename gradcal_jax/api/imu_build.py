@@ -325,11 +325,11 @@ def _path_terms(
     def play(p: PlayOfBias, signals: tuple[str, ...], name: str, si_unit: str) -> PathTerm:
         std, width = np.asarray(float(p.prior)), np.asarray(float(p.width))
         named = name.format(f"{float(width):g}")
-        more: dict[str, HigherPolynomials | np.ndarray] = {}
+        over = variation = None
         if (v := p.over_temperature) is not None:
             over = HigherPolynomials(1, v.degree, float(v.centre), float(v.scale))
-            more = {"over_temperature": over, "variation": np.asarray(float(v.standard_deviation))}
-        return Hysteresis(std=std, width=width, signals=signals, name=named, si_unit=si_unit, **more)
+            variation = np.asarray(float(v.standard_deviation))
+        return Hysteresis(std, width, signals, named, si_unit, over, variation)
 
     terms: list[PathTerm | OwnTerm] = [play(p, (), HYSTERESIS, f"{unit}/K") for p in triad.hysteresis]
     terms += [play(p, own, SCALE_FACTOR_HYSTERESIS, "1/K") for p in triad.scale_factor_hysteresis]

@@ -39,19 +39,29 @@ def small(**changes) -> gj.Spec:
 
 
 def left_by(plan: CyclePlan, cycle: RepeatedCycle) -> tuple[np.ndarray, RepeatedCycle]:
+    """As `left_and_value`, without the value."""
+    return left_and_value(plan, cycle, valued=False)[:2]
+
+
+def left_and_value(
+    plan: CyclePlan, cycle: RepeatedCycle, *, valued: bool = True
+) -> tuple[np.ndarray, RepeatedCycle, float]:
     """What the minimised requirements leave by the search's objective, `(s, m)` in the units of reports for each model
-    of the noise, and the cycle as its coordinates hold it."""
+    of the noise, the cycle as its coordinates hold it, and the objective's value, of one program."""
     of = plan.structure(cycle)
     z = plan.coordinates.encode(cycle.turns, of)
     args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, np.inf)
-    logs = jax.jit(
-        lambda z, of, *args: plan.objective.logs(plan.coordinates.decode(z, of), of, *args), compiler_options=QUICKLY
-    )(z, *args)
+
+    def both(z, of, *args):
+        logs = plan.objective.logs(plan.coordinates.decode(z, of), of, *args)
+        return logs, plan.objective.value(z, of, *args) if valued else jnp.nan
+
+    logs, value = jax.jit(both, compiler_options=QUICKLY)(z, *args)
     rows = [
         r for r in plan.spec.requirement if plan.exact.worst or plan.design.minimise in ("all requirements", r.name)
     ]
     limits = [1.0 if r.target is None else float(r.target) * UNIT_OF[r.quantity][1] for r in rows]
-    return np.exp(np.asarray(logs)) * limits, cycle._replace(turns=plan.coordinates.cycle(z, of))
+    return np.exp(np.asarray(logs)) * limits, cycle._replace(turns=plan.coordinates.cycle(z, of)), float(value)
 
 
 @pytest.fixture(scope="module")
@@ -235,18 +245,12 @@ def test_uncertain_noise_of_a_unit_makes_a_range_that_holds_every_draw():
 @pytest.mark.parametrize("robust", ["mean", "worst"])
 def test_the_value_of_a_cycle_is_the_mean_or_the_worst_over_what_noise_may_be(robust):
     plan = CyclePlan(small(**UNCERTAIN, **{"design.robust": robust, "design.minimise": "worst ratio"}))
-    left, cycle = left_by(plan, plan.start)
+    left, cycle, value = left_and_value(plan, plan.start)
     found = tables_of(plan.spec_of(cycle))["plan"]
     for row, texts in zip(left, cases_of(robust), strict=True):
         assert row == pytest.approx([r.decisive for r in gj.predict(small(plan=found, **texts)).requirements], rel=0.02)
-    of = jax.tree.map(jnp.asarray, plan.structure(plan.start))
-    z, ramps = (
-        plan.coordinates.encode(plan.start.turns, plan.structure(plan.start)),
-        plan.course(plan.start.cycles).ramps,
-    )
     worst = np.max(np.log(left / [float(r.target) * UNIT_OF[r.quantity][1] for r in plan.spec.requirement]), axis=1)
     assert np.ptp(worst) > 0.1
-    value = float(jax.jit(plan.objective.value, compiler_options=QUICKLY)(z, of, ramps, np.inf))
     assert value == pytest.approx(max(worst) if robust == "worst" else np.mean(worst), rel=1e-9)
 
 
@@ -279,7 +283,7 @@ def test_scenarios_count_by_their_weights():
     noise = {"accelerometer": {"velocity_random_walk": "0.3 m/s/sqrt(h)"}}
     scenarios = [{"weight": 3.0}, {"sensor": noise}]
     plan = CyclePlan(small(**{"design.minimise": "all requirements", "design.scenario": scenarios}))
-    left, cycle = left_by(plan, plan.start)
+    left, cycle, value = left_and_value(plan, plan.start)
     found = tables_of(plan.spec_of(cycle))["plan"]
     changes = ({}, {"sensor.accelerometer.velocity_random_walk": "0.3 m/s/sqrt(h)"})
     predicted = [[r.decisive for r in gj.predict(small(plan=found, **c)).requirements] for c in changes]
@@ -290,9 +294,6 @@ def test_scenarios_count_by_their_weights():
     assert plan.exact.value_of(plan.exact.residuals(plan.spec_of(cycle))) == pytest.approx(
         0.75 * logs[0] + 0.25 * logs[1], abs=1e-6
     )
-    of = jax.tree.map(jnp.asarray, plan.structure(plan.start))
-    z, ramps = plan.coordinates.encode(plan.start.turns, of), plan.course(plan.start.cycles).ramps
-    value = float(jax.jit(plan.objective.value, compiler_options=QUICKLY)(z, of, ramps, np.inf))
     assert value == pytest.approx(0.75 * logs[0] + 0.25 * logs[1], abs=0.02)
     with pytest.raises(ValueError, match="changes the set of parameters"):
         CyclePlan(small(**{"design.scenario": [{}, {"sensor": {"accelerometer": {"axes": ["x", "y"]}}}]}))

@@ -9,7 +9,8 @@ larger by orders of magnitude. So there are two criteria:
    largest bias;
 2. begin and end of each: the spread stays within `factor` times the stretch's own.
 
-Stretches that are too short are not standstills.
+Stretches that are too short are not standstills. Where nothing but gyros tells when a hand is at rest, a slow turn
+divides a stretch: by the spread or, if it is too slow for that, by the mean.
 
 And whether the gyros agree that a table stands where its standstills begin and end. A gyro that is filtered or delayed,
 or a controller that says "in position" too early, shows the end of a move within the standstill; one that says so too
@@ -31,6 +32,8 @@ _QUIETEST = 0.10
 _FEWEST_ROWS, _FEW_ROWS = 4, 10
 # Spread of a quantised sensor that changes between two values half of the time or less, in counts.
 _FLICKER = 0.3
+# Means of a window that are farther from a stretch's line than so many times their scatter are of a turn.
+_TURNS = 6.0
 
 
 def find_standstills(
@@ -71,6 +74,8 @@ def find_standstills(
     for first, end in formulas.runs(still):
         calm = spread[first:end] <= factor * max(float(np.median(spread[first:end])), least)
         # A window that overlaps a move shortens the standstill by half its width at both ends, on the safe side.
+        if divide:
+            calm &= _unturned(mean[first:end], spread[first:end], width)
         parts = formulas.runs(calm) if divide else np.flatnonzero(calm)[[0, -1]][None] + np.array([0, 1])
         for begin, stop in (first + parts).tolist():
             if (stop - begin) * sample_interval_s >= shortest_s:
@@ -82,6 +87,18 @@ def find_standstills(
             "the standstills yourself"
         )
     return number
+
+
+def _unturned(mean: np.ndarray, spread: np.ndarray, width: int) -> np.ndarray:
+    """`(n,)`: whether the means `(n, axes)` of windows in a quiet stretch are those of a sensor that stands. A turn of a
+    tenth of a degree has less spread than the noise, and its mean shows it: apart from a line through the medians of the
+    first and the last third, since a bias drifts with temperature, and in the scale of these distances, or of white
+    noise of the `spread` if that is larger."""
+    third = max(len(mean) // 3, 1)
+    begin, end = np.median(mean[:third], axis=0), np.median(mean[-third:], axis=0)
+    along = (np.arange(len(mean)) - 0.5 * (third - 1)) / max(len(mean) - third, 1)
+    apart = np.linalg.norm(mean - begin - along[:, None] * (end - begin), axis=1)
+    return apart <= _TURNS * max(float(np.median(apart)), float(np.median(spread)) / np.sqrt(width))
 
 
 def _about_each_row(rate: np.ndarray, usable: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:

@@ -44,7 +44,7 @@ LEFT_BY_LOOPS = {"relays": 0.7, "thermal masses": 1.5, PLAYS_ALONE: 1.5}
 REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "loops.md"
 
 # By how much the coefficient of a play of relays of `SIZE` varies over temperature, in its own unit times its width.
-VARIES_WIDTH, VARIATION, VARIES_DEGREE = 10.0, 0.8, 10
+VARIES_WIDTH, VARIATION, VARIES_DEGREE = 10.0, 0.7, 10
 
 
 def estimator_of(case: str, *, back: bool) -> Spec:

@@ -329,7 +329,10 @@ def _path_terms(
         if (v := p.over_temperature) is not None:
             over = HigherPolynomials(1, v.degree, float(v.centre), float(v.scale))
             variation = np.asarray(float(v.standard_deviation))
-        return Hysteresis(std, width, signals, named, si_unit, over, variation)
+        return Hysteresis(
+            std=std, width=width, signals=signals, name=named, si_unit=si_unit,
+            over_temperature=over, variation=variation,
+        )  # fmt: skip
 
     terms: list[PathTerm | OwnTerm] = [play(p, (), HYSTERESIS, f"{unit}/K") for p in triad.hysteresis]
     terms += [play(p, own, SCALE_FACTOR_HYSTERESIS, "1/K") for p in triad.scale_factor_hysteresis]

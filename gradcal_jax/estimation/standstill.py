@@ -90,9 +90,9 @@ def find_standstills(
 
 
 def _unturned(mean: np.ndarray, spread: np.ndarray, width: int) -> np.ndarray:
-    """`(n,)`: whether the means `(n, axes)` of windows in a quiet stretch are those of a sensor that stands. A turn of a
-    tenth of a degree has less spread than the noise, and its mean shows it: apart from a line through the medians of the
-    first and the last third, since a bias drifts with temperature, and in the scale of these distances, or of white
+    """`(n,)`: whether the means `(n, axes)` of windows in a quiet stretch are those of a sensor that stands. A turn of
+    a tenth of a degree has less spread than the noise, and its mean shows it: apart from a line through the medians of
+    the first and the last third, since a bias drifts with temperature, and in the scale of these distances, or of white
     noise of the `spread` if that is larger."""
     third = max(len(mean) // 3, 1)
     begin, end = np.median(mean[:third], axis=0), np.median(mean[-third:], axis=0)

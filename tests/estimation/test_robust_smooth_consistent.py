@@ -249,6 +249,29 @@ def test_standstills_are_found_in_noise_and_in_vibration():
     assert np.all(still == 0)
 
 
+@pytest.mark.parametrize("drift", [0.0, 0.02])
+def test_a_turn_of_a_tenth_of_a_degree_divides_the_standstill_of_a_hand(drift):
+    """0.15 deg within two seconds: its largest rate is four times the noise of a sample, so that no spread shows it.
+    `drift`: of the bias, deg/s/s. Without the turn nothing is divided; neither is anything unless asked."""
+    random, time = np.random.default_rng(5), np.arange(0.0, 60.0, 0.02)
+    within = (time > 33.0) & (time < 35.0)
+    small = np.where(within, 0.15 * np.sin(0.5 * np.pi * (time - 33.0)) ** 2, 0.0)
+    moves = sum(
+        np.where((time > t) & (time < t + 3.0), 90.0 * np.sin(np.pi * (time - t) / 3.0), 0.0) for t in (10.0, 45.0)
+    )
+    noise = 0.035 * random.standard_normal((len(time), 3))
+    rate = noise + drift * time[:, None] + np.outer(moves, [0.0, 0.0, 1.0])
+    with_turn = np.radians(rate + np.outer(small, [0.0, 0.0, 1.0]))
+    counts = [
+        find_standstills(of, 0.02, divide=divide).max() + 1
+        for of, divide in ((with_turn, True), (with_turn, False), (np.radians(rate), True))
+    ]
+    assert counts == [4, 3, 3]
+    number = find_standstills(with_turn, 0.02, divide=True)
+    assert np.all(number[(time > 33.7) & (time < 34.3)] == -1)
+    assert np.mean(number[(time > 14.0) & (time < 32.0)] >= 0) > 0.99
+
+
 def test_what_is_never_quiet_or_too_short_is_a_sentence():
     rng = np.random.default_rng(10)
     with pytest.raises(ValueError, match="no part of the record is steady"):

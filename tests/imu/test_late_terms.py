@@ -207,7 +207,7 @@ def test_a_requirement_counts_the_slope_of_the_service():
     built = build_imu(spec_with(sensor, requirement=[of | {"slope": ["1 K/min", "1 K/min"]}]))
     (element,) = quantity_of(built, built.spec.requirement[0]).elements
     assert element.path is not None
-    own = dict(zip(built.model.channels[0].model.names(), element.path[0], strict=True))
+    own = dict(zip(built.model.channels[0].model.names(), element.path[0, 0], strict=True))
     for lag in LAGS:
         assert own[f"late_temperature_gradient_{lag:g}s"] == pytest.approx(1.0 / 60.0)
     assert own["thermometer_difference"] == pytest.approx(-SECOND_S / 60.0)

@@ -22,7 +22,7 @@ EXPERIMENTS = tuple(
     for path in sorted((ROOT / "experiments").rglob("*.toml"))
     if tomllib.loads(path.read_text(encoding="utf-8")).get("format") in ("gradcal-spec/1", "gradcal-recipe/1")
 )
-# In the suite itself: the paper's, one static, and a unit by hand. Thinned: ramps of
+# In the suite itself: the paper's, one static, one standard, a unit on two axes, and one by hand. Thinned: ramps of
 # some twenty minutes in the place of hours, and requirements ("box") within the temperatures that are left.
 QUICK = {
     "paper-dynamic-gradient": {
@@ -35,6 +35,19 @@ QUICK = {
         "plan.temperature": ["10 degC", "30 degC"],
         "plan.soak.duration": "5 min",
         "box": ["14 degC", "26 degC"],
+    },
+    "paper-dynamic-standard": {
+        "plan.temperatures": ["0 degC", "10 degC", "20 degC", "30 degC"],
+        "plan.soak": "10 min",
+        "plan.integration": "2 min",
+        "box": ["0 degC", "30 degC"],
+    },
+    "two-axis-table": {
+        "plan.temperature": ["5 degC", "35 degC"],
+        "plan.gradient": "2 K/min",
+        "plan.soak.duration": "5 min",
+        "sensor.thermal_lag": "20 s",
+        "box": ["8 degC", "30 degC"],
     },
     "gimbal-by-hand": {
         "plan.temperature": ["10 degC", "30 degC"],

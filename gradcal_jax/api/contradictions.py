@@ -173,13 +173,11 @@ def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray
         a, b = AXIS_NAMES[(k + 1) % 3], AXIS_NAMES[(k + 2) % 3]
         # A sensor along a that is turned about the axis leans towards b, and one along b away from a.
         both = [(f"{kind}_{one}.m_{other}", sign) for kind in KINDS for one, other, sign in ((a, b, 1.0), (b, a, -1.0))]
-        found = [
-            (sign * v, p) for name, sign in both for v, p in [known.get(name) or known.get(f"{name}0") or (0.0, 0.0)]
-        ]
-        sizes = np.array([of for of, p in found if p > 0.0])
+        found = [(sign, known.get(name) or known.get(f"{name}0")) for name, sign in both]
+        sizes = np.array([sign * of[0] for sign, of in found if of])
         if len(sizes) < 2:
             continue
-        mean, prior = float(np.mean(sizes)), float(np.mean([p for _, p in found if p > 0.0]))
+        mean, prior = float(np.mean(sizes)), float(np.mean([of[1] for _, of in found if of]))
         alike = np.max(np.abs(sizes - mean)) < abs(mean) / 3.0
         if alike and abs(mean) > _TURNED * prior / np.sqrt(len(sizes)):
             yield (

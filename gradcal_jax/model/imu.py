@@ -13,7 +13,7 @@ A sensor multiplies what it senses: M(T, ω) acts on the rate along its own axis
 the misalignments m. About an ideal sensor this is a sum of terms; estimates use `with_misalignments`.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
@@ -25,13 +25,12 @@ from jaxtyping import Float
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
 from gradcal_jax.model.bases import Basis, Polynomial
 from gradcal_jax.model.installation import InstallationTerm
-from gradcal_jax.model.nodes import AXIS_NAMES, BodyGroup, BodyNodes, OtherTemperature
+from gradcal_jax.model.nodes import AXIS_NAMES, INPUTS, BodyGroup, BodyNodes, OtherTemperature
 from gradcal_jax.model.path import PathTerm, TemperatureDifference
 from gradcal_jax.model.sensor import SensorModel
 from gradcal_jax.model.terms import DISCREPANCY, Discrepancy, GradientOfBias, Map, SignalMap, Term, block_diagonal
 
 ChannelKind = Literal["gyro", "accelerometer"]
-INPUTS: Mapping[ChannelKind, str] = {"gyro": "rate", "accelerometer": "force"}
 KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
 
 

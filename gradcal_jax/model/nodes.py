@@ -242,10 +242,11 @@ class BodyNodes(PytreeModule):
 
     def channel(self, kind: str, index: int) -> Nodes:
         """Nodes of a gyro or accelerometer along the body's axis `index`, with the signals of all axes."""
-        own = {"gyro": "rate", "accelerometer": "force"}[kind]
+        own = INPUTS[kind]
         none = namespace(self.temperature_change).zeros(self.temperature_change.shape)
         groups, path = tuple(g.shared(own, index) for g in self.groups), (self.temperature_before, self.history)
         return Nodes(groups, self.temperature_change, none, none, *path)
 
 
 AXIS_NAMES = ("x", "y", "z")
+INPUTS = {"gyro": "rate", "accelerometer": "force"}

@@ -28,6 +28,9 @@ from gradcal_jax.files.calibration.file import (
     CalibratedTerm,
     Calibration,
     PathCoefficient,
+    at_rates,
+    at_temperatures,
+    term_values,
 )
 from gradcal_jax.files.log import Floats, Log, LogError
 
@@ -75,25 +78,6 @@ class OnPath(NamedTuple):
         return OnPath(self.bias[rows], self.scale[rows], self.known[rows], late)
 
 
-def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None = None) -> Floats:
-    """The map of a term, `(n,)`, in its unit; `rate` rad/s, of its channel's axis (absent: 0)."""
-    return _at_rates(term, _at_temperatures(term, temperature_c), np.zeros(1) if rate is None else rate)
-
-
-def _at_temperatures(term: CalibratedTerm, temperature_c: Floats) -> Floats:
-    """`(n, functions of the rate)`: their coefficients, or the map itself."""
-    coefficients = np.array(list(term.coefficients.values()))
-    one = np.ones((len(temperature_c), 1))
-    basis = one if term.temperature is None else term.temperature.values(temperature_c)
-    return basis @ coefficients.reshape(basis.shape[1], -1)
-
-
-def _at_rates(term: CalibratedTerm, of_temperature: Floats, rate: Floats) -> Floats:
-    if term.rate is None:
-        return of_temperature[:, 0]
-    return (of_temperature * term.rate.values(rate)).sum(axis=-1)
-
-
 def channel_error(
     channel: CalibratedChannel,
     temperature_c: Floats,
@@ -102,10 +86,10 @@ def channel_error(
     path: OnPath | None = None,
 ) -> Floats:
     """The error of a channel's output, `(n,)`, for the true inputs `signals` ("rate x" rad/s, "force z" m/s²; an
-    unknown input counts as zero). `maps`: of each term, `_at_temperatures`; `path`: what is added to the maps."""
+    unknown input counts as zero). `maps`: of each term, `at_temperatures`; `path`: what is added to the maps."""
     at = np.clip(temperature_c, *channel.valid_temperature)
     known = [
-        (term, _at_temperatures(term, at) if maps is None else maps[k])
+        (term, at_temperatures(term, at) if maps is None else maps[k])
         for k, term in enumerate(channel.term)
         if all(name.strip("|") in signals for name in term.signals)
     ]
@@ -118,7 +102,7 @@ def channel_error(
     for term, of_temperature in known:
         if not channel.misaligns(term):
             own = np.clip(sensed, *channel.valid_rate) if term.rate is not None else at
-            product = _at_rates(term, of_temperature, own)
+            product = at_rates(term, of_temperature, own)
             for name in term.signals:
                 signal = signals[name.strip("|")]
                 product = product * (np.abs(signal) if name.startswith("|") else signal)
@@ -212,7 +196,7 @@ def _correct(
     inverse = np.linalg.inv(matrix)
     # The temperature stays as it is from round to round.
     maps = [
-        [_at_temperatures(term, np.clip(_followed_by(term, at, path), *c.valid_temperature)) for term in c.term]
+        [at_temperatures(term, np.clip(_followed_by(term, at, path), *c.valid_temperature)) for term in c.term]
         for c, at, path in channels
     ]
     now, change = 0.0 * measured, 0.0 * measured
@@ -309,7 +293,11 @@ def on_path(calibration: Calibration, channel: CalibratedChannel, own: Floats, l
         if one.width is not None:
             low, high = formulas.play_states(own, float(one.width))
             function = 0.5 * (low + high) - own
-            function = function if one.polynomial is None else function * one.polynomial(own)
+            function = (
+                function
+                if one.polynomial is None
+                else function * one.polynomial(np.clip(own, *channel.valid_temperature))
+            )
             known &= high - low <= _KNOWN_K
         elif one.second_thermometer:
             function = known_temperature(log, unit, second=True) - own
@@ -326,7 +314,7 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
     """The log of one sensor with corrected rates (rad/s) and specific forces (m/s²); channels that the calibration
     does not have stay as they are.
 
-    `unit`: its name or number in the log. Solves measured = input + Σ map(T)·signals, row by row; beyond the
+    `unit`: its name or number in the log. Solves the equation at the module's head, row by row; beyond the
     calibration's range its value at the edge holds, and `Corrected` counts such rows. Masked rows are corrected too,
     and stay masked.
 

@@ -31,6 +31,7 @@ from gradcal_jax.display import amount, columns, html
 from gradcal_jax.files import quantity as q
 from gradcal_jax.files.bases import RateBasis, TemperatureBasis, increasing
 from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
+from gradcal_jax.files.log import Floats
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.section import Section
 from gradcal_jax.files.writing import write_toml
@@ -486,7 +487,7 @@ def _multiplied(calibration: Calibration) -> Calibration:
     for channel in calibration.channel:
         middle = 0.5 * float(sum(map(float, channel.valid_temperature)))
         own = [term for term in channel.term if term.signals == (channel.input,)]
-        gain = 1.0 + sum(slow_value(term, middle) for term in own)
+        gain = 1.0 + sum(float(term_values(term, np.array([middle]))[0]) for term in own)
         terms: list[CalibratedTerm] = []
         for term in channel.term:
             if channel.misaligns(term) and gain:
@@ -507,12 +508,24 @@ def _multiplied(calibration: Calibration) -> Calibration:
     return calibration.model_copy(update=changed | {"unseen": tuple(unseen)})
 
 
-def slow_value(term: CalibratedTerm, temperature_c: float) -> float:
-    """The map of a term at one temperature, for slow rates."""
-    coefficients, at = np.array(list(term.coefficients.values())), np.array([temperature_c])
-    of_t = np.ones(1) if term.temperature is None else term.temperature.values(at)[0]
-    of_w = np.ones(1) if term.rate is None else term.rate.values(np.zeros(1))[0]
-    return float(of_t @ coefficients.reshape(len(of_t), -1) @ of_w)
+def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None = None) -> Floats:
+    """The map of a term, `(n,)`, in its unit; `rate` rad/s, of its channel's axis (absent: 0)."""
+    return at_rates(term, at_temperatures(term, temperature_c), np.zeros(1) if rate is None else rate)
+
+
+def at_temperatures(term: CalibratedTerm, temperature_c: Floats) -> Floats:
+    """`(n, functions of the rate)`: their coefficients, or the map itself."""
+    coefficients = np.array(list(term.coefficients.values()))
+    one = np.ones((len(temperature_c), 1))
+    basis = one if term.temperature is None else term.temperature.values(temperature_c)
+    return basis @ coefficients.reshape(basis.shape[1], -1)
+
+
+def at_rates(term: CalibratedTerm, of_temperature: Floats, rate: Floats) -> Floats:
+    """The map `(n,)` at rates (rad/s), from `at_temperatures`."""
+    if term.rate is None:
+        return of_temperature[:, 0]
+    return (of_temperature * term.rate.values(rate)).sum(axis=-1)
 
 
 def _from_unit(tables: Tables) -> Tables:

@@ -64,6 +64,14 @@ def _annotations(request):
     jaxtyping.config.update("jaxtyping_disable", sure)
 
 
+@pytest.fixture(scope="module")
+def without_prices():
+    """What limits are worth is a program of its own after every search, of which test_limits_of_cycles.py is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gradcal_jax.api.pose_search.shadow_prices", lambda *_: ())
+        yield
+
+
 def pytest_addoption(parser):
     parser.addoption("--report", metavar="FILE", help="write what the long proofs (-m evidence) gave into this file")
 

@@ -23,12 +23,7 @@ STEPS = (1e-2, 1e-3, 1e-4)
 SMALLER = (1e-3, 1e-4, 1e-5)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _no_prices():
-    """What limits are worth is a program of its own after every search, of which test_limits_of_cycles.py is."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gradcal_jax.api.pose_search.shadow_prices", lambda *_: ())
-        yield
+pytestmark = pytest.mark.usefixtures("without_prices")
 
 
 @lru_cache
@@ -108,7 +103,7 @@ def test_the_gradient_goes_through_turning_points_and_slopes(late):
 
 
 @pytest.mark.parametrize(
-    ("back", "late"), [*(pytest.param(back, False, marks=pytest.mark.evidence) for back in (False, True)), (True, True)]
+    ("back", "late"), [(False, False), pytest.param(True, False, marks=pytest.mark.evidence), (True, True)]
 )
 def test_the_objective_of_a_free_course_is_about_that_of_its_plan(back, late):
     plan = CyclePlan(turning(back=back, late=late))

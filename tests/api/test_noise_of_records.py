@@ -162,7 +162,7 @@ def test_predicted_errors_of_coefficients_are_those_of_simulated_records(mixture
 
 
 def test_predicted_errors_of_a_drift_are_those_of_simulated_records():
-    predicted, observed = errors_of_drift(20, 8 * 3600.0)
+    predicted, observed = errors_of_drift(40, 8 * 3600.0)
     assert observed == pytest.approx(predicted, rel=0.4)
 
 

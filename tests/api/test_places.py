@@ -20,13 +20,7 @@ from gradcal_jax.files import presets, spec_of, tables_of
 from gradcal_jax.files.bench import Place
 from gradcal_jax.files.places import places_of, rotation_of, specs_at_places
 
-
-@pytest.fixture(autouse=True, scope="module")
-def _no_prices():
-    """What limits are worth is a program of its own after every search, of which test_limits_of_cycles.py is."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gradcal_jax.api.pose_search.shadow_prices", lambda *_: ())
-        yield
+pytestmark = pytest.mark.usefixtures("without_prices")
 
 
 def fixture(places, preset="ferraris", **table):

@@ -26,12 +26,7 @@ EXPERIMENTS = Path(__file__).parents[2] / "experiments" / "imu"
 QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _no_prices():
-    """What limits are worth is a program of its own after every search, of which test_limits_of_cycles.py is."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gradcal_jax.api.pose_search.shadow_prices", lambda *_: ())
-        yield
+pytestmark = pytest.mark.usefixtures("without_prices")
 
 
 def small(**changes) -> gj.Spec:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import tomlkit
+from matrix_errors import nees_of
 from scipy.stats import chi2
 
 from gradcal_jax.cli import main
@@ -129,19 +130,8 @@ def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> C
     made = tomllib.loads(path.read_text(encoding="utf-8"))
     truth = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
     names, matrix, values, hidden = _coefficients(made, truth)
-    error = np.array([values[name] - hidden[name] for name in names])
-    slopes = np.eye(len(names))
-    # A plan may tell the element (1 + M) m of a sensor's matrix far better than M and m, whose errors are then no sum.
-    for k, name in enumerate(names):
-        channel, _, symbol = name.partition(".")
-        constant = next((f"{channel}.{s}" for s in ("b00", "s0", "s") if f"{channel}.{s}" in names), None)
-        if symbol.startswith("m_") and constant is not None:
-            error[k] = (1.0 + values[constant]) * values[name] - (1.0 + hidden[constant]) * hidden[name]
-            slopes[k, k], slopes[k, names.index(constant)] = 1.0 + values[constant], values[name]
-    elements = slopes @ matrix @ slopes.T
-    scale = np.sqrt(np.diag(elements))
-    apart = error / scale
-    nees = float(apart @ np.linalg.solve(elements / np.outer(scale, scale), apart))
+    pair = (np.array([of[name] for name in names]) for of in (values, hidden))
+    nees = nees_of(names, *pair, matrix)
     scale = np.sqrt(np.diag(matrix))
     fit = (float(made["fit"][0]["statistic"]), int(made["fit"][0]["degrees"]))
     before = {row["name"]: row["std"] for row in predicted["parameters"]}

@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 from hardware_bench import unpredicted
+from matrix_errors import nees_of
 
 from gradcal_jax.api.fit_of_log import fitted_twice
 from gradcal_jax.api.imu_build import build_imu
@@ -121,19 +122,7 @@ def estimated(
     assert set(names) == set(truth)
     # What gyros feel of rotation is a product of two draws, so that its square is not that of a normal error.
     kept = [k for k, name in enumerate(names) if ".ww_" not in name]
-    value, true = reported @ found.parameters, np.array([truth[name] for name in names])
-    errors, rows = value - true, np.array(reported)
-    # A coarse table tells the element (1 + M) m of a sensor's matrix far better than M and m: its error is no sum of
-    # theirs where both are large.
-    for k, name in enumerate(names):
-        channel, _, symbol = name.partition(".")
-        constant = next((f"{channel}.{s}" for s in ("b00", "s0", "s") if f"{channel}.{s}" in names), None)
-        if symbol.startswith("m_") and constant is not None:
-            of = names.index(constant)
-            errors[k] = (1.0 + value[of]) * value[k] - (1.0 + true[of]) * true[k]
-            rows[k] = (1.0 + value[of]) * reported[k] + value[k] * reported[of]
-    errors, covariance = errors[kept], found.known.covariance(rows[kept])
-    # Scaled, since coefficients have many units.
-    size = np.sqrt(np.diag(covariance))
-    nees = float((errors / size) @ np.linalg.solve(covariance / np.outer(size, size), errors / size))
+    of_kept = [names[k] for k in kept]
+    values, true = reported[kept] @ found.parameters, np.array([truth[name] for name in of_kept])
+    nees = nees_of(of_kept, values, true, found.known.covariance(reported[kept]))
     return chi_squared, degrees, nees, len(kept)

@@ -19,12 +19,7 @@ values = ["10 urad", "1 mrad", "a lot"]
 """
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _no_prices():
-    """What limits are worth is a program of its own after every search, of which test_limits_of_cycles.py is."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gradcal_jax.api.pose_search.shadow_prices", lambda *_: ())
-        yield
+pytestmark = pytest.mark.usefixtures("without_prices")
 
 
 def test_a_sweep_predicts_the_points_of_a_unit_and_says_which_cannot_be():

@@ -1,5 +1,5 @@
-"""A tactical unit at rest while the chamber goes up and down, or up alone in the same time, with a loop over the
-temperature by a law of its own."""
+"""A tactical unit at rest while the chamber goes up, or up and down in the same time (one or two ways), with a loop
+over the temperature by a law of its own."""
 
 from functools import lru_cache
 
@@ -10,12 +10,15 @@ from gradcal_jax.api.imu_residual import quantity_of
 from gradcal_jax.files import spec as specs
 from gradcal_jax.files.log import Log
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.hardware.simulate.draws import draw_table
+from gradcal_jax.formulas import legendre
+from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth, SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 
 COLD, WARM, LASTING_S = -20.0, 60.0, 4800.0
 SIZE, WIDTHS = 10.0, (3.0, 10.0, 30.0)
+# Half-widths of plays for relays: those of half-widths of 4 to 29 K, over the temperatures of the plan.
+WIDTHS_OF_RELAYS = (6.0, 14.0, 24.0)
 HOUR = np.pi / 180.0 / 3600.0
 # The legs of the service, which are so long that a mass of 10 min is in its steady state (100 min at 2 K/min).
 COLDEST, WARMEST = -200.0, 245.0
@@ -25,22 +28,22 @@ AT = np.linspace(0.0, 45.0, 10)
 class Course(ChamberPlant):
     """A load that is on the plan's temperatures."""
 
-    def __init__(self, *, back: bool) -> None:
+    def __init__(self, ways: int) -> None:
         super().__init__(ChamberTruth())
-        self._back = back
+        self._ways = ways
 
     def load_at(self, times_s):
-        done = np.asarray(times_s) / LASTING_S
-        return COLD + (WARM - COLD) * (1.0 - np.abs(1.0 - 2.0 * done) if self._back else done)
+        leg = self._ways * np.asarray(times_s) / LASTING_S
+        return COLD + (WARM - COLD) * (1.0 - np.abs(1.0 - leg % 2.0))
 
 
 @lru_cache
-def spec_of(*, back: bool, size: float = SIZE, plays: bool = True, late: bool = False) -> Spec:
-    """A tactical unit at rest; `size`: of the hysteresis, deg/h; `back`: the chamber returns, twice as fast. `late`:
-    the terms are those of two thermal masses in the place of plays."""
-    slope = 2.0 * (WARM - COLD) / LASTING_S * 60.0 / (1.0 if back else 2.0)
-    programme = [{"soak": "10 s", "at": f"{COLD} degC"}, {"ramp_to": f"{WARM} degC", "rate": f"{slope} K/min"}]
-    programme += [{"ramp_to": f"{COLD} degC", "rate": f"{slope} K/min"}] if back else []
+def spec_of(*, ways: int, size: float = SIZE, plays: bool = True, late: bool = False) -> Spec:
+    """A tactical unit at rest; `size`: of the hysteresis, deg/h; `ways`: of the chamber in the same time. `late`: the
+    terms are those of two thermal masses in the place of plays."""
+    slope = ways * (WARM - COLD) / LASTING_S * 60.0
+    programme = [{"soak": "10 s", "at": f"{COLD} degC"}]
+    programme += [{"ramp_to": f"{(WARM, COLD)[way % 2]} degC", "rate": f"{slope} K/min"} for way in range(ways)]
     of_temperature = {"basis": "polynomial", "degree": 3, "centre": "20 degC", "scale": "40 K"}
     gyro = {
         "angle_random_walk": "0.1 deg/sqrt(h)", "rate_random_walk": "0 deg/h/sqrt(h)", "turn_on_bias": "0 deg/h",
@@ -88,9 +91,47 @@ def spec_of(*, back: bool, size: float = SIZE, plays: bool = True, late: bool = 
     })  # fmt: skip
 
 
-def recorded(truth: ImuTruth, spec: Spec, *, back: bool, seed: int) -> Log:
+@lru_cache
+def type_of_relays(units: int = 60) -> tuple[dict[float, float], float]:
+    """What plays are of loops of relays of `SIZE`, by other units without noise: the root mean squares of the
+    coefficient of every width, deg/h/K, where that of the middle one varies over temperature, and of what is left,
+    deg/h.
+
+    On both legs of the plan's course, and of one so wide that every relay switches: steady cycles, over the plan's
+    temperatures, with the plan's maps."""
+    courses = [
+        np.concatenate([up, up[::-1], up, up[::-1]])
+        for up in (np.arange(low, high + 0.1, 0.25) for low, high in ((COLD, WARM), (COLDEST, WARMEST)))
+    ]
+    kept = [(np.arange(len(t)) >= len(t) // 2) & (t >= COLD) & (t <= WARM) for t in courses]
+    columns = []
+    for t, steady in zip(courses, kept, strict=True):
+        plays, x = [_behind(t, width) for width in WIDTHS_OF_RELAYS], (t - 20.0) / 40.0
+        varying = [plays[1] * of for of in legendre(x, 10).T[1:]]
+        columns.append(np.stack([*(x**power for power in range(4)), *plays, *varying], axis=1)[steady])
+    design, coefficients, left = np.concatenate(columns), [], []
+    for number in range(units):
+        for loop in draw_truth(spec_of(ways=2), 41, number, "relays").triads["gyro"].loops:
+            loops = [loop.begin(float(t[0]))(t, 1.0)[steady] for t, steady in zip(courses, kept, strict=True)]
+            found = np.linalg.lstsq(design, np.concatenate(loops) / HOUR, rcond=None)[0]
+            coefficients += [*found[4:7].T]
+            left += [*(np.concatenate(loops) / HOUR - design @ found).T]
+    sizes = np.sqrt(np.mean(np.square(coefficients), axis=0)).tolist()
+    return dict(zip(WIDTHS_OF_RELAYS, sizes, strict=True)), float(np.sqrt(np.mean(np.square(left))))
+
+
+def _behind(temperatures_c: np.ndarray, width_k: float) -> np.ndarray:
+    """A play less its temperature, K."""
+    play, values = temperatures_c[0], []
+    for t in temperatures_c:
+        play = max(t - width_k, min(t + width_k, play))
+        values.append(play - t)
+    return np.array(values)
+
+
+def recorded(truth: ImuTruth, spec: Spec, *, ways: int, seed: int) -> Log:
     table, _, _ = draw_table(spec, seed)
-    unit = SimulatedImu(truth, table, Course(back=back), [AxisPlant()], sample_rate_hz=1.0, seed=seed)
+    unit = SimulatedImu(truth, table, Course(ways), [AxisPlant()], sample_rate_hz=1.0, seed=seed)
     kept = unit.take(int(LASTING_S))
     rate, count = np.radians(kept.rate_dps), int(LASTING_S)
     rate[count // 2] = np.nan

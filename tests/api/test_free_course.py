@@ -43,7 +43,7 @@ def turning(*, back: bool = False, late: bool = False) -> Spec:
         "sensor.gyro.scale_factor.lag": "2 min",
     }
     return gj.changed(
-        spec_of(back=back),
+        spec_of(ways=2 if back else 1),
         {
             "sensor.gyro.axes": ["z"],
             "sensor.gyro.scale_factor": {
@@ -67,7 +67,7 @@ def standing(**changes) -> Spec:
         "sensor.gyro.axes": ["z"], "sensor.gyro.bias.discrepancy": None,
         "sensor.gyro.hysteresis": [{"width": "10 K", "prior": "1 deg/h/K"}],
     }  # fmt: skip
-    return gj.changed(spec_of(back=False), keys | {k.replace("__", "."): v for k, v in changes.items()})
+    return gj.changed(spec_of(ways=1), keys | {k.replace("__", "."): v for k, v in changes.items()})
 
 
 def objective(plan: CyclePlan, sharpness: float):

@@ -13,6 +13,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from matrix_errors import nees_of
 from unguided import recorded
 
 import gradcal_jax as gj
@@ -46,21 +47,19 @@ def outcome(spec: Spec, seed: int, spoilt: float) -> dict[str, Any]:
     solution = fitted_twice(built, log.units[0], rows, rows.temperature_c).solution
     model = built.model
     reported, names = model.to_reported, model.names()
-    error = reported @ solution.parameters - np.array([truth[name] for name in names])
-    spread = reported @ solution.known.spread
-    sigma = np.sqrt(np.sum(spread**2, axis=1))
+    values, true = reported @ solution.parameters, np.array([truth[name] for name in names])
+    covariance = solution.known.covariance(reported)
+    sigma = np.sqrt(np.diag(covariance))
 
     def nees(of: list[int]) -> float:
-        scaled = spread[of] / sigma[of][:, None]
-        white = np.linalg.solve(np.linalg.cholesky(scaled @ scaled.T), error[of] / sigma[of])
-        return float(white @ white)
+        return nees_of([names[k] for k in of], values[of], true[of], covariance[np.ix_(of, of)])
 
     scales = [k for k, name in enumerate(names) if name.startswith("gyro") and ".b0" in name]
     predicted = imu_posterior(built).deviations(reported)
     of = solution.estimate
     return {
         "seed": seed, "nees": nees(list(range(model.calibrated))), "nees_scale": nees(scales),
-        "scale": (error[scales] / sigma[scales]).tolist(), "sigma": (sigma[scales] / predicted[scales]).tolist(),
+        "scale": ((values - true) / sigma)[scales].tolist(), "sigma": (sigma[scales] / predicted[scales]).tolist(),
         "residual": float(of.chi_squared / of.degrees), "coefficients": model.calibrated,
     }  # fmt: skip
 

@@ -226,9 +226,9 @@ FOLLOWED = {
 @lru_cache
 def followed(number: int) -> tuple[SensorEstimate, ImuTruth, Log]:
     """An IMU at rest on a chamber that goes up and down, with masses that follow late, and its estimate."""
-    spec = gj.changed(spec_of_loop(back=True), FOLLOWED)
+    spec = gj.changed(spec_of_loop(ways=2), FOLLOWED)
     truth = draw_truth(spec, 50, number)
-    log = recorded(truth, spec, back=True, seed=200 + number)
+    log = recorded(truth, spec, ways=2, seed=200 + number)
     (report,) = estimate_sensors(spec, [log])
     return report, truth, log
 
@@ -307,11 +307,11 @@ def test_an_uncertain_time_constant_is_counted():
     known = [{key: one[key] for key in ("time_constant", "prior")} for one in uncertain]
     left = {}
     for name, late in (("uncertain", uncertain), ("known", known)):
-        spec = gj.changed(spec_of_loop(back=True, plays=False), {"sensor.gyro.late_temperature_gradient": late})
+        spec = gj.changed(spec_of_loop(ways=2, plays=False), {"sensor.gyro.late_temperature_gradient": late})
         apart = []
         for number in range(8):
-            truth = draw_truth(spec_of_loop(back=True), 41, number, "thermal masses")
-            (report,) = estimate_sensors(spec, [recorded(truth, spec, back=True, seed=300 + number)])
+            truth = draw_truth(spec_of_loop(ways=2), 41, number, "thermal masses")
+            (report,) = estimate_sensors(spec, [recorded(truth, spec, ways=2, seed=300 + number)])
             apart.append(errors_on_branches(report, truth))
         errors, stds = np.stack(apart).transpose(1, 0, 2, 3, 4)
         left[name] = np.sqrt(np.mean(errors**2)), np.sqrt(np.mean(errors**2) / np.mean(stds**2))

@@ -32,11 +32,11 @@ HOUR = np.pi / 180.0 / 3600.0
 
 
 @lru_cache
-def estimated(*, back: bool = True, plays: bool = True) -> tuple[SensorEstimate, ImuTruth]:
+def estimated(*, ways: int = 2, plays: bool = True) -> tuple[SensorEstimate, ImuTruth]:
     """A unit with relays of tens of deg/h in the place of a play."""
-    truth = draw_truth(spec_of(back=back, size=40.0), 36, 4, "relays")
-    spec = spec_of(back=back, size=40.0, plays=plays)
-    (report,) = estimate_sensors(spec, [recorded(truth, spec, back=back, seed=7)])
+    truth = draw_truth(spec_of(ways=ways, size=40.0), 36, 4, "relays")
+    spec = spec_of(ways=ways, size=40.0, plays=plays)
+    (report,) = estimate_sensors(spec, [recorded(truth, spec, ways=ways, seed=7)])
     return report, truth
 
 
@@ -81,8 +81,8 @@ def test_with_plays_the_fit_is_far_better_and_the_calibration_states_them(tmp_pa
 def without_a_loop() -> tuple[Log, np.ndarray, np.ndarray]:
     """The log of a unit without a loop, its temperatures, and how far a play of 10 K is behind them, stepped sample by
     sample."""
-    truth = draw_truth(spec_of(back=True, size=1e-6), 36, 9, "relays")
-    log = recorded(truth, spec_of(back=True), back=True, seed=11)
+    truth = draw_truth(spec_of(ways=2, size=1e-6), 36, 9, "relays")
+    log = recorded(truth, spec_of(ways=2), ways=2, seed=11)
     assert log.temperature_c is not None
     temperature, state = log.temperature_c[0], float(log.temperature_c[0, 0]) + 10.0
     behind = np.empty_like(temperature)
@@ -94,7 +94,7 @@ def without_a_loop() -> tuple[Log, np.ndarray, np.ndarray]:
 
 def test_an_exact_play_is_recovered():
     """A play of 10 K, on top of a unit without a loop."""
-    spec, (log, _, behind) = spec_of(back=True), without_a_loop()
+    spec, (log, _, behind) = spec_of(ways=2), without_a_loop()
     given = np.array([0.8, -0.3, 0.0]) * HOUR
     (report,) = estimate_sensors(
         spec, [replace(log, rate_rad_per_s=log.rate_rad_per_s + behind[None, :, None] * given)]
@@ -115,7 +115,7 @@ def test_a_coefficient_that_varies_over_temperature_is_recovered():
     key = "sensor.gyro.hysteresis"
     plays = [{"width": f"{w:g} K", "prior": "1 deg/h/K"} for w in WIDTHS]
     plays = [p | {"over_temperature": varies} if p["width"] == "10 K" else p for p in plays]
-    spec, (log, temperature, behind) = changed(spec_of(back=True), {key: plays}), without_a_loop()
+    spec, (log, temperature, behind) = changed(spec_of(ways=2), {key: plays}), without_a_loop()
     both = np.array([0.5, 4.0]) * HOUR
     loop = behind * (both[0] + both[1] * (temperature - 20.0) / 40.0)
     with_loop = replace(log, rate_rad_per_s=log.rate_rad_per_s + loop[None, :, None] * np.array([1.0, 0.0, 0.0]))
@@ -144,7 +144,7 @@ def test_a_coefficient_that_varies_over_temperature_is_recovered():
 
 
 def test_a_one_way_record_says_what_remains():
-    report, _ = estimated(back=False)
+    report, _ = estimated(ways=1)
     assert any(m.startswith("one-way ramp: hysteresis is not observable; ±") for m in report.messages)
 
 
@@ -178,7 +178,7 @@ def test_apply_follows_the_plays_along_a_log(tmp_path):
     """Of a second log of the same unit, whose loop is of relays: less is left on both legs with the plays than with the
     maps alone, and rows are counted until the widest play is known."""
     report, truth = estimated()
-    log = recorded(truth, spec_of(back=True, size=40.0), back=True, seed=8)
+    log = recorded(truth, spec_of(ways=2, size=40.0), ways=2, seed=8)
     calibration = report.calibration
     without = calibration.model_copy(update={"path": ()})
     left = []
@@ -239,7 +239,7 @@ def test_a_play_of_the_scale_factor_and_dt_dt_are_taken_off_exactly(span):
 def at_rest_all_the_time() -> Log:
     """Another record of the unit with a loop, as one rest."""
     _, truth = estimated()
-    log = recorded(truth, spec_of(back=True, size=40.0), back=True, seed=8)
+    log = recorded(truth, spec_of(ways=2, size=40.0), ways=2, seed=8)
     rate = log.rate_rad_per_s.copy()
     (lost,) = np.flatnonzero(np.isnan(rate[0]).any(axis=1))
     rate[:, lost] = rate[:, lost - 1]
@@ -300,9 +300,9 @@ def test_noise_is_stated_by_branch_and_by_bins(tmp_path, capsys):
 def test_what_explains_a_difference_is_offered(law):
     """Of a unit without a loop, with one law put into its readings: its term comes first, and its key is of a spec
     that explains the record."""
-    spec, lags = spec_of(back=True, plays=False), law == "a lag of the bias of"
-    drawn = gj.changed(spec_of(back=True, size=1e-6), {"sensor.gyro.bias.lag": "300 s"} if lags else {})
-    log = recorded(draw_truth(drawn, 36, 9, "relays"), spec, back=True, seed=11)
+    spec, lags = spec_of(ways=2, plays=False), law == "a lag of the bias of"
+    drawn = gj.changed(spec_of(ways=2, size=1e-6), {"sensor.gyro.bias.lag": "300 s"} if lags else {})
+    log = recorded(draw_truth(drawn, 36, 9, "relays"), spec, ways=2, seed=11)
     assert log.temperature_c is not None
     at, time = log.temperature_c[0], log.time_s
     late = followed(at, time, np.array([0]), 300.0)

@@ -94,8 +94,9 @@ class Seeds:
 _HEAD = """# Every preset, spec and recipe, from plan to calibration
 
 Made by `pytest -m evidence tests/evidence/test_every_preset.py`: recipe, run on simulated devices, log and estimate by
-the command line. χ² of the hidden truth: the calibration's errors in its own covariance, all seeds together, with its
-99 % band. Reached over predicted: of every requirement and seed, without what the estimate widens for its fit.
+the command line. χ² of the hidden truth, all seeds together, with its 99 % band: of one sensor the calibration's errors
+in its own covariance, of an IMU by what the truth's weighted squares exceed those of the estimate. Reached over
+predicted: of every requirement and seed, without what the estimate widens for its fit.
 
 | what | seeds | χ² of the truth | of | band | reached over predicted | not as promised |
 |---|---|---|---|---|---|---|

@@ -39,9 +39,9 @@ def nees_of(names: Sequence[str], values: np.ndarray, truth: np.ndarray, covaria
     return float((errors / size) @ np.linalg.solve(covariance / np.outer(size, size), errors / size))
 
 
-def squares_above(fit: Fit, truth: dict[str, float]) -> tuple[float, int]:
-    """The weighted squares of data and priors at the true coefficients (by name, SI) above those of the estimate, and
-    the number of coefficients: χ² of so many degrees of freedom.
+def squares_above(fit: Fit, truth: dict[str, float]) -> float:
+    """The weighted squares of data and priors at the true coefficients (by name, SI) above those of the estimate:
+    χ² of as many degrees of freedom as there are coefficients. It says nothing of the estimate's covariance.
 
     What is no part of a calibration (the table's own errors) is fitted anew at the truth. Where it is poorly known its
     products with misalignments exceed what the data tell, so that the errors in a linear covariance are no χ².
@@ -67,4 +67,4 @@ def squares_above(fit: Fit, truth: dict[str, float]) -> tuple[float, int]:
         columns = np.concatenate([white(readings.linear(here)[1]), priors])[:, calibrated:]
         size = np.sqrt(np.sum(columns**2, axis=0))
         here[calibrated:] += np.linalg.lstsq(columns / size, left(here), rcond=None)[0] / size
-    return float(np.sum(left(here) ** 2) - np.sum(left(estimate) ** 2)), calibrated
+    return float(np.sum(left(here) ** 2) - np.sum(left(estimate) ** 2))

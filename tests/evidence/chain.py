@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from matrix_errors import squares_above
+from matrix_errors import nees_of, squares_above
 from scipy.stats import chi2
 
 import gradcal_jax as gj
@@ -32,12 +32,14 @@ _PIECES = np.array([0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.
 
 @dataclass(frozen=True)
 class Chain:
-    """Of one seed. `nees` of `degrees`: χ² of the truth (of an IMU by the data, of one sensor the calibration's errors
-    in their own covariance); `fit`: χ² of the data and its degrees; `ratios`: of each requirement (by name), achieved
-    over predicted; `sigmas`: of each parameter, likewise, without what the estimate widens for its fit."""
+    """Of one seed. `nees` of `degrees`: the calibration's errors, of misalignments times scale factors, in the file's
+    covariance; `by_data`: of an IMU, the same by its log, in the place of the covariance; `fit`: χ² of the data and its
+    degrees; `ratios`: of each requirement (by name), achieved over predicted; `sigmas`: of each parameter, likewise,
+    without what the estimate widens for its fit."""
 
     nees: float
     degrees: int
+    by_data: float | None
     fit: tuple[float, int]
     ratios: dict[str, float]
     sigmas: dict[str, float]
@@ -135,10 +137,9 @@ def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> C
     made = tomllib.loads(path.read_text(encoding="utf-8"))
     truth = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
     names, matrix, values, hidden = _coefficients(made, truth)
-    nees = _chance(recipe, logs, hidden)
-    if nees is None:
-        error, scale = (np.array([values[name] - hidden[name] for name in names])), np.sqrt(np.diag(matrix))
-        nees = float(error / scale @ np.linalg.solve(matrix / np.outer(scale, scale), error / scale)), len(names)
+    pair = (np.array([of[name] for name in names]) for of in (values, hidden))
+    nees = nees_of(names, *pair, matrix)
+    by_data = _by_data(recipe, logs, hidden)
     scale = np.sqrt(np.diag(matrix))
     fit = (float(made["fit"][0]["statistic"]), int(made["fit"][0]["degrees"]))
     before = {row["name"]: row["std"] for row in predicted["parameters"]}
@@ -146,11 +147,11 @@ def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> C
     asked = {row["name"]: row for row in predicted["requirements"]}
     ratios = {row["name"]: _ratio(row, asked[row["name"]]) for row in made.get("result", []) if "value" in row}
     shutil.rmtree(run)
-    return Chain(*nees, fit, ratios, sigmas, status, printed)
+    return Chain(nees, len(names), by_data, fit, ratios, sigmas, status, printed)
 
 
-def _chance(recipe: Path, logs: list[Path], hidden: dict[str, float]) -> tuple[float, int] | None:
-    """χ² of the truth by the data of an IMU (`squares_above`), and its degrees; None: one sensor."""
+def _by_data(recipe: Path, logs: list[Path], hidden: dict[str, float]) -> float | None:
+    """`squares_above` of an IMU; None: one sensor, whose model is linear."""
     spec, read = gj.read_recipe(recipe).spec, [gj.read_log(path) for path in logs]
     spec, options, _ = with_options(spec, read, Options())
     built = build_imu(spec)

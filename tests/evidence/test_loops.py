@@ -6,7 +6,8 @@ relays the estimator has plays of 6, 14 and 24 K, with priors and a discrepancy 
 say without noise (`loop_scene.type_of_relays`), and coefficients that vary over temperature by what 80 other simulated
 units need (`VARIATION`: 0.94 and 1.12 of what is predicted is reached by two lots of 40). For masses it has dT/dt late
 by 1 and 10 min, which are the time constants of the type, and those of each unit differ from them by up to 10 %, with a
-discrepancy that 300 other units chose. All have dT/dt and 1 deg/h of structure that the sensors have beyond their maps.
+discrepancy that 300 other units chose. `PLAYS_ALONE` has constant coefficients of plays of 3, 10 and 30 K. All have
+dT/dt and 1 deg/h of structure that the sensors have beyond their maps.
 
 What counts is the error on both branches, against the law itself on legs of the same slope. `LOOP_UNITS` of the
 environment: how many units of each law.
@@ -32,17 +33,20 @@ from gradcal_jax.hardware.simulate.imu import LAWS, Law
 pytestmark = pytest.mark.evidence
 
 UNITS = int(os.environ.get("LOOP_UNITS", "150"))
-# deg/h: structure of the sensors beyond the maps of the spec (`loop_scene`), and what terms of masses leave of masses.
-TEN, HIDDEN, LEFT_BY_MASSES = 10, 1.0, 1.5
+# deg/h: structure of the sensors beyond the maps of the spec (`loop_scene`), and what is left of loops by other terms
+# than plays that vary.
+TEN, HIDDEN, LEFT_BY_OTHERS = 10, 1.0, 1.5
+PLAYS_ALONE = "relays, plays with constant coefficients"
+CASES = (*LAWS, PLAYS_ALONE)
 # By how much coefficients of plays of relays vary over temperature, deg/h at the width of each.
 VARIATION, DEGREE = (0.5, 0.8, 0.8), 10
 REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "loops.md"
 
 
-def estimator_of(law: str, *, ways: int) -> Spec:
+def estimator_of(case: str, *, ways: int) -> Spec:
     """The spec of the estimate."""
-    spec, left = spec_of(ways=ways, late=law == "thermal masses"), LEFT_BY_MASSES
-    if law == "relays":
+    spec, left = spec_of(ways=ways, late=case == "thermal masses"), LEFT_BY_OTHERS
+    if case == "relays":
         of_width, left = type_of_relays()
         plays: list[dict[str, Any]] = [
             {
@@ -59,9 +63,10 @@ def estimator_of(law: str, *, ways: int) -> Spec:
 
 
 @lru_cache
-def runs(law: Law, *, ways: int, units: int = UNITS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def runs(case: str, *, ways: int, units: int = UNITS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors and predicted deviations of many units, `(units, 2, n, 3)`, and whether a test of the fit contradicts."""
-    spec, drawn = estimator_of(law, ways=ways), spec_of(ways=ways)
+    law: Law = "thermal masses" if case == "thermal masses" else "relays"
+    spec, drawn = estimator_of(case, ways=ways), spec_of(ways=ways)
     results = []
     for number in range(units):
         truth = draw_truth(drawn, 37, number, law)
@@ -75,7 +80,7 @@ def rms(values: np.ndarray, axis=None) -> np.ndarray:
     return np.sqrt(np.mean(values**2, axis=axis))
 
 
-def gains(law: Law) -> np.ndarray:
+def gains(law: str) -> np.ndarray:
     """`(TEN,)`: the error of a one-way plan of equal time over that of a two-way plan, root mean squares over both
     branches and three gyros."""
     two, one = runs(law, ways=2)[0][:TEN], runs(law, ways=1, units=TEN)[0]
@@ -116,6 +121,7 @@ def test_few_fits_are_contradicted_where_a_coefficient_varies():
     """Those of the largest loops: a prior states the size of the type, and what is left is in proportion to that of the
     unit."""
     assert np.mean(runs("relays", ways=2)[2]) < 0.25
+    assert np.mean(runs(PLAYS_ALONE, ways=2)[2]) > 2.0 * np.mean(runs("relays", ways=2)[2])
 
 
 def test_two_ways_lose_little_on_sensors_without_a_loop():
@@ -125,7 +131,7 @@ def test_two_ways_lose_little_on_sensors_without_a_loop():
 def test_the_report():
     """Of the same runs."""
     rows = []
-    for law in LAWS:
+    for law in CASES:
         errors, stds, contradicted = runs(law, ways=2)
         of_unit, gain = np.mean((errors / stds) ** 2, axis=(1, 2, 3)), gains(law)
         band = 3.0 * np.std(of_unit) / np.sqrt(len(of_unit))
@@ -147,4 +153,4 @@ def test_the_report():
         time.strftime("%Y-%m-%d"), "",
     ])  # fmt: skip
     REPORT.write_text(text, encoding="utf-8")
-    assert len(rows) == len(LAWS)
+    assert len(rows) == len(CASES)

@@ -34,12 +34,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jaxtyping import ArrayLike, Bool, Float, Int
 from scipy import optimize, special
 
+from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.identify.largest_drift import LargestDrift, largest_drift, longest_integration_time
 from gradcal_jax.identify.limiting_function import (
     drift_shape_of_mean,
@@ -107,17 +106,19 @@ def smallest_bounding_variance(
     *,
     margin: ArrayLike = 2.5,
     random_walk_margin: Float[ArrayLike, " times"] | None = None,
-) -> Float[Array, " taus"]:
+) -> Float[AnyArray, " taus"]:
     """σ²(τ) of the feasible boundary, in the square of the rates' unit; zero where random walk alone bounds.
 
     `random_walk_margin` is κ(t); without it κ = k as in the paper. A closed form, differentiable in every argument
     except where the deciding t changes.
     """
-    t, drift, tau = (jnp.asarray(x) for x in (integration_time_s, largest_drift, correlation_time_s))
+    given = (integration_time_s, largest_drift, correlation_time_s)
+    xp = namespace(given, averaging_time_s, angle_random_walk, margin)
+    t, drift, tau = (xp.asarray(x) for x in given)
     walk = random_walk_variance_of_mean(t, averaging_time_s, angle_random_walk)
-    granted = (margin if random_walk_margin is None else jnp.asarray(random_walk_margin)) ** 2 * walk
+    granted = (margin if random_walk_margin is None else xp.asarray(random_walk_margin)) ** 2 * walk
     shape = drift_shape_of_mean(t[:, None], averaging_time_s, tau[None, :])
-    return jnp.maximum(jnp.max(((drift**2 - granted) / margin**2)[:, None] / shape, axis=0), 0.0)
+    return xp.maximum(xp.max(((drift**2 - granted) / margin**2)[:, None] / shape, axis=0), 0.0)
 
 
 def largest_of_random_walk(
@@ -187,12 +188,12 @@ def fit_direct_bound(
     chance = _CHANCE_OF_FALSE_DRIFT / (1.0 + 2.0 * np.log(t[-1] / t[0]))
     level = largest_of_random_walk(t, delta, starts, interval, exceeded_with_probability=chance)
     walk_margin = np.maximum(margin, level) if raise_margin else np.full(len(t), margin)
-    walk_limit = walk_margin * np.sqrt(np.asarray(random_walk_variance_of_mean(t, delta, angle_random_walk)))
+    walk_limit = walk_margin * np.sqrt(random_walk_variance_of_mean(t, delta, angle_random_walk))
     weight = _log_weights(t)
 
     def boundary(taus: Taus) -> tuple[Taus, Taus]:
         variance, excess = _boundary(t, largest, delta, angle_random_walk, taus, margin, walk_margin, weight)
-        return np.sqrt(np.asarray(variance)), np.asarray(excess)
+        return np.sqrt(variance), excess
 
     std, excess = boundary(tau)
     best = int(np.argmin(excess))
@@ -225,7 +226,7 @@ def fit_direct_bound(
             "integration time; only σ²τ of the drift is bounded"
         )
     chosen_std = float(boundary(np.array([chosen_tau]))[0][0])
-    drift_part = chosen_std**2 * np.asarray(drift_shape_of_mean(t, delta, chosen_tau))
+    drift_part = chosen_std**2 * drift_shape_of_mean(t, delta, chosen_tau)
     limit = np.sqrt(walk_limit**2 + margin**2 * drift_part)
     decides = int(np.argmax(largest / limit))
     return DirectBound(
@@ -284,7 +285,7 @@ def scatter_of_bound(
     last = int(np.flatnonzero(fits)[-1])
     away[:, ~fits] = away[:, last, None] / bound.largest_drift[last] * bound.largest_drift[~fits]
     walk_margin = bound.random_walk_limit / np.sqrt(
-        np.asarray(random_walk_variance_of_mean(t, delta, max(bound.angle_random_walk, np.finfo(float).tiny)))
+        random_walk_variance_of_mean(t, delta, max(bound.angle_random_walk, np.finfo(float).tiny))
     )
     stds, times = [], []
     for displaced in np.maximum(bound.largest_drift + away, 0.1 * bound.largest_drift):
@@ -292,7 +293,7 @@ def scatter_of_bound(
             t, displaced, delta, bound.angle_random_walk, bound.boundary_correlation_time_s,
             bound.margin, walk_margin, _log_weights(t),
         )  # fmt: skip
-        best = int(np.argmin(np.asarray(excess)))
+        best = int(np.argmin(excess))
         stds.append(float(np.sqrt(variance[best])))
         times.append(float(np.log(bound.boundary_correlation_time_s[best])))
     return float(np.std(stds, ddof=1)), float(np.std(times, ddof=1))
@@ -304,7 +305,7 @@ def _hidden_drift(t: Times, largest: Times, level: Times, delta: float, angle_ra
     if not telling.any():
         return np.inf
     walk = np.asarray(random_walk_variance_of_mean(t, delta, angle_random_walk))[telling]
-    shape = np.asarray(drift_shape_of_mean(t[telling], delta, tau))
+    shape = drift_shape_of_mean(t[telling], delta, tau)
     possible = float(np.min(((largest[telling] / level[telling]) ** 2 - walk) / shape))
     return float(np.sqrt(max(possible, 0.0)))
 
@@ -329,24 +330,23 @@ def _no_drift_shows(
     return sentence + f"; averaging over {advised:.3g} s or more would make such a drift visible"
 
 
-@jax.jit
 def _boundary(
-    t: Float[Array, " times"],
-    largest: Float[Array, " times"],
+    t: Float[AnyArray, " times"],
+    largest: Float[AnyArray, " times"],
     delta: ArrayLike,
     angle_random_walk: ArrayLike,
-    taus: Float[Array, " taus"],
+    taus: Float[AnyArray, " taus"],
     margin: ArrayLike,
-    walk_margin: Float[Array, " times"],
-    weight: Float[Array, " times"],
-) -> tuple[Float[Array, " taus"], Float[Array, " taus"]]:
+    walk_margin: Float[AnyArray, " times"],
+    weight: Float[AnyArray, " times"],
+) -> tuple[Float[AnyArray, " taus"], Float[AnyArray, " taus"]]:
     """(σ², mean excess) of the pairs on the boundary."""
     variance = smallest_bounding_variance(
         t, largest, delta, angle_random_walk, taus, margin=margin, random_walk_margin=walk_margin
     )
     walk = walk_margin**2 * random_walk_variance_of_mean(t, delta, angle_random_walk)
     drift = margin**2 * variance[None, :] * drift_shape_of_mean(t[:, None], delta, taus[None, :])
-    return variance, weight @ (0.5 * jnp.log(walk[:, None] + drift) - jnp.log(largest)[:, None])
+    return variance, weight @ (0.5 * np.log(walk[:, None] + drift) - np.log(largest)[:, None])
 
 
 def _averaging_time_that_shows(
@@ -356,8 +356,8 @@ def _averaging_time_that_shows(
     if std <= 0:
         return None
     candidates = np.geomspace(delta, 100 * max(delta, t[-1]), 400)[1:]
-    drift = std**2 * np.asarray(drift_shape_of_mean(t[:, None], candidates[None, :], tau))
-    walk = np.asarray(random_walk_variance_of_mean(t[:, None], candidates[None, :], angle_random_walk))
+    drift = std**2 * drift_shape_of_mean(t[:, None], candidates[None, :], tau)
+    walk = random_walk_variance_of_mean(t[:, None], candidates[None, :], angle_random_walk)
     shows = np.any(drift >= walk, axis=0)
     return float(candidates[np.argmax(shows)]) if shows.any() else None
 

@@ -27,11 +27,13 @@ variances of the two windows add, and there is no difference of nearly equal ter
 
 from math import factorial
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+import numpy as np
+from jaxtyping import ArrayLike, Float
 
-Values = Float[Array, "..."]
+from gradcal_jax.arrays import AnyArray, namespace
+
+# NumPy reduces what has no dimension to scalars.
+Values = Float[AnyArray, "..."] | np.floating
 # Below this the closed forms lose digits, and Taylor series are used with enough terms to be exact to rounding.
 _SERIES_BELOW = 1.0
 _DECAY_LOSS_SERIES = tuple((-1.0) ** k / factorial(k + 2) for k in range(20))
@@ -129,8 +131,6 @@ def random_walk_variance_of_mean(
     return walk**2 * (1.0 / t + 1.0 / delta)
 
 
-# Compiled as a whole: else each of its operations would be compiled alone for every new number of times.
-@jax.jit
 def alignment_variances(delta: Values, sigma: Values, tau: Values, walk: Values) -> tuple[Values, Values]:
     """Variance P of the drift's estimate at the end of a Kalman alignment of Δ seconds, and σ² - P, (rad/s)².
 
@@ -142,57 +142,56 @@ def alignment_variances(delta: Values, sigma: Values, tau: Values, walk: Values)
     a ratio of positive terms: nothing cancels, for a drift far below the random walk either. P falls from σ² at Δ = 0
     to the steady state of the filter; for τ → ∞ it tends to the constant bias's `σ²N²/(N² + σ²Δ)`.
     """
-    root = jnp.sqrt(jnp.where((walk > 0) | (sigma > 0), walk**2 + 2.0 * sigma**2 * tau, 1.0))
+    xp = namespace(delta, sigma, tau, walk)
+    root = xp.sqrt(xp.where((walk > 0) | (sigma > 0), walk**2 + 2.0 * sigma**2 * tau, 1.0))
     noisy = walk > 0
     # Without random walk one instant of data determines the drift: tanh(∞) = 1, except for Δ = 0.
-    grown = jnp.where(noisy, jnp.tanh(delta * root / (tau * jnp.where(noisy, walk, 1.0))), jnp.sign(delta))
+    grown = xp.where(noisy, xp.tanh(delta * root / (tau * xp.where(noisy, walk, 1.0))), xp.sign(delta))
     denominator = walk * root + (walk**2 + sigma**2 * tau) * grown
     nothing_known = denominator == 0
-    denominator = jnp.where(nothing_known, 1.0, denominator)
-    remaining = jnp.where(nothing_known, sigma**2, sigma**2 * (walk * root + walk**2 * grown) / denominator)
+    denominator = xp.where(nothing_known, 1.0, denominator)
+    remaining = xp.where(nothing_known, sigma**2, sigma**2 * (walk * root + walk**2 * grown) / denominator)
     learnt = sigma**4 * tau * grown / denominator
     return remaining, learnt
 
 
-@jax.jit
 def _decay_loss(u: Values) -> Values:
     """b(u) = (u - 1 + e⁻ᵘ)/u = 1 - a(u), b(u) → u/2."""
-    small, large = _split(u)
-    return jnp.where(u < _SERIES_BELOW, small * _horner(_DECAY_LOSS_SERIES, small), (large + jnp.expm1(-large)) / large)
+    xp, (small, large) = namespace(u), _split(u)
+    return xp.where(u < _SERIES_BELOW, small * _horner(_DECAY_LOSS_SERIES, small), (large + xp.expm1(-large)) / large)
 
 
-@jax.jit
 def _conditional_variance(u: Values) -> Values:
     """r(u) = [2u - 3 + 4e⁻ᵘ - e⁻²ᵘ]/u², r(u) → ⅔u."""
-    small, large = _split(u)
-    decayed = jnp.exp(-large)
+    xp, (small, large) = namespace(u), _split(u)
+    decayed = xp.exp(-large)
     closed = (2.0 * large - 3.0 + 4.0 * decayed - decayed**2) / large**2
-    return jnp.where(u < _SERIES_BELOW, small * _horner(_CONDITIONAL_VARIANCE_SERIES, small), closed)
+    return xp.where(u < _SERIES_BELOW, small * _horner(_CONDITIONAL_VARIANCE_SERIES, small), closed)
 
 
 def _split(u: Values) -> tuple[Values, Values]:
     """The argument for both branches of a `where`, harmless in the unused branch so that gradients stay finite."""
-    short = u < _SERIES_BELOW
+    xp, short = namespace(u), u < _SERIES_BELOW
     # Not minimum and maximum: at a tie those pass half of the gradient each.
-    return jnp.where(short, u, _SERIES_BELOW), jnp.where(short, _SERIES_BELOW, u)
+    return xp.where(short, u, _SERIES_BELOW), xp.where(short, _SERIES_BELOW, u)
 
 
 def _horner(coefficients: tuple[float, ...], u: Values) -> Values:
-    total = jnp.full_like(u, coefficients[-1])
+    total = namespace(u).full_like(u, coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
         total = total * u + coefficient
     return total
 
 
-@jax.jit
 def _safe_sqrt(variance: Values) -> Values:
     """√, with a derivative of zero instead of infinity for a sensor without any error at all."""
-    positive = variance > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, variance, 1.0)), 0.0)
+    xp, positive = namespace(variance), variance > 0
+    return xp.where(positive, xp.sqrt(xp.where(positive, variance, 1.0)), 0.0)
 
 
 def _floating(*values: ArrayLike) -> tuple[Values, ...]:
-    """JAX arrays of one floating type; integers are converted."""
-    arrays = [jnp.asarray(value) for value in values]
-    dtype = jnp.result_type(float, *(a for a in arrays if jnp.issubdtype(a.dtype, jnp.floating)))
+    """Arrays of one floating type, JAX's if any is; integers are converted."""
+    xp = namespace(values)
+    arrays = [xp.asarray(value) for value in values]
+    dtype = xp.result_type(float, *(a for a in arrays if xp.issubdtype(a.dtype, xp.floating)))
     return tuple(array.astype(dtype) for array in arrays)

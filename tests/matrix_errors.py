@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,12 +40,26 @@ def nees_of(names: Sequence[str], values: np.ndarray, truth: np.ndarray, covaria
     return float((errors / size) @ np.linalg.solve(covariance / np.outer(size, size), errors / size))
 
 
-def squares_above(fit: Fit, truth: dict[str, float]) -> float:
-    """The weighted squares of data and priors at the true coefficients (by name, SI) above those of the estimate:
-    χ² of as many degrees of freedom as there are coefficients. It says nothing of the estimate's covariance.
+class ByData(NamedTuple):
+    """What the data say of the true coefficients, each a χ² of as many degrees of freedom as there are coefficients.
 
-    What is no part of a calibration (the table's own errors) is fitted anew at the truth. Where it is poorly known its
-    products with misalignments exceed what the data tell, so that the errors in a linear covariance are no χ².
+    `squares`: weighted squares of data and priors at the truth above those of the estimate; it says nothing of the
+    estimate's covariance. `nees`: the errors that the model's own difference between truth and estimate amounts to, in
+    the covariance given.
+    """
+
+    squares: float
+    nees: float
+
+
+def by_data(fit: Fit, truth: dict[str, float], covariance: np.ndarray) -> ByData:
+    """χ² of the true coefficients (by name, SI); `covariance` of the model's first coefficients, in its order.
+
+    What is no part of a calibration (the table's own errors) is fitted anew at the truth. Where a plan tells products
+    of coefficients better than each (a second-order term times a misalignment, a misalignment times the table's
+    azimuth), errors in a linear covariance are no χ², however right both are. So the difference of what the model
+    expects, whitened, `d`, is taken in their place: `bᵀPb` with `b = Aᵀd`, A being the estimate's own whitened columns.
+    Where the model is linear `b = P⁻¹e`, and this is `eᵀP⁻¹e`.
     """
     readings, estimate = fit.readings, fit.solution.parameters
     model = readings.model
@@ -60,11 +75,26 @@ def squares_above(fit: Fit, truth: dict[str, float]) -> float:
         apart = readings.by_steps(np.where(used, readings.observed - readings.expected(parameters), 0.0))
         return np.concatenate([white(apart[:, None])[:, 0], -priors @ parameters])
 
-    values = np.asarray(model.to_reported) @ estimate
+    def columns(parameters: np.ndarray) -> np.ndarray:
+        return np.concatenate([white(readings.linear(parameters)[1]), priors])
+
+    reported = np.asarray(model.to_reported)
+    values = reported @ estimate
     values[:calibrated] = [truth[name] for name in model.names()[:calibrated]]
-    here = np.linalg.solve(np.asarray(model.to_reported), values)
+    here = np.linalg.solve(reported, values)
     for _ in range(_STEPS if calibrated < model.size else 0):
-        columns = np.concatenate([white(readings.linear(here)[1]), priors])[:, calibrated:]
-        size = np.sqrt(np.sum(columns**2, axis=0))
-        here[calibrated:] += np.linalg.lstsq(columns / size, left(here), rcond=None)[0] / size
-    return float(np.sum(left(here) ** 2) - np.sum(left(estimate) ** 2))
+        table = columns(here)[:, calibrated:]
+        size = np.sqrt(np.sum(table**2, axis=0))
+        here[calibrated:] += np.linalg.lstsq(table / size, left(here), rcond=None)[0] / size
+    at_truth, at_estimate = left(here), left(estimate)
+    slopes = columns(estimate) @ np.linalg.inv(reported)
+    own = slopes[:, :calibrated]
+    if calibrated < model.size:  # less what the table's errors can take
+        basis = np.linalg.qr(slopes[:, calibrated:])[0]
+        own = own - basis @ (basis.T @ own)
+    size = np.sqrt(np.diag(covariance))
+    along = (own * size).T @ (at_truth - at_estimate)
+    return ByData(
+        float(np.sum(at_truth**2) - np.sum(at_estimate**2)),
+        float(along @ (covariance / np.outer(size, size)) @ along),
+    )

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from matrix_errors import nees_of, squares_above
+from matrix_errors import ByData, by_data, nees_of
 from scipy.stats import chi2
 
 import gradcal_jax as gj
@@ -32,14 +32,16 @@ _PIECES = np.array([0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.
 
 @dataclass(frozen=True)
 class Chain:
-    """Of one seed. `nees` of `degrees`: the calibration's errors, of misalignments times scale factors, in the file's
-    covariance; `by_data`: of an IMU, the same by its log, in the place of the covariance; `fit`: χ² of the data and its
-    degrees; `ratios`: of each requirement (by name), achieved over predicted; `sigmas`: of each parameter, likewise,
-    without what the estimate widens for its fit."""
+    """Of one seed. `nees` of `degrees`: the calibration's errors in the file's covariance, of an IMU those that its
+    model's own difference between truth and estimate amounts to; `squares`: of an IMU, the same by its log alone, in
+    the place of the covariance; `elements`: in the covariance, of misalignments times scale factors; `fit`: χ² of the
+    data and its degrees; `ratios`: of each requirement (by name), achieved over predicted; `sigmas`: of each
+    parameter, likewise, without what the estimate widens for its fit."""
 
     nees: float
     degrees: int
-    by_data: float | None
+    squares: float | None
+    elements: float
     fit: tuple[float, int]
     ratios: dict[str, float]
     sigmas: dict[str, float]
@@ -138,8 +140,9 @@ def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> C
     truth = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
     names, matrix, values, hidden = _coefficients(made, truth)
     pair = (np.array([of[name] for name in names]) for of in (values, hidden))
-    nees = nees_of(names, *pair, matrix)
-    by_data = _by_data(recipe, logs, hidden)
+    elements = nees_of(names, *pair, matrix)
+    of_imu = _by_data(recipe, logs, hidden, names, matrix)
+    nees, squares = (elements, None) if of_imu is None else (of_imu.nees, of_imu.squares)
     scale = np.sqrt(np.diag(matrix))
     fit = (float(made["fit"][0]["statistic"]), int(made["fit"][0]["degrees"]))
     before = {row["name"]: row["std"] for row in predicted["parameters"]}
@@ -147,18 +150,24 @@ def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> C
     asked = {row["name"]: row for row in predicted["requirements"]}
     ratios = {row["name"]: _ratio(row, asked[row["name"]]) for row in made.get("result", []) if "value" in row}
     shutil.rmtree(run)
-    return Chain(nees, len(names), by_data, fit, ratios, sigmas, status, printed)
+    return Chain(nees, len(names), squares, elements, fit, ratios, sigmas, status, printed)
 
 
-def _by_data(recipe: Path, logs: list[Path], hidden: dict[str, float]) -> float | None:
-    """`squares_above` of an IMU; None: one sensor, whose model is linear."""
+def _by_data(
+    recipe: Path, logs: list[Path], hidden: dict[str, float], names: list[str], covariance: np.ndarray
+) -> ByData | None:
+    """Of an IMU; None: one sensor, whose model is linear."""
     spec, read = gj.read_recipe(recipe).spec, [gj.read_log(path) for path in logs]
     spec, options, _ = with_options(spec, read, Options())
     built = build_imu(spec)
     if len(built.model.channels) == 1:
         return None
     rows, _ = imu_rows(built, read, read[0].units[0], options)
-    return squares_above(fitted_twice(built, read[0].units[0], rows, rows.temperature_c), hidden)
+    own = built.model.names()[: built.model.calibrated]
+    assert set(own) == set(names)
+    order = [names.index(name) for name in own]
+    fit = fitted_twice(built, read[0].units[0], rows, rows.temperature_c)
+    return by_data(fit, hidden, covariance[np.ix_(order, order)])
 
 
 def _ratio(achieved: dict[str, Any], predicted: dict[str, Any]) -> float:

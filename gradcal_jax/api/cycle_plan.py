@@ -53,6 +53,7 @@ from gradcal_jax.files.spec import spec_of
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.files.tracks import makeable_acceleration
 from gradcal_jax.information import imu_system, whiten
+from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import SCALE_FACTOR, Hysteresis, ImuModel, SensorModel, TemperatureDifference
 
 # A smaller turn, deg, says nothing of a sensor, and is lost among the readings about it.
@@ -208,11 +209,11 @@ class CyclePlan:
         for r, aim in zip(spec.requirement, exact.aims, strict=False):
             if aim.counted or aim.limiting:
                 quantity = quantity_of(self.built, r, None if len(r.grid) == 1 else _SEARCH_GRID)
-                aims.append((aim, _statistics_of(quantity, aim, unseen)))
+                aims.append((aim, _statistics_of(quantity, aim.statistic, unseen)))
         if notice is not None:
             believed, begins = _believed(plain, models[0])
             tests = tuple(hidden_test(model, notice, begin) for model, begin in begins)
-            aims.append((exact.aims[-1], Unnoticed(tests, believed, exact.aims[-1].limit)))
+            aims.append((exact.aims[-1], Unnoticed(tests, believed)))
             self._points = max(self._points, tested_maps(spec)[SCALE_FACTOR].temperature_degree + 1)
         self.turns_free = "cycle" in self.design.free or not self.design.free
         self._stands = isinstance(spec.plan, MotionPlan) and spec.plan.cycle is None
@@ -242,13 +243,15 @@ class CyclePlan:
         )
         self._courses: dict[int, CycleCourse] = {}
         self._window, self._model = self._cycles_together(models), models[0]
+        ordered = [pair for pair in aims if pair[0].counted] + [pair for pair in aims if pair[0].limiting]
         self.objective = CycleObjective(
             self.coordinates,
             [geometry(built.spec.rig) for built in builts],
             models,
             known,
-            [statistic for aim, statistic in aims if aim.counted],
-            [statistic for aim, statistic in aims if aim.limiting],
+            [statistic for aim, statistic in ordered if aim.counted],
+            [statistic for aim, statistic in ordered if aim.limiting],
+            np.array([aim.limit / aim.per_si for aim, _ in ordered]),
             believed=believed,
             together=self._joint(exact.cases, models[0]),
             weights=exact.weights,
@@ -278,11 +281,11 @@ class CyclePlan:
         stds = np.concatenate([np.ones(model.calibrated), *(np.asarray(t.stds) for t in model.installation)])
         return Together(np.flatnonzero(shared), stds[shared] ** -2.0, tuple(c.imus for c in cases), tuple(groups))
 
-    def _value(self, z: Any, args: tuple[CycleStructure, Ramp | None, Any]) -> Any:
-        of, ramps, sharpness = args
+    def _value(self, z: Any, args: tuple[CycleStructure, Ramp | None, Any, Any]) -> Any:
+        of, ramps, sharpness, targets = args
         count = 3 * self.slots
         ramps = self.free_ramps(z[count:], of) if ramps is None else ramps
-        return self.objective.value(jnp.reshape(z[:count], (3, self.slots)), of, ramps, sharpness)
+        return self.objective.value(jnp.reshape(z[:count], (3, self.slots)), of, ramps, sharpness, targets)
 
     def free_ramps(self, z: Any, of: CycleStructure) -> Ramp:
         """The ramps of a free course."""
@@ -427,8 +430,9 @@ class CyclePlan:
         the unit of `shown`, of the first scenario."""
         of, ramps = jax.tree.map(jnp.asarray, self.structure(self.start)), self.course(self.start.cycles).ramps
         ramps = self.free_ramps(jnp.asarray(self.start.course), of) if ramps is None else ramps
-        logs = self.objective.logs(self.coordinates.plain(angle, rate, rest, of), of, ramps, math.inf)[0]
-        return {aim.name: jnp.exp(x) * aim.limit for x, aim in zip(logs, self.exact.aims, strict=True)}
+        units = np.array([1.0 / aim.per_si for aim in self.exact.aims])
+        logs = self.objective.logs(self.coordinates.plain(angle, rate, rest, of), of, ramps, math.inf, units)[0]
+        return {aim.name: jnp.exp(x) for x, aim in zip(logs, self.exact.aims, strict=True)}
 
     def spec_of(self, cycle: RepeatedCycle) -> Spec:
         """The spec with a cycle's moves, in numbers that a controller takes."""
@@ -534,8 +538,8 @@ def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
     )
 
 
-def _statistics_of(quantity: RequiredQuantity, aim: Aim, unseen: Mapping[str, np.ndarray]) -> Statistics:
-    """A requirement's statistic over its limit, for the objective, with the `unseen` errors that no plan shows."""
+def _statistics_of(quantity: RequiredQuantity, of: Statistic, unseen: Mapping[str, np.ndarray]) -> Statistics:
+    """A requirement's statistic for the objective, with the `unseen` errors that no plan shows."""
     requirement, elements = quantity.requirement, []
     for e in quantity.elements:
         rows, alone, added = e.contrasts()
@@ -543,7 +547,7 @@ def _statistics_of(quantity: RequiredQuantity, aim: Aim, unseen: Mapping[str, np
         added = added + sum(np.sum((rows @ columns[e.where]) ** 2, axis=1) for columns in unseen.values())
         elements.append(GridElement(e.where, np.asarray(rows), alone, added, e.path))
     shape = len(quantity.temperatures), len(quantity.rates)
-    return Statistics(tuple(elements), shape, aim.statistic, requirement.axis == "all", aim.per_si / aim.limit)
+    return Statistics(tuple(elements), shape, of, requirement.axis == "all")
 
 
 def _gram(rows: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -34,10 +35,10 @@ def shadow_prices(plan: CyclePlan, cycle: RepeatedCycle, value: float) -> tuple[
     """The derivatives in the limits of the objective `value` at an optimal cycle, where that through the free numbers
     vanishes (envelope theorem), with the cost of exceeded targets; by central differences of a compiled value."""
     of = plan.structure(cycle)
-    args = plan.point(cycle, of), jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps
+    args = plan.point(cycle, of), jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, plan.objective.targets
     quickly = compiler_options() | {"xla_backend_optimization_level": 0}
-    log = jax.jit(lambda by: _eased(plan, *args, by), compiler_options=quickly)
-    return priced(value, [PricedLimit(*row) for row in _limits_of(plan)], lambda by: float(log(by)))
+    log = jax.jit(partial(_eased, plan), compiler_options=quickly)
+    return priced(value, [PricedLimit(*row) for row in _limits_of(plan)], lambda by: float(log(*args, by)))
 
 
 def _limits_of(plan: CyclePlan) -> list[tuple[str, str, float, float]]:
@@ -63,7 +64,7 @@ def _limits_of(plan: CyclePlan) -> list[tuple[str, str, float, float]]:
     ]
 
 
-def _eased(plan: CyclePlan, z: Any, of: CycleStructure, ramps: Ramp | None, by: Any) -> Any:
+def _eased(plan: CyclePlan, z: Any, of: CycleStructure, ramps: Ramp | None, targets: Any, by: Any) -> Any:
     """The objective's logarithm with the limits eased `by` so much, SI."""
     limits, ends = plan.limits, np.cumsum([1, *3 * [len(plan.limits.rates)], 1])
     time, rates, accelerations, travel, shortest, slope = jnp.split(by, ends)
@@ -84,7 +85,7 @@ def _eased(plan: CyclePlan, z: Any, of: CycleStructure, ramps: Ramp | None, by: 
         ramps = eased_course.ramps(z[count:], of.period)
     assert ramps is not None
     coordinates = CycleCoordinates(eased, plan.slots)
-    return plan.objective.value(jnp.reshape(z[:count], (3, plan.slots)), of, ramps, _SHARPNESS, coordinates)
+    return plan.objective.value(jnp.reshape(z[:count], (3, plan.slots)), of, ramps, _SHARPNESS, targets, coordinates)
 
 
 def active_limits(plan: CyclePlan, cycle: RepeatedCycle) -> tuple[str, ...]:
@@ -245,7 +246,8 @@ class PoseSearch:
         def descend(cycle: RepeatedCycle) -> tuple[float, RepeatedCycle, int]:
             of = plan.structure(cycle, turnable=turnable)
             point, reached = plan.point(cycle, of), None
-            args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, sharpness)
+            ramps, targets = plan.course(cycle.cycles).ramps, plan.objective.targets
+            args = (jax.tree.map(jnp.asarray, of), ramps, sharpness, targets)
             for reached in plan.descent(point, args, evaluations=evaluations, together=_LOOK):
                 if self._stop() or reached.value > least + _HOPELESS * _LOOK / reached.evaluations:
                     break

@@ -270,14 +270,13 @@ class GridElement(NamedTuple):
 
 
 class Statistics(NamedTuple):
-    """How a requirement sums up its elements on a grid of `shape`; `together`: their root mean square counts, not the
-    worst. `factor`: to the logarithm's unit, that of the target where there is one."""
+    """How a requirement sums up its elements on a grid of `shape`, in SI; `together`: their root mean square counts,
+    not the worst."""
 
     elements: tuple[GridElement, ...]
     shape: tuple[int, int]
     kind: Statistic
     together: bool
-    factor: float
 
     def __call__(self, info: AnyArray, covariance: AnyArray, sharpness) -> AnyArray:
         del info
@@ -292,16 +291,15 @@ class Statistics(NamedTuple):
                 variance = variance - jnp.sum((e.alone @ c) * e.alone, axis=1)
             each.append(smooth_statistic(self.kind, jnp.reshape(jnp.sqrt(variance), self.shape), sharpness))
         together = jnp.stack(each)
-        return self.factor * (jnp.sqrt(jnp.mean(together**2)) if self.together else _largest(together, sharpness))
+        return jnp.sqrt(jnp.mean(together**2)) if self.together else _largest(together, sharpness)
 
 
 class Unnoticed(NamedTuple):
-    """The largest chance that a test misses a hidden map, over the `allowed` one; each map is tested with the
-    parameters `believed` and its own."""
+    """The largest chance that a test misses a hidden map; each map is tested with the parameters `believed` and its
+    own."""
 
     tests: tuple[Missed, ...]
     believed: Int[np.ndarray, " b"]
-    allowed: float
 
     def __call__(self, info: AnyArray, covariance: AnyArray, sharpness) -> AnyArray:
         del covariance
@@ -312,7 +310,7 @@ class Unnoticed(NamedTuple):
             at = np.searchsorted(every, own)
             covariance = inverse(info[every[:, None], every])[at[:, None], at]
             chances.append(test.chance(kept_of(covariance / test.prior_std**2)))
-        return _largest(jnp.stack(chances), sharpness) / self.allowed
+        return _largest(jnp.stack(chances), sharpness)
 
 
 class Together(NamedTuple):
@@ -342,10 +340,12 @@ class Together(NamedTuple):
 
 
 class CycleObjective:
-    """The logarithm of a cycle's residuals over their targets: their mean or the worst, over `models` of the noise
-    likewise, in a mean with their `weights` (`of_logs`, else of the residuals); and `EXCESS` times what the `limiting`
-    ones exceed. `known`: for each model, the information before the plan begins; `geometries`: its table and mountings.
-    `believed`: the parameters that the residuals count, others being zero; `together`: of a fixture of several IMUs."""
+    """The logarithm of a cycle's residuals over their `targets` (SI): their mean or the worst, over `models` of the
+    noise likewise, in a mean with their `weights` (`of_logs`, else of the residuals); and `EXCESS` times what the
+    `limiting` ones exceed. `known`: for each model, the information before the plan begins; `geometries`: its table and
+    mountings. `believed`: the parameters that the residuals count, others being zero; `together`: of a fixture.
+
+    Programs take targets as arguments, so that plans for other targets need none of their own."""
 
     def __init__(
         self,
@@ -355,6 +355,7 @@ class CycleObjective:
         known: Sequence[Float[np.ndarray, "p p"]],
         statistics: Sequence[Statistics | Unnoticed],
         limiting: Sequence[Statistics | Unnoticed],
+        targets: Float[np.ndarray, " m"],
         *,
         believed: Int[np.ndarray, " b"],
         together: Together | None,
@@ -369,7 +370,7 @@ class CycleObjective:
         self.coordinates, self.models, self.known = coordinates, models, known
         self.geometries = [jax.tree.map(jnp.asarray, geometry) for geometry in geometries]
         self.statistics, self.window, self.points = (*statistics, *limiting), window, points
-        self.minimised, self.weights, self.of_logs = len(statistics), weights, of_logs
+        self.targets, self.minimised, self.weights, self.of_logs = targets, len(statistics), weights, of_logs
         self._believed, self._together = believed, together
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
 
@@ -379,13 +380,14 @@ class CycleObjective:
         of: CycleStructure,
         ramps: Ramp,
         sharpness,
+        targets: Float[AnyArray, " m"] | None = None,
         coordinates: CycleCoordinates | None = None,
     ) -> Float[AnyArray, ""]:
         """The objective of a cycle on stacked `ramps`; where it has no value, a large one. `coordinates`: of other
         limits than those of the search."""
         coordinates = coordinates or self.coordinates
         decoded = coordinates.decode(z, of)
-        logs = self.logs(decoded, of, ramps, sharpness)
+        logs = self.logs(decoded, of, ramps, sharpness, targets)
         logs, beyond = logs[:, : self.minimised], logs[:, self.minimised :]
         each = largest_log(logs, sharpness, axis=1) if self.worst else jnp.mean(logs, axis=1)
         if self.worst_model:
@@ -399,15 +401,23 @@ class CycleObjective:
         total = total + coordinates.penalty(decoded, of.period)
         return jnp.where(jnp.isfinite(total), total, _NOWHERE)
 
-    def logs(self, decoded: Decoded, of: CycleStructure, ramps: Ramp, sharpness) -> Float[AnyArray, "s m"]:
-        """The logarithm of every statistic in every model of the noise."""
+    def logs(
+        self,
+        decoded: Decoded,
+        of: CycleStructure,
+        ramps: Ramp,
+        sharpness,
+        targets: Float[AnyArray, " m"] | None = None,
+    ) -> Float[AnyArray, "s m"]:
+        """The logarithm of every statistic over its target in every model of the noise."""
+        targets = self.targets if targets is None else targets
         all_logs, each, own = [], [], self._believed
         for model, geometry, known in zip(self.models, self.geometries, self.known, strict=True):
             on_ramp = partial(self.information, model, geometry, decoded, of)
             each.append(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
         for info in each if self._together is None else self._together.joined(each):
             covariance = inverse(info if len(own) == len(info) else info[own[:, None], own])
-            all_logs.append(jnp.log(jnp.stack([s(info, covariance, sharpness) for s in self.statistics])))
+            all_logs.append(jnp.log(jnp.stack([s(info, covariance, sharpness) for s in self.statistics]) / targets))
         return jnp.stack(all_logs)
 
     def information(

@@ -44,9 +44,9 @@ class Doubt:
     """A place where the number of missing samples is not known for certain, and why."""
 
     row: int
-    """The first sample behind it."""
+    """The first sample after this place."""
     rounds: int
-    """The number counted there; without a trace nothing is counted, and this is the number that the stamps suggest."""
+    """The number of counter periods that are counted as missing or, without a trace, that the stamps suggest."""
     traced: bool
     why: str
 
@@ -72,7 +72,7 @@ class _Window:
     ahead_s: Floats
     """The smallest `late_s` of this arrival and of all later ones within the window."""
     follow: Whole
-    """How many that are."""
+    """Number of these arrivals."""
 
 
 def resolve_wraps(samples: SampleSpool, first: int, end: int, round_samples: int, sample_s: float) -> tuple[Doubt, ...]:

@@ -102,7 +102,7 @@ class Stream:
         self._waiting_samples = 0
         self.first = self.end = len(samples)
         self.restarts: list[int] = []
-        """Rows before which the unit began anew."""
+        """Rows before which the IMU restarted."""
         self.decoder: ImuDecoder | None = None
 
     def configure(self, event: Event) -> None:

@@ -36,7 +36,7 @@ _STALL_S, _STALL_SHARE = 5.0, 0.1
 _SEARCH_TOLD_S = 10.0
 
 Draw = Callable[[Mapping[str, float]], str]
-"""How a unit stands when the axes are at these angles, deg."""
+"""The orientation of an IMU, in words, if the axes are at these angles (deg)."""
 
 
 class AxisControl:

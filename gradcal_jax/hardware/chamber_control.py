@@ -222,7 +222,7 @@ class ChamberControl:
     def tell(self, course: Course, due_s: float, failed: Callable[[str], None]) -> None:
         """Runs in a separate thread: a chamber that takes seconds to acknowledge delays no move and no reading."""
         self.expect(course, due_s)
-        why = "The chamber did not get its temperature profile"
+        why = "The temperature profile could not be sent to the chamber"
         in_thread(lambda: self.follow(course), self._clock, lambda problem: failed(f"{why}: {problem}"))
 
     def stable_at(self, temperature_c: float, wanted: Stable) -> float | None:

@@ -111,7 +111,7 @@ def _chamber_command(course: Course, limits: ChamberLimits | None) -> tuple[str,
 
 def _beyond_chamber(course: Course, limits: ChamberLimits | None) -> list[str]:
     if limits is None:
-        return ["sets a temperature and the rig has no chamber."]
+        return ["sets a temperature, but the rig has no chamber."]
     problems: list[str] = []
     if not limits.lowest_c <= course.temperature_c <= limits.highest_c:
         problems.append(
@@ -241,7 +241,7 @@ def try_longest_moves(bench: Bench, track: Track, clock: Clock) -> list[Tried]:
                         break
                     clock.sleep(0.05)
                 took_s, off = clock.now() - began_s, reading.position_deg - goal
-                text = f"{longest.angle_deg:g} deg in {took_s:.1f} s of {longest.duration_s:.1f}, {off:+.4f} deg off"
+                text = f"{longest.angle_deg:g} deg in {took_s:.1f} s of {longest.duration_s:.1f}, error {off:+.4f} deg"
                 good = not reading.moving and abs(off) < _OFF_GOAL_DEG and took_s < longest.duration_s + _LATE_S
                 trials.append(Tried(name, text, good))
                 if not good:

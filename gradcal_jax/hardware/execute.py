@@ -92,9 +92,9 @@ def run(
         return run_session(new_folder(path, recipe, rig, about=about), rig, RealClock(), guard=True, **attended)
     if sample_rate_hz not in RATES_HZ:
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
-        raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; it does at {known} Hz")
+        raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; possible are {known} Hz")
     if not 1 <= units <= _MOST_UNITS:
-        raise ValueError(f"the simulated table holds 1 to {_MOST_UNITS} IMUs; expected another number than {units}")
+        raise ValueError(f"the simulated table holds 1 to {_MOST_UNITS} IMUs, not {units}")
     simulation = {"seed": seed, "speed": speed, "sample_rate_hz": sample_rate_hz, "units": units}
     lab, clock = _laboratory(recipe, simulation)
     made = new_folder(path, recipe, lab.rig, simulated=simulation, about=about)
@@ -126,12 +126,12 @@ def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
         return
     at_terminal = rig.operator is None or rig.operator.port == TERMINAL
     by_hand = any(axis.driver == OPERATOR for axis in rig.axis)
-    start = "at the terminal, and there is none: start the run from a terminal, without redirected output"
+    start = "at the terminal, but there is none: start the run from a terminal, without redirected output"
     if any(block.hang for block in recipe.motion) and at_terminal and not by_hand:
-        what = "in this recipe the operator changes the mounting of the IMUs, asked"
+        what = "in this recipe the operator is asked to change the mounting of the IMUs"
         raise ValueError(f"{what} {start}, or name a port under [operator] in the rig file")
     if names := [axis.name for axis in rig.axis if axis.port == TERMINAL]:
-        raise ValueError(f"axis {', '.join(names)} is turned by the operator {start}")
+        raise ValueError(f"axis {', '.join(names)} is turned by the operator, who is asked {start}")
 
 
 def _laboratory(

@@ -129,7 +129,7 @@ def _idle_chamber(bounds: InterlockLimits, now: Situation) -> str:
     if now.chamber is None or not now.conditions or now.chamber.conditioning:
         return ""
     return (
-        f"the chamber was commanded to condition and does not: mode {now.chamber.mode}, air at "
+        f"the chamber was commanded to condition the air but does not: mode {now.chamber.mode}, air at "
         f"{now.chamber.air_c:.1f} degC. Check its power, and whether somebody used its panel"
     )
 

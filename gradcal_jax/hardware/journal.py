@@ -287,7 +287,7 @@ def _record(data: bytes, start: int, origin: int, names: dict[int, str]) -> tupl
         return None, start
     payload = data[head + _HEAD.size : end - 4]
     if not math.isfinite(time_s):
-        raise _strange(origin + start, "its time is no number")
+        raise _strange(origin + start, "its time is not a number")
     if kind == _EVENT:
         return _event(origin + start, time_s, payload), end
     return Chunk(time_s, names.get(line, f"line {line}"), kind == _RECEIVED, payload), end
@@ -298,7 +298,7 @@ def _event(start: int, time_s: float, payload: bytes) -> Event:
     try:
         read: Any = json.loads(payload)
     except (ValueError, RecursionError):
-        raise _strange(start, "it is no JSON") from None
+        raise _strange(start, "it is not JSON") from None
     content = cast("dict[str, Any]", read if isinstance(read, dict) else {})
     name: Any = content.pop("event", None)
     if not isinstance(name, str):
@@ -306,7 +306,7 @@ def _event(start: int, time_s: float, payload: bytes) -> Event:
     for field_name, kinds in _FIELDS.get(name, {}).items():
         value = content.get(field_name)
         if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-            raise _strange(start, f"of an event {name!r} the field {field_name!r} is {value!r}")
+            raise _strange(start, f"the field {field_name!r} of an event {name!r} is {value!r}")
     return Event(time_s, name, content)
 
 

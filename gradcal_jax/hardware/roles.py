@@ -308,11 +308,11 @@ class ImuDecoder(Protocol):
     """Pure: the samples depend on the bytes and their stamps only, not on how the stream was cut."""
 
     resolution_s: float
-    """Resolution of the unit's own stamps."""
+    """Resolution of the IMU's own time stamps."""
     sample_s: float
-    """Sampling interval by the unit's own clock."""
+    """Sampling interval by the IMU's own clock."""
     round_samples: int
-    """The number of samples after which the unit's counter wraps; 0 where its stamps are absolute."""
+    """The number of samples after which the IMU's counter wraps; 0 if its time stamps are absolute."""
     repeated_datagrams: int
     """Repeated datagrams, which are ignored."""
 

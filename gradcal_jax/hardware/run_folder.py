@@ -185,13 +185,13 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
     for now in (folder.rig(), rig):
         if now is not None and isinstance(then, dict) and (differences := _differences(then, rig_tables(now))):
             raise RunFolderError(
-                f"The rig is not the one that the run in {folder.path} began with: {'; '.join(differences)}. Put it "
-                "back, or begin a new run."
+                f"The rig is not the one that the run in {folder.path} began with: {'; '.join(differences)}. "
+                "Restore it, or begin a new run."
             )
     if notes.get("version") != version("gradcal_jax"):
         raise RunFolderError(
-            f"The run was begun by gradcal {notes.get('version')} and this is {version('gradcal_jax')}: resume it with "
-            "the version that began it."
+            f"The run was begun by gradcal {notes.get('version')}, but this is {version('gradcal_jax')}: resume it "
+            "with the version that began it."
         )
     contents = folder.events()
     if exit_status(contents) == "success":
@@ -321,7 +321,7 @@ def adopt(folder: RunFolder, recipe: Recipe) -> None:
     apart = [abs(float(part.end) - one.end_s) for part, one in zip(parts, stands, strict=False)]
     if len(parts) != len(stands) or max(apart, default=0.0) > _PLANNED_S or recipe.spec.sensor != before.spec.sensor:
         raise RunFolderError(
-            f"The recipe does not continue the run in {folder.path}: make it by `gradcal optimise {folder.path}`."
+            f"The recipe does not continue the run in {folder.path}: make it with `gradcal optimise {folder.path}`."
         )
     folder.track(recipe)
     names = folder.recipes()

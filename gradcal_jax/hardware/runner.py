@@ -76,13 +76,13 @@ class Runner:
     wait_when_paused: bool = True
     first_step: int = 0
     mounting: int = 0
-    """How the units hang when the run begins, as `Step.mounting`; 0: unknown."""
+    """The mounting of the IMUs when the run begins, as `Step.mounting`; 0: unknown."""
     on_begin: Callable[[], None] = lambda: None
     """Called once, before the first command that can make anything unsafe."""
     on_new_session: Callable[[int], None] = lambda first_step: None
-    """Called where a unit's samples count anew, with the step at which the run goes on."""
+    """Called when the samples of an IMU count again, with the step at which the run continues."""
     draw: Callable[[Mapping[str, float], int], str] | None = None
-    """The drawing of a unit at angles (deg) of the axes, in a mounting, for the operator who turns them."""
+    """A drawing of an IMU at angles (deg) of the axes, in a mounting, for the operator who turns the axes."""
 
     def __post_init__(self) -> None:
         self.state = RunState.IDLE
@@ -268,7 +268,9 @@ class Runner:
         self._event("not done", step=name, number=number, why=why)
         self._tries[number] = self._tries.get(number, 0) + 1
         if self._tries[number] == _TRIES:
-            raise HardwareError(f"Step {name!r} was not executed as written, {_TRIES} times. The last time: {why}.")
+            raise HardwareError(
+                f"Step {name!r} was not executed as the recipe states, in {_TRIES} attempts. The last one: {why}."
+            )
         self._axes.stop()
         self._steps_done = number
         if shortfall.unit:
@@ -355,7 +357,7 @@ class Runner:
             while courses and begin + courses[0].start_s <= self.clock.now():
                 course = courses.pop(0)
                 if (late_s := self.clock.now() - begin - course.start_s) > latest_s:
-                    axes.amiss.append(f"the chamber got its temperature profile {late_s:.1f} s late")
+                    axes.amiss.append(f"the temperature profile was sent to the chamber {late_s:.1f} s late")
                 if self._chamber is not None:
                     self._chamber.tell(course, begin + course.start_s, self._fail)
             while moves and motion + moves[0].start_s <= self.clock.now() and not axes.turned_by_hand:

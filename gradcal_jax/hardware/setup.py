@@ -30,7 +30,7 @@ from .journal import Recorder
 from .transport import Terminal, TextLine, Transport, same_port
 
 LEFT: Final = "left streaming"
-"""What happens to a unit at the end of a run: it has no unsafe state."""
+"""What happens to an IMU at the end of a run: it has no unsafe state."""
 Role = Literal["chamber", "axis", "imu"]
 Device = ChamberDevice | AxisDevice | ImuDevice
 
@@ -249,7 +249,7 @@ class Bench(AbstractContextManager["Bench"]):
     axes: dict[str, roles.MotionAxis] = field(default_factory=dict[str, roles.MotionAxis])
     imus: dict[str, roles.ImuStream] = field(default_factory=dict[str, roles.ImuStream])
     console: roles.OperatorAsked | None = None
-    """Where the operator is asked to hang the units anew."""
+    """Where the operator is asked to change the mounting."""
     lines: dict[str, Transport] = field(default_factory=dict[str, Transport])
     """The open serial line of every device, by its name; absent for the terminal."""
     simulated: bool = False
@@ -364,7 +364,7 @@ class DeviceReport:
     limits: roles.ChamberLimits | roles.AxisLimits | roles.ImuSettings | None = None
     problem: str = ""
     remark: str = ""
-    """What is to be mended though the device answers: it does so late."""
+    """What the operator should correct although the device answers, such as late answers."""
 
     @property
     def good(self) -> bool:
@@ -429,8 +429,8 @@ def require_identity(name: str, entry: Device, identity: roles.Identity) -> None
     """Raises `WrongIdentity` when the rig file names another serial number than the device."""
     if entry.serial_number is not None and entry.serial_number != identity.serial_number:
         raise WrongIdentity(
-            f"{name} at {entry.port} has the number {identity.serial_number or '(it tells none)'}, and the rig "
-            f"file states {entry.serial_number}. Connect the right device or correct the rig file."
+            f"{name} at {entry.port} has the serial number {identity.serial_number or '(none reported)'}, but the "
+            f"rig file states {entry.serial_number}. Connect the right device or correct the rig file."
         )
 
 

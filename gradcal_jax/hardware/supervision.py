@@ -80,13 +80,13 @@ class RunProgress:
     chamber: ChamberReading | None
     axes: Mapping[str, AxisReading]
     course_c: tuple[float, float] | None = None
-    """The lowest and the highest temperature of the air by the recipe now, without the band."""
+    """The lowest and the highest air temperature that the recipe allows now, without the band."""
     samples: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
-    """Samples of each unit: received, and missing between them."""
+    """Samples of each IMU: received, and missing between them."""
     why: str = ""
     """Why the run is paused, or will be."""
     remarks: tuple[str, ...] = ()
-    """What the operator is to mend after the run: devices that answer late."""
+    """What the operator should correct after the run, such as devices that answer late."""
 
 
 STATUS: Final = "status.json"

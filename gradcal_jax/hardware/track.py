@@ -169,7 +169,7 @@ class Track:
                     "direction."
                 )
         if self.steps[0].follows:
-            raise ValueError("The first step follows none.")
+            raise ValueError("The first step cannot follow another step.")
 
     @property
     def duration_s(self) -> float:
@@ -256,7 +256,7 @@ def _course(segment: ChamberSegment, start_s: float) -> Course:
 
 
 Part = tuple[float, TrackStep]
-"""When a step begins, on the clock of its stretch, s; and the step, without the chamber."""
+"""The time at which a step begins (s), on the clock of its stretch, and the step without the chamber."""
 
 
 def _stretch(

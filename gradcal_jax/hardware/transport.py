@@ -30,7 +30,7 @@ Parity = Literal["N", "E", "O"]
 _MOST = 65536  # bytes read at once
 _WRITE_TIMEOUT_S = 2.0
 owner = ""
-"""What holds the ports of this process, for whoever finds one taken; empty: its number is said."""
+"""What uses the ports of this process, for messages of other processes; empty: the process is named by its number."""
 
 
 def same_port(url: str) -> str:

@@ -214,7 +214,7 @@ def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:
     asked = [step for number, step in enumerate(steps) if step.mounting and step.goes_there]
     assert [step.mounting for step in asked] == [1, 2, 3]
     assert asked[1].hang == "mounting 2 (y along the axis): x along +z, y along +x, z along +y"
-    with pytest.raises(ValueError, match="the operator changes the mounting of the IMUs, asked at the terminal"):
+    with pytest.raises(ValueError, match="the operator is asked to change the mounting of the IMUs at the terminal"):
         execute.run(recipe, tmp_path / "run", rig=one_axis_rig())
     assert not (tmp_path / "run").exists()
 

@@ -242,7 +242,7 @@ def test_a_chamber_that_was_commanded_to_condition_and_does_not_pauses_the_run(
         assert runner.run().exit_status == "success"
     (tripped,) = events(tmp_path, "interlock")
     assert tripped.data["rule"] == "idle chamber"
-    assert "was commanded to condition and does not: mode" in why[0]
+    assert "was commanded to condition the air but does not: mode" in why[0]
 
 
 def test_a_pause_that_nobody_ends_ends_the_run(tmp_path: Path) -> None:

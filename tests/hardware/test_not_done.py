@@ -94,7 +94,7 @@ def test_a_host_that_is_always_late_ends_the_run_with_a_sentence(tmp_path: Path)
         once_turning(rig, runner, lambda: runner.clock.sleep(8.0), times=1000)
         result = runner.run()
         assert result.exit_status == "aborted"
-        assert "was not executed as written, 3 times" in result.reason
+        assert "was not executed as the recipe states, in 3 attempts" in result.reason
         assert result.verified_safe
         assert result.steps_done < len(runner.track.steps)
 

@@ -271,7 +271,7 @@ def test_what_a_person_cannot_be_is_refused(change: tuple[str, str], said: str) 
 
 def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
     rig = parse_rig(BY_HAND)
-    with pytest.raises(ValueError, match="axis x is turned by the operator at the terminal, and there is none"):
+    with pytest.raises(ValueError, match="axis x is turned by the operator, who is asked at the terminal, but"):
         run(hand_recipe(), tmp_path / "run", rig=rig)
     assert not (tmp_path / "run").exists()
     # Asked what it is, it answers; making it safe asks nobody.

@@ -87,7 +87,7 @@ def test_a_chamber_from_its_description_alone() -> None:
         assert (chamber.read().setpoint_c, chamber.read().mode) == (-12.5, "RUN")
         with pytest.raises(LimitExceeded, match="outside -40 to 150 degC"):
             chamber.hold(151.0)
-        with pytest.raises(Rejected, match="ramps it by steps"):
+        with pytest.raises(Rejected, match="makes them by steps"):
             chamber.ramp(30.0, 1.0)
         assert chamber.safe(ChamberSafe.STANDBY).verified
         assert device.words[3, 23] == 0

@@ -132,7 +132,7 @@ def test_a_crafted_journal_is_a_sentence(payload: bytes) -> None:
     with pytest.raises(HardwareError, match="no run of this program wrote, at byte") as caught:
         parse_journal(record(json.dumps(GOOD).encode()) + record(payload))
     assert str(caught.value).endswith("Copy the original journal of the run again.")
-    with pytest.raises(HardwareError, match="its time is no number"):
+    with pytest.raises(HardwareError, match="its time is not a number"):
         parse_journal(record(json.dumps(GOOD).encode(), time_s=float("nan")))
     contents = parse_journal(record(json.dumps(GOOD).encode()))
     assert (sessions(contents), steps_done(contents)) == (1, 0)

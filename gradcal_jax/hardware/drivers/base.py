@@ -329,7 +329,7 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         if "ramp" not in self._config.described.tell:
-            raise Rejected(f"The protocol of {self._title} has no ramps: the run ramps it by steps of its set point.")
+            raise Rejected(f"The protocol of {self._title} has no ramps: the run makes them by steps of the set point.")
         limits = self.limits()
         if not max(limits.slowest_ramp_k_per_min, 1e-9) <= rate_k_per_min <= limits.fastest_ramp_k_per_min:
             raise LimitExceeded(f"{rate_k_per_min:g} K/min is outside the range of {self._title}.")

@@ -280,7 +280,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
         if "spin" not in self._protocol.tell:
-            raise Rejected(f"The protocol of {self._title} has no constant rates: make turns of them.")
+            raise Rejected(f"The protocol of {self._title} has no command for a constant rate: use turns in the plan.")
         self._check(abs(rate_dps), acceleration_dps2)
         self._require_ready(referenced=False)
         self._power_on()

@@ -101,7 +101,7 @@ def parse_numbers(frame: bytes, count: int = 1) -> list[float]:
     """One number of a property, or the position and velocity of the feedback."""
     texts = parse_line(frame).split(" ")
     if len(texts) != count or not all(map(_NUMBER.fullmatch, texts)):
-        raise FramingError(f"It answered {printable(frame)!r}; numbers expected: {count}.")
+        raise FramingError(f"The reply {printable(frame)!r} does not have the expected number of numbers, {count}.")
     return list(map(float, texts))
 
 
@@ -283,7 +283,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         self._tell("sc")
         if self._faults():
             raise DeviceFault(
-                f"The controller still reports {', '.join(faults)} after its errors were cleared. See to the cause."
+                f"The controller still reports {', '.join(faults)} after its errors were cleared. Remove the cause."
             )
         self._cleared = faults
 

@@ -160,6 +160,8 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
         if power not in self._powers:
             places = self._number(power)
             if places not in range(7):
-                raise FramingError(f"{self._title} says {places:g} decimals in {power}; 0 to 6 were expected.")
+                raise FramingError(
+                    f"{self._title} reports {places:g} decimals in register {power}; 0 to 6 were expected."
+                )
             self._powers[power] = int(places)
         return self._powers[power]

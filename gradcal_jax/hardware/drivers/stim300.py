@@ -311,7 +311,7 @@ class Stim300Config:
 
     def __post_init__(self) -> None:
         if self.sample_rate_hz not in SAMPLE_RATE_CODES:
-            raise ValueError(f"sample_rate is {self.sample_rate_hz:g} /s; the unit has 125, 250, 500, 1000, 2000.")
+            raise ValueError(f"sample_rate is {self.sample_rate_hz:g} Hz; the IMU has 125, 250, 500, 1000 and 2000.")
         bits = 1 + 8 + (self.parity != "N") + self.stopbits
         needed = 1.1 * bits * LAYOUTS[CONTENTS[self.datagram][1]].length * self.sample_rate_hz
         if self.baudrate < needed:
@@ -434,4 +434,4 @@ class Stim300Stream(ImuDriver[Stim300Config]):
             return
         self._ask(f"s{name}", code)
         if (shown := self._ask(f"i{name}")[0]) != str(code):
-            raise NotVerified(f"The unit got ${name} = {code} and reports {shown}.")
+            raise NotVerified(f"${name} of the IMU was set to {code}, but it reports {shown}.")

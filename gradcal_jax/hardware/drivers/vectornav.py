@@ -208,7 +208,7 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
         self._ask(f"VNWRG,{register:02d},{values}", ["VNWRG", str(register)])
         shown = self._read(register)
         if not _same(shown, values):
-            raise NotVerified(f"Register {register} got {values} and reports {shown}.")
+            raise NotVerified(f"Register {register} was set to {values}, but it reports {shown}.")
 
 
 def _same(shown: str, wanted: str) -> bool:

@@ -88,7 +88,7 @@ def parse_reply(frame: bytes, *, demand_checksum: bool) -> Reply:
     text = frame[:1] + (body if checked else frame[1:])
     match = _REPLY.fullmatch(text.decode("ascii", "replace"))
     if match is None:
-        raise FramingError(f"{printable(frame)!r} is no Zaber reply. Check port and baud rate.")
+        raise FramingError(f"{printable(frame)!r} is not a Zaber reply. Check port and baud rate.")
     number = int(match[3]) if match[3] is not None else None
     return Reply(
         int(match[1]), int(match[2]), number, match[4] == "OK", match[5] == "BUSY", match[6], match[7], checked

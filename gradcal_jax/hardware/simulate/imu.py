@@ -69,9 +69,9 @@ class LoopTruth:
 
 
 Loop = Callable[[Vectors, float], Vectors]
-"""The errors of a loop `(n, 3)` at consecutive temperatures `(n,)`, with their period, s: by another law than the
-estimator's plays; scaled by half of what heating and cooling differ by over a wide cycle (relays), or on a ramp
-(thermal masses). A law's own function has no size: `(n,)`, ±1 on wide legs."""
+"""The errors `(n, 3)` of a hysteresis loop at consecutive temperatures `(n,)`, with their period (s), by another model
+than the estimator's plays. Their size is half the difference between heating and cooling, over a wide cycle (relays) or
+on a ramp (thermal masses). The function of a model itself has the size 1: `(n,)`, ±1 on wide legs."""
 
 
 def _relays(truth: LoopTruth, temperature_c: float) -> Loop:
@@ -230,8 +230,8 @@ FACTORS: Final[Mapping[str, Callable[[Vectors, Vectors], NDArray[np.float64]]]] 
     "force squared": lambda own, force: force[:, None] ** 2,
     "products": lambda own, force: (force[:, [0, 0, 1]] * force[:, [1, 2, 2]])[:, None],
 }
-"""The factors of an error: of the inputs of three sensors and the specific force, `(n, 3)` each, `(n, 3 or 1, k)`: by
-sensor axis, or the same for all. The products are xy, xz and yz."""
+"""The factors `(n, 3 or 1, k)` of an error, for each sensor axis or the same for all, as functions of the inputs of
+three sensors and of the specific force, `(n, 3)` each. The products are xy, xz and yz."""
 
 
 @dataclass(frozen=True)

@@ -140,9 +140,9 @@ def diagnosis_sentences(residual: np.ndarray, time_s: np.ndarray, moved: np.ndar
         )
     if seen.motion_tells:
         sentences.append(
-            f"readings after moves differ by {seen.moving:.3g} times the noise of the spec, those at rest by "
-            f"{seen.resting:.3g} times: vibration during moves, wobble or angle errors of the table, its timing, "
-            "or a changing scale factor"
+            f"the residuals after moves are {seen.moving:.3g} times the noise of the spec, those at rest "
+            f"{seen.resting:.3g} times: is there vibration during moves, wobble of the table, an error of its angle or "
+            "its timing, or a changing scale factor?"
         )
     return sentences
 
@@ -326,7 +326,7 @@ def lacks_of(spec: Spec, logs: Sequence[Log]) -> str | None:
     text = f"the log ends at {recorded:.4g} s of the plan's {planned:.4g} s ({recorded / planned:.0%})"
     whole, part = requirement_rows(spec), requirement_rows(spec, until)
     said = [_beside(one, other) for one, other in zip(part, whole, strict=True)]
-    return f"{text}: the executed part alone predicts, by the named terms, {'; '.join(said)}" if said else text
+    return f"{text}; predicted for the executed part, from the terms in the spec: {'; '.join(said)}" if said else text
 
 
 def _recorded_s(log: Log) -> float:
@@ -338,7 +338,7 @@ def _recorded_s(log: Log) -> float:
 
 def _beside(part: RequirementRow, whole: RequirementRow) -> str:
     left, planned = ("nothing" if v is None else f"{v:.4g} {part.unit}" for v in (part.decisive, whole.decisive))
-    return f"{left} of {part.name} (the whole plan {planned})"
+    return f"{left} of {part.name} (for the whole plan: {planned})"
 
 
 class MeasuredDiscrepancy(NamedTuple):
@@ -433,5 +433,5 @@ def noise_sentences(tests: Consistency, larger: bool, what: str) -> list[str]:
         return []
     return [
         f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: its figures are larger than "
-        f"those of this {what}'s"
+        f"the noise of this {what}"
     ]

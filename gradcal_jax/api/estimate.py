@@ -113,17 +113,17 @@ class SensorEstimate(NamedTuple):
     gravity: tuple[float, float] | None
     messages: tuple[str, ...]
     lag: Lag = Lag(0.0)
-    """Of the maps behind the temperature."""
+    """Lag of the maps behind the measured temperature."""
     path: PathDependence | None = None
-    """Where heating and cooling disagree, what they differ by, and the terms that explain it."""
+    """If heating and cooling disagree: their difference, and the terms that explain it."""
     smoothness: Smoothness | None = None
-    """That at which the data are most probable, if it was asked for."""
+    """The smoothness at which the data are most probable, if it was requested."""
     neighbours: Mapping[str, tuple[Group, ...]] = MappingProxyType({})
-    """Of each gyro, mean scale factors without a structure, if they were asked for."""
+    """For each gyro: mean scale factors without a map, if they were requested."""
     counts: Mapping[str, int] = MappingProxyType({})
     """Numbers of rows used and left out, by reason; they add up to the rows read."""
     structure: tuple[tuple[str, StructureTest], ...] = ()
-    """Of each gyro (by name), a test of every polynomial map for more structure."""
+    """For each gyro (by name): a test of every polynomial map for more structure."""
     curves: tuple[BiasCurve, ...] = ()
     """The bias of every channel over the path of the temperature."""
 
@@ -153,7 +153,7 @@ class EstimateReport(NamedTuple):
     sensors: tuple[SensorEstimate, ...]
     discrepancies: tuple[MeasuredDiscrepancy, ...] = ()
     joined: tuple[Calibration, ...] = ()
-    """Of sensors whose channels were estimated each by itself, the calibrations of all channels."""
+    """If the channels of a sensor were estimated separately: the calibrations of all its channels."""
 
     __repr__ = summary
     _repr_html_ = html
@@ -509,7 +509,7 @@ def _words(report: SensorEstimate, solution: ImuEstimate) -> list[str]:
     values = model.to_reported @ report.solution.parameters
     sentences += turned_together(model.names(), values, prior_deviations(report.built))
     if report.calibration.unobservable:
-        sentences.append(f"the data say nothing of {', '.join(report.calibration.unobservable)}")
+        sentences.append(f"not observable: {', '.join(report.calibration.unobservable)}")
     return sentences
 
 

@@ -278,7 +278,10 @@ def _words(
             "acceleration sensitivity explain, probably because of drift. The covariance includes it"
         )
     if not (white := tests["accelerometers: whiteness from position to position"]).passed:
-        yield f"|f| - g is correlated from position to position (chance {white.probability:.1g}): it warms or ages"
+        yield (
+            f"|f| - g is correlated from position to position (p-value {white.probability:.1g}): the IMU warms up "
+            "or ages"
+        )
     if earth_up == 0.0:
         yield (
             "the Earth's rate along the vertical, up to 15 deg/h at 1 g, is in the sensitivities to acceleration; "

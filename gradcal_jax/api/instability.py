@@ -52,9 +52,9 @@ class RestRecord:
     thermal: identify.ThermalBias | None
     messages: tuple[str, ...]
     lost: str = ""
-    """Of a record in pieces: how many rows were lost to what, and what helps."""
+    """If the record has gaps: the numbers of lost rows, by reason, and what helps."""
     samples_per_row: float = 1.0
-    """Samples of the sensor for each row, where rows are single ones of them; NaN: many, by no stated number."""
+    """If rows are single samples: the number of samples of the sensor for each row; NaN: unknown, but more than one."""
     part: str = ""
     """Which part of a record this is, in words; empty: all of it."""
 
@@ -490,18 +490,18 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
         )
     if fit.low_passed:
         notes.append(
-            f"a low-pass averages the samples: times below {fit.fitted_time_s[0]:.3g} s are left out of the fit, and "
-            "quantisation cannot be estimated"
+            f"a low-pass filter averages the samples: averaging times below {fit.fitted_time_s[0]:.3g} s are left "
+            "out of the fit, and quantisation cannot be estimated"
         )
     if fit.chance < identify.MISFIT:
         last = fit.fitted_time_s[-1]
         notes.append(
             f"the fitted terms do not follow the curve (χ² {fit.chi_squared:.4g} of {fit.chi_squared_degrees} "
-            f"degrees; {identify.MISFIT:.0%} of records of such noise differ as much), least of all near "
-            f"{fit.farthest_time_s:.3g} s: the record has other effects (a trend, an oscillation, a thermal "
+            f"degrees; {identify.MISFIT:.0%} of records of such noise differ as much), and it differs most "
+            f"near {fit.farthest_time_s:.3g} s: the record has other effects (a trend, an oscillation, a thermal "
             "effect); "
             + (
-                f"times above {last:.3g} s are left out of the fit"
+                f"averaging times above {last:.3g} s are left out of the fit"
                 if last < fit.averaging_time_s[-1] / 2
                 else "the standard errors are widened by that"
             )

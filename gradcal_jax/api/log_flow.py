@@ -374,7 +374,7 @@ gradient    = "1 K/min"
 read_every  = "1 s"
 """
     words = (
-        f"axis {axis}: noise by the record: angle random walk {number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h), "
+        f"axis {axis}: noise from the record: angle random walk {number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h), "
         f"bias instability {number(slow.bias_instability * DEG_PER_H)} deg/h, and a drift of "
         f"{number(slow.drift_std * DEG_PER_H)} deg/h with the record's length as correlation time (posterior mean)"
     )

@@ -31,19 +31,19 @@ class Options:
     """Options of an estimate; `api.log_flow.estimate` explains each."""
 
     earth_rate: float | None = None
-    """Earth rate along the sensor's axis, rad/s; it is subtracted. None: the spec's, or else none."""
+    """Earth rate along the sensor's axis, rad/s; it is subtracted. None: that of the spec, if it states one."""
     robust: bool = False
     threshold: float = HUBER
     lag: float | Literal["fit"] = 0.0
     """Lag of the maps behind the measured temperature, s; "fit": estimated."""
     smoothness: Literal["spec", "auto"] = "spec"
     clock: Literal["sensor", "host"] | None = None
-    """None: the spec's, or else the computer's where the log has both."""
+    """None: that of the spec; if it states none and the log has both, the computer's."""
     read_every: float | None = None
-    """s, of a log with the angle at every row; None: as the spec says, or else every second."""
+    """Time between readings (s) of a log with the angle in every row; None: that of the spec, otherwise 1 s."""
     table_axis: str | None = None
     neighbours_k: float | None = None
-    """Also group moves of one rate within this temperature difference, without a structure; K."""
+    """Also average moves of one rate within this temperature difference (K), without a map."""
     temperature_c: float | None = None
     """Temperature of a log without a thermometer, °C."""
 
@@ -246,7 +246,7 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
         clock = "host" if both and better else "sensor"
         if clock == "sensor" and spec.sensor.takes_host_clock:
             said.append(
-                f"the log does not compare the sensor's clock with the computer's: its {error} count, while a "
+                f"the log does not compare the sensor's clock with the computer's: an error of {error} counts, but a "
                 f"prediction from the spec counts {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
             )
     # Every log has a slope of its own to the host's clock; the error that they share is at most the largest.

@@ -282,7 +282,7 @@ def read_checkpoint(path: Path, spec: Spec) -> dict[str, np.ndarray]:
         return arrays
     except (OSError, KeyError, zipfile.BadZipFile, EOFError) as error:
         raise ValueError(
-            f"{path} cannot be read_checkpoint as a search saved by optimise: start again, without --resume"
+            f"{path} cannot be read as a search saved by optimise: start again, without --resume"
         ) from error
 
 

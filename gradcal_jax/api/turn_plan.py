@@ -308,7 +308,7 @@ def _cycles(
     else:
         choices = [(repetitions(time, own, own + other)[0], own, other)]
         if choices[0][0] == 0:
-            raise ValueError(f"one visit takes {own:.4g} s, the ramp only {time:.4g} s: give it more time")
+            raise ValueError(f"one visit takes {own:.4g} s, and the ramp only {time:.4g} s: lengthen the ramp")
     candidates = []
     # Many short visits have more numbers than a search can tell apart: they begin with the same moves in each.
     many = choices[0][0] > _MOST_OWN and "cycles" not in design.model_fields_set
@@ -338,8 +338,8 @@ def _cycles(
             free=free,
             longest_piece=min(longest_piece(gyro_of(s)) for s in (spec, *scenarios)),
         )
-        kind = "the same moves in each" if alike else "moves of their own"
-        words = f"{cycles * groups} turns at the table of {each:.4g} s, {kind}"
+        kind = "the same moves in each" if alike else "each with its own moves"
+        words = f"{cycles * groups} visits of {each:.4g} s, {kind}"
         start = None if own_plan is None else _among(coordinates, cycle.moves)
         candidates.append(Structure(coordinates, words, start))
     # A program of its own, for a plan of more moves than are searched.
@@ -414,7 +414,7 @@ def _unsuited(moves: Sequence[ResolvedMove]) -> str:
     )
     if len(spacings) > 1 or any(m.other_axes for m in moves):
         several = f"are read {' and '.join(spacings)}" if len(spacings) > 1 else "are partly for other axes"
-        return f"optimise reads all rests in the same way, and these {several}: give them one read_every"
+        return f"optimise reads all rests in the same way, but these {several}: give them one read_every"
     return ""
 
 

@@ -443,17 +443,16 @@ class TurnSearch:
         if last.trouble:
             sentence = f"the optimum cannot be rounded to the controllers' steps: {last.trouble}"
         elif not np.isfinite(last.value):
-            hint = "give finer ones"
+            hint = "give finer steps"
             name = design_of(spec).minimise
             if any(r.name == name and r.quantity in ("heading", "north") for r in spec.requirement):
-                hint = (
-                    "add priors for the maps, or targets for other requirements: a mission alone constrains little else"
-                )
+                hint = "add priors for the maps, or targets for other requirements: a mission alone determines few maps"
             sentence = f"rounded to the controllers' steps, the plan does not observe enough: {hint}; {sentence}"
         elif last.value > (1.0 + _DEAR) * optimum.value:
             more = 100.0 * (last.value / optimum.value - 1.0)
             sentence += (
-                f"; rounding to the controllers' steps and whole readings costs {more:.2g} % of it: give finer ones"
+                f"; rounding to the controllers' steps and to whole readings increases the objective by {more:.2g} %: "
+                "give finer steps"
             )
         compiled = self._of.compiled(self._choices[self._best.structure].coordinates)
         ends = [exactly(compiled, end) for end in self._best.state.points]

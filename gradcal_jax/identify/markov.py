@@ -113,7 +113,7 @@ _DRAWS, _SEED = 1000, 1431
 # Correlation times in the shortest record of a drift.
 _OF_TAU = 20.0
 LONGEST_S = 14 * 86400.0
-"""The longest record that is thought of, s."""
+"""The longest record that is considered, s."""
 
 
 class CoefficientErrors(NamedTuple):

@@ -26,7 +26,7 @@ def test_an_axis_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predic
     report = estimate_log(spec, [part])
     (calibration,), (said,) = report.calibrations, report.messages.values()
     assert calibration.lacks is not None
-    assert f"of the plan's {planned:.4g} s (60%): the executed part alone predicts" in calibration.lacks
+    assert f"of the plan's {planned:.4g} s (60%); predicted for the executed part" in calibration.lacks
     assert calibration.lacks in said
     assert calibration.lacks in estimate_rows(report)["units"][0]["messages"]
     assert calibration.lacks in report_data_of(Sources(calibration=calibration)).notes
@@ -49,7 +49,7 @@ def test_a_unit_s_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predi
     (report,) = estimate_sensors(spec, [part])
     lacks = report.calibration.lacks
     assert lacks is not None
-    assert "(85%): the executed part alone predicts" in lacks
+    assert "(85%); predicted for the executed part" in lacks
     assert report.messages[0] == lacks
     assert lacks in report_data_of(Sources(calibration=report.calibration)).notes
     for before, after in zip(requirement_rows(spec, float(part.time_s[-1])), report.requirements, strict=True):

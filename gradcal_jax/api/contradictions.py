@@ -422,8 +422,8 @@ def not_valid(contradicted: Sequence[str]) -> list[str]:
     return [f"not valid: {'; '.join(contradicted)}: the data contradict the model, and no stated uncertainty holds"]
 
 
-def noise_sentences(tests: Consistency, larger: bool, what: str) -> list[str]:
-    """A sentence where the residuals are `larger`, or far smaller, than the spec's noise says."""
+def noise_sentences(tests: Consistency, larger: bool) -> list[str]:
+    """A sentence if the residuals are `larger`, or far smaller, than the noise of the spec."""
     if larger:
         return [
             f"the residuals are {tests.noise_scale:.3g} times the noise of the spec: the model is incomplete, or "
@@ -433,5 +433,5 @@ def noise_sentences(tests: Consistency, larger: bool, what: str) -> list[str]:
         return []
     return [
         f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: its figures are larger than "
-        f"the noise of this {what}"
+        "the noise of this sensor"
     ]

@@ -479,10 +479,10 @@ def _words(report: SensorEstimate, solution: ImuEstimate) -> list[str]:
     sentences = not_valid([name.replace("_", " ") for name in failed])
     if solution.moved > 1e-2:
         sentences.append(
-            f"the estimate has not converged: its last step is {solution.moved:.2g} of its standard deviations; "
+            f"the estimate has not converged (last step: {solution.moved:.2g} standard deviations): "
             "the table differs from the spec by more than small angles"
         )
-    sentences += noise_sentences(tests, "chi-squared of the fit" in failed, "unit")
+    sentences += noise_sentences(tests, "chi-squared of the fit" in failed)
     for name, (size, _) in report.channels.items():
         where = name.replace("_", " ")
         if f"{name}: chi-squared" in failed:

@@ -287,7 +287,7 @@ def _words(
             "the Earth's rate along the vertical, up to 15 deg/h at 1 g, is in the sensitivities to acceleration; "
             "--latitude subtracts it"
         )
-    yield f"the accelerometers' scale factors are as accurate as g: {gravity:.6g} m/s²"
+    yield f"the accelerometers' scale factors are no more accurate than the stated gravity, {gravity:.6g} m/s²"
 
 
 def hand_estimate_rows(report: HandReport) -> dict[str, Any]:

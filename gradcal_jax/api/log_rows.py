@@ -222,10 +222,10 @@ def clock_fit(log: Log) -> ClockFit:
         exact = spread <= np.spacing(max(np.abs(log.time_s).max(), np.abs(log.host_time_s).max()))
         if exact:
             return ClockFit(slope, None, "")
-        return ClockFit(slope, spread / float(levers.sum()) ** 0.5, " from the stamps' scatter")
+        return ClockFit(slope, spread / float(levers.sum()) ** 0.5, " from the scatter of the time stamps")
     slopes = np.add.reduceat(sensor * host, starts) / levers
     slope = float(np.average(slopes, weights=stds**-2.0))
-    return ClockFit(slope, float(np.sum(stds**-2.0)) ** -0.5, " from when its samples arrived")
+    return ClockFit(slope, float(np.sum(stds**-2.0)) ** -0.5, " from the arrival times of its samples")
 
 
 def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spec, Options, list[str]]:

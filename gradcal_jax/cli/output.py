@@ -65,7 +65,7 @@ def save_figure(draw: "Callable[[Any], Figure]", plot: Path | None, *, quiet: bo
 
 DONE: Final = 0
 NOT_AS_WISHED: Final = 1
-"""Done, but a target is missed, a search has not converged, data contradict their model."""
+"""Done, but a target is missed, a search has not converged, or the data contradict the model."""
 WRONG_INPUT: Final = 2
 FAILED: Final = 3
 """A device or a run failed."""

@@ -135,7 +135,8 @@ class CourseRow(Section):
     used: bool = True
     """False if the data are not part of the calibration."""
     temperature_start: Finite
-    """The chamber's at the start (°C); where it differs from that at the end of the previous one, it steps."""
+    """Temperature of the chamber at the start (°C); if it differs from that at the end of the previous segment, the
+    chamber steps."""
     temperature_end: Finite
     """Temperature of the chamber at the end (°C); in between, it is linear in time."""
     temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None

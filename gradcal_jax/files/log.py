@@ -34,8 +34,8 @@ FORMAT: Final = "gradcal-log/1"
 SERIAL_NUMBER: Final = "serial_number"
 """Key, in the provenance of a log and of its calibration, of the serial number that the device itself stated."""
 SENSOR_RATE: Final = "sensor_rate"
-"""Key, in the provenance of a log, of the sensor's own sample rate ("400 Hz") if rows are single samples; "means" if
-rows are means of samples; "unknown" if the rows of a raw channel are far apart and the source does not say which."""
+"""Key, in the provenance of a log, of the sensor's own sample rate ("400 Hz") if rows are single samples; "means": rows
+are means of samples; "unknown": the rows of a raw channel are far apart, and may be either."""
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 Flags = NDArray[np.uint16]
@@ -163,7 +163,7 @@ VARIABLES: Final[Mapping[str, LogVariable]] = {
         ("rate", "rate_rad_per_s", "unit time axis", np.float64, "rad s-1", "mean angular rate since the previous row"),
         ("specific_force", "specific_force_m_per_s2", "unit time force_axis", np.float64, "m s-2", "specific force"),
         ("temperature", "temperature_c", "unit time", np.float64, "degC", "temperature of the sensor"),
-        ("second_temperature", "second_temperature_c", "unit time", np.float64, "degC", "of its second thermometer"),
+        ("second_temperature", "second_temperature_c", "unit time", np.float64, "degC", "second thermometer"),
         ("table_angle", "table_angle_rad", "time table_axis", np.float64, "rad", "angle of the table, not wrapped"),
         ("table_course", "table_course_rad", "time table_axis", np.float64, "rad", "reconstruction between readings"),
         ("table_rate", "table_rate_rad_per_s", "time table_axis", np.float64, "rad s-1", "rate of the table"),
@@ -180,7 +180,7 @@ OF_READINGS: Final[Mapping[str, LogVariable]] = {
     f"reading_{name}": LogVariable(field, ("reading",), kind, unit, words)
     for name, field, kind, unit, words in (
         ("time", "time_s", np.float64, "s", "when the table's angle was read, by the log's clock"),
-        ("row", "row", np.int64, "1", "row at whose end the axis is at this angle"),
+        ("row", "row", np.int64, "1", "row at the end of which this angle is valid"),
         ("axis", "axis", np.int64, "1", "number of the table axis, from 0"),
         ("angle", "angle_rad", np.float64, "rad", "angle read, not wrapped"),
         ("std", "standard_deviation_rad", np.float64, "rad", "standard deviation; NaN: as the spec says"),
@@ -226,20 +226,20 @@ class Log:
     time_s: Floats
     """[time]"""
     rate_rad_per_s: Floats
-    """[unit, time, axis]; no axis where the unit has accelerometers alone."""
+    """[unit, time, axis]; no axis if the IMU has only accelerometers."""
     units: tuple[str, ...]
     axes: tuple[str, ...]
     temperature_c: Floats | None = None
     """[unit, time]"""
     table_axes: tuple[str, ...] = ()
     table_angle_rad: Floats | None = None
-    """[time, table axis]; not wrapped. The encoder's at every row, by a logger that read it there."""
+    """[time, table axis]; not wrapped. The encoder's angle in every row, if a logger recorded it so."""
     table_rate_rad_per_s: Floats | None = None
     """[time, table axis]"""
     standstill: Whole | None = None
     """[time]; the number of the standstill a row belongs to, -1 while the table moves."""
     mounting: Whole | None = None
-    """[time]; the number of the unit's mounting in its spec, from 0. `None`: always the first."""
+    """[time]; the number of the IMU's mounting in its spec, from 0. `None`: always the first."""
     host_time_s: Floats | None = None
     """[time]; the computer's stamp of each row, where the sensor has a clock of its own."""
     status: Flags | None = None
@@ -256,11 +256,11 @@ class Log:
     """[unit, time, force axis]; +1 g along an axis that points up at rest."""
     force_axes: tuple[str, ...] = ()
     readings: AngleReadings | None = None
-    """Of the table's angle. `None`: where they were taken is not recorded, and `table_angle_rad` holds at every row."""
+    """Readings of the table's angle. `None`: their times are not recorded; `table_angle_rad` is valid in every row."""
     table_course_rad: Floats | None = None
     """[time, table axis]; the angle reconstructed between readings, for pictures."""
     second_temperature_c: Floats | None = None
-    """[unit, time]; of the sensor's second thermometer."""
+    """[unit, time]; temperature of the second thermometer."""
 
     __repr__ = summary
     _repr_html_ = html

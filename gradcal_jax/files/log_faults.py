@@ -32,7 +32,7 @@ _GAP: Final = 1.6
 _WINDOW: Final = 5
 """Rows on either side over which stamps make up for jitter."""
 _SHORT, _OFTEN = 0.3, 0.05
-"""Intervals so short against the median, in so large a share, are those within bursts."""
+"""If a larger share of the intervals than `_OFTEN` is shorter than `_SHORT` medians, the stamps come in bursts."""
 _MANY_ROWS: Final = 20
 """A smaller number of rows does not count as many."""
 _COARSE: Final = 0.1
@@ -51,7 +51,7 @@ _OTHER_RATE: Final = 0.2
 """If stamps differ from the stated rate by a larger share than this, a clock error cannot be the reason."""
 _BLOCKS: Final = 50
 _TURNS, _IN_TURNS = 8, 3.0
-"""Most sensors whose rows are in turns, and how many times farther from one another neighbours are then."""
+"""Largest number of sensors whose rows may alternate, and least ratio of the differences between neighbours then."""
 _ABSURD: Final = 1e12
 """A number of this size or larger (time in s, rate or temperature) is not a reading."""
 _FACTORS: Final[Mapping[str, float]] = {

@@ -302,7 +302,7 @@ def _place(source: Source, header: list[str], named: bool) -> int:
         raise LogError(f"{source.words()} is a name, and the file has no header: give the number of the column, from 0")
     if source.column not in header:
         apart = next((name for mark, name in _APART.items() if len(header) == 1 and mark in header[0]), None)
-        hint = f'; or must delimiter = "{apart}" be written under [csv]?' if apart else ""
+        hint = f'; or is delimiter = "{apart}" missing under [csv]?' if apart else ""
         raise LogError(f"there is no {source.words()}; {instead(source.column, header)}{hint}")
     if header.count(source.column) > 1:
         places = " or ".join(str(place) for place, name in enumerate(header) if name == source.column)

@@ -34,7 +34,7 @@ class SiteRow(Section):
 
 
 class TableAxisRow(Section):
-    """A table axis, outermost first. Where it is held, its encoder error at each standstill has the variance
+    """A table axis, outermost first. If it is held at rest, its encoder error at each standstill has the variance
     standstill_offset² + reading_noise²/n, with n = 1 + the whole number of `read_every` in the standstill."""
 
     name: str
@@ -84,9 +84,9 @@ class TermRow(rows.MapRow):
 class PathTermRow(Section):
     """A function of the path of temperature times the product of `signals`, as of `TermRow`. By `kind`:
 
-    "hysteresis": of the two extreme states of a play, `P = max(T − width, min(T + width, P⁻))` from P = T ± width at
-    the beginning of the temperature profile, soaks included: the functions (high + low)/2 − T and
-    (high − low)/(2 width). "temperature gradient": dT/dt. "transient": exp(−t/time_constant), t from the beginning of
+    "hysteresis": the functions (high + low)/2 − T and (high − low)/(2 width) of the two extreme states of a play
+    `P = max(T − width, min(T + width, P⁻))`, which start at P = T ± width at the beginning of the temperature profile,
+    soaks included. "temperature gradient": dT/dt. "transient": exp(−t/time_constant), t from the beginning of
     the plan. "temperature difference": gain·(L − T), L a first-order lag of T with the time constant, L = T at the
     beginning of the plan.
     """
@@ -129,18 +129,19 @@ class ChannelRow(Section):
     scale_factor_instability: tuple[rows.ProcessRow, ...] = ()
     """Gauss–Markov instabilities of the scale factor, which the rate or force along the axis multiplies."""
     turn_on_bias: rows.Size | None = None
-    """Of a run (rad/s or m/s²): adds to the prior of the bias's constant (the coefficients of the function that is 1
-    everywhere, all together), or acts alone where no bias is estimated."""
+    """Standard deviation of the turn-on bias (rad/s or m/s²). It adds to the prior of the bias, along the coefficients
+    of the function that is 1 everywhere; if no bias is estimated, it is an error of its own."""
     sample_clock_error: rows.Size | None = None
-    """Of a clock of its own, as a ratio: one draw, multiplied by the rate; absent: see "sample_clock"."""
+    """Standard deviation of the error of the channel's own clock, as a ratio: one random value, multiplied by the rate;
+    absent: see "sample_clock"."""
     unknown_earth_rate: rows.Size | None = None
-    """One draw (rad/s): the Earth's rate, where neither the site nor a bias is known."""
+    """Standard deviation (rad/s) of one random value: the Earth's rate, if neither the site nor a bias is known."""
     temperature_error: rows.TemperatureErrorRow | None = None
     """Error of the measured temperature."""
     bias_temperature_gradient: rows.GradientSensitivityRow | None = None
     """Bias in proportion to dT/dt, estimated."""
     terms: tuple[TermRow, ...]
-    """What is estimated."""
+    """Terms that are estimated."""
     path: tuple[PathTermRow, ...] = ()
     """Terms of the temperature's path that are estimated."""
 
@@ -186,21 +187,21 @@ class SegmentRow(rows.CourseRow):
     mounting: int
     """Number of the mounting, from 0."""
     standstill_ids: tuple[int | None, ...]
-    """Number of each axis's standstill; null while it moves."""
+    """Number of each axis's standstill; null while the axis moves."""
 
 
 class ReadingRow(Section):
-    """The rows of one time, of the channels that have one."""
+    """A reading: one row for each channel in `channels`, at the same time."""
 
     start: rows.Finite
-    """Where they begin (s): the reading before, or the end of a segment that is not used, whose reading is the new
+    """Start of the rows (s): the previous reading, or the end of a segment that is not used, whose reading is the new
     origin of the angle."""
     time: rows.Finite
-    """Where they end (s)."""
+    """End of the rows (s)."""
     channels: tuple[str, ...]
     """Names of the channels."""
     standstill_ids: tuple[int | None, ...]
-    """Number of each axis's standstill at `time`; null: it moves."""
+    """Number of each axis's standstill at `time`; null: the axis moves."""
     rate: rows.Finite | None = None
     """Reference rate of the table (rad/s); null: the reference is the table's angle, not its rate."""
 
@@ -220,7 +221,7 @@ class Timeline(Section):
     format: Literal["gradcal-timeline/3"] = "gradcal-timeline/3"
     """Name and version of this contract."""
     title: str | None = None
-    """Of the spec."""
+    """Title of the spec."""
     estimator: Literal["best linear", "least squares"] = "best linear"
     """Generalised least squares with all priors, or unweighted mean rate errors without priors."""
     points: Literal["independent", "one run"] | None = None
@@ -232,9 +233,9 @@ class Timeline(Section):
     table: tuple[TableAxisRow, ...]
     """Axes of the table, outermost first."""
     standing: Literal["held", "read"]
-    """The model of axes at rest: see above."""
+    """Whether an axis at rest does not turn ("held"), or its angle is known only from readings ("read")."""
     rate_accuracy: rows.Size = 0.0
-    """Of a held rate, as a ratio."""
+    """Standard deviation of the reference rate, as a ratio."""
     mountings: tuple[MountingRow, ...]
     """Mountings of the IMU on the innermost axis."""
     thermal_lag: rows.Size | None = None
@@ -247,4 +248,4 @@ class Timeline(Section):
     segments: tuple[SegmentRow, ...]
     """Motion of the table, and temperature of the chamber."""
     readings: tuple[ReadingRow, ...]
-    """Which rows there are."""
+    """Readings of the plan."""

@@ -118,7 +118,7 @@ class Journal(AbstractContextManager["Journal"]):
             self._first_number = 0
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
         self.problem = ""
-        """Why nothing more can be written, for the operator; empty while it can."""
+        """The reason why nothing more can be written, for the operator; empty: writing is possible."""
         self._closing = False
         # Guards the waiting records, and the numbers of records queued, requested on disk, and on disk.
         self._change = threading.Condition()

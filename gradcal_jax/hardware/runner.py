@@ -187,7 +187,7 @@ class Runner:
             self._range_c = min(limits.lowest_c, reading.air_c), max(limits.highest_c, reading.air_c)
             self._chamber.heard(reading)
             watch = partial(self._chamber.watch, self.chamber_every_s, self._watching, self._fail)
-            start("The chamber is not watched", watch)
+            start("The chamber is not monitored", watch)
         self.begun = True
         self.on_begin()
         # The search for references lets go of a watchdog, and the units' data begin after it.
@@ -196,7 +196,7 @@ class Runner:
         for axis in guarded:
             axis.arm_watchdog()
         if guarded:
-            start("A watchdog could not be fed", partial(self._feed_watchdogs, guarded))
+            start("A watchdog could not be reset", partial(self._feed_watchdogs, guarded))
         for name in self.bench.imus:
             self.bench.imus[name].start()
             self._imu_heard_s[name] = self.clock.now()

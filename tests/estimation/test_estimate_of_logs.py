@@ -289,10 +289,10 @@ def test_how_well_a_runs_clock_is_known_comes_from_the_run():
     host = log.host_time_s.copy()
     host[36_000:] += (log.time_s[36_000:] - log.time_s[36_000]) * 10e-6
     _, said = host_time(replace(log, host_time_s=host))
-    assert "1.000303600 s of the computer's (1σ 0.24 ppm from when its samples arrived)" in said
+    assert "1.000303600 s of the computer's (1σ 0.24 ppm from the arrival times of its samples)" in said
     one = {"clock_rate_std": "2.5e-07"}
     _, said = host_time(two_hours(3600.0 * (1.0 + SLOW), provenance=one))
-    assert "(1σ 0.25 ppm from when its samples arrived)" in said
+    assert "(1σ 0.25 ppm from the arrival times of its samples)" in said
 
 
 def test_points_are_found_in_the_log_whatever_the_plan_says():

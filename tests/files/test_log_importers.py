@@ -84,7 +84,7 @@ encoding = "latin-1"
         ("t,gx\n0,FF1F\n10,FE20\n", "'gx' has values that look like hexadecimal counts"),
         ("t,gx\n0,fast\n10,slow\n", "'gx' has no numbers, only texts such as 'slow'"),
         ("t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': give the number of the column instead, 1 or 2"),
-        ("t;gx\n0;1\n10;3\n", 'or must delimiter = ";" be written under'),
+        ("t;gx\n0;1\n10;3\n", 'or is delimiter = ";" missing under'),
     ],
 )
 def test_columns_that_are_no_numbers_are_told_by_what_they_are(tmp_path, content, sentence):

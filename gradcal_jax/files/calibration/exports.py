@@ -161,7 +161,7 @@ def _of_biases(calibration: Calibration, target: str) -> tuple[list[CalibratedCh
     if without := [channel.label for channel in channels if channel.term_of("bias") is None]:
         raise ValueError(
             f"{target} takes the bias over temperature, and this calibration has none of {', '.join(without)}: zeros "
-            "would pass for a calibration. Estimate it with a bias in the spec, or export to c-header or csv"
+            "would look like a calibration. Estimate it from a spec with this bias, or export to c-header or csv"
         )
     gyros = [channel for channel in channels if channel.kind == "gyro"]
     return gyros, [channel for channel in channels if channel.kind == "accelerometer"]
@@ -422,7 +422,7 @@ def _at_one_temperature(
     calibration = _in_triad(calibration)
     at = options["temperature_c"]
     if at is None:
-        raise ValueError(f"{target} is for one temperature: say which with --temperature")
+        raise ValueError(f"{target} is for one temperature: state it with --temperature")
     low, high = (float(end) for end in calibration.valid_temperature)
     if not low - 1e-9 <= at <= high + 1e-9:
         raise ValueError(f"the calibration covers {low:g} … {high:g} °C, and {at:g} °C is outside")
@@ -543,7 +543,7 @@ def _basis_words(basis: Any) -> str:
 def _template(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     template, at = options["template"], options["temperature_c"]
     if template is None:
-        raise ValueError("which template? Give it with --template; gradcal new export-gains writes one to start from")
+        raise ValueError("the template is missing: name it with --template; gradcal new export-gains writes an example")
 
     def linear(temperature_c: float) -> dict[str, dict[str, Any]]:
         of = linear_at(calibration, temperature_c)

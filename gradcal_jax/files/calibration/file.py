@@ -340,7 +340,7 @@ class Calibration(TitledFile):
             for j, term in enumerate(channel.term):
                 for k, signal in enumerate(term.signals):
                     if signal not in known and not (signal[:1] + signal[-1:] == "||" and signal[1:-1] in known):
-                        message = 'is no signal; expected such as "rate x", "force z", "|force z|"'
+                        message = 'is not a signal; expected a text such as "rate x", "force z", "|force z|"'
                         yield Problem(("channel", i, "term", j, "signals", k), message, signal)
         if self.covariance is not None and (strange := set(self.covariance.names) - self.values().keys()):
             text = f"names coefficients that no channel has: {', '.join(sorted(strange)[:5])}"

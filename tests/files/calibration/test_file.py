@@ -148,7 +148,7 @@ def test_a_broken_file_is_told_what_is_wrong(old, new, sentence):
     ("change", "said"),
     [
         (lambda d: d["channel"][0]["term"][0]["coefficients"].pop("a3"), "one for each function of the bases"),
-        (lambda d: d["channel"][0]["term"][1].update(signals=["rat x"]), "is no signal"),
+        (lambda d: d["channel"][0]["term"][1].update(signals=["rat x"]), "is not a signal"),
         (lambda d: d["channel"].__setitem__(1, d["channel"][0]), "two channels"),
         (lambda d: d["channel"][2].update(valid_temperature=["70 degC", "-30 degC"]), "must be larger than"),
         (lambda d: d.update(covariance={"names": ["gyro_x.a9"], "matrix": [[1.0]]}), "no channel has"),

@@ -315,7 +315,7 @@ def _few(count: int) -> str:
     low, high = (float(np.sqrt(x)) for x in (lots.spread_factor(count, tail) for tail in (0.975, 0.025)))
     return (
         f"{count} IMUs are too few to detect outliers or groups, or to predict the next IMU: the 95 % interval of "
-        f"the spread of {count} is {low:.2g} to {high:.2g} times its value, and at most {count - 2} shapes can be "
+        f"their spread is {low:.2g} to {high:.2g} times its value, and at most {count - 2} shapes can be "
         f"tested; {lots.FEW} or more are needed for a prior"
     )
 
@@ -500,8 +500,8 @@ def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
         yield f"{what}: {len(of.groups)} groups, of {sizes} IMUs: make a lot of each; no prior is written"
     for one in of.strangers:
         yield (
-            f"{what}: {one.serial_number} is an outlier (probability of an IMU of this type as far from all "
-            f"others: {one.chance:.2g}); it does not count in mean, spread and shapes"
+            f"{what}: {one.serial_number} is an outlier (probability that an IMU of this type differs as "
+            f"much from all others: {one.chance:.2g}); it does not count in mean, spread and shapes"
         )
 
 

@@ -181,8 +181,8 @@ def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray
         alike = np.max(np.abs(sizes - mean)) < abs(mean) / 3.0
         if alike and abs(mean) > _TURNED * prior / np.sqrt(len(sizes)):
             yield (
-                f"all sensors are turned by {np.degrees(mean):.3g} deg about {axis} from where the spec has them, and "
-                f"their misalignments (1σ) are {np.degrees(prior):.2g} deg in the spec: are the mounting and the zeros "
+                f"all sensors are turned by {np.degrees(mean):.3g} deg about {axis} from their orientation in the "
+                f"spec, but their misalignments (1σ) are {np.degrees(prior):.2g} deg there: are the mounting and the zeros "
                 "of the table's angles as in the spec?"
             )
 
@@ -219,9 +219,9 @@ def _no_device(own: float, across: Mapping[str, float]) -> str:
     large = [axis for axis, value in across.items() if abs(value) > _MISALIGNED * max(1.0, abs(own))]
     if abs(own - 1.0) <= SCALE_FACTOR_ERROR and not large:
         return ""
-    shown = f"it shows {own:.3g} times the input along its axis"
+    shown = f"it measures {own:.3g} times the input along its axis"
     if large:
-        parts = ", ".join(f"{across[axis]:.3g} times what is along {axis}" for axis in large)
+        parts = ", ".join(f"{across[axis]:.3g} times the input along {axis}" for axis in large)
         return (
             f"{shown}, and {parts}: are the axes of the IMU or of the table swapped, or is the body rotated by a "
             "quarter turn from the spec's mounting?"

@@ -356,7 +356,7 @@ def instability(
         whole = room + averaging_time_s
         raise LogError(
             f"the longest unbroken stretch is {whole:.4g} s: too short to average for {averaging_time_s:g} s and then "
-            f"integrate for {shortest_s:g} s; average for less{', or record for longer' * (not rest.lost)}"
+            f"integrate for {shortest_s:g} s; use a shorter average{', or a longer record' * (not rest.lost)}"
             + (rest.lost and f"; {rest.lost}")
         )
     allan, fit = allan_of(replace(rest, valid=valid))

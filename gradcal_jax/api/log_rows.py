@@ -267,8 +267,8 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
     if (arm := absent_lever_arm(spec)) is not None:
         spec = changed(spec, {arm.key: arm.value})
         said.append(
-            f"rotation acts through the gyros' g-sensitivity at a place that the spec does not state: estimated with "
-            f"{arm.key} = {arm.value} (1σ; {arm.source})"
+            f"rotation causes a specific force that the g-sensitivity of the gyros turns into a bias; the spec states "
+            f"no lever arm, so it is estimated with {arm.key} = {arm.value} (1σ; {arm.source})"
         )
     return spec, replace(options, clock=clock), said
 

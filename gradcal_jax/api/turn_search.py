@@ -519,7 +519,7 @@ def best_programme(
             if other.held and (other.value < optimum.value or not optimum.held):
                 optimum = other
         if optimum.held and optimum.value > (1.0 - _NO_GAIN) * before:
-            sentence = f"converged: none of {len(_HOP_SIZES)} descents from points about it ends lower"
+            sentence = f"converged: none of {len(_HOP_SIZES)} descents from nearby points ends at a lower value"
             return optimum if optimum.converged else optimum._replace(converged=True, sentence=sentence)
     return optimum
 

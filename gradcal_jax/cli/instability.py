@@ -210,7 +210,8 @@ def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
     lines = [
         strong(f"axis {result.rest.axis}, IMU {result.rest.unit}"),
         f"angle random walk {result.rest.walk_of_sensor(bound.angle_random_walk) * DEG_PER_SQRT_H:.4g} deg/sqrt(h); "
-        f"drift minus the mean of the {bound.averaging_time_s:g} s before, over {times[0]:.4g} to {times[-1]:.4g} s",
+        f"drift over {times[0]:.4g} to {times[-1]:.4g} s, relative to the mean of the "
+        f"{bound.averaging_time_s:g} s before",
     ]
     if bound.drift_shows:
         lines.append(

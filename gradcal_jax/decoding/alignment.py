@@ -59,7 +59,7 @@ class Alignment:
     bursts: int
     readings: int
     misfit: float
-    """The fraction of the table's squared turns that is missing in the recording."""
+    """The fraction of the table's motion (sum of squared turns) that is missing in the recording."""
 
     def host_time_s(self, recorded_s: Floats) -> Floats:
         return self.offset_s + self.rate * (recorded_s - self.middle_s)

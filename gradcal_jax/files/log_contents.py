@@ -63,7 +63,7 @@ class LogContents(Section):
     rows: Whole
     """Number of rows."""
     rows_read: Whole
-    """Rows of the source."""
+    """Number of rows of the source."""
     rows_removed: dict[str, Whole] = Field(default_factory=dict)
     """Number of rows of the source that were removed, by reason (JSON in the file)."""
     simulated: Literal[0, 1]

@@ -121,9 +121,9 @@ class MotionCycle(Section):
 
 
 class MotionPlan(ChamberCourse):
-    """The plan of an IMU. With several mountings, the parts of the programme whose data are used take the mountings in
-    turn. If the programme is a single ramp, it is repeated for each mounting; in between, the chamber returns to the
-    start of the ramp."""
+    """The plan of an IMU. If there are several mountings, each part of the programme with used data has the next
+    mounting. If the programme is a single ramp, it is repeated for each mounting; in between, the chamber returns to
+    the start of the ramp."""
 
     method: Literal["gradient"]
     """The method of the plan."""

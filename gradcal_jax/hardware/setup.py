@@ -50,7 +50,7 @@ class Driver:
     """
 
     role: Role | None
-    """None: given by the configuration."""
+    """Role of the device; None: the configuration states it."""
     module: str
     device_class: str
     config_class: str

@@ -58,7 +58,8 @@ class PortLock:
         except OSError as problem:
             raise PortRefused(
                 f"The port {url} cannot be locked against other runs: {self._path}: {problem.strerror}. Give "
-                f"every account that uses the rig write permission for {folder}, or remove it while nothing runs."
+                f"every account that uses the rig write permission for {folder}, or remove this folder while no run is "
+                "active."
             ) from None
         try:
             take(self._handle)

@@ -279,7 +279,7 @@ def test_the_slope_of_two_clocks_is_that_within_the_stretches():
     jitter = np.random.default_rng(1).uniform(0.0, 0.01, len(time))
     _, said = host_time(replace(log, host_time_s=log.host_time_s + jitter))
     # 10 ms / √12, by two levers of 3600 s · √(36000 / 12).
-    assert "(1σ 0.01 ppm from the stamps' scatter)" in said
+    assert "(1σ 0.01 ppm from the scatter of the time stamps)" in said
 
 
 def test_how_well_a_runs_clock_is_known_comes_from_the_run():

@@ -101,7 +101,7 @@ def parse_numbers(frame: bytes, count: int = 1) -> list[float]:
     """One number of a property, or the position and velocity of the feedback."""
     texts = parse_line(frame).split(" ")
     if len(texts) != count or not all(map(_NUMBER.fullmatch, texts)):
-        raise FramingError(f"The reply {printable(frame)!r} does not have the expected number of numbers, {count}.")
+        raise FramingError(f"The reply {printable(frame)!r} is not a list of {count} numbers.")
     return list(map(float, texts))
 
 

@@ -49,7 +49,7 @@ class OperatorConfig:
         if self.unit:
             units.parse(f"1 {self.unit}", "angle")
         if not (self.travel_deg > 0.0 and self.miss_deg > 0.0 and self.remind_s > 0.0):
-            raise ValueError("travel, miss and remind are above zero.")
+            raise ValueError("travel, miss and remind must be above zero.")
 
 
 def angle_deg(text: str, unit: str = "") -> float:

@@ -34,7 +34,7 @@ class SwitchConfig:
 
     def __post_init__(self) -> None:
         if not (self.rate_dps > 0.0 and self.coast_s >= 0.0):
-            raise ValueError("rate is above zero, coast not below.")
+            raise ValueError("rate must be above zero, and coast must not be negative.")
 
     def lacks_for(self, safe: str) -> str:
         return (
@@ -73,7 +73,7 @@ class SwitchAxis(ExchangeDriver[SwitchConfig], MotionAxis):
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         if rate_dps > self._config.rate_dps * (1.0 + 1e-9):
-            raise LimitExceeded(f"{rate_dps:g} deg/s is more than its rate, {self._config.rate_dps:g} deg/s.")
+            raise LimitExceeded(f"{rate_dps:g} deg/s exceeds the rate of the motor, {self._config.rate_dps:g} deg/s.")
         way, now = position_deg - self._at_deg, self._clock.now()
         lasts_s = abs(way) / self._config.rate_dps
         self._at_deg, self._stands_s = position_deg, now + lasts_s + self._config.coast_s

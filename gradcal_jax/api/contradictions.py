@@ -182,8 +182,8 @@ def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray
         if alike and abs(mean) > _TURNED * prior / np.sqrt(len(sizes)):
             yield (
                 f"all sensors are turned by {np.degrees(mean):.3g} deg about {axis} from their orientation in the "
-                f"spec, but their misalignments (1σ) are {np.degrees(prior):.2g} deg there: are the mounting and the zeros "
-                "of the table's angles as in the spec?"
+                f"spec, but their misalignments (1σ) are {np.degrees(prior):.2g} deg there: are the mounting and the "
+                "zeros of the table's angles as in the spec?"
             )
 
 

@@ -246,7 +246,7 @@ def _words(
     force, gyro, held = solution.accelerometer, solution.gyro, solution.positions
     for fit, what, unit in ((force, "forces", "m/s²"), (gyro, "rates", "rad/s")):
         if fit.gain != 1.0:
-            yield f"the {what} are counts, about {fit.gain:.4g} of them one {unit}: the scale factors include this"
+            yield f"the {what} are counts, about {fit.gain:.4g} per {unit}; the scale factors include this factor"
     up = (held.force - force.centre) / np.linalg.norm(held.force - force.centre, axis=1, keepdims=True)
     spread, axes = np.linalg.eigh(up.T @ up / len(up))
     if spread[0] < _FLAT:

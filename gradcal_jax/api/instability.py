@@ -134,7 +134,7 @@ class Instability:
     scatter: tuple[float, float] | None
     """Standard deviations of σ (rad/s) and of ln τ, from blocks of the record; None for too few blocks."""
     markov: identify.MarkovFit | None = None
-    """One Markov process by maximum likelihood; None where none shows."""
+    """One Markov process by maximum likelihood; None: the record shows none."""
     branch: str | None = None
     """The branch of the temperature of the rows used; None: all."""
 

@@ -281,7 +281,7 @@ def with_earth(spec: Spec, earth_rate: float) -> Spec:
     if along not in ("+z", "-z"):
         raise ValueError(
             "--earth-rate and --latitude are only for one gyro along the only axis of a table, pointing up; for "
-            "others, the spec has [rig.site] latitude"
+            "other specs, state [rig.site] latitude"
         )
     up = earth_rate if along == "+z" else -earth_rate
     latitude = math.asin(max(-1.0, min(up / EARTH_RATE, 1.0)))

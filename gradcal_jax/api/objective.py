@@ -112,7 +112,7 @@ def _is_time(key: str) -> bool:
 
 
 FALSE_ALARM = 0.01
-"""Level of the test where the spec's [design] has no other."""
+"""Level of the test if [design] of the spec states none."""
 _POWER = 0.9
 # Number of degrees beyond the structure that are tested by default.
 _MORE = 2
@@ -267,7 +267,7 @@ def _row(quantity: str, axis: str, of: TestedMap, gain: np.ndarray) -> NoticeRow
 
 
 MARGIN: Final = 0.1
-"""A target is met with margin where the residual is less than the target by this share."""
+"""A target is met with margin if the residual is below the target by this fraction or more."""
 MET: Final = f"every target is met with a margin of {MARGIN:.0%}"
 NO_TARGET: Final = "to stop when every target is met, give a requirement a target"
 MISSED = "the probability of missing a hidden map"

@@ -469,7 +469,7 @@ def plan_record(
     # (Kept: the search for the shortest record asks of each coefficient for mostly the same durations.)
     @cache
     def of_noise(duration_s: float) -> dict[str, float]:
-        """Of N, B and K; infinite where the record is too short."""
+        """Relative errors of N, B and K; infinite: the record is too short."""
         try:
             fit = coefficient_errors(duration_s, interval, walk, flicker, slow)
         except ValueError:
@@ -478,7 +478,7 @@ def plan_record(
 
     @cache
     def of_drift(duration_s: float) -> dict[str, float]:
-        """Of σ and τ of a drift; infinite where the record is too short."""
+        """Relative errors of σ and τ of a drift; infinite: the record is too short."""
         if not sigma > 0.0:
             return {}
         try:

@@ -454,7 +454,7 @@ def durations(text: str, points: int) -> list[float]:
     def one(part: str) -> float:
         value = float(Quantity.read(part.strip(), "time"))
         if value <= 0.0:
-            raise ValueError(f"--motion: {part.strip()!r} is no duration")
+            raise ValueError(f"--motion: {part.strip()!r} is not a duration")
         return value
 
     if ".." in text:

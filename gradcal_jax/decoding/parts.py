@@ -32,7 +32,7 @@ class Part:
     clock: ClockMap
     table: RunAngles
     standing: tuple[tuple[int, int], ...]
-    """First and end of the rows of every standstill."""
+    """First row of every standstill, and the row after its last one."""
     seen: "Seen"
     read: int
     doubts: tuple[tuple[float, Doubt], ...] = ()

@@ -173,7 +173,7 @@ def _of_recording(
         "included)"
         for one in alignments
     )
-    findings = (*log.fields["findings"], Finding("clock found by the motion", "keep", 0, message))
+    findings = (*log.fields["findings"], Finding("clock determined from the motion", "keep", 0, message))
     return replace(log, fields={**log.fields, "findings": findings})
 
 

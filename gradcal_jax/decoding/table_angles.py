@@ -45,7 +45,7 @@ class RunAngles:
             [_table_readings(events, axis, k, rows, late_s) for k, axis in enumerate(axes)]
         )
         self.spins = any(knots is not None for knots in self._rates)
-        """Whether the rates of an axis are known: where it spins."""
+        """Whether the rates of an axis are known, because it turns at constant rates."""
 
     def known_in(self, run: int) -> bool:
         return all(course.known_in(run) for course in self._courses)

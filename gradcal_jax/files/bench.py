@@ -56,8 +56,8 @@ class Chamber(Section):
     max_cooling: q.PositiveTemperatureSlope
     """Steepest cooling slope, as a positive number."""
     control: Literal["chamber", "none"] = "chamber"
-    """"none": there is no chamber but, for example, a fridge, a hair dryer, a bag of ice. The run follows the clock: it
-    neither commands temperatures nor waits for them, and its rig file needs no chamber. The operator tries to follow
+    """"none": there is no chamber; a fridge, a hair dryer or a bag of ice can be used. The run follows the clock:
+    it neither commands temperatures nor waits for them, and its rig file needs no chamber. The operator tries to follow
     the planned temperature, and the actual temperature is recorded."""
 
     def _problems(self) -> Iterable[Problem]:

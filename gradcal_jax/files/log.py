@@ -212,7 +212,7 @@ class EvenSeries:
     sample_interval_s: float
     temperature_c: Floats | None
     row: Whole
-    """The row of the log behind each point; -1 where a gap stands."""
+    """The row of the log behind each point; -1: a gap."""
 
 
 @dataclass(frozen=True)
@@ -241,9 +241,9 @@ class Log:
     mounting: Whole | None = None
     """[time]; the number of the IMU's mounting in its spec, from 0. `None`: always the first."""
     host_time_s: Floats | None = None
-    """[time]; the computer's stamp of each row, where the sensor has a clock of its own."""
+    """[time]; the computer's stamp of each row, if the sensor has a clock of its own."""
     status: Flags | None = None
-    """[unit, time]; 0 where usable, otherwise `Reason`s. `None`: all usable."""
+    """[unit, time]; 0: usable, otherwise `Reason`s. `None`: all usable."""
     stretch_starts: Whole = field(default_factory=lambda: np.zeros(1, np.int64))
     """The row at which each unbroken stretch begins; the first is 0."""
     rows_read: int = -1

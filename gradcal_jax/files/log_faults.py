@@ -109,7 +109,7 @@ class Columns:
     time_s: Floats | None = None
     """`None`: evenly sampled at `sample_rate_hz`."""
     sample_rate_hz: float | None = None
-    """The stated sample rate, where there is one."""
+    """The stated sample rate, if there is one."""
     full_scale_rad_per_s: float | None = None
     specific_force_m_per_s2: Floats | None = None
     force_axes: tuple[str, ...] = ()
@@ -123,7 +123,7 @@ class Columns:
     host_time_s: Floats | None = None
     """Of any origin."""
     marked: Bools | None = None
-    """[unit, time]; true where the device says that its output is no good."""
+    """[unit, time]; true if the device marks its output as bad."""
     left_out: Bools | None = None
     """[time]; rows left out on request."""
     rows_before: int = 0

@@ -76,7 +76,7 @@ _ROWS: Final[Mapping[str, int]] = {
     for variable in VARIABLES.values()
     if "time" in variable.dimensions
 }
-"""Of the fields with rows, the number of the dimension [time]."""
+"""For each field with rows: the position of the dimension [time]."""
 
 
 def write_log(log: Log | LogInBlocks, path: str | Path) -> None:

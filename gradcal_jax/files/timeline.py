@@ -147,15 +147,15 @@ class ChannelRow(Section):
 
 
 class InstallationRow(Section):
-    """An error common to all channels, with a prior for each parameter. For each `kind` of angle error, a small
-    rotation p is inserted (given here in the body frame); it turns everything outside of it relative to the body.
-    "base": p = Rᵀ times East, North, up (tilt, tilt, azimuth); outside of it: the Earth. "orthogonality" of axes l and
-    l + 1: p about e_{l+1} × e_l, carried by axis l; outside: the Earth and the axes up to l. "harmonics" of `axis` l: p
-    = a_l times cosine and sine of `orders` times the angle of the axis; outside: the axes before l; while l turns, the
-    row of gyro i also has a_li times the change of these functions (a_l: direction of axis l in the body's frame).
-    "mounting": p about the body's x, y and z, one for each mounting, while the mounting is used; outside: everything.
-    "gravity" (m/s²): a force along up, for accelerometers. "sample_clock": an error in proportion to the rate itself
-    and, if `forces` is true, to the force itself."""
+    """An error common to all channels, with a prior for each parameter. Each `kind` of angle error inserts a small
+    rotation p (given here in the body's frame), which turns all that is outside of it relative to the body. "base": p =
+    Rᵀ times East, North, up (tilt, tilt, azimuth); outside of it is the Earth. "orthogonality" of axes l and l + 1: p
+    about e_{l+1} × e_l, carried by axis l; outside of it are the Earth and the axes up to l. "harmonics" of `axis` l: p
+    = a_l (direction of axis l in the body's frame) times cosine and sine of `orders` times the angle of the axis;
+    outside of it are the axes before l. While axis l turns, the row of gyro i also has a_li times the change of these
+    functions. "mounting": p about the body's x, y and z, one for each mounting, while the mounting is used; everything
+    is outside of it. "gravity" (m/s²): a force along up, for accelerometers. "sample_clock": an error in proportion to
+    the rate itself and, if `forces` is true, to the force itself."""
 
     kind: Literal["base", "orthogonality", "harmonics", "mounting", "gravity", "sample_clock"]
     """The error; see above."""

@@ -27,7 +27,7 @@ _OVERSHOOT = 0.1
 _ROUNDED = 0.005
 
 Tell = Callable[..., None]
-"""Writes an event: its name and what belongs to it."""
+"""Writes an event: its name and its data."""
 
 
 def rate_as_made(limits: ChamberLimits, rate_k_per_min: float) -> float:

@@ -92,7 +92,7 @@ class DirectBound:
     """If no drift shows: the largest σ that a hidden drift with τ = √(Δ × longest t) could have; this τ is
     `correlation_time_s`."""
     advised_averaging_time_s: float | None
-    """If no drift shows: the least Δ at which this hidden drift would show; `None` if there is none for these t."""
+    """If no drift shows: the smallest Δ at which this hidden drift would show; `None`: at none, for these t."""
     messages: tuple[str, ...]
     """Warnings for the user; empty without any."""
 

@@ -248,7 +248,7 @@ def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
 def _of_rig(rig: Rig) -> list[tuple[str, str]]:
     from gradcal_jax.api.error_budget import BESIDE_THE_AXIS
 
-    """The figures of site and table; of each axis, where there are several."""
+    """The figures of site and table; if there are several axes, those of each axis."""
     table = rig.table
     rows: list[tuple[str, Any]] = [
         ("rate accuracy", table.rate_accuracy),

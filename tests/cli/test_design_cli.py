@@ -115,7 +115,7 @@ def test_a_frontier_falls_and_says_the_shortest(folder, capsys):
     ("motion", "says"),
     [
         ("5min..4min", "must be longer than the first"),
-        ("0min..4min", "is no duration"),
+        ("0min..4min", "is not a duration"),
         ("1h..2h..3h", "expected a range"),
     ],
 )

@@ -89,7 +89,7 @@ def test_its_lines_are_as_many_as_it_says() -> None:
          "no reply shows the effect of tell.on"),
         ("modbus", ('title  = "my oven"\n', 'title  = "my oven"\nline   = { timeout = "0.2 s" }\n'), ""),
         ("grbl", ('protocol = "grbl"', 'protocol = "grb"'), "nearest: 'grbl'"),
-        ("board", ("{temperature},{time}", "{time}"), "and the description expects"),
+        ("board", ("{temperature},{time}", "{time}"), "but the description expects"),
         ("board", ("{gyro_x}", "{gx}"), "{gx} is not the name of a field"),
         ("board", ('boot     = "2 s"', 'boot     = "0 s"\ntimeout  = "0.5 s"'), "printed nothing in 0.5 s"),
     ],

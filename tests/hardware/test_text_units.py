@@ -168,7 +168,7 @@ def test_a_run_with_a_board_that_prints_text(tmp_path: Path) -> None:
     ("change", "words"),
     [
         ({"line": "$IMU,{gyro_x},{gyro_y},{gyro_z},{time}"}, "printed '$IMU,"),
-        ({"checksum": "none"}, "and the description expects"),
+        ({"checksum": "none"}, "but the description expects"),
     ],
 )
 def test_a_check_shows_what_is_printed_and_what_was_expected(change: dict[str, Any], words: str) -> None:

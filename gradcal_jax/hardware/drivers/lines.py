@@ -89,7 +89,7 @@ class Codec:
             frame = body[1:-1]
         text = frame.strip(b" \t\r\n\x11\x13").decode("latin-1")
         if not text.isprintable():
-            raise FramingError(f"{self._protocol.title} answered {printable(frame)!r}, which is no text. Baud rate?")
+            raise FramingError(f"{self._protocol.title} answered {printable(frame)!r}, which is not text. Baud rate?")
         refusal = self._protocol.line.refusal
         if refusal is not None and _pattern(refusal).fullmatch(text) is not None:
             raise Rejected(f"{self._protocol.title} refuses: {text!r}. See its manual.")

@@ -334,7 +334,7 @@ def parse_utility(frame: bytes) -> tuple[str, list[str]]:
         raise ChecksumError(f"The reply {printable(frame)!r} fails its check. Check the line's shielding.")
     name, *fields = body.decode("ascii", "replace").removeprefix("#").split(",")
     if not fields or not fields[0].isdigit():
-        raise FramingError(f"{printable(frame)!r} is no reply of Utility Mode.")
+        raise FramingError(f"{printable(frame)!r} is not a reply of Utility Mode.")
     status = int(fields[0])
     if status not in (0, 8):
         text = _STATUS_TEXTS.get(str(status), "unknown status")

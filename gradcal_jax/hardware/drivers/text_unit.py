@@ -191,7 +191,7 @@ class TextUnitStream(ImuDriver[TextUnitConfig]):
             raise FramingError(f"{where} sends {printable(received[-80:])!r} without an end of line. Baud rate?")
         shown = printable(other[-1]) if other else f"{good} lines"
         raise FramingError(
-            f"{where} printed {shown!r} in {timeout_s:g} s, and the description expects {self._unit.line!r}"
+            f"{where} printed {shown!r} in {timeout_s:g} s, but the description expects {self._unit.line!r}"
             + (" with a check sum" if self._unit.checksum != "none" else "")
             + ". Compare them character by character; unreadable text means a wrong baud rate."
         )

@@ -171,7 +171,7 @@ def parse_description(text: str, temperature_channel: str = "") -> Layout:
         if not rest:
             raise FramingError(
                 "The chamber's description has no E-String and I-String. Write read_layout and write_layout in the rig "
-                f"file; it said {printable(text.encode('ascii', 'replace'), 400)!r}."
+                f"file; it reported {printable(text.encode('ascii', 'replace'), 400)!r}."
             )
         template = re.split(rf"\0|\b{other}-?\s?string", rest[0], maxsplit=1, flags=re.I)[0]
         channels: list[str] = _CHANNEL.findall(re.sub(r"\s+", "", template))

@@ -318,8 +318,8 @@ class RigTable(Section):
 
 
 class SimulatedLoop(Section):
-    """`[[rig.simulated_loop]]`: a hysteresis loop of simulated sensors, which replaces the loop that a simulation takes
-    from the spec's `hysteresis`; several loops are added. Predictions and estimates ignore it. The size of a loop is
+    """`[[rig.simulated_loop]]`: a hysteresis loop of simulated sensors, in place of the loop that follows from `hysteresis`
+    in the spec; several loops add up. Predictions and estimates ignore these loops. The size of a loop is
     the standard deviation of half the difference between heating and cooling, over a wide cycle (relays) or at 1 K/min
     (thermal masses)."""
 

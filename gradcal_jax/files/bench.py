@@ -126,7 +126,7 @@ class Site(Section):
 
 
 class AxisEncoder(AngleReference):
-    """Errors of the angle of one table axis, and how often it is read."""
+    """Errors of the angle of one table axis, and how often this angle is read."""
 
     reference: Literal["encoder", "gravity"] = "encoder"
     """"gravity": no axis has an encoder. The IMU's accelerometers measure the angle of every standstill, and its gyros
@@ -318,10 +318,10 @@ class RigTable(Section):
 
 
 class SimulatedLoop(Section):
-    """`[[rig.simulated_loop]]`: a hysteresis loop of simulated sensors, in place of the loop that follows from `hysteresis`
-    in the spec; several loops add up. Predictions and estimates ignore these loops. The size of a loop is
-    the standard deviation of half the difference between heating and cooling, over a wide cycle (relays) or at 1 K/min
-    (thermal masses)."""
+    """`[[rig.simulated_loop]]`: a hysteresis loop of simulated sensors, in place of the loop that follows from
+    `hysteresis` in the spec; several loops add up. Predictions and estimates ignore these loops. The size of a loop
+    is the standard deviation of half the difference between heating and cooling, over a wide cycle (relays) or at 1
+    K/min (thermal masses)."""
 
     law: Literal["relays", "thermal masses"]
     """"relays": many Preisach relays; "thermal masses": two thermal masses, and an error in proportion to the

@@ -49,7 +49,7 @@ class Stability(Section):
 
 
 class ChamberSegment(Section):
-    """One segment of what the chamber does."""
+    """One segment of the chamber's programme."""
 
     name: q.Text
     """Name of the segment, to which blocks of motion refer."""

@@ -43,7 +43,7 @@ ORDER: Final = (
     "before any rotation"
 )
 TEMPERATURE_RATE: Final = "temperature rate"
-"""The signal dT/dt, K/s. It is known; the other signals are solved for."""
+"""The signal dT/dt, K/s, which a correction knows; it computes the other signals."""
 LOG_HASH: Final = "log_sha256"
 """Name under which the provenance has the fingerprint of the calibration's log."""
 

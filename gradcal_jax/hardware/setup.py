@@ -364,7 +364,7 @@ class DeviceReport:
     limits: roles.ChamberLimits | roles.AxisLimits | roles.ImuSettings | None = None
     problem: str = ""
     remark: str = ""
-    """What the operator should correct although the device answers, such as late answers."""
+    """A fault of a device that answers, such as late answers; the operator should correct it."""
 
     @property
     def good(self) -> bool:

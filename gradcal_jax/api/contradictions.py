@@ -419,7 +419,7 @@ def not_valid(contradicted: Sequence[str]) -> list[str]:
     """A sentence on tests that fail, where any does."""
     if not contradicted:
         return []
-    return [f"not valid: {'; '.join(contradicted)}: the data contradict the model, and no stated uncertainty holds"]
+    return [f"not valid: {'; '.join(contradicted)}: the data contradict the model, and no stated uncertainty is valid"]
 
 
 def noise_sentences(tests: Consistency, larger: bool) -> list[str]:

@@ -345,7 +345,7 @@ def together(spec: Spec, fits: Mapping[str, FittedRows]) -> dict[str, FittedRows
             messages.append(
                 "contradicts the other IMUs: its estimate of the table differs from theirs (χ² "
                 f"{test.statistic:.4g}, {test.degrees} degrees of freedom): is the IMU fixed firmly, and at the "
-                "correct place? Estimate the others without it"
+                "correct place? Estimate the others without this IMU"
             )
         recorded = of.recorded
         for message in messages:

@@ -270,12 +270,12 @@ def _words(
         yield (
             f"gravity's direction after a turn has {gyro.beyond * 1e6:.3g} µrad more error than noise explains: "
             "the gyros have errors other than scale factor, misalignment and acceleration sensitivity, or the "
-            "IMU moved during a standstill. The covariance includes it"
+            "IMU moved during a standstill. The covariance includes this error"
         )
     if solution.unsteady > 0.0:
         yield (
             f"the gyros' rates at rest differ by {solution.unsteady * DEG_PER_H:.3g} deg/h more than noise and "
-            "acceleration sensitivity explain, probably because of drift. The covariance includes it"
+            "acceleration sensitivity explain, probably because of drift. The covariance includes this"
         )
     if not (white := tests["accelerometers: whiteness from position to position"]).passed:
         yield (

@@ -86,7 +86,7 @@ _APART = 1e-6
 _RELAXED = (
     "everything else is known exactly",
     "the IMU is read continuously, at rest and during moves, with the best distribution of turns and poses",
-    "the noise is white, except for that of biases",
+    "the noise is white, except for the noise of biases",
 )
 
 Windows = list[tuple[float, float]]
@@ -347,7 +347,7 @@ def _noise_density(model: SensorModel, spacing: float, apart: float, visits: Win
         # An offset is one draw a standstill.
         other = eqx.tree_at(lambda m: m.reference.reading_noise, model, reference.standstill_offset)
         density = max(density, design.least_noise_density(other, apart))
-        relaxed.append(f"standstills as little as {apart:.3g} s apart")
+        relaxed.append(f"standstills may be only {apart:.3g} s apart")
     return density, relaxed
 
 

@@ -139,7 +139,7 @@ def table_readings(
     if column is not None:
         known = np.isfinite(column)
         if standing.any() and not known[standing].any():
-            raise LogError("the table's angle is missing at every standstill: it is the reference")
+            raise LogError("the table's angle, which is the reference, is missing at every standstill")
         if not known[standing].all():
             count = int(np.count_nonzero(standing & ~known))
             messages.append(f"{count} rows at rest without a table angle cannot be a reference, and are not used")
@@ -167,9 +167,7 @@ class ClockFit(NamedTuple):
     @property
     def sentence(self) -> str:
         """The comparison in words."""
-        known = (
-            f"1σ {self.std * 1e6:.2g} ppm" if self.std is not None else "the log does not state the uncertainty of this"
-        )
+        known = f"1σ {self.std * 1e6:.2g} ppm" if self.std is not None else "the log does not state its uncertainty"
         return f"one second of the sensor's clock is {self.slope:.9f} s of the computer's ({known}{self.since})"
 
 

@@ -275,7 +275,7 @@ def test_the_slope_of_two_clocks_is_that_within_the_stretches():
     log = two_hours(36_000.0)
     time, said = host_time(log)
     assert np.ptp(time[:36_000]) == pytest.approx(3599.9 * (1.0 + SLOW), abs=1e-6)
-    assert "1.000300000 s of the computer's (the log does not state the uncertainty of this)" in said
+    assert "1.000300000 s of the computer's (the log does not state its uncertainty)" in said
     jitter = np.random.default_rng(1).uniform(0.0, 0.01, len(time))
     _, said = host_time(replace(log, host_time_s=log.host_time_s + jitter))
     # 10 ms / √12, by two levers of 3600 s · √(36000 / 12).

@@ -147,7 +147,7 @@ class _Spoken(DescribedDevice[LinesConfig]):
                     break
             else:
                 if question.last is None:
-                    raise FramingError(f"{self._title} answered {question.send!r} by {text!r}. Is it that device?")
+                    raise FramingError(f"{self._title} answered {question.send!r} by {text!r}. Is it the right device?")
             if question.last is not None and _pattern(question.last).fullmatch(text) is None:
                 raise NotThisReply
             if missing := set(question.fields) - set(fields):

@@ -245,7 +245,7 @@ def at_rest(
         if lag in ("auto", "fit") and thermal.lag_time_s > 0.99 * _LONGEST_LAG_S:
             messages.append(
                 f"this is the longest lag allowed, {_LONGEST_LAG_S / 60:.0f} min: the record does not determine "
-                "it; it may be drift"
+                "the lag, and the effect may be drift"
             )
     rate[~valid] = 0.0
     per_row, words = samples_per_row(log, even.sample_interval_s)

@@ -85,7 +85,7 @@ class RestRecord:
             raise LogError(
                 f"axis {self.axis} of {self.unit}: rows at {1.0 / self.sample_interval_s:.3g} Hz of a raw "
                 "channel, which is sampled much faster: are they means of the samples between, or every n-th of "
-                "them? Only for means is the angle random walk of the rows that of the sensor. State "
+                "them? Only if they are means, their angle random walk is that of the sensor. State "
                 '--sensor-rate means, or the sensor\'s own rate, such as --sensor-rate "400 Hz"; it is better to '
                 "log at the full rate"
             )

@@ -178,7 +178,7 @@ def _estimate(size: "SweepEstimate") -> dict[str, Any]:
 
 
 def _estimated(size: "SweepEstimate", job: "Sweep") -> str:
-    fails = f"; the first failed point's error: {size.first_failure}" if size.failing else ""
+    fails = f"; error of the first failed point: {size.first_failure}" if size.failing else ""
     lines = [
         strong(job.file.title or "the sweep"),
         f"{size.points} points in {size.chunks} chunks on {size.workers} workers",

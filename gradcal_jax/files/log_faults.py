@@ -30,7 +30,7 @@ _LARGEST_FORCE: Final = 500.0
 _GAP: Final = 1.6
 """Median intervals: a shorter interval between stamps is jitter, not a gap."""
 _WINDOW: Final = 5
-"""Rows on either side over which stamps make up for jitter."""
+"""Number of rows on either side within which time stamps may compensate jitter."""
 _SHORT, _OFTEN = 0.3, 0.05
 """If a larger share of the intervals than `_OFTEN` is shorter than `_SHORT` medians, the stamps come in bursts."""
 _MANY_ROWS: Final = 20
@@ -73,7 +73,7 @@ class Policy(Section):
     unordered_stamps: Literal["mask", "refuse"] = "mask"
     """Rows with a time stamp before that of an earlier row."""
     gaps: Literal["split", "refuse"] = "split"
-    """Gaps: long intervals between time stamps for which the following stamps do not make up."""
+    """Gaps: long intervals between time stamps that the following stamps do not compensate."""
     missing_rates: Literal["mask", "refuse"] = "mask"
     """Rates that are not finite numbers."""
     missing_forces: Literal["mask", "refuse"] = "mask"
@@ -127,7 +127,7 @@ class Columns:
     left_out: Bools | None = None
     """[time]; rows left out on request."""
     rows_before: int = 0
-    """Rows of the source before those that are here."""
+    """Number of rows of the source before the first row here."""
     rows_after: int = 0
     simulated: bool = False
     provenance: Mapping[str, str] = field(default_factory=dict[str, str])

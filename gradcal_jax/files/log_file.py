@@ -38,7 +38,7 @@ class LogInBlocks:
     fields: Mapping[str, Any]
     """The fields of `Log` that have no dimension [time]."""
     blocks: Callable[[], Iterator[tuple[int, Columns]]]
-    """Makes all rows in order: the number of the first row of a block, and its columns, by the fields of `Log`."""
+    """Yields all rows in order, as blocks: the number of the first row, and the columns by the fields of `Log`."""
     duration_s: float
     standstills: int
     masked: int

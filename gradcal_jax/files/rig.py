@@ -117,7 +117,7 @@ class AxisDevice(Section):
         by_hand = self.driver == OPERATOR
         if by_hand and self.gravity_loaded:
             message = (
-                "an axis that falls by gravity must be held all the time, which a person does not do: expected "
+                "an axis that falls by gravity must be held all the time, which a person cannot do: expected "
                 "false, or another driver"
             )
             yield Problem(("gravity_loaded",), message, "true")

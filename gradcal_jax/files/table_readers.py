@@ -22,8 +22,8 @@ from gradcal_jax.files.problems import instead
 from gradcal_jax.files.tables import DELIMITERS, Array, Measured, Numbers, Source, TextTable, Where
 
 _LOOKED_AT, _PREAMBLE, _BLOCK = 200, 500, 1 << 14
-"""First lines in which rows of several sensors, or a checksum, are looked for; lines that may stand above a header;
-lines that are read at once."""
+"""Numbers of lines: those at the start that are searched for rows of several sensors or a checksum; those that may
+stand above a header; those that are read at once."""
 _WHICH: Final = re.compile(
     r"(?:(?:sensor|imu|device|unit|node|board|channel|gyro|topic|frame|msg|message|source)[ _]?)?"
     r"(?:id|name|index|no|nr|num|number|type|kind|sensor|imu|device|unit|node|topic|source|instance|axis|signal|quantity|variable)",
@@ -38,7 +38,7 @@ _NANS: Final = ["", "nan", "NaN", "NAN", "-nan"]
 _TRUTHS: Final = ("rue", "alse", "RUE", "ALSE")
 """Parts of words that pandas reads as numbers."""
 _MANY_UNREAD, _SHARE_UNREAD = 20, 0.02
-"""A column with more values (number, share) than this that cannot be read as numbers is not a numeric column with a few
+"""If more values of a column (number, share) than this cannot be read as numbers, it is not a numeric column with a few
 damaged values."""
 _TEXT: Final = (".csv", ".txt", ".tsv", ".dat", ".log", ".asc")
 _APART: Final = {";": ";", "\t": "tab", ",": ",", "|": "|", " ": "whitespace"}

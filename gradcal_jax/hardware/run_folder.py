@@ -225,7 +225,7 @@ def require_same_devices(bench: Bench, contents: JournalContents) -> None:
         then = tuple(before.data.get(name, "") for name in ("driver", "model", "serial_number", "firmware"))
         if now != then:
             raise WrongIdentity(
-                f"{report.name} at {report.port} is {' '.join(now)}, and the run began with {' '.join(then)}. Connect "
+                f"{report.name} at {report.port} is {' '.join(now)}, but the run began with {' '.join(then)}. Connect "
                 "the device that the run began with, or begin a new run."
             )
 

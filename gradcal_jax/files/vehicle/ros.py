@@ -29,7 +29,7 @@ from gradcal_jax.files.vehicle.streams import GyroStream, interpolated, library
 _IMU: Final = ("sensor_msgs/msg/Imu", "sensor_msgs/Imu")
 _TEMPERATURE: Final = ("sensor_msgs/msg/Temperature", "sensor_msgs/Temperature")
 _SAME_CLOCK_S: Final = 1.0
-"""If the stamps of the header differ from the receiver's by less than this (by the median), both are of one clock."""
+"""If the stamps of the header differ from the receiver's by less than this (median), both are from one clock."""
 
 
 class _Topic:

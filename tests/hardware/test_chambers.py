@@ -299,7 +299,7 @@ def test_espec_alarm_address_and_old_controller() -> None:
         assert (chamber.read().mode, chamber.read().conditioning) == ("RUN", True)
         chamber.hold(40.0)
         assert (chamber.read().mode, device.plant.set_point_c(clock.now())) == ("CONSTANT", 40.0)
-        with pytest.raises(Rejected, match="steps of its set point"):
+        with pytest.raises(Rejected, match="steps of the set point"):
             chamber.ramp(50.0, 1.0)
         device.raise_alarm(18)
         reading = chamber.read()

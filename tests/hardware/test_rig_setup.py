@@ -74,7 +74,7 @@ sample_rate = "130 Hz"
         "axis[0].options.max_acceleration = 300: expected an angular acceleration as text with a unit",
         "axis[0].options.zero",
         'axis[0].options.device = "one": expected a whole number',
-        "imu[0].options: sample_rate is 130 /s",
+        "imu[0].options: sample_rate is 130 Hz",
     ):
         assert fragment in message
 

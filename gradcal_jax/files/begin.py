@@ -98,8 +98,8 @@ DEFAULTS: Final[Answers] = {
     for key, value in (PRESETS["drone-imu"] | {"sheet": TYPICAL}).items()
     if key not in ("sensor", "walk", "full_scale", "force")
 }
-"""The default answers, which an empty line accepts. The noise figures of a sensor have no default, since those of another
-sensor would be wrong."""
+"""The default answers, which an empty line accepts. The noise figures of a sensor have no default, because those of
+another sensor would be wrong."""
 _CHOICES: Final[Mapping[str, Callable[[], tuple[str, ...]]]] = {
     "grade": grades,
     "kind": lambda: ("gyro", "gyros", "imu"),

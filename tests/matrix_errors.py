@@ -27,7 +27,7 @@ def nees_of(names: Sequence[str], values: np.ndarray, truth: np.ndarray, covaria
             continue
         degree = int(of[2] or 0)
         for lower in range(degree + 1):
-            known = (f"{channel}.{s}" for s in (f"b{degree - lower}0", f"s{degree - lower}", "s" * (lower == degree)))
+            known = (f"{channel}.{s}" for s in (f"b0{degree - lower}", f"s{degree - lower}", "s" * (lower == degree)))
             scale = next((where[s] for s in known if s in where), None)
             m = where.get(f"{channel}.{of[1]}{lower if of[2] else ''}")
             if scale is not None and m is not None:

@@ -38,6 +38,8 @@ _ALONG, _ACROSS = 0.1, 0.2
 _SMALL_TURN = 1e-5
 # Least part of an encoder's error in the row of a gyro that is along its axis.
 _SEES_ENCODER = 0.5
+# Of an IMU from the axes, m: a standard deviation.
+_LONGEST_ARM = 0.3
 
 
 # Of an axis and its angles (rad): their errors, and the derivatives of these.
@@ -306,11 +308,12 @@ def readings_of(
     points: int,
     felt: np.ndarray | None = None,
     corrected_by: np.ndarray | None = None,
+    covariance: np.ndarray | None = None,
     *,
     free: bool = False,
 ) -> ImuReadings:
     """Integrals of every channel over its segments. `felt` `(n, 3)`: specific force at the rows, m/s², corrected by
-    the parameters `corrected_by`."""
+    the parameters `corrected_by`, of the `covariance` `(p, p)`."""
     at = segments_of(done.motion, model)
     step = np.diff(log.time_s, prepend=log.time_s[0])
     first, last = done.rows[at.first], done.rows[at.last + 1]
@@ -324,8 +327,8 @@ def readings_of(
         rows = at.row_channel == i
         observed[rows] = whole[at.row_segment[rows]]
     readings = ImuReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), None, free=free)
-    if felt is not None and corrected_by is not None:
-        readings = readings._replace(added=_beyond_gravity(readings, felt, corrected_by))
+    if felt is not None and corrected_by is not None and covariance is not None:
+        readings = readings._replace(added=_beyond_gravity(readings, felt, corrected_by, covariance))
     if model.encoder.held or done.motion.line.rates:
         return readings
     # The motion is that of the mean angles; the reference is each reading.
@@ -336,12 +339,18 @@ def readings_of(
     return readings._replace(observed=np.where(at.used, observed - shown, 0.0))
 
 
-def _beyond_gravity(readings: ImuReadings, felt: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+def _beyond_gravity(
+    readings: ImuReadings, felt: np.ndarray, parameters: np.ndarray, covariance: np.ndarray
+) -> np.ndarray:
     """`(P, 3)`: what the moves added to gravity, m/s², on average over every piece, in the frame of the innermost axis;
     zero where it is unknown.
 
     In that frame it does not depend on the body's. Kept in the body, it would hold the body's frame to the one of the
     `parameters` that corrected `felt`: gyros that are sensitive to it would seem to tell how the body is mounted.
+
+    A plan may leave the bias of accelerometers poorly known, and with it what they tell of a move: 10 mg of it add
+    0.5 deg/h to the rate of gyros of 50 deg/h/g. A slow turn adds next to nothing. So what is measured counts by the
+    share of what a turn can add, the lever arm times the mean squared rate, in the sum of both variances.
     """
     done, log = readings.done, readings.log
     step, lost = np.diff(log.time_s, prepend=log.time_s[0]), ~np.isfinite(felt)
@@ -350,9 +359,26 @@ def _beyond_gravity(readings: ImuReadings, felt: np.ndarray, parameters: np.ndar
     table = installed(done.motion.geometry, readings.model, parameters[readings.model.calibrated :])
     nodes = readings._nodes(table.geometry, table.error_of)
     gravity = nodes.integrals(lambda g: g.integral(g.force), (3,))[nodes.kind]
+    squared_rate = nodes.integrals(lambda g: g.integral(np.sum(g.rate**2, axis=-1)), ())[nodes.kind]
     known = (np.diff(missing, axis=0) == 0) & (lasting > 0.0)
-    beyond = np.where(known, (np.diff(total, axis=0) - gravity) / np.where(lasting > 0.0, lasting, 1.0), 0.0)
+    beyond = np.where(known, np.diff(total, axis=0) - gravity, 0.0)
+    possible = (_LONGEST_ARM * squared_rate[:, None]) ** 2
+    unsure = np.where(known, _variances_of_force(readings.model, nodes, covariance), 1.0)
+    beyond *= possible / np.where(lasting > 0.0, (possible + unsure) * lasting, 1.0)
     return np.einsum("pij,pj->pi", table.geometry.mountings[done.motion.mounting], beyond)
+
+
+def _variances_of_force(model: ImuModel, nodes: BodyNodes, covariance: np.ndarray) -> np.ndarray:
+    """`(P, 3)`: of the integral of the specific force over every piece, (m/s)², corrected by parameters of this
+    `covariance` `(p, p)`."""
+    always = tuple(replace(c, read_below=np.inf) for c in model.channels)
+    begin, result = 0, np.zeros((len(nodes.kind), 3))
+    for c, columns in zip(always, ImuModel(always, (), model.encoder).own_columns(nodes), strict=True):
+        own = slice(begin, begin + c.model.size)
+        begin = own.stop
+        if c.kind == "accelerometer":
+            result[:, c.axis] = np.sum((columns @ covariance[own, own]) * columns, axis=1)
+    return result
 
 
 def _angles_read(log: ImuRows, rows: np.ndarray, moved: np.ndarray) -> np.ndarray:

@@ -19,7 +19,26 @@ def nees_of(names: Sequence[str], values: np.ndarray, truth: np.ndarray, covaria
     A plan may tell the element (1 + M) m of a sensor's matrix, a polynomial in temperature, far better than M and m:
     the errors of its coefficients, no sums of theirs where both are large, are taken in the place of those of m.
     """
-    errors, slopes = values - truth, np.eye(len(names))
+    errors = values - truth
+    slopes, pairs = _of_elements(names, values)
+    for k, m, scale in pairs:
+        errors[k] += values[scale] * values[m] - truth[scale] * truth[m]
+    covariance = slopes @ covariance @ slopes.T
+    # Scaled, since coefficients have many units.
+    size = np.sqrt(np.diag(covariance))
+    return float((errors / size) @ np.linalg.solve(covariance / np.outer(size, size), errors / size))
+
+
+def deviations_of_elements(names: Sequence[str], values: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Standard deviations of coefficients, those of (1 + M) m in the place of those of m."""
+    slopes, _ = _of_elements(names, values)
+    return np.sqrt(np.diag(slopes @ covariance @ slopes.T))
+
+
+def _of_elements(names: Sequence[str], values: np.ndarray) -> tuple[np.ndarray, list[tuple[int, int, int]]]:
+    """The derivatives of the coefficients of (1 + M) m, and of other coefficients, by all; and the places of which the
+    first has the product of the others added."""
+    slopes, pairs = np.eye(len(names)), list[tuple[int, int, int]]()
     where = {name: k for k, name in enumerate(names)}
     for k, name in enumerate(names):
         channel, _, symbol = name.partition(".")
@@ -31,13 +50,10 @@ def nees_of(names: Sequence[str], values: np.ndarray, truth: np.ndarray, covaria
             scale = next((where[s] for s in known if s in where), None)
             m = where.get(f"{channel}.{of[1]}{lower if of[2] else ''}")
             if scale is not None and m is not None:
-                errors[k] += values[scale] * values[m] - truth[scale] * truth[m]
+                pairs.append((k, m, scale))
                 slopes[k, m] += values[scale]
                 slopes[k, scale] += values[m]
-    covariance = slopes @ covariance @ slopes.T
-    # Scaled, since coefficients have many units.
-    size = np.sqrt(np.diag(covariance))
-    return float((errors / size) @ np.linalg.solve(covariance / np.outer(size, size), errors / size))
+    return slopes, pairs
 
 
 class ByData(NamedTuple):

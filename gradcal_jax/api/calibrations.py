@@ -118,6 +118,12 @@ def grid_of(channel: CalibratedChannel, name: str) -> tuple[Floats, Floats]:
     return temperatures, np.linspace(float(slow), float(fast), _RATES) * DEG_PER_S
 
 
+def calibrated_parameters(model: ImuModel, calibration: Calibration) -> np.ndarray:
+    """The parameters of a model by a calibration file; zero for what it does not carry."""
+    carried = calibration.values()
+    return np.linalg.solve(model.to_reported, [carried.get(name, 0.0) for name in model.names()])
+
+
 def calibrated_posterior(model: ImuModel, calibration: Calibration) -> Posterior:
     """The posterior of a model's parameters by a calibration file: the covariance of its coefficients, and the errors
     that no residual shows. Coefficients without a variance are hidden; what the file does not carry has no error."""

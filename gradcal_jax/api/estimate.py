@@ -347,7 +347,8 @@ def report_of(
     ramp = 0.0 if stable else ramp_of_record(rows.time_s[record], temperature[record])
     one_way = abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record])
     run = EstimatedRun(solution.parameters, covered[0], ramp, lag.std, one_way=bool(one_way))
-    budget = budget_of_estimate(built, known, run, noise)
+    estimated = built._replace(about=solution.parameters)
+    budget = budget_of_estimate(estimated, known, run, noise)
     structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))
     beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.beyond for channel, t in structure}
     contradicted = (*shown.not_valid, *estimation.contradictions(tests_by_name(tests, channels) | beyond_maps))
@@ -355,7 +356,7 @@ def report_of(
     for requirement in built.spec.requirement:
         if sentence := beyond_the_data(requirement, *covered):
             beyond.append(sentence)
-        row = judged_by_data(requirement_row(built, budget, requirement), sentence, contradicted)
+        row = judged_by_data(requirement_row(estimated, budget, requirement), sentence, contradicted)
         requirements.append(row)
     requirements = tuple(requirements)
     calibration = calibration_of(

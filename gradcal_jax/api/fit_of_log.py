@@ -193,8 +193,9 @@ def _read(
     checked: bool,
 ) -> Fit:
     """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
-    estimate, linearised about `about`, of this `covariance`; where no encoder tells the table's angles, again about those of the estimate,
-    until they stand still. Errors: `LogError` where they do not, and for readings of another unit or table."""
+    estimate, linearised about `about`, of this `covariance`; where no encoder tells the table's angles, again about
+    those of the estimate, until they stand still. Errors: `LogError` where they do not, and for readings of another
+    unit or table."""
     free, plan = built.spec.rig.table.by_gravity, built.spec.plan
     own = None if points is None else points.sigma
     number, corrected_by = 0, about

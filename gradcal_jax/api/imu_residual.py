@@ -373,6 +373,8 @@ def _elements(
             if c.kind == kind and requirement.axis in ("all", "worst", axis):
                 for term, label in terms(axis):
                     element = _of_term(model, c, term, label, temperatures, rates)
+                    if built.about is not None and isinstance(requirement, MisalignmentRequirement):
+                        element = _multiplied(element, c, term, temperatures, built.about)
                     yield element._replace(path=_states(c, requirement, np.repeat(temperatures, len(rates))))
 
 
@@ -428,6 +430,16 @@ def _of_term(
     if isinstance(of, Map):
         return QuantityElement(label, own, (channel.model, term, temperatures, rates))
     return QuantityElement(label, own, _plain(_signal_rows(channel, term, temperatures)))
+
+
+def _multiplied(
+    element: QuantityElement, channel: Channel, term: str, temperatures: np.ndarray, about: np.ndarray
+) -> QuantityElement:
+    """The element for a misalignment about an estimate: a correction divides by the sensor's scale factor, so that the
+    error along another axis is that of (1 + M)·m, which a plan may tell better than each."""
+    size = _signal_rows(channel, term, temperatures) @ about[element.where]
+    scale = _signal_rows(channel, SCALE_FACTOR, temperatures)
+    return element._replace(of=_plain(np.asarray(element.contrasts().rows) + size[:, None] * scale))
 
 
 def _plain(rows: np.ndarray) -> Contrasts:

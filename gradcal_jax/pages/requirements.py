@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.calibrations import Box, calibrated_posterior, calibration_map, grid_of
+from gradcal_jax.api.calibrations import Box, calibrated_parameters, calibrated_posterior, calibration_map, grid_of
 from gradcal_jax.api.error_budget import TURN_ON, CountedPosteriors, widened
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.api.imu_residual import ErrorCurve, ImuResidual, error_curves, quantity_of
@@ -86,7 +86,6 @@ def requirements_of(sources: Sources) -> RequirementFacts:
     here = _Plan(spec)
     other = None if sources.before is None else _Plan(sources.before)
     results = {} if calibration is None else {row.name: row for row in calibration.result}
-    achieved = None if calibration is None else calibrated_posterior(here.counted.built.model, calibration)
     rows: list[RequirementFact] = []
     maps: list[MapFact] = []
     differing: list[str] = []
@@ -97,7 +96,7 @@ def requirements_of(sources: Sources) -> RequirementFacts:
         stages = {
             "before": here.prior(requirement) if other is None else other.left(requirement),
             "predicted": here.left(requirement),
-            "achieved": None if achieved is None else here.left_by(achieved, requirement),
+            "achieved": None if calibration is None else here.left_by(calibration, requirement),
         }
         known = {label: left for label, left in stages.items() if left is not None and np.isfinite(left.values).any()}
         before = known["before"].statistic() if "before" in known else None
@@ -144,11 +143,14 @@ class _Plan:
         left = _residual(self.counted.built, self._prior, requirement)
         return None if left is None or left.unit == "deg" else left
 
-    def left_by(self, achieved: Posterior, requirement: Requirement) -> ImuResidual | None:
+    def left_by(self, calibration: Calibration, requirement: Requirement) -> ImuResidual | None:
         """The residual after a calibration; in any run with the bias of another power-on."""
+        built = self.counted.built
+        achieved = calibrated_posterior(built.model, calibration)
+        about = calibrated_parameters(built.model, calibration)
         if run_of(requirement) == "any run" and (turn_on := self.counted.columns.get(TURN_ON)) is not None:
             achieved = widened(achieved, {TURN_ON: turn_on})
-        return _residual(self.counted.built, achieved, requirement)
+        return _residual(built._replace(about=about), achieved, requirement)
 
     def has_several(self, requirement: Requirement) -> bool:
         """Whether a requirement's quantity has several elements."""

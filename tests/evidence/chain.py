@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from matrix_errors import ByData, by_data, nees_of
+from matrix_errors import ByData, by_data, deviations_of_elements, nees_of
 from scipy.stats import chi2
 
 import gradcal_jax as gj
@@ -36,7 +36,7 @@ class Chain:
     model's own difference between truth and estimate amounts to; `squares`: of an IMU, the same by its log alone, in
     the place of the covariance; `elements`: in the covariance, of misalignments times scale factors; `fit`: χ² of the
     data and its degrees; `ratios`: of each requirement (by name), achieved over predicted; `sigmas`: of each
-    parameter, likewise, without what the estimate widens for its fit."""
+    parameter (of a misalignment times its sensor's scale factor), likewise, without what the estimate widens."""
 
     nees: float
     degrees: int
@@ -139,11 +139,11 @@ def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> C
     made = tomllib.loads(path.read_text(encoding="utf-8"))
     truth = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
     names, matrix, values, hidden = _coefficients(made, truth)
-    pair = (np.array([of[name] for name in names]) for of in (values, hidden))
+    pair = [np.array([of[name] for name in names]) for of in (values, hidden)]
     elements = nees_of(names, *pair, matrix)
     of_imu = _by_data(recipe, logs, hidden, names, matrix)
     nees, squares = (elements, None) if of_imu is None else (of_imu.nees, of_imu.squares)
-    scale = np.sqrt(np.diag(matrix))
+    scale = deviations_of_elements(names, pair[0], matrix)
     fit = (float(made["fit"][0]["statistic"]), int(made["fit"][0]["degrees"]))
     before = {row["name"]: row["std"] for row in predicted["parameters"]}
     sigmas = {name: s / before[name] for name, s in zip(names, scale, strict=True) if before.get(name)}

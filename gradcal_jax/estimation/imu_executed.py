@@ -476,6 +476,10 @@ def across_stops(done: ExecutedImu, log: ImuRows) -> np.ndarray:
     return result
 
 
+# Of the accelerations on both sides of a stop, the smaller one's share that is another acceleration.
+_ALIKE = 0.8
+
+
 def _too_much(time_s: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Of two moves of one axis, what the rows up to a stop hold of the second, less what the rows after it hold of the
     first, rad `(3,)`. `time_s` `(7,)`, `rates` `(7, 3)`: of the row of the stop, in the middle, and those beside it.
@@ -485,8 +489,13 @@ def _too_much(time_s: np.ndarray, rates: np.ndarray) -> np.ndarray:
     step = np.diff(time_s, prepend=2.0 * time_s[0] - time_s[1])
     result, end, middle = np.zeros(3), time_s[3], time_s - 0.5 * step
     main = int(np.nanargmax(np.nansum(np.abs(rates), axis=0))) if np.isfinite(rates).any() else 0
-    for one, other, sign in ((0, 1, -1.0), (5, 6, 1.0)):
-        slope = (rates[other] - rates[one]) / (middle[other] - middle[one])
+    slopes = [(rates[k + 1] - rates[k]) / (middle[k + 1] - middle[k]) for k in (0, 5)]
+    sizes = [abs(float(slope[main])) for slope in slopes]
+    for k, one, nearest, sign in ((0, 1, 2, -1.0), (1, 5, 4, 1.0)):
+        slope = slopes[k]
+        # A slow turn's ramp is over before the farther rows: the table brakes and starts alike.
+        if sizes[k] < _ALIKE * sizes[1 - k] and rates[nearest, main]:
+            slope, one = sign * sizes[1 - k] * rates[nearest] / abs(rates[nearest, main]), nearest
         if not abs(slope[main]) > 0.0:
             continue
         # From the row's end to where the line is zero: past it on the side of the other move.

@@ -244,8 +244,8 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
         clock = "host" if both and better else "sensor"
         if clock == "sensor" and spec.sensor.takes_host_clock:
             said.append(
-                f"the log does not compare the sensor's clock with the computer's: an error of {error} counts, but a "
-                f"prediction from the spec counts {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
+                f"the log does not compare the sensor's clock with the computer's: the estimate assumes a clock error "
+                f"of {error}, but a prediction from the spec assumes {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
             )
     # Every log has a slope of its own to the host's clock; the error that they share is at most the largest.
     std = max((float(np.hypot(fit.std or 0.0, HOST_CLOCK)) for fit in fits), default=np.inf)
@@ -257,7 +257,7 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
             counted["sample_clock_error"] = Quantity.of(std, "ppm")
         spec = spec.model_copy(update={"sensor": spec.sensor.model_copy(update=counted)})
     for fit in apart:
-        used = "the computer's is used" if clock == "host" else "the sensor's is used: --clock host takes the other"
+        used = "the computer's is used" if clock == "host" else "the sensor's is used: --clock host uses the computer's"
         said.append(
             f"the log's two clocks contradict each other: they differ by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more "
             f"than {_APART:g} times the uncertainty of the sensor's clock: {used}"

@@ -130,7 +130,7 @@ def validate(
     parts
         Number of temperature ranges, for each of which the errors are printed.
     bins
-        Width of the temperature ranges, such as "2 K", instead of their number.
+        Width of the temperature ranges, such as "2 K", instead of --parts.
     branches
         Print the errors of heating and of cooling separately.
     """
@@ -349,7 +349,7 @@ def lot(
     if all(one.prior is None for one in found.maps):
         from gradcal_jax.cli.output import complain
 
-        complain(f"no priors were written to {output}: the shape of no map repeats in this lot")
+        complain(f"no priors were written to {output}: no map has a shape that repeats in this lot")
         return NOT_AS_WISHED
     from gradcal_jax.files.writing import write_whole
 

@@ -92,9 +92,9 @@ def demo(
     imu
         Use an IMU (three gyros and three accelerometers) instead of one gyro.
     seed
-        The seed of the simulated devices' errors, which the estimate does not know.
+        The seed of the simulated devices' errors; the estimate does not know these errors.
     json
-        Print every number as JSON; the folder has the same text as demo.json.
+        Print every number as JSON; the same text is in the file demo.json of the folder.
     """
     if data is not None and imu:
         raise ValueError("--data is for a recorded gyro, --imu for an IMU: use only one of them")

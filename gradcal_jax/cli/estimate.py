@@ -91,8 +91,8 @@ def estimate(
         The calibration file to write. If there are several IMUs, one file is written for each, and the name of the IMU
         is added to the name of the file.
     axis
-        If the spec has one gyro on a table of one axis: the sensor's axis that the table turned; by default the axis in
-        the spec, or the only axis in the log. Without a spec: the axes to calibrate; may be repeated.
+        If the spec has one gyro on a single-axis table: the sensor axis about which the table turned; by default the
+        axis in the spec, or the only axis in the log. Without a spec: the axes to calibrate; may be repeated.
     unit
         Which IMU of the log; may be repeated; by default all.
     table_axis
@@ -108,7 +108,7 @@ def estimate(
         The smoothness of bins and B-splines: "spec" for that in the spec, or "auto" for the smoothness with which the
         data are most probable.
     robust
-        Give readings that the model cannot explain less weight (Huber), and list them.
+        Reduce the weight of readings that the model cannot explain (Huber), and list these readings.
     clock
         The clock whose time is used to integrate rates: "sensor", or "host" (the computer's). By default the clock that
         the spec states; if it states none and the log has both clocks, the computer's.
@@ -121,7 +121,7 @@ def estimate(
     temperature
         The temperature, if the log has none, such as "23 degC".
     gravity
-        Local gravity, such as "9.80665 m/s^2". It is then the only reference, without table and spec, for three
+        Local gravity, such as "9.80665 m/s^2". Gravity is then the only reference, without table and spec, for three
         accelerometers and three gyros. The IMU must have been at rest in about twenty positions in all directions, and
         turned by hand between them. The readings may be raw counts.
     parameters

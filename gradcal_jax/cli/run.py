@@ -66,7 +66,7 @@ def run(
     speed
         For a simulated run: its speed, relative to real time; by default as fast as possible.
     seed
-        For a simulated run: the seed of the devices' errors, which the estimate does not know.
+        For a simulated run: the seed of the devices' errors; the estimate does not know these errors.
     sample_rate
         For a simulated run: the sample rate of the sensor, "125 Hz", "250 Hz", "500 Hz", "1000 Hz" or "2000 Hz".
     dry_run

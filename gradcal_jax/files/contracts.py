@@ -102,13 +102,13 @@ class TemperatureErrorRow(Section):
     tau: Size | None = None
     """Correlation time (s); null: the error is constant."""
     bias_slope: Finite | None = None
-    """Slope of the bias over temperature, through which the error acts (rad/s/K)."""
+    """Slope of the bias over temperature (rad/s/K); the temperature error times this slope is the bias error."""
     scale_factor_slope: Finite | None = None
-    """Slope of the scale factor over temperature, through which the error acts (1/K)."""
+    """Slope of the scale factor over temperature (1/K); times the temperature error, it is the scale-factor error."""
 
 
 class GradientSensitivityRow(Section):
-    """Bias sensitivity to dT/dt, which is estimated."""
+    """Estimated sensitivity of the bias to dT/dt."""
 
     prior: Size | None = None
     """Prior standard deviation of the sensitivity (rad/K); null: flat prior."""
@@ -217,7 +217,7 @@ class RequirementRow(Section):
     coverage: Size = 1.0
     """Number of standard deviations that must be within the target."""
     risk: Size | None = None
-    """Largest probability that a sensor beyond the target passes; null: simple acceptance."""
+    """Largest allowed probability that a sensor beyond the target passes; null: simple acceptance."""
     rule: str | None = None
     """Rule of the verdict, in words."""
     specific_risk: Size | None = None
@@ -302,13 +302,14 @@ class NoticeRow(Section):
     false_alarm: Size
     """Probability that the test rejects a correct model."""
     standard_deviation: Size | None = None
-    """Size of each hidden coefficient to which `power` refers; null: the spec states none."""
+    """Size of the hidden coefficients for which `power` is computed; null: the spec states none."""
     power: Size | None = None
     """Probability that the test detects hidden coefficients of this size."""
     sure_power: Size
     """Probability of detection that counts as certain."""
     sure_from: Size | None = None
-    """Smallest size of each hidden coefficient that is detected with probability `sure_power`; null: no size is."""
+    """Smallest size of the hidden coefficients that the test detects with probability `sure_power`; null: it detects no
+    size."""
 
     @property
     def sentence(self) -> str:

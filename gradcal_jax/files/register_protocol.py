@@ -128,7 +128,7 @@ class RegisterProtocol(Section):
             if name not in _VALUES:
                 yield Problem(
                     ("tell", name),
-                    f"is not a command of a chamber, which are {', '.join(_VALUES)}; {instead(name, _VALUES)}",
+                    f"is not a command; those of a chamber are {', '.join(_VALUES)}; {instead(name, _VALUES)}",
                 )
                 continue
             for register, value in writes.items():

@@ -100,9 +100,9 @@ class TemperatureError(UncertainSection):
     correlation_time: q.Time | None = None
     """Time constant of the error's autocorrelation; absent: the error is constant during the run."""
     bias_slope: q.BiasSlope | None = None
-    """Typical slope of the bias over temperature, through which the error acts."""
+    """Typical slope of the bias over temperature; the temperature error times this slope is the bias error."""
     scale_factor_slope: q.ScaleFactorSlope | None = None
-    """Typical slope of the scale factor over temperature, through which the error acts."""
+    """Typical slope of the scale factor over temperature; times the temperature error, it is the scale-factor error."""
 
     @model_validator(mode="after")
     def _slopes(self) -> "TemperatureError":
@@ -264,8 +264,9 @@ class _Instrument(Section):
     thermal_lag: q.SizeOfTime | None = None
     """Time constant of a first-order lag between the chamber's air and the sensor's dies."""
     clock: Literal["sensor", "host"] | None = None
-    """Clock by which rates are integrated. "sensor": the sensor's own; "host": the computer's, for which 1 ppm counts
-    instead of `sample_clock_error`; absent: the more accurate of the two, because a run's log has the times of both."""
+    """Clock by which rates are integrated. "sensor": the sensor's own; "host": the computer's, whose error is taken as
+    1 ppm instead of `sample_clock_error`; absent: the more accurate of the two, because a run's log has the times of
+    both."""
     sample_clock_error: q.SizeOfScaleFactor | None = None
     """Standard deviation of the relative error of the sensor's sample clock; the error acts like a scale factor."""
     temperature_offset: q.SizeOfTemperatureDifference | None = None
@@ -311,8 +312,8 @@ class _Channel(UncertainSection):
     temperature_error: TemperatureError | None = None
     """Error of the measured temperature."""
     bias_temperature_gradient: BiasTemperatureGradient | q.Quantity | None = None
-    """Bias proportional to dT/dt: either a table, if the sensitivity is estimated, or its standard deviation, which
-    then counts in the uncertainty but is not estimated."""
+    """Bias proportional to dT/dt. A table: the sensitivity is estimated. A single figure: the standard deviation of the
+    sensitivity, which is then not estimated but is included in the uncertainty."""
 
     @property
     def gradient_sensitivity(self) -> BiasTemperatureGradient | None:
@@ -355,9 +356,9 @@ class _Gyro(_Channel):
         _gradient_of_bias(BiasTemperatureGradient, "bias temperature-gradient sensitivity", "0 deg/h/(K/min)"),
     ] = None
     bias: Bias | None = None
-    """The bias over temperature, which is estimated; absent: the bias is known."""
+    """The estimated bias over temperature; absent: the bias is known."""
     scale_factor: ScaleFactor | None = None
-    """The scale factor over temperature and rate, which is estimated; absent: the scale factor is known."""
+    """The estimated scale factor over temperature and rate; absent: the scale factor is known."""
 
     @property
     def usable_rate(self) -> float | None:

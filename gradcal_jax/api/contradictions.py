@@ -299,7 +299,7 @@ def _ends_of_standstills(spec: Spec, log: Log, name: str, channels: Collection[s
             if abs(angle) > max(_NO_CHANCE * std, _MATTERS * known):
                 found[f"gyro {label} at the {end} of standstills"] = (
                     f"gyro {label} turns {np.degrees(abs(angle)):.2g} deg {words}, averaged over all standstills: "
-                    "its samples are delayed or filtered, or standstills are marked while the table still moves"
+                    "the samples are delayed or filtered, or standstills are marked while the table still moves"
                 )
     return found
 
@@ -433,6 +433,6 @@ def noise_sentences(tests: Consistency, larger: bool) -> list[str]:
     if tests.fit.probability <= 1.0 - 1e-3:
         return []
     return [
-        f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: its figures are larger than "
+        f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: the figures are larger than "
         "the noise of this sensor"
     ]

@@ -265,7 +265,7 @@ def _words(
     if force.beyond > 0.0:
         yield (
             f"|f| - g differs between positions by {force.beyond / G * 1e6:.3g} µg more than noise explains: was "
-            "the IMU at rest, and is its error proportional to the force? The covariance includes this difference"
+            "the IMU at rest, and are its errors proportional to the force? The covariance includes this difference"
         )
     if gyro.beyond > 0.0:
         yield (
@@ -276,7 +276,7 @@ def _words(
     if solution.unsteady > 0.0:
         yield (
             f"the gyros' rates at rest differ by {solution.unsteady * DEG_PER_H:.3g} deg/h more than noise and "
-            "acceleration sensitivity explain, probably because of drift. The covariance includes this"
+            "acceleration sensitivity explain, probably because of drift. The covariance includes this difference"
         )
     if not (white := tests["accelerometers: whiteness from position to position"]).passed:
         yield (

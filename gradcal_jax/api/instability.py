@@ -240,7 +240,7 @@ def at_rest(
         if thermal.lag_time_s > 0.0 and lag == "auto":
             messages.append(
                 f"the bias follows the temperature {thermal.lag_time_s:.0f} s late: the residual is then "
-                f"{thermal.residual_rms / at_once.residual_rms:.0%} of that of B(T) without a lag"
+                f"{thermal.residual_rms / at_once.residual_rms:.0%} of the residual of B(T) without a lag"
             )
         if lag in ("auto", "fit") and thermal.lag_time_s > 0.99 * _LONGEST_LAG_S:
             messages.append(
@@ -281,7 +281,7 @@ def samples_per_row(log: Log, interval_s: float) -> tuple[float, list[str]]:
     samples = max(units.parse(stated, "frequency") * interval_s, 1.0)
     return samples, [
         f"rows are every {samples:.4g}th sample of {stated}: the angle random walk of the rows is divided by "
-        f"{np.sqrt(samples):.3g}, which assumes white noise up to the sensor's rate"
+        f"{np.sqrt(samples):.3g}; this assumes white noise up to the sensor's rate"
     ]
 
 

@@ -46,7 +46,7 @@ def _log_of(log: Log | np.ndarray, rate: float | None) -> Log:
     """The log, or one of rates (rad/s) of which there are `rate` a second."""
     if isinstance(log, Log):
         if rate is not None:
-            raise ValueError("rate: a log has its own times; leave it out")
+            raise ValueError("rate: a log has its own times; leave the argument rate out")
         return log
     if rate is None or not rate > 0.0:
         raise ValueError("rate: state the samples per second of the array, such as rate=100.0")

@@ -85,7 +85,7 @@ def instability(
     longest
         Longest integration time.
     margin
-        The bound is this number of standard deviations of the drift; the data must stay within it.
+        The bound is this number of standard deviations of the drift; the data must stay within the bound.
     random_walk
         Angle random walk, such as "0.1 deg/sqrt(h)"; by default that of the Allan deviation.
     temperature
@@ -332,7 +332,7 @@ def allan(
         The duration of the record; by default several durations are compared.
     error
         The relative error that is allowed for each coefficient, such as "5 %": print how long the record must be for
-        it.
+        this error.
     rate
         Sample rate of the record.
     bins

@@ -288,7 +288,7 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     """Prove a lower limit for the error of all plans on this rig and of this duration, and print the efficiency of this
     plan.
 
-    The proof ignores some limits of the rig, which the command lists. Therefore it is possible that no real plan
+    The proof ignores some limits of the rig; the command lists these limits. Therefore it is possible that no real plan
     reaches the lower limit; no plan can be below it. An efficiency of 67 % means that no plan leaves less than 0.67
     times the error of this plan.
 

@@ -252,7 +252,7 @@ def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, fo
         The file to write.
     move
         Also switch the chamber on at its present temperature, let each axis search for its reference position, and turn
-        it by 10 deg. An operator must be ready to stop them.
+        each axis by 10 deg. An operator must be ready to stop them.
     """
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock

@@ -74,11 +74,12 @@ def run(
     yes
         Begin without asking the operator to confirm the checklist.
     operator
-        Name of the operator; it is stored with the run and in its log, like the texts of --unit and --note.
+        Name of the operator; the name is stored with the run and in the log of the run, like the texts of --unit and
+        --note.
     unit
         Name of the IMU on the table.
     note
-        A note, which is stored with the run.
+        A note to store with the run.
     units
         For a simulated run: the number of IMUs on the table.
     json

@@ -260,8 +260,8 @@ class RigTable(Section):
     drive: Literal["motor", "hand"] = "motor"
     """"motor": motors turn the axes; "hand": the operator turns the axes of a gimbal."""
     answer_time: q.SizeOfTime = NO_TIME
-    """Time that the operator needs for each turn in addition to its duration: half of it to read the request before the
-    turn, half to answer afterwards."""
+    """Time that the operator needs for each turn in addition to its duration: half of this time to read the request
+    before the turn, half to answer afterwards."""
     tilt: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of the base's two tilts."""
     azimuth: q.SizeOfAngle = NO_ANGLE
@@ -335,7 +335,7 @@ class SimulatedLoop(Section):
     accelerometer_scale_factor: q.PositiveScaleFactor | None = None
     """Size of the loop in the accelerometers' scale factor."""
     width: q.PositiveTemperatureDifference = q.Quantity(10.0, "10 K", "temperature difference")
-    """Typical half-width of the relays, which vary from 0.3 to 2 times this value."""
+    """Typical half-width of the relays; the half-widths vary from 0.3 to 2 times this value."""
     time_constants: tuple[q.Time, q.Time] = (q.Quantity(60.0, "1 min", "time"), q.Quantity(600.0, "10 min", "time"))
     """Time constants of the two thermal masses."""
 
@@ -364,7 +364,7 @@ class Rig(Section):
     chamber: Chamber
     """The climatic chamber."""
     resolution: Resolution | None = None
-    """Steps of the controllers, to which a recipe is rounded."""
+    """Steps of the controllers; a recipe is rounded to these steps."""
     shift: q.Time = q.Quantity(28800.0, "8 h", "time")
     """Duration of a shift; `predict` computes from it how many IMUs a fixture calibrates in a shift."""
     simulated_loop: Annotated[tuple[SimulatedLoop, ...], Field(max_length=10)] = ()

@@ -61,7 +61,7 @@ class ProcessRow(Section):
 
 
 class DiscrepancyRow(Section):
-    """Structure that the map may have beyond its model: products of polynomials in the x of temperature and the x of
+    """Possible structure of the map beyond its model: products of polynomials in the x of temperature and the x of
     rate."""
 
     sigma: Size
@@ -241,8 +241,8 @@ class RequirementRow(Section):
     worst: Size | None = None
     """Largest standard deviation, over temperature and rate, of the quantity that the verdict judges."""
     own: Size | None = None
-    """For heading and north: the contribution of the IMU's own noise (root sum of squares), which no calibration
-    removes."""
+    """For heading and north: the contribution of the IMU's own noise (root sum of squares); no calibration removes
+    it."""
     own_sources: dict[str, Size] | None = None
     """Contributions of single noise sources to `own`, by name."""
     missions: tuple[MissionRow, ...] | None = None
@@ -298,7 +298,7 @@ class NoticeRow(Section):
     rate_degree: int | None = None
     """Highest degree of the hidden polynomials in rate; null: they depend on temperature alone."""
     components: int
-    """Number of observable combinations of the hidden coefficients, which are the test's degrees of freedom."""
+    """Degrees of freedom of the test: the number of observable combinations of the hidden coefficients."""
     false_alarm: Size
     """Probability that the test rejects a correct model."""
     standard_deviation: Size | None = None

@@ -101,8 +101,8 @@ class ColumnMap(SensorColumns):
     sensor: Annotated[tuple[SensorColumns, ...], Field(max_length=1000)] = ()
     """Columns of several sensors, instead of `rate`, `force`, `temperature` and `status` at the top."""
     interpolate: Flag = False
-    """Set it if different channels are in different rows: the rows with rates are used, and the other channels are
-    interpolated."""
+    """Set this key if different channels are in different rows: the rows with rates are used, and the other channels
+    are interpolated."""
     where: Where | None = None
     """If the rows of several sensors are mixed: selects the rows of one sensor, such as `{ column = "id", equals = 1
     }`."""

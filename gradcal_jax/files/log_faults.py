@@ -26,7 +26,7 @@ from gradcal_jax.files.uneven_stamps import against_earlier, changed_rate, even_
 _FASTEST_RATE: Final = 90.0
 """rad/s, 5000 deg/s: a larger rate exceeds the full scale of every sensor that this program calibrates."""
 _LARGEST_FORCE: Final = 500.0
-"""m/s²: no record for a calibration usually has a larger specific force."""
+"""m/s²: records for a calibration seldom have a larger specific force."""
 _GAP: Final = 1.6
 """Median intervals: a shorter interval between stamps is jitter, not a gap."""
 _WINDOW: Final = 5

@@ -25,7 +25,7 @@ class ModbusLine(Section):
     """`[line]`."""
 
     transport: Literal["rtu", "tcp"] = "rtu"
-    """RTU frames on a serial line, or messages of Modbus TCP, whose port is `socket://ADDRESS:502`."""
+    """RTU frames on a serial line, or messages of Modbus TCP (the port is then `socket://ADDRESS:502`)."""
     baudrate: Count = 9600
     """Bits per second."""
     parity: Literal["N", "E", "O"] = "N"

@@ -254,7 +254,8 @@ class NorthRequirement(_OverTemperature):
     latitude: Annotated[q.Quantity, q.Of("angle", at_least="-89 deg", at_most="89 deg")]
     """Latitude at which north is determined."""
     after: q.Time
-    """Duration of the rest in which north is determined; the effect of the sensor's own noise depends on it."""
+    """Duration of the rest in which north is determined; the effect of the sensor's own noise depends on this
+    duration."""
     target: q.PositiveAngle | None = None
 
 

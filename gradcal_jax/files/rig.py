@@ -82,7 +82,7 @@ class ChamberDevice(Section):
 
 
 class EncoderDevice(Section):
-    """`[axis.encoder]` of an axis turned by hand: a device with an axis driver, from which only the angle is read."""
+    """`[axis.encoder]` of an axis turned by hand: a device with an axis driver; only its angle is read."""
 
     driver: Text
     """Name of the driver."""
@@ -201,7 +201,7 @@ class RigFile(TitledFile):
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
     """IMUs under calibration."""
     longest_pause: Time = Quantity(1800.0, "30 min", "time")
-    """If a run that paused by itself is not resumed within this time, it makes everything safe and ends."""
+    """If a run that paused by itself is not resumed within this time, the run makes everything safe and ends."""
     alarm: Alarm | None = None
     """Command that calls the operator."""
     operator: OperatorPlace | None = None

@@ -179,7 +179,7 @@ class ScaleFactorDiscrepancy(Section):
 
 
 class Bias(_Lagging):
-    """The bias B(T), which is estimated."""
+    """The estimated bias B(T)."""
 
     temperature: TemperatureBasis
     """Basis over temperature."""
@@ -188,7 +188,7 @@ class Bias(_Lagging):
     smoothness: q.PositiveRate | None = None
     """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
     discrepancy: BiasDiscrepancy | None = None
-    """Structure that the map may have beyond its basis."""
+    """Possible structure of the map beyond its basis."""
     shape: Annotated[tuple[BiasShape, ...], Field(max_length=600)] = ()
     """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
     channel without shapes has a flat prior."""
@@ -206,7 +206,7 @@ class Bias(_Lagging):
 
 
 class ScaleFactor(_Lagging):
-    """The scale-factor error M(T, ω), which is estimated: products of functions of temperature and functions of
+    """The estimated scale-factor error M(T, ω): products of functions of temperature and functions of
     rate."""
 
     temperature: TemperatureBasis
@@ -218,7 +218,7 @@ class ScaleFactor(_Lagging):
     smoothness: q.PositiveScaleFactor | None = None
     """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
     discrepancy: ScaleFactorDiscrepancy | None = None
-    """Structure that the map may have beyond its basis."""
+    """Possible structure of the map beyond its basis."""
     shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
     """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
     channel without shapes has a flat prior."""
@@ -274,7 +274,7 @@ class _Instrument(Section):
     temperature_lag: q.SizeOfTime | None = None
     """Standard deviation of the delay of the dies' temperature relative to the measured one."""
     second_thermometer: path_terms.SecondThermometer | None = None
-    """A second thermometer, which `thermometer_difference` needs; its column in logs is `second_temperature`."""
+    """A second thermometer, required for `thermometer_difference`; its column in logs is `second_temperature`."""
 
     @property
     def lag(self) -> float | None:
@@ -398,8 +398,8 @@ class AccelerationSensitivity(_ErrorTerm):
     lever_arm: q.PositiveLength | None = None
     """Standard deviation of each coordinate of the gyros' position, relative to the accelerometers or, without
     accelerometers, to the intersection of the table's axes. If the gyros are away from this point, rotation adds a
-    specific force that is not measured. It causes a bias for each product of two rates (`ww_xy`), which is estimated
-    but is not part of the calibration."""
+    specific force that is not measured. This force causes a bias for each product of two rates (`ww_xy`); the bias is
+    estimated but is not part of the calibration."""
 
     def _problems(self) -> Iterable[Problem]:
         if self.lever_arm is not None and self.prior is None:
@@ -558,7 +558,7 @@ class BodyFrame(Section):
 
     fixed_by: Literal["table axes", "case"] = "table axes"
     """"table axes": the frame is given by the table's axes at zero and the nominal mounting; "case": by the IMU's case,
-    which is known to the accuracy of the mounting."""
+    as accurately as the mounting is known."""
 
 
 class Sensor(UncertainSection, _Instrument):

@@ -134,7 +134,7 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
     if len(known) > 10 * _WINDOW and distinct[0] * distinct[-1] >= 0.0 and _reaches_zero(np.abs(known)):
         raise LogError(
             f"{where}: no row at rest is {'below' if distinct[-1] > 0.0 else 'above'} zero, and many are close to "
-            "zero: is the sign missing, or is it a magnitude? Log the signed rates"
+            "zero: is the sign missing, or is the value a magnitude? Log the signed rates"
         )
     middle = float(np.median(known))
     far = np.abs(distinct - middle) > FAR * 1.4826 * float(np.median(np.abs(known - middle)))

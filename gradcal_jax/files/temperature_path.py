@@ -10,9 +10,9 @@ from gradcal_jax.files.section import Section, refuse
 
 
 class VariationOfBias(Section):
-    """How the coefficient of a play varies with temperature: Legendre polynomials of the degrees 1 to `degree` in
-    (T − `centre`)/`scale` are added to it. A loop that is not a sum of plays, for example one of many relays, is
-    wider at some temperatures than at others."""
+    """How the coefficient of a play varies with temperature: Legendre polynomials of the degrees 1 to `degree` in (T −
+    `centre`)/`scale` are added to the coefficient. A loop that is not a sum of plays, for example one of many relays,
+    is wider at some temperatures than at others."""
 
     standard_deviation: q.PositiveBiasSlope
     """Standard deviation of the coefficient of each polynomial before the calibration."""
@@ -144,7 +144,7 @@ class DifferenceOfScale(DifferenceOfBias):
 
 
 class SecondThermometer(Section):
-    """A second thermometer, for example on the case, in addition to the first one, which is at the dies."""
+    """A second thermometer, for example on the case, in addition to the first one (at the dies)."""
 
     lag: q.Time
     """First-order lag of the second thermometer's temperature behind that of the first; used in predictions only,

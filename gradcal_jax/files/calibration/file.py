@@ -43,7 +43,7 @@ ORDER: Final = (
     "before any rotation"
 )
 TEMPERATURE_RATE: Final = "temperature rate"
-"""The signal dT/dt, K/s, which a correction knows; it computes the other signals."""
+"""The signal dT/dt, K/s: a correction knows it, and computes the other signals."""
 LOG_HASH: Final = "log_sha256"
 """Name under which the provenance has the fingerprint of the calibration's log."""
 
@@ -80,7 +80,7 @@ class CalibratedTerm(Section):
                 if function_of(name) != functions_of_name:
                     place = " and ".join(map(str, functions_of_name))
                     message = (
-                        f"is not the coefficient expected at this position, which multiplies function {place} of "
+                        f"is not the coefficient expected at this position: that one multiplies function {place} of "
                         "temperature (and rate)"
                     )
                     yield Problem(("coefficients", name), message)
@@ -217,7 +217,7 @@ class UnseenError(Section):
     name: Annotated[q.Text, Field(max_length=200)]
     """Name of the error."""
     coefficients: dict[str, q.Number]
-    """Change of each coefficient by one standard deviation of this error, in the coefficients' units."""
+    """Change of each coefficient that one standard deviation of this error causes, in the coefficients' units."""
 
 
 class FitTest(Section):
@@ -286,7 +286,7 @@ class Noise(Section):
     angle_random_walk: q.AngleRandomWalk | None = None
     """White noise of the rate."""
     rate_random_walk: q.RateRandomWalk | None = None
-    """Random walk that equals the gyros' drifts over times much shorter than their correlation time."""
+    """Random walk that equals the gyros' drifts over times much shorter than the correlation time of these drifts."""
     velocity_random_walk: q.VelocityRandomWalk | None = None
     """White noise of the specific force."""
     sample_rate: q.Frequency | None = None

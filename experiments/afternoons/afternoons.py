@@ -124,8 +124,8 @@ DEVICES = (
         "A BMI088 on a table of ±170°",
         "bmi088",
         "The table has one axis and is home-made, with a stepper motor on a GRBL board; its cable allows ±170°. A\n"
-        "fridge and a hair dryer are operated by the clock. The board of the IMU prints lines of text. There are\n"
-        "three temperature ramps, and the mounting is changed between them.",
+        "person operates a fridge and a hair dryer at the planned times. The board of the IMU prints lines of text.\n"
+        "There are three temperature ramps, and the mounting is changed between them.",
         False,
     ),
     (
@@ -133,8 +133,8 @@ DEVICES = (
         "drone-imu",
         "The flight controller records the IMU with its own logger, and the run controls the table and the chamber.\n"
         "`gradcal log` compares the motion of the IMU with that of the table, and so aligns the recording with the\n"
-        "clock of the run. The spec states how far the gyros are from the accelerometers (`lever_arm`), which\n"
-        "matters at the rates of this plan.",
+        "clock of the run. The spec states how far the gyros are from the accelerometers (`lever_arm`), because\n"
+        "this distance matters at the rates of this plan.",
         True,
     ),
     (

@@ -182,8 +182,8 @@ def page(notebooks: list[Path]) -> str:
     lines = [
         "# Gallery",
         "",
-        "This page is made by `experiments/gallery/make.py`. Every picture shows simulated devices, except that of the",
-        "notebook on a real sensor.",
+        "This page is made by `experiments/gallery/make.py`. Every picture shows simulated devices, except the picture",
+        "of the notebook on a real sensor.",
         "",
         "## Notebooks",
         "",

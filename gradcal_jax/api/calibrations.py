@@ -320,9 +320,9 @@ def lot(calibrations: Sequence[Calibration]) -> Lot:
 def _few(count: int) -> str:
     low, high = (float(np.sqrt(x)) for x in (lots.spread_factor(count, tail) for tail in (0.975, 0.025)))
     return (
-        f"{count} IMUs are too few to detect outliers or groups, or to predict the next IMU: the 95 % interval of "
-        f"their spread is {low:.2g} to {high:.2g} times its value, and at most {count - 2} shapes can be "
-        f"tested; {lots.FEW} or more are needed for a prior"
+        f"{count} IMUs are too few to detect outliers or groups, or to predict the next IMU: the 95 % "
+        f"confidence interval of the spread is {low:.2g} to {high:.2g} times the estimated spread, and at most "
+        f"{count - 2} shapes can be tested; a prior needs {lots.FEW} IMUs or more"
     )
 
 

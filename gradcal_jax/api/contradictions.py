@@ -115,8 +115,9 @@ def omitted_sentences(spec: Spec, temperature: np.ndarray, lag_is_fitted: bool =
         sentences.append(EARTH_IS_UNKNOWN)
     if lagging and _goes_one_way(temperature):
         sentences.append(
-            "the temperature changes in one direction only, so the data do not show a lag between the measured "
-            "temperature and the dies: it is taken as zero, and counts as an error"
+            "the temperature changes in one direction only, so the lag of the dies behind the measured "
+            "temperature is not observable: the estimate assumes zero lag (or the lag stated with --lag), and the "
+            "uncertainty includes the possible lag"
         )
     return sentences
 
@@ -141,8 +142,8 @@ def diagnosis_sentences(residual: np.ndarray, time_s: np.ndarray, moved: np.ndar
     if seen.motion_tells:
         sentences.append(
             f"the residuals after moves are {seen.moving:.3g} times the noise of the spec, those at rest "
-            f"{seen.resting:.3g} times: is there vibration during moves, wobble of the table, an error of its angle or "
-            "its timing, or a changing scale factor?"
+            f"{seen.resting:.3g} times: is there vibration during moves, wobble of the table, an error of the table's "
+            "angle or timing, or a changing scale factor?"
         )
     return sentences
 
@@ -182,8 +183,8 @@ def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray
         if alike and abs(mean) > _TURNED * prior / np.sqrt(len(sizes)):
             yield (
                 f"all sensors are turned by {np.degrees(mean):.3g} deg about {axis} from their orientation in the "
-                f"spec, but their misalignments (1σ) are {np.degrees(prior):.2g} deg there: are the mounting and the "
-                "zeros of the table's angles as in the spec?"
+                f"spec, but the spec's misalignments (1σ) about this axis are {np.degrees(prior):.2g} deg: are the "
+                "mounting and the zeros of the table's angles as in the spec?"
             )
 
 
@@ -298,7 +299,7 @@ def _ends_of_standstills(spec: Spec, log: Log, name: str, channels: Collection[s
             if abs(angle) > max(_NO_CHANCE * std, _MATTERS * known):
                 found[f"gyro {label} at the {end} of standstills"] = (
                     f"gyro {label} turns {np.degrees(abs(angle)):.2g} deg {words}, averaged over all standstills: "
-                    "its samples are delayed or filtered, or standstills are marked while the table still moves"
+                    "the samples are delayed or filtered, or standstills are marked while the table still moves"
                 )
     return found
 
@@ -432,6 +433,6 @@ def noise_sentences(tests: Consistency, larger: bool) -> list[str]:
     if tests.fit.probability <= 1.0 - 1e-3:
         return []
     return [
-        f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: its figures are larger than "
+        f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: the figures are larger than "
         "the noise of this sensor"
     ]

@@ -174,8 +174,8 @@ _SLACK = 1e-9
 # Shortest soak that a programme may begin with, s.
 _BRIEF = 1.0
 NO_COURSE = (
-    'design.free = ["programme"] needs a plan with one mounting, of ramps with used data after at most one soak '
-    "with unused data, and no executed part"
+    'design.free = ["programme"] needs a plan that has one mounting and no executed part, and consists of ramps '
+    "whose data are used, after at most one soak whose data are not used"
 )
 
 

@@ -395,7 +395,7 @@ def report_of(
     if smoothness is not None and smoothness.at_edge:
         messages = (
             *messages,
-            "the data do not determine the smoothness of the maps: the estimate is at the edge of its range",
+            "the data do not determine the smoothness of the maps: the estimate is at the edge of the allowed range",
         )
     return report._replace(
         messages=(*messages, *alone, *lag.sentences, *lesser, *hidden, *itertools.chain(*told), *beside)

@@ -329,7 +329,7 @@ def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> 
         lag = Lag(float(options.lag))
     elif stable:
         lag = Lag(0.0)
-        messages = *messages, "a lag cannot be estimated at constant temperatures: it is taken as zero"
+        messages = *messages, "a lag cannot be estimated at constant temperatures: zero lag is assumed"
     else:
         lag = lag_of_maps(built, name, rows, temperature_of)
     temperature = temperature_of(lag.seconds)

@@ -112,8 +112,9 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     time, usable, rates, force = filled.time, filled.usable, filled.values[:, :3], filled.values[:, 3:]
     if filled.number:
         messages.append(
-            f"{filled.number} rows in gaps of one or two are filled by cubic interpolation: each gap may "
-            f"change an angle by {filled.error[:3].max():.2g} rad, the difference from linear interpolation"
+            f"{filled.number} rows in gaps of one or two are filled by cubic interpolation: the error "
+            f"of an angle from each gap is up to {filled.error[:3].max():.2g} rad, the difference from linear "
+            "interpolation"
         )
     try:
         standing = filled.standing
@@ -264,7 +265,7 @@ def _words(
     if force.beyond > 0.0:
         yield (
             f"|f| - g differs between positions by {force.beyond / G * 1e6:.3g} µg more than noise explains: was "
-            "the IMU at rest, and is its error proportional to the force? The covariance includes this difference"
+            "the IMU at rest, and are its errors proportional to the force? The covariance includes this difference"
         )
     if gyro.beyond > 0.0:
         yield (
@@ -275,7 +276,7 @@ def _words(
     if solution.unsteady > 0.0:
         yield (
             f"the gyros' rates at rest differ by {solution.unsteady * DEG_PER_H:.3g} deg/h more than noise and "
-            "acceleration sensitivity explain, probably because of drift. The covariance includes this"
+            "acceleration sensitivity explain, probably because of drift. The covariance includes this difference"
         )
     if not (white := tests["accelerometers: whiteness from position to position"]).passed:
         yield (

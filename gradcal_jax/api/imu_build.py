@@ -117,7 +117,7 @@ def build_imu(
     `ValueError` for a fixture of several IMUs."""
     if spec.rig.table.place:
         raise ValueError(
-            "the spec has a fixture of several IMUs, which only predict, optimise and estimate support; for "
+            "the spec has a fixture of several IMUs, and only predict, optimise and estimate support fixtures; for "
             "other commands, write the mounting of one place as rig.table.mounting, and remove rig.table.place"
         )
     if too := too_large(spec):

@@ -84,8 +84,8 @@ class RestRecord:
         if not np.isfinite(self.samples_per_row):
             raise LogError(
                 f"axis {self.axis} of {self.unit}: rows at {1.0 / self.sample_interval_s:.3g} Hz of a raw "
-                "channel, which is sampled much faster: are they means of the samples between, or every n-th of "
-                "them? Only if they are means, their angle random walk is that of the sensor. State "
+                "channel, which is sampled much faster: are the rows means of these samples, or every n-th "
+                "sample? The angle random walk of the rows equals that of the sensor only if the rows are means. State "
                 '--sensor-rate means, or the sensor\'s own rate, such as --sensor-rate "400 Hz"; it is better to '
                 "log at the full rate"
             )
@@ -101,7 +101,7 @@ def allan_of(
         return deviation, identify.fit_allan(deviation, terms=terms, confidence=confidence)
     except np.linalg.LinAlgError:
         raise LogError(
-            f"axis {rest.axis} of {rest.unit}: its rows repeat a pattern and are not noise: --plot shows it"
+            f"axis {rest.axis} of {rest.unit}: its rows repeat a pattern and are not noise: --plot shows the pattern"
         ) from None
     except ValueError as error:
         if confidence <= 0.0 or confidence >= 1.0 or not set(terms) <= set(TERMS):
@@ -240,7 +240,7 @@ def at_rest(
         if thermal.lag_time_s > 0.0 and lag == "auto":
             messages.append(
                 f"the bias follows the temperature {thermal.lag_time_s:.0f} s late: the residual is then "
-                f"{thermal.residual_rms / at_once.residual_rms:.0%} of that of B(T) without a lag"
+                f"{thermal.residual_rms / at_once.residual_rms:.0%} of the residual of B(T) without a lag"
             )
         if lag in ("auto", "fit") and thermal.lag_time_s > 0.99 * _LONGEST_LAG_S:
             messages.append(
@@ -281,7 +281,7 @@ def samples_per_row(log: Log, interval_s: float) -> tuple[float, list[str]]:
     samples = max(units.parse(stated, "frequency") * interval_s, 1.0)
     return samples, [
         f"rows are every {samples:.4g}th sample of {stated}: the angle random walk of the rows is divided by "
-        f"{np.sqrt(samples):.3g}, which assumes white noise up to the sensor's rate"
+        f"{np.sqrt(samples):.3g}; this assumes white noise up to the sensor's rate"
     ]
 
 
@@ -363,8 +363,8 @@ def instability(
     walk = fit.angle_random_walk.value if angle_random_walk is None else angle_random_walk
     if angle_random_walk is None and walk <= fit.angle_random_walk.standard_error:
         raise LogError(
-            f"the Allan deviation of axis {rest.axis} shows no angle random walk, which the bound needs: state "
-            'that of the data sheet with --random-walk, such as "0.1 deg/sqrt(h)"'
+            f"the Allan deviation of axis {rest.axis} shows no angle random walk, but the bound needs one: "
+            'state that of the data sheet with --random-walk, such as "0.1 deg/sqrt(h)"'
         )
     times = identify.integration_times(max(shortest_s, interval), longest, interval, count=count)
     times = times[times <= room * (1 + 1e-12)]
@@ -383,7 +383,7 @@ def temperature_ranges(rest: RestRecord, parts: int, bin_k: float | None = None)
     """The record's span of temperature in equal parts or, with `bin_k`, in ranges of that width (K) from whole
     multiples of it on. **Raises:** `LogError` without temperatures."""
     if rest.temperature_c is None or not np.isfinite(rest.temperature_c[rest.valid]).any():
-        raise LogError("the log has no temperature, so there are no ranges of it")
+        raise LogError("the log has no temperature, so there are no temperature ranges")
     known = rest.temperature_c[rest.valid]
     low, high = float(np.nanmin(known)), float(np.nanmax(known))
     edges = np.linspace(low, high, parts + 1)
@@ -485,7 +485,7 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
     elif 0.0 < fit.angle_random_walk.value < _QUIETEST:
         notes.append(
             f"an angle random walk of {fit.angle_random_walk.value * DEG_PER_SQRT_H:.2g} deg/sqrt(h) is that of a "
-            "large fibre-optic or ring laser gyro: is it one, or does the column map take angle increments as "
+            "large fibre-optic or ring laser gyro: is the sensor one, or does the column map take angle increments as "
             "rates, or state deg/s for rates in rad/s, or ms for time stamps in s?"
         )
     if fit.low_passed:
@@ -497,7 +497,7 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
         last = fit.fitted_time_s[-1]
         notes.append(
             f"the fitted terms do not follow the curve (χ² {fit.chi_squared:.4g} of {fit.chi_squared_degrees} "
-            f"degrees; {identify.MISFIT:.0%} of records of such noise differ as much), and it differs most "
+            f"degrees; {identify.MISFIT:.0%} of records of such noise differ as much), and the curve differs most "
             f"near {fit.farthest_time_s:.3g} s: the record has other effects (a trend, an oscillation, a thermal "
             "effect); "
             + (
@@ -572,7 +572,7 @@ def noise_file(channels: Sequence[ChannelNoise], form: NoiseFormat, sample_rate_
         ):
             values = [getattr(channel.fit, term) for channel in own]
             if name == "noise_density" and not all(value.value > 0.0 for value in values):
-                raise LogError(f"an {kind} has no visible white noise, which the file needs: log at a higher rate")
+                raise LogError(f"an {kind} has no visible white noise, but the file needs one: log at a higher rate")
             largest = values[int(np.argmax([value.value for value in values]))]
             each = ", ".join(
                 f"{channel.axis} {value.value:.4g} ± {value.standard_error:.2g}"

@@ -292,7 +292,7 @@ def _proofs_of_axis(spec: Spec, motion: float | None = None) -> list[Proof]:
         built.model, *_spacing_of_cycle(cycle, built.trajectory()), visits if tied else None
     )
     if not tied:
-        relaxed.append("the axis may turn at any time within its share of the time")
+        relaxed.append("the turns may be at any time; only their total time is limited, to the axis's part of a cycle")
     followed = _sensor_course(chamber, built.thermal_lag)
     fixed, windows, used = "gradient" not in free, [], []
     if fixed:
@@ -347,7 +347,7 @@ def _noise_density(model: SensorModel, spacing: float, apart: float, visits: Win
         # An offset is one draw a standstill.
         other = eqx.tree_at(lambda m: m.reference.reading_noise, model, reference.standstill_offset)
         density = max(density, design.least_noise_density(other, apart))
-        relaxed.append(f"standstills may be only {apart:.3g} s apart")
+        relaxed.append(f"the time between standstills can be as short as {apart:.3g} s")
     return density, relaxed
 
 

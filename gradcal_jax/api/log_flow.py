@@ -46,7 +46,7 @@ def _log_of(log: Log | np.ndarray, rate: float | None) -> Log:
     """The log, or one of rates (rad/s) of which there are `rate` a second."""
     if isinstance(log, Log):
         if rate is not None:
-            raise ValueError("rate: a log has its own times; leave it out")
+            raise ValueError("rate: a log has its own times; leave the argument rate out")
         return log
     if rate is None or not rate > 0.0:
         raise ValueError("rate: state the samples per second of the array, such as rate=100.0")
@@ -272,7 +272,7 @@ def _marked(log: Log, unit: str) -> Log:
     if log.table_axes:
         raise LogError("the log has a table's motion: its calibration needs a spec (--spec) that describes it")
     if log.temperature_c is None or not np.isfinite(temperature := log.temperature_c[index]).any():
-        raise LogError(f"the log has no temperature of IMU {unit}, which a bias over temperature needs")
+        raise LogError(f"the log has no temperature of IMU {unit}, but a bias over temperature needs it")
     usable = log.usable(unit)
     standing = log.standstill
     if standing is None:
@@ -321,8 +321,8 @@ def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
     walk = fit.angle_random_walk
     if not walk.value > walk.standard_error:
         raise LogError(
-            f"the Allan deviation of axis {axis} of IMU {unit} shows no angle random walk, which the estimate "
-            "needs: log at a higher rate, or give a spec with --spec"
+            f"the Allan deviation of axis {axis} of IMU {unit} shows no angle random walk, but the estimate "
+            "needs one: log at a higher rate, or give a spec with --spec"
         )
     if not plausible(fit):
         raise LogError(f"axis {axis} of IMU {unit}: {too_noisy(fit)}")
@@ -508,7 +508,8 @@ def with_turns(
             else f"{len(turns_rad)} turns are listed"
         )
         raise LogError(
-            f"{wrong}, and about {name} the sensor has {listed or 'none'}: are order, signs and axis correct?"
+            f"{wrong}, but the turns that the sensor measured about {name} are: {listed or 'none'}. Check the order, "
+            "the signs and the axis"
         )
     marked = replace(
         log, table_axes=(name,), table_angle_rad=angle[:, None], table_rate_rad_per_s=None, standstill=number

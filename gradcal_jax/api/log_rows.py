@@ -139,7 +139,7 @@ def table_readings(
     if column is not None:
         known = np.isfinite(column)
         if standing.any() and not known[standing].any():
-            raise LogError("the table's angle, which is the reference, is missing at every standstill")
+            raise LogError("the table's angle (the reference) is missing at every standstill")
         if not known[standing].all():
             count = int(np.count_nonzero(standing & ~known))
             messages.append(f"{count} rows at rest without a table angle cannot be a reference, and are not used")
@@ -205,7 +205,7 @@ def clock_fit(log: Log) -> ClockFit:
     """
     if log.host_time_s is None:
         raise LogError(
-            "the log has no host time to compare the sensor's clock with: --clock sensor uses its time stamps unchanged"
+            "the log has no host time to compare the sensor's clock with: --clock sensor uses the time stamps unchanged"
         )
     starts, stds = _clock_fits(log)
     sensor, host = _centred(log.time_s, starts), _centred(log.host_time_s, starts)
@@ -244,8 +244,8 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
         clock = "host" if both and better else "sensor"
         if clock == "sensor" and spec.sensor.takes_host_clock:
             said.append(
-                f"the log does not compare the sensor's clock with the computer's: an error of {error} counts, but a "
-                f"prediction from the spec counts {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
+                f"the log does not compare the sensor's clock with the computer's: the estimate assumes a clock error "
+                f"of {error}, but a prediction from the spec assumes {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
             )
     # Every log has a slope of its own to the host's clock; the error that they share is at most the largest.
     std = max((float(np.hypot(fit.std or 0.0, HOST_CLOCK)) for fit in fits), default=np.inf)
@@ -257,7 +257,7 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
             counted["sample_clock_error"] = Quantity.of(std, "ppm")
         spec = spec.model_copy(update={"sensor": spec.sensor.model_copy(update=counted)})
     for fit in apart:
-        used = "the computer's is used" if clock == "host" else "the sensor's is used: --clock host takes the other"
+        used = "the computer's is used" if clock == "host" else "the sensor's is used: --clock host uses the computer's"
         said.append(
             f"the log's two clocks contradict each other: they differ by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more "
             f"than {_APART:g} times the uncertainty of the sensor's clock: {used}"
@@ -318,10 +318,10 @@ def bridged_temperature(log: Log, unit: int, constant_c: float | None) -> np.nda
     values = log.bridged_temperature(unit)
     if values is None:
         if constant_c is None:
-            raise LogError('the log has no temperature: state that of the recording, such as --temperature "23 degC"')
+            raise LogError('the log has no temperature: state it with --temperature, such as "23 degC"')
         return np.full(len(log.time_s), constant_c)
     if constant_c is not None:
-        raise LogError("--temperature is for logs without one: this log has its own")
+        raise LogError("--temperature is for logs without temperatures, and this log has temperatures")
     return values
 
 
@@ -386,7 +386,7 @@ def imu_rows(built: BuiltImu, logs: Sequence[Log], name: str, options: Options) 
         shifted = part.time_s - part.time_s[0] + begin
         mounting = part.mounting if len(logs) == 1 else np.full(len(shifted), k)
         if (highest := int(mounting.max())) >= len(built.spec.rig.table.mounting):
-            raise LogError(f"the log was recorded in mounting {highest + 1}, which the spec does not have")
+            raise LogError(f"the log was recorded in mounting {highest + 1}, but the spec has no such mounting")
         # A change of the mounting ends a standstill.
         part.standing[np.flatnonzero(np.diff(mounting, prepend=mounting[0] if k == 0 else -1))] = False
         parts.append(part._replace(time_s=shifted, mounting=mounting))
@@ -423,8 +423,7 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
     if missing:
         has = [f"gyro {a}" for a in log.axes] + [f"accelerometer {a}" for a in log.force_axes]
         raise LogError(
-            f"the log has no {', '.join(missing)}, which the spec calibrates; it has {', '.join(has)}. Log axes are "
-            "named x, y, z"
+            f"the spec calibrates {', '.join(missing)}, but the log has {', '.join(has)}. Log axes are named x, y, z"
         )
     rates[:, ~gyros] = np.nan
     temperature = bridged_temperature(log, number, options.temperature_c)
@@ -545,7 +544,7 @@ def _table_angles(built: BuiltImu, log: Log, chosen: str | None) -> tuple[np.nda
     count = len(log.time_s)
     if log.table_angle_rad is None and log.readings is None:
         names = ", ".join(axis.name for axis in built.spec.rig.table.axis)
-        raise LogError(f"the log has no table angles ({names}), which are the reference")
+        raise LogError(f"the log has no table angles ({names}), and these are the reference")
     places = _places_of(built, log, chosen)
     if log.readings is None:
         assert log.table_angle_rad is not None

@@ -199,8 +199,8 @@ def minimise_time(
             raise KeyboardInterrupt
         if best is None and time == longest and plan is not None:
             raise ValueError(
-                f"no plan found meets the target in {longest / 60.0:.4g} min: the best one leaves {plan.now:.3g} "
-                "times the target"
+                f"none of the plans found meets the target in {longest / 60.0:.4g} min: the best one leaves "
+                f"{plan.now:.3g} times the target"
             )
     assert best is not None
     yield _as_time(spec, best, long, longest)
@@ -268,7 +268,7 @@ def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimi
 
 # --- plans of several durations ---------------------------------------------------------------------------------------
 
-_BLIND: Final = "no plan found for this duration observes all requirements: try more moves in each visit"
+_BLIND: Final = "none of the plans found for this duration observes all requirements: try more moves in each visit"
 
 
 class FrontierPoint(NamedTuple):

@@ -230,8 +230,8 @@ def _limited_by_priors(built: BuiltImu, known: Posterior) -> list[str]:
                 limited = reasons.setdefault((words, unit, factor, float(priors[i]), cure), [])
                 limited.append(f"the {kind}s' {family}")
     return [
-        f"the plan does not reduce the uncertainty of {words} ({prior * factor:.3g} {unit}), which alone limits "
-        f"{' and '.join(dict.fromkeys(limited))}, however long the plan is: {cure}"
+        f"the plan does not reduce the uncertainty of {words} ({prior * factor:.3g} {unit}); however "
+        f"long the plan is, this uncertainty alone limits {' and '.join(dict.fromkeys(limited))}: {cure}"
         for (words, unit, factor, prior, cure), limited in reasons.items()
     ]
 
@@ -358,7 +358,7 @@ def _cures(built: BuiltImu, axes: np.ndarray, names: set[str]) -> list[str]:
                     sentences.append(f"accelerometer {axis} never points {where}: add a pose")
         turned = np.any(np.abs(axes[moves, motion.axis[moves], c.axis]) > _SEEN)
         if c.kind == "gyro" and any(re.search(r"\.b[\d_]", name) for name in blind) and not turned:
-            where = f"no turn is about gyro {axis}: add one while a table axis lies along it"
+            where = f"no turn is about gyro {axis}: add a turn while a table axis lies along it"
             sentences.append("the axis never turns: add turns" if built.spec.is_one_axis else where)
         elif c.kind == "gyro" and blind:
             sentences += _too_few(built, axes, c)
@@ -429,7 +429,7 @@ def _unseen_by_gravity(built: BuiltImu) -> list[str]:
         if k == 0:
             cure = f'tilt the axis "{axis.name}" by {_TILT_DEG:g} deg{_when_tilted(built)}'
         sentences.append(
-            f'gravity does not show turns of "{axis.name}", which is vertical in all of them, nor the azimuth: '
+            f'gravity shows neither turns of "{axis.name}" (the axis is vertical in all of them) nor the azimuth: '
             f"without an encoder the scale factor of gyros along this axis is not observable: {cure}"
         )
     return sentences

@@ -252,7 +252,7 @@ def search_plans(
     elif met:
         sentence = f"stopped early: {MET}" + (f"; {sentence}" if sentence else "")
     elif kept:
-        sentence = f"no plan is better than the plan in the file ({now:.4g} {unit}), which remains; {sentence}"
+        sentence = f"no better plan was found, so the plan in the file remains ({now:.4g} {unit}); {sentence}"
     if missed:
         sentence += f"; no plan was found that meets the target of {', '.join(missed)}"
     yield result._replace(sentence=sentence, converged=met or (result.converged and not missed))

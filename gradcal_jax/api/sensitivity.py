@@ -93,13 +93,13 @@ def sensitivity(spec: Spec) -> Sensitivities:
     if spec.done:
         raise goes_on("a sensitivity")
     if not spec.requirement:
-        raise ValueError("the spec has no [[requirement]], so there are no sensitivities: add one")
+        raise ValueError("the spec has no [[requirement]], so there are no sensitivities: add a requirement")
     built = build_imu(spec)
     nominal = _residuals(built)
     hidden = [r.name for r, value in zip(spec.requirement, nominal, strict=True) if not np.isfinite(value)]
     if hidden:
         names = ", ".join(hidden)
-        raise ValueError(f"the plan cannot observe {names}, so its sensitivity is not defined: see gradcal check")
+        raise ValueError(f"the plan cannot observe {names}, so the sensitivity is not defined: see gradcal check")
     rows = [Elasticity(r.name, name, value) for r, of in _of_errors(built) for name, value in of.items()]
     figures = {name: (partial(_with_keys, spec, keys), _STEP) for name, keys in sensitive_figures(spec).items()}
     for name, (build, step) in (figures | _of_plan(built)).items():
@@ -339,7 +339,7 @@ def differentiable(spec: Spec) -> Differentiable | DifferentiableCycle:
     if spec.done:
         raise goes_on("a function of the plan's figures")
     if not spec.requirement:
-        raise ValueError("the spec has no [[requirement]], so there is no result to compute: add one")
+        raise ValueError("the spec has no [[requirement]], so there is no result to compute: add a requirement")
     if not spec.turns_one_gyro:
         plan = CyclePlan(changed(spec, {"design": None}))
         if not plan.turns_free:

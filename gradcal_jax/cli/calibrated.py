@@ -48,8 +48,8 @@ def apply(
     """Correct the rates and specific forces of a log with a calibration, and write the result as a log.
 
     If the calibration has a hysteresis, its state is computed from the temperatures along the log. If rows are outside
-    the temperatures or rates of the calibration, its value at the edge of that range is used for them, and the exit
-    status is 1.
+    the temperatures or rates of the calibration, the value of the calibration at the edge of the range is used for
+    these rows, and the exit status is 1.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def apply(
         for what, count in outside.items():
             if count:
                 print(
-                    f"note: {count} {what} are outside the range of the calibration: its value at the edge of the "
+                    f"note: {count} {what} are outside the range of the calibration: the value at the edge of the "
                     "range was used"
                 )
         if corrected.unknown_branch:
@@ -128,9 +128,9 @@ def validate(
     gravity
         Local gravity, such as "9.8123 m/s^2", for accelerometers; by default standard gravity.
     parts
-        Number of temperature ranges, for each of which the errors are printed.
+        Print the errors for this number of temperature ranges.
     bins
-        Width of the temperature ranges, such as "2 K", instead of their number.
+        Width of the temperature ranges, such as "2 K", instead of --parts.
     branches
         Print the errors of heating and of cooling separately.
     """
@@ -349,7 +349,7 @@ def lot(
     if all(one.prior is None for one in found.maps):
         from gradcal_jax.cli.output import complain
 
-        complain(f"no priors were written to {output}: the shape of no map repeats in this lot")
+        complain(f"no priors were written to {output}: no map has a shape that repeats in this lot")
         return NOT_AS_WISHED
     from gradcal_jax.files.writing import write_whole
 

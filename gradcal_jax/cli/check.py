@@ -55,9 +55,9 @@ def check(
         Convert a spec, recipe or calibration of an earlier version to the current format, with the same contents. This
         is optional: every command reads the earlier formats as well.
     output
-        The file that --upgrade writes; by default FILE is replaced, and saved as FILE.old.
+        The file that --upgrade writes; by default FILE is replaced, and its earlier contents are saved as FILE.old.
     files_only
-        Leave out what the plan cannot observe, which takes a few seconds to compute.
+        Do not compute what the plan cannot observe (this takes a few seconds).
     json
         Print as JSON: the times of the plan, the notes, and what the plan cannot observe; or the contents of a recipe.
         With --timeline, print gradcal-timeline/3: segments, readings and the models of all sensors, in SI units.

@@ -79,9 +79,9 @@ def demo(
     """Run the whole procedure in about two minutes, from a spec to a calibrated (simulated) sensor and a report.
 
     Each step prints its command. With --imu, the sensor is an IMU on a two-axis table; the demo optimises the plan,
-    runs it and calibrates all axes, in a few minutes. With --data, the sensor is a real one, of which there is a
-    recording: its drift is estimated from a thermal cycle at rest, and a plan is designed for it. The exit status is 1
-    if the calibration misses a target.
+    runs it and calibrates all axes, in a few minutes. With --data, a recording of a real sensor is used: its drift is
+    estimated from a thermal cycle at rest, and a plan is designed for this sensor. The exit status is 1 if the
+    calibration misses a target.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ def demo(
     imu
         Use an IMU (three gyros and three accelerometers) instead of one gyro.
     seed
-        The seed of the simulated devices' errors, which the estimate does not know.
+        The seed of the simulated devices' errors; the estimate does not know these errors.
     json
-        Print every number as JSON; the folder has the same text as demo.json.
+        Print every number as JSON; the same text is in the file demo.json of the folder.
     """
     if data is not None and imu:
         raise ValueError("--data is for a recorded gyro, --imu for an IMU: use only one of them")

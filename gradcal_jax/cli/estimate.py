@@ -83,7 +83,7 @@ def estimate(
         For an IMU that was mounted on the table in several ways: the logs of the other mountings, in the order of the
         spec.
     spec
-        The spec, from which the noise, the table and the maps to be estimated are taken. The motion is taken from the
+        The spec; it states the noise, the table and the maps to be estimated. The motion is taken from the
         log.
     recipe
         The recipe that was run; it contains its spec, so --spec is not needed.
@@ -91,8 +91,8 @@ def estimate(
         The calibration file to write. If there are several IMUs, one file is written for each, and the name of the IMU
         is added to the name of the file.
     axis
-        If the spec has one gyro on a table of one axis: the sensor's axis that the table turned; by default the axis in
-        the spec, or the only axis in the log. Without a spec: the axes to calibrate; may be repeated.
+        If the spec has one gyro on a single-axis table: the sensor axis about which the table turned; by default the
+        axis in the spec, or the only axis in the log. Without a spec: the axes to calibrate; may be repeated.
     unit
         Which IMU of the log; may be repeated; by default all.
     table_axis
@@ -100,18 +100,18 @@ def estimate(
     earth_rate
         The Earth's rate along the sensor's axis, such as "10.4 deg/h"; it is subtracted from the rates.
     latitude
-        If the sensor's axis points straight up: the latitude of the site, from which the Earth's rate is computed,
-        instead of --earth-rate.
+        If the sensor's axis points straight up: the latitude of the site, to compute the Earth's rate; it replaces
+        --earth-rate.
     lag
         The lag of the maps behind the measured temperature: a time, or "fit" to estimate it.
     smoothness
         The smoothness of bins and B-splines: "spec" for that in the spec, or "auto" for the smoothness with which the
         data are most probable.
     robust
-        Give readings that the model cannot explain less weight (Huber), and list them.
+        Reduce the weight of readings that the model cannot explain (Huber), and list these readings.
     clock
         The clock whose time is used to integrate rates: "sensor", or "host" (the computer's). By default the clock that
-        the spec states; if it states none and the log has both clocks, the computer's.
+        the spec states; if the spec states none and the log has both clocks, the computer's.
     read_every
         For a log that has the table's angle in every row: the time between the readings that are used while the table
         is at rest; by default that of the spec.
@@ -121,14 +121,14 @@ def estimate(
     temperature
         The temperature, if the log has none, such as "23 degC".
     gravity
-        Local gravity, such as "9.80665 m/s^2". It is then the only reference, without table and spec, for three
+        Local gravity, such as "9.80665 m/s^2". Gravity is then the only reference, without table and spec, for three
         accelerometers and three gyros. The IMU must have been at rest in about twenty positions in all directions, and
         turned by hand between them. The readings may be raw counts.
     parameters
         Also write the bias over temperature to this file, as parameters of the flight controller (PX4, ArduPilot) that
         wrote the log.
     points
-        If LOG is a table of points instead of a log: its point map (gradcal-points/1), which names the columns of
+        If LOG is a table of points instead of a log: its point map (gradcal-points/1); the map names the columns of
         temperature, rate of the table, output and standard deviation; see gradcal new point-map.
     plot
         Draw the fit into this file (.png, .svg, .pdf).

@@ -85,7 +85,7 @@ def instability(
     longest
         Longest integration time.
     margin
-        The bound is this number of standard deviations of the drift; the data must stay within it.
+        The bound is this number of standard deviations of the drift; the data must stay within the bound.
     random_walk
         Angle random walk, such as "0.1 deg/sqrt(h)"; by default that of the Allan deviation.
     temperature
@@ -300,9 +300,9 @@ def allan(
 ) -> int:
     """Print the noise coefficients of a record at rest, fitted to its overlapping Allan deviation.
 
-    The exit status is 1 if the angle random walk is larger than that of any gyro, so that a unit may be wrong. With
-    --plan, before a recording is made: print the errors that a given duration of the record will give, or the duration
-    that a given error needs.
+    The exit status is 1 if the angle random walk is larger than that of any gyro, because a unit is then probably
+    wrong. With --plan, before a recording is made: print the expected errors for a given duration of the record, or the
+    duration that is necessary for a given error.
 
     Parameters
     ----------
@@ -331,7 +331,8 @@ def allan(
     duration
         The duration of the record; by default several durations are compared.
     error
-        The relative error that each coefficient may have, such as "5 %": print how long the record must be for it.
+        The relative error that is allowed for each coefficient, such as "5 %": print how long the record must be for
+        this error.
     rate
         Sample rate of the record.
     bins

@@ -39,7 +39,7 @@ def turns(
     output
         The log to write (.nc).
     axis
-        The axis of the sensor about which it was turned; by default the first one.
+        The axis of the sensor about which the sensor was turned; by default the first one.
     unit
         Which IMU of the recording; by default the first one.
     json

@@ -101,8 +101,7 @@ def sweep(
     output
         The results to write (.nc).
     recipes
-        Write a recipe for each optimised plan, summary.csv and summary.md to this folder, which is created if
-        necessary.
+        Write a recipe for each optimised plan, summary.csv and summary.md to this folder (created if necessary).
     dry_run
         Compute one chunk, print the size and the expected duration of the sweep, and write nothing.
     json

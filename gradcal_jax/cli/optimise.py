@@ -86,15 +86,16 @@ def optimise(
     json
         Print the result for other programs.
     plot
-        Draw the errors before and after the search, or those for all durations, into this file (.png, .svg, .pdf).
+        Draw the errors before and after the search (with --motion, the errors for each duration) into this file (.png,
+        .svg, .pdf).
     steps
         Number of iterations from each start, by default 240; if the search changes poses, the total number of
         gradients, by default 14000 (some minutes). 0: write the plan in the spec as a recipe, without a search.
     quick
         Use only few starts or gradients; this takes seconds, and the result is within a few per cent of the best.
     until_met
-        Stop at the first plan that meets every target with a margin of 10 %. If the plan in the spec already does, do
-        not search.
+        Stop at the first plan that meets every target with a margin of 10 %. If the plan in the spec already meets
+        them, do not search.
     resume
         Continue an interrupted search of the same spec; the state of the search is saved next to the output.
     motion
@@ -115,7 +116,7 @@ def optimise(
         If the first temperature of the recipe is not stable after this time, such as "4 h", the run ends.
     time
         For an interrupted run: the duration of its remaining part, not counting waits for stable temperatures, such as
-        "40 min"; absent: the remaining time of the recipe.
+        "40 min"; by default the remaining time of the recipe.
     pause
         For an interrupted run: the time between its interruption and its continuation, by default "30 min"; the drifts
         continue through this pause.

@@ -32,7 +32,7 @@ def predict(
     seed: int = 0,
     sensitivity: Flag = False,
 ) -> int:
-    """Predict the error of every requirement that remains after the plan of a spec, before anyone books a chamber.
+    """For every requirement of a spec, predict the error that remains after the plan, before anyone books a chamber.
 
     If there are several specs, compare their plans: the durations, the remaining errors, and the error terms that limit
     each plan. For a single spec, the exit status is 1 if a target is missed or a requirement cannot be observed.
@@ -288,9 +288,9 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     """Prove a lower limit for the error of all plans on this rig and of this duration, and print the efficiency of this
     plan.
 
-    The proof ignores some limits of the rig, which the command lists. Therefore no real plan may reach the lower limit,
-    but none can be below it. An efficiency of 67 % means that no plan leaves less than 0.67 times the error of this
-    plan.
+    The proof ignores some limits of the rig; the command lists these limits. Therefore it is possible that no real plan
+    reaches the lower limit; no plan can be below it. An efficiency of 67 % means that no plan leaves less than 0.67
+    times the error of this plan.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ def report(
         A file with the output of `gradcal limit --json` for the plan; the page then also shows the efficiency of the
         plan.
     panel
-        Add sliders to the page, which show the predicted errors for another duration, encoder error or temperature
+        Add sliders to the page; they show the predicted errors for another duration, encoder error or temperature
         slope (from 75 predictions).
     certificate
         Instead of the page, make a certificate that a laboratory can sign.

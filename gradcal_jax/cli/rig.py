@@ -42,8 +42,8 @@ def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Jso
     """Show the state of a run until the run ends: step, actual and planned temperature, angles, samples, errors that
     remain.
 
-    The command only reads the status file of the run, so it may be ended at any time. The exit status is 3 if the run
-    ended badly or does not respond.
+    The command only reads the status file of the run, so you can end the command at any time. The exit status is 3 if
+    the run ended badly or does not respond.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def protocols(name: str | None = None, /) -> int:
     Parameters
     ----------
     name
-        The device whose description to print.
+        The device whose description is printed.
     """
     from gradcal_jax.files import line_protocol, register_protocol
 
@@ -252,7 +252,7 @@ def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, fo
         The file to write.
     move
         Also switch the chamber on at its present temperature, let each axis search for its reference position, and turn
-        it by 10 deg. An operator must be ready to stop them.
+        each axis by 10 deg. An operator must be ready to stop them.
     """
     from gradcal_jax.files.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock

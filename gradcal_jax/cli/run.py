@@ -66,7 +66,7 @@ def run(
     speed
         For a simulated run: its speed, relative to real time; by default as fast as possible.
     seed
-        For a simulated run: the seed of the devices' errors, which the estimate does not know.
+        For a simulated run: the seed of the devices' errors; the estimate does not know these errors.
     sample_rate
         For a simulated run: the sample rate of the sensor, "125 Hz", "250 Hz", "500 Hz", "1000 Hz" or "2000 Hz".
     dry_run
@@ -74,11 +74,12 @@ def run(
     yes
         Begin without asking the operator to confirm the checklist.
     operator
-        Name of the operator; it is stored with the run and in its log, like the texts of --unit and --note.
+        Name of the operator; the name is stored with the run and in the log of the run, like the texts of --unit and
+        --note.
     unit
         Name of the IMU on the table.
     note
-        A note, which is stored with the run.
+        A note to store with the run.
     units
         For a simulated run: the number of IMUs on the table.
     json

@@ -95,7 +95,7 @@ def angles_by_gravity(log: ImuRows, geometry: Geometry, start: np.ndarray) -> Gr
     said = [
         (
             f"the scale factor of the gyros is wrong by {100.0 * s:+.3g} %: the estimate counts whole turns with "
-            "it; is it in rad/s?"
+            "this scale factor; are the rates in rad/s?"
         )
         for s in large
     ]

@@ -390,8 +390,8 @@ def _rate_scale(held: Positions, moves: _Moves, u: np.ndarray) -> tuple[np.ndarr
     best = int(np.argmin(values))
     if values[best] > 3.0 * _STRANGE:
         raise ValueError(
-            "no scale factor of the gyros explains the change of gravity between positions that the "
-            "accelerometers measure: do both triads have the same axes, with the same signs, and the same clock?"
+            "no scale factor of the gyros explains the change of gravity's direction between positions, as measured by "
+            "the accelerometers: do both triads have the same axes, with the same signs, and the same clock?"
         )
     return centre, float(gains[best])
 

@@ -153,7 +153,7 @@ class TableAxis(Section):
     keep_out: tuple[q.Angle, q.Angle] | None = None
     """Range of angles that the axis must never enter, such as ["120 deg", "150 deg"]; it must not contain zero."""
     orthogonality: q.SizeOfAngle = NO_ANGLE
-    """Standard deviation of the deviation from the nominal angle between this axis and the next axis inside."""
+    """Standard deviation of the error of the angle between this axis and the next inner axis."""
     angle: AxisEncoder = AxisEncoder()
     """Errors of the angle of this axis."""
 
@@ -196,11 +196,11 @@ class Mounting(Section):
     name: q.Text | None = None
     """A title for tables and pages."""
     x: Direction = "+x"
-    """Axis of the innermost table axis's frame along which the body's x axis points."""
+    """Direction of the body's x axis in the frame of the innermost table axis."""
     y: Direction = "+y"
-    """Axis of the innermost table axis's frame along which the body's y axis points."""
+    """Direction of the body's y axis in the frame of the innermost table axis."""
     z: Direction = "+z"
-    """Axis of the innermost table axis's frame along which the body's z axis points."""
+    """Direction of the body's z axis in the frame of the innermost table axis."""
     rotation: tuple[q.Angle, q.Angle, q.Angle] | None = None
     """Additional rotation, as a rotation vector in the body frame."""
     accuracy: q.SizeOfAngle = NO_ANGLE
@@ -260,8 +260,8 @@ class RigTable(Section):
     drive: Literal["motor", "hand"] = "motor"
     """"motor": motors turn the axes; "hand": the operator turns the axes of a gimbal."""
     answer_time: q.SizeOfTime = NO_TIME
-    """Time that the operator needs for each turn in addition to its duration: half of it to read the request before the
-    turn, half to answer afterwards."""
+    """Time that the operator needs for each turn in addition to its duration: half of this time to read the request
+    before the turn, half to answer afterwards."""
     tilt: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of the base's two tilts."""
     azimuth: q.SizeOfAngle = NO_ANGLE
@@ -335,7 +335,7 @@ class SimulatedLoop(Section):
     accelerometer_scale_factor: q.PositiveScaleFactor | None = None
     """Size of the loop in the accelerometers' scale factor."""
     width: q.PositiveTemperatureDifference = q.Quantity(10.0, "10 K", "temperature difference")
-    """Typical half-width of the relays, which vary from 0.3 to 2 times this value."""
+    """Typical half-width of the relays; the half-widths vary from 0.3 to 2 times this value."""
     time_constants: tuple[q.Time, q.Time] = (q.Quantity(60.0, "1 min", "time"), q.Quantity(600.0, "10 min", "time"))
     """Time constants of the two thermal masses."""
 
@@ -364,8 +364,8 @@ class Rig(Section):
     chamber: Chamber
     """The climatic chamber."""
     resolution: Resolution | None = None
-    """Steps of the controllers, to which a recipe is rounded."""
+    """Steps of the controllers; a recipe is rounded to these steps."""
     shift: q.Time = q.Quantity(28800.0, "8 h", "time")
-    """Duration of a shift, from which the number of IMUs that a fixture calibrates in a shift follows."""
+    """Duration of a shift; `predict` computes from it how many IMUs a fixture calibrates in a shift."""
     simulated_loop: Annotated[tuple[SimulatedLoop, ...], Field(max_length=10)] = ()
     """Hysteresis loops of simulated sensors."""

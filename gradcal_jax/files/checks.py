@@ -171,7 +171,7 @@ def _requirements_of_sensor(spec: "Spec") -> Iterator[Problem]:
             yield Problem((*key, "quantity"), message, requirement.quantity)
             continue
         if absent := [f"{kind} {a}" for kind, a in _needed_axes(requirement) if a not in _table_of(spec, kind).axes]:
-            message = f"needs {', '.join(absent)}, which the sensor does not have"
+            message = f"needs {', '.join(absent)}, but the sensor has no such axis"
             yield Problem((*key, "quantity"), message, requirement.quantity)
         elif requirement.axis in ("x", "y", "z") and requirement.axis not in _table_of(spec, of).axes:
             yield Problem((*key, "axis"), "the sensor has no such axis", requirement.axis)
@@ -236,7 +236,7 @@ def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, ke
     return [
         Problem(
             (*key, i),
-            f"is outside the range of the {key[-1]} basis, which ends at its first and last entries",
+            f"is outside the range of the {key[-1]} basis (from its first to its last entry)",
             end.text,
         )
         for i, end in enumerate(box)
@@ -385,7 +385,7 @@ def _without_encoder(spec: "Spec") -> Iterator[Problem]:
         return
     key, sensor = ("rig", "table", "axis", 0, "angle", "reference"), spec.sensor
     if sensor.gyro is None or sensor.accelerometer is None or len(sensor.accelerometer.axes) < 3:
-        message = '"gravity" needs a gyro, which counts whole turns, and accelerometers along x, y and z'
+        message = '"gravity" needs a gyro (to count whole turns) and accelerometers along x, y and z'
         yield Problem(key, message, "gravity")
     if isinstance(spec.plan, StandardPlan):
         message = 'a plan with held rates needs an encoder: expected "encoder", or a plan with method = "gradient"'

@@ -61,7 +61,7 @@ class ProcessRow(Section):
 
 
 class DiscrepancyRow(Section):
-    """Structure that the map may have beyond its model: products of polynomials in the x of temperature and the x of
+    """Possible structure of the map beyond its model: products of polynomials in the x of temperature and the x of
     rate."""
 
     sigma: Size
@@ -102,13 +102,13 @@ class TemperatureErrorRow(Section):
     tau: Size | None = None
     """Correlation time (s); null: the error is constant."""
     bias_slope: Finite | None = None
-    """Slope of the bias over temperature, through which the error acts (rad/s/K)."""
+    """Slope of the bias over temperature (rad/s/K); the temperature error times this slope is the bias error."""
     scale_factor_slope: Finite | None = None
-    """Slope of the scale factor over temperature, through which the error acts (1/K)."""
+    """Slope of the scale factor over temperature (1/K); times the temperature error, it is the scale-factor error."""
 
 
 class GradientSensitivityRow(Section):
-    """Bias sensitivity to dT/dt, which is estimated."""
+    """Estimated sensitivity of the bias to dT/dt."""
 
     prior: Size | None = None
     """Prior standard deviation of the sensitivity (rad/K); null: flat prior."""
@@ -217,7 +217,7 @@ class RequirementRow(Section):
     coverage: Size = 1.0
     """Number of standard deviations that must be within the target."""
     risk: Size | None = None
-    """Largest probability that a sensor beyond the target passes; null: simple acceptance."""
+    """Largest allowed probability that a sensor beyond the target passes; null: simple acceptance."""
     rule: str | None = None
     """Rule of the verdict, in words."""
     specific_risk: Size | None = None
@@ -241,8 +241,8 @@ class RequirementRow(Section):
     worst: Size | None = None
     """Largest standard deviation, over temperature and rate, of the quantity that the verdict judges."""
     own: Size | None = None
-    """For heading and north: the contribution of the IMU's own noise (root sum of squares), which no calibration
-    removes."""
+    """For heading and north: the contribution of the IMU's own noise (root sum of squares); no calibration removes
+    it."""
     own_sources: dict[str, Size] | None = None
     """Contributions of single noise sources to `own`, by name."""
     missions: tuple[MissionRow, ...] | None = None
@@ -298,17 +298,18 @@ class NoticeRow(Section):
     rate_degree: int | None = None
     """Highest degree of the hidden polynomials in rate; null: they depend on temperature alone."""
     components: int
-    """Number of observable combinations of the hidden coefficients, which are the test's degrees of freedom."""
+    """Degrees of freedom of the test: the number of observable combinations of the hidden coefficients."""
     false_alarm: Size
     """Probability that the test rejects a correct model."""
     standard_deviation: Size | None = None
-    """Size of each hidden coefficient to which `power` refers; null: the spec states none."""
+    """Size of the hidden coefficients for which `power` is computed; null: the spec states none."""
     power: Size | None = None
     """Probability that the test detects hidden coefficients of this size."""
     sure_power: Size
     """Probability of detection that counts as certain."""
     sure_from: Size | None = None
-    """Smallest size of each hidden coefficient that is detected with probability `sure_power`; null: no size is."""
+    """Smallest size of the hidden coefficients that the test detects with probability `sure_power`; null: it detects no
+    size."""
 
     @property
     def sentence(self) -> str:

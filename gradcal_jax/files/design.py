@@ -167,7 +167,7 @@ def notice_problems(notice: Notice, scale: ScaleFactor | None) -> Iterator[Probl
         if scale.discrepancy is not None and hidden != getattr(scale.discrepancy, name):
             yield Problem(
                 (name,),
-                "must equal the degree in the scale factor's discrepancy, which is the default: leave this key out",
+                "must equal the degree in the scale factor's discrepancy (the default): leave this key out",
                 hidden,
             )
         elif hidden <= degree:

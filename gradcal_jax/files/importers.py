@@ -49,7 +49,7 @@ class StatusColumn(Source):
     """Column of the device's status; rows whose status is not `good` are marked as bad."""
 
     good: Number = 0.0
-    """Value of a usable row."""
+    """Value that usable rows have in this column."""
 
 
 class SensorColumns(Section):
@@ -92,7 +92,7 @@ class ColumnMap(SensorColumns):
     host_time: TimeColumn | None = None
     """Column of the computer's time."""
     standstill: Source | None = None
-    """Column that is true at rest and false in motion, or that has the number of the standstill (negative in
+    """Column that is true at rest and false in motion, or that has the index of the standstill (negative in
     motion)."""
     table_angle: Annotated[dict[Name, AngleColumn], Field(max_length=20, default_factory=dict[str, AngleColumn])]
     """Columns of the table's angles, by axis."""
@@ -101,8 +101,8 @@ class ColumnMap(SensorColumns):
     sensor: Annotated[tuple[SensorColumns, ...], Field(max_length=1000)] = ()
     """Columns of several sensors, instead of `rate`, `force`, `temperature` and `status` at the top."""
     interpolate: Flag = False
-    """Set it if different channels are in different rows: the rows with rates are used, and the other channels are
-    interpolated."""
+    """Set this key if different channels are in different rows: the rows with rates are used, and the other channels
+    are interpolated."""
     where: Where | None = None
     """If the rows of several sensors are mixed: selects the rows of one sensor, such as `{ column = "id", equals = 1
     }`."""

@@ -155,7 +155,7 @@ class LineQuestion(Section):
             yield Problem(
                 ("last",),
                 "this key is missing: the entries of reply have different fields, so they are the lines "
-                "of one reply, which needs its last line",
+                "of one reply; state the last line of this reply",
                 kind="missing",
             )
 
@@ -216,7 +216,7 @@ class RequiredSetting(Section):
     field: q.Text
     """Name of the field of a reply that shows the setting."""
     equals: Texts
-    """Texts that the field may have."""
+    """Texts that are allowed in the field."""
     why: q.Text
     """What goes wrong if the setting is different."""
 
@@ -284,7 +284,7 @@ class LineProtocol(Section):
             known = _ROLES[self.role].values
             if name not in known:
                 yield Problem(
-                    key, f"is not a command of a {self.role}, which are {', '.join(known)}; {instead(name, known)}"
+                    key, f"is not a command; those of a {self.role} are {', '.join(known)}; {instead(name, known)}"
                 )
                 continue
             written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}

@@ -95,9 +95,9 @@ class ReadingKind(IntEnum):
     """What a reading of the table's angle stands for."""
 
     PLANNED = 0
-    """The axis stood, and the recipe takes a reading here."""
+    """The axis was at rest, and the recipe takes a reading here."""
     STANDING = 1
-    """The axis stood; the run read it for a purpose of its own."""
+    """The axis was at rest; the reading is not one of the recipe."""
     MOVING = 2
     """The axis moved."""
 

@@ -26,7 +26,7 @@ from gradcal_jax.files.uneven_stamps import against_earlier, changed_rate, even_
 _FASTEST_RATE: Final = 90.0
 """rad/s, 5000 deg/s: a larger rate exceeds the full scale of every sensor that this program calibrates."""
 _LARGEST_FORCE: Final = 500.0
-"""m/s²: no record for a calibration usually has a larger specific force."""
+"""m/s²: records for a calibration seldom have a larger specific force."""
 _GAP: Final = 1.6
 """Median intervals: a shorter interval between stamps is jitter, not a gap."""
 _WINDOW: Final = 5
@@ -73,7 +73,7 @@ class Policy(Section):
     unordered_stamps: Literal["mask", "refuse"] = "mask"
     """Rows with a time stamp before that of an earlier row."""
     gaps: Literal["split", "refuse"] = "split"
-    """Gaps: long intervals between time stamps that the following stamps do not compensate."""
+    """Gaps: long intervals between time stamps, except those that the following stamps compensate."""
     missing_rates: Literal["mask", "refuse"] = "mask"
     """Rates that are not finite numbers."""
     missing_forces: Literal["mask", "refuse"] = "mask"
@@ -474,8 +474,8 @@ class _Examination:
             if walk > _NOISIEST:
                 self.wrong_unit(
                     f"axis {self.raw.axes[axis]} of {self.raw.units[unit]} is noisier than "
-                    f"{np.degrees(walk) * 60:.3g} deg/sqrt(h), which no gyro is: does the column map state rad/s "
-                    "instead of deg/s, or s instead of ms?"
+                    f"{np.degrees(walk) * 60:.3g} deg/sqrt(h), and no gyro is so noisy: does the column map state "
+                    "rad/s instead of deg/s, or s instead of ms?"
                 )
         if table_rate is None and kept.table_angle_rad is not None:
             table_rate = np.gradient(kept.table_angle_rad, time, axis=0)

@@ -51,7 +51,8 @@ class QuickTurn(Angled):
     axis: Text | None = None
     """Name of the table axis; may be absent if the table has only one."""
     peak_rate: PositiveRate | None = None
-    """Largest rate, which a short turn may not reach; absent: the maximum rate of the axis."""
+    """Largest rate of the turn (a short turn can end before it reaches this rate); absent: the maximum rate of the
+    axis."""
     repeat: Count = 1
     """Number of times that the turn is made."""
 
@@ -113,7 +114,7 @@ class MotionCycle(Section):
     start: dict[Text, Angle] = Field(default_factory=dict)
     """Angles of the axes at the start of the cycle, by name; absent: zero."""
     other_axes: OtherAxes | None = None
-    """Time at the end of each cycle in which the table serves other sensors; only for a table with standing =
+    """Time, at the end of each cycle, in which the table serves other sensors; only for a table with standing =
     "read"."""
     duration: Time | None = None
     """Duration of a cycle; absent: that of its moves and of `other_axes`. If it is longer than these, the table rests
@@ -121,9 +122,9 @@ class MotionCycle(Section):
 
 
 class MotionPlan(ChamberCourse):
-    """The plan of an IMU. If there are several mountings, each part of the programme with used data has the next
-    mounting. If the programme is a single ramp, it is repeated for each mounting; in between, the chamber returns to
-    the start of the ramp."""
+    """The plan of an IMU. If there are several mountings, the mounting changes to the next one before each further part
+    of the programme whose data are used. If the programme is a single ramp, it is repeated for each mounting; in
+    between, the chamber returns to the start of the ramp."""
 
     method: Literal["gradient"]
     """The method of the plan."""
@@ -274,9 +275,7 @@ def _after(cycle: MotionCycle, moving: float, rig: Rig) -> tuple[PlanStep, ...]:
     if cycle.duration is not None:
         idle = cycle.duration - moving - other
         if idle < -_SLACK * cycle.duration:
-            message = (
-                f"is shorter than the moves and the time of the other axes, which take {moving + other:.6g} s together"
-            )
+            message = f"is shorter than the {moving + other:.6g} s of the moves and of the other axes together"
             refuse(Problem(("cycle", "duration"), message, cycle.duration.text))
         if idle > 0.0:
             rests.append(PlanStep(-1, ResolvedMove("rest", idle, read_end=not read), -1))

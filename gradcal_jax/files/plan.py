@@ -78,14 +78,14 @@ ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, read_by(_choose_item)]
 
 
 class OtherAxes(Section):
-    """The time in each cycle in which the table serves other sensors; the axis of this plan is at rest."""
+    """The time, in each cycle, in which the table serves other sensors; the axis of this plan is then at rest."""
 
     duration: q.Time
     """Duration of this time."""
     read: q.Flag = False
     """Whether this axis is read during this time."""
     read_every: q.Time | None = None
-    """Time between these readings; absent: as in the first rest of the cycle that states one."""
+    """Time between these readings; absent: the `read_every` of the table axis."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.read_every is not None and not self.read:

@@ -25,7 +25,7 @@ class ModbusLine(Section):
     """`[line]`."""
 
     transport: Literal["rtu", "tcp"] = "rtu"
-    """RTU frames on a serial line, or messages of Modbus TCP, whose port is `socket://ADDRESS:502`."""
+    """RTU frames on a serial line, or messages of Modbus TCP (the port is then `socket://ADDRESS:502`)."""
     baudrate: Count = 9600
     """Bits per second."""
     parity: Literal["N", "E", "O"] = "N"
@@ -128,7 +128,7 @@ class RegisterProtocol(Section):
             if name not in _VALUES:
                 yield Problem(
                     ("tell", name),
-                    f"is not a command of a chamber, which are {', '.join(_VALUES)}; {instead(name, _VALUES)}",
+                    f"is not a command; those of a chamber are {', '.join(_VALUES)}; {instead(name, _VALUES)}",
                 )
                 continue
             for register, value in writes.items():

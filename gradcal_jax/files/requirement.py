@@ -37,8 +37,8 @@ class _OfElements(Section):
     coverage: Coverage = 1.0
     """Number of standard deviations that must be within the target."""
     risk: Risk | None = None
-    """Largest probability that a sensor beyond the target passes; absent: a sensor passes if the number of standard
-    deviations in `coverage` is within the target (simple acceptance)."""
+    """Largest allowed probability that a sensor beyond the target passes; absent: a sensor passes if the number of
+    standard deviations in `coverage` is within the target (simple acceptance)."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.axis not in self.ELEMENTS:
@@ -73,8 +73,8 @@ class _OnAPath(Section):
     """Direction of the temperature's change for which the error counts; "both": at every temperature, the larger of the
     two errors. Absent: the mean of heating and cooling, without hysteresis."""
     slope: tuple[q.TemperatureSlope, q.TemperatureSlope] | None = None
-    """Lowest and highest dT/dt in service; the errors that it causes count. Absent: the temperature is constant in
-    service."""
+    """Lowest and highest dT/dt in service; the errors that dT/dt causes are included. Absent: the temperature is
+    constant in service."""
 
     @model_validator(mode="after")
     def _path(self) -> "_OnAPath":
@@ -86,7 +86,7 @@ class _OnAPath(Section):
                 refuse(
                     Problem(
                         ("slope",),
-                        f"this range of slopes contains no {self.branch}, which branch requires",
+                        f'this range of slopes contains no {self.branch}, but branch = "{self.branch}" needs it',
                         [str(low), str(high)],
                     )
                 )
@@ -254,7 +254,8 @@ class NorthRequirement(_OverTemperature):
     latitude: Annotated[q.Quantity, q.Of("angle", at_least="-89 deg", at_most="89 deg")]
     """Latitude at which north is determined."""
     after: q.Time
-    """Duration of the rest in which north is determined; the effect of the sensor's own noise depends on it."""
+    """Duration of the rest in which north is determined; the effect of the sensor's own noise depends on this
+    duration."""
     target: q.PositiveAngle | None = None
 
 

@@ -63,10 +63,10 @@ class ChamberDevice(Section):
     band: PositiveTemperatureDifference = Quantity(3.0, "3 K", "temperature difference")
     """If the air deviates from the temperature profile by more than this, the run pauses."""
     never_above: Temperature | None = None
-    """If air or load is warmer than this, the run ends, whatever its state; absent: the chamber's own limit plus
+    """If air or load is warmer than this, the run ends, whatever it is doing; absent: the chamber's own limit plus
     `band`."""
     never_below: Temperature | None = None
-    """If air or load is colder than this, the run ends, whatever its state; absent: the chamber's own limit minus
+    """If air or load is colder than this, the run ends, whatever it is doing; absent: the chamber's own limit minus
     `band`."""
     serial_number: Text | None = None
     """Serial number of the device; a different device at the port is refused."""
@@ -82,7 +82,7 @@ class ChamberDevice(Section):
 
 
 class EncoderDevice(Section):
-    """`[axis.encoder]` of an axis turned by hand: a device with an axis driver, from which only the angle is read."""
+    """`[axis.encoder]` of an axis turned by hand: a device with an axis driver; only its angle is read."""
 
     driver: Text
     """Name of the driver."""
@@ -117,7 +117,7 @@ class AxisDevice(Section):
         by_hand = self.driver == OPERATOR
         if by_hand and self.gravity_loaded:
             message = (
-                "an axis that falls by gravity must be held all the time, which a person cannot do: expected "
+                "an axis that falls by gravity must be held all the time, and a person cannot do this: expected "
                 "false, or another driver"
             )
             yield Problem(("gravity_loaded",), message, "true")
@@ -175,7 +175,7 @@ class TraceableReference(Section):
     device: Literal["table", "encoder", "chamber", "thermometer", "clock"]
     """Device of the rig that is the reference."""
     identity: Text
-    """Make and number of the device."""
+    """Make and serial number of the device."""
     certificate: Text | None = None
     """Number of the device's own certificate."""
     due: Text | None = None
@@ -201,7 +201,7 @@ class RigFile(TitledFile):
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
     """IMUs under calibration."""
     longest_pause: Time = Quantity(1800.0, "30 min", "time")
-    """If a run that paused by itself is not resumed within this time, it makes everything safe and ends."""
+    """If a run that paused by itself is not resumed within this time, the run makes everything safe and ends."""
     alarm: Alarm | None = None
     """Command that calls the operator."""
     operator: OperatorPlace | None = None

@@ -100,9 +100,9 @@ class TemperatureError(UncertainSection):
     correlation_time: q.Time | None = None
     """Time constant of the error's autocorrelation; absent: the error is constant during the run."""
     bias_slope: q.BiasSlope | None = None
-    """Typical slope of the bias over temperature, through which the error acts."""
+    """Typical slope of the bias over temperature; the temperature error times this slope is the bias error."""
     scale_factor_slope: q.ScaleFactorSlope | None = None
-    """Typical slope of the scale factor over temperature, through which the error acts."""
+    """Typical slope of the scale factor over temperature; times the temperature error, it is the scale-factor error."""
 
     @model_validator(mode="after")
     def _slopes(self) -> "TemperatureError":
@@ -179,7 +179,7 @@ class ScaleFactorDiscrepancy(Section):
 
 
 class Bias(_Lagging):
-    """The bias B(T), which is estimated."""
+    """The estimated bias B(T)."""
 
     temperature: TemperatureBasis
     """Basis over temperature."""
@@ -188,7 +188,7 @@ class Bias(_Lagging):
     smoothness: q.PositiveRate | None = None
     """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
     discrepancy: BiasDiscrepancy | None = None
-    """Structure that the map may have beyond its basis."""
+    """Possible structure of the map beyond its basis."""
     shape: Annotated[tuple[BiasShape, ...], Field(max_length=600)] = ()
     """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
     channel without shapes has a flat prior."""
@@ -206,7 +206,7 @@ class Bias(_Lagging):
 
 
 class ScaleFactor(_Lagging):
-    """The scale-factor error M(T, ω), which is estimated: products of functions of temperature and functions of
+    """The estimated scale-factor error M(T, ω): products of functions of temperature and functions of
     rate."""
 
     temperature: TemperatureBasis
@@ -218,7 +218,7 @@ class ScaleFactor(_Lagging):
     smoothness: q.PositiveScaleFactor | None = None
     """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
     discrepancy: ScaleFactorDiscrepancy | None = None
-    """Structure that the map may have beyond its basis."""
+    """Possible structure of the map beyond its basis."""
     shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
     """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
     channel without shapes has a flat prior."""
@@ -264,8 +264,9 @@ class _Instrument(Section):
     thermal_lag: q.SizeOfTime | None = None
     """Time constant of a first-order lag between the chamber's air and the sensor's dies."""
     clock: Literal["sensor", "host"] | None = None
-    """Clock by which rates are integrated. "sensor": the sensor's own; "host": the computer's, for which 1 ppm counts
-    instead of `sample_clock_error`; absent: the more accurate of the two, because a run's log has the times of both."""
+    """Clock by which rates are integrated. "sensor": the sensor's own; "host": the computer's, whose error is taken as
+    1 ppm instead of `sample_clock_error`; absent: the more accurate of the two, because a run's log has the times of
+    both."""
     sample_clock_error: q.SizeOfScaleFactor | None = None
     """Standard deviation of the relative error of the sensor's sample clock; the error acts like a scale factor."""
     temperature_offset: q.SizeOfTemperatureDifference | None = None
@@ -273,7 +274,7 @@ class _Instrument(Section):
     temperature_lag: q.SizeOfTime | None = None
     """Standard deviation of the delay of the dies' temperature relative to the measured one."""
     second_thermometer: path_terms.SecondThermometer | None = None
-    """A second thermometer, which `thermometer_difference` needs; its column in logs is `second_temperature`."""
+    """A second thermometer, required for `thermometer_difference`; its column in logs is `second_temperature`."""
 
     @property
     def lag(self) -> float | None:
@@ -311,8 +312,8 @@ class _Channel(UncertainSection):
     temperature_error: TemperatureError | None = None
     """Error of the measured temperature."""
     bias_temperature_gradient: BiasTemperatureGradient | q.Quantity | None = None
-    """Bias proportional to dT/dt: either a table, if the sensitivity is estimated, or its standard deviation, which
-    then counts in the uncertainty but is not estimated."""
+    """Bias proportional to dT/dt. A table: the sensitivity is estimated. A single figure: the standard deviation of the
+    sensitivity, which is then not estimated but is included in the uncertainty."""
 
     @property
     def gradient_sensitivity(self) -> BiasTemperatureGradient | None:
@@ -355,9 +356,9 @@ class _Gyro(_Channel):
         _gradient_of_bias(BiasTemperatureGradient, "bias temperature-gradient sensitivity", "0 deg/h/(K/min)"),
     ] = None
     bias: Bias | None = None
-    """The bias over temperature, which is estimated; absent: the bias is known."""
+    """The estimated bias over temperature; absent: the bias is known."""
     scale_factor: ScaleFactor | None = None
-    """The scale factor over temperature and rate, which is estimated; absent: the scale factor is known."""
+    """The estimated scale factor over temperature and rate; absent: the scale factor is known."""
 
     @property
     def usable_rate(self) -> float | None:
@@ -397,8 +398,8 @@ class AccelerationSensitivity(_ErrorTerm):
     lever_arm: q.PositiveLength | None = None
     """Standard deviation of each coordinate of the gyros' position, relative to the accelerometers or, without
     accelerometers, to the intersection of the table's axes. If the gyros are away from this point, rotation adds a
-    specific force that is not measured. It causes a bias for each product of two rates (`ww_xy`), which is estimated
-    but is not part of the calibration."""
+    specific force that is not measured. This force causes a bias for each product of two rates (`ww_xy`); the bias is
+    estimated but is not part of the calibration."""
 
     def _problems(self) -> Iterable[Problem]:
         if self.lever_arm is not None and self.prior is None:
@@ -557,7 +558,7 @@ class BodyFrame(Section):
 
     fixed_by: Literal["table axes", "case"] = "table axes"
     """"table axes": the frame is given by the table's axes at zero and the nominal mounting; "case": by the IMU's case,
-    which is known to the accuracy of the mounting."""
+    as accurately as the mounting is known."""
 
 
 class Sensor(UncertainSection, _Instrument):

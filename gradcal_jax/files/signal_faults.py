@@ -122,8 +122,8 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
     if len(known) > _WINDOW and counts[most] > 0.5 * len(known):
         raise LogError(
             f"{where}: {100.0 * counts[most] / len(known):.3g} % of its rows at rest have the same value "
-            f"({distinct[most]:.4g}, SI): it has a dead band, or steps that are coarse compared with its noise, "
-            "which hide smaller changes; log more digits, without a dead band"
+            f"({distinct[most]:.4g}, SI): smaller changes are hidden by a dead band, or by steps that are coarse "
+            "compared with the noise; log more digits, without a dead band"
         )
     steps = coarse_steps(known)
     if steps.off > 0.0:
@@ -134,7 +134,7 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
     if len(known) > 10 * _WINDOW and distinct[0] * distinct[-1] >= 0.0 and _reaches_zero(np.abs(known)):
         raise LogError(
             f"{where}: no row at rest is {'below' if distinct[-1] > 0.0 else 'above'} zero, and many are close to "
-            "zero: is the sign missing, or is it a magnitude? Log the signed rates"
+            "zero: is the sign missing, or is the value a magnitude? Log the signed rates"
         )
     middle = float(np.median(known))
     far = np.abs(distinct - middle) > FAR * 1.4826 * float(np.median(np.abs(known - middle)))
@@ -147,8 +147,8 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
     if counts[most] > _ONE_VALUE * len(known) and counts[most] > _UNUSUAL * np.max(np.delete(counts, most), initial=0):
         return (
             f"{where}: {100.0 * counts[most] / len(known):.2g} % of its rows at rest have the same value "
-            f"({distinct[most]:.4g}, SI), and no other value is as frequent: a dead band? It makes the measured "
-            "noise too small"
+            f"({distinct[most]:.4g}, SI), and no other value is as frequent: a dead band? A dead band makes the "
+            "measured noise too small"
         )
     # (The resolution may change in the course of a record.)
     for part in (known, *np.array_split(known, _PARTS)):
@@ -156,7 +156,7 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
         spread = float(np.sqrt(np.median(quiet.var(axis=1)))) if len(quiet) else 0.0
         step = steps.step if part is known else coarse_steps(part).step
         if step > _ADDS * spread > 0.0 and len(np.unique(part)) < len(part) // 4:
-            return f"{where}: its steps are {step / spread:.2g} of its noise, and increase it"
+            return f"{where}: its steps are {step / spread:.2g} of its noise, and increase the noise"
     return None
 
 
@@ -322,7 +322,7 @@ def refuse_clipped(where: str, values: Floats) -> None:
         if float(np.max(size)) < FAR * noise:
             raise LogError(
                 f"{where}: {100.0 * share:.2g} % of its rows at rest are at a limit {float(np.min(size)) / noise:.2g} "
-                "standard deviations from the middle, which cuts off its noise: the record does not show how "
+                "standard deviations from the middle; this limit cuts off the noise: the record does not show how "
                 "large the noise is; use a larger full scale, or the values before limiting"
             )
 

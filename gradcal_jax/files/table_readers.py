@@ -86,7 +86,7 @@ def read_table(
     }
     if kind not in readers:
         known = ", ".join([*sorted(readers), ".csv.gz"])
-        raise LogError(f"{path}: unknown file name extension, which determines the kind of file; known are {known}")
+        raise LogError(f"{path}: unknown file name extension (it determines the kind of file); known are {known}")
     try:
         if path.is_dir():
             raise LogError(f"{path} is a directory")

@@ -59,7 +59,7 @@ class Where(Source):
         """The error where no row has the value, but these."""
         equals = f'"{self.equals}"' if isinstance(self.equals, str) else f"{self.equals:g}"
         some = ", ".join(str(value) for value in itertools.islice(values, 8))
-        return LogError(f"where: no row has {equals} in {self.words()}, but there are {some}")
+        return LogError(f"where: no row has {equals} in {self.words()}; values in this column include {some}")
 
     def chosen(self, values: Array) -> NDArray[np.bool_]:
         """The rows that are taken. Raises `LogError` where there are none."""
@@ -157,7 +157,7 @@ class TextTable(Section):
     decimal: Literal[".", ","] = "."
     """Decimal sign of the numbers."""
     lines: Pattern | None = None
-    """Regular expression, such as "^.VNYMR": lines below the header that do not match it are left out."""
+    """Regular expression, such as "^.VNYMR": below the header, only lines that match it are read."""
     strip: Pattern = r"\*[0-9A-Fa-f]{2,8}\s*$"
     """Regular expression of a text that is removed from every line; a checksum after an asterisk is always removed."""
     encoding: Text = "utf-8-sig"

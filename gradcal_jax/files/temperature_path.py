@@ -10,9 +10,9 @@ from gradcal_jax.files.section import Section, refuse
 
 
 class VariationOfBias(Section):
-    """How the coefficient of a play varies with temperature: Legendre polynomials of the degrees 1 to `degree` in
-    (T − `centre`)/`scale` are added to it. A loop that is not a sum of plays, for example one of many relays, is
-    wider at some temperatures than at others."""
+    """How the coefficient of a play varies with temperature: Legendre polynomials of the degrees 1 to `degree` in (T −
+    `centre`)/`scale` are added to the coefficient. A loop that is not a sum of plays, for example one of many relays,
+    is wider at some temperatures than at others."""
 
     standard_deviation: q.PositiveBiasSlope
     """Standard deviation of the coefficient of each polynomial before the calibration."""
@@ -46,7 +46,7 @@ class PlayOfBias(Section):
     prior: q.PositiveBiasSlope
     """Standard deviation of the coefficient (error for each K between play and temperature) before the calibration."""
     over_temperature: VariationOfBias | None = None
-    """Variation of the coefficient with temperature, which is estimated; absent: the coefficient is constant."""
+    """Estimated variation of the coefficient with temperature; absent: the coefficient is constant."""
 
 
 class PlayOfForce(PlayOfBias):
@@ -64,7 +64,7 @@ class PlayOfScaleFactor(PlayOfBias):
 
 
 class ScaleFactorTemperatureGradient(Section):
-    """Sensitivity of the scale factor to dT/dt, which is estimated."""
+    """Estimated sensitivity of the scale factor to dT/dt."""
 
     prior: q.PositiveScaleFactorGradient
     """Standard deviation of the coefficient before the calibration."""
@@ -74,13 +74,13 @@ class PowerOnTransient(Section):
     """A bias that decays exponentially after power-on; power-on is at the start of the plan or the log."""
 
     time_constant: q.Time
-    """Time constant of the decay, which is known."""
+    """Known time constant of the decay."""
     prior: q.PositiveRate
     """Standard deviation of the bias at power-on, before the calibration."""
 
 
 class PowerOnForceTransient(PowerOnTransient):
-    """A bias of an accelerometer that decays exponentially after power-on, which is at the start of the plan or the
+    """A bias of an accelerometer that decays exponentially after power-on; power-on is at the start of the plan or the
     log."""
 
     prior: q.PositiveSpecificForce
@@ -144,7 +144,7 @@ class DifferenceOfScale(DifferenceOfBias):
 
 
 class SecondThermometer(Section):
-    """A second thermometer, for example on the case, in addition to the first one, which is at the dies."""
+    """A second thermometer, for example on the case, in addition to the first one (at the dies)."""
 
     lag: q.Time
     """First-order lag of the second thermometer's temperature behind that of the first; used in predictions only,
@@ -152,7 +152,7 @@ class SecondThermometer(Section):
 
 
 class OwnError(Section):
-    """An error term of your own, which is estimated: a subclass of `gradcal_jax.model.OwnTerm`."""
+    """An estimated error term of your own: a subclass of `gradcal_jax.model.OwnTerm`."""
 
     term: q.Text
     """Name of the class."""

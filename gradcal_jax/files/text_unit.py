@@ -38,12 +38,12 @@ _NUMBER: Final = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?|[nN][aA][nN])"
 
 
 class SensorTime(Section):
-    """`[time]`: unit of the field `{time}`, and the number at which it restarts at 0."""
+    """`[time]`: unit of the field `{time}`, and the value at which it restarts at 0."""
 
     unit: Literal["s", "ms", "us"] = "s"
     """Unit of the time."""
     modulus: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
-    """Number at which the time restarts at 0; absent: it never restarts."""
+    """Value at which the time restarts at 0; absent: it never restarts."""
 
 
 class TextSensor(Section):
@@ -64,9 +64,9 @@ class TextSensor(Section):
     temperature: Text = "degC"
     """Unit of temperatures."""
     counter: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
-    """Number at which the field `{count}` restarts at 0."""
+    """Value at which the field `{count}` restarts at 0."""
     time: SensorTime = SensorTime()
-    """Unit of the field `{time}`, and the number at which it restarts."""
+    """Unit of the field `{time}`, and the value at which it restarts."""
     checksum: Literal["none", "xor8"] = "none"
     """Text at the end of the line: "none", or with "xor8" an asterisk and two hexadecimal digits, the exclusive or of
     the characters between "$" and "*"."""
@@ -100,8 +100,8 @@ class TextSensor(Section):
         if ("count" in self.fields) is not (self.counter is not None):
             yield Problem(
                 ("counter",),
-                "this key, the number at which the count restarts at 0, is needed if the line has "
-                "a field {count}, and only then",
+                "this key (the value at which the count restarts at 0) is required if the line has a field "
+                "{count}, and not allowed otherwise",
             )
         if {"count", "time"} <= set(self.fields):
             yield Problem(

@@ -84,11 +84,11 @@ class TermRow(rows.MapRow):
 class PathTermRow(Section):
     """A function of the path of temperature times the product of `signals`, as of `TermRow`. By `kind`:
 
-    "hysteresis": the functions (high + low)/2 − T and (high − low)/(2 width) of the two extreme states of a play
-    `P = max(T − width, min(T + width, P⁻))`, which start at P = T ± width at the beginning of the temperature profile,
-    soaks included. "temperature gradient": dT/dt. "transient": exp(−t/time_constant), t from the beginning of
-    the plan. "temperature difference": gain·(L − T), L a first-order lag of T with the time constant, L = T at the
-    beginning of the plan.
+    "hysteresis": the functions (high + low)/2 − T and (high − low)/(2 width) of the two extreme states of a play `P =
+    max(T − width, min(T + width, P⁻))`; the states start at P = T ± width at the beginning of the temperature profile,
+    soaks included. "temperature gradient": dT/dt. "transient": exp(−t/time_constant), t from the beginning of the plan.
+    "temperature difference": gain·(L − T), L a first-order lag of T with the time constant, L = T at the beginning of
+    the plan.
     """
 
     kind: Literal["hysteresis", "temperature gradient", "transient", "temperature difference"]
@@ -120,14 +120,14 @@ class ChannelRow(Section):
     axis: Literal["x", "y", "z"]
     """Axis of the body."""
     white: rows.Size
-    """White noise: standard deviation of the integral after 1 s, which grows with √s (rad/√s or m/s/√s)."""
+    """White noise: standard deviation of the integral after 1 s, growing with √time (rad/√s or m/s/√s)."""
     rate_random_walk: rows.Size = 0.0
-    """Random walk of the rate or force: its standard deviation after 1 s, which grows with √s (rad/s/√s or m/s²/√s)."""
+    """Random walk of the rate or force: standard deviation after 1 s, growing with √time (rad/s/√s or m/s²/√s)."""
     drift: tuple[rows.ProcessRow, ...] = ()
     """Gauss–Markov drifts of the bias (rad/s or m/s²), stationary at the start of the first segment whose data are
     used."""
     scale_factor_instability: tuple[rows.ProcessRow, ...] = ()
-    """Gauss–Markov instabilities of the scale factor, which the rate or force along the axis multiplies."""
+    """Gauss–Markov instabilities of the scale factor; each is multiplied by the rate or force along the axis."""
     turn_on_bias: rows.Size | None = None
     """Standard deviation of the turn-on bias (rad/s or m/s²). It adds to the prior of the bias, along the coefficients
     of the function that is 1 everywhere; if no bias is estimated, it is an error of its own."""
@@ -185,23 +185,23 @@ class SegmentRow(rows.CourseRow):
     attitude: Matrix3
     """Rotation matrix from the body's frame to East, North, up at the start of the segment."""
     mounting: int
-    """Number of the mounting, from 0."""
+    """Index of the mounting, counted from 0."""
     standstill_ids: tuple[int | None, ...]
-    """Number of each axis's standstill; null while the axis moves."""
+    """For each axis, the index of its standstill; null while the axis moves."""
 
 
 class ReadingRow(Section):
     """A reading: one row for each channel in `channels`, at the same time."""
 
     start: rows.Finite
-    """Start of the rows (s): the previous reading, or the end of a segment that is not used, whose reading is the new
-    origin of the angle."""
+    """Start of the rows (s): the previous reading, or the end of an unused segment, where the angle has its new
+    origin."""
     time: rows.Finite
     """End of the rows (s)."""
     channels: tuple[str, ...]
     """Names of the channels."""
     standstill_ids: tuple[int | None, ...]
-    """Number of each axis's standstill at `time`; null: the axis moves."""
+    """For each axis, the index of its standstill at `time`; null: the axis moves."""
     rate: rows.Finite | None = None
     """Reference rate of the table (rad/s); null: the reference is the table's angle, not its rate."""
 

@@ -41,9 +41,9 @@ class Stability(Section):
     within: q.PositiveTemperatureDifference = q.Quantity(0.5, "0.5 K", "temperature difference")
     """A stable temperature deviates from the goal, and changes, by no more than this."""
     for_at_least: q.Time = q.Quantity(300.0, "5 min", "time")
-    """Time for which the temperature must stay so."""
+    """Time for which the temperature must stay within this tolerance."""
     first_timeout: q.Time = q.Quantity(14400.0, "4 h", "time")
-    """Longest wait before the first segment, which begins at room temperature."""
+    """Longest wait before the first segment (the chamber is at room temperature when this wait begins)."""
     timeout: q.Time = q.Quantity(7200.0, "2 h", "time")
     """Longest wait before each of the other segments."""
 
@@ -52,13 +52,13 @@ class ChamberSegment(Section):
     """One segment of the chamber's programme."""
 
     name: q.Text
-    """Name of the segment, to which blocks of motion refer."""
+    """Name of the segment; blocks of motion refer to it."""
     kind: Literal["soak", "ramp", "step"]
     """What the chamber does: stay (soak), ramp, or step as fast as it can."""
     begins: Begins
     """Whether the segment begins at its time, or when the temperature is stable."""
     start: q.SizeOfTime
-    """Start of the segment on the plan's clock, which stops while the run waits."""
+    """Start of the segment on the plan's clock (this clock stops while the run waits)."""
     duration: q.Time
     """Duration of the segment."""
     temperature_start: q.Temperature
@@ -114,7 +114,7 @@ class MotionBlock(Section):
     read_every_after: q.Time | None = None
     """Time between readings during this rest; absent: no readings."""
     mounting: q.Count | None = None
-    """Number of the mounting, from 1, if there are several."""
+    """If there are several mountings: the index of the mounting, counted from 1."""
     hang: q.Text | None = None
     """The mounting on the table, in words, if it changes before this block; the operator is asked to change it."""
     start: dict[Name, q.Angle] = Field(default_factory=dict)

@@ -78,7 +78,7 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
         at |= step.start_deg if step.goes_there else {}
         for name in dict.fromkeys(move.axis for move in step.moves):
             if name not in axes:
-                problems.append(f"{where} moves axis {name!r}, which the rig does not have ({', '.join(axes)}).")
+                problems.append(f"{where} moves axis {name!r}, but the rig has no such axis ({', '.join(axes)}).")
             places = [at.get(name, 0.0)]
             moves = [move for move in step.moves if move.axis == name]
             for move in moves:
@@ -137,7 +137,7 @@ def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str
     made = step * max(1, round(move.acceleration_dps2 / step)) if step else move.acceleration_dps2
     if move.kind == "turn" and abs(made - move.acceleration_dps2) > _LIKE_ACCELERATION * move.acceleration_dps2:
         problems.append(
-            f"accelerates at {move.acceleration_dps2:g} deg/s², which its controller rounds to {made:g}: make the "
+            f"accelerates at {move.acceleration_dps2:g} deg/s², but its controller rounds this to {made:g}: make the "
             f'recipe with acceleration = "{step:.9g} deg/s^2" in [rig.resolution] of the spec.'
         )
     lowest, highest = limits.travel_deg

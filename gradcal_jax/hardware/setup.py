@@ -107,7 +107,7 @@ def driver_of(name: str) -> Driver | None:
         why = f"{type(problem).__name__}: {problem}"
         raise ValueError(f"the driver of this name in the package {where} cannot be loaded: {why}") from None
     if not isinstance(driver, Driver):
-        raise ValueError(f"the package {where} has {entries[0].value} as a driver, which is not a `setup.Driver`")
+        raise ValueError(f"the package {where} has {entries[0].value} as a driver, but this is not a `setup.Driver`")
     return driver
 
 

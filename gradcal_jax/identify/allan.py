@@ -81,7 +81,7 @@ class AllanDeviation:
     """Number of averaged second differences at each τ."""
     sample_interval_s: float
     stretch_lengths: tuple[int, ...]
-    """Number of samples in each unbroken stretch, from which the confidence is computed."""
+    """Number of samples in each unbroken stretch; the confidence is computed from these numbers."""
 
     __repr__ = summary
 
@@ -123,7 +123,7 @@ class AllanFit:
     fitted_time_s: Float[np.ndarray, " fitted"]
     """Averaging times that the fit uses."""
     low_passed: bool
-    """Whether a low-pass filter shows at the shortest averaging times, which the fit then does not use."""
+    """Whether a low-pass filter shows at the shortest averaging times; the fit then does not use these times."""
     chi_squared: float
     """χ² of the Allan variances against the model, by their covariance, over all averaging times except those affected
     by a low-pass filter."""

@@ -314,7 +314,7 @@ def _no_drift_shows(
     delta: float, mean_error: str, hidden: float, hidden_words: str, tau: float, advised: float | None
 ) -> str:
     sentence = (
-        f"averaged over {delta:g} s, the drift is not visible above the angle random walk, which alone gives this "
+        f"averaged over {delta:g} s, the drift is not visible above the angle random walk; this alone gives the "
         f"average an uncertainty of N/√Δ = {mean_error}"
     )
     if not np.isfinite(hidden):

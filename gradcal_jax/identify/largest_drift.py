@@ -115,9 +115,8 @@ def largest_drift(
         room = (longest - before) * sample_interval_s
         raise ValueError(
             f"an integration of {lengths[-1] * sample_interval_s:g} s after an average of "
-            f"{before * sample_interval_s:g} s is longer than every unbroken part of the record, of which the "
-            "longest has "
-            f"{longest * sample_interval_s:g} s: "
+            f"{before * sample_interval_s:g} s is longer than every unbroken part of the record (the longest has "
+            f"{longest * sample_interval_s:g} s): "
             + (
                 f"choose integration times of at most {room:g} s"
                 if room > 0

@@ -56,9 +56,7 @@ def markov_covariance(duration_s: float, row_s: float, walk: float, sigma: float
     """`(3, 3)`: covariance of the maximum-likelihood estimates of ln N, ln σ, ln τ from a record of rows of `row_s`."""
     count = int(duration_s / row_s)
     if count < _FEWEST:
-        raise ValueError(
-            f"{duration_s:g} s of data are {count} rows of {row_s:g} s, which are too few to determine a drift"
-        )
+        raise ValueError(f"{duration_s:g} s of data are {count} rows of {row_s:g} s: too few to determine a drift")
     omega = 2.0 * np.pi * np.arange(1, count // 2) / count
     here = np.log([walk, sigma, tau])
 

@@ -64,7 +64,7 @@ class CompiledSource(NamedTuple):
         except (OSError, subprocess.SubprocessError) as e:
             output = getattr(e, "stderr", None)
             warnings.warn(
-                f"{self.what} could not be compiled, so JAX computes it, which is several times slower: "
+                f"{self.what} could not be compiled, so JAX computes it (several times slower): "
                 f"{e}{': ' + output.strip()[-500:] if output else ''} (set the environment variable CXX to use "
                 "another compiler, or GRADCAL_NATIVE=0 to use none)",
                 RuntimeWarning,

@@ -449,7 +449,9 @@ def make_map(
         hidden = DISCREPANCY.format(name)
         beyond = Discrepancy(temperature=bases[0], rate=of_rate, std=scalar(std), name=hidden, late=late)
         if beyond.size == 0:
-            raise ValueError("the discrepancy's degrees must exceed the model's, otherwise it adds nothing")
+            raise ValueError(
+                "the discrepancy's degrees must exceed the model's, otherwise the discrepancy adds nothing"
+            )
     return Map(
         temperature=temperature,
         rate=rate,

@@ -14,7 +14,8 @@ from gradcal_jax.units import DEG_PER_H
 
 
 def draw_drift(instability: Instability, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """The largest drift D_θ*(t) of one channel, its limit from the chosen process, and that from random walk alone."""
+    """The largest drift D_θ*(t) of one channel, its limit from the chosen process, and its limit from random walk
+    alone."""
     ax = new_axes(ax)
     bound, hour = instability.bound, DEG_PER_H
     t = bound.integration_time_s

@@ -83,7 +83,7 @@ def test_few_imus_say_what_they_cannot_say(count):
 def test_the_stated_range_of_a_spread_of_few_is_students():
     """Of 4: 95 % of χ² with 3 degrees of freedom is from 0.216 to 9.348."""
     (note,) = lot_of("one", 4).notes
-    assert f"{np.sqrt(3 / 9.348):.2g} to {np.sqrt(3 / 0.2158):.2g} times its value" in note
+    assert f"{np.sqrt(3 / 9.348):.2g} to {np.sqrt(3 / 0.2158):.2g} times the estimated spread" in note
 
 
 def test_a_stranger_is_named_and_does_not_count():

@@ -47,11 +47,11 @@ def test_every_400th_sample_of_a_raw_channel_is_asked_about(tmp_path, capsys):
     rest = at_rest(read_vehicle_log(path))
     fit = allan_of(rest)[1]
     assert fit.angle_random_walk.value * DEG_PER_SQRT_H > 3.0
-    with pytest.raises(LogError, match=r"means of the samples between, or every n-th of them"):
+    with pytest.raises(LogError, match=r"means of these samples, or every n-th sample"):
         of_sensor(rest, fit)
     for command in ("allan", "instability"):
         assert main([command, str(path)]) == 2
-        assert "every n-th of them" in capsys.readouterr().err
+        assert "every n-th sample" in capsys.readouterr().err
     assert main(["allan", str(path), "--axis", "x", "--sensor-rate", "400 Hz"]) == 0
     assert re.search(r"N angle random walk +0\.1[67]", capsys.readouterr().out)
     assert main(["allan", str(path), "--axis", "x", "--sensor-rate", "means"]) == 0

@@ -55,7 +55,7 @@ def test_no_prior_is_written_where_the_shapes_do_not_repeat(folders, tmp_path, c
     assert main([*words(folders["no"]), "-o", str(priors)]) == 1
     printed = capsys.readouterr()
     assert "the shapes do not repeat" in printed.out
-    assert f"no priors were written to {priors}: the shape of no map repeats" in printed.err
+    assert f"no priors were written to {priors}: no map has a shape that repeats" in printed.err
     assert not priors.exists()
 
 

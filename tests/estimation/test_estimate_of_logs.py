@@ -322,11 +322,11 @@ def test_what_a_log_lacks_is_a_sentence():
     with pytest.raises(LogError, match="no temperature"):
         estimated(spec, replace(log, temperature_c=None))
     constant = parse_spec(GRADIENT.replace("degree = 1, centre", "degree = 0, centre"))
-    with pytest.raises(LogError, match="state that of the recording"):
+    with pytest.raises(LogError, match="state it with --temperature"):
         estimated(constant, replace(log, temperature_c=None))
     (at,) = estimated(constant, replace(log, temperature_c=None), options=Options(temperature_c=23.4))
     assert at.calibration.valid_temperature == pytest.approx((23.4, 23.4))
-    with pytest.raises(LogError, match="this log has its own"):
+    with pytest.raises(LogError, match="this log has temperatures"):
         estimated(spec, log, options=Options(temperature_c=23.4))
     with pytest.raises(LogError, match="no table axis q"):
         estimated(spec, log, options=Options(table_axis="q"))

@@ -62,8 +62,8 @@ def test_what_was_recorded_but_not_integrated_is_not_covered():
 @pytest.mark.parametrize(
     ("said", "words"),
     [
-        ([360.0, 360.0, -720.0], "3 turns are listed, and about x the sensor has 361 deg at"),
-        ([360.0, -360.0, -720.0, 90.0], "turn 2 is listed as -360 deg, and about x"),
+        ([360.0, 360.0, -720.0], "3 turns are listed, but the turns that the sensor measured about x are: 361 deg at"),
+        ([360.0, -360.0, -720.0, 90.0], "turn 2 is listed as -360 deg, but the turns"),
         ([36.0, 36.0, -72.0, 9.0], "turn 1 is listed as 36 deg"),
     ],
 )

@@ -175,7 +175,7 @@ valued("a dead band", lambda w: np.where(np.abs(w - 0.02) < 0.12, 0.0, w), "dead
 valued("a small dead band", lambda w: np.where(np.abs(w) < 0.02, 0.0, w), "a dead band")
 valued("two values", lambda w: np.rint((w - 0.02) / 0.5 + 0.5) * 0.5, "dead band|coarse")
 valued("one value in most rows", lambda w: np.rint(w / 0.5) * 0.5, "dead band|coarse")
-valued("steps of the noise", lambda w: np.rint(w / 0.05) * 0.05, "of its noise, and increase it")
+valued("steps of the noise", lambda w: np.rint(w / 0.05) * 0.05, "of its noise, and increase the noise")
 valued("steps of a fifth of the noise", lambda w: np.rint(w / 0.01) * 0.01)
 valued("one constant value", lambda w: np.full(ROWS, 0.25), "the same value|does not change")
 valued(
@@ -440,8 +440,8 @@ def changed_to(hz: float):
 
 changed_to(200.0)
 changed_to(50.0)
-valued("noise cut off at a limit", lambda w: np.clip(w, -0.05, 0.09), "cuts off its noise")
-valued("noise cut off on one side", lambda w: np.maximum(w, -0.03), "cuts off its noise")
+valued("noise cut off at a limit", lambda w: np.clip(w, -0.05, 0.09), "cuts off the noise")
+valued("noise cut off on one side", lambda w: np.maximum(w, -0.03), "cuts off the noise")
 QUIET = np.convolve(np.abs(noise() - 0.02), np.ones(25) / 25, "same") < 0.038
 valued("zeros while it seems at rest", lambda w: np.where(QUIET, 0.0, w), "a dead band")
 

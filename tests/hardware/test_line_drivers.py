@@ -179,7 +179,7 @@ def changed(name: str, change: Any) -> dict[str, Any]:
         ("grbl", lambda t: t["ask"]["status"].update(reply="<{a:text}{position}>"), "a text field ends at"),
         ("grbl", lambda t: t["ask"]["settings"].pop("last"), "the lines of one reply"),
         ("grbl", lambda t: t["units"].update(rate="K/min"), "angular rate"),
-        ("julabo", lambda t: t["tell"].update(colour={"send": "RED"}), "is not a command of a chamber"),
+        ("julabo", lambda t: t["tell"].update(colour={"send": "RED"}), "is not a command; those of a chamber"),
     ],
 )
 def test_what_cannot_be_trusted_is_refused(name: str, change: Any, expected: str) -> None:

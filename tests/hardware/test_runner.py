@@ -151,7 +151,7 @@ def test_a_track_beyond_the_devices_limits_does_not_start(tmp_path: Path) -> Non
         runner.track = track
         result = runner.run()
         assert result.exit_status == "aborted"
-        for words in ("'hot' sets 190 degC", "turns at 1000 deg/s", "'tilt', which the rig does not have"):
+        for words in ("'hot' sets 190 degC", "turns at 1000 deg/s", "'tilt', but the rig has no such axis"):
             assert words in result.reason
         assert result.verified_safe
         assert rig.table.axes[0].plant.state(0.0)[1] == 0.0

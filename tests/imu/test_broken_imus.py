@@ -215,7 +215,7 @@ def test_a_sensor_that_is_not_there_is_no_perfect_one(requirement, kind, axes, w
         spec_of(document)
     (problem,) = caught.value.problems
     assert problem.dotted == "requirement[0].quantity"
-    assert f"needs {words}, which the sensor does not have" in problem.message
+    assert f"needs {words}, but the sensor has no such axis" in problem.message
 
 
 # --- slips ------------------------------------------------------------------------------------------------------------

@@ -257,7 +257,7 @@ def known_temperature(log: Log, unit: int, *, second: bool = False) -> Floats:
     values = log.bridged_temperature(unit, second=second)
     if values is None:
         which = "second temperature" if second else "temperature"
-        raise LogError(f"the log has no {which} of IMU {log.units[unit]}, which the calibration needs")
+        raise LogError(f"the log has no {which} of IMU {log.units[unit]}, but the calibration needs it")
     return values
 
 
@@ -383,7 +383,7 @@ def _common(calibration: Calibration, columns: Mapping[str, Floats]) -> list[Cal
     needed = {name.strip("|") for channel in common for term in channel.term for name in term.signals}
     for channel in calibration.channel:
         if channel.label not in has and channel.input in needed:
-            raise LogError(f"the log has no {channel.label}, which the correction of other channels needs")
+            raise LogError(f"the log has no {channel.label}, but the correction of other channels needs it")
     return common
 
 

@@ -43,7 +43,7 @@ ORDER: Final = (
     "before any rotation"
 )
 TEMPERATURE_RATE: Final = "temperature rate"
-"""The signal dT/dt, K/s, which a correction knows; it computes the other signals."""
+"""The signal dT/dt, K/s: a correction knows it, and computes the other signals."""
 LOG_HASH: Final = "log_sha256"
 """Name under which the provenance has the fingerprint of the calibration's log."""
 
@@ -80,7 +80,7 @@ class CalibratedTerm(Section):
                 if function_of(name) != functions_of_name:
                     place = " and ".join(map(str, functions_of_name))
                     message = (
-                        f"is not the coefficient expected at this position, which multiplies function {place} of "
+                        f"is not the coefficient expected at this position: that one multiplies function {place} of "
                         "temperature (and rate)"
                     )
                     yield Problem(("coefficients", name), message)
@@ -110,7 +110,8 @@ class PathPolynomial(Section):
 
 class PathCoefficient(Section):
     """An error that depends on the path of temperature (hysteresis, dT/dt), in addition to the maps, which are the mean
-    of heating and cooling. `apply` subtracts it, by the temperatures of a log; exports cannot contain it."""
+    of heating and cooling. `apply` computes it from the temperatures of a log and subtracts it; exports cannot contain
+    it."""
 
     channel: q.Text
     """Name of the channel, such as gyro_x."""
@@ -131,7 +132,8 @@ class PathCoefficient(Section):
     second_thermometer: q.Flag = False
     """Whether the coefficient multiplies the difference between the second thermometer and the first."""
     own: q.Flag = False
-    """Whether the coefficient belongs to an error class of your own, which neither `apply` nor exports correct."""
+    """Whether the coefficient belongs to an error class of your own; neither `apply` nor exports correct such
+    errors."""
 
 
 class Residuals(Section):
@@ -215,7 +217,7 @@ class UnseenError(Section):
     name: Annotated[q.Text, Field(max_length=200)]
     """Name of the error."""
     coefficients: dict[str, q.Number]
-    """Change of each coefficient by one standard deviation of this error, in the coefficients' units."""
+    """Change of each coefficient that one standard deviation of this error causes, in the coefficients' units."""
 
 
 class FitTest(Section):
@@ -256,7 +258,7 @@ class Result(Section):
     quantity: q.Text
     """Quantity that the requirement limits."""
     statistic: q.Text
-    """Statistic of the residual that decides the verdict."""
+    """The statistic that decides the verdict."""
     value: q.Number | None = None
     """The value of this statistic (1σ), including omitted terms and, for "any run", the turn-on bias; absent: not
     observable."""
@@ -273,7 +275,7 @@ class Result(Section):
     coverage: q.Number | None = None
     """Number of standard deviations that must be within the target."""
     risk: Annotated[q.Number, Field(gt=0.0, le=0.5)] | None = None
-    """Largest probability that a sensor beyond the target passes; absent: simple acceptance."""
+    """Largest allowed probability that a sensor beyond the target passes; absent: simple acceptance."""
     rule: q.Text | None = None
     """Rule of the verdict, in words."""
 
@@ -284,7 +286,7 @@ class Noise(Section):
     angle_random_walk: q.AngleRandomWalk | None = None
     """White noise of the rate."""
     rate_random_walk: q.RateRandomWalk | None = None
-    """Random walk that equals the gyros' drifts over times much shorter than their correlation time."""
+    """Random walk that equals the gyros' drifts over times much shorter than the correlation time of these drifts."""
     velocity_random_walk: q.VelocityRandomWalk | None = None
     """White noise of the specific force."""
     sample_rate: q.Frequency | None = None
@@ -318,7 +320,7 @@ class Calibration(TitledFile):
     fit: Annotated[tuple[FitTest, ...], Field(max_length=1000)] = ()
     """Tests of the fit."""
     contradicted: Annotated[tuple[q.Text, ...], Field(max_length=1000)] = ()
-    """Tests of the fit that fail: the data contradict the model, and no stated uncertainty is valid."""
+    """Tests of the fit that fail: the data contradict the model, and the stated uncertainties are not valid."""
     unobservable: Annotated[tuple[q.Text, ...], Field(max_length=5000)] = ()
     """Coefficients, or combinations of them, that the data do not determine."""
     noise: Noise | None = None

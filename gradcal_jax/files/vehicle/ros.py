@@ -59,7 +59,7 @@ def gyros(path: Path) -> Sequence[GyroStream]:
 def _stream(topic: _Topic, temperatures: Sequence[_Topic]) -> GyroStream:
     stamps, values = _decoded(topic, first=13, count=3)
     received = np.array(topic.received_ns, np.int64)
-    notes = [f"{topic.name}: the driver may have subtracted a bias from the rates, which a ROS message does not state"]
+    notes = [f"{topic.name}: a ROS message does not state whether the driver has subtracted a bias from the rates"]
     if not stamps.any():
         stamps = received
         notes.append(f"{topic.name} has no time stamps of its own: those of the receiver are used")

@@ -181,7 +181,7 @@ class OperatorAxis(MotionAxis):
         self._drawing = drawing
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
-        raise Rejected(f"{self._name} is turned by hand, which is not possible at a constant rate.")
+        raise Rejected(f"{self._name} is turned by hand, and a person cannot turn it at a constant rate.")
 
     def stop(self) -> None:
         """Withdraw the question (nothing drives the axis). The angle is unknown until the next answer."""

@@ -300,9 +300,9 @@ def allan(
 ) -> int:
     """Print the noise coefficients of a record at rest, fitted to its overlapping Allan deviation.
 
-    The exit status is 1 if the angle random walk is larger than that of any gyro, because a unit is then probably
-    wrong. With --plan, before a recording is made: print the expected errors for a given duration of the record, or the
-    duration that is necessary for a given error.
+    The exit status is 1 if the angle random walk is larger than that of any gyro: check the units. With --plan, before
+    a recording is made: print the expected errors for a given duration of the record, or the duration that is necessary
+    for a given error.
 
     Parameters
     ----------

@@ -42,7 +42,7 @@ _DEGREE = (
     "default 3 if the temperature changes by 5 K or more, and otherwise 0, the mean."
 )
 BiasDegree = Annotated[int | None, Parameter(name="--bias-degree", help=_DEGREE)]
-_LAG = 'Lag of the bias behind the temperature: a time, "none", "fit", or "auto" (fitted, and used if the fit is then better).'
+_LAG = 'Lag of the bias behind the temperature: a time, "none", "fit", or "auto" (fitted, and used if it fits better).'
 Lag = Annotated[str, Parameter(help=_LAG)]
 _SPAN = 'A time span of the record to leave out, such as "123 s..130 s"; may be repeated.'
 Without = Annotated[tuple[str, ...], Parameter(name="--without", negative="", help=_SPAN)]

@@ -86,7 +86,7 @@ class RestRecord:
                 f"axis {self.axis} of {self.unit}: rows at {1.0 / self.sample_interval_s:.3g} Hz of a raw "
                 "channel, which is sampled much faster: are the rows means of these samples, or every n-th "
                 "sample? The angle random walk of the rows equals that of the sensor only if the rows are means. State "
-                '--sensor-rate means, or the sensor\'s own rate, such as --sensor-rate "400 Hz"; it is better to '
+                '--sensor-rate "means", or the sensor\'s own rate, such as --sensor-rate "400 Hz"; it is better to '
                 "log at the full rate"
             )
         return walk / float(np.sqrt(self.samples_per_row))

@@ -239,7 +239,7 @@ def _unit(
     else:
         words = (
             "the calibration states no noise: with this spacing, rows may be single samples, with larger noise "
-            'than the sensor\'s: state --sensor-rate "400 Hz" (its own rate) or --sensor-rate means'
+            'than the sensor\'s: state --sensor-rate "400 Hz" (its own rate) or --sensor-rate "means"'
         )
         sensors[0] = sensors[0]._replace(messages=(*sensors[0].messages, words))
     named = ", ".join(channel.axis for c in calibrations for channel in c.channel)

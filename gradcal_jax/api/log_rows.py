@@ -488,8 +488,8 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
         second = estimation.smoothed_temperature(time, second, **over)
     elif any(of.name == SECOND for of in built.model.others):
         raise LogError(
-            "the spec has a thermometer_difference, but the log has no second temperature; a column map names it "
-            "second_temperature"
+            "the spec has a thermometer_difference, but the log has no second temperature (in a column map, the "
+            "key is second_temperature)"
         )
     return ImuRows(
         time, rates, force, smooth, angles, standing, usable, mounting, at_a_stop, worth, rate, at_end, second

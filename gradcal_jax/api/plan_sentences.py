@@ -358,7 +358,7 @@ def _cures(built: BuiltImu, axes: np.ndarray, names: set[str]) -> list[str]:
                     sentences.append(f"accelerometer {axis} never points {where}: add a pose")
         turned = np.any(np.abs(axes[moves, motion.axis[moves], c.axis]) > _SEEN)
         if c.kind == "gyro" and any(re.search(r"\.b[\d_]", name) for name in blind) and not turned:
-            where = f"no turn is about gyro {axis}: add a turn while a table axis lies along it"
+            where = f"no turn is about gyro {axis}: add a turn while a table axis lies along this gyro"
             sentences.append("the axis never turns: add turns" if built.spec.is_one_axis else where)
         elif c.kind == "gyro" and blind:
             sentences += _too_few(built, axes, c)

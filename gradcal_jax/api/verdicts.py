@@ -35,7 +35,7 @@ UNIT_OF: Final[dict[str, tuple[PrintedUnit, float]]] = {
     "position": ("m", 1.0),
     "tilt": ("urad", 1e6),
 }
-"""For each quantity its unit for people, and how many of it are one in SI."""
+"""For each quantity: its unit in output, and the number of these units in one SI unit."""
 
 
 def mission_weights(requirement: Requirement, name: Statistic) -> np.ndarray:

@@ -195,7 +195,7 @@ def export(
     Parameters
     ----------
     format
-        The format: ardupilot, px4, kalibr, matrices, c-header or csv. Leave it out if you use --template.
+        The format: ardupilot, px4, kalibr, matrices, c-header or csv. Leave --format out if you use --template.
     template
         Your own template in the Jinja language; gradcal new export-gains writes an example.
     output

@@ -91,7 +91,7 @@ def estimate(
         The calibration file to write. If there are several IMUs, one file is written for each, and the name of the IMU
         is added to the name of the file.
     axis
-        If the spec has one gyro on a single-axis table: the sensor axis about which the table turned; by default the
+        If the spec has one gyro on a table of one axis: the sensor axis about which the table turned; by default the
         axis in the spec, or the only axis in the log. Without a spec: the axes to calibrate; may be repeated.
     unit
         Which IMU of the log; may be repeated; by default all.
@@ -100,7 +100,7 @@ def estimate(
     earth_rate
         The Earth's rate along the sensor's axis, such as "10.4 deg/h"; it is subtracted from the rates.
     latitude
-        If the sensor's axis points straight up: the latitude of the site, to compute the Earth's rate; it replaces
+        If the sensor's axis points straight up: the latitude of the site, to compute the Earth's rate, instead of
         --earth-rate.
     lag
         The lag of the maps behind the measured temperature: a time, or "fit" to estimate it.
@@ -108,7 +108,7 @@ def estimate(
         The smoothness of bins and B-splines: "spec" for that in the spec, or "auto" for the smoothness with which the
         data are most probable.
     robust
-        Reduce the weight of readings that the model cannot explain (Huber), and list these readings.
+        Give less weight (Huber) to readings that the model cannot explain, and list these readings.
     clock
         The clock whose time is used to integrate rates: "sensor", or "host" (the computer's). By default the clock that
         the spec states; if the spec states none and the log has both clocks, the computer's.

@@ -38,11 +38,11 @@ Axes = Annotated[
 ]
 Unit = Annotated[str | None, Parameter(name="--unit", help="Which IMU, if the log has several.")]
 _DEGREE = (
-    "Degree of the polynomial of the bias over temperature that is subtracted first; -1: nothing is subtracted. By\n"
+    "The bias over temperature is subtracted first, as a polynomial of this degree; -1: nothing is subtracted. By\n"
     "default 3 if the temperature changes by 5 K or more, and otherwise 0, the mean."
 )
 BiasDegree = Annotated[int | None, Parameter(name="--bias-degree", help=_DEGREE)]
-_LAG = 'Lag of the bias behind the temperature: a time, "none", "fit", or "auto": fitted, and used if it fits better.'
+_LAG = 'Lag of the bias behind the temperature: a time, "none", "fit", or "auto" (fitted, and used if it fits better).'
 Lag = Annotated[str, Parameter(help=_LAG)]
 _SPAN = 'A time span of the record to leave out, such as "123 s..130 s"; may be repeated.'
 Without = Annotated[tuple[str, ...], Parameter(name="--without", negative="", help=_SPAN)]
@@ -300,9 +300,9 @@ def allan(
 ) -> int:
     """Print the noise coefficients of a record at rest, fitted to its overlapping Allan deviation.
 
-    The exit status is 1 if the angle random walk is larger than that of any gyro, because a unit is then probably
-    wrong. With --plan, before a recording is made: print the expected errors for a given duration of the record, or the
-    duration that is necessary for a given error.
+    The exit status is 1 if the angle random walk is larger than that of any gyro: check the units. With --plan, before
+    a recording is made: print the expected errors for a given duration of the record, or the duration that is necessary
+    for a given error.
 
     Parameters
     ----------

@@ -63,9 +63,9 @@ def optimise(
 
     The search is by gradient descent. For one gyro along the only axis of a table, [design] in the spec states the
     objective and the parts of the plan that may change. For any other IMU, the search changes the turns, poses, rates
-    and rests of many cycles. If the spec has a hysteresis, it also changes the legs, turning points and slopes of the
-    temperature programme. After Ctrl-C, the search ends and writes the best plan so far; a second Ctrl-C stops at once.
-    The exit status is 1 if the search did not converge.
+    and rests of many cycles. If the spec has a hysteresis, the search also changes the legs, turning points and slopes
+    of the temperature programme. After Ctrl-C, the search ends and writes the best plan so far; a second Ctrl-C stops
+    at once. The exit status is 1 if the search did not converge.
 
     If SPEC is the folder of an interrupted run, plan its remaining part: every prediction includes the data of the part
     that was executed, and the temperature ramp begins where the chamber stopped. The IMU must not have been switched

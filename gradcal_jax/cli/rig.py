@@ -205,7 +205,7 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
     recipe
         Test everything that a run of this recipe needs.
     move
-        Also move the axes. An operator must be ready to stop them.
+        Also move the axes. An operator must be ready to stop the axes.
     json
         Print the devices' answers as JSON.
     """

@@ -79,7 +79,7 @@ def run(
     unit
         Name of the IMU on the table.
     note
-        A note to store with the run.
+        A note that is stored with the run.
     units
         For a simulated run: the number of IMUs on the table.
     json

@@ -221,8 +221,8 @@ def _doubtful(window: _Window, number: int, behind_s: float, step: float, round_
         return f"the earliest time stamps after this place are later by {step:.2f} counter periods than those before it"
     if not _agree(window, number, behind_s + rounds * round_s, round_s):
         return (
-            f"after this place, fewer than {_FEWEST_ARRIVALS} arrivals of samples had so small a delay that they "
-            "confirm this number of lost counter periods"
+            f"after this place, too few arrivals of samples (fewer than {_FEWEST_ARRIVALS}) had a delay small "
+            "enough to confirm this number of lost counter periods"
         )
     if rounds and traces > 1:
         return f"{traces} losses were read together, and the last one is assumed to be the long one"

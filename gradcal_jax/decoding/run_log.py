@@ -111,7 +111,7 @@ def _of_unit(
         aside += left
     if not parts:
         raise HardwareError(
-            "The journal has no samples that count as data: the run ended before the first part with used data began."
+            "The journal has no samples that count as data: the run ended before the first part whose data are used."
         )
     provenance = _provenance(parts, sessions, recipe, (device.name, device.driver))
     events = (event for session in sessions for event in session.events)
@@ -162,7 +162,7 @@ def _of_recording(
             part = part_with_table(session, samples, first, len(samples), clock, axes, every_s)
             parts += [] if part is None else [part]
     if not parts:
-        raise HardwareError("The recording has no samples from any part of the run with used data.")
+        raise HardwareError("The recording has no samples from any part of the run whose data are used.")
     who = recorded.units[number]
     provenance = _provenance(parts, sessions, recipe, (who, "recorded elsewhere"))
     provenance["clock_offset_std_s"] = ", ".join(f"{one.offset_std_s:.1e}" for one in alignments)

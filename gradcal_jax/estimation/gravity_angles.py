@@ -276,8 +276,8 @@ def _scales(turns: list[_Turn | None], still: _Still, log: ImuRows) -> dict[tupl
             begin = log.time_s[still.rows[members[int(np.argmax(np.abs(integral)))]][1]]
             raise ValueError(
                 f"whole turns cannot be counted: scale-factor errors of {100 * scale[best]:+.2g} % and "
-                f"{100 * other:+.2g} % explain the turns about one direction equally well, the longest of "
-                f"{np.degrees(largest):.4g} deg, {begin:.6g} s after the start of the log; add a turn of half a "
+                f"{100 * other:+.2g} % explain the turns about one direction equally well (the longest turn: "
+                f"{np.degrees(largest):.4g} deg, {begin:.6g} s after the start of the log); add a turn of half a "
                 "revolution or less about this direction"
             )
         result[key] = float(scale[best])

@@ -90,7 +90,7 @@ def _full_scale(spec: "Spec") -> Iterator[Problem]:
         if rate > gyro.usable_rate * (1.0 + _SLACK):
             message = (
                 f"reaches {math.degrees(rate):.5g} deg/s, which exceeds the sensor's full scale, {gyro.full_scale}, "
-                f"reduced by its margin, {gyro.full_scale_margin}"
+                f"reduced by the margin, {gyro.full_scale_margin}"
             )
             yield Problem(key, message, text)
 

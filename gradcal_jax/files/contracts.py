@@ -390,8 +390,8 @@ class Prediction(Section):
     minutes_per_imu: Size | None = None
     """Duration of the plan divided by the number of places (min)."""
     imus_per_shift: Size | None = None
-    """Number of IMUs that are calibrated in a shift by complete runs, without the time to change the IMUs. If a run
-    takes longer than a shift: the number of IMUs times shift/run."""
+    """Number of IMUs that are calibrated in a shift by complete runs, not counting the time to change the IMUs. If a
+    run takes longer than a shift: the number of IMUs times shift/run."""
 
     _repr_html_ = html
 

@@ -480,7 +480,7 @@ def _index(label: str | int, labels: tuple[str, ...], kind: str) -> int:
     if isinstance(label, int):
         if 0 <= label < len(labels):
             return label
-        raise LogError(f"there is no {kind} number {label}: the log has {len(labels)}, counted from 0")
+        raise LogError(f"there is no {kind} number {label}: the log has {len(labels)}, numbered from 0")
     if label in labels:
         return labels.index(label)
     raise LogError(f"there is no {kind} '{label}' in this log; {instead(label, labels)}")

@@ -117,8 +117,8 @@ class MotionCycle(Section):
     """Time, at the end of each cycle, in which the table serves other sensors; only for a table with standing =
     "read"."""
     duration: Time | None = None
-    """Duration of a cycle; absent: that of its moves and of `other_axes`. If it is longer than these, the table rests
-    for the remaining time (without readings if standing = "read")."""
+    """Duration of a cycle; absent: that of its moves and of `other_axes`. If the duration is longer than these, the
+    table rests for the remaining time (without readings if standing = "read")."""
 
 
 class MotionPlan(ChamberCourse):

@@ -71,7 +71,7 @@ class Predicted(Section):
     minutes_per_imu: Size | None = None
     """Duration of the plan divided by the number of places (min)."""
     imus_per_shift: Size | None = None
-    """Number of IMUs calibrated in a shift, without the time to change them."""
+    """Number of IMUs calibrated in a shift, not counting the time to change the IMUs."""
 
     @classmethod
     def of(cls, prediction: Prediction) -> "Predicted":

@@ -469,8 +469,8 @@ class LeverArm(Section):
 
 
 class GyroTriad(_Gyro, path_terms.TemperaturePath):
-    """`[sensor.gyro]`: common properties of the gyros. An error term whose key is absent here is taken as known, and is
-    not estimated."""
+    """`[sensor.gyro]`: common properties of the gyros. If the key of an error term is absent here, the error is taken
+    as known, and is not estimated."""
 
     axes: BodyAxes = ("x", "y", "z")
     """Axes along which the IMU has a gyro."""
@@ -493,8 +493,8 @@ class GyroTriad(_Gyro, path_terms.TemperaturePath):
 
 class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     """`[sensor.accelerometer]`: common properties of the accelerometers. They are read at rest, and during moves that
-    are not faster than `read_on_moves_below`. An error term whose key is absent here is taken as known, and is not
-    estimated."""
+    are not faster than `read_on_moves_below`. If the key of an error term is absent here, the error is taken as known,
+    and is not estimated."""
 
     FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk", "turn_on_bias")
 

@@ -13,7 +13,7 @@ FORMAT: Final = "gradcal-config/1"
 
 
 class UserConfig(Section):
-    """The configuration of a user. Options on the command line, and entries of a rig file, take precedence."""
+    """The configuration of a user. Options on the command line, and entries of a rig file, take precedence over it."""
 
     format: Literal["gradcal-config/1"] = FORMAT
     """Name and version of this file format."""

@@ -314,8 +314,8 @@ def _no_drift_shows(
     delta: float, mean_error: str, hidden: float, hidden_words: str, tau: float, advised: float | None
 ) -> str:
     sentence = (
-        f"averaged over {delta:g} s, the drift is not visible above the angle random walk; this alone gives the "
-        f"average an uncertainty of N/√Δ = {mean_error}"
+        f"averaged over {delta:g} s, the drift is not visible above the angle random walk; the random walk alone "
+        f"gives the average an uncertainty of N/√Δ = {mean_error}"
     )
     if not np.isfinite(hidden):
         return sentence + "; the record is too short to state how large a hidden drift could be"

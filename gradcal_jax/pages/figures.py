@@ -140,9 +140,11 @@ def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Pi
             ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
 
     words = "Temperature of the chamber on the plan's clock"
-    words += "." if history is None else " (which stops while a step waits), as planned and as measured in the run."
+    words += (
+        "." if history is None else " (this clock stops while a step waits), as planned and as measured in the run."
+    )
     if recipe is None:
-        words = "Measured temperature of the chamber on the plan's clock, which stops while a step waits."
+        words = "Measured temperature of the chamber on the plan's clock (this clock stops while a step waits)."
     known = recipe is not None or (history is not None and len(history.chamber_s))
     pictures = [picture("temperature", words, temperatures, _LOW)] if known else []
     done = {} if history is None else history.rates
@@ -292,7 +294,7 @@ def _curves(boxes: Sequence[tuple[str, Box]], key: str, where: str, target: floa
     words = "the maximum over temperature, against rate" if by_rate else "over temperature"
     caption = f"{where}: residual {stage}".rstrip() + f", {words}, one standard deviation."
     if not all(np.all(np.isfinite(box.values)) for _, box in boxes):
-        caption += " If a curve is missing, it is not observable."
+        caption += " If a curve is missing, its quantity is not observable."
     return picture(key, caption, lambda ax: plots.draw_curves(boxes, target, ax=ax)[0].set_title(stage), _HIGH)
 
 

@@ -191,7 +191,7 @@ def draw_planned_temperature(recipe: Recipe, *, label: str = "planned", ax: Axes
 
 
 def draw_planned_rate(recipe: Recipe, axis: str, *, label: str = "", ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """The planned rate of an axis over the plan's time, in the trapezoids that the controller turns."""
+    """The planned rate of an axis over the plan's time, as the trapezoids that the controller executes."""
     return draw_against_time(*planned_rate(recipe, axis), "rate, deg/s", label, 0, ax, linewidth=0.8)
 
 

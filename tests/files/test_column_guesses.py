@@ -114,7 +114,7 @@ def test_of_sensors_that_are_not_there_the_values_are_shown(tmp_path: Path):
     (tmp_path / "a.csv").write_text("id,gx\n" + "1,0.1\n2,0.2\n" * 300, encoding="utf-8")
     np.savez(tmp_path / "a.npz", id=np.tile([1, 2], 300), gx=np.tile([0.1, 0.2], 300))
     for name in ("a.csv", "a.npz"):
-        with pytest.raises(LogError, match=r"where: no row has 3 .*there are 1, 2"):
+        with pytest.raises(LogError, match=r"where: no row has 3 .*include 1, 2"):
             import_log(tmp_path / name, parse_column_map(text + 'where = { column = "id", equals = 3 }\n'))
         log = import_log(tmp_path / name, parse_column_map(text + 'where = { column = "id", equals = 2 }\n'))
         assert np.degrees(log.rate_rad_per_s).ravel() == pytest.approx(np.full(300, 0.2))

@@ -121,7 +121,7 @@ def test_a_doubled_line_counts_once() -> None:
         ({"line": "$IMU,{gx},{gyro_y}"}, "{gx} is not the name of a field"),
         ({"line": "{gyro_x}{gyro_y}"}, "with a character between two fields"),
         ({"line": "{temperature}"}, "expected at least one field of a rate or an acceleration"),
-        ({"line": "{gyro_x},{count}"}, "the number at which the count restarts at 0"),
+        ({"line": "{gyro_x},{count}"}, "the value at which the count restarts at 0"),
         ({"gyro": "deg"}, "gyro"),
         ({"rate": "100"}, "rate"),
         ({"lines": "x"}, 'nearest: "line"'),

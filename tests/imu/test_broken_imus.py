@@ -127,7 +127,7 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     # the plan
     ("plan.method", "standard", "plan.integration", "missing"),
     ("plan.cycle.other_axes", {"duration": "1 min"}, "plan.cycle.other_axes", "standing"),
-    ("plan.cycle.duration", "1 s", "plan.cycle.duration", "s of the moves and of the other axes together"),
+    ("plan.cycle.duration", "1 s", "plan.cycle.duration", "of the moves and of the other axes together"),
     ("plan.cycle.moves", [], _MOVES, "at least 1"),
     (f"{_MOVES}.1.axis", GONE, f"{_MOVES}[1].axis", "which axis turns"),
     (f"{_MOVES}.1.axis", "spni", f"{_MOVES}[1].axis", 'nearest: "spin"'),

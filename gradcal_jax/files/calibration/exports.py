@@ -422,7 +422,7 @@ def _at_one_temperature(
     calibration = _in_triad(calibration)
     at = options["temperature_c"]
     if at is None:
-        raise ValueError(f"{target} is for one temperature: state it with --temperature")
+        raise ValueError(f"{target} is for one temperature: state this temperature with --temperature")
     low, high = (float(end) for end in calibration.valid_temperature)
     if not low - 1e-9 <= at <= high + 1e-9:
         raise ValueError(f"the calibration covers {low:g} … {high:g} °C, and {at:g} °C is outside")

@@ -230,7 +230,7 @@ class FitTest(Section):
     degrees: q.Whole
     """Degrees of freedom."""
     chance: q.Number
-    """Probability of such a χ², or a larger one, if the model is correct."""
+    """Probability of a χ² of this size or larger, if the model is correct."""
 
 
 class TableError(Section):

@@ -24,7 +24,7 @@ KINDS: Final = {
     ".mcap": "ros",
     ".tlog": "mavlink",
 }
-"""Endings and the module of this folder that reads them; a folder with metadata.yaml is a rosbag 2."""
+"""File name endings, each with the module that reads such files; a folder with metadata.yaml is a rosbag 2."""
 _WORDS: Final = {"ulog": "ULog", "dataflash": "DataFlash", "ros": "a ROS bag or MCAP"}
 _FIRMWARE: Final = {"ulog": {"firmware": "px4"}, "dataflash": {"firmware": "ardupilot"}}
 _FROM_MAVLINK: Final = (

@@ -105,7 +105,7 @@ class SwitchAxis(ExchangeDriver[SwitchConfig], MotionAxis):
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
-        said = "confirmed" if self._config.answer else "sent; nothing shows that it is at rest: look at it"
+        said = "confirmed" if self._config.answer else "sent; nothing shows that the axis is at rest: look at it"
         return SafeReport(policy.value, bool(self._config.answer), f'"{self._config.stop}" {said}')
 
     def _say(self, word: str) -> None:

@@ -153,7 +153,7 @@ def test_a_log_that_does_not_fit_is_a_sentence():
         apply(found, Log(np.arange(5.0), np.zeros((1, 5, 1)), ("SN-7",), ("x",)))
     log, *_ = readings(a_truth())
     without = replace(log, specific_force_m_per_s2=None, force_axes=())
-    with pytest.raises(LogError, match="no accelerometer x, which"):
+    with pytest.raises(LogError, match="no accelerometer x, but"):
         apply(calibration_of(a_truth()), without)
 
 

@@ -203,8 +203,8 @@ _HEAD = """# Random plans: what is predicted is what is estimated
 
 Made by `pytest -m evidence tests/evidence/test_random_plans.py`, which says what is drawn: recipe, run on simulated
 devices, log and estimate by the command line. Of every parameter that the plan says anything of, the estimated standard
-deviation over the predicted one, which may differ by 5 %; of a misalignment, that of its product with the sensor's scale
-factor. χ² of the run's own data.
+deviation over the predicted one, which may differ by 5 %; of a misalignment, that of its product with the scale factor.
+χ² of the run's own data.
 
 | plan | parameters | estimated over predicted | beyond 5 % | χ² of the data | of |
 |---|---|---|---|---|---|

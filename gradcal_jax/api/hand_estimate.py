@@ -112,9 +112,8 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     time, usable, rates, force = filled.time, filled.usable, filled.values[:, :3], filled.values[:, 3:]
     if filled.number:
         messages.append(
-            f"{filled.number} rows in gaps of one or two are filled by cubic interpolation: the error "
-            f"of an angle from each gap is up to {filled.error[:3].max():.2g} rad, the difference from linear "
-            "interpolation"
+            f"{filled.number} rows in gaps of one or two are filled by cubic interpolation: each gap adds an angle "
+            f"error of at most {filled.error[:3].max():.2g} rad, the difference between cubic and linear interpolation"
         )
     try:
         standing = filled.standing

@@ -87,7 +87,7 @@ class Policy(Section):
     frozen_temperatures: Literal["mask", "keep", "refuse"] = "mask"
     """Temperatures that stay constant for a long time in a record in which the temperature changes."""
     wrong_units: Literal["keep", "refuse"] = "refuse"
-    """Signs of a wrong unit: values that no sensor has, and large factors between rates or sample rates."""
+    """Signs of a wrong unit: values that no sensor has, or rates far from the table's or from the stated sample rate."""
     rows_in_turns: Literal["keep", "refuse"] = "refuse"
     """Rows that alternate, as if several sensors shared one column."""
     changed_rate: Literal["keep", "refuse"] = "refuse"
@@ -331,7 +331,7 @@ class _Examination:
                 f"of {rows} rows {np.count_nonzero(duplicate)} have the time stamp of an earlier row: are the time "
                 f"stamps too coarse to distinguish rows? If so, leave time out and give sample_rate = {own} (the "
                 "number of rows divided by the time span). Or are rows of several sensors mixed? If so, select the "
-                "rows of one sensor with where"
+                "rows of one sensor with the key `where`"
             )
         for kind, where, action, words in (
             ("unreadable row", ~readable, self.policy.unreadable_rows, "without a readable time"),
@@ -525,7 +525,7 @@ class _Examination:
                 text = (
                     f"axis {self.raw.axes[axis]} of {self.raw.units[unit]}: rows {best + 1} apart are similar, "
                     "and neighbouring rows are not: do rows of several sensors alternate? If so, select the rows of "
-                    "one sensor with where"
+                    "one sensor with the key `where`"
                 )
                 self.note_fault("rows in turns", self.policy.rows_in_turns, 0, text)
                 return

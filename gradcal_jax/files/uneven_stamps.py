@@ -64,7 +64,7 @@ def refuse_restart(time: Floats, before: Floats, unordered: Bools, rows_before: 
                 + (
                     ""
                     if turns
-                    else "; or do rows of another sensor follow? If so, select the rows of one sensor with where"
+                    else "; or do rows of another sensor follow? If so, select one sensor's rows with the key `where`"
                 )
             )
 

@@ -88,8 +88,8 @@ class BuiltImu(NamedTuple):
     """An IMU's spec in the core's terms. `motion`: of the executed parts before the plan, and of the plan. `points`:
     quadrature points along a piece for functions of temperature, which are smooth there (`rough`: not along the pieces
     of a log). `sources`: for each kind of channel the indices of its noise processes by the name of their error source.
-    `until_s`: where the plan is broken off, on its clock. `about`: the parameters of an estimate, by which its errors
-    act; None: an ideal sensor's."""
+    `until_s`: where the plan is broken off, on its clock. `about` `(p,)`: the parameters of an estimate, by which its
+    errors act; None: an ideal sensor's."""
 
     spec: Spec
     model: ImuModel

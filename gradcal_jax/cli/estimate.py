@@ -100,8 +100,8 @@ def estimate(
     earth_rate
         The Earth's rate along the sensor's axis, such as "10.4 deg/h"; it is subtracted from the rates.
     latitude
-        If the sensor's axis points straight up: the latitude of the site, to compute the Earth's rate, instead of
-        --earth-rate.
+        If the sensor's axis points straight up: the latitude of the site, from which the Earth's rate is computed
+        (instead of --earth-rate).
     lag
         The lag of the maps behind the measured temperature: a time, or "fit" to estimate it.
     smoothness

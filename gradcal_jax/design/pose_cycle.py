@@ -410,14 +410,14 @@ class CycleObjective:
         targets: Float[AnyArray, " m"] | None = None,
     ) -> Float[AnyArray, "s m"]:
         """The logarithm of every statistic over its target in every model of the noise."""
-        targets = self.targets if targets is None else targets
+        over = jnp.asarray(self.targets if targets is None else targets)
         all_logs, each, own = [], [], self._believed
         for model, geometry, known in zip(self.models, self.geometries, self.known, strict=True):
             on_ramp = partial(self.information, model, geometry, decoded, of)
             each.append(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
         for info in each if self._together is None else self._together.joined(each):
             covariance = inverse(info if len(own) == len(info) else info[own[:, None], own])
-            all_logs.append(jnp.log(jnp.stack([s(info, covariance, sharpness) for s in self.statistics]) / targets))
+            all_logs.append(jnp.log(jnp.stack([s(info, covariance, sharpness) for s in self.statistics]) / over))
         return jnp.stack(all_logs)
 
     def information(

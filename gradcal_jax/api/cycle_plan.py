@@ -243,15 +243,15 @@ class CyclePlan:
         )
         self._courses: dict[int, CycleCourse] = {}
         self._window, self._model = self._cycles_together(models), models[0]
-        ordered = [pair for pair in aims if pair[0].counted] + [pair for pair in aims if pair[0].limiting]
+        aims.sort(key=lambda pair: pair[0].limiting)
         self.objective = CycleObjective(
             self.coordinates,
             [geometry(built.spec.rig) for built in builts],
             models,
             known,
-            [statistic for aim, statistic in ordered if aim.counted],
-            [statistic for aim, statistic in ordered if aim.limiting],
-            np.array([aim.limit / aim.per_si for aim, _ in ordered]),
+            [statistic for aim, statistic in aims if aim.counted],
+            [statistic for aim, statistic in aims if aim.limiting],
+            np.array([aim.limit / aim.per_si for aim, _ in aims]),
             believed=believed,
             together=self._joint(exact.cases, models[0]),
             weights=exact.weights,

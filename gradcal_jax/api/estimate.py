@@ -448,8 +448,9 @@ def _internal(built: BuiltImu, solution: ImuEstimate, covered: tuple[float, floa
     for kind in KINDS:
         triad = getattr(built.spec.sensor, kind)
         if triad is not None and triad.misalignment is not None and len(triad.axes) == 3:
-            for label, row in internal_misalignments(built.model, kind, middle):
-                value, std = float(row[0] @ solution.parameters), float(solution.known.deviations(row)[0])
+            rows, errors = (internal_misalignments(built.model, kind, middle, a) for a in (None, solution.parameters))
+            for (label, row), (_, error) in zip(rows, errors, strict=True):
+                value, std = float(row[0] @ solution.parameters), float(solution.known.deviations(error)[0])
                 yield InternalMisalignment(f"{kind} {label}", value, std)
 
 

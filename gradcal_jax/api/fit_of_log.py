@@ -163,10 +163,7 @@ def fitted_twice(
     far = np.nanmax(np.abs(rates - rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
     fastest = np.nanmax(np.abs(rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
     seen = rows._replace(rates=np.where(far <= SCALE_FACTOR_ERROR * fastest, rates, rows.rates))
-    known = first.known.covariance(np.eye(built.model.size))
-    return _read(
-        built, name, rows, seen, temperature, threshold, points, felt, first.parameters, known, checked=checked
-    )
+    return _read(built, name, rows, seen, temperature, threshold, points, felt, first, checked=checked)
 
 
 def with_chosen_smoothness(built: BuiltImu, fit: Fit, threshold: float | None) -> tuple[BuiltImu, Fit, Smoothness]:
@@ -187,18 +184,18 @@ def _read(
     threshold: float | None,
     points: TablePoints | None,
     felt: np.ndarray | None = None,
-    about: np.ndarray | None = None,
-    covariance: np.ndarray | None = None,
+    first: ImuEstimate | None = None,
     *,
     checked: bool,
 ) -> Fit:
     """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
-    estimate, linearised about `about`, of this `covariance`; where no encoder tells the table's angles, again about
-    those of the estimate, until they stand still. Errors: `LogError` where they do not, and for readings of another
-    unit or table."""
+    estimate, linearised about the `first` one; where no encoder tells the table's angles, again about those of the
+    estimate, until they stand still. Errors: `LogError` where they do not, and for readings of another unit or
+    table."""
     free, plan = built.spec.rig.table.by_gravity, built.spec.plan
     own = None if points is None else points.sigma
-    number, corrected_by = 0, about
+    number, about = 0, None if first is None else first.parameters
+    corrected_by = None if first is None else (first.parameters, first.known)
     while True:
         try:
             done = _executed(built, seen, points)
@@ -206,15 +203,7 @@ def _read(
         except ValueError as error:
             raise LogError(f"{name}: {error}") from None
         readings = estimation.readings_of(
-            built.model,
-            done,
-            rows,
-            temperature,
-            0 if built.rough else built.points,
-            felt,
-            corrected_by,
-            covariance,
-            free=free,
+            built.model, done, rows, temperature, 0 if built.rough else built.points, felt, corrected_by, free=free
         )
         if own is not None:
             readings = readings._replace(sigma=own * done.motion.line.duration)

@@ -356,7 +356,7 @@ def _elements(
                 yield QuantityElement(label, slice(None), _plain(rows))
     elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         own: ChannelKind = "gyro" if requirement.quantity == "gyro_misalignment" else "accelerometer"
-        for label, rows in internal_misalignments(model, own, temperatures):
+        for label, rows in internal_misalignments(model, own, temperatures, built.about):
             if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
                 yield QuantityElement(label, slice(None), _plain(rows))
     elif isinstance(requirement, MissionHeadingRequirement | NorthRequirement):
@@ -372,9 +372,7 @@ def _elements(
             axis = AXIS_NAMES[c.axis]
             if c.kind == kind and requirement.axis in ("all", "worst", axis):
                 for term, label in terms(axis):
-                    element = _of_term(model, c, term, label, temperatures, rates)
-                    if built.about is not None and isinstance(requirement, MisalignmentRequirement):
-                        element = _multiplied(element, c, term, temperatures, built.about)
+                    element = _of_term(model, c, term, label, temperatures, rates, built.about)
                     yield element._replace(path=_states(c, requirement, np.repeat(temperatures, len(rates))))
 
 
@@ -423,23 +421,22 @@ _TERMS = {
 
 
 def _of_term(
-    model: ImuModel, channel: Channel, term: str, label: str, temperatures: np.ndarray, rates: np.ndarray
+    model: ImuModel,
+    channel: Channel,
+    term: str,
+    label: str,
+    temperatures: np.ndarray,
+    rates: np.ndarray,
+    about: np.ndarray | None,
 ) -> QuantityElement:
     """The linear function of one term of a channel on the grid."""
     of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
     if isinstance(of, Map):
         return QuantityElement(label, own, (channel.model, term, temperatures, rates))
-    return QuantityElement(label, own, _plain(_signal_rows(channel, term, temperatures)))
-
-
-def _multiplied(
-    element: QuantityElement, channel: Channel, term: str, temperatures: np.ndarray, about: np.ndarray
-) -> QuantityElement:
-    """The element for a misalignment about an estimate: a correction divides by the sensor's scale factor, so that the
-    error along another axis is that of (1 + M)·m, which a plan may tell better than each."""
-    size = _signal_rows(channel, term, temperatures) @ about[element.where]
-    scale = _signal_rows(channel, SCALE_FACTOR, temperatures)
-    return element._replace(of=_plain(np.asarray(element.contrasts().rows) + size[:, None] * scale))
+    if about is None:
+        return QuantityElement(label, own, _plain(_signal_rows(channel, term, temperatures)))
+    rows = _row(model, channel.kind, channel.axis, term, temperatures, about)
+    return QuantityElement(label, slice(None), _plain(rows))
 
 
 def _plain(rows: np.ndarray) -> Contrasts:
@@ -467,22 +464,43 @@ def _signal_rows(channel: Channel, term: str, temperatures: np.ndarray) -> np.nd
     return rows
 
 
-def _row(model: ImuModel, kind: ChannelKind, axis: int, term: str, temperatures: np.ndarray) -> np.ndarray:
-    """Contrasts `(n_T, p)` of a term at rate zero; zero where the model does not have it."""
+def _row(
+    model: ImuModel,
+    kind: ChannelKind,
+    axis: int,
+    term: str,
+    temperatures: np.ndarray,
+    about: np.ndarray | None = None,
+) -> np.ndarray:
+    """Contrasts `(n_T, p)` of a term at rate zero; zero where the model does not have it.
+
+    Of a misalignment m of axis i towards j `about` the parameters of an estimate, what it leaves along i of an input
+    along j: a correction divides by the scale factors, so that this is the error of m + m (M_i - M_j), which a plan may
+    tell better than m.
+    """
     rows = np.zeros((len(temperatures), model.size))
-    if (channel := model.channel(kind, axis)) is not None:
-        rows[:, model.where(kind, axis)] = _signal_rows(channel, term, temperatures)
+    if (channel := model.channel(kind, axis)) is None:
+        return rows
+    rows[:, model.where(kind, axis)] = _signal_rows(channel, term, temperatures)
+    if about is not None and term in _MISALIGNMENTS:
+        size = (rows @ about)[:, None]
+        for along, sign in ((axis, 1.0), (_MISALIGNMENTS.index(term), -1.0)):
+            if (of := model.channel(kind, along)) is not None:
+                rows[:, model.where(kind, along)] += sign * size * _signal_rows(of, SCALE_FACTOR, temperatures)
     return rows
 
 
+_MISALIGNMENTS = tuple(MISALIGNMENT.format(axis) for axis in AXIS_NAMES)
+
+
 def internal_misalignments(
-    model: ImuModel, kind: ChannelKind, temperatures: np.ndarray
+    model: ImuModel, kind: ChannelKind, temperatures: np.ndarray, about: np.ndarray | None = None
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Misalignments that no rotation of the unit changes, by name, `(n_T, p)`: sums of opposite misalignments and, for
-    accelerometers, the rotation of their triad against the gyros'."""
+    accelerometers, the rotation of their triad against the gyros'. `about` `(p,)`: see `_row`."""
 
     def of(which: ChannelKind, i: int, j: int) -> np.ndarray:
-        return _row(model, which, i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures)
+        return _row(model, which, i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures, about)
 
     for i, j in ((0, 1), (0, 2), (1, 2)):
         name = AXIS_NAMES[i] + AXIS_NAMES[j]
@@ -504,7 +522,7 @@ def _navigation(built: BuiltImu, requirement, temperatures: np.ndarray):
 
     def force(i: int) -> np.ndarray:
         rows = _row(model, "accelerometer", i, SPECIFIC_FORCE_BIAS, temperatures)
-        return rows + g * _row(model, "accelerometer", i, MISALIGNMENT.format("z"), temperatures)
+        return rows + g * _row(model, "accelerometer", i, MISALIGNMENT.format("z"), temperatures, built.about)
 
     def rate(i: int) -> np.ndarray:
         rows = _row(model, "gyro", i, "bias", temperatures)
@@ -512,7 +530,8 @@ def _navigation(built: BuiltImu, requirement, temperatures: np.ndarray):
         rows = rows + earth[i] * _row(model, "gyro", i, SCALE_FACTOR, temperatures)
         for j in range(3):
             if j != i:
-                rows = rows + earth[j] * _row(model, "gyro", i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures)
+                across = _row(model, "gyro", i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures, built.about)
+                rows = rows + earth[j] * across
         return rows
 
     if isinstance(requirement, TiltRequirement):

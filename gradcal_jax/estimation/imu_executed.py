@@ -441,17 +441,19 @@ def across_stops(done: ExecutedImu, log: ImuRows) -> np.ndarray:
         late_s = float(done.motion.line.start[k + 1] - log.time_s[stop])
         if log.at_end is not None and log.at_end[stop]:
             continue
+        around = [j for j in (np.searchsorted(rests, k) - 1, np.searchsorted(rests, k)) if 0 <= j < len(rests)]
+        still = [np.mean(log.rates[rows[j] + 1 : rows[j + 1] + 1], axis=0) for j in rests[around]]
         if axis[k] == axis[k + 1]:
             near = slice(stop - 3, stop + 4)
             if late_s == 0.0 and rows[k] + 3 < stop < rows[k + 2] - 3:
-                late = _too_much(log.time_s[near], log.rates[near])
+                # The lines of the rate meet at the bias, 0.3 deg/s of which are 0.1 mrad.
+                moved = log.rates[near] - (np.mean(still, axis=0) if still else 0.0)
+                late = _too_much(log.time_s[near], moved)
                 result[k] -= late
                 result[k + 1] += late
             continue
         near = np.arange(max(rows[k] + 1, stop - 1), min(rows[k + 2], stop + 1) + 1)
         near = near if late_s == 0.0 else near[near == (stop if late_s < 0.0 else stop + 1)]
-        around = [j for j in (np.searchsorted(rests, k) - 1, np.searchsorted(rests, k)) if 0 <= j < len(rests)]
-        still = [np.mean(log.rates[rows[j] + 1 : rows[j + 1] + 1], axis=0) for j in rests[around]]
         if not still or not len(near):
             continue
         whole = slice(rows[k] + 1, rows[k + 2] + 1)
@@ -476,26 +478,18 @@ def across_stops(done: ExecutedImu, log: ImuRows) -> np.ndarray:
     return result
 
 
-# Of the accelerations on both sides of a stop, the smaller one's share that is another acceleration.
-_ALIKE = 0.8
-
-
 def _too_much(time_s: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Of two moves of one axis, what the rows up to a stop hold of the second, less what the rows after it hold of the
-    first, rad `(3,)`. `time_s` `(7,)`, `rates` `(7, 3)`: of the row of the stop, in the middle, and those beside it.
+    first, rad `(3,)`. `time_s` `(7,)`, `rates` `(7, 3)`, less the bias: of the row of the stop, in the middle, and of
+    those beside it.
 
     Controllers brake and start at constant accelerations: straight lines of the rate.
     """
     step = np.diff(time_s, prepend=2.0 * time_s[0] - time_s[1])
     result, end, middle = np.zeros(3), time_s[3], time_s - 0.5 * step
     main = int(np.nanargmax(np.nansum(np.abs(rates), axis=0))) if np.isfinite(rates).any() else 0
-    slopes = [(rates[k + 1] - rates[k]) / (middle[k + 1] - middle[k]) for k in (0, 5)]
-    sizes = [abs(float(slope[main])) for slope in slopes]
-    for k, one, nearest, sign in ((0, 1, 2, -1.0), (1, 5, 4, 1.0)):
-        slope = slopes[k]
-        # A slow turn's ramp is over before the farther rows: the table brakes and starts alike.
-        if sizes[k] < _ALIKE * sizes[1 - k] and rates[nearest, main]:
-            slope, one = sign * sizes[1 - k] * rates[nearest] / abs(rates[nearest, main]), nearest
+    for one, other, sign in ((0, 1, -1.0), (5, 6, 1.0)):
+        slope = (rates[other] - rates[one]) / (middle[other] - middle[one])
         if not abs(slope[main]) > 0.0:
             continue
         # From the row's end to where the line is zero: past it on the side of the other move.

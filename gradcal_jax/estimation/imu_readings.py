@@ -15,7 +15,7 @@ import numpy as np
 
 from gradcal_jax.estimation.executed_nodes import nodes_of_rows
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, across_stops
-from gradcal_jax.information import NoiseSteps, encoder_rows, imu_system, row_of_steps, segments_of, whiten
+from gradcal_jax.information import NoiseSteps, Posterior, encoder_rows, imu_system, row_of_steps, segments_of, whiten
 from gradcal_jax.model import (
     AxisHarmonics,
     BaseTilt,
@@ -307,13 +307,12 @@ def readings_of(
     temperature_c: np.ndarray,
     points: int,
     felt: np.ndarray | None = None,
-    corrected_by: np.ndarray | None = None,
-    covariance: np.ndarray | None = None,
+    corrected_by: tuple[np.ndarray, Posterior] | None = None,
     *,
     free: bool = False,
 ) -> ImuReadings:
     """Integrals of every channel over its segments. `felt` `(n, 3)`: specific force at the rows, m/s², corrected by
-    the parameters `corrected_by`, of the `covariance` `(p, p)`."""
+    the parameters `corrected_by`, of which the posterior is given, too."""
     at = segments_of(done.motion, model)
     step = np.diff(log.time_s, prepend=log.time_s[0])
     first, last = done.rows[at.first], done.rows[at.last + 1]
@@ -327,8 +326,8 @@ def readings_of(
         rows = at.row_channel == i
         observed[rows] = whole[at.row_segment[rows]]
     readings = ImuReadings(model, done, log, temperature_c, points, np.where(at.used, observed, 0.0), None, free=free)
-    if felt is not None and corrected_by is not None and covariance is not None:
-        readings = readings._replace(added=_beyond_gravity(readings, felt, corrected_by, covariance))
+    if felt is not None and corrected_by is not None:
+        readings = readings._replace(added=_beyond_gravity(readings, felt, *corrected_by))
     if model.encoder.held or done.motion.line.rates:
         return readings
     # The motion is that of the mean angles; the reference is each reading.
@@ -339,9 +338,7 @@ def readings_of(
     return readings._replace(observed=np.where(at.used, observed - shown, 0.0))
 
 
-def _beyond_gravity(
-    readings: ImuReadings, felt: np.ndarray, parameters: np.ndarray, covariance: np.ndarray
-) -> np.ndarray:
+def _beyond_gravity(readings: ImuReadings, felt: np.ndarray, parameters: np.ndarray, known: Posterior) -> np.ndarray:
     """`(P, 3)`: what the moves added to gravity, m/s², on average over every piece, in the frame of the innermost axis;
     zero where it is unknown.
 
@@ -360,24 +357,22 @@ def _beyond_gravity(
     nodes = readings._nodes(table.geometry, table.error_of)
     gravity = nodes.integrals(lambda g: g.integral(g.force), (3,))[nodes.kind]
     squared_rate = nodes.integrals(lambda g: g.integral(np.sum(g.rate**2, axis=-1)), ())[nodes.kind]
-    known = (np.diff(missing, axis=0) == 0) & (lasting > 0.0)
-    beyond = np.where(known, np.diff(total, axis=0) - gravity, 0.0)
+    measured = (np.diff(missing, axis=0) == 0) & (lasting > 0.0)
     possible = (_LONGEST_ARM * squared_rate[:, None]) ** 2
-    unsure = np.where(known, _variances_of_force(readings.model, nodes, covariance), 1.0)
-    beyond *= possible / np.where(lasting > 0.0, (possible + unsure) * lasting, 1.0)
+    unsure = np.where(measured, _variances_of_force(readings.model, nodes, known), 1.0)
+    share = possible / (possible + unsure) / np.where(lasting > 0.0, lasting, 1.0)
+    beyond = np.where(measured, (np.diff(total, axis=0) - gravity) * share, 0.0)
     return np.einsum("pij,pj->pi", table.geometry.mountings[done.motion.mounting], beyond)
 
 
-def _variances_of_force(model: ImuModel, nodes: BodyNodes, covariance: np.ndarray) -> np.ndarray:
-    """`(P, 3)`: of the integral of the specific force over every piece, (m/s)², corrected by parameters of this
-    `covariance` `(p, p)`."""
-    always = tuple(replace(c, read_below=np.inf) for c in model.channels)
-    begin, result = 0, np.zeros((len(nodes.kind), 3))
-    for c, columns in zip(always, ImuModel(always, (), model.encoder).own_columns(nodes), strict=True):
-        own = slice(begin, begin + c.model.size)
-        begin = own.stop
-        if c.kind == "accelerometer":
-            result[:, c.axis] = np.sum((columns @ covariance[own, own]) * columns, axis=1)
+def _variances_of_force(model: ImuModel, nodes: BodyNodes, known: Posterior) -> np.ndarray:
+    """`(P, 3)`: of the integral of the specific force over every piece, (m/s)², corrected by parameters of which so
+    much is known; infinite where they are not observable."""
+    read = tuple(replace(c, read_below=np.inf) for c in model.channels if c.kind == "accelerometer")
+    result = np.zeros((len(nodes.kind), 3))
+    for c, columns in zip(read, ImuModel(read, (), model.encoder).own_columns(nodes) if read else (), strict=True):
+        own = model.where(c.kind, c.axis)
+        result[:, c.axis] = Posterior(known.spread[own], known.hidden[own]).deviations(columns) ** 2
     return result
 
 

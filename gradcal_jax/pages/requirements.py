@@ -86,6 +86,7 @@ def requirements_of(sources: Sources) -> RequirementFacts:
     here = _Plan(spec)
     other = None if sources.before is None else _Plan(sources.before)
     results = {} if calibration is None else {row.name: row for row in calibration.result}
+    achieved = None if calibration is None else here.achieved(calibration)
     rows: list[RequirementFact] = []
     maps: list[MapFact] = []
     differing: list[str] = []
@@ -96,7 +97,7 @@ def requirements_of(sources: Sources) -> RequirementFacts:
         stages = {
             "before": here.prior(requirement) if other is None else other.left(requirement),
             "predicted": here.left(requirement),
-            "achieved": None if calibration is None else here.left_by(calibration, requirement),
+            "achieved": None if achieved is None else here.left_by(*achieved, requirement),
         }
         known = {label: left for label, left in stages.items() if left is not None and np.isfinite(left.values).any()}
         before = known["before"].statistic() if "before" in known else None
@@ -143,14 +144,17 @@ class _Plan:
         left = _residual(self.counted.built, self._prior, requirement)
         return None if left is None or left.unit == "deg" else left
 
-    def left_by(self, calibration: Calibration, requirement: Requirement) -> ImuResidual | None:
-        """The residual after a calibration; in any run with the bias of another power-on."""
+    def achieved(self, calibration: Calibration) -> tuple[BuiltImu, Posterior]:
+        """The IMU about a calibration's parameters, and their posterior."""
         built = self.counted.built
-        achieved = calibrated_posterior(built.model, calibration)
         about = calibrated_parameters(built.model, calibration)
+        return built._replace(about=about), calibrated_posterior(built.model, calibration)
+
+    def left_by(self, built: BuiltImu, achieved: Posterior, requirement: Requirement) -> ImuResidual | None:
+        """The residual after a calibration; in any run with the bias of another power-on."""
         if run_of(requirement) == "any run" and (turn_on := self.counted.columns.get(TURN_ON)) is not None:
             achieved = widened(achieved, {TURN_ON: turn_on})
-        return _residual(built._replace(about=about), achieved, requirement)
+        return _residual(built, achieved, requirement)
 
     def has_several(self, requirement: Requirement) -> bool:
         """Whether a requirement's quantity has several elements."""

@@ -10,15 +10,16 @@ from scipy import stats
 
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.fit_of_log import fitted_twice
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.api.imu_build import SPECIFIC_FORCE_BIAS, build_imu, imu_posterior
 from gradcal_jax.api.imu_residual import quantity_of
 from gradcal_jax.api.log_rows import Options, imu_rows
+from gradcal_jax.estimation import readings_of
 from gradcal_jax.estimation.imu_executed import ImuRows, across_stops, executed_imu
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.log import Log, LogError
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.formulas import runs
-from gradcal_jax.information import segments_of, whiten
+from gradcal_jax.information import Posterior, segments_of, whiten
 from gradcal_jax.trajectory import frames
 
 UNITS = 300
@@ -285,6 +286,110 @@ def test_what_two_axes_turn_in_one_row_is_told_apart_by_what_they_turn_about(lat
     np.testing.assert_allclose(found, wanted, atol=2e-9)
     if late_s in (2e-3, 5e-3):
         assert np.max(np.abs(plain - wanted)) > 1e-5
+
+
+@pytest.mark.parametrize("late_s", [0.0, 3e-3, 6e-3])
+def test_a_stop_between_turns_of_one_axis_is_told_by_rates_less_the_bias(late_s):
+    """Two turns of 100 and 250 deg/s²; 0.5 deg/s of bias would move the stop that the slopes tell, in rows of 10 ms."""
+    geometry = build_imu(scene("two axes", 0.0)).motion.geometry
+    by, step = np.radians([30.0, 40.0]), 0.01
+    half = np.sqrt(by / np.radians([100.0, 250.0]))
+    begins = 2.0 + late_s + np.array([0.0, 2.0 * half[0]])
+    time = step * np.arange(round((begins[1] + 2.0 * half[1] + 2.0) / step))
+    u = np.clip((time[:, None] - begins) / half, 0.0, 2.0)
+    angle = np.sum(by * np.where(u < 1.0, 0.5 * u**2, 1.0 - 0.5 * (2.0 - u) ** 2), axis=1)
+    frame = frames(geometry, np.zeros((1, 2)), np.zeros(1, int)).axes[0][1]
+    bias = np.radians([0.1, -0.2, 0.5])
+    rates = np.diff(angle, prepend=0.0)[:, None] / step * frame + bias
+    standing = (time < begins[0]) | (time > begins[1] + 2.0 * half[1] + step)
+    stop, count = int(np.argmin(np.abs(time - begins[1]))), len(time)
+    angles = np.full((count, 2), np.nan)
+    angles[standing] = np.stack([0.0 * angle, angle], axis=1)[standing]
+    angles[stop] = 0.0, by[0]
+    log = ImuRows(
+        time, rates, np.zeros((count, 3)), np.full(count, 20.0), angles, standing, np.ones(count, bool),
+        np.zeros(count, int), standing | (np.arange(count) == stop),
+    )  # fmt: skip
+    done = executed_imu(log, geometry)
+    moves = np.flatnonzero(done.motion.axis >= 0)
+    assert done.motion.axis[moves].tolist() == [1, 1]
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum((rates - bias) * step, axis=0)])
+    plain = np.diff(total[done.rows + 1], axis=0)[moves]
+    np.testing.assert_allclose(plain + across_stops(done, log)[moves], by[:, None] * frame, atol=2e-9)
+
+
+@pytest.mark.parametrize("kind", ["known", "by 100 mg", "not at all"])
+def test_what_accelerometers_tell_of_a_move_counts_by_what_is_known_of_them(kind):
+    """A bias of the corrected force: gyros feel it where it may be an acceleration, in fast turns alone if it is not
+    known better than 100 mg, and nowhere if nothing tells the accelerometers' bias."""
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(4)
+    (log,), built = record(spec, draw_truth(spec, rng), rng), build_imu(spec)
+    rows, _ = imu_rows(built, [log], "SN7", Options())
+    done, _, found, _ = fitted_twice(built, "SN7", rows, rows.temperature_c)
+    biases = np.zeros((built.model.size, 3))
+    for axis in range(3):
+        biases[built.model.where("accelerometer", axis, SPECIFIC_FORCE_BIAS).start, axis] = 1.0
+    none = np.zeros((built.model.size, 0))
+    known = {
+        "known": Posterior(1e-9 * biases, none),
+        "by 100 mg": Posterior(0.98 * biases, none),
+        "not at all": Posterior(none, biases),
+    }[kind]
+    added = [
+        readings_of(built.model, done, rows, rows.temperature_c, 5, force, (found.parameters, known)).added
+        for force in (rows.force, rows.force + 0.098)
+    ]
+    moves = done.motion.axis >= 0
+    felt = np.linalg.norm(added[1] - added[0], axis=1)[moves] / (0.098 * 3.0**0.5)
+    turned = np.abs(done.motion.line.turned() / done.motion.line.duration)[moves]
+    assert np.min(turned) < np.radians(50.0)
+    assert np.max(turned) > np.radians(200.0)
+    if kind == "known":
+        np.testing.assert_allclose(felt, 1.0, rtol=1e-3)
+    elif kind == "not at all":
+        np.testing.assert_array_equal(felt, 0.0)
+    else:
+        assert np.all(felt[turned > np.radians(200.0)] > 0.9)
+        assert np.all(felt[turned < np.radians(50.0)] < 0.15)
+
+
+@pytest.mark.parametrize("kind", ["gyro", "accelerometer"])
+def test_the_residual_of_a_misalignment_is_what_a_correction_leaves_across(kind):
+    """Against the matrix (1 + M)(1 + m) itself, whose scale factors are a hundred times less known than m."""
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(6)
+    built, truth = build_imu(spec), draw_truth(spec, rng)
+    model, names = built.model, built.model.names()
+    values = np.array([truth[name] for name in names])
+    sizes = np.array([1e-3 if re.search(r"\.(b0\d|s\d)$", name) else 1e-5 for name in names])
+    sizes[model.calibrated :] = 0.0
+    spread = np.linalg.solve(
+        model.to_reported, np.diag(sizes) @ np.linalg.qr(rng.standard_normal((model.size,) * 2))[0]
+    )
+    about, known = np.linalg.solve(model.to_reported, values), Posterior(spread, np.zeros((model.size, 0)))
+    (requirement,) = (r for r in spec.requirement if r.quantity == f"{kind}_misalignment")
+    left = quantity_of(built._replace(about=about), requirement).residual(known)
+
+    def matrix(values: np.ndarray, temperature: float) -> np.ndarray:
+        of, x = dict(zip(names, values, strict=True)), (temperature - 20.0) / 50.0
+
+        def polynomial(head: str) -> float:
+            return sum(of.get(f"{head}{k}", 0.0) * x**k for k in range(4))
+
+        scale, across = np.zeros(3), np.eye(3)
+        for i, a in enumerate("xyz"):
+            scale[i] = 1.0 + polynomial(f"{kind}_{a}." + ("b0" if kind == "gyro" else "s"))
+            for j, b in enumerate("xyz"):
+                if i != j:
+                    across[i, j] = polynomial(f"{kind}_{a}.m_{b}")
+        return np.diag(scale) @ across
+
+    for k, temperature in enumerate(left.temperatures):
+        here = matrix(values, temperature)
+        steps = (1e-3 * model.to_reported @ spread).T
+        errors = [np.linalg.solve(here, matrix(values + step, temperature)) - np.eye(3) for step in steps]
+        std = 1e3 * np.linalg.norm(errors, axis=0) * left.si
+        wanted = [std["xyz".index(label[0]), "xyz".index(label[1])] for label in left.labels]
+        np.testing.assert_allclose(left.values[:, k, 0], wanted, rtol=0.1)
 
 
 def _moves_of(log: Log, axis: int) -> list[np.ndarray]:

@@ -249,7 +249,8 @@ def _executed(built: BuiltImu, seen: ImuRows, points: TablePoints | None) -> Exe
     if read_by_events(built.spec):
         return estimation.motion_by_readings(seen, geometry)
     spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
-    return estimation.executed_imu(seen, geometry, planned=planned_moves(built), **spacing)
+    done = estimation.executed_imu(seen, geometry, planned=planned_moves(built), **spacing)
+    return estimation.readings_counted(done, built.model)
 
 
 def points_of(built: BuiltImu, rows: ImuRows) -> TablePoints:

@@ -82,12 +82,15 @@ class ImuRows(NamedTuple):
 
 class ExecutedImu(NamedTuple):
     """`motion` of `P` pieces, a rest or a move each; `rows` `(P + 1,)`: piece k is the log's rows `rows[k] + 1 …
-    rows[k+1]`; `travelled`: of every move the angle (rad) since its beginning, at the edges of equal parts of its time.
+    rows[k+1]`; `travelled`: of every move the angle (rad) since its beginning, at the edges of equal parts of its time;
+    `averaged`: of every axis, after each of its moves, the number of readings `(m, 2)` in the mean, and the time from
+    the first to the last, s (none: the angle was not read by events).
     """
 
     motion: TableMotion
     rows: np.ndarray
     travelled: tuple[np.ndarray | None, ...]
+    averaged: tuple[np.ndarray, ...] = ()
 
 
 def executed_imu(
@@ -115,8 +118,9 @@ def executed_imu(
     means = mean_angles(log, spans)
     slow = np.median(np.diff(log.time_s)) > SLOW_S
     legs = _legs(log, geometry, spans, means, planned if slow else ())
-    angles = _own_angles(log, spans, legs)
-    return _pieces(log, geometry, spans, legs, angles, read_every)
+    angles, averaged = _own_angles(log, spans, legs)
+    done = _pieces(log, geometry, spans, legs, angles, read_every)
+    return done._replace(averaged=averaged) if log.at_a_stop.any() else done
 
 
 class _Leg(NamedTuple):
@@ -300,9 +304,11 @@ def _which(
     return best, float(angle[best])
 
 
-def _own_angles(log: ImuRows, spans: list[tuple[int, int]], legs: list[_Leg]) -> list[np.ndarray]:
-    """Angles (rad) of each axis before its first move and after each of its moves: means of its readings from the end
-    of one to the begin of the next, also while other axes move.
+def _own_angles(
+    log: ImuRows, spans: list[tuple[int, int]], legs: list[_Leg]
+) -> tuple[list[np.ndarray], tuple[np.ndarray, ...]]:
+    """Angles (rad) of each axis before its first move and after each of its moves, means of its readings from the end
+    of one to the begin of the next, also while other axes move; and what was averaged, as in `ExecutedImu`.
 
     Time stamps of a busy computer are late, so that rows next to another axis's move may belong to this axis's own
     move: readings count between the first and the last row at which all axes stand, or else in the middle half.
@@ -311,26 +317,51 @@ def _own_angles(log: ImuRows, spans: list[tuple[int, int]], legs: list[_Leg]) ->
     for first, last in spans:
         standing[first : last + 1] = True
     result: list[np.ndarray] = []
+    averaged: list[np.ndarray] = []
     for axis in range(log.angles.shape[1]):
         own = [leg for leg in legs if leg.axis in (axis, -1)]
         begins = [spans[0][0], *(leg.end for leg in own)]
         ends = [*(leg.begin for leg in own), spans[-1][1]]
         # It is read as soon as it stands, which may be a row of its move.
         stops = [begins[0], *(leg.end if leg.axis < 0 else leg.begin + 1 for leg in own)]
-        values = []
+        read: list[np.ndarray] = []
+        places: list[int] = []
         for a, b, since in zip(begins, ends, stops, strict=True):
             rows, quarter = np.arange(a, max(b, a) + 1), max(b - a, 0) // 4
             rest = rows[standing[rows]]
             rows = np.arange(rest[0], rest[-1] + 1) if len(rest) else rows[quarter : len(rows) - quarter]
-            read = log.angles[rows, axis]
-            read = read[np.isfinite(read)]
-            if not len(read):
+            places.append(int(rows[0]))
+            rows = rows[np.isfinite(log.angles[rows, axis])]
+            if not len(rows):
                 # A reading behind its next move, of another session even, may be nearer than its own last one.
-                read = log.angles[since : b + 1, axis]
-                read = read[np.isfinite(read)][-1:]
-            values.append(float(np.mean(read if len(read) else _nearest(log.angles[:, axis], int(rows[0])))))
-        result.append(np.array(values))
-    return result
+                rows = (since + np.flatnonzero(np.isfinite(log.angles[since : b + 1, axis])))[-1:]
+            read.append(rows)
+        if log.at_a_stop.any():
+            _take_those_between(log, axis, read)
+        known = (log.angles[rows, axis] if len(rows) else _nearest(log.angles[:, axis], place)
+                 for rows, place in zip(read, places, strict=True))  # fmt: skip
+        result.append(np.array([float(np.mean(angles)) for angles in known]))
+        counted = [(max(len(rows), 1), float(np.ptp(log.time_s[rows])) if len(rows) else 0.0) for rows in read]
+        averaged.append(np.array(counted[1:]).reshape(-1, 2))
+    return result, tuple(averaged)
+
+
+def _take_those_between(log: ImuRows, axis: int, read: list[np.ndarray]) -> None:
+    """Add to the rows at which an axis is read in each of its standstills those between two, of its angle in one of
+    them: it is read as soon as it stands, which the gyros see a little later, and while other axes move."""
+    angles = log.angles[:, axis]
+    events = np.flatnonzero(np.isfinite(angles) & log.at_a_stop)
+    before = list(read)
+    for k, (first, second) in enumerate(itertools.pairwise(before)):
+        if not (len(first) and len(second)):
+            continue
+        means = np.array([np.mean(angles[first]), np.mean(angles[second])])
+        between = events[np.searchsorted(events, first[-1], "right") : np.searchsorted(events, second[0])]
+        apart = np.abs(angles[between, None] - means)
+        if abs(means[1] - means[0]) > _TURNED:
+            near = np.min(apart, axis=1) < 0.5 * _TURNED
+            for place, own in ((k, apart[:, 0] < apart[:, 1]), (k + 1, apart[:, 0] > apart[:, 1])):
+                read[place] = np.union1d(read[place], between[near & own])
 
 
 def _nearest(angles: np.ndarray, row: int) -> np.ndarray:
@@ -376,9 +407,11 @@ def _pieces(
     for k, (first, last) in enumerate(spans):
         parts = max(1, int(np.ceil((log.time_s[last] - log.time_s[first]) / longest - 1e-9)))
         times = np.linspace(log.time_s[first], log.time_s[last], parts + 1)[1:-1]
-        for row in [*np.searchsorted(log.time_s[:last], times - 1e-9).tolist(), last]:
+        # A table may stand through a part without rows.
+        breaks = first + 1 + np.flatnonzero(np.diff(log.time_s[first : last + 1]) > PIECE_S)
+        for row in np.union1d([*np.searchsorted(log.time_s[:last], times - 1e-9), last], [breaks - 1, breaks]).tolist():
             if row > rows[-1]:
-                add(row)
+                add(int(row))
         for leg in of_span.get(k, []):
             if leg.axis >= 0:
                 angle = next_angle(leg.axis)

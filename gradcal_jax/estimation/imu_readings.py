@@ -15,7 +15,16 @@ import numpy as np
 
 from gradcal_jax.estimation.executed_nodes import nodes_of_rows
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, across_stops
-from gradcal_jax.information import NoiseSteps, Posterior, encoder_rows, imu_system, row_of_steps, segments_of, whiten
+from gradcal_jax.information import (
+    NoiseSteps,
+    Posterior,
+    encoder_rows,
+    imu_system,
+    readings_of_standstills,
+    row_of_steps,
+    segments_of,
+    whiten,
+)
 from gradcal_jax.model import (
     AxisHarmonics,
     BaseTilt,
@@ -38,6 +47,8 @@ _ALONG, _ACROSS = 0.1, 0.2
 _SMALL_TURN = 1e-5
 # Least part of an encoder's error in the row of a gyro that is along its axis.
 _SEES_ENCODER = 0.5
+# The readings of a standstill begin and end within this share of the time between readings.
+_LATE_READING = 0.5
 # Of an IMU from the axes, m: a standard deviation.
 _LONGEST_ARM = 0.3
 
@@ -336,6 +347,22 @@ def readings_of(
     apart = np.stack([read[at.last + 1] - after[at.last], read[at.first] - before[at.first]], axis=1)
     shown = np.sum(encoder_rows(done.motion, model, readings.nominal()) * apart[at.row_segment], axis=(1, 2))
     return readings._replace(observed=np.where(at.used, observed - shown, 0.0))
+
+
+def readings_counted(done: ExecutedImu, model: ImuModel) -> ExecutedImu:
+    """The motion of a table that is held, with the share of the readings of each standstill that were made: an axis is
+    read before and after the gyros see that it stands, and a reading may be missing."""
+    if not done.averaged or not model.encoder.held:
+        return done
+    motion, share = done.motion, np.ones(len(done.motion.axis))
+    last, expected = segments_of(motion, model).last, readings_of_standstills(motion, model)
+    for k, (made, of_segments) in enumerate(zip(done.averaged, expected, strict=True)):
+        moves = np.flatnonzero(np.asarray(motion.axis) == k)
+        # Readings that are nearer to each other than those of the spec are not independent.
+        planned = of_segments[np.searchsorted(last, moves)]
+        independent = np.floor(made[:, 1] / model.encoder.every[k] + _LATE_READING) + 1.0
+        share[moves] = np.minimum(made[:, 0], np.maximum(independent, planned)) / planned
+    return done._replace(motion=eqx.tree_at(lambda m: m.line.share, motion, share))
 
 
 def _beyond_gravity(readings: ImuReadings, felt: np.ndarray, parameters: np.ndarray, known: Posterior) -> np.ndarray:

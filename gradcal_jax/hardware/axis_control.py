@@ -115,15 +115,18 @@ class AxisControl:
     def look_s(self) -> list[float]:
         return list(self._turning.values())
 
-    def go_to_start(self, step: str, start_deg: Mapping[str, float], meanwhile: Callable[[], None]) -> None:
-        """Bring axes to the starting angles of a step that does not follow another at once."""
+    def go_to_start(
+        self, step: str, start_deg: Mapping[str, float], meanwhile: Callable[[], None], *, watched: bool = False
+    ) -> None:
+        """Bring axes to the starting angles of a step that does not follow another at once. `watched`: the run was not
+        interrupted since their last moves, so that an axis that stands there is not told to go there."""
         for name, position in start_deg.items():
             limits = self._limits_of(name)
             goal = position
             if limits.travel_deg == (-math.inf, math.inf):
                 # An endless axis has no cable to unwind: it goes to the nearest equal angle.
                 goal += 360.0 * round((self._at(name) - position) / 360.0)
-            if not self._stands_at(name, goal):
+            if not self._stands_at(name, goal, watched=watched):
                 rate, acceleration = min(limits.max_rate_dps, 60.0), min(limits.max_acceleration_dps2, 60.0)
                 goes = AxisCommand(0.0, name, "go", position_deg=goal, rate_dps=rate, acceleration_dps2=acceleration)
                 self._command(step, goes)
@@ -235,12 +238,16 @@ class AxisControl:
         for under_way in (self._turning, self._due_end_s, self._ends_s, self._spins, self.amiss):
             under_way.clear()
 
-    def _stands_at(self, name: str, goal_deg: float) -> bool:
-        """Whether an axis is near enough to a goal: no error for a motor, a tolerance for turns by hand."""
+    def _stands_at(self, name: str, goal_deg: float, *, watched: bool) -> bool:
+        """Whether an axis is at a goal: a motor that was told to go there, one by hand within a tolerance."""
         newest = self.newest.get(name)
         if name in self._by_hand:
             return newest is not None and not newest.moving and abs(newest.position_deg - goal_deg) <= _NEAR_BY_HAND_DEG
-        return newest is None and abs(self._goal_deg.get(name, 0.0) - goal_deg) <= 1e-9
+        if newest is not None and not watched:
+            return False
+        stands = newest is None or (not newest.moving and abs(newest.position_deg - goal_deg) <= _OFF_GOAL_DEG)
+        # Its standstill goes on: a motor that is told to go where it is may move a little.
+        return stands and abs(self._goal_deg.get(name, 0.0 if newest is None else math.inf) - goal_deg) <= 1e-9
 
     def _command(self, step: str, move: AxisCommand) -> None:
         axis, name = self._axes[move.axis], move.axis

@@ -399,7 +399,7 @@ class Runner:
             if step.hangs_meanwhile:
                 return began
         if again or step.goes_there:
-            self._axes.go_to_start(step.name, step.start_deg, self._duties)
+            self._axes.go_to_start(step.name, step.start_deg, self._duties, watched=not again)
         ready = step.ready or (step.again if again else None)
         chamber, at_c = self._chamber, step.begins_c
         if chamber is not None and at_c is not None and ready is not None:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from ..files.recipe import Recipe
 from ..files.sensor import Sensor
 from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove, read_at_rest
-from ..formulas import reading_times
+from ..formulas import reading_count, reading_times
 from ..units import to_unit
 from .errors import HardwareError
 
@@ -331,9 +331,9 @@ def _parts(block: MotionBlock, total: float, names: dict[str, str], *, ends: boo
         moves: list[AxisCommand] = []
         reads = [0.0] if number == 0 else list[float]()
         for move in own if last else block.moves:
-            _add(moves, reads, move, names, ends=ends)
+            _add(moves, reads, move, names, start, ends=ends)
         if last and after > 0.0 and block.read_every_after is not None:
-            reads += [lasts_s - after + time for time in reading_times(after, float(block.read_every_after))]
+            reads += _reads(lasts_s - after, after, float(block.read_every_after), None if ends else start)
         name = f"{block.name}, {number + 1} of {block.repeat}" if block.repeat > 1 else block.name
         slack_s = after if last else max(0.0, period - busy)
         yield start, TrackStep(name, lasts_s, moves=tuple(moves), read_at_s=tuple(sorted(reads)), slack_s=slack_s)
@@ -368,18 +368,36 @@ def _points(block: MotionBlock, names: dict[str, str]) -> Iterator[Part]:
         yield float(move.start), TrackStep(name, duration, moves=tuple(moves), read_at_s=reads)
 
 
-def _add(moves: list[AxisCommand], reads: list[float], move: TrackMove, names: dict[str, str], *, ends: bool) -> None:
+def _add(
+    moves: list[AxisCommand],
+    reads: list[float],
+    move: TrackMove,
+    names: dict[str, str],
+    begins_s: float,
+    *,
+    ends: bool,
+) -> None:
     duration = float(move.duration)
     for repetition in range(move.repeat):
         start = float(move.start) + repetition * duration
         if move.do not in ("rest", "wait"):
             moves.append(_command(move, start, names[move.axis]))
         if move.read_every is not None:
-            reads += [start + time for time in reading_times(duration, float(move.read_every))]
+            reads += _reads(start, duration, float(move.read_every), None if ends else begins_s)
             if ends and move.do == "rest" and reads[-1:] != [start + duration]:
                 reads.append(start + duration)
         elif move.read == "end":
             reads.append(start + duration)
+
+
+def _reads(start: float, duration: float, every: float, cycle_s: float | None) -> list[float]:
+    """The times of the readings of a move, on the clock of its cycle. `cycle_s`: the begin of the cycle, for a table
+    that is held: an axis that stands while others move one after another is read at even intervals all the time."""
+    if cycle_s is None:
+        return [start + time for time in reading_times(duration, every)]
+    before = reading_count(cycle_s + start, every) if cycle_s + start > 0.0 else 0
+    after = reading_count(cycle_s + start + duration, every)
+    return [k * every - cycle_s for k in range(before + 1, after + 1)]
 
 
 def _command(move: TrackMove, start: float, axis: str) -> AxisCommand:

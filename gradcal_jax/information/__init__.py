@@ -9,6 +9,7 @@ from gradcal_jax.information.imu_rows import (
     imu_system,
     imu_unweighted,
     noise_parts,
+    readings_of_standstills,
     row_of_steps,
     segments_of,
 )

@@ -39,7 +39,7 @@ from gradcal_jax.information.posterior import (
     square_root,
 )
 from gradcal_jax.information.whitening import whiten
-from gradcal_jax.model import BodyGroup, BodyNodes, ImuModel
+from gradcal_jax.model import BodyGroup, BodyNodes, EncoderNoise, ImuModel
 from gradcal_jax.trajectory import TableMotion
 
 # Columns below this share of the largest one of the same unit are rounding.
@@ -291,6 +291,7 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> _Enco
     start, lasting = line.start[at.first], at.sums(line.duration)
     # The empty slots of a search take no time, and are not read.
     reads = np.ones(count) if of.held else xp.where(lasting > 0.0, (read | gap).astype(float), 0.0)
+    readings = _readings_of_standstills(of, moves > 0.0, start, lasting, gap) if of.held else []
     parts: tuple[list, list, list] = ([], [], [])
     for k in range(axes):
         now, before, still = k, k + axes, k + 2 * axes
@@ -304,7 +305,9 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> _Enco
             ((every, before, now), fresh),
         ]
         if of.held:
-            spread, first = _standstills(of, k, moved > 0.0, start, lasting, gap)
+            spread, first = _standstills(
+                of, k, moved > 0.0, readings[k], xp.where(moved > 0.0, xp.asarray(line.share)[at.last], 1.0)
+            )
             covariance.append(((every, now, now), spread))
             initial.append(((now, now), first))
             continue
@@ -328,21 +331,40 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> _Enco
     return _EncoderErrors(*(placed(shape, *of_shape) for shape, of_shape in zip(shapes, parts, strict=True)))
 
 
-def _standstills(encoder, k: int, moves: Bool[AnyArray, " S"], start, duration, gap: Bool[np.ndarray, " S"]):
-    """Variance of the encoder error that each move of axis k draws, `(S,)`, and of the first one."""
+def readings_of_standstills(motion: TableMotion, model: ImuModel) -> list[Float[AnyArray, " S"]]:
+    """How often every axis of a table that is held is read before it moves again, after every segment."""
+    at, line = segments_of(motion, model), motion.line
+    moves = at.sums(np.where(motion.turns, 1.0, 0.0)) > 0.0
+    starts, gap = np.asarray(line.start)[at.first], np.asarray(line.gap)[at.last]
+    counts = _readings_of_standstills(model.encoder, moves, starts, at.sums(line.duration), gap)
+    return [count[1:] for count in counts]
+
+
+def _readings_of_standstills(encoder: EncoderNoise, moves: Bool[AnyArray, "S L"], start, duration, gap) -> list:
+    """Of every axis, the number of its readings at the standstill before all segments and after each, `(S + 1,)`."""
     xp = namespace(encoder, start, duration, moves)
     end = start[-1:] + duration[-1:]
-    # A standstill lasts until the axis moves again: of every segment, the begin of the next one that moves it.
     # Of a move in a gap, nothing is read in the whole gap.
     of_gap = np.maximum.accumulate(np.where(gap & ~np.append(False, gap[:-1]), np.arange(len(gap)), 0))
-    marked = xp.concatenate([xp.where(moves, xp.where(gap, start[of_gap], start), end), end])
-    stops = xp.flip(_running_least(xp.flip(marked)))
     after = np.flatnonzero(~np.append(gap, False))
     following = after[np.searchsorted(after, np.arange(len(gap)))]
     ends = xp.where(gap, xp.concatenate([start, end])[following], start + duration)
     begins = xp.concatenate([start[:1], ends])
-    readings = xp.floor((stops - begins) / encoder.every[k] * (1.0 + 1e-9) + 1e-9) + 1.0
-    variance = encoder.offset[k] ** 2 + encoder.reading[k] ** 2 / readings
+
+    def of_axis(k: int):
+        # A standstill lasts until the axis moves again: of every segment, the begin of the next one that moves it.
+        marked = xp.concatenate([xp.where(moves[:, k], xp.where(gap, start[of_gap], start), end), end])
+        stops = xp.flip(_running_least(xp.flip(marked)))
+        return xp.floor((stops - begins) / encoder.every[k] * (1.0 + 1e-9) + 1e-9) + 1.0
+
+    return [of_axis(k) for k in range(moves.shape[1])]
+
+
+def _standstills(encoder: EncoderNoise, k: int, moves: Bool[AnyArray, " S"], readings, share):
+    """Variance of the encoder error that each move of axis k draws, `(S,)`, and of the first one, by the number of
+    `readings`; `share` `(S,)`: of this number that were read."""
+    xp = namespace(encoder, moves, readings, share)
+    variance = encoder.offset[k] ** 2 + encoder.reading[k] ** 2 / (readings * xp.concatenate([xp.ones(1), share]))
     return xp.where(moves, variance[1:], 0.0), variance[0]
 
 

@@ -1,0 +1,206 @@
+"""Readings of axes that are held: a run takes as many as are predicted, and an estimate counts those that it took."""
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from imu_bench import made, short
+from simulated_devices.line_clock import LineClock
+
+from gradcal_jax.api.fit_of_log import fitted_twice
+from gradcal_jax.api.imu_build import BuiltImu, build_imu
+from gradcal_jax.api.log_rows import Options, imu_rows
+from gradcal_jax.decoding import run_log
+from gradcal_jax.estimation import ExecutedImu, executed_imu, readings_counted
+from gradcal_jax.files import changed
+from gradcal_jax.files.log import Log, ReadingKind
+from gradcal_jax.hardware import execute
+from gradcal_jax.hardware.axis_control import AxisControl
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
+from gradcal_jax.hardware.run_folder import RunFolder
+from gradcal_jax.hardware.simulate.plants import AxisPlant
+
+EVERY_S = 1.5
+MOVES: list[dict[str, Any]] = [
+    {"rest": "7 s"},
+    {"turn": "360 deg", "axis": "spin", "peak_rate": "100 deg/s"},
+    {"rest": "5 s"},
+    {"turn": "90 deg", "axis": "tilt", "peak_rate": "80 deg/s"},
+    {"turn": "-360 deg", "axis": "spin", "peak_rate": "130 deg/s"},
+    {"turn": "360 deg", "axis": "spin", "peak_rate": "170 deg/s"},
+    {"rest": "4 s"},
+    {"turn": "-360 deg", "axis": "spin", "peak_rate": "90 deg/s"},
+    {"turn": "-90 deg", "axis": "tilt", "peak_rate": "80 deg/s"},
+]
+RAMP = "20 K/min"
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Log, BuiltImu]:
+    """Two ramps, and a soak between them that is not used, by a noisy encoder."""
+    folder = tmp_path_factory.mktemp("held") / "run"
+    angle = {"reading_noise": "0.01 deg", "standstill_offset": "0.001 deg", "read_every": f"{EVERY_S} s"}
+    soaked = {"soak": "100 s", "used": False}
+    ways = [{"ramp_to": f"{end} degC", "rate": RAMP} for end in (32, 20)]
+    spec = changed(short(), {
+        "plan.temperature": None, "plan.gradient": None,
+        "plan.programme": [{"soak": "30 s", "at": "20 degC"}, ways[0], soaked, ways[1]],
+        "plan.cycle.moves": MOVES,
+        "rig.chamber.max_cooling": "60 K/min",
+        "rig.table.axis[0].angle": angle, "rig.table.axis[1].angle": angle,
+    })  # fmt: skip
+    result = execute.run(made(spec), folder, simulate=True, seed=5)
+    assert (result.exit_status, result.verified_safe) == ("success", True), result.reason
+    return folder, run_log.log(folder), build_imu(RunFolder(folder).recipe().spec)
+
+
+def executed(log: Log, built: BuiltImu) -> ExecutedImu:
+    rows, _ = imu_rows(built, [log], log.units[0], Options())
+    return readings_counted(executed_imu(rows, built.motion.geometry), built.model)
+
+
+def test_a_run_reads_an_axis_that_stands_while_others_move_as_often_as_is_predicted(ran) -> None:
+    folder, _, _ = ran
+    events = RunFolder(folder).contents().events
+    ended = [event.time_s for event in events if event.name == "step begins" and not event.data["data"]]
+    whole = 0
+    for axis in ("tilt", "spin"):
+        told = [e.data["began_s"] for e in events if e.name == "move" and e.data["axis"] == axis]
+        angles = [e.data for e in events if e.name == "angle" and e.data["axis"] == axis and not e.data["moving"]]
+        times = np.unique([data["time_s"] for data in angles])
+        for first, last in itertools.pairwise(told):
+            read = times[(times > first) & (times < last)]
+            if not len(read) or any(first < soak < last for soak in ended):
+                continue
+            assert len(read) >= (last - read[0]) // EVERY_S + 1
+            # None of the moves of the other axis made it wait for longer than this.
+            assert np.max(np.diff(read), initial=0.0) < EVERY_S + 0.1
+            whole += any(first < b < last for b in told) or last - first > 10.0
+    assert whole >= 4
+
+
+def test_an_axis_that_stands_where_a_part_begins_is_not_told_to_go_there(ran) -> None:
+    folder, log, _ = ran
+    events = RunFolder(folder).contents().events
+    steps = [k for k, event in enumerate(events) if event.name == "step begins"]
+    soak, after = next(
+        (k, later) for k, later in itertools.pairwise(steps) if k > steps[0] and not events[k].data["data"]
+    )
+    assert not [event for event in events[soak:after] if event.name == "move"]
+    (seam,) = np.flatnonzero(np.diff(log.time_s) > 50.0)
+    assert log.standstill is not None
+    assert log.standstill[seam] == log.standstill[seam + 1] >= 0
+
+
+class Stage:
+    """A stage of which nothing but turns is asked."""
+
+    def __init__(self, clock: LineClock) -> None:
+        self.plant, self.clock, self.settings = AxisPlant(None, clock.now()), clock, KeptSettings()
+        self.told: list[float] = []
+
+    def not_asked(self, *said: Any) -> Any:
+        raise AssertionError("nothing but turns is asked for here")
+
+    identify = home = spin = stop = arm_watchdog = heartbeat = safe = close = not_asked
+
+    def limits(self) -> AxisLimits:
+        return AxisLimits(100.0, 100.0, None, None, 0.001, hardware_watchdog=False)
+
+    def read(self) -> AxisReading:
+        now = self.clock.now()
+        angle, rate = self.plant.state(now)
+        return AxisReading(now, angle, rate, self.plant.moving(now), True, (), ())
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        self.told.append(position_deg)
+        self.plant.move_to(self.clock.now(), position_deg, rate_dps, acceleration_dps2)
+
+
+def test_an_axis_goes_to_its_start_unless_it_was_watched_and_stands_there() -> None:
+    clock = LineClock()
+    stage: Any = Stage(clock)
+
+    def wait() -> None:
+        clock.sleep(0.1)
+
+    with clock.party():
+        axes = AxisControl({"tilt": stage}, clock, lambda name, **data: None)
+
+        def started(angle: float, *, watched: bool) -> list[float]:
+            stage.told.clear()
+            axes.go_to_start("a step", {"tilt": angle}, wait, watched=watched)
+            return list(stage.told)
+
+        assert started(30.0, watched=True) == [30.0]
+        assert started(30.0, watched=True) == []
+        # Somebody may have been at it, and whoever moved it by more than a motor holds is seen.
+        assert started(30.0, watched=False) == [30.0]
+        assert started(40.0, watched=True) == [40.0]
+        stage.plant.move_to(clock.now(), 55.0, 60.0, 60.0)
+        clock.sleep(3.0)
+        axes._read("tilt")
+        assert started(40.0, watched=True) == [40.0]
+
+
+def test_an_estimate_counts_as_many_readings_as_are_predicted(ran) -> None:
+    _, log, built = ran
+    done = executed(log, built)
+    line, moves = done.motion.line, done.motion.axis >= 0
+    # The soak's readings are not in the log; a reading more or less where the grid is off a standstill's begin.
+    through = np.searchsorted(np.flatnonzero(moves), np.flatnonzero(np.asarray(line.gap))) - 1
+    assert len(through) == 1
+    within = np.ones(int(moves.sum()), bool)
+    for axis in range(2):
+        own = np.flatnonzero(done.motion.axis[moves] == axis)
+        within[own[np.searchsorted(own, through[0], "right") - 1]] = False
+    assert np.count_nonzero(~within) == 2
+    share = np.asarray(line.share)[moves]
+    assert np.all(share[~within] < 0.7)
+    assert np.all((share[within] >= 1.0) & (share[within] < 1.51))
+    assert np.mean(share[within]) < 1.1
+
+
+def test_readings_that_were_not_made_are_not_counted(ran) -> None:
+    """The first one of each standstill is left: the errors of standstills are larger, and so are those of the fit."""
+    _, log, built = ran
+    assert log.readings is not None
+    whole = executed(log, built)
+    assert log.standstill is not None
+    read = log.readings
+    _, first = np.unique(np.stack([read.axis, log.standstill[read.row]]), axis=1, return_index=True)
+    kept = (read.kind != ReadingKind.PLANNED) | (log.standstill[read.row] < 0)
+    kept[first] = True
+    fewer = replace(log, readings=read._chosen(kept))
+    half = executed(fewer, built)
+    made = [np.sum(of[:, 0]) for of in (whole.averaged[0], half.averaged[0])]
+    assert made[1] < 0.65 * made[0]
+    rows, _ = imu_rows(built, [fewer], log.units[0], Options())
+    known = [
+        fitted_twice(built, log.units[0], imu_rows(built, [of], log.units[0], Options())[0], rows.temperature_c)
+        for of in (log, fewer)
+    ]
+    deviations = [np.sqrt(np.diag(fit.solution.known.covariance(built.model.to_reported))) for fit in known]
+    across = built.model.names().index("gyro_y.m_x0")
+    assert deviations[1][across] > 1.2 * deviations[0][across]
+
+
+def test_a_reading_that_is_stamped_before_the_gyros_see_a_standstill_counts(ran) -> None:
+    _, log, built = ran
+    rows, _ = imu_rows(built, [log], log.units[0], Options())
+    done = executed_imu(rows, built.motion.geometry)
+    # The first of several readings after a move of tilt, put 0.1 s before the gyros' standstill.
+    events = np.flatnonzero(np.isfinite(rows.angles[:, 0]))
+    move = int(np.flatnonzero(done.averaged[0][:, 0] > 3)[0])
+    ends = done.rows[1:][done.motion.axis == 0][move]
+    first = int(events[np.searchsorted(events, ends - round(0.4 / np.median(np.diff(rows.time_s))))])
+    early = int(ends - round(0.1 / np.median(np.diff(rows.time_s))))
+    angles, at_a_stop = rows.angles.copy(), rows.at_a_stop.copy()
+    angles[early, 0], angles[first, 0] = angles[first, 0], np.nan if first != early else angles[first, 0]
+    at_a_stop[early] = True
+    found = executed_imu(rows._replace(angles=angles, at_a_stop=at_a_stop), built.motion.geometry)
+    assert found.averaged[0][move, 0] == done.averaged[0][move, 0]
+    np.testing.assert_allclose(found.motion.angles()[1], done.motion.angles()[1], rtol=0.0, atol=1e-9)

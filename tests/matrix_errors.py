@@ -7,10 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.api.fit_of_log import Fit
+from gradcal_jax.api.imu_build import MISALIGNMENT
 from gradcal_jax.information import segments_of, whiten
+from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, ImuModel, SignalMap
 
 # Steps of Gauss and Newton for what is no part of a calibration: the second one changes χ² by 1e-3.
 _STEPS = 3
+# Of differences, in the engine's coordinates.
+_STEP = 1e-6
 
 
 def nees_of(names: Sequence[str], values: np.ndarray, truth: np.ndarray, covariance: np.ndarray) -> float:
@@ -114,3 +118,37 @@ def by_data(fit: Fit, truth: dict[str, float], covariance: np.ndarray) -> ByData
         float(np.sum(at_truth**2) - np.sum(at_estimate**2)),
         float(along @ (covariance / np.outer(size, size)) @ along),
     )
+
+
+def along_after_correction(
+    model: ImuModel, estimate: np.ndarray, truth: np.ndarray, temperatures: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What the correction of the gyros by an estimate leaves of a rate along each axis, `(3 n_T,)`: the diagonal of
+    A⁻¹ A_true - 1 with A = (1 + M)(1 + m) at rate zero; and its derivatives by the estimate, differences `(3 n_T, p)`.
+
+    Unlike the coefficients of M it does not depend on how the body's frame is turned, of which a plan without an
+    encoder may know little. Parameters in the engine's coordinates; temperatures in °C.
+    """
+
+    def matrices(parameters: np.ndarray) -> np.ndarray:
+        result = np.zeros((len(temperatures), 3, 3))
+        for i in range(3):
+            channel, own = model.channel("gyro", i), parameters[model.where("gyro", i)]
+            assert channel is not None
+            scale = channel.model.map(SCALE_FACTOR)
+            assert scale is not None
+            at_rest = scale.values(temperatures, np.zeros(len(temperatures)))
+            result[:, i, i] = 1.0
+            for j in range(3):
+                if isinstance(term := channel.model.term(MISALIGNMENT.format(AXIS_NAMES[j])), SignalMap):
+                    result[:, i, j] += term.temperature(temperatures) @ own[channel.model.where(term.name)]
+            result[:, i] *= 1.0 + (at_rest @ own[channel.model.where(scale.name)])[:, None]
+        return result
+
+    def left(parameters: np.ndarray, true: np.ndarray) -> np.ndarray:
+        apart = np.linalg.solve(matrices(parameters), matrices(true)) - np.eye(3)
+        return np.diagonal(apart, axis1=1, axis2=2).ravel()
+
+    steps = _STEP * np.eye(len(estimate))
+    slopes = [(left(estimate + step, estimate) - left(estimate - step, estimate)) / (2.0 * _STEP) for step in steps]
+    return left(estimate, truth), np.stack(slopes, axis=1)

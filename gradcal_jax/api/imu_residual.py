@@ -373,7 +373,10 @@ def _elements(
             if c.kind == kind and requirement.axis in ("all", "worst", axis):
                 for term, label in terms(axis):
                     element = _of_term(model, c, term, label, temperatures, rates, built.about)
-                    yield element._replace(path=_states(c, requirement, np.repeat(temperatures, len(rates))))
+                    path = _states(c, requirement, np.repeat(temperatures, len(rates)))
+                    if path is not None and element.where == slice(None):
+                        path = np.pad(path, ((0, 0), (0, 0), _around(model, c)))
+                    yield element._replace(path=path)
 
 
 # The terms of the path by the quantity that they belong to: of dT/dt, and a play's name.
@@ -432,11 +435,53 @@ def _of_term(
     """The linear function of one term of a channel on the grid."""
     of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
     if isinstance(of, Map):
-        return QuantityElement(label, own, (channel.model, term, temperatures, rates))
+        element = QuantityElement(label, own, (channel.model, term, temperatures, rates))
+        if about is None or term != SCALE_FACTOR or not any(map(channel.model.term, _MISALIGNMENTS)):
+            return element
+        own_part, around = element.contrasts(), ((0, 0), _around(model, channel))
+        left = _row(model, channel.kind, channel.axis, term, temperatures, about)
+        left[:, own] -= _signal_rows(channel, term, temperatures)
+        rows = np.pad(np.asarray(own_part.rows), around) + np.repeat(left, len(rates), axis=0)
+        alone = np.pad(np.asarray(own_part.alone), around)
+        return QuantityElement(label, slice(None), Contrasts(rows, alone, own_part.beyond))
     if about is None:
         return QuantityElement(label, own, _plain(_signal_rows(channel, term, temperatures)))
     rows = _row(model, channel.kind, channel.axis, term, temperatures, about)
     return QuantityElement(label, slice(None), _plain(rows))
+
+
+def _around(model: ImuModel, channel: Channel) -> tuple[int, int]:
+    """The number of the model's parameters before those of a channel, and after them."""
+    own = model.where(channel.kind, channel.axis)
+    return own.start, model.size - own.stop
+
+
+def _left_by_correction(
+    model: ImuModel, element: tuple[ChannelKind, int, int], temperatures: np.ndarray, about: np.ndarray
+) -> np.ndarray:
+    """What a correction by a triad's whole matrix, A = (1 + M)(1 + m) `about` the parameters of an estimate, leaves
+    along i of an input along j (`element`: the kind, i, j), at rate zero: an element of A⁻¹ δA, `(n_T, p)`.
+
+    A plan may tell it better than M or m: products of both, or, without an encoder, what a common rotation of all
+    sensors changes in each M.
+    """
+    kind, i, j = element
+    triad = [model.channel(kind, axis) for axis in range(3)]
+    scale, across = np.ones((len(temperatures), 3)), np.tile(np.eye(3), (len(temperatures), 1, 1))
+    for k, of in enumerate(triad):
+        if of is not None:
+            own = about[model.where(kind, k)]
+            scale[:, k] += _signal_rows(of, SCALE_FACTOR, temperatures) @ own
+            for other, term in enumerate(_MISALIGNMENTS):
+                across[:, k, other] += _signal_rows(of, term, temperatures) @ own
+    inverse = np.linalg.inv(scale[:, :, None] * across)[:, i]
+    rows = np.zeros((len(temperatures), model.size))
+    for k, of in enumerate(triad):
+        if of is not None:
+            by_scale = across[:, k, j, None] * _signal_rows(of, SCALE_FACTOR, temperatures)
+            changed = by_scale + scale[:, k, None] * _signal_rows(of, _MISALIGNMENTS[j], temperatures)
+            rows[:, model.where(kind, k)] = inverse[:, k, None] * changed
+    return rows
 
 
 def _plain(rows: np.ndarray) -> Contrasts:
@@ -474,19 +519,16 @@ def _row(
 ) -> np.ndarray:
     """Contrasts `(n_T, p)` of a term at rate zero; zero where the model does not have it.
 
-    Of a misalignment m of axis i towards j `about` the parameters of an estimate, what it leaves along i of an input
-    along j: a correction divides by the scale factors, so that this is the error of m + m (M_i - M_j), which a plan may
-    tell better than m.
+    A misalignment or scale factor `about` the parameters of an estimate is what a correction leaves of it
+    (`_left_by_correction`).
     """
     rows = np.zeros((len(temperatures), model.size))
     if (channel := model.channel(kind, axis)) is None:
         return rows
+    if about is not None and term in (SCALE_FACTOR, *_MISALIGNMENTS):
+        across = axis if term == SCALE_FACTOR else _MISALIGNMENTS.index(term)
+        return _left_by_correction(model, (kind, axis, across), temperatures, about)
     rows[:, model.where(kind, axis)] = _signal_rows(channel, term, temperatures)
-    if about is not None and term in _MISALIGNMENTS:
-        size = (rows @ about)[:, None]
-        for along, sign in ((axis, 1.0), (_MISALIGNMENTS.index(term), -1.0)):
-            if (of := model.channel(kind, along)) is not None:
-                rows[:, model.where(kind, along)] += sign * size * _signal_rows(of, SCALE_FACTOR, temperatures)
     return rows
 
 
@@ -527,7 +569,7 @@ def _navigation(built: BuiltImu, requirement, temperatures: np.ndarray):
     def rate(i: int) -> np.ndarray:
         rows = _row(model, "gyro", i, "bias", temperatures)
         rows = rows + g * _row(model, "gyro", i, G_SENSITIVITY.format("z"), temperatures)
-        rows = rows + earth[i] * _row(model, "gyro", i, SCALE_FACTOR, temperatures)
+        rows = rows + earth[i] * _row(model, "gyro", i, SCALE_FACTOR, temperatures, built.about)
         for j in range(3):
             if j != i:
                 across = _row(model, "gyro", i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures, built.about)
@@ -546,8 +588,7 @@ def _navigation(built: BuiltImu, requirement, temperatures: np.ndarray):
         channel = model.channel("gyro", 2)
         scale = None if channel is None else channel.model.map(SCALE_FACTOR)
         if scale is not None:
-            whole = turn / pace * rate(2)
-            whole[:, model.where("gyro", 2, SCALE_FACTOR)] += turn * scale.values(
-                temperatures, np.full(len(temperatures), pace)
-            )
+            whole = turn / pace * rate(2) + turn * _row(model, "gyro", 2, SCALE_FACTOR, temperatures, built.about)
+            at_pace, at_rest = (scale.values(temperatures, np.full(len(temperatures), w)) for w in (pace, 0.0))
+            whole[:, model.where("gyro", 2, SCALE_FACTOR)] += turn * (at_pace - at_rest)
             yield "z", whole

@@ -13,7 +13,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from matrix_errors import nees_of
+from matrix_errors import along_after_correction, by_data
 from unguided import recorded
 
 import gradcal_jax as gj
@@ -26,6 +26,8 @@ from gradcal_jax.files.spec_sections import Spec
 
 # How far off the plan's angle each turn ends, deg (standard deviation).
 SPOILT = (1.0, 5.0, 45.0)
+# Of the plan's temperature.
+ENDS_C = np.array([10.0, 40.0])
 
 
 @cache
@@ -38,28 +40,29 @@ def scene() -> Spec:
 
 
 def outcome(spec: Spec, seed: int, spoilt: float) -> dict[str, Any]:
-    """One IMU's estimate against its truth: NEES of its own coefficients and of the scale factors of its gyros, errors
-    of these in σ, σ over the predicted, χ² of the fit over its degrees of freedom."""
+    """One IMU's estimate against its truth: NEES of its own coefficients by the data; of what a
+    correction leaves of a rate along the gyros, at both ends of the temperature: NEES, errors in σ, σ over the
+    predicted; and χ² of the fit over its degrees of freedom."""
     built = build_imu(spec)
     log, truth = recorded(spec, seed, spoilt)
     _, options, _ = with_options(spec, [log], Options())
     rows, _ = imu_rows(built, [log], log.units[0], options)
-    solution = fitted_twice(built, log.units[0], rows, rows.temperature_c).solution
-    model = built.model
-    reported, names = model.to_reported, model.names()
-    values, true = reported @ solution.parameters, np.array([truth[name] for name in names])
-    covariance = solution.known.covariance(reported)
-    sigma = np.sqrt(np.diag(covariance))
-
-    def nees(of: list[int]) -> float:
-        return nees_of([names[k] for k in of], values[of], true[of], covariance[np.ix_(of, of)])
-
-    scales = [k for k, name in enumerate(names) if name.startswith("gyro") and ".b0" in name]
-    predicted = imu_posterior(built).deviations(reported)
-    of = solution.estimate
+    fit = fitted_twice(built, log.units[0], rows, rows.temperature_c)
+    model, found = built.model, fit.solution.parameters
+    reported, own = model.to_reported, slice(model.calibrated)
+    true = np.array([truth[name] for name in model.names()])
+    covariance = fit.solution.known.covariance(reported)
+    by = by_data(fit, truth, covariance[own, own])
+    errors, slopes = along_after_correction(model, found, np.linalg.solve(reported, true), ENDS_C)
+    known = slopes @ fit.solution.known.covariance(np.eye(model.size)) @ slopes.T
+    sigma = np.sqrt(np.diag(known))
+    ideal = np.zeros(model.size)
+    predicted = imu_posterior(built).deviations(along_after_correction(model, ideal, ideal, ENDS_C)[1])
+    of = fit.solution.estimate
     return {
-        "seed": seed, "nees": nees(list(range(model.calibrated))), "nees_scale": nees(scales),
-        "scale": ((values - true) / sigma)[scales].tolist(), "sigma": (sigma[scales] / predicted[scales]).tolist(),
+        "seed": seed, "nees": by.nees, "squares": by.squares,
+        "nees_scale": float(errors / sigma @ np.linalg.solve(known / np.outer(sigma, sigma), errors / sigma)),
+        "scale": (errors / sigma).tolist(), "sigma": (sigma / predicted).tolist(),
         "residual": float(of.chi_squared / of.degrees), "coefficients": model.calibrated,
     }  # fmt: skip
 

@@ -353,21 +353,26 @@ def test_what_accelerometers_tell_of_a_move_counts_by_what_is_known_of_them(kind
         assert np.all(felt[turned < np.radians(50.0)] < 0.15)
 
 
+@pytest.mark.parametrize("quantity", ["misalignment", "scale_factor"])
 @pytest.mark.parametrize("kind", ["gyro", "accelerometer"])
-def test_the_residual_of_a_misalignment_is_what_a_correction_leaves_across(kind):
-    """Against the matrix (1 + M)(1 + m) itself, whose scale factors are a hundred times less known than m."""
+def test_the_residual_about_an_estimate_is_what_a_correction_leaves(kind, quantity):
+    """Against the matrix (1 + M)(1 + m) itself, of which M, or m for the residual of M, is a hundred times less known
+    than the rest."""
     spec, rng = scene("two axes", 0.1), np.random.default_rng(6)
     built, truth = build_imu(spec), draw_truth(spec, rng)
     model, names = built.model, built.model.names()
     values = np.array([truth[name] for name in names])
-    sizes = np.array([1e-3 if re.search(r"\.(b0\d|s\d)$", name) else 1e-5 for name in names])
+    loose = r"\.(b0\d|s\d)$" if quantity == "misalignment" else r"\.m_"
+    sizes = np.array([(1e-3 if re.search(loose, name) else 1e-5) * (".b1" not in name) for name in names])
+    values *= np.where([".m_" in name for name in names], 20.0, 1.0)
     sizes[model.calibrated :] = 0.0
     spread = np.linalg.solve(
         model.to_reported, np.diag(sizes) @ np.linalg.qr(rng.standard_normal((model.size,) * 2))[0]
     )
     about, known = np.linalg.solve(model.to_reported, values), Posterior(spread, np.zeros((model.size, 0)))
-    (requirement,) = (r for r in spec.requirement if r.quantity == f"{kind}_misalignment")
+    (requirement,) = (r for r in spec.requirement if r.quantity == f"{kind}_{quantity}")
     left = quantity_of(built._replace(about=about), requirement).residual(known)
+    plain = quantity_of(built, requirement).residual(known)
 
     def matrix(values: np.ndarray, temperature: float) -> np.ndarray:
         of, x = dict(zip(names, values, strict=True)), (temperature - 20.0) / 50.0
@@ -388,8 +393,9 @@ def test_the_residual_of_a_misalignment_is_what_a_correction_leaves_across(kind)
         steps = (1e-3 * model.to_reported @ spread).T
         errors = [np.linalg.solve(here, matrix(values + step, temperature)) - np.eye(3) for step in steps]
         std = 1e3 * np.linalg.norm(errors, axis=0) * left.si
-        wanted = [std["xyz".index(label[0]), "xyz".index(label[1])] for label in left.labels]
+        wanted = [std["xyz".index(label[0]), "xyz".index(label[-1])] for label in left.labels]
         np.testing.assert_allclose(left.values[:, k, 0], wanted, rtol=0.1)
+        assert np.max(np.abs(plain.values[:, k, 0] / wanted - 1.0)) > 0.3
 
 
 def _moves_of(log: Log, axis: int) -> list[np.ndarray]:

@@ -80,7 +80,7 @@ def test_the_report():
         "tests/evidence/test_gravity_as_encoder.py`: simulated IMUs of the preset `no-encoder`, turned by hand; every",
         "turn ends off the plan's angle by a draw of the stated standard deviation. NEES: mean, with the 95 % band of",
         "it, of all of an IMU's coefficients, by what the model expects of truth and estimate; by data: χ² of the",
-        "truth by the log alone; scale factors: of what a correction leaves of a rate along each gyro, at 10 and 40 °C,",
+        "truth by the log alone; scale factors: of what a correction leaves of a rate along each gyro, 10 and 40 °C,",
         "which, unlike the coefficients, does not depend on how all sensors are turned together. IMUs that were not",
         "estimated in the machine's time are not counted.", "",
         "| spoilt by, deg | IMUs | NEES | by data | NEES, scale factors | σ over the predicted | χ² over degrees |",

@@ -50,7 +50,7 @@ def assemble(spec: Spec) -> Assembled:
     gyro, site = expect_spec(spec).sensor.gyro, spec.rig.site
     if gyro is None or not spec.turns_one_gyro:
         raise ValueError(
-            "this needs a spec of a single gyro along the only axis of a level table with readings at rest "
+            "expected a spec with a single gyro along the only axis of a level table, with readings at rest "
             '([rig.table] standing = "read"), and without terms that depend on the path of temperature'
         )
     parts = named_processes(gyro, clock=spec.sensor.clock_error, earth_is_unknown=site.is_unknown)

@@ -175,7 +175,7 @@ def _terms_of(
         rates = np.linspace(float(slow), float(fast), _RATES)
     here = term_map(calibration, channel, term.name, np.full_like(rates, at), rates)
     mean = np.full((1, len(rates)), 1.0 / len(rates))
-    words = "B" if term.name == "bias" else "mean of M over rate" if term.rate is not None else plain
+    words = "B" if term.name == "bias" else "mean of M over all rates" if term.rate is not None else plain
     yield _term(here.weighted(mean), _NAMES.get(term.name, plain), f"{words} at {at:g} °C")
     if term.rate is not None:
         yield from _over_rate(here, rates, at)
@@ -186,7 +186,7 @@ def _terms_of(
         everywhere = term_map(calibration, channel, term.name, grid_t, grid_w)
         centred = temperatures - temperatures.mean()
         slope = np.kron(centred / (centred @ centred), mean)
-        what = "M's mean over rate" if term.rate is not None else words
+        what = "the mean of M over all rates" if term.rate is not None else words
         words = f"slope of the best straight line through {what}, {low:g} … {high:g} °C"
         yield _term(everywhere.weighted(slope), f"{plain} temperature sensitivity", words, "/°C")
 
@@ -196,7 +196,7 @@ def _over_rate(here: TermMap, rates: Floats, at: float) -> Iterator[IeeeTerm]:
     if slow < 0.0 < fast:
         positive, negative = (sign * rates > 0.0 for sign in (1.0, -1.0))
         difference = positive / positive.sum() - negative / negative.sum()
-        words = f"mean of M over positive rates minus that over negative rates, at {at:g} °C"
+        words = f"mean of M over positive rates minus mean of M over negative rates, at {at:g} °C"
         yield _term(here.weighted(difference[None]), "scale factor asymmetry", words)
     if fast > slow:
         # Output error M·ω less its best straight line, over the largest rate.
@@ -204,8 +204,8 @@ def _over_rate(here: TermMap, rates: Floats, at: float) -> Iterator[IeeeTerm]:
         away = here.weighted((np.eye(len(rates)) - line @ np.linalg.pinv(line)) * rates / max(abs(slow), abs(fast)))
         worst = int(np.argmax(np.abs(away.values)))
         words = (
-            f"largest distance of the output from its best straight line, over the largest rate, at {at:g} °C "
-            f"(at {rates[worst] * DEG_PER_S:.0f} deg/s)"
+            f"largest distance of the output from its best straight line, divided by the largest rate, at {at:g} °C "
+            f"(reached at {rates[worst] * DEG_PER_S:.0f} deg/s)"
         )
         yield _term(away._replace(rows=away.rows[worst][None]), "scale factor nonlinearity", words)
 
@@ -298,17 +298,17 @@ def lot(calibrations: Sequence[Calibration]) -> Lot:
         raise ValueError(f"a lot needs three or more calibrations, not {len(calibrations)}: add those of other IMUs")
     serials = [one.serial_number for one in calibrations]
     if double := {name for name in serials if serials.count(name) > 1}:
-        raise ValueError(f"two calibrations are of {min(double)}: give one of each IMU")
+        raise ValueError(f"two calibrations are of the IMU {min(double)}: give one calibration for each IMU")
     names = dict.fromkeys((c.kind, c.axis, t.name) for one in calibrations for c in one.channel for t in c.term)
     chosen = [(key, _with_term(calibrations, *key)) for key in names]
     wanted = [(key, having) for key, (having, _) in chosen if len(having) >= 3]
     if not wanted:
-        raise ValueError("no map has a covariance in three or more of the calibrations: estimate them again from logs")
+        raise ValueError("no map has a covariance in three or more calibrations: estimate the IMUs again from logs")
     maps = [_map_of(having, *key, tests=len(wanted)) for key, having in wanted]
     notes = [note for _, (_, note) in chosen if note]
     notes += [
-        f"{one.serial_number}: its data contradict its model ({', '.join(one.contradicted[:3])}), so its "
-        "covariance, and results based on it, are not valid"
+        f"{one.serial_number}: its data contradict its model ({', '.join(one.contradicted[:3])}), so neither its "
+        "covariance nor any result based on this covariance is valid"
         for one in calibrations
         if one.contradicted
     ]
@@ -355,9 +355,9 @@ def _with_term(calibrations: Sequence[Calibration], kind: str, axis: str, name: 
     for one in having[1:]:
         if not all(_same(getattr(one.term, k), getattr(having[0].term, k)) for k in ("temperature", "rate")):
             raise ValueError(
-                f"{kind}_{axis}: the {name.replace('_', ' ')} of {one.calibration.serial_number} has a different "
-                f"basis than that of {having[0].calibration.serial_number}: estimate all IMUs of a lot with the "
-                "same spec"
+                f"{kind}_{axis}: the calibrations of {having[0].calibration.serial_number} and "
+                f"{one.calibration.serial_number} have different bases for the {name.replace('_', ' ')}: estimate all "
+                "IMUs of a lot with the same spec"
             )
     note = f"{kind}_{axis}: {', '.join(lacking)} without an observable {name.replace('_', ' ')}" if lacking else None
     return having, note
@@ -376,7 +376,10 @@ def _map_of(having: list[_Own], kind: str, axis: str, name: str, *, tests: int) 
     cold, warm = max(s[0] for s in spans), min(s[1] for s in spans)
     slow, fast = max(s[2] for s in spans), min(s[3] for s in spans)
     if cold > warm or slow > fast:
-        raise ValueError(f"{what}: the calibrations have no range of temperature and rate in common; leave some out")
+        raise ValueError(
+            f"{what}: the calibrations have no range of temperature and rate in common; leave out those with other "
+            "ranges"
+        )
     temperatures = np.linspace(float(cold), float(warm), _FEW_TEMPERATURES if first.term.temperature else 1)
     rates = np.linspace(float(slow), float(fast), _FEW_RATES if first.term.rate else 1)
     grid = (x.ravel() for x in np.meshgrid(temperatures, rates, indexing="ij"))
@@ -471,25 +474,25 @@ def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
     n = len(of.serial_numbers) - len(of.strangers)
     place = int(np.argmax(np.abs(of.mean) / np.maximum(of.mean_half, 1e-300)))
     if abs(of.mean[place]) <= of.mean_half[place]:
-        yield f"{what}: its mean does not differ from zero"
+        yield f"{what}: its mean does not differ significantly from zero"
     if of.shape_count is None:
         most = last.shapes
-        shapes = f"{in_words(most)} shape{'' if most == 1 else 's'}" if most else "one map for all"
+        shapes = f"{in_words(most)} shape{'' if most == 1 else 's'}" if most else "one map"
         yield (
-            f"{what}: the shapes do not repeat ({shapes} and {n} IMUs: {test}), so the lot predicts only the size "
+            f"{what}: the shapes do not repeat (with {shapes} for {n} IMUs, {test}), so the lot predicts only the size "
             "of the next IMU's map; no prior is written"
             if of.shapes_in_words == "do not repeat"
-            else f"{what}: {n} IMUs are too few to say whether its shapes repeat ({shapes}: {test})"
+            else f"{what}: {n} IMUs are too few to say whether its shapes repeat (with {shapes}, {test})"
         )
     elif size == 1:
         alike = (
-            "all are equal within the uncertainty of their calibrations"
+            "all IMUs are equal within the uncertainty of their calibrations"
             if of.shape_count == 0
             else "a constant, with a spread"
         )
-        yield f"{what}: {alike} ({test.replace('they leave', 'one value leaves') if last.shapes == 0 else test})"
+        yield f"{what}: {alike} ({test})"
     elif of.shape_count == 0:
-        yield f"{what}: no spread is visible beyond the uncertainty of the calibrations (one map for all: {test})"
+        yield f"{what}: no spread is visible beyond the uncertainty of the calibrations (with one map for all, {test})"
     else:
         repeat = "shape repeats" if of.shape_count == 1 else "shapes repeat"
         share = 100.0 * sum(of.shares[: of.shape_count])
@@ -503,18 +506,18 @@ def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
         )
     if of.groups:
         sizes = ", ".join(str(len(group)) for group in of.groups)
-        yield f"{what}: {len(of.groups)} groups, of {sizes} IMUs: make a lot of each; no prior is written"
+        yield f"{what}: {len(of.groups)} groups, of {sizes} IMUs: make a lot of each group; no prior is written"
     for one in of.strangers:
         yield (
             f"{what}: {one.serial_number} is an outlier (probability that an IMU of this type differs as "
-            f"much from all others: {one.chance:.2g}); it does not count in mean, spread and shapes"
+            f"much from all others: {one.chance:.2g}); it is not used for mean, spread and shapes"
         )
 
 
 _HEADER: Final = """\
-Priors for a type of IMU from a lot of {n} calibrations{simulated}, for the spec of the next IMU: replace the tables
-of the same names by these. A shape is a function with a random factor for each IMU, of mean 0 and variance 1; the
-first is the mean map, and the last ones allow for other deviations."""
+Priors for a type of IMU, from a lot of {n} calibrations{simulated}. In the spec of the next IMU, replace the tables of
+the same names by these. A shape is a function with a random factor of mean 0 and variance 1 for each IMU; the first
+shape is the mean map, and the last shapes allow for other deviations."""
 
 
 def lot_priors(of: Lot) -> str:

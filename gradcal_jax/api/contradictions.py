@@ -64,14 +64,14 @@ def refuse_other_units(spec: Spec, temperature: np.ndarray, unit: str) -> None:
     for name, convert in _OTHER_UNITS:
         if cold - _FITS <= convert(low) and convert(high) <= warm + _FITS:
             raise LogError(
-                f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are outside of the plan's, {cold:g} "
-                f"… {warm:g} °C, but inside if the column is in {name} ({convert(low):.4g} … {convert(high):.4g} "
+                f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are outside the plan's range, {cold:g} "
+                f"… {warm:g} °C, but inside it if the column is in {name} ({convert(low):.4g} … {convert(high):.4g} "
                 f"°C): is the column in {name}? State its unit in the column map"
             )
     coldest, warmest = (float(t) for t in spec.rig.chamber.range)
     if low < coldest - _COLDER or high > warmest + _WARMER:
         raise LogError(
-            f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are not those of a chamber of "
+            f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are outside the chamber's range, "
             f"{coldest:g} … {warmest:g} °C (rig.chamber.range): does the column map name the wrong unit, or the "
             "wrong column?"
         )
@@ -137,7 +137,8 @@ def diagnosis_sentences(residual: np.ndarray, time_s: np.ndarray, moved: np.ndar
         sentences.append(
             f"{seen.readings} of {len(residual)} readings do not agree with the others, at {when}"
             + (" and at other times" if len(seen.events) > 3 else "")
-            + ": did the encoder slip, did the bias jump, or was the IMU bumped? --robust gives them less weight"
+            + ": did the encoder slip, did the bias jump, or was the IMU bumped? --robust gives such readings less "
+            "weight"
         )
     if seen.motion_tells:
         sentences.append(
@@ -205,8 +206,8 @@ def refuse_misaligned(name: str, fits: Mapping[str, CoarseFit], channels: Sequen
     if turned:
         raise LogError(
             f"{name}, {', '.join(channel for channel, _ in wrong)}: gyros and accelerometers agree that the body "
-            "is rotated from the spec's mounting by about a quarter turn: is [rig.table.mounting] that of the "
-            "log?"
+            "is rotated from the spec's mounting by about a quarter turn: is [rig.table.mounting] the mounting "
+            "of this log?"
         )
     raise LogError(f"{name}, " + "; ".join(f"{channel}: {sentence}" for channel, sentence in wrong[:3]))
 
@@ -338,8 +339,8 @@ def _recorded_s(log: Log) -> float:
 
 
 def _beside(part: RequirementRow, whole: RequirementRow) -> str:
-    left, planned = ("nothing" if v is None else f"{v:.4g} {part.unit}" for v in (part.decisive, whole.decisive))
-    return f"{left} of {part.name} (for the whole plan: {planned})"
+    seen = ("not observable" if v is None else f"{v:.4g} {part.unit}" for v in (part.decisive, whole.decisive))
+    return "{}: {} (for the whole plan: {})".format(part.name, *seen)
 
 
 class MeasuredDiscrepancy(NamedTuple):
@@ -408,7 +409,7 @@ def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str])
     if not len(low):
         return []
     named = ", ".join(f"{names[k]} at {time_s[k]:.6g} s" for k in low[:5])
-    return [f"{len(low)} of {len(weights)} readings have less than full weight, the smallest {named}"]
+    return [f"{len(low)} of {len(weights)} readings have less than full weight; the smallest weights: {named}"]
 
 
 def excess_of(tests: Consistency) -> float:
@@ -433,6 +434,6 @@ def noise_sentences(tests: Consistency, larger: bool) -> list[str]:
     if tests.fit.probability <= 1.0 - 1e-3:
         return []
     return [
-        f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: the figures are larger than "
-        "the noise of this sensor"
+        f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: the spec's noise figures are "
+        "larger than the noise of this sensor"
     ]

@@ -199,7 +199,7 @@ class CyclePlan:
         models = [b.model if notice is None else imu_with_hidden(b.spec, b.model) for b in builts]
         if len({model.size for model in models}) > 1:
             raise ValueError(
-                "a design.scenario changes the set of parameters: every scenario must have the parameters of the spec"
+                "a design.scenario changes the set of parameters: every scenario must have the spec's parameters"
             )
         self._executed = executed_motion(self.built)
         known = [_gram(m.prior_rows()) + _past(b._replace(model=m)) for b, m in zip(builts, models, strict=True)]
@@ -349,7 +349,7 @@ class CyclePlan:
         knots = [float(of.start), *of.chamber()[1].tolist()]
         turning = [b for a, b, c in zip(knots, knots[1:], knots[2:], strict=False) if (b - a) * (c - b) <= 0.0]
         course = " \u2192 ".join(f"{t:.3g}" for t in (knots[0], *turning, knots[-1]))
-        return f"{'the table stands' if self._stands else words}; the chamber goes {course} degC"
+        return f"{'the table is at rest' if self._stands else words}; the chamber goes {course} degC"
 
     def _cycles_together(self, models: Sequence[ImuModel]) -> int:
         """How many cycles are filtered together."""

@@ -498,8 +498,8 @@ def _words(report: SensorEstimate, solution: ImuEstimate) -> list[str]:
         if split.name in failed:
             apart = np.abs(np.nan_to_num(split.differences)) > _APART
             worst = ", ".join(np.array(report.built.model.names())[apart].tolist())
-            chance = f"chance {split.agreement.probability:.1g}"
-            also = f"; these do not generalise: {worst}" if worst else ""
+            chance = f"p-value {split.agreement.probability:.1g}"
+            also = f"; they differ in {worst}" if worst else ""
             sentences.append(f"{split.name}: the parts disagree ({chance}){also}")
     for error in report.calibration.table:
         if abs(error.value) > _CONTRADICTED * error.prior:

@@ -112,8 +112,9 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     time, usable, rates, force = filled.time, filled.usable, filled.values[:, :3], filled.values[:, 3:]
     if filled.number:
         messages.append(
-            f"{filled.number} rows in gaps of one or two are filled by cubic interpolation: each gap adds an angle "
-            f"error of at most {filled.error[:3].max():.2g} rad, the difference between cubic and linear interpolation"
+            f"{filled.number} rows in gaps of one or two rows are filled by cubic interpolation: each gap adds an "
+            f"angle error of at most {filled.error[:3].max():.2g} rad, the difference between cubic and linear "
+            "interpolation"
         )
     try:
         standing = filled.standing
@@ -284,8 +285,8 @@ def _words(
         )
     if earth_up == 0.0:
         yield (
-            "the Earth's rate along the vertical, up to 15 deg/h at 1 g, is in the sensitivities to acceleration; "
-            "--latitude subtracts it"
+            "the acceleration sensitivities include the Earth's rate along the vertical, up to 15 deg/h at 1 g; "
+            "--latitude subtracts this rate"
         )
     yield f"the accelerometers' scale factors are no more accurate than the stated gravity, {gravity:.6g} m/s²"
 
@@ -308,7 +309,7 @@ def hand_estimate_rows(report: HandReport) -> dict[str, Any]:
 
 
 LONGEST = 2
-"""Rows of a gap that is filled."""
+"""Largest number of rows of a gap that is filled."""
 
 
 class FilledRows(NamedTuple):

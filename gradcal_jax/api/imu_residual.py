@@ -176,7 +176,7 @@ UNITS_OF_TERMS = {
     "1/(m/s^2)": ("ug/g^2", 1e6 * G),
     "1/(m/s^2)^2": ("ug/g^3", 1e6 * G**2),
 }
-"""The SI unit of each coefficient, in the form of `UNIT_OF`."""
+"""For each SI unit of a coefficient: the reported unit, and the number of these units in one SI unit."""
 
 
 class ImuResidual(NamedTuple):

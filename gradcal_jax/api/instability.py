@@ -83,8 +83,8 @@ class RestRecord:
         all the others, folded. Raises `LogError` where their number is not known."""
         if not np.isfinite(self.samples_per_row):
             raise LogError(
-                f"axis {self.axis} of {self.unit}: rows at {1.0 / self.sample_interval_s:.3g} Hz of a raw "
-                "channel, which is sampled much faster: are the rows means of these samples, or every n-th "
+                f"axis {self.axis} of {self.unit}: its rows, at {1.0 / self.sample_interval_s:.3g} Hz, are of a raw "
+                "channel that is sampled much faster: are the rows means of these samples, or every n-th "
                 "sample? The angle random walk of the rows equals that of the sensor only if the rows are means. State "
                 '--sensor-rate "means", or the sensor\'s own rate, such as --sensor-rate "400 Hz"; it is better to '
                 "log at the full rate"
@@ -239,12 +239,12 @@ def at_rest(
         rate = rate - thermal.bias(np.interp(rows, rows[where], temperature[where]), even.sample_interval_s)
         if thermal.lag_time_s > 0.0 and lag == "auto":
             messages.append(
-                f"the bias follows the temperature {thermal.lag_time_s:.0f} s late: the residual is then "
+                f"the bias follows the temperature {thermal.lag_time_s:.0f} s late: with this lag, the residual is "
                 f"{thermal.residual_rms / at_once.residual_rms:.0%} of the residual of B(T) without a lag"
             )
         if lag in ("auto", "fit") and thermal.lag_time_s > 0.99 * _LONGEST_LAG_S:
             messages.append(
-                f"this is the longest lag allowed, {_LONGEST_LAG_S / 60:.0f} min: the record does not determine "
+                f"the fitted lag is the longest allowed, {_LONGEST_LAG_S / 60:.0f} min: the record does not determine "
                 "the lag, and the effect may be drift"
             )
     rate[~valid] = 0.0
@@ -364,7 +364,7 @@ def instability(
     if angle_random_walk is None and walk <= fit.angle_random_walk.standard_error:
         raise LogError(
             f"the Allan deviation of axis {rest.axis} shows no angle random walk, but the bound needs one: "
-            'state that of the data sheet with --random-walk, such as "0.1 deg/sqrt(h)"'
+            'state the figure of the data sheet with --random-walk, such as "0.1 deg/sqrt(h)"'
         )
     times = identify.integration_times(max(shortest_s, interval), longest, interval, count=count)
     times = times[times <= room * (1 + 1e-12)]
@@ -485,8 +485,8 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
     elif 0.0 < fit.angle_random_walk.value < _QUIETEST:
         notes.append(
             f"an angle random walk of {fit.angle_random_walk.value * DEG_PER_SQRT_H:.2g} deg/sqrt(h) is that of a "
-            "large fibre-optic or ring laser gyro: is the sensor one, or does the column map take angle increments as "
-            "rates, or state deg/s for rates in rad/s, or ms for time stamps in s?"
+            "large fibre-optic or ring laser gyro: is the sensor such a gyro, or does the column map take angle "
+            "increments as rates, or state deg/s for rates in rad/s, or ms for time stamps in s?"
         )
     if fit.low_passed:
         notes.append(
@@ -496,14 +496,14 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
     if fit.chance < identify.MISFIT:
         last = fit.fitted_time_s[-1]
         notes.append(
-            f"the fitted terms do not follow the curve (χ² {fit.chi_squared:.4g} of {fit.chi_squared_degrees} "
-            f"degrees; {identify.MISFIT:.0%} of records of such noise differ as much), and the curve differs most "
-            f"near {fit.farthest_time_s:.3g} s: the record has other effects (a trend, an oscillation, a thermal "
-            "effect); "
+            f"the fitted terms do not follow the curve, which deviates most near {fit.farthest_time_s:.3g} s "
+            f"(χ² {fit.chi_squared:.4g} with {fit.chi_squared_degrees} degrees of freedom; of records with such noise, "
+            f"fewer than {identify.MISFIT:.0%} deviate as much): the record has other effects (a trend, an "
+            "oscillation, a thermal effect); "
             + (
                 f"averaging times above {last:.3g} s are left out of the fit"
                 if last < fit.averaging_time_s[-1] / 2
-                else "the standard errors are widened by that"
+                else "the standard errors are increased accordingly"
             )
         )
     return tuple(notes)
@@ -572,7 +572,9 @@ def noise_file(channels: Sequence[ChannelNoise], form: NoiseFormat, sample_rate_
         ):
             values = [getattr(channel.fit, term) for channel in own]
             if name == "noise_density" and not all(value.value > 0.0 for value in values):
-                raise LogError(f"an {kind} has no visible white noise, but the file needs one: log at a higher rate")
+                raise LogError(
+                    f"an axis of the {kind} shows no white noise, but the file needs its density: log at a higher rate"
+                )
             largest = values[int(np.argmax([value.value for value in values]))]
             each = ", ".join(
                 f"{channel.axis} {value.value:.4g} ± {value.standard_error:.2g}"

@@ -327,7 +327,7 @@ def _proofs_of_axis(spec: Spec, motion: float | None = None) -> list[Proof]:
 
 def _kept_in_words(time: float, *, when: bool = False, fixed: bool = True) -> tuple[str, ...]:
     """What the plans of a proof have in common: the `time` at the table (s), `when` it is there, the programme."""
-    at_table = f"{time_text(float(round(time)))} at the table" + (", when this plan has it" if when else "")
+    at_table = f"{time_text(float(round(time)))} at the table" + (", at the same times as in this plan" if when else "")
     return (at_table, *(["the chamber follows the temperatures of this plan"] if fixed else []))
 
 
@@ -338,7 +338,7 @@ def _noise_density(model: SensorModel, spacing: float, apart: float, visits: Win
     relaxed = ["acceleration and travel"]
     if float(reference.reading_noise) > 0.0:
         often = f"the angle is read at most every {spacing:.3g} s"
-        relaxed.append(f"{often}, also during moves (a plan with more frequent readings may leave less)")
+        relaxed.append(f"{often}, also during moves (a plan with more frequent readings may leave a smaller error)")
     if visits is not None and float(reference.reading_noise) > 0.0:
         density = design.gated_noise_density(model, spacing, visits)
     else:

@@ -38,12 +38,12 @@ class Options:
     """Lag of the maps behind the measured temperature, s; "fit": estimated."""
     smoothness: Literal["spec", "auto"] = "spec"
     clock: Literal["sensor", "host"] | None = None
-    """None: that of the spec; if it states none and the log has both, the computer's."""
+    """None: the spec's clock; if the spec states none and the log has both clocks, the computer's clock."""
     read_every: float | None = None
     """Time between readings (s) of a log with the angle in every row; None: that of the spec, otherwise 1 s."""
     table_axis: str | None = None
     neighbours_k: float | None = None
-    """Also average moves of one rate within this temperature difference (K), without a map."""
+    """If stated: also compute scale factors without a map, from moves of one rate within this temperature range, K."""
     temperature_c: float | None = None
     """Temperature of a log without a thermometer, °C."""
 
@@ -66,7 +66,7 @@ class Lag(NamedTuple):
             )
         if self.seconds < 2.0 * self.std:
             said.append(
-                f"no lag of the maps is significant: the estimate is {self.seconds:.2g} s, its uncertainty "
+                f"the lag of the maps is not significant: the estimate is {self.seconds:.2g} s, its uncertainty "
                 f"(1σ) {self.std:.2g} s"
             )
         return said
@@ -257,16 +257,17 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
             counted["sample_clock_error"] = Quantity.of(std, "ppm")
         spec = spec.model_copy(update={"sensor": spec.sensor.model_copy(update=counted)})
     for fit in apart:
-        used = "the computer's is used" if clock == "host" else "the sensor's is used: --clock host uses the computer's"
+        ending = "" if clock == "host" else "; --clock host uses the computer's clock"
         said.append(
             f"the log's two clocks contradict each other: they differ by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more "
-            f"than {_APART:g} times the uncertainty of the sensor's clock: {used}"
+            f"than {_APART:g} times the uncertainty of the sensor's clock; the "
+            f"{'computer' if clock == 'host' else 'sensor'}'s clock is used{ending}"
         )
     if (arm := absent_lever_arm(spec)) is not None:
         spec = changed(spec, {arm.key: arm.value})
         said.append(
             f"rotation causes a specific force that the g-sensitivity of the gyros turns into a bias; the spec states "
-            f"no lever arm, so it is estimated with {arm.key} = {arm.value} (1σ; {arm.source})"
+            f"no lever arm, so it is estimated with the prior {arm.key} = {arm.value} (1σ; {arm.source})"
         )
     return spec, replace(options, clock=clock), said
 
@@ -393,8 +394,8 @@ def imu_rows(built: BuiltImu, logs: Sequence[Log], name: str, options: Options) 
         end = shifted[-1]
     if len(logs) > 1 and built.model.knows_path:
         messages.append(
-            "the temperature between the logs is not known: plays assume a direct change from one log to the "
-            "next, and power-on is at the beginning of the first log"
+            "the temperature between the logs is not known: hysteresis terms assume a direct change from one log to "
+            "the next, and power-on is assumed at the beginning of the first log"
         )
     fields = ([getattr(part, field) for part in parts] for field in ImuRows._fields)
     whole: Any = (None if any(x is None for x in field) else np.concatenate(field) for field in fields)

@@ -240,10 +240,10 @@ def offer_sentences(spec: Spec, offered: Sequence[OfferedTerm]) -> list[str]:
     sentences: list[str] = []
     for number, one in enumerate(offered):
         also = f"with {' and '.join(o.words for o in offered[:number])}, " if number else ""
-        whole = "explains it" if one.explains else "explains a part of it"
+        whole = "explains the difference" if one.explains else "explains a part of the difference"
         sentences.append(f"{also}{one.words} {whole}: χ² over degrees of freedom {one.before:.3g} → {one.after:.3g}")
     if offered:
-        sentences[-1] = "; ".join([sentences[-1], *(f"{key} estimates it" for key in _keys(spec, offered))])
+        sentences[-1] = "; ".join([sentences[-1], *(f"to estimate it, write {key}" for key in _keys(spec, offered))])
     return sentences
 
 

@@ -87,7 +87,7 @@ def _of_combinations(built: BuiltImu, combinations: list[str], axes: np.ndarray)
     if len(built.model.channels) == 1:
         alone = f"{built.model.channels[0].name}."
         combinations = [combination.replace(alone, "") for combination in combinations]
-    return [f"the plan cannot observe {combination}: {cures}; or give it a prior" for combination in combinations]
+    return [f"the plan cannot observe {combination}: {cures}; or state a prior" for combination in combinations]
 
 
 def _axes_of(built: BuiltImu) -> np.ndarray:
@@ -160,7 +160,7 @@ def one_way_sentences(built: BuiltImu, known: Posterior, line: Trajectory | None
                 left[c.kind, kind, unit] = max(size, after * factor), max(most, wide), axes
     course, spec = _course_in_words(line or built.motion.line), built.spec
     return [
-        f"{course}: hysteresis is not observable; ±{size:.3g} {unit} of it remain in the {kind} of {of} "
+        f"{course}: hysteresis is not observable; ±{size:.3g} {unit} of hysteresis remain in the {kind} of {of} "
         f"{', '.join(axes)}: reverse the temperature by {2.0 * wide:g} K or "
         f"more{minutes_of_change(spec, 2.0 * wide)}"
         for (of, kind, unit), (size, wide, axes) in left.items()
@@ -188,8 +188,8 @@ def _one_way_of_class(built: BuiltImu) -> list[str]:
 _HANG = "use several mountings, or refer misalignments to the table's axes"
 _FREEDOMS = {
     "sample_clock": ("the sample clock", "ppm", 1e6, "compare the clock with a better one"),
-    "gravity": ("gravity", "ug", 1e6 / G, "measure it at the site"),
-    "azimuth": ("the azimuth of the base", "mrad", 1e3, "survey it"),
+    "gravity": ("gravity", "ug", 1e6 / G, "measure gravity at the site"),
+    "azimuth": ("the azimuth of the base", "mrad", 1e3, "survey the azimuth"),
     "tilt_east": ("the tilt of the base", "urad", 1e6, "level it"),
     "tilt_north": ("the tilt of the base", "urad", 1e6, "level it"),
     "mounting": ("the mounting", "urad", 1e6, _HANG),
@@ -285,7 +285,7 @@ def _beyond_rates(built: BuiltImu, fastest: np.ndarray) -> list[str]:
             about = "" if len(gyros) == 1 else f" about {', '.join(AXIS_NAMES[k] for k in slow)}"
             sentences.append(
                 f"requirement '{r.name}' has rates up to {np.degrees(widest):.4g} deg/s, but the plan reaches "
-                f"only {least:.4g} deg/s{about}: beyond that, the structure of the map is assumed"
+                f"only {least:.4g} deg/s{about}: above this rate, the structure of the map is assumed"
             )
     return sentences
 
@@ -298,8 +298,8 @@ def _of_this_run(built: BuiltImu) -> list[str]:
         if triad is not None and triad.bias is not None and triad.turn_on_bias:
             unit, factor = UNITS_OF_TERMS[si]
             sentences.append(
-                f"within one run the turn-on bias of the {kind}s cannot be separated from a0: the bias map is for "
-                f"this run, and that of another run differs by {float(triad.turn_on_bias) * factor:.4g} {unit} "
+                f"within one run the turn-on bias of the {kind}s cannot be separated from a0: the bias map is that of "
+                f"this run, and the map of another run differs by {float(triad.turn_on_bias) * factor:.4g} {unit} "
                 "(standard deviation)"
             )
     return sentences
@@ -335,8 +335,8 @@ def _beyond(built: BuiltImu) -> list[str]:
             beyond.setdefault((float(r.temperature[0]), float(r.temperature[1])), []).append(f"'{r.name}'")
     return [
         (f"requirement {names[0]} asks" if len(names) == 1 else f"requirements {', '.join(names)} ask")
-        + f" for {cold:g} … {warm:g} °C, but the sensor covers only {low:.4g} … {high:.4g} °C: outside, the "
-        "structure of the maps is assumed"
+        + f" for {cold:g} … {warm:g} °C, but the sensor covers only {low:.4g} … {high:.4g} °C: outside this "
+        "range, the structure of the maps is assumed"
         for (cold, warm), names in beyond.items()
     ]
 
@@ -425,7 +425,7 @@ def _unseen_by_gravity(built: BuiltImu) -> list[str]:
         vertical = np.einsum("ni,ni->n", stages.axes[own, k], stages.attitude[own, 2])
         if not len(own) or np.min(np.abs(vertical)) < _UPRIGHT:
             continue
-        cure = f'turn "{axis.name}" also where it is not vertical'
+        cure = f'also turn "{axis.name}" while it is not vertical'
         if k == 0:
             cure = f'tilt the axis "{axis.name}" by {_TILT_DEG:g} deg{_when_tilted(built)}'
         sentences.append(
@@ -446,7 +446,7 @@ def _when_tilted(built: BuiltImu) -> str:
     tilted = build_imu(changed(spec, {"rig.table.axis[0].direction": [float(round(x, 6)) for x in direction]}))
     quantity, known = quantity_of(tilted, wanted, _FEW), imu_posterior(tilted)
     now = quantity.residual(known).statistic()
-    return "" if now is None else f": '{wanted.name}' is then {now:.3g} ppm"
+    return "" if now is None else f": then the residual of '{wanted.name}' is {now:.3g} ppm"
 
 
 def in_words(count: int) -> str:

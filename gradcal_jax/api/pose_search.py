@@ -158,7 +158,7 @@ class PoseSearch:
         )
         sentence = f"{better}after {self.used} gradients"
         if len(plan.spec.rig.table.place) > 1:
-            sentence += f"; {self.objective.apart}" if self.objective.apart else ", of all IMUs estimated together"
+            sentence += f"; {self.objective.apart}" if self.objective.apart else "; all IMUs are estimated together"
         return of | {"sentence": sentence}
 
     def run(self) -> Iterator[tuple[float, RepeatedCycle]]:

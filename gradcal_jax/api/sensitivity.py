@@ -56,7 +56,7 @@ _PHASE = 0.02
 # Patterns of keys, and the name of their figure for people.
 _FIGURES: Final[tuple[tuple[str, str], ...]] = (
     (r"sensor\.(gyro|accelerometer)\.drift\[\d+\]\.correlation_time", "{0}: drift's correlation time"),
-    (r"sensor\.gyro\.scale_factor_instability\[\d+\]\.correlation_time", "gyro: its correlation time"),
+    (r"sensor\.gyro\.scale_factor_instability\[\d+\]\.correlation_time", "gyro: instability's correlation time"),
     (r"sensor\.gyro\.temperature_error\.correlation_time", "gyro: temperature error's correlation time"),
     (r"sensor\.(gyro|accelerometer)\.(\w+)\.prior", "{0}: prior of {1}"),
     (r"sensor\.(gyro|accelerometer)\.(\w+)\.smoothness", "{0}: smoothness of {1}"),

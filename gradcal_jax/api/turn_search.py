@@ -351,7 +351,7 @@ def belief_of(spec: Spec) -> str:
         return ""
     return (
         f"assumed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure in the "
-        "spec; a discrepancy in the spec allows deviations from it, and gives a plan that is robust against them"
+        "spec; if the spec states a discrepancy, the plan is robust against deviations from this structure"
     )
 
 
@@ -447,7 +447,9 @@ class TurnSearch:
             name = design_of(spec).minimise
             if any(r.name == name and r.quantity in ("heading", "north") for r in spec.requirement):
                 hint = "add priors for the maps, or targets for other requirements: a mission alone is not enough"
-            sentence = f"rounded to the controllers' steps, the plan does not observe enough: {hint}; {sentence}"
+            sentence = (
+                f"rounded to the controllers' steps, the plan does not observe all requirements: {hint}; {sentence}"
+            )
         elif last.value > (1.0 + _DEAR) * optimum.value:
             more = 100.0 * (last.value / optimum.value - 1.0)
             sentence += (

@@ -198,8 +198,8 @@ def _lost_rounds(arrivals: Spool, round_s: float) -> tuple[dict[int, int], tuple
                     alone = not window.traces[number : number + int(window.follow[number])].any()
                     if alone and _agree(window, number, behind_s + rounds * round_s, round_s):
                         why = (
-                            f"all time stamps after this place are later by {step - before:.2f} counter periods, "
-                            "and nothing else indicates a loss"
+                            f"all samples after this place arrive {step - before:.2f} counter periods later than "
+                            "the sample counter says, and nothing else indicates a loss"
                         )
                         doubts.append(Doubt(before_row + 1, rounds - before, False, why))
                         reported.append((host_s + WINDOW_S, rounds - before))
@@ -218,7 +218,10 @@ def _doubtful(window: _Window, number: int, behind_s: float, step: float, round_
     """Why the number of rounds lost in an arrival is doubtful; empty where it is not."""
     rounds = max(0, round(step))
     if abs(step - rounds) > _SURE:
-        return f"the earliest time stamps after this place are later by {step:.2f} counter periods than those before it"
+        return (
+            f"relative to the sample counter, the quickest arrivals after this place are {step:.2f} counter periods "
+            "later than those before it"
+        )
     if not _agree(window, number, behind_s + rounds * round_s, round_s):
         return (
             f"after this place, too few arrivals of samples (fewer than {_FEWEST_ARRIVALS}) had a delay small "

@@ -379,8 +379,8 @@ def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
     anew = sum(part.restarted for part in parts)
     bad, twice = (sum(getattr(part, name) for part in parts) for name in ("bad_bytes", "repeated"))
     lateness = (
-        f"the computer was so busy that its time stamps are accurate only to {unsure:.2g} s: this margin is left "
-        "out in addition"
+        f"the computer was so busy that its time stamps are accurate only to {unsure:.2g} s: as an additional "
+        "margin, this time is left out"
     )
     times = f"{anew} time{'s' * (anew > 1)} during the run; the samples lost in a restart are not counted as missing"
     others = [

@@ -96,7 +96,7 @@ def installed(geometry: Geometry, model: ImuModel, values: np.ndarray) -> Instal
             else:
                 clock = {"gyro": float(own[0]), "accelerometer": float(own[0]) * term.forces}
         else:
-            raise TypeError(f"{type(term).__name__} has no form for finite angles")
+            raise TypeError(f"terms of class {type(term).__name__} do not support finite angles")
 
     def error_of(axis: int, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         error, slope = np.zeros(angle.shape), np.zeros(angle.shape)

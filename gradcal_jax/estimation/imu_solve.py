@@ -98,7 +98,7 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
     if not used.any():
         raise ValueError("no reading is left between two usable rows")
     if not np.isfinite(readings.observed[used]).all():
-        raise ValueError("a used reading is not finite")
+        raise ValueError("a reading that is used is not finite")
     estimate = _solved(readings, steps, columns, used, about)
     if about is not None:
         estimate, steps, columns = _linearised_again(readings, estimate, steps, columns, used, about)

@@ -59,7 +59,7 @@ class AbsentTerm(NamedTuple):
 _NORMAL_GRAVITY: Final = AbsentTerm(
     "gravity_accuracy",
     "250 ug",
-    "gravity is not stated; this is the error of normal gravity at sea level, for heights of up to 1000 m",
+    "gravity is not stated; this figure is the error of normal gravity at sea level, for heights of up to 1000 m",
 )
 
 

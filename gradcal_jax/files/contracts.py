@@ -334,11 +334,11 @@ def notice_sentences(rows: Sequence[NoticeRow]) -> list[str]:
         hidden = f"structure of the {what.replace('_', ' ')} that the model lacks (polynomials up to degree {degree}"
         hidden += " in temperature)" if rate < 0 else f" in temperature and {rate} in rate)"
         if seen := [row for row in of if row.sure_from is not None]:
-            words = f"{hidden}: a test of the log detects it with {seen[0].sure_power:.0%} probability if each "
+            words = f"{hidden}: a test of the log detects this with {seen[0].sure_power:.0%} probability if each "
             words += f"coefficient is at least {sizes(seen, 'sure_from')}"
             if stated := [row for row in seen if row.power is not None]:
                 powers = ", ".join(f"{row.power:.0%}" for row in stated)
-                words += f", with {powers} if it is {sizes(stated, 'standard_deviation')}"
+                words += f", and with {powers} if each is {sizes(stated, 'standard_deviation')}"
             sentences.append(f"{words}; false alarms: {of[0].false_alarm:.2g}")
         if len(seen) < len(of):
             where = ", ".join(row.axis for row in of if row.sure_from is None)

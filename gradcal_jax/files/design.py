@@ -110,8 +110,8 @@ class Design(Section):
         table = dict(cast("Mapping[str, object]", value)) if isinstance(value, Mapping) else dict[str, object]()
         if "min_distinct_rates" in table:
             message = (
-                "no longer exists: distinct rates do not ensure that the log shows a wrong model; state what the plan "
-                'must detect, such as notice = { standard_deviation = "10 ppm", power = "90 %" }'
+                "no longer exists: distinct rates do not ensure that the log reveals a wrong model; state what the "
+                'plan must detect, such as notice = { standard_deviation = "10 ppm", power = "90 %" }'
             )
             refuse(Problem(("min_distinct_rates",), message, table["min_distinct_rates"]))
         return cast("object", value)

@@ -97,7 +97,7 @@ class ReadingKind(IntEnum):
     PLANNED = 0
     """The axis was at rest, and the recipe takes a reading here."""
     STANDING = 1
-    """The axis was at rest; the reading is not one of the recipe."""
+    """The axis was at rest; the recipe does not contain this reading."""
     MOVING = 2
     """The axis moved."""
 

@@ -46,12 +46,12 @@ of the stamps is taken to be wrong."""
 _NOISIEST: Final = np.radians(300.0) / 60.0
 """rad/√s, 300 deg/√h: a hundred times the angle random walk of the coarsest MEMS gyros on sale."""
 _DRIFT: Final = 50e-6
-"""Any crystal may have clock errors up to this."""
+"""A clock error up to this value is possible with any crystal."""
 _OTHER_RATE: Final = 0.2
 """If stamps differ from the stated rate by a larger share than this, a clock error cannot be the reason."""
 _BLOCKS: Final = 50
 _TURNS, _IN_TURNS = 8, 3.0
-"""Largest number of sensors whose rows may alternate, and least ratio of the differences between neighbours then."""
+"""Largest number of sensors whose rows may alternate; least ratio of differences, neighbours over rows of a sensor."""
 _ABSURD: Final = 1e12
 """A number of this size or larger (time in s, rate or temperature) is not a reading."""
 _FACTORS: Final[Mapping[str, float]] = {

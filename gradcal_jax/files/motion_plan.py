@@ -24,7 +24,7 @@ from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment,
 from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
 
 BEYOND_TRAVEL: Final = "travel"
-"""The kind of the problems of moves beyond an axis's travel, which `files.travel` corrects."""
+"""Kind of the problem that a move goes beyond an axis's travel; `files.travel` corrects such moves."""
 _SLACK = 1e-6
 _HELD = 'has no effect if the table holds its angle at rest: leave this key out, or set rig.table.standing = "read"'
 _ONE_REST = "during a rest, all axes rest: leave this key out"

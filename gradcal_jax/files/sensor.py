@@ -246,7 +246,7 @@ def _beyond(*bases: tuple[TemperatureBasis | RateBasis, int]) -> Iterator[Proble
     """What is wrong with a discrepancy up to a degree in each basis."""
     polynomials = [(basis, degree) for basis, degree in bases if isinstance(basis, PolynomialKeys)]
     if len(polynomials) < len(bases):
-        message = 'continues polynomials; for B-splines and bins, use "smoothness" instead'
+        message = 'is only for polynomials; for B-splines and bins, use "smoothness" instead'
         yield Problem(("discrepancy",), message)
     elif all(degree <= basis.degree for basis, degree in polynomials):
         yield Problem(("discrepancy",), "at least one of its degrees must exceed that of the map")
@@ -404,7 +404,7 @@ class AccelerationSensitivity(_ErrorTerm):
     def _problems(self) -> Iterable[Problem]:
         if self.lever_arm is not None and self.prior is None:
             yield Problem(
-                ("lever_arm",), "has an effect in proportion to the sensitivity: also give the prior of g_sensitivity"
+                ("lever_arm",), "has an effect only through the g-sensitivity: also give the prior of g_sensitivity"
             )
 
     @property

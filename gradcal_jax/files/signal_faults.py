@@ -141,14 +141,14 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
     if np.sum(counts[far]) > _RARE * len(known) and (some := int(np.max(counts[far]))) > 0.5 * np.sum(counts[far]):
         raise LogError(
             f"{where}: {100.0 * some / len(known):.2g} % of its rows at rest have the value "
-            f"{distinct[far][np.argmax(counts[far])]:.6g} (SI), far from all others: does it mark a missing "
-            "value? Leave those cells empty"
+            f"{distinct[far][np.argmax(counts[far])]:.6g} (SI), far from all others: does this value mark "
+            "missing readings? Leave such cells empty"
         )
     if counts[most] > _ONE_VALUE * len(known) and counts[most] > _UNUSUAL * np.max(np.delete(counts, most), initial=0):
         return (
             f"{where}: {100.0 * counts[most] / len(known):.2g} % of its rows at rest have the same value "
-            f"({distinct[most]:.4g}, SI), and no other value is as frequent: a dead band? A dead band makes the "
-            "measured noise too small"
+            f"({distinct[most]:.4g}, SI), and no other value is as frequent: does the sensor have a dead band? A "
+            "dead band makes the measured noise too small"
         )
     # (The resolution may change in the course of a record.)
     for part in (known, *np.array_split(known, _PARTS)):
@@ -156,7 +156,7 @@ def refuse_repeated(where: str, values: Floats) -> str | None:
         spread = float(np.sqrt(np.median(quiet.var(axis=1)))) if len(quiet) else 0.0
         step = steps.step if part is known else coarse_steps(part).step
         if step > _ADDS * spread > 0.0 and len(np.unique(part)) < len(part) // 4:
-            return f"{where}: its steps are {step / spread:.2g} of its noise, and increase the noise"
+            return f"{where}: its steps are {step / spread:.2g} times its noise, and increase the measured noise"
     return None
 
 
@@ -321,8 +321,8 @@ def refuse_clipped(where: str, values: Floats) -> None:
         size, noise = np.abs(values[limit] - middle), 1.4826 * float(np.median(np.abs(known - middle)))
         if float(np.max(size)) < FAR * noise:
             raise LogError(
-                f"{where}: {100.0 * share:.2g} % of its rows at rest are at a limit {float(np.min(size)) / noise:.2g} "
-                "standard deviations from the middle; this limit cuts off the noise: the record does not show how "
+                f"{where}: {100.0 * share:.2g} % of its rows at rest are at a limit, {float(np.min(size)) / noise:.2g} "
+                "standard deviations from the median: this limit cuts off the noise, so the record does not show how "
                 "large the noise is; use a larger full scale, or the values before limiting"
             )
 
@@ -403,7 +403,7 @@ def signal_faults(
                 largest = float(np.max(np.abs(own[limit]))) / size
                 sentences.append(
                     f"{where} is saturated in {np.count_nonzero(limit)} rows, at {largest:.4g} {name}: the moves and "
-                    "standstills with them are left out"
+                    "standstills with these rows are left out"
                 )
             alike = standing_still(own) & ~limit
             if alike.any():
@@ -461,8 +461,8 @@ def _stands_still(what: str, time: Floats, still: Bools) -> str:
     first, last = stretches[0]
     more = f", and {len(stretches) - 1} more times" if len(stretches) > 1 else ""
     return (
-        f"frozen: {what} from {time[first]:.6g} to {time[last - 1]:.6g} s{more} (one value, in a record where it "
-        f"changes): {np.count_nonzero(still)} rows are left out"
+        f"frozen: {what} from {time[first]:.6g} to {time[last - 1]:.6g} s{more} (the value is constant "
+        f"there, but not in the rest of the record): {np.count_nonzero(still)} rows are left out"
     )
 
 

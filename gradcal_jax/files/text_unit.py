@@ -105,7 +105,7 @@ class TextSensor(Section):
             )
         if {"count", "time"} <= set(self.fields):
             yield Problem(
-                ("line",), "expected {count} or {time}, not both: write {} in place of one of them", self.line
+                ("line",), "expected {count} or {time}, not both: replace one of the two by {}", self.line
             )
         kinds = {"gyro": "angular rate", "acceleration": "acceleration", "temperature": "temperature"}
         yield from unit_problems(self, kinds)

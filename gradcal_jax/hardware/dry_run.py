@@ -105,8 +105,8 @@ def _chamber_command(course: Course, limits: ChamberLimits | None) -> tuple[str,
         return command + " (by steps of its set point, every 5 s)", ""
     if ramps_alone(limits, rate):
         return command, ""
-    rounded = f"{rate:.3g} K/min would become {rate_as_made(limits, rate):.3g} K/min in the chamber"
-    return command + " (by steps of its set point, every 5 s)", f"{rounded}: the run steps its set point"
+    rounded = f"the chamber would round {rate:.3g} K/min to {rate_as_made(limits, rate):.3g} K/min"
+    return command + " (by steps of its set point, every 5 s)", f"{rounded}: the run steps the set point instead"
 
 
 def _beyond_chamber(course: Course, limits: ChamberLimits | None) -> list[str]:
@@ -128,10 +128,11 @@ def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str
         return []
     problems: list[str] = []
     if not 0.0 < abs(move.rate_dps) <= limits.max_rate_dps * (1.0 + 1e-9):
-        problems.append(f"turns at {abs(move.rate_dps):g} deg/s; it accepts up to {limits.max_rate_dps:g}.")
+        problems.append(f"turns at {abs(move.rate_dps):g} deg/s; the axis accepts up to {limits.max_rate_dps:g}.")
     if not 0.0 < move.acceleration_dps2 <= limits.max_acceleration_dps2 * (1.0 + 1e-9):
         problems.append(
-            f"accelerates at {move.acceleration_dps2:g} deg/s²; it accepts up to {limits.max_acceleration_dps2:g}."
+            f"accelerates at {move.acceleration_dps2:g} deg/s²; the axis accepts up to "
+            f"{limits.max_acceleration_dps2:g}."
         )
     step = limits.acceleration_step_dps2
     made = step * max(1, round(move.acceleration_dps2 / step)) if step else move.acceleration_dps2
@@ -145,7 +146,7 @@ def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str
         problems.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
     if move.kind == "spin" and limits.by_hand:
         problems.append(
-            "turns at a constant rate, but it is turned by hand: replace this by turns, or use a motor-driven axis."
+            "turns at a constant rate, but is turned by hand: use turns in the plan, or a motor-driven axis."
         )
     elif move.kind == "spin" and (limits.lowest_deg is not None or limits.highest_deg is not None):
         problems.append("turns continuously, but its travel is limited.")
@@ -216,7 +217,7 @@ def _streams(name: str, unit: ImuStream) -> Tried:
             doubtful = not (good or missing)
     unit.stop()
     if math.isnan(rate_hz):
-        return Tried(name, f"no samples came in {lasted_s:.0f} s", False)
+        return Tried(name, f"no samples arrived in {lasted_s:.0f} s", False)
     text = f"{rate_hz:.1f} of {settings.sample_rate_hz:g} samples/s, {missing} missing"
     return Tried(name, text, good and not missing)
 

@@ -101,7 +101,7 @@ def make_safe(
             thread.join(max(0.0, began_s + deadline_s - time.monotonic()))
     lasted_s = time.monotonic() - began_s
     outcomes = [replace(outcome, took_s=outcome.took_s or lasted_s) for outcome in outcomes]
-    streams = [SafeOutcome(entry.name, LEFT, True, "it cannot be unsafe") for entry in bench.rig.imu]
+    streams = [SafeOutcome(entry.name, LEFT, True, "an IMU has no unsafe state") for entry in bench.rig.imu]
     return outcomes + streams
 
 

@@ -250,7 +250,7 @@ class Runner:
                     self._pause_between(step)
                     after = self.track.steps[self._steps_done]
                     if after.follows:
-                        self._event("seam", step=after.name, why="the run was paused before it")
+                        self._event("seam", step=after.name, why="the run was paused before this step")
                         again = True
                 if self._steps_done == len(self.track.steps):
                     self._await_confirmation()
@@ -269,7 +269,7 @@ class Runner:
         self._tries[number] = self._tries.get(number, 0) + 1
         if self._tries[number] == _TRIES:
             raise HardwareError(
-                f"Step {name!r} was not executed as the recipe states, in {_TRIES} attempts. The last one: {why}."
+                f"In {_TRIES} attempts, step {name!r} was not executed as the recipe states. The last attempt: {why}."
             )
         self._axes.stop()
         self._steps_done = number
@@ -283,7 +283,7 @@ class Runner:
             self.clock.sleep(_SLICE_S)
         self._shortfall = None
         self._unconfirmed = [executed for executed in self._unconfirmed if executed.number < number]
-        self._event("seam", step=name, why="the step is repeated; it was not executed as written")
+        self._event("seam", step=name, why="the step is repeated: it was not executed as the recipe states")
 
     def _pause_between(self, step: TrackStep) -> None:
         """Stop every axis: nothing turns while a run is paused, not even a spin that the next step continues."""

@@ -43,7 +43,7 @@ ORDER: Final = (
     "before any rotation"
 )
 TEMPERATURE_RATE: Final = "temperature rate"
-"""The signal dT/dt, K/s: a correction knows it, and computes the other signals."""
+"""Name of the signal dT/dt, K/s."""
 LOG_HASH: Final = "log_sha256"
 """Name under which the provenance has the fingerprint of the calibration's log."""
 
@@ -80,8 +80,8 @@ class CalibratedTerm(Section):
                 if function_of(name) != functions_of_name:
                     place = " and ".join(map(str, functions_of_name))
                     message = (
-                        f"is not the coefficient expected at this position: that one multiplies function {place} of "
-                        "temperature (and rate)"
+                        f"expected at this position the coefficient that multiplies function {place} of temperature "
+                        "(and rate)"
                     )
                     yield Problem(("coefficients", name), message)
                     break

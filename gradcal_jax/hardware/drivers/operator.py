@@ -187,11 +187,11 @@ class OperatorAxis(MotionAxis):
         """Withdraw the question (nothing drives the axis). The angle is unknown until the next answer."""
         if self._question:
             self._question, self._stands = "", None
-            self._console.withdraw(f"{self._name}: cancelled: leave it where it is.")
+            self._console.withdraw(f"{self._name}: cancelled: leave the axis where it is.")
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
-        return SafeReport(policy.value, True, "nothing drives it: it is where it was left")
+        return SafeReport(policy.value, True, "nothing drives the axis: it is where the operator left it")
 
     def _ask(self, what: str) -> None:
         enter = self._told or self._encoder is not None
@@ -218,15 +218,15 @@ class OperatorAxis(MotionAxis):
             again = "press Enter" if self._encoder is not None else "type it"
             self._console.ask(
                 f"{self._name}: {reading.position_deg:.6g} deg differs by {away:.3g} deg from "
-                f"{self._goal_deg:.6g} deg; correct it, or {again} again to confirm:"
+                f"{self._goal_deg:.6g} deg; correct the angle, or {again} again to confirm:"
             )
             return
         self._question, self._stands = "", reading
 
     def _understood(self, text: str, time_s: float) -> AxisReading | None:
         if (self._told or self._encoder is not None) and text.strip():
-            why = "nothing is typed here" if self._encoder is None else "the encoder is read"
-            self._console.ask(f"{self._name}: {why}; press Enter when it is at rest:")
+            why = "no angle is needed" if self._encoder is None else "the encoder measures the angle"
+            self._console.ask(f"{self._name}: {why}; press Enter when the axis is at rest:")
             return None
         if self._encoder is not None:
             reading = self._encoder.read()

@@ -38,7 +38,7 @@ class SwitchConfig:
 
     def lacks_for(self, safe: str) -> str:
         return (
-            'it is switched off and has no holding torque; expected "unpower"' if safe != AxisSafe.UNPOWER.value else ""
+            'a motor that is switched off has no holding torque; expected "unpower"' if safe != AxisSafe.UNPOWER.value else ""
         )
 
 
@@ -105,7 +105,7 @@ class SwitchAxis(ExchangeDriver[SwitchConfig], MotionAxis):
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
-        said = "confirmed" if self._config.answer else "sent; nothing shows that the axis is at rest: look at it"
+        said = "confirmed" if self._config.answer else "sent; nothing shows that the axis is at rest: look at the axis"
         return SafeReport(policy.value, bool(self._config.answer), f'"{self._config.stop}" {said}')
 
     def _say(self, word: str) -> None:

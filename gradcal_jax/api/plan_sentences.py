@@ -480,7 +480,7 @@ def _reversals(built: BuiltImu, axes: np.ndarray) -> list[str]:
             inner = table.axis[k + 1].name
             sentences.append(
                 f'no turn of "{table.axis[k].name}" is repeated with "{inner}" rotated by half a turn: '
-                "misalignments cannot be separated from the non-orthogonality of the two axes; add 180 deg of "
-                f"{inner}"
+                "misalignments cannot be separated from the non-orthogonality of the two axes; turn "
+                f'"{inner}" by 180 deg and repeat the turns'
             )
     return sentences

@@ -413,8 +413,10 @@ def _unsuited(moves: Sequence[ResolvedMove]) -> str:
         {"at the end" if m.read_every is None else f"every {m.read_every:g} s" for m in moves if m.is_rest}
     )
     if len(spacings) > 1:
-        return f"optimise reads all rests in the same way, but these are read {' and '.join(spacings)}: give all of "\
+        return (
+            f"optimise reads all rests in the same way, but these are read {' and '.join(spacings)}: give all of "
             "them one read_every"
+        )
     if any(m.other_axes for m in moves):
         return "optimise cannot change a rest with other_axes: add duration to design.free"
     return ""

@@ -104,9 +104,7 @@ class TextSensor(Section):
                 "{count}, and not allowed otherwise",
             )
         if {"count", "time"} <= set(self.fields):
-            yield Problem(
-                ("line",), "expected {count} or {time}, not both: replace one of the two by {}", self.line
-            )
+            yield Problem(("line",), "expected {count} or {time}, not both: replace one of the two by {}", self.line)
         kinds = {"gyro": "angular rate", "acceleration": "acceleration", "temperature": "temperature"}
         yield from unit_problems(self, kinds)
 

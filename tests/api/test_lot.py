@@ -57,7 +57,7 @@ def test_shapes_that_do_not_repeat_are_refused_with_a_sentence():
     one = only(found)
     assert one.shape_count is None
     assert one.prior is None
-    assert "gyro_x bias: the shapes do not repeat (three shapes and 16 IMUs" in "\n".join(one.findings)
+    assert "gyro_x bias: the shapes do not repeat (with three shapes for 16 IMUs" in "\n".join(one.findings)
     with pytest.raises(ValueError, match="no prior is written: gyro_x bias: the shapes do not repeat"):
         lot_priors(found)
 
@@ -214,7 +214,7 @@ def test_priors_are_a_part_of_a_spec_and_hold_the_imus_of_the_lot():
     rng = np.random.default_rng(0)
     made = calibrations(*read_maps(rng, drawn_maps(rng, 16, "one")))
     text = lot_priors(lot(made))
-    assert text.startswith("# Priors for a type of IMU from a lot of 16 calibrations, SIMULATED")
+    assert text.startswith("# Priors for a type of IMU, from a lot of 16 calibrations, SIMULATED.")
     priors = tomllib.loads(text)
     shapes = np.array(
         [[float(c.split()[0]) for c in s["coefficients"]] for s in priors["sensor"]["gyro"]["bias"]["shape"]]
@@ -239,7 +239,7 @@ def test_errors_name_the_cure():
         gj.lot([one.model_copy(update={"covariance": None}) for one in made])
     values, covariances = read_maps(rng, drawn_maps(rng, 4, "one"))
     other = calibrations(values[:, :3], covariances[:, :3, :3], serial_number="other")[0]
-    with pytest.raises(ValueError, match=r"other has a different basis than that of no\. 1"):
+    with pytest.raises(ValueError, match=r"of no\. 1 and other have different bases"):
         gj.lot([*made, other])
     cold = made[0].channel[0].model_copy(update={"valid_temperature": (-60.0, -40.0)})
     with pytest.raises(ValueError, match="no range of temperature and rate in common"):

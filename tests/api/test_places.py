@@ -206,7 +206,7 @@ def test_the_command_finds_a_plan_that_is_better_for_all_together(tmp_path, caps
     gj.write_toml(spec, source)
     assert main(["optimise", str(source), "-o", str(goal), "--steps", "60", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert "of all IMUs estimated together" in found["sentence"]
+    assert "; all IMUs are estimated together" in found["sentence"]
     made = gj.read_recipe(goal).spec
     assert [place.name for place in made.rig.table.place] == ["one", "another", "slant"]
     logs = [np.array(logs_of(of, joint)) for of in (spec, made)]

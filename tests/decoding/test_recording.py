@@ -273,7 +273,7 @@ def paused(start_s: float, end_s: float, *, stopped: bool = False) -> list[Event
         *([Event(begin, "stopped", {"axis": "table"})] if stopped else []),
         Event(begin, "state", {"state": "paused"}),
         Event(end, "state", {"state": "running"}),
-        Event(end, "seam", {"step": "turns", "why": "the run was paused before it"}),
+        Event(end, "seam", {"step": "turns", "why": "the run was paused before this step"}),
         Event(end, "step begins", {"step": "turns", "number": 1, "begins_s": end, "data": True}),
     ]
 

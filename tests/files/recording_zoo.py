@@ -175,7 +175,7 @@ valued("a dead band", lambda w: np.where(np.abs(w - 0.02) < 0.12, 0.0, w), "dead
 valued("a small dead band", lambda w: np.where(np.abs(w) < 0.02, 0.0, w), "a dead band")
 valued("two values", lambda w: np.rint((w - 0.02) / 0.5 + 0.5) * 0.5, "dead band|coarse")
 valued("one value in most rows", lambda w: np.rint(w / 0.5) * 0.5, "dead band|coarse")
-valued("steps of the noise", lambda w: np.rint(w / 0.05) * 0.05, "of its noise, and increase the noise")
+valued("steps of the noise", lambda w: np.rint(w / 0.05) * 0.05, "times its noise, and increase the measured noise")
 valued("steps of a fifth of the noise", lambda w: np.rint(w / 0.01) * 0.01)
 valued("one constant value", lambda w: np.full(ROWS, 0.25), "the same value|does not change")
 valued(
@@ -385,9 +385,9 @@ lines("half of the rows empty", "t,gx", lambda k, v: f"{k / HZ:.2f},{v:.6f}\n,")
 lines("a tenth without a stamp", "t,gx", lambda k, v: ("" if k % 9 == 3 else f"{k / HZ:.2f}") + f",{v:.6f}", "",
       "unreadable row")  # fmt: skip
 lines("a number for a missing value", "t,gx", lambda k, v: f"{k / HZ:.2f}," + ("-999" if k % 20 == 7 else f"{v:.6f}"),
-      "", "mark a missing value")  # fmt: skip
+      "", "mark missing readings")  # fmt: skip
 lines("a small number for a missing one", "t,gx", lambda k, v: f"{k / HZ:.2f}," + ("-1" if k % 20 == 7 else f"{v:.6f}"),
-      "", "mark a missing value")  # fmt: skip
+      "", "mark missing readings")  # fmt: skip
 lines(
     "rare numbers for missing values", "t,gx", lambda k, v: f"{k / HZ:.2f}," + ("-9999" if k % 999 == 7 else f"{v:.6f}")
 )

@@ -205,4 +205,4 @@ def test_steps_that_add_to_the_noise_are_said(tmp_path: Path):
     step = 0.05  # the noise
     log = imported(tmp_path, np.arange(len(rate)) / 100.0, np.rint(rate / step) * step)
     (said,) = at_rest(log).messages
-    assert "of its noise, and increase the noise" in said
+    assert "times its noise, and increase the measured noise" in said

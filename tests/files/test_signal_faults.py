@@ -78,7 +78,8 @@ def test_values_that_stand_still_are_masked_and_named():
     assert cleaned.status is not None
     assert cleaned.status[0, 1100] == Reason.FROZEN_VALUES
     assert found["A"].sentences == (
-        "frozen: gyro x from 20 to 23.98 s (one value, in a record where it changes): 200 rows are left out",
+        "frozen: gyro x from 20 to 23.98 s (the value is constant there, but not in the rest of the record): 200 rows "
+        "are left out",
     )
 
 

@@ -144,7 +144,7 @@ def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more(
         plant.turn_by_hand(clock.now() + 20.0, 80.0, 0.5, 0.0)
         person._types_s = clock.now() + 25.0
         assert settled(axis, clock) == pytest.approx(80.0, abs=0.05)
-        assert "differs by 10 deg from 90 deg; correct it, or type it again to confirm:" in person.heard[-1]
+        assert "differs by 10 deg from 90 deg; correct the angle, or type it again to confirm:" in person.heard[-1]
 
 
 def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
@@ -158,7 +158,7 @@ def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
         clock.sleep(3.0)
         axis.stop()
         clock.sleep(60.0)
-        assert person.heard[-1] == "x: cancelled: leave it where it is."
+        assert person.heard[-1] == "x: cancelled: leave the axis where it is."
         reading = axis.read()
         assert math.isnan(reading.position_deg)
         assert reading.moving
@@ -562,7 +562,7 @@ def test_somebody_at_the_terminal_of_gradcal_run(tmp_path: Path) -> None:
             terminal.wait_for("x: turn by -360 deg in 6 s, to 0 deg")
             terminal.type("\x03")
             assert terminal.ends() == 130
-            assert "x: cancelled: leave it where it is." in terminal.said
+            assert "x: cancelled: leave the axis where it is." in terminal.said
             assert "chamber: safe (standby" in terminal.said
             assert f"gradcal run --resume {folder}" in terminal.said.replace("\r\n", " ")
     contents = read_journal(folder / "journal")

@@ -70,7 +70,7 @@ def test_slopes_are_said_as_the_chamber_makes_them() -> None:
     assert rate_as_made(tenths, 0.26) == pytest.approx(0.3)
     track = track_of(short_recipe(ramp_k=1.0, changes=SLOWER), ["x"])
     coarse = ChamberLimits(-50.0, 150.0, 0.1, True, ramp_step_k_per_min=1.5)
-    assert "2 K/min would become 1.5 K/min" in dry_run_of(track, coarse, {}).rounded[0]
+    assert "the chamber would round 2 K/min to 1.5 K/min" in dry_run_of(track, coarse, {}).rounded[0]
     assert dry_run_of(track, tenths, {}).rounded == ()
 
 

@@ -156,8 +156,8 @@ def test_a_one_way_ramp_says_what_remains_and_the_cure():
     sentences = check(required(ONE_WAY, {"hysteresis": PLAY} | KNOWN_GRADIENT))
     (said,) = [s for s in sentences if "one-way" in s]
     assert said == (
-        "one-way ramp: hysteresis is not observable; ±18.6 deg/h of it remain in the bias of gyro z: reverse the "
-        "temperature by 10 K or more (3.33 min at 3 K/min)"
+        "one-way ramp: hysteresis is not observable; ±18.6 deg/h of hysteresis remain in the bias of gyro z: reverse "
+        "the temperature by 10 K or more (3.33 min at 3 K/min)"
     )
     assert not any("says nothing" in s for s in sentences)
     assert not any("one-way" in s for s in check(required(TWO_WAY, {"hysteresis": PLAY} | KNOWN_GRADIENT)))

@@ -44,7 +44,7 @@ def test_lost_rows_in_turns_are_filled(sound):
     thin = lost(log, np.random.default_rng(2), 150)
     (report,) = estimate_by_hand(thin, G, options=AT)
     assert report.solution.turns >= before.solution.turns - 2
-    assert any("rows in gaps of one or two are filled" in words for words in report.messages)
+    assert any("rows in gaps of one or two rows are filled" in words for words in report.messages)
     distance, count = squared(report, truth)
     assert distance < 2.0 * count
 

@@ -37,9 +37,8 @@ class SwitchConfig:
             raise ValueError("rate must be above zero, and coast must not be negative.")
 
     def lacks_for(self, safe: str) -> str:
-        return (
-            'a motor that is switched off has no holding torque; expected "unpower"' if safe != AxisSafe.UNPOWER.value else ""
-        )
+        lack = 'a motor that is switched off has no holding torque; expected "unpower"'
+        return lack if safe != AxisSafe.UNPOWER.value else ""
 
 
 def open_exchange(transport: Transport, clock: Clock, config: SwitchConfig) -> Exchange:

@@ -94,7 +94,7 @@ class SimulatedOperator:
             return
         self.heard.append(line)
         options, random, now = self.options, self._random, self._clock.now()
-        if line.endswith("leave it where it is."):
+        if line.endswith("leave the axis where it is."):
             self._types_s, self._mounting = None, 0
         elif anew := _HANG.search(line):
             self._mounting, self._types_s = int(anew[1]), now + _HANGS_S

@@ -494,9 +494,9 @@ def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
     elif of.shape_count == 0:
         yield f"{what}: no spread is visible beyond the uncertainty of the calibrations (with one map for all, {test})"
     else:
-        repeat = "shape repeats" if of.shape_count == 1 else "shapes repeat"
+        repeat = "shape repeats and explains" if of.shape_count == 1 else "shapes repeat and explain"
         share = 100.0 * sum(of.shares[: of.shape_count])
-        yield f"{what}: {in_words(of.shape_count)} {repeat}, with {share:.3g} % of the spread's variance ({test})"
+        yield f"{what}: {in_words(of.shape_count)} {repeat} {share:.3g} % of the spread's variance ({test})"
     if beyond == "few" and len(of.serial_numbers) >= lots.FEW:
         yield f"{what}: {n} IMUs are too few for a prior"
     elif beyond == "unclear":

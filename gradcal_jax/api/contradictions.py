@@ -107,9 +107,9 @@ def omitted_sentences(spec: Spec, temperature: np.ndarray, lag_is_fitted: bool =
     sentences: list[str] = []
     if absent:
         sentences.append(
-            "not in the spec, so typical figures of the class count: "
+            "not in the spec, so typical figures of the class are used: "
             + ", ".join(f"{term.key} {term.typical}" for term in absent)
-            + "; enter your own, or 0 if there is none"
+            + "; enter your own figures, or 0 for an error that does not exist"
         )
     if any(term.key == EARTH for term in absent):
         sentences.append(EARTH_IS_UNKNOWN)
@@ -142,7 +142,7 @@ def diagnosis_sentences(residual: np.ndarray, time_s: np.ndarray, moved: np.ndar
         )
     if seen.motion_tells:
         sentences.append(
-            f"the residuals after moves are {seen.moving:.3g} times the noise of the spec, those at rest "
+            f"the residuals after moves are {seen.moving:.3g} times the noise of the spec, and those at rest "
             f"{seen.resting:.3g} times: is there vibration during moves, wobble of the table, an error of the table's "
             "angle or timing, or a changing scale factor?"
         )

@@ -174,8 +174,8 @@ _SLACK = 1e-9
 # Shortest soak that a programme may begin with, s.
 _BRIEF = 1.0
 NO_COURSE = (
-    'design.free = ["programme"] needs a plan that has one mounting and no executed part, and consists of ramps '
-    "whose data are used, after at most one soak whose data are not used"
+    'design.free = ["programme"] needs a plan that has one mounting and no executed part, and that consists of at '
+    "most one soak without used data and of ramps with used data after it"
 )
 
 

@@ -401,9 +401,9 @@ def calibration_of(
         "title": spec.title or spec.sensor.name or f"calibration of {name}",
         "serial_number": name,
         "simulated": any(one.simulated for one in logs),
-        "frame": "the case, as far as its mounting is known"
+        "frame": "the case, as accurately as its mounting is known"
         if case
-        else "the table's axes at zero, through the nominal mounting",
+        else "the table's axes at zero angles, rotated by the nominal mounting",
         "order": ORDER,
         "channel": tuple(held),
         "path": tuple(_path_coefficients(built, values, deviations)),
@@ -441,7 +441,7 @@ def _estimator(solution: ImuEstimate, lag: Lag, options: Options) -> str:
     if options.smoothness == "auto":
         parts.append("smoothness by marginal likelihood")
     if options.clock == "host":
-        parts.append("time of the computer")
+        parts.append("clock of the computer")
     return "; ".join(parts)
 
 

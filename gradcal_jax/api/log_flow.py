@@ -212,8 +212,8 @@ def _unit(
     """The calibration of all axes of a unit, and the estimate of each."""
     log, sensors, noises = _marked(log, unit), list[SensorEstimate](), list[GyroTriad]()
     before = [
-        f"the rate of the vehicle is taken as zero: the bias includes up to {_EARTH:.0f} deg/h of the Earth's "
-        "rate, unless --earth-rate states it"
+        f"the vehicle's rate is assumed to be zero, so the bias includes up to {_EARTH:.0f} deg/h of the Earth's "
+        "rate; to subtract this rate, state it with --earth-rate"
     ] * (not options.earth_rate)
     for axis in axes or log.axes:
         spec, words = warm_up_spec(log, axis, unit)
@@ -238,8 +238,8 @@ def _unit(
         )
     else:
         words = (
-            "the calibration states no noise: with this spacing, rows may be single samples, with larger noise "
-            'than the sensor\'s: state --sensor-rate "400 Hz" (its own rate) or --sensor-rate "means"'
+            "the calibration states no noise, because it is not known whether the log's rows are single samples or "
+            'means: state the sensor\'s own rate, as --sensor-rate "400 Hz", or --sensor-rate "means"'
         )
         sensors[0] = sensors[0]._replace(messages=(*sensors[0].messages, words))
     named = ", ".join(channel.axis for c in calibrations for channel in c.channel)

@@ -25,7 +25,7 @@ from gradcal_jax.model import SensorModel
 from gradcal_jax.trajectory import lagrange
 
 EXACT = np.asarray(np.inf)
-"""The sharpness at which a criterion is the statistic itself."""
+"""Value of `sharpness` for which a criterion equals the statistic."""
 
 
 class Criterion(eqx.Module):

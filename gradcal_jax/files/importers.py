@@ -113,7 +113,7 @@ class ColumnMap(SensorColumns):
 
     def _problems(self) -> Iterator[Problem]:
         if self.sensor and (self.rate or self.force or self.temperature or self.status):
-            text = "belongs in each [[sensor]], or at the top if there is only one sensor"
+            text = "belong in each [[sensor]], or at the top if there is only one sensor"
             yield Problem(("sensor",), f"rate, force, temperature and status {text}")
         if not self.sensor and not self.rate:
             yield Problem(("rate",), "this key is missing; name at least one axis", kind="missing")

@@ -89,7 +89,7 @@ class OtherAxes(Section):
 
     def _problems(self) -> Iterator[Problem]:
         if self.read_every is not None and not self.read:
-            yield Problem(("read_every",), "has no effect unless read = true", self.read_every.text)
+            yield Problem(("read_every",), "has an effect only if read = true", self.read_every.text)
 
 
 class _Slopes:

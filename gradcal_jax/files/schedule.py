@@ -150,8 +150,8 @@ def _programme(plan: ChamberCourse, chamber: Chamber) -> tuple[TemperatureSegmen
         if isinstance(item, SoakItem):
             if item.at is not None and item.at != here:
                 message = (
-                    f"at this point of the programme, the chamber is at {here:.6g} degC: ramp or step to the other "
-                    "temperature first"
+                    f"at this point of the programme, the chamber is at {here:.6g} degC: ramp or step to the "
+                    "temperature of this soak first"
                 )
                 problems.append(Problem(("programme", i, "at"), message, item.at.text))
             segments.append(TemperatureSegment("soak", clock, float(item.soak), here, here, item.used))

@@ -125,8 +125,8 @@ class Spec(TitledFile):
         spaced = not any(once) or (all(once) and table.drive == "hand" and table.standing == "held")
         if not ((schedule := self.gradient_schedule).is_plain and spaced):
             raise ValueError(
-                "for an IMU, this needs a plan with a cycle without the keys read, read_every, other_axes and "
-                "duration. It also needs a time as read_every of every table axis; "
+                "for an IMU, expected a plan whose cycle has none of the keys read, read_every, other_axes and "
+                "duration, and a time as read_every of every table axis; "
                 '"rest" is possible if the table has drive = "hand" and holds its angle. Other plans can be predicted, '
                 "but not executed yet"
             )

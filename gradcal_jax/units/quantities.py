@@ -149,7 +149,7 @@ def _read(text: str, dimension: Dimension) -> float:
             number -= 32
         value = number * unit.factor
         if dimension.name == "temperature" and value < Decimal("-273.15"):
-            raise Refusal("that is below absolute zero")
+            raise Refusal("the temperature is below absolute zero")
         return _finite(value)
 
 

@@ -221,7 +221,7 @@ def _no_device(own: float, across: Mapping[str, float]) -> str:
     large = [axis for axis, value in across.items() if abs(value) > _MISALIGNED * max(1.0, abs(own))]
     if abs(own - 1.0) <= SCALE_FACTOR_ERROR and not large:
         return ""
-    shown = f"it measures {own:.3g} times the input along its axis"
+    shown = f"the output is {own:.3g} times the input along its axis"
     if large:
         parts = ", ".join(f"{across[axis]:.3g} times the input along {axis}" for axis in large)
         return (
@@ -229,7 +229,7 @@ def _no_device(own: float, across: Mapping[str, float]) -> str:
             "quarter turn from the spec's mounting?"
         )
     if abs(own + 1.0) < SCALE_FACTOR_ERROR:
-        return f"{shown}: its sign is the opposite of the table's; change the sign of the column, or the mounting"
+        return f"{shown}: its sign is opposite to the table's; change the sign of the column, or the mounting"
     for ratio, words in (
         (1.0 / 9.80665, "is the column in g instead of m/s^2?"),
         (9.80665, "is the column in m/s^2 instead of g?"),

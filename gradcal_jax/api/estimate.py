@@ -117,7 +117,7 @@ class SensorEstimate(NamedTuple):
     path: PathDependence | None = None
     """If heating and cooling disagree: their difference, and the terms that explain it."""
     smoothness: Smoothness | None = None
-    """The smoothness at which the data are most probable, if it was requested."""
+    """If `smoothness="auto"` was requested: the smoothness at which the data are most probable."""
     neighbours: Mapping[str, tuple[Group, ...]] = MappingProxyType({})
     """For each gyro: mean scale factors without a map, if they were requested."""
     counts: Mapping[str, int] = MappingProxyType({})

@@ -254,14 +254,14 @@ def _words(
         normal = ", ".join(f"{v:+.2f}" for v in axes[:, 0])
         yield (
             f"all positions are close to one plane: gravity was never along ({normal}) in the IMU's x, y, z; hold "
-            "the IMU with that direction up, and down"
+            "the IMU once with this direction up and once with it down"
         )
     for k, a in enumerate("xyz"):
         for words, most in (("up", up[:, k].max()), ("down", -up[:, k].min())):
             if most < 0.5:
                 yield f"axis {a} was never held within 60° of {words}"
     if unseen:
-        yield f"not observable: {', '.join(unseen)}; the file has the values of an ideal IMU for them"
+        yield f"not observable: {', '.join(unseen)}; for these, the file has the values of an ideal IMU"
     if force.beyond > 0.0:
         yield (
             f"|f| - g differs between positions by {force.beyond / G * 1e6:.3g} µg more than noise explains: was "

@@ -56,7 +56,7 @@ class RestRecord:
     samples_per_row: float = 1.0
     """If rows are single samples: the number of samples of the sensor for each row; NaN: unknown, but more than one."""
     part: str = ""
-    """Which part of a record this is, in words; empty: all of it."""
+    """The part of the record that is used, in words; empty: the whole record."""
 
     def within(self, temperature_c: tuple[float, float] | None = None, branch: str | None = None) -> "RestRecord":
         """The rows within a range of temperature, on a branch of it: "heating", "cooling" or "steady". **Raises:**

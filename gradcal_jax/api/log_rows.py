@@ -31,7 +31,7 @@ class Options:
     """Options of an estimate; `api.log_flow.estimate` explains each."""
 
     earth_rate: float | None = None
-    """Earth rate along the sensor's axis, rad/s; it is subtracted. None: that of the spec, if it states one."""
+    """Earth rate along the sensor's axis, rad/s; it is subtracted. None: the spec's rate, if stated."""
     robust: bool = False
     threshold: float = HUBER
     lag: float | Literal["fit"] = 0.0
@@ -168,7 +168,7 @@ class ClockFit(NamedTuple):
     def sentence(self) -> str:
         """The comparison in words."""
         known = f"1σ {self.std * 1e6:.2g} ppm" if self.std is not None else "the log does not state its uncertainty"
-        return f"one second of the sensor's clock is {self.slope:.9f} s of the computer's ({known}{self.since})"
+        return f"one second of the sensor's clock is {self.slope:.9f} s of the computer's clock ({known}{self.since})"
 
 
 def time_of(log: Log, options: Options) -> tuple[np.ndarray, list[str]]:

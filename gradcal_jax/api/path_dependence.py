@@ -243,7 +243,7 @@ def offer_sentences(spec: Spec, offered: Sequence[OfferedTerm]) -> list[str]:
         whole = "explains the difference" if one.explains else "explains a part of the difference"
         sentences.append(f"{also}{one.words} {whole}: χ² over degrees of freedom {one.before:.3g} → {one.after:.3g}")
     if offered:
-        sentences[-1] = "; ".join([sentences[-1], *(f"to estimate it, write {key}" for key in _keys(spec, offered))])
+        sentences[-1] += f"; to estimate this, write {' and '.join(_keys(spec, offered))}"
     return sentences
 
 

@@ -187,7 +187,7 @@ def _one_way_of_class(built: BuiltImu) -> list[str]:
 # Name of an installation's parameter, unit of its prior, and a remedy other than a plan.
 _HANG = "use several mountings, or refer misalignments to the table's axes"
 _FREEDOMS = {
-    "sample_clock": ("the sample clock", "ppm", 1e6, "compare the clock with a better one"),
+    "sample_clock": ("the sample clock", "ppm", 1e6, "compare the clock with a better clock"),
     "gravity": ("gravity", "ug", 1e6 / G, "measure gravity at the site"),
     "azimuth": ("the azimuth of the base", "mrad", 1e3, "survey the azimuth"),
     "tilt_east": ("the tilt of the base", "urad", 1e6, "level it"),

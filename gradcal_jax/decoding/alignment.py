@@ -152,7 +152,7 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
 class _Place:
     offset_s: float
     excess: float
-    """How much longer a second of the recording is than one of the run."""
+    """By how much a second of the recording is longer than a second of the run."""
     misfit: float
     scale: float
 

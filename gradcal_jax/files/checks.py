@@ -300,7 +300,7 @@ def _course(
             for i, segment in enumerate(s for s in segments if s.kind == "ramp"):
                 end = segment.temperature_end
                 if not low - 1e-6 <= end <= high + 1e-6:
-                    message = f"sets the chamber to {end:.4g} degC, outside its range, {low} to {high}"
+                    message = f"sets the chamber to {end:.4g} degC, outside the chamber's range, {low} to {high}"
                     yield Problem(("gradient", i), message, plan.gradient[i].text)
                     break
     elif plan.gradient is not None and plan.temperature is not None and len(plan.temperature) == 2:

@@ -295,7 +295,7 @@ class Hand(_Turn):
     @model_validator(mode="after")
     def _ends_only(self) -> "Hand":
         if self.read_every is not None:
-            message = "a turn by hand is known only at its ends, so it cannot be read in between: leave this key out"
+            message = "the angle of a turn by hand is known only at its start and its end: leave this key out"
             refuse(Problem(("read_every",), message, self.read_every.text))
         return self
 

@@ -501,7 +501,8 @@ def _read_netcdf(path: Path, layout: TextTable, sources: Sequence[Source]) -> Nu
         stated = dataset[source.column].attrs.get("units") if source.column in dataset.variables else None
         if isinstance(source, Measured) and stated is not None and not _same_unit(str(stated), source.unit):
             raise LogError(
-                f"{source.words()} has the unit '{stated}' by its attribute, and '{source.unit}' by the column map"
+                f"{source.words()} has the unit '{stated}' by its attribute, and '{source.unit}' by the column map: "
+                "which of the two is correct?"
             )
     return _of_arrays({str(name): dataset[name].values for name in dataset.variables})
 

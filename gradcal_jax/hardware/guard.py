@@ -49,7 +49,7 @@ _TO_OPEN_S = 3.0
 _KEEP_TRYING_S = 3600.0
 _LONGEST_PAUSE_S = 30.0
 _RETRY_PAUSE_S = 0.2
-_GOES_ON = "an earlier command to it is still active"
+_GOES_ON = "an earlier command to this device is still active"
 
 
 def make_safe(
@@ -213,7 +213,7 @@ class Guard:
             self._end()
             raise HardwareError(
                 f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: see "
-                "its message above."
+                "the guard's message above."
             )
 
     def _end(self) -> None:

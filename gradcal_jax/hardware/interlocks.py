@@ -83,7 +83,7 @@ def _faults(bounds: InterlockLimits, now: Situation) -> str:
 def _over_speed(bounds: InterlockLimits, now: Situation) -> str:
     return "; ".join(
         (
-            f"axis {name} turns at {now.axes[name].rate_dps:.1f} deg/s; its command was {told:g}, and the rig "
+            f"axis {name} turns at {now.axes[name].rate_dps:.1f} deg/s; the command was {told:g}, and the rig "
             f"allows {most:g}"
         )
         for name, (told, most) in now.allowed_dps.items()
@@ -130,7 +130,7 @@ def _idle_chamber(bounds: InterlockLimits, now: Situation) -> str:
         return ""
     return (
         f"the chamber was commanded to condition the air but does not: mode {now.chamber.mode}, air at "
-        f"{now.chamber.air_c:.1f} degC. Check its power, and whether somebody used its panel"
+        f"{now.chamber.air_c:.1f} degC. Check the chamber's power, and whether somebody used its panel"
     )
 
 
@@ -269,7 +269,7 @@ class SampleLosses:
         if window and (span_s := window[-1].time_s - window[0].time_s) > 0.0:
             count = sum(arrival.received + arrival.missing for arrival in window[1:])
             if abs(count / self._sample_rate_hz - span_s) > _RATE_OFF * span_s + latest_s:
-                return f"it sends {count / span_s:.1f} samples/s, and its setting is {self._sample_rate_hz:g}"
+                return f"the IMU sends {count / span_s:.1f} samples/s, but its setting is {self._sample_rate_hz:g}"
         gyros = self._gyros
         if gyros is None or turned_deg is None or turned_deg < _LEAST_TURN_DEG or not inside:
             return ""
@@ -278,5 +278,5 @@ class SampleLosses:
         shown_deg = sum(arrival.turned_deg for arrival in inside)
         allowed_deg = (gyros.share + late_s / lasted_s) * turned_deg + gyros.bias_dps * lasted_s
         if math.isfinite(shown_deg) and abs(shown_deg - turned_deg) > allowed_deg:
-            return f"its gyros measured {shown_deg:.0f} deg in total, and the table turned {turned_deg:.0f}"
+            return f"the IMU's gyros measured {shown_deg:.0f} deg in total, but the table turned {turned_deg:.0f}"
         return ""

@@ -149,7 +149,7 @@ class Journal(AbstractContextManager["Journal"]):
             if number is None:
                 number = self._first_number + len(self._lines)
                 if number > 255:
-                    self._fail("it has at most 256 lines, resumed runs included")
+                    self._fail("a journal has at most 256 lines, including those of resumed runs")
                     return
                 self._lines[line] = number
                 note = json.dumps({"event": LINE_EVENT, "number": number, "name": line}).encode()

@@ -117,8 +117,8 @@ class AllanFit:
     """Equivalent degrees of freedom of the Allan variance V(τ) under the fitted model."""
     lower: Times
     upper: Times
-    """Confidence limits (`lower`, `upper`) of the true deviation, from the measured one and χ² with these degrees of
-    freedom."""
+    """Confidence limits (`lower`, `upper`) of the true deviation, from the measured deviation and χ² with these degrees
+    of freedom."""
     confidence: float
     fitted_time_s: Float[np.ndarray, " fitted"]
     """Averaging times that the fit uses."""

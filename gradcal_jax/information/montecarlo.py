@@ -47,7 +47,7 @@ def simulated_errors(
     if known.hidden.shape[1]:
         raise ValueError(
             "this plan cannot observe some parameters, so their estimates cannot be compared with the truth: give "
-            "them a prior"
+            "these parameters a prior"
         )
     p = columns.shape[1]
     drawn = np.linalg.pinv(prior) if len(prior) else np.zeros((p, 0))

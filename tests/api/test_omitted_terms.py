@@ -426,7 +426,7 @@ def unit_log():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda r, f: (r * [1, -1, 1], f), "gyro y: .*sign is the opposite"),
+        (lambda r, f: (r * [1, -1, 1], f), "gyro y: .*sign is opposite to the table's"),
         (lambda r, f: (r, f / 9.80665), "accelerometer .: .*in g instead of m/s"),
         (lambda r, f: (r[..., [1, 0, 2]], f), "gyro x: .*(swapped|quarter turn)"),
         (lambda r, f: (np.degrees(r), f), "gyro .: .*deg/s instead of rad/s"),

@@ -99,6 +99,6 @@ def test_a_scale_factor_that_no_gyro_has_is_refused():
         standstill=log.standstill,
     )  # fmt: skip
     with pytest.raises(
-        LogError, match=r"hand, gyro x: it measures 1\.67 times the input along its axis: does the column have"
+        LogError, match=r"hand, gyro x: the output is 1\.67 times the input along its axis: does the column have"
     ):
         estimated(parse_spec(SPEC), wrong, axis="x")

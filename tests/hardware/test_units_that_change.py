@@ -81,7 +81,7 @@ def test_a_unit_that_stops_measuring_ends_the_run(tmp_path: Path) -> None:
         once(runner, freeze)
         result = runner.run()
         assert result.exit_status == "aborted"
-        assert "its gyros measured" in result.reason
+        assert "the IMU's gyros measured" in result.reason
         assert "and the table turned 720" in result.reason
         assert result.verified_safe
 

@@ -46,7 +46,7 @@ def gyros(path: Path) -> Sequence[GyroStream]:
     """Every topic of `sensor_msgs/Imu` by its name, with the temperature whose topic is nearest in name."""
     imus, temperatures = _from_mcap(path) if path.suffix.lower() == ".mcap" else _from_bag(path)
     if not imus:
-        raise LogError("there is no topic of sensor_msgs/Imu in it")
+        raise LogError("the file has no topic of the type sensor_msgs/Imu")
     raw = [topic for topic in imus if "mavros" not in topic.name]
     if not raw:
         raise LogError(
@@ -115,7 +115,7 @@ def _decoded(topic: _Topic, *, first: int, count: int) -> tuple[NDArray[np.int64
 def _numbers(table: NDArray[np.uint8], at: int, kind: str, count: int) -> NDArray[Any]:
     size = np.dtype(kind).itemsize * count
     if at + size > table.shape[1]:
-        raise LogError("a message is shorter than its type")
+        raise LogError("a message is shorter than its type requires")
     return np.ascontiguousarray(table[:, at : at + size]).view(kind)
 
 

@@ -53,7 +53,7 @@ class LinesConfig(DescribedOptions, AxisOptions):
     def lacks_for(self, safe: str) -> str:
         if safe != AxisSafe.UNPOWER.value or {"off", "powered"} <= {*self.described.tell, *self.described.state}:
             return ""
-        return 'its protocol has no [tell.off] with a [state.powered] that shows it: add both, or choose "hold"'
+        return 'its protocol lacks [tell.off], or [state.powered] that shows its effect: add both, or choose "hold"'
 
 
 @dataclass(frozen=True)

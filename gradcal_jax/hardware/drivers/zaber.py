@@ -84,7 +84,7 @@ def parse_reply(frame: bytes, *, demand_checksum: bool) -> Reply:
     if checked and check != b"%02X" % lrc_zaber(body):
         raise ChecksumError(f"The reply {printable(frame)!r} fails its check sum. Check the line's shielding.")
     if demand_checksum and not checked:
-        raise ChecksumError(f"The reply {printable(frame)!r} has no check sum although the device sends them.")
+        raise ChecksumError(f"The reply {printable(frame)!r} has no check sum, although this device sends check sums.")
     text = frame[:1] + (body if checked else frame[1:])
     match = _REPLY.fullmatch(text.decode("ascii", "replace"))
     if match is None:

@@ -447,7 +447,7 @@ def estimate_points(
         "errors (the clock, the turn-on bias) are not in the covariance"
     )
     if points.sigma_rad_per_s is not None:
-        own = "the sigma of the points replaces the noise of the spec; errors that the points share are not in this sigma"
+        own = "the sigma of the points replaces the noise of the spec, and includes no errors that the points share"
     sigma = points.sigma_rad_per_s
     own_sigma = None if sigma is None else np.where(between, 0.0, both(sigma)[:-1])
     table = TablePoints(line, np.arange(2 * count), own_sigma)

@@ -62,7 +62,7 @@ def choose_smoothness(white: Whitened, model: ImuModel) -> Smoothness:
     places = smooth_maps(model)
     terms: list[Any] = [model.channels[i].model.terms[k] for i, k in places]
     if not places:
-        raise ValueError("no map of this model has a smoothness prior: use B-splines or bins with "smoothness"")
+        raise ValueError("no map of this model has a smoothness prior: use B-splines or bins with the key smoothness")
     orthogonal, triangle = np.linalg.qr(white.rows)
     data = orthogonal.T @ white.data
     start = np.log([float(term.smoothness_std) for term in terms])

@@ -172,7 +172,7 @@ def at_rows_with_rates(columns: Columns) -> Columns:
     count = len(rated)
     if np.count_nonzero(rated) < 2:
         raise LogError(
-            "interpolate: fewer than two rows have all rates; leave out channels with separate rows, or join all rows"
+            "interpolate: fewer than two rows have all rates; leave out channels with separate rows, or join the rows"
         )
     time = np.arange(count) * 1.0 if columns.time_s is None else columns.time_s
 

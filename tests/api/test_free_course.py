@@ -172,7 +172,7 @@ def test_a_course_that_is_not_free_stays():
     ("spec", "changes", "says"),
     [
         (turning, {"design": {"free": ["gradient"]}}, r"design.free\[0\].*can change only cycle and programme"),
-        (turning, {"design": {"free": ["programme"]}, "plan.programme[0].used": True}, "of ramps whose data are used"),
+        (turning, {"design": {"free": ["programme"]}, "plan.programme[0].used": True}, "of ramps with used data"),
         (standing, {"design": {"free": ["cycle"]}}, "no part of the plan is free: the table is at rest"),
     ],
 )

@@ -381,7 +381,7 @@ def test_two_clocks_that_contradict_each_other_are_said_and_the_computers_is_use
 @pytest.mark.parametrize(("unit", "convert"), [("°F", lambda t: 1.8 * t + 32.0), ("K", lambda t: t + 273.15)])
 def test_temperatures_in_another_unit_are_refused_by_name(recorded, unit, convert):
     log, _ = recorded
-    with pytest.raises(LogError, match=f"inside if the column is in {unit}"):
+    with pytest.raises(LogError, match=f"inside it if the column is in {unit}"):
         estimated(EXACT, replace(log, temperature_c=convert(log.temperature_c)))
 
 

@@ -219,7 +219,7 @@ def test_a_door_that_is_opened_in_a_pause_ends_nothing(tmp_path: Path) -> None:
     assert events(tmp_path, "interlock") == []
 
 
-@pytest.mark.parametrize("fate", ["Check its power", "STANDBY at the panel"])
+@pytest.mark.parametrize("fate", ["Check the chamber's power", "STANDBY at the panel"])
 @pytest.mark.parametrize("when", ["stabilising", "running"])
 def test_a_chamber_that_was_commanded_to_condition_and_does_not_pauses_the_run(
     tmp_path: Path, fate: str, when: str
@@ -229,7 +229,7 @@ def test_a_chamber_that_was_commanded_to_condition_and_does_not_pauses_the_run(
         why: list[str] = []
 
         def fail() -> None:
-            rig.chamber.reboot() if fate == "Check its power" else rig.chamber._enter("STANDBY")
+            rig.chamber.reboot() if fate == "Check the chamber's power" else rig.chamber._enter("STANDBY")
 
         def is_so(progress: RunProgress) -> bool:
             waits = progress.step_left_s is None

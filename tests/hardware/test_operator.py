@@ -283,7 +283,7 @@ def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
             axis.home()
         spin = AxisCommand(0.0, "x", "spin", rate_dps=10.0, acceleration_dps2=10.0)
         (problem,) = dry_run_of(Track((TrackStep("rates", 5.0, moves=(spin,)),)), None, {"x": axis.limits()}).problems
-    assert "it is turned by hand" in problem
+    assert "but is turned by hand" in problem
 
 
 # -------------------------------------------------------------------------------------------------------- whole runs

@@ -82,7 +82,7 @@ def test_a_unit_that_stops_measuring_ends_the_run(tmp_path: Path) -> None:
         result = runner.run()
         assert result.exit_status == "aborted"
         assert "the IMU's gyros measured" in result.reason
-        assert "and the table turned 720" in result.reason
+        assert "but the table turned 720" in result.reason
         assert result.verified_safe
 
 
@@ -97,4 +97,4 @@ def test_lost_lines_of_a_unit_that_does_not_count_are_noticed_by_their_rate(shar
     said = losses.between(ExecutedStep(0, 1.0, 40.0), 0.02, 1.0, None)
     assert bool(said) is (share > 0.0)
     assert share == 0.0 or "45." in said
-    assert share == 0.0 or "samples/s, and its setting is 50" in said
+    assert share == 0.0 or "samples/s, but its setting is 50" in said

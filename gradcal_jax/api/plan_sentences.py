@@ -161,7 +161,7 @@ def one_way_sentences(built: BuiltImu, known: Posterior, line: Trajectory | None
     course, spec = _course_in_words(line or built.motion.line), built.spec
     return [
         f"{course}: hysteresis is not observable; ±{size:.3g} {unit} of hysteresis remain in the {kind} of {of} "
-        f"{', '.join(axes)}: reverse the temperature by {2.0 * wide:g} K or "
+        f"{', '.join(axes)}: change the temperature back by {2.0 * wide:g} K or "
         f"more{minutes_of_change(spec, 2.0 * wide)}"
         for (of, kind, unit), (size, wide, axes) in left.items()
     ]

@@ -111,7 +111,7 @@ def _of_unit(
         aside += left
     if not parts:
         raise HardwareError(
-            "The journal has no samples that count as data: the run ended before the first part whose data are used."
+            "The journal has no samples to use: the run ended before the first part whose data are used."
         )
     provenance = _provenance(parts, sessions, recipe, (device.name, device.driver))
     events = (event for session in sessions for event in session.events)
@@ -387,7 +387,7 @@ def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
         (unsure > SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
         (anew, Finding("unit restarted", "split", anew, f"the IMU restarted {times}")),
         (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no valid datagram")),
-        (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice; each counts once")),
+        (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice; each is used once")),
     ]
     findings = [Finding("gap", "split", gaps, f"{missing} samples are missing at {gaps} places")] if missing else []
     findings += _findings_of_rounds(parts)

@@ -29,8 +29,8 @@ _OF_RAMPS: Final = frozenset({"thermal_lag", "bias_temperature_gradient", "tempe
 _OF_TABLE: Final = frozenset({"rate_accuracy", "tilt", "azimuth"})
 EARTH: Final = "rig.site.latitude"
 EARTH_IS_UNKNOWN: Final = (
-    "the Earth's rate along the axis is not stated, so up to 15.04 deg/h count in the bias: give [rig.site] "
-    "latitude, or call `gradcal estimate` with --latitude (for an axis that points up) or --earth-rate"
+    "the Earth's rate along the axis is not stated, so the bias includes up to 15.04 deg/h of this rate: give "
+    "[rig.site] latitude, or call `gradcal estimate` with --latitude (for an axis that points up) or --earth-rate"
 )
 
 
@@ -195,7 +195,7 @@ def branch_sentences(spec: Spec) -> list[str]:
         )
         widest = max(widest, width)
     if sentences and _goes_one_way(spec):
-        returns = f"reverse the temperature by {2.0 * widest:g} K or more{minutes_of_change(spec, 2.0 * widest)}"
+        returns = f"change the temperature back by {2.0 * widest:g} K or more{minutes_of_change(spec, 2.0 * widest)}"
         sentences.append(f"one-way ramp, so the plan cannot observe a hysteresis: {returns}")
     return sentences
 

@@ -34,7 +34,7 @@ _WINDOW: Final = 5
 _SHORT, _OFTEN = 0.3, 0.05
 """If a larger share of the intervals than `_OFTEN` is shorter than `_SHORT` medians, the stamps come in bursts."""
 _MANY_ROWS: Final = 20
-"""A smaller number of rows does not count as many."""
+"""Least number of rows that counts as many."""
 _COARSE: Final = 0.1
 """Above this fraction, rows with the stamp of another row make the stamps useless, and rows out of order are sorted."""
 _SHUFFLED: Final = 0.01

@@ -80,7 +80,7 @@ class Runner:
     on_begin: Callable[[], None] = lambda: None
     """Called once, before the first command that can make anything unsafe."""
     on_new_session: Callable[[int], None] = lambda first_step: None
-    """Called when the samples of an IMU count again, with the step at which the run continues."""
+    """Called when the samples of an IMU are used again, with the step at which the run continues."""
     draw: Callable[[Mapping[str, float], int], str] | None = None
     """A drawing of an IMU at angles (deg) of the axes, in a mounting, for the operator who turns the axes."""
 

@@ -176,7 +176,7 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
             self._port.write(data)
         except serial.SerialTimeoutException:
             raise Disconnected(
-                f"The port {self.url} takes no bytes: {len(data)} waited {_WRITE_TIMEOUT_S} s to be written. "
+                f"The port {self.url} accepts no data: {len(data)} bytes were not written in {_WRITE_TIMEOUT_S} s. "
                 "Check flow control and that the device is on."
             ) from None
         except Exception as problem:

@@ -123,7 +123,7 @@ class AllanFit:
     fitted_time_s: Float[np.ndarray, " fitted"]
     """Averaging times that the fit uses."""
     low_passed: bool
-    """Whether a low-pass filter shows at the shortest averaging times; the fit then does not use these times."""
+    """Whether a low-pass filter is visible at the shortest averaging times; the fit then does not use these times."""
     chi_squared: float
     """χ² of the Allan variances against the model, by their covariance, over all averaging times except those affected
     by a low-pass filter."""

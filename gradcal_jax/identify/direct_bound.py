@@ -89,10 +89,10 @@ class DirectBound:
     drift_shows: bool
     """Whether D_θ*(t) exceeds the limit of the angle random walk anywhere."""
     hidden_drift_std: float
-    """If no drift shows: the largest σ that a hidden drift with τ = √(Δ × longest t) could have; this τ is
+    """If no drift is visible: the largest σ that a hidden drift with τ = √(Δ × longest t) could have; this τ is
     `correlation_time_s`."""
     advised_averaging_time_s: float | None
-    """If no drift shows: the smallest Δ at which this hidden drift would show; `None`: at none, for these t."""
+    """If no drift is visible: the smallest Δ at which this hidden drift would be visible; `None`: none, for these t."""
     messages: tuple[str, ...]
     """Warnings for the user; empty without any."""
 

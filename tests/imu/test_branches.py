@@ -156,8 +156,8 @@ def test_a_one_way_ramp_says_what_remains_and_the_cure():
     sentences = check(required(ONE_WAY, {"hysteresis": PLAY} | KNOWN_GRADIENT))
     (said,) = [s for s in sentences if "one-way" in s]
     assert said == (
-        "one-way ramp: hysteresis is not observable; ±18.6 deg/h of hysteresis remain in the bias of gyro z: reverse "
-        "the temperature by 10 K or more (3.33 min at 3 K/min)"
+        "one-way ramp: hysteresis is not observable; ±18.6 deg/h of hysteresis remain in the bias of gyro z: change "
+        "the temperature back by 10 K or more (3.33 min at 3 K/min)"
     )
     assert not any("says nothing" in s for s in sentences)
     assert not any("one-way" in s for s in check(required(TWO_WAY, {"hysteresis": PLAY} | KNOWN_GRADIENT)))
@@ -184,7 +184,8 @@ def test_slopes_that_a_branch_does_not_have_are_refused():
 def test_a_one_way_plan_says_the_cure_with_its_minutes():
     """Also where neither spec nor requirement knows of hysteresis: at the slower of the chamber's rates."""
     cure = (
-        "one-way ramp, so the plan cannot observe a hysteresis: reverse the temperature by 20 K or more (13.3 min at "
+        "one-way ramp, so the plan cannot observe a hysteresis: change the temperature back by 20 K or more "
+        "(13.3 min at "
     )
     assert branch_sentences(gj.parse_spec(presets.text("tactical-mems")))[-1] == f"{cure}1.5 K/min)"
     assert not any("one-way" in s for s in branch_sentences(gj.parse_spec(presets.text("heat-and-cool"))))

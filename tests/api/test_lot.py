@@ -233,7 +233,7 @@ def test_errors_name_the_cure():
     made = calibrations(*read_maps(rng, drawn_maps(rng, 4, "one")))
     with pytest.raises(ValueError, match="three or more calibrations, not 2"):
         gj.lot(made[:2])
-    with pytest.raises(ValueError, match=r"two calibrations are of no\. 1"):
+    with pytest.raises(ValueError, match=r"two calibrations are of the IMU no\. 1:"):
         gj.lot([made[0], *made])
     with pytest.raises(ValueError, match="no map has a covariance"):
         gj.lot([one.model_copy(update={"covariance": None}) for one in made])

@@ -315,7 +315,7 @@ def test_what_explains_a_difference_is_offered(law):
     assert first.words.startswith(law)
     assert float(first.words.split()[-2]) in (240.0, 320.0)
     assert first.after < 0.7 * first.before
-    key = report.path.sentences[-1].split("; to estimate this, write [sensor.gyro] ")[1]
+    key = report.path.sentences[-1].split("; to estimate this, write [sensor.gyro] ")[1].split(" and [sensor.")[0]
     gyro = tomllib.loads(key)
     assert gyro
     with_it = gj.changed(spec, {f"sensor.gyro.{k}": v for k, v in _flat(gyro)})

@@ -114,10 +114,10 @@ class MotionCycle(Section):
     start: dict[Text, Angle] = Field(default_factory=dict)
     """Angles of the axes at the start of the cycle, by name; absent: zero."""
     other_axes: OtherAxes | None = None
-    """Time, at the end of each cycle, in which the table serves other sensors; only for a table with standing =
+    """Time for which the table serves other sensors at the end of each cycle; only for a table with standing =
     "read"."""
     duration: Time | None = None
-    """Duration of a cycle; absent: that of its moves and of `other_axes`. If the duration is longer than these, the
+    """Duration of a cycle; absent: the sum of its moves and `other_axes`. If the duration is longer than this sum, the
     table rests for the remaining time (without readings if standing = "read")."""
 
 

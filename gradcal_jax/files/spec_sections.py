@@ -41,7 +41,7 @@ class ExecutedPart(Section):
 
 class Spec(TitledFile):
     """Sensor, rig, requirements, plan, and what `optimise` may change; read-only. Quantities are numbers in SI (and
-    °C) that keep their text.
+    °C), and keep the text from which they were read.
 
         `schedule` is the plan resolved for the rig. From `read_spec` or `parse_spec`. Errors: their `SpecError`.
     """

@@ -37,7 +37,7 @@ class VariationOfScaleFactor(VariationOfBias):
 
 
 class PlayOfBias(Section):
-    """An error that depends on the path of temperature: a play follows the temperature with a backlash of ± `width`,
+    """An error that depends on past temperatures: a play follows the temperature with a backlash of ± `width`,
     and the error is proportional to the difference between play and temperature. If the temperature changes by more
     than twice the width, heating and cooling differ by 2 × coefficient × width."""
 

@@ -237,7 +237,7 @@ def _recorded_sensor(sitting: "_Sitting", recording: Path) -> dict[str, Any]:
     row, hours = before["requirements"][0], time_text(before["duration_s"])
     sitting.say(f"a plan made by hand leaves {amount(row['mean_of_max'], row['unit'])} of {row['name']} in {hours}")
 
-    sitting.step("A plan designed for it")
+    sitting.step("A plan optimised for this gyro")
     optimisation, designed = sitting.optimise(spec)
 
     sitting.step("The page")

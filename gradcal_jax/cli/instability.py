@@ -345,7 +345,7 @@ def allan(
     """
     if plan:
         if log is not None:
-            raise ValueError("--plan needs no record, since it is for the time before the recording: leave LOG out")
+            raise ValueError("--plan is used before a recording is made, and needs no record: leave LOG out")
         return plan_record(
             noise, bias_instability, rate_random_walk, drift, duration=duration, error=error, rate=rate, json=json
         )

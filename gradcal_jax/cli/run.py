@@ -171,7 +171,7 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
             )
     safe = [f'axis {axis.name} "{axis.safe}"' for axis in rig.axis]
     safe += [] if rig.chamber is None else [f'the chamber "{rig.chamber.safe}"']
-    rows.append("safe states if the run ends badly: " + ", ".join(safe))
+    rows.append("safe states at the end of the run: " + ", ".join(safe))
     rows.append("IMUs: " + (", ".join(unit.name for unit in rig.imu) or "none; is the IMU's own logger recording?"))
     if rig.alarm is not None:
         rows.append(f"command that an alarm executes: {' '.join(rig.alarm.command)}")

@@ -137,7 +137,7 @@ class AxisEncoder(AngleReference):
 
 
 class TableAxis(Section):
-    """An axis of the table, outermost first."""
+    """An axis of the table; the axes are listed from the outermost inwards."""
 
     name: Name
     """Name of the axis, used by moves."""

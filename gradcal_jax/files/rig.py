@@ -55,7 +55,7 @@ class ChamberDevice(Section):
     port: Port
     """Port of the device: a device path, COM3, or a socket:// or rfc2217:// address."""
     safe: Literal["standby", "hold", "ambient"]
-    """State of the chamber after a run that ends badly."""
+    """State in which every run leaves the chamber at its end."""
     ambient: Temperature = Quantity(23.0, "23 degC", "temperature")
     """Temperature of the state "ambient"."""
     lag: Time = Quantity(300.0, "5 min", "time")
@@ -103,7 +103,7 @@ class AxisDevice(Section):
     port: Port
     """Port of the device; "terminal" for an operator."""
     safe: Literal["hold", "controlled stop", "unpower"]
-    """State of the axis after a run that ends badly."""
+    """State in which every run leaves the axis at its end."""
     gravity_loaded: Flag
     """Whether gravity moves the axis if its motor has no power."""
     serial_number: Text | None = None

@@ -267,8 +267,7 @@ class _Instrument(Section):
     clock: Literal["sensor", "host"] | None = None
     """Clock whose time is used to integrate rates. "sensor": the sensor's own; "host": the computer's, whose error is
     taken as 1 ppm instead of `sample_clock_error`; absent: the more accurate of the two, because a run's log has the
-    times of
-    both."""
+    times of both."""
     sample_clock_error: q.SizeOfScaleFactor | None = None
     """Standard deviation of the relative error of the sensor's sample clock; the error acts like a scale factor."""
     temperature_offset: q.SizeOfTemperatureDifference | None = None

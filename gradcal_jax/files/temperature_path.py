@@ -11,8 +11,8 @@ from gradcal_jax.files.section import Section, refuse
 
 class VariationOfBias(Section):
     """How the coefficient of a play varies with temperature: Legendre polynomials of the degrees 1 to `degree` in (T −
-    `centre`)/`scale` are added to the coefficient. A loop that is not a sum of plays, for example one of many relays,
-    is wider at some temperatures than at others."""
+    `centre`)/`scale` are added to the coefficient. A loop that is not a sum of plays, for example a loop of many
+    relays, is wider at some temperatures than at others."""
 
     standard_deviation: q.PositiveBiasSlope
     """Standard deviation of the coefficient of each polynomial before the calibration."""

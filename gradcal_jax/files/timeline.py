@@ -34,8 +34,9 @@ class SiteRow(Section):
 
 
 class TableAxisRow(Section):
-    """A table axis, outermost first. If it is held at rest, its encoder error at each standstill has the variance
-    standstill_offset² + reading_noise²/n, with n = 1 + the whole number of `read_every` in the standstill."""
+    """A table axis; the axes are listed from the outermost inwards. If it is held at rest, its encoder
+    error at each standstill has the variance standstill_offset² + reading_noise²/n, with n = 1 + the number of whole
+    intervals `read_every` in the standstill."""
 
     name: str
     """Name of the axis."""

@@ -39,7 +39,7 @@ class Stability(Section):
     """Conditions under which a temperature counts as stable."""
 
     within: q.PositiveTemperatureDifference = q.Quantity(0.5, "0.5 K", "temperature difference")
-    """A stable temperature deviates from the goal, and changes, by no more than this."""
+    """Largest deviation from the goal, and largest change, of a stable temperature."""
     for_at_least: q.Time = q.Quantity(300.0, "5 min", "time")
     """Time for which the temperature must stay within this tolerance."""
     first_timeout: q.Time = q.Quantity(14400.0, "4 h", "time")

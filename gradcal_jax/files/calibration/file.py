@@ -263,7 +263,7 @@ class Result(Section):
     """The value of this statistic (1σ), including omitted terms and, for "any run", the turn-on bias; absent: not
     observable."""
     named: q.Number | None = None
-    """The same statistic from the terms named in the spec alone, for this run, if it differs."""
+    """The same statistic for this run, from the terms named in the spec alone; absent: the same value."""
     worst: q.Number | None = None
     """The standard deviation at the worst point of the requirement's temperatures and rates."""
     unit: q.Text

@@ -39,7 +39,7 @@ Axes = Annotated[
 Unit = Annotated[str | None, Parameter(name="--unit", help="Which IMU, if the log has several.")]
 _DEGREE = (
     "The bias over temperature is subtracted first, as a polynomial of this degree; -1: nothing is subtracted. By\n"
-    "default 3 if the temperature changes by 5 K or more, and otherwise 0, the mean."
+    "default 3 if the temperature changes by 5 K or more, and otherwise 0 (only the mean is subtracted)."
 )
 BiasDegree = Annotated[int | None, Parameter(name="--bias-degree", help=_DEGREE)]
 _LAG = 'Lag of the bias behind the temperature: a time, "none", "fit", or "auto" (fitted, and used if it fits better).'

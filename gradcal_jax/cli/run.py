@@ -60,7 +60,7 @@ def run(
         The folder for the files of the run; it is created.
     resume
         Continue the run in this folder. Name a recipe only if `gradcal optimise RUN` has made one for the remaining
-        part, and a rig file only if it is to be compared with that of the run.
+        part. Name a rig file only to compare it with the rig file of the run.
     simulate
         Use simulated devices instead of a rig.
     speed

@@ -91,7 +91,7 @@ class MapRow(Section):
     smoothness_along: tuple[Literal["temperature", "rate"], ...] = ()
     """Variables along which coefficients count as neighbours."""
     discrepancy: DiscrepancyRow | None = None
-    """Structure beyond the map."""
+    """Structure that the map lacks."""
 
 
 class TemperatureErrorRow(Section):
@@ -307,7 +307,7 @@ class NoticeRow(Section):
     power: Size | None = None
     """Probability that the test detects hidden coefficients of this size."""
     sure_power: Size
-    """Probability of detection from which a detection counts as certain."""
+    """Probability from which a detection counts as certain."""
     sure_from: Size | None = None
     """Smallest size of the hidden coefficients that the test detects with probability `sure_power`; null: there is no
     such size."""

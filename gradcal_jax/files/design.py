@@ -51,7 +51,7 @@ class Notice(Section):
     """Standard deviation of each hidden coefficient, a ratio."""
     temperature_degree: Degree | None = None
     """Highest degree in temperature of the polynomials to detect. Absent: the `temperature_degree` of the scale
-    factor's `discrepancy`; if it has no discrepancy, the degree of the map plus two."""
+    factor's `discrepancy`; if the scale factor has none, the degree of the map plus two."""
     rate_degree: Degree | None = None
     """Highest degree in rate of the polynomials to detect. Absent: the same default as for temperature."""
     power: q.Probability = q.Quantity(0.9, "90 %", "scale factor")
@@ -77,7 +77,7 @@ class Design(Section):
     max_motion: q.Time | None = None
     """Longest ramp."""
     max_total: q.Time | None = None
-    """Longest allowed plan, soaks included."""
+    """Longest allowed duration of the plan, soaks included."""
     cycles: Literal["own", "alike"] = "own"
     """"own": every visit (the part of a cycle in which the axis may turn) has moves of its own; "alike": all visits
     have the same moves; absent: the same moves if there are many visits."""

@@ -73,7 +73,7 @@ class Policy(Section):
     unordered_stamps: Literal["mask", "refuse"] = "mask"
     """Rows with a time stamp before that of an earlier row."""
     gaps: Literal["split", "refuse"] = "split"
-    """Gaps: long intervals between time stamps, unless shorter intervals after them compensate."""
+    """Gaps: long intervals between time stamps, unless the intervals after them are correspondingly shorter."""
     missing_rates: Literal["mask", "refuse"] = "mask"
     """Rates that are not finite numbers."""
     missing_forces: Literal["mask", "refuse"] = "mask"

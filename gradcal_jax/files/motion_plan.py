@@ -129,7 +129,7 @@ class MotionPlan(ChamberCourse):
     method: Literal["gradient"]
     """The method of the plan."""
     cycle: MotionCycle | None = None
-    """Motion that is repeated; absent: the table is at rest, and is read every `read_every` of its axes."""
+    """Motion that is repeated; absent: the table is at rest, and each axis is read at intervals of its `read_every`."""
     before: Annotated[tuple[Temperature, ...], Field(max_length=100)] = ()
     """Turning points of the sensor's temperature before the plan, in order, such as room temperature; they determine
     the initial state of a hysteresis. Absent: the initial state is unknown."""

@@ -167,7 +167,7 @@ class InstallationRow(Section):
     unit: str
     """SI unit of the parameters."""
     axis: str | None = None
-    """Table axis concerned; null: the error concerns no single axis."""
+    """Table axis that has the error; null: the error belongs to no single axis."""
     orders: tuple[int, ...] | None = None
     """For harmonics: periods in one turn."""
     forces: bool | None = None

@@ -79,7 +79,7 @@ def draw_residual_parts(channel: CalibratedChannel, *, ax: Axes | None = None) -
 
 
 def draw_lot(found: Lot, *, figure: Figure | SubFigure | None = None) -> Figure:
-    """A panel for each map, on `figure` or a new one: see `draw_lot_map`."""
+    """A panel for each map, as `draw_lot_map` draws it, on `figure` or a new one."""
     wide = min(3, len(found.maps))
     figure, panels = new_panels(-(-len(found.maps) // wide), wide, (4.6, 3.4), figure)
     for one, ax in zip(found.maps, panels.ravel(), strict=False):

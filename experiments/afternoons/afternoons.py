@@ -26,8 +26,9 @@ HEAD = """# {title}
 
 {words}
 
-This page was made by `experiments/afternoons/afternoons.py`. It shows every command from an empty folder to the header
-for the firmware, with its output. **All devices are simulated**: for a real run, write `--rig mine/rig.toml` instead of
+This page was made by `experiments/afternoons/afternoons.py`. It shows every command, with its output, from an empty
+folder to the C header for the firmware. **All devices are simulated**: for a real run, write `--rig mine/rig.toml`
+instead of
 `--simulate`. The middle of long outputs is left out and marked `[…]`. The durations were measured on a busy computer
 with two cores; the hours of the simulated chamber pass in virtual time.
 """

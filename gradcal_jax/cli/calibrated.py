@@ -275,7 +275,7 @@ def _validation_text(row: "AxisValidation") -> str:
     ]
     if row.scale_factor_ppm is not None:
         before, after = row.scale_factor_ppm
-        lines.append(f"angle of the moves: {before:.5g} ppm rms without, {after:.4g} ppm with the calibration")
+        lines.append(f"error of the moves' angles: {before:.5g} ppm rms without, {after:.4g} ppm with the calibration")
     if row.bias_deg_per_h is not None:
         before, after = row.bias_deg_per_h
         what = "norm of the rate at rest, minus the Earth's rate" if together else "rate at rest"

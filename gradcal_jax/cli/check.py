@@ -57,7 +57,7 @@ def check(
     output
         The file that --upgrade writes; by default FILE is replaced, and its earlier contents are saved as FILE.old.
     files_only
-        Do not compute what the plan cannot observe (this takes a few seconds).
+        Skip the computation of what the plan cannot observe, which takes a few seconds.
     json
         Print as JSON: the times of the plan, the notes, and what the plan cannot observe; or the contents of a recipe.
         With --timeline, print gradcal-timeline/3: segments, readings and the models of all sensors, in SI units.
@@ -255,7 +255,8 @@ def notes(spec: "Spec") -> list[str]:
     for requirement in spec.requirement:
         if requirement.temperature[0] < low - 1e-6 or requirement.temperature[1] > high + 1e-6:
             sentences.append(
-                f'requirement "{requirement.name}" exceeds the plan\'s range, {low:.5g} to {high:.5g} degC'
+                f'requirement "{requirement.name}" includes temperatures outside the plan\'s range, '
+                f"{low:.5g} to {high:.5g} degC"
             )
     return sentences
 
@@ -269,7 +270,7 @@ def upgrade_file(file: Path, output: Path | None, *, force: bool) -> int:
     text = read_text(file)
     model, done = _upgraded(text, read_toml(text, str(file)), file)
     if not done:
-        print(f"{file} has the current format already; nothing was written")
+        print(f"{file} already has the current format; nothing was written")
         return DONE
     kept = None if output is not None else file.with_name(f"{file.name}.old")
     writable(output or kept or file, force)

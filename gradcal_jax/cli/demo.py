@@ -144,7 +144,7 @@ def _whole_job(sitting: "_Sitting", seed: int) -> dict[str, Any]:
     (sitting.folder / limits).write_text(as_json(bounds) + "\n", encoding="utf-8")
     bound = next(entry for entry in bounds if entry["name"] == designed["name"])
     sitting.say(
-        f"no plan on this rig in this time leaves less than {amount(bound['certified'], bound['unit'])}: "
+        f"no plan of this duration on this rig leaves less than {amount(bound['certified'], bound['unit'])}: "
         f"efficiency {bound['efficiency']:.0%}"
     )
 
@@ -237,7 +237,7 @@ def _recorded_sensor(sitting: "_Sitting", recording: Path) -> dict[str, Any]:
     row, hours = before["requirements"][0], time_text(before["duration_s"])
     sitting.say(f"a plan made by hand leaves {amount(row['mean_of_max'], row['unit'])} of {row['name']} in {hours}")
 
-    sitting.step("A plan designed for it")
+    sitting.step("A plan optimised for this gyro")
     optimisation, designed = sitting.optimise(spec)
 
     sitting.step("The page")
@@ -297,7 +297,7 @@ class _Sitting:
 
     def calibration(self, seed: int, devices: str, title: str) -> dict[str, Any]:
         """Run the recipe on simulated devices, make the log and estimate the calibration."""
-        self.step(f"The run: simulated chamber, {devices} on serial ports, hours of virtual time")
+        self.step(f"The run: simulated chamber, {devices}; its hours pass in virtual time")
         self.run(run, _RECIPE, simulate=True, seed=seed, output=_RUN)
         self.step("The log of the run, from the raw bytes")
         self.run(log, _RUN)

@@ -121,9 +121,9 @@ def estimate(
     temperature
         The temperature, if the log has none, such as "23 degC".
     gravity
-        Local gravity, such as "9.80665 m/s^2". Gravity is then the only reference, without table and spec, for three
-        accelerometers and three gyros. The IMU must have been at rest in about twenty positions in all directions, and
-        turned by hand between them. The readings may be raw counts.
+        Local gravity, such as "9.80665 m/s^2". Gravity is then the only reference for three accelerometers and three
+        gyros; no table and no spec are needed. The IMU must have been at rest in about twenty positions in all
+        directions, and turned by hand between them. The readings may be raw counts.
     parameters
         Also write the bias over temperature to this file, as parameters of the flight controller (PX4, ArduPilot) that
         wrote the log.

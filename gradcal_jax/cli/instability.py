@@ -39,7 +39,7 @@ Axes = Annotated[
 Unit = Annotated[str | None, Parameter(name="--unit", help="Which IMU, if the log has several.")]
 _DEGREE = (
     "The bias over temperature is subtracted first, as a polynomial of this degree; -1: nothing is subtracted. By\n"
-    "default 3 if the temperature changes by 5 K or more, and otherwise 0, the mean."
+    "default 3 if the temperature changes by 5 K or more, and otherwise 0 (only the mean is subtracted)."
 )
 BiasDegree = Annotated[int | None, Parameter(name="--bias-degree", help=_DEGREE)]
 _LAG = 'Lag of the bias behind the temperature: a time, "none", "fit", or "auto" (fitted, and used if it fits better).'
@@ -345,7 +345,7 @@ def allan(
     """
     if plan:
         if log is not None:
-            raise ValueError("--plan needs no record, since it is for the time before the recording: leave LOG out")
+            raise ValueError("--plan is used before a recording is made, and needs no record: leave LOG out")
         return plan_record(
             noise, bias_instability, rate_random_walk, drift, duration=duration, error=error, rate=rate, json=json
         )

@@ -111,7 +111,8 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
     typical = begin.typical_terms(answers)
     if typical:
         print(
-            "no question asked for these terms; spec.toml has a typical figure of the class for each, and its source:"
+            "no question was asked about these terms; for each, spec.toml has a typical figure of the class, and its "
+            "source:"
         )
         print("\n".join(f"  {line}" for line in typical))
     print("next, in this order:")

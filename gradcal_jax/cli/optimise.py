@@ -92,7 +92,7 @@ def optimise(
         Number of iterations from each start, by default 240; if the search changes poses, the total number of
         gradients, by default 14000 (some minutes). 0: write the plan in the spec as a recipe, without a search.
     quick
-        Use only few starts or gradients; this takes seconds, and the result is within a few per cent of the best.
+        Use only a few starts or gradients; this takes seconds, and the result is within a few per cent of the best.
     until_met
         Stop at the first plan that meets every target with a margin of 10 %. If the plan in the spec already meets
         them, do not search.
@@ -209,8 +209,8 @@ def _read(path: Path) -> "Spec":
             mended = spec_of(within_travel(tomllib.loads(path.read_text(encoding="utf-8"))), str(path))
         complain(
             f"{error}\n"
-            "The search starts from a plan in which these moves were changed to fit: turns go in the other direction "
-            "or only as far as the travel allows, and a last turn goes back."
+            "The search starts from a plan in which these moves were changed to fit: turns go in the other direction, "
+            "or only as far as the travel allows, and a last turn goes back to the start angle."
         )
         return mended
 
@@ -442,7 +442,8 @@ def show_frontier(
         print(columns(shown, indent=""))
         for name, target in targets.items():
             time = times_for[name]
-            result = "is not reached in these durations" if time is None else f"needs a ramp of about {time_text(time)}"
+            far = "is not reached within these durations"
+            result = far if time is None else f"needs a ramp of about {time_text(time)}"
             print(f"{name} at {target:.4g} {next((p.plan.unit for p in reached if p.plan), '')} {result}")
     save_figure(lambda plots: plots.draw_frontier(reached, targets), plot, quiet=json)
     return DONE if all(p.plan is not None and p.plan.converged for p in reached) else NOT_AS_WISHED

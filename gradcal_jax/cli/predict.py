@@ -229,7 +229,7 @@ def _judged(row: "RequirementRow", several: bool) -> list[str]:
                 f"  probability that the error at the worst point exceeds the target: {percent(row.specific_risk)}"
             )
         if row.chance is not None and row.chance_everywhere is not None:
-            own = "" if row.statistic == "max" else f"; that its {row.statistic} does: {percent(row.chance, 1e-3)}"
+            own = "" if row.statistic == "max" else f"; that its {row.statistic} meets it: {percent(row.chance, 1e-3)}"
             lines.append(
                 f"  probability that a sensor meets the target everywhere: {percent(row.chance_everywhere, 1e-3)}{own}"
             )
@@ -295,8 +295,8 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     Parameters
     ----------
     spec
-        The spec file, or a recipe. Its [design] states which parts of the plan a better plan may change. For an IMU,
-        the limit is for all plans of the same duration at the same temperatures.
+        The spec file, or a recipe. The limit is for all plans that differ only in the parts that [design] allows to
+        change; for an IMU, for all plans of the same duration at the same temperatures.
     json
         Print the limits for other programs.
     """

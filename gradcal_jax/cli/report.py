@@ -38,7 +38,8 @@ def report(
     ----------
     sources
         The folder of a run, a recipe, a spec or a calibration, or several of these that belong together. If the folder
-        of a run has a calibration, the page includes it; if it has several, each gets a page of its own.
+        of a run has a calibration, the page includes it; if the folder has several calibrations, each of them gets a
+        page of its own.
     output
         The page to write (.html). For several pages, the part after "calibration-" in the name of each calibration is
         added to the file name.

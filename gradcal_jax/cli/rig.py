@@ -227,9 +227,9 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
         print(strong(description.title or str(rig)))
         print(columns([row for report in reports for row in _rows(report)]))
         for entry in description.axis:
-            print(f'  safe state of axis {entry.name} after a run that ends badly: "{entry.safe}"')
+            print(f'  safe state of axis {entry.name} at the end of a run: "{entry.safe}"')
         if description.chamber is not None:
-            print(f'  safe state of the chamber after a run that ends badly: "{description.chamber.safe}"')
+            print(f'  safe state of the chamber at the end of a run: "{description.chamber.safe}"')
         for one in tried:
             print(f"  {one.name}: {one.what}" + ("" if one.good else "  NOT AS IT SHOULD BE"))
         good = all(entry.good for entry in (*reports, *tried))

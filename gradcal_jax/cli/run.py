@@ -60,7 +60,7 @@ def run(
         The folder for the files of the run; it is created.
     resume
         Continue the run in this folder. Name a recipe only if `gradcal optimise RUN` has made one for the remaining
-        part, and a rig file only if it is to be compared with that of the run.
+        part. Name a rig file only to compare it with the rig file of the run.
     simulate
         Use simulated devices instead of a rig.
     speed
@@ -171,7 +171,7 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
             )
     safe = [f'axis {axis.name} "{axis.safe}"' for axis in rig.axis]
     safe += [] if rig.chamber is None else [f'the chamber "{rig.chamber.safe}"']
-    rows.append("safe states if the run ends badly: " + ", ".join(safe))
+    rows.append("safe states at the end of the run: " + ", ".join(safe))
     rows.append("IMUs: " + (", ".join(unit.name for unit in rig.imu) or "none; is the IMU's own logger recording?"))
     if rig.alarm is not None:
         rows.append(f"command that an alarm executes: {' '.join(rig.alarm.command)}")

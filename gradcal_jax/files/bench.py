@@ -137,13 +137,13 @@ class AxisEncoder(AngleReference):
 
 
 class TableAxis(Section):
-    """An axis of the table, outermost first."""
+    """An axis of the table; the axes are listed from the outermost inwards."""
 
     name: Name
     """Name of the axis, used by moves."""
     direction: Vector
-    """Direction of the axis if all axes are at zero, in the frame that the next outer axis carries (for the outermost
-    axis: East, North, up)."""
+    """Direction of the axis if all axes are at zero, in the frame that turns with the next outer axis (for the
+    outermost axis: East, North, up)."""
     max_rate: q.PositiveRate
     """Largest rate."""
     max_acceleration: q.PositiveAcceleration
@@ -226,7 +226,7 @@ class Place(Mounting):
     matrix: tuple[Vector, Vector, Vector] | None = None
     """Instead of x, y and z: the rotation matrix from the body to the fixture, row by row."""
     lever_arm: tuple[Length, Length, Length] | None = None
-    """Position of the IMU in the fixture's frame, from the intersection of the table's axes."""
+    """Position of the IMU relative to the intersection of the table's axes, in the fixture's frame."""
 
     def _problems(self) -> Iterator[Problem]:
         yield from super()._problems()

@@ -91,7 +91,7 @@ class MapRow(Section):
     smoothness_along: tuple[Literal["temperature", "rate"], ...] = ()
     """Variables along which coefficients count as neighbours."""
     discrepancy: DiscrepancyRow | None = None
-    """Structure beyond the map."""
+    """Structure that the map lacks."""
 
 
 class TemperatureErrorRow(Section):
@@ -104,7 +104,8 @@ class TemperatureErrorRow(Section):
     bias_slope: Finite | None = None
     """Slope of the bias over temperature (rad/s/K); the temperature error times this slope is the bias error."""
     scale_factor_slope: Finite | None = None
-    """Slope of the scale factor over temperature (1/K); times the temperature error, it is the scale-factor error."""
+    """Slope of the scale factor over temperature (1/K); the temperature error times this slope is the scale-factor
+    error."""
 
 
 class GradientSensitivityRow(Section):
@@ -153,8 +154,8 @@ class HarmonicRow(Section):
 
 
 class CheckRow(Section):
-    """Probabilities, before either run, of the outcomes if one sensor's calibration is tested by a second run of the
-    same plan."""
+    """Probabilities of the outcomes if one sensor's calibration is tested by a second run of the same plan; predicted
+    before both runs."""
 
     accepted: Size
     """Probability that the calibration is accepted."""
@@ -221,11 +222,11 @@ class RequirementRow(Section):
     rule: str | None = None
     """Rule of the verdict, in words."""
     specific_risk: Size | None = None
-    """Probability that the error exceeds the target at the worst point of the box."""
+    """Probability that the error exceeds the target at the worst temperature and rate of the requirement."""
     chance: Size | None = None
     """Probability that the error of a sensor meets the target, by the requirement's statistic."""
     chance_everywhere: Size | None = None
-    """Probability that the error of a sensor meets the target at every point of the box."""
+    """Probability that the error of a sensor meets the target at every temperature and rate of the requirement."""
     check: CheckRow | None = None
     """Probabilities (global risks by JCGM 106) if the calibration is tested by a second run."""
     limited_by: str | None = None
@@ -302,14 +303,14 @@ class NoticeRow(Section):
     false_alarm: Size
     """Probability that the test rejects a correct model."""
     standard_deviation: Size | None = None
-    """Size of the hidden coefficients for which `power` is computed; null: the spec states none."""
+    """Size of the hidden coefficients for which `power` is computed; null: the spec states no size."""
     power: Size | None = None
     """Probability that the test detects hidden coefficients of this size."""
     sure_power: Size
-    """Probability of detection that counts as certain."""
+    """Probability from which a detection counts as certain."""
     sure_from: Size | None = None
-    """Smallest size of the hidden coefficients that the test detects with probability `sure_power`; null: it detects no
-    size."""
+    """Smallest size of the hidden coefficients that the test detects with probability `sure_power`; null: there is no
+    such size."""
 
     @property
     def sentence(self) -> str:

@@ -51,7 +51,7 @@ class Notice(Section):
     """Standard deviation of each hidden coefficient, a ratio."""
     temperature_degree: Degree | None = None
     """Highest degree in temperature of the polynomials to detect. Absent: the `temperature_degree` of the scale
-    factor's `discrepancy`; if it has no discrepancy, the degree of the map plus two."""
+    factor's `discrepancy`; if the scale factor has none, the degree of the map plus two."""
     rate_degree: Degree | None = None
     """Highest degree in rate of the polynomials to detect. Absent: the same default as for temperature."""
     power: q.Probability = q.Quantity(0.9, "90 %", "scale factor")
@@ -77,10 +77,10 @@ class Design(Section):
     max_motion: q.Time | None = None
     """Longest ramp."""
     max_total: q.Time | None = None
-    """Longest plan, soaks included."""
+    """Longest allowed duration of the plan, soaks included."""
     cycles: Literal["own", "alike"] = "own"
-    """Whether every visit (the part of a cycle in which the axis may turn) has its own moves, or all visits the same;
-    absent: the same if there are many visits."""
+    """"own": every visit (the part of a cycle in which the axis may turn) has moves of its own; "alike": all visits
+    have the same moves; absent: the same moves if there are many visits."""
     moves: Annotated[q.Count, Field(le=400)] | None = None
     """For a single axis: the number of turns in each visit (the part of a cycle in which this axis may turn), 40 at
     most; absent: as many as are likely to help. For other IMUs: the largest number of turns in a cycle; absent: 80."""

@@ -114,7 +114,7 @@ class DeviceLimits(Section):
     fastest: q.PositiveTemperatureSlope | None = None
     """Fastest ramp that the device accepts."""
     free_ramp: q.Number | None = None
-    """Number that the device takes for a ramp "as fast as possible"."""
+    """Number that the device interprets as a ramp "as fast as possible"."""
     max_rate: q.PositiveRate | None = None
     """Largest rate of the axis."""
     max_acceleration: q.PositiveAcceleration | None = None

@@ -179,11 +179,11 @@ _KINDS: Final = ", ".join(f"{kind.value} {kind.name.lower()}" for kind in Readin
 OF_READINGS: Final[Mapping[str, LogVariable]] = {
     f"reading_{name}": LogVariable(field, ("reading",), kind, unit, words)
     for name, field, kind, unit, words in (
-        ("time", "time_s", np.float64, "s", "when the table's angle was read, by the log's clock"),
+        ("time", "time_s", np.float64, "s", "time of the reading of the table's angle, on the log's clock"),
         ("row", "row", np.int64, "1", "row at the end of which this angle is valid"),
         ("axis", "axis", np.int64, "1", "number of the table axis, from 0"),
         ("angle", "angle_rad", np.float64, "rad", "angle read, not wrapped"),
-        ("std", "standard_deviation_rad", np.float64, "rad", "standard deviation; NaN: as the spec says"),
+        ("std", "standard_deviation_rad", np.float64, "rad", "standard deviation; NaN: the value in the spec"),
         ("kind", "kind", np.int64, "1", _KINDS),
     )
 }

@@ -73,7 +73,7 @@ class Policy(Section):
     unordered_stamps: Literal["mask", "refuse"] = "mask"
     """Rows with a time stamp before that of an earlier row."""
     gaps: Literal["split", "refuse"] = "split"
-    """Gaps: long intervals between time stamps, except those that the following stamps compensate."""
+    """Gaps: long intervals between time stamps, unless the intervals after them are correspondingly shorter."""
     missing_rates: Literal["mask", "refuse"] = "mask"
     """Rates that are not finite numbers."""
     missing_forces: Literal["mask", "refuse"] = "mask"
@@ -87,7 +87,8 @@ class Policy(Section):
     frozen_temperatures: Literal["mask", "keep", "refuse"] = "mask"
     """Temperatures that stay constant for a long time in a record in which the temperature changes."""
     wrong_units: Literal["keep", "refuse"] = "refuse"
-    """Signs of a wrong unit: values that no sensor has; rates far from the table's or from the stated sample rate."""
+    """Signs of a wrong unit: values that no sensor has, angular rates far from those of the table, or a sample rate far
+    from the stated one."""
     rows_in_turns: Literal["keep", "refuse"] = "refuse"
     """Rows that alternate, as if several sensors shared one column."""
     changed_rate: Literal["keep", "refuse"] = "refuse"

@@ -114,10 +114,10 @@ class MotionCycle(Section):
     start: dict[Text, Angle] = Field(default_factory=dict)
     """Angles of the axes at the start of the cycle, by name; absent: zero."""
     other_axes: OtherAxes | None = None
-    """Time, at the end of each cycle, in which the table serves other sensors; only for a table with standing =
+    """Time for which the table serves other sensors at the end of each cycle; only for a table with standing =
     "read"."""
     duration: Time | None = None
-    """Duration of a cycle; absent: that of its moves and of `other_axes`. If the duration is longer than these, the
+    """Duration of a cycle; absent: the sum of its moves and `other_axes`. If the duration is longer than this sum, the
     table rests for the remaining time (without readings if standing = "read")."""
 
 
@@ -129,7 +129,7 @@ class MotionPlan(ChamberCourse):
     method: Literal["gradient"]
     """The method of the plan."""
     cycle: MotionCycle | None = None
-    """Motion that is repeated; absent: the table is at rest, and is read every `read_every` of its axes."""
+    """Motion that is repeated; absent: the table is at rest, and each axis is read at intervals of its `read_every`."""
     before: Annotated[tuple[Temperature, ...], Field(max_length=100)] = ()
     """Turning points of the sensor's temperature before the plan, in order, such as room temperature; they determine
     the initial state of a hysteresis. Absent: the initial state is unknown."""

@@ -23,12 +23,12 @@ from gradcal_jax.files.section import Section, read_by, refuse, refuse_misspelt
 
 
 class Soak(Section):
-    """Waiting at the start temperature."""
+    """Waiting time at the start temperature."""
 
     duration: q.Time
     """Duration of the wait."""
     used: q.Flag = False
-    """Whether the readings taken meanwhile are part of the data."""
+    """Whether the readings taken during the wait are part of the data."""
 
 
 class SoakItem(Section):
@@ -39,7 +39,7 @@ class SoakItem(Section):
     at: q.Temperature | None = None
     """Temperature of the stay; only for the first item."""
     used: q.Flag = False
-    """Whether the readings taken meanwhile are part of the data."""
+    """Whether the readings taken during the wait are part of the data."""
 
 
 class RampItem(Section):
@@ -50,7 +50,7 @@ class RampItem(Section):
     rate: q.PositiveTemperatureSlope
     """Slope, as a positive number."""
     used: q.Flag = True
-    """Whether the readings taken meanwhile are part of the data."""
+    """Whether the readings taken during the wait are part of the data."""
 
 
 class StepItem(Section):
@@ -59,7 +59,7 @@ class StepItem(Section):
     step_to: q.Temperature
     """Temperature at the end of the step."""
     used: q.Flag = False
-    """Whether the readings taken meanwhile are part of the data."""
+    """Whether the readings taken during the wait are part of the data."""
 
 
 _ITEMS: dict[str, type[Section]] = {"soak": SoakItem, "ramp_to": RampItem, "step_to": StepItem}
@@ -78,7 +78,7 @@ ProgrammeItem = Annotated[SoakItem | RampItem | StepItem, read_by(_choose_item)]
 
 
 class OtherAxes(Section):
-    """The time, in each cycle, in which the table serves other sensors; the axis of this plan is then at rest."""
+    """The time for which the table serves other sensors in each cycle; the axis of this plan is then at rest."""
 
     duration: q.Time
     """Duration of this time."""
@@ -137,7 +137,7 @@ class ChamberCourse(Section):
     gradient: Slopes | None = None
     """Slope of the ramp as a positive number, or a list of signed slopes, one for each cycle."""
     soak: Soak | None = None
-    """Waiting at the start temperature."""
+    """Waiting time at the start temperature."""
     programme: Annotated[tuple[ProgrammeItem, ...], Field(min_length=1, max_length=10_000)] | None = None
     """Soaks, ramps and steps in their order, instead of the keys above."""
 
@@ -178,7 +178,7 @@ class StandardPlan(Section):
     method: Literal["standard"]
     """The method of the plan."""
     temperatures: Annotated[tuple[q.Temperature, ...], Field(min_length=1, max_length=1000)]
-    """Temperature set points, in order."""
+    """Temperature set points, in their order."""
     soak: q.Time
     """Waiting time at each temperature before data are taken."""
     integration: q.Time

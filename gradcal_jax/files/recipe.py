@@ -114,7 +114,7 @@ class Recipe(TitledFile):
     prediction: Predicted
     """Prediction for the rounded plan."""
     optimisation: dict[str, Any] | None = None
-    """Record of the optimisation: objective, its value before and now, number of starts, limits."""
+    """Record of the optimisation: objective, its value before and after, number of starts, limits."""
     spec: Spec = Field(title="gradcal-spec/1")
     """The spec, with the plan that the recipe executes."""
 

@@ -55,7 +55,7 @@ class ChamberDevice(Section):
     port: Port
     """Port of the device: a device path, COM3, or a socket:// or rfc2217:// address."""
     safe: Literal["standby", "hold", "ambient"]
-    """State of the chamber after a run that ends badly."""
+    """State in which every run leaves the chamber."""
     ambient: Temperature = Quantity(23.0, "23 degC", "temperature")
     """Temperature of the state "ambient"."""
     lag: Time = Quantity(300.0, "5 min", "time")
@@ -93,7 +93,8 @@ class EncoderDevice(Section):
 
 
 class AxisDevice(Section):
-    """`[[axis]]`, outermost first: the device that turns an axis of the table. The driver "operator" asks a person to
+    """`[[axis]]`: the device that turns one axis of the table; the axes are listed from the outermost inwards. The
+    driver "operator" asks a person to
     turn the axis and to type its angle; if there is an `encoder`, the angle is read from it instead."""
 
     name: Name
@@ -103,7 +104,7 @@ class AxisDevice(Section):
     port: Port
     """Port of the device; "terminal" for an operator."""
     safe: Literal["hold", "controlled stop", "unpower"]
-    """State of the axis after a run that ends badly."""
+    """State in which every run leaves the axis."""
     gravity_loaded: Flag
     """Whether gravity moves the axis if its motor has no power."""
     serial_number: Text | None = None

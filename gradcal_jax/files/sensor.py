@@ -102,7 +102,8 @@ class TemperatureError(UncertainSection):
     bias_slope: q.BiasSlope | None = None
     """Typical slope of the bias over temperature; the temperature error times this slope is the bias error."""
     scale_factor_slope: q.ScaleFactorSlope | None = None
-    """Typical slope of the scale factor over temperature; times the temperature error, it is the scale-factor error."""
+    """Typical slope of the scale factor over temperature; the temperature error times this slope is the scale-factor
+    error."""
 
     @model_validator(mode="after")
     def _slopes(self) -> "TemperatureError":
@@ -264,9 +265,9 @@ class _Instrument(Section):
     thermal_lag: q.SizeOfTime | None = None
     """Time constant of a first-order lag between the chamber's air and the sensor's dies."""
     clock: Literal["sensor", "host"] | None = None
-    """Clock by which rates are integrated. "sensor": the sensor's own; "host": the computer's, whose error is taken as
-    1 ppm instead of `sample_clock_error`; absent: the more accurate of the two, because a run's log has the times of
-    both."""
+    """Clock whose time is used to integrate rates. "sensor": the sensor's own; "host": the computer's, whose error is
+    taken as 1 ppm instead of `sample_clock_error`; absent: the more accurate of the two, because a run's log has the
+    times of both."""
     sample_clock_error: q.SizeOfScaleFactor | None = None
     """Standard deviation of the relative error of the sensor's sample clock; the error acts like a scale factor."""
     temperature_offset: q.SizeOfTemperatureDifference | None = None
@@ -469,8 +470,8 @@ class LeverArm(Section):
 
 
 class GyroTriad(_Gyro, path_terms.TemperaturePath):
-    """`[sensor.gyro]`: common properties of the gyros. If the key of an error term is absent here, the error is taken
-    as known, and is not estimated."""
+    """`[sensor.gyro]`: common properties of the gyros. If the key of an error term is absent here, the error is assumed
+    to be known, and is not estimated."""
 
     axes: BodyAxes = ("x", "y", "z")
     """Axes along which the IMU has a gyro."""
@@ -493,8 +494,8 @@ class GyroTriad(_Gyro, path_terms.TemperaturePath):
 
 class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     """`[sensor.accelerometer]`: common properties of the accelerometers. They are read at rest, and during moves that
-    are not faster than `read_on_moves_below`. If the key of an error term is absent here, the error is taken as known,
-    and is not estimated."""
+    are not faster than `read_on_moves_below`. If the key of an error term is absent here, the error is assumed to be
+    known, and is not estimated."""
 
     FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk", "turn_on_bias")
 
@@ -515,8 +516,8 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     late_temperature_gradient: Annotated[tuple[path_terms.LateGradientOfForce, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
     thermometer_difference: path_terms.DifferenceOfForce | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     velocity_increments: bool = False
-    """Whether the accelerometers output an increment of velocity for each sample. Then the error of the sample clock
-    acts like a scale factor; a specific force does not depend on the clock."""
+    """Whether the accelerometers output an increment of velocity for each sample. If they do, an error of the sample
+    clock acts like a scale factor; otherwise, specific forces do not depend on the clock."""
     bias: SpecificForceBias
     """Bias over temperature."""
     scale_factor: SpecificForceScale | None = None
@@ -557,8 +558,8 @@ class BodyFrame(Section):
     """`[sensor.frame]`: the frame to which the misalignments refer."""
 
     fixed_by: Literal["table axes", "case"] = "table axes"
-    """"table axes": the frame is given by the table's axes at zero and the nominal mounting; "case": by the IMU's case,
-    as accurately as the mounting is known."""
+    """"table axes": the frame follows from the table's axes at zero and the nominal mounting; "case": it is that of the
+    IMU's case, which is known to within the error of the mounting."""
 
 
 class Sensor(UncertainSection, _Instrument):

@@ -40,8 +40,8 @@ class ExecutedPart(Section):
 
 
 class Spec(TitledFile):
-    """Sensor, rig, requirements, plan, and what `optimise` may change; read-only. Quantities are numbers in SI (and
-    °C) that keep their text.
+    """Sensor, rig, requirements, plan, and what `optimise` may change. In Python, a read-only object, whose quantities
+    are numbers in SI (and °C) with the text from which they were read.
 
         `schedule` is the plan resolved for the rig. From `read_spec` or `parse_spec`. Errors: their `SpecError`.
     """

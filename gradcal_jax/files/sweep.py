@@ -60,7 +60,7 @@ class Axis(Section):
     keys: Annotated[tuple[Text, ...], Field(min_length=1, max_length=1000)] | None = None
     """Several keys that take the same values."""
     section: Literal["sensor", "rig", "plan"] | None = None
-    """Instead of a key: name of a whole section; it is taken from other specs."""
+    """Instead of a key: name of a whole section that is taken from other specs."""
     values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)] | None = None
     """List of values. If `section` is set: presets, or paths of specs relative to this file."""
     start: End | None = None

@@ -11,8 +11,8 @@ from gradcal_jax.files.section import Section, refuse
 
 class VariationOfBias(Section):
     """How the coefficient of a play varies with temperature: Legendre polynomials of the degrees 1 to `degree` in (T −
-    `centre`)/`scale` are added to the coefficient. A loop that is not a sum of plays, for example one of many relays,
-    is wider at some temperatures than at others."""
+    `centre`)/`scale` are added to the coefficient. A loop that is not a sum of plays, for example a loop of many
+    relays, is wider at some temperatures than at others."""
 
     standard_deviation: q.PositiveBiasSlope
     """Standard deviation of the coefficient of each polynomial before the calibration."""
@@ -37,7 +37,7 @@ class VariationOfScaleFactor(VariationOfBias):
 
 
 class PlayOfBias(Section):
-    """An error that depends on the path of temperature: a play follows the temperature with a backlash of ± `width`,
+    """An error that depends on past temperatures: a play follows the temperature with a backlash of ± `width`,
     and the error is proportional to the difference between play and temperature. If the temperature changes by more
     than twice the width, heating and cooling differ by 2 × coefficient × width."""
 

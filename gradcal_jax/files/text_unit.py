@@ -68,7 +68,7 @@ class TextSensor(Section):
     time: SensorTime = SensorTime()
     """Unit of the field `{time}`, and the value at which it restarts."""
     checksum: Literal["none", "xor8"] = "none"
-    """Text at the end of the line: "none", or with "xor8" an asterisk and two hexadecimal digits, the exclusive or of
+    """Text at the end of the line: "none"; or "xor8": an asterisk and two hexadecimal digits, the exclusive or of
     the characters between "$" and "*"."""
     baudrate: Count = 115200
     """Bits per second."""

@@ -1,4 +1,4 @@
-"""gradcal-timeline/3: all inputs for another program to compute the covariance of a plan. SI, °C.
+"""gradcal-timeline/3: all inputs from which another program can compute the covariance of a plan. SI, °C.
 
 Every channel has one row of each reading that lists it: its own integral since the reading's `start`, in the body, less
 what is known,
@@ -34,14 +34,15 @@ class SiteRow(Section):
 
 
 class TableAxisRow(Section):
-    """A table axis, outermost first. If it is held at rest, its encoder error at each standstill has the variance
-    standstill_offset² + reading_noise²/n, with n = 1 + the whole number of `read_every` in the standstill."""
+    """A table axis; the axes are listed from the outermost inwards. If it is held at rest, its encoder
+    error at each standstill has the variance standstill_offset² + reading_noise²/n, with n = 1 + the number of whole
+    intervals `read_every` in the standstill."""
 
     name: str
     """Name of the axis."""
     direction: Vector3
-    """Direction of the axis if all axes are at zero, in the frame that the next outer axis carries (for the outermost
-    axis: East, North, up)."""
+    """Direction of the axis if all axes are at zero, in the frame that turns with the next outer axis (for the
+    outermost axis: East, North, up)."""
     reading_noise: rows.Size
     """Standard deviation of the white noise of a reading (rad)."""
     standstill_offset: rows.Size
@@ -82,7 +83,7 @@ class TermRow(rows.MapRow):
 
 
 class PathTermRow(Section):
-    """A function of the path of temperature times the product of `signals`, as of `TermRow`. By `kind`:
+    """A function of past temperatures times the product of `signals`, like `TermRow`. By `kind`:
 
     "hysteresis": the functions (high + low)/2 − T and (high − low)/(2 width) of the two extreme states of a play `P =
     max(T − width, min(T + width, P⁻))`; the states start at P = T ± width at the beginning of the temperature profile,
@@ -143,7 +144,7 @@ class ChannelRow(Section):
     terms: tuple[TermRow, ...]
     """Terms that are estimated."""
     path: tuple[PathTermRow, ...] = ()
-    """Terms of the temperature's path that are estimated."""
+    """Estimated terms that depend on past temperatures."""
 
 
 class InstallationRow(Section):
@@ -166,7 +167,7 @@ class InstallationRow(Section):
     unit: str
     """SI unit of the parameters."""
     axis: str | None = None
-    """Table axis concerned; null: the error concerns no single axis."""
+    """Table axis that has the error; null: the error belongs to no single axis."""
     orders: tuple[int, ...] | None = None
     """For harmonics: periods in one turn."""
     forces: bool | None = None
@@ -207,7 +208,7 @@ class ReadingRow(Section):
 
 
 class Timeline(Section):
-    """gradcal-timeline/3: all inputs for another program to compute the covariance of a plan.
+    """gradcal-timeline/3: all inputs from which another program can compute the covariance of a plan.
 
     With `standing` "held" every rest and every move is a reading, and a held axis does not turn. With "read" the error
     of a reading is its standstill's draw of `standstill_offset` and a draw of `reading_noise` or, on the move, a draw
@@ -233,7 +234,7 @@ class Timeline(Section):
     table: tuple[TableAxisRow, ...]
     """Axes of the table, outermost first."""
     standing: Literal["held", "read"]
-    """Whether an axis at rest does not turn ("held"), or its angle is known only from readings ("read")."""
+    """"held": an axis at rest does not turn; "read": its angle is known only from readings."""
     rate_accuracy: rows.Size = 0.0
     """Standard deviation of the reference rate, as a ratio."""
     mountings: tuple[MountingRow, ...]
@@ -244,7 +245,7 @@ class Timeline(Section):
     channels: tuple[ChannelRow, ...]
     """Gyros and accelerometers."""
     installation: tuple[InstallationRow, ...]
-    """Errors that all channels see."""
+    """Errors common to all channels."""
     segments: tuple[SegmentRow, ...]
     """Motion of the table, and temperature of the chamber."""
     readings: tuple[ReadingRow, ...]

@@ -39,7 +39,7 @@ class Stability(Section):
     """Conditions under which a temperature counts as stable."""
 
     within: q.PositiveTemperatureDifference = q.Quantity(0.5, "0.5 K", "temperature difference")
-    """A stable temperature deviates from the goal, and changes, by no more than this."""
+    """Largest deviation from the goal, and largest change, of a stable temperature."""
     for_at_least: q.Time = q.Quantity(300.0, "5 min", "time")
     """Time for which the temperature must stay within this tolerance."""
     first_timeout: q.Time = q.Quantity(14400.0, "4 h", "time")
@@ -66,7 +66,7 @@ class ChamberSegment(Section):
     temperature_end: q.Temperature
     """Temperature at the end."""
     slope: q.TemperatureSlope | None = None
-    """Slope of a ramp, with its sign; absent: the temperature is constant, or changes at the chamber's maximum rate."""
+    """Signed slope of a ramp; absent: the temperature is constant, or changes at the chamber's maximum rate."""
     used: q.Flag
     """Whether the readings in this segment are part of the data."""
 
@@ -89,7 +89,7 @@ class TrackMove(Section):
     acceleration: q.PositiveAcceleration | None = None
     """Acceleration of the trapezoid with the same angle, peak rate and duration."""
     shape: q.Text | None = None
-    """Shape of the rate over time in the plan."""
+    """Shape of the planned rate over time."""
     repeat: q.Count = 1
     """Number of times that the move is made."""
     read: Literal["end", "none"] | None = None

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 _TIMES: Final = {
     "duration": ("duration_s", "the whole plan"),
-    "soak": ("soak_s", "of it at constant temperature"),
-    "motion": ("motion_s", "of it with the temperature changing"),
+    "soak": ("soak_s", "the part of the plan at constant temperature"),
+    "motion": ("motion_s", "the part of the plan in which the temperature changes"),
 }
 # Quantities that have a "mean of max".
 _OVER_RATE: Final = ("scale_factor", "gyro_scale_factor")
@@ -83,7 +83,7 @@ def dataset_of(
             }
             add(f"{name}_{variable_name(statistic)}", column, attributes)
         verdicts = [row.verdict if (row := t.get(i)) else "" for t in tables]
-        what = f"{requirement.name}: against its target, if it has one"
+        what = f"{requirement.name}: verdict, if there is a target"
         add(f"{name}_verdict", verdicts, {"long_name": what})
     for name, (field, what) in _TIMES.items():
         column = [np.nan if r.failure else getattr(r, field) for r in results]

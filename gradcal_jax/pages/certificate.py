@@ -204,7 +204,8 @@ def _validity(calibration: Calibration) -> tuple[str, ...]:
         "The values are valid for the sensor on the day of the recording, within the temperatures and rates "
         "above. Outside these ranges, the values at their edges apply, without a stated uncertainty.",
         "The stated uncertainty of the bias corrections does not include the turn-on bias, which is different at "
-        "every power-on. A result for the bias includes it, unless its requirement is for a single run.",
+        "every power-on. The result of a bias requirement includes the turn-on bias, unless the requirement is for a "
+        "single run.",
     ]
     if names := dict.fromkeys(error.name for error in calibration.unseen):
         rows.append(

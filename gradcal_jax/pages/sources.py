@@ -178,8 +178,8 @@ def _misfits(parts: dict[str, Any]) -> list[str]:
         made_by = calibration.provenance.get("recipe")
         if made_by is None:
             notes.append(
-                "the calibration does not state with which recipe its log was made, so this cannot be compared with "
-                "the recipe here"
+                "the calibration does not state the recipe with which its log was made, so it cannot be compared with "
+                "the recipe on this page"
             )
         elif made_by != recipe.fingerprint:
             notes.append(

@@ -79,7 +79,7 @@ def draw_residual_parts(channel: CalibratedChannel, *, ax: Axes | None = None) -
 
 
 def draw_lot(found: Lot, *, figure: Figure | SubFigure | None = None) -> Figure:
-    """A panel for each map, on `figure` or a new one: see `draw_lot_map`."""
+    """A panel for each map, as `draw_lot_map` draws it, on `figure` or a new one."""
     wide = min(3, len(found.maps))
     figure, panels = new_panels(-(-len(found.maps) // wide), wide, (4.6, 3.4), figure)
     for one, ax in zip(found.maps, panels.ravel(), strict=False):
@@ -90,8 +90,8 @@ def draw_lot(found: Lot, *, figure: Figure | SubFigure | None = None) -> Figure:
 
 
 def draw_lot_map(one: LotMap, *, ax: Axes | None = None) -> Axes:
-    """One map of all IMUs over temperature, at a low rate. Outliers are dashed, the mean has a band of one standard
-    deviation from IMU to IMU, and each shape that repeats is drawn at one standard deviation from the mean."""
+    """One map of all IMUs over temperature, at a low rate. Outliers are dashed. The band about the mean is the standard
+    deviation from IMU to IMU; each shape that repeats is drawn at one standard deviation from the mean."""
     ax = new_axes(ax)
     strangers = {stranger.serial_number for stranger in one.strangers}
     t, constant = one.temperature_c, len(one.temperature_c) == 1

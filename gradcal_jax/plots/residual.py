@@ -83,8 +83,8 @@ def draw_over_temperature(
 def draw_curves(
     boxes: Sequence[tuple[str, Box]], target: float | None = None, *, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
-    """Residuals of one quantity, each with a label: over temperature, or, for maps over temperature and rate, the
-    largest over temperature against the rate. `target` draws a line at the largest standard deviation that is allowed.
+    """Residuals of one quantity over temperature, each with a label; for maps over temperature and rate, the maximum
+    over temperature against the rate. `target` is the largest allowed standard deviation, drawn as a line.
     If the residuals differ much in size, the axis is logarithmic."""
     ax = new_axes(ax)
     lines: list[Line2D] = []

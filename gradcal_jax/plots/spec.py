@@ -31,7 +31,7 @@ def draw_heading(
     curves: Sequence[tuple[str, ErrorCurve]], *, own: bool = True, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
     """The heading error over time (deg, 1σ) after each of several calibrations, with labels; with `own`, also the error
-    from the IMU's own noise, and the two together."""
+    from the IMU's own noise, and the total of both."""
     ax = new_axes(ax)
     drawn: list[Line2D] = []
 
@@ -54,7 +54,7 @@ def draw_heading(
 
 def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> Figure:
     """The residual of each requirement: a map for a single scale factor, otherwise a curve for each element. If
-    attitudes matter, also the poses on the sphere. On `figure` or a new one.
+    attitudes matter, the poses on the sphere are also drawn. `figure`: by default a new one.
 
     Errors: `ValueError` for a spec without requirements.
     """
@@ -76,7 +76,8 @@ def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> 
 
 
 def draw_requirement(spec: Spec, name: str = "", *, ax: Axes | None = None) -> Axes:
-    """The residual of the requirement `name`, by default of the first. Errors: `ValueError` where there is none."""
+    """The residual of the requirement `name`; by default the first requirement. Errors: `ValueError` where there is
+    none."""
     named = [r for r in expect_spec(spec).requirement if name in ("", r.name)]
     if not named:
         raise ValueError(f"the spec has no [[requirement]]{f' named {name!r}' if name else ''}")

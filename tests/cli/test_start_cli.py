@@ -72,7 +72,7 @@ def test_an_imu_is_started_with_a_plan_that_meets_its_limits_on_its_own_hardware
     out = tmp_path / "mine"
     assert main(["start", "--preset", preset, "-o", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "no question asked for these terms; spec.toml has a typical figure of the class" in said
+    assert "no question was asked about these terms; for each, spec.toml has a typical figure of the class" in said
     spec = sound({path.name: path.read_text(encoding="utf-8") for path in out.iterdir()})
     assert (len(spec.sensor.gyro.axes), len(spec.sensor.accelerometer.axes)) == (3, 3)
     prediction = gj.predict(spec)

@@ -52,7 +52,7 @@ def test_without_an_output_the_file_is_replaced_and_kept(old, capsys):
     assert read_spec(old) == before
     upgraded = old.read_text()
     assert main(["check", "--upgrade", str(old)]) == 0
-    assert "has the current format already" in capsys.readouterr().out
+    assert "already has the current format; nothing was written" in capsys.readouterr().out
     assert old.read_text() == upgraded
 
 

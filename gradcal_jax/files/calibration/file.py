@@ -109,7 +109,7 @@ class PathPolynomial(Section):
 
 
 class PathCoefficient(Section):
-    """An error that depends on the path of temperature (hysteresis, dT/dt), in addition to the maps, which are the mean
+    """An error that depends on past temperatures (hysteresis, dT/dt), in addition to the maps, which are the mean
     of heating and cooling. `apply` computes it from the temperatures of a log and subtracts it; exports cannot contain
     it."""
 
@@ -263,7 +263,7 @@ class Result(Section):
     """The value of this statistic (1σ), including omitted terms and, for "any run", the turn-on bias; absent: not
     observable."""
     named: q.Number | None = None
-    """The same statistic from the terms named in the spec alone, for this run, if it differs."""
+    """The same statistic for this run, from the terms named in the spec alone; absent: the same value."""
     worst: q.Number | None = None
     """The standard deviation at the worst point of the requirement's temperatures and rates."""
     unit: q.Text
@@ -312,7 +312,7 @@ class Calibration(TitledFile):
     covariance: Covariance | None = None
     """Covariance of the observed coefficients from the fit; absent: it was not kept."""
     path: Annotated[tuple[PathCoefficient, ...], Field(max_length=500)] = ()
-    """Errors that depend on the path of temperature, in addition to the maps."""
+    """Errors that depend on past temperatures, in addition to the maps."""
     unseen: Annotated[tuple[UnseenError, ...], Field(max_length=5000)] = ()
     """Errors that the residuals of the fit cannot show; the results and every stated uncertainty include them."""
     table: Annotated[tuple[TableError, ...], Field(max_length=500)] = ()
@@ -322,7 +322,7 @@ class Calibration(TitledFile):
     contradicted: Annotated[tuple[q.Text, ...], Field(max_length=1000)] = ()
     """Tests of the fit that fail: the data contradict the model, and the stated uncertainties are not valid."""
     unobservable: Annotated[tuple[q.Text, ...], Field(max_length=5000)] = ()
-    """Coefficients, or combinations of them, that the data do not determine."""
+    """Coefficients and combinations of coefficients that the data do not determine."""
     noise: Noise | None = None
     """The noise that the estimate assumed."""
     lacks: q.Text | None = None

@@ -194,7 +194,7 @@ def _misfits(parts: dict[str, Any]) -> list[str]:
 def assumptions(spec: Spec | None, calibration: Calibration | None) -> list[tuple[str, str]]:
     """The figures behind the numbers: those of a plan's spec, with what it leaves out, or of a calibration."""
     if spec is not None:
-        left_out = "not stated in the spec, so typical figures of the class count: "
+        left_out = "not stated in the spec, so typical figures of the class are used: "
         omitted = [(term.key, left_out + term.typical) for term in absent_terms(spec)]
         return [*stated_figures(spec), *omitted]
     noise = None if calibration is None else calibration.noise

@@ -275,7 +275,7 @@ def test_the_slope_of_two_clocks_is_that_within_the_stretches():
     log = two_hours(36_000.0)
     time, said = host_time(log)
     assert np.ptp(time[:36_000]) == pytest.approx(3599.9 * (1.0 + SLOW), abs=1e-6)
-    assert "1.000300000 s of the computer's (the log does not state its uncertainty)" in said
+    assert "1.000300000 s of the computer's clock (the log does not state its uncertainty)" in said
     jitter = np.random.default_rng(1).uniform(0.0, 0.01, len(time))
     _, said = host_time(replace(log, host_time_s=log.host_time_s + jitter))
     # 10 ms / √12, by two levers of 3600 s · √(36000 / 12).
@@ -289,7 +289,7 @@ def test_how_well_a_runs_clock_is_known_comes_from_the_run():
     host = log.host_time_s.copy()
     host[36_000:] += (log.time_s[36_000:] - log.time_s[36_000]) * 10e-6
     _, said = host_time(replace(log, host_time_s=host))
-    assert "1.000303600 s of the computer's (1σ 0.24 ppm from the arrival times of its samples)" in said
+    assert "1.000303600 s of the computer's clock (1σ 0.24 ppm from the arrival times of its samples)" in said
     one = {"clock_rate_std": "2.5e-07"}
     _, said = host_time(two_hours(3600.0 * (1.0 + SLOW), provenance=one))
     assert "(1σ 0.25 ppm from the arrival times of its samples)" in said

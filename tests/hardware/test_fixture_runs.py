@@ -54,7 +54,7 @@ def test_an_imu_at_another_place_than_the_spec_has_is_noticed(run):
     spec, folder = run
     wrong = [PLACES[0], PLACES[1] | {"x": "-y", "y": "+x"}, PLACES[2]]
     logs = [run_log.log(folder, place["name"]) for place in PLACES]
-    with pytest.raises(ValueError, match=r"right, gyro y: it measures -1 times .* or the mounting"):
+    with pytest.raises(ValueError, match=r"right, gyro y: the output is -1 times .* or the mounting"):
         estimate_sensors(changed(spec, {"rig.table.place": wrong}), logs)
 
 

@@ -172,7 +172,7 @@ def _candidates(readings: ImuReadings, span_k: float, lasting_s: float) -> list[
         add(words, "turn_on_transient", _ENTRY.format(f"{tau:g}"), _BIAS, TurnOnTransient, **of)
     if readings.log.second_c is not None and not any(other.name == SECOND for other in others):
         of = {"other": OtherTemperature(SECOND, 0.0), "gain": 1.0, "signals": ()}
-        words, key = "the second thermometer's difference", "thermometer_difference"
+        words, key = "the temperature difference between the two thermometers", "thermometer_difference"
         add(words, key, '{{ prior = "{}" }}', _PER_K, TemperatureDifference, **of)
     lags = [tau for tau in _LAGS if tau <= longest]
     return found + [_Candidate(f"a lag of the bias of {t:g} s", "bias.lag", f'"{t:g} s"', lag=t) for t in lags]

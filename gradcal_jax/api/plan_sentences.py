@@ -285,7 +285,8 @@ def _beyond_rates(built: BuiltImu, fastest: np.ndarray) -> list[str]:
             about = "" if len(gyros) == 1 else f" about {', '.join(AXIS_NAMES[k] for k in slow)}"
             sentences.append(
                 f"requirement '{r.name}' has rates up to {np.degrees(widest):.4g} deg/s, but the plan reaches "
-                f"only {least:.4g} deg/s{about}: above this rate, the structure of the map is assumed"
+                f"only {least:.4g} deg/s{about}: above {least:.4g} deg/s, the prediction relies on the form of the map "
+                "in the spec, which this plan cannot test"
             )
     return sentences
 
@@ -336,7 +337,7 @@ def _beyond(built: BuiltImu) -> list[str]:
     return [
         (f"requirement {names[0]} asks" if len(names) == 1 else f"requirements {', '.join(names)} ask")
         + f" for {cold:g} … {warm:g} °C, but the sensor covers only {low:.4g} … {high:.4g} °C: outside this "
-        "range, the structure of the maps is assumed"
+        "range, the prediction relies on the form of the maps in the spec, which this plan cannot test"
         for (cold, warm), names in beyond.items()
     ]
 

@@ -316,7 +316,7 @@ def lot(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """Compute the mean and the spread of every map over temperature, from calibrations of several IMUs of one type.
+    """From calibrations of several IMUs of one type, compute the mean of every map and its spread from IMU to IMU.
 
     The uncertainty of each calibration does not count in the spread. The command also prints the smallest number of
     functions of temperature (shapes) that, added to the mean map with a factor for each IMU, explain the maps of all

@@ -289,8 +289,8 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     plan.
 
     The proof ignores some limits of the rig; the command lists these limits. Therefore it is possible that no real plan
-    reaches the lower limit; no plan can be below it. An efficiency of 67 % means that no plan leaves less than 0.67
-    times the error of this plan.
+    reaches the lower limit; no plan can be below it. An efficiency of 67 % means that the error of every
+    plan is at least 0.67 times the error of this plan.
 
     Parameters
     ----------

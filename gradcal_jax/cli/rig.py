@@ -138,7 +138,7 @@ _UNITS = {
 }  # fmt: skip
 _ABILITIES = {"by_hand": "turned by hand", "typed": "the operator types its angle", "told": "nothing reads its angle"}
 
-rig_app = App(name="rig", help="The devices of a rig: describe them, check them, record them; and watch a run.")
+rig_app = App(name="rig", help="Describe and check the devices of a rig, record what they send, or watch a run.")
 rig_app.command(watch)
 
 

@@ -222,7 +222,7 @@ class Place(Mounting):
     frame, and the table's mountings are those of the fixture."""
 
     name: q.Text  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
-    """Name of the place; the IMU with this name in a run or log is mounted here."""
+    """Name of the place. The IMU of the same name in a run or log is mounted at this place."""
     matrix: tuple[Vector, Vector, Vector] | None = None
     """Instead of x, y and z: the rotation matrix from the body to the fixture, row by row."""
     lever_arm: tuple[Length, Length, Length] | None = None

@@ -391,8 +391,8 @@ class Prediction(Section):
     minutes_per_imu: Size | None = None
     """Duration of the plan divided by the number of places (min)."""
     imus_per_shift: Size | None = None
-    """Number of IMUs that are calibrated in a shift by complete runs, not counting the time to change the IMUs. If a
-    run takes longer than a shift: the number of IMUs times shift/run."""
+    """Number of IMUs that can be calibrated in a shift. Only complete runs count; the time to change the IMUs is
+    neglected. If a run takes longer than a shift: the number of IMUs times shift/run."""
 
     _repr_html_ = html
 

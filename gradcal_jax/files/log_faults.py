@@ -32,7 +32,7 @@ _GAP: Final = 1.6
 _WINDOW: Final = 5
 """Number of rows on either side within which time stamps may compensate jitter."""
 _SHORT, _OFTEN = 0.3, 0.05
-"""If a larger share of the intervals than `_OFTEN` is shorter than `_SHORT` medians, the stamps come in bursts."""
+"""An interval is short below `_SHORT` medians; if more than this share of them is short, stamps come in bursts."""
 _MANY_ROWS: Final = 20
 """Least number of rows that counts as many."""
 _COARSE: Final = 0.1

@@ -182,9 +182,10 @@ class TemperaturePath(Section):
     own: Annotated[tuple[OwnError, ...], Field(max_length=20)] = ()
     """Error terms of your own."""
     late_temperature_gradient: Annotated[tuple[LateGradientOfBias, ...], Field(max_length=5)] = ()
-    """Bias proportional to dT/dt after a first-order lag, as a sum of such terms."""
+    """Bias proportional to dT/dt that a first-order lag has filtered; the biases of several entries are added."""
     scale_factor_late_temperature_gradient: Annotated[tuple[LateGradientOfScale, ...], Field(max_length=5)] = ()
-    """Scale-factor error proportional to dT/dt after a first-order lag, as a sum of such terms."""
+    """Scale-factor error proportional to dT/dt that a first-order lag has filtered; the errors of several entries are
+    added."""
     thermometer_difference: DifferenceOfBias | None = None
     """Bias proportional to the difference of the two thermometers."""
     scale_factor_thermometer_difference: DifferenceOfScale | None = None

@@ -63,7 +63,9 @@ class RunFolder:
                 f"{self.path} is not the folder of a run: there is no run.json that can be read."
             ) from None
         if not isinstance(notes, dict) or notes.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
-            raise RunFolderError(f"{self.path} has no {FORMAT}; it may be of another version.")
+            raise RunFolderError(
+                f"{self.path}/run.json is not of the format {FORMAT}: another version may have recorded the run."
+            )
         return notes  # pyright: ignore[reportUnknownVariableType]
 
     def track(self, recipe: Recipe | None = None) -> Track:

@@ -518,7 +518,7 @@ def own_term(term: str, std: float, name: str) -> OwnTerm:
             importlib.import_module(entry.module)
     if term not in _KNOWN:
         raise ValueError(
-            f'no class "{term}" of gradcal_jax.model.OwnTerm is defined: define it, or import its module, before '
+            f'gradcal_jax.model.OwnTerm has no subclass "{term}": define this class, or import its module, before '
             "the spec is used. For commands and workers, an installed package must name its module in an entry "
             f'point "{ENTRY_POINTS}"'
         )

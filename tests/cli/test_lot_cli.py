@@ -31,7 +31,7 @@ def test_text_priors_and_figure(folders, tmp_path, capsys):
     assert main([*words(folders["one"]), "-o", str(priors), "--plot", str(plot)]) == 0
     text = capsys.readouterr().out
     assert text.startswith("lot of 12 IMUs, SIMULATED\n")
-    assert "gyro_x bias: one shape repeats, with 9" in text
+    assert "gyro_x bias: one shape repeats and explains 9" in text
     assert text.endswith(f"wrote {plot}\nwrote {priors}\n")
     assert len(tomllib.loads(priors.read_text())["sensor"]["gyro"]["bias"]["shape"]) == 4
     assert "<svg" in plot.read_text()

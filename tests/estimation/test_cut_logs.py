@@ -36,7 +36,7 @@ def test_an_axis_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predic
     assert len(predicted) == len(verdicts) > 0
     for before, after in zip(predicted, verdicts, strict=True):
         assert after.decisive == pytest.approx(before.decisive, rel=0.05)
-        assert f"{before.decisive:.4g} {before.unit} of {before.name}" in calibration.lacks
+        assert f"{before.name}: {before.decisive:.4g} {before.unit}" in calibration.lacks
     assert estimate_log(spec, [log]).calibrations[0].lacks is None
 
 

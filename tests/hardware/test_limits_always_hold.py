@@ -315,7 +315,7 @@ WITHOUT = {
         f'[chamber]\ndriver = "registers"\nport = "COM1"\nsafe = "standby"\n{UNSWITCHED}\n',
                                           "no [tell] on and off"),
     "an axis in lines without off": ('[[axis]]\nname = "a"\ndriver = "lines"\nport = "COM1"\nsafe = "unpower"\n'
-                                     'gravity_loaded = false\noptions = { protocol = "grbl" }\n', "no [tell.off]"),
+                                     'gravity_loaded = false\noptions = { protocol = "grbl" }\n', "lacks [tell.off]"),
 }  # fmt: skip
 
 

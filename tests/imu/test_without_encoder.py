@@ -77,7 +77,7 @@ def test_a_vertical_axis_is_said_with_what_a_tilt_makes_of_it():
     prediction = gj.predict(tilted)
     assert not any("gravity shows neither" in s for s in prediction.warnings)
     figure = prediction.requirements[0].mean_of_max
-    assert float(said.rsplit("then ", 1)[1].split(" ppm")[0]) == pytest.approx(figure, rel=0.03)
+    assert float(said.rsplit("' is ", 1)[1].split(" ppm")[0]) == pytest.approx(figure, rel=0.03)
     assert gj.predict(upright).requirements[0].mean_of_max > 50.0 * figure
 
 

@@ -87,8 +87,7 @@ class Policy(Section):
     frozen_temperatures: Literal["mask", "keep", "refuse"] = "mask"
     """Temperatures that stay constant for a long time in a record in which the temperature changes."""
     wrong_units: Literal["keep", "refuse"] = "refuse"
-    """Signs of a wrong unit: values that no sensor has, angular rates far from those of the table, or a sample rate far
-    from the stated one."""
+    """Signs of a wrong unit: values that no sensor has, rates far from the table's, or a wrong sample rate."""
     rows_in_turns: Literal["keep", "refuse"] = "refuse"
     """Rows that alternate, as if several sensors shared one column."""
     changed_rate: Literal["keep", "refuse"] = "refuse"

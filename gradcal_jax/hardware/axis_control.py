@@ -243,11 +243,11 @@ class AxisControl:
         newest = self.newest.get(name)
         if name in self._by_hand:
             return newest is not None and not newest.moving and abs(newest.position_deg - goal_deg) <= _NEAR_BY_HAND_DEG
-        if newest is not None and not watched:
-            return False
-        stands = newest is None or (not newest.moving and abs(newest.position_deg - goal_deg) <= _OFF_GOAL_DEG)
+        if newest is None:
+            return abs(self._goal_deg.get(name, 0.0) - goal_deg) <= 1e-9
         # Its standstill goes on: a motor that is told to go where it is may move a little.
-        return stands and abs(self._goal_deg.get(name, 0.0 if newest is None else math.inf) - goal_deg) <= 1e-9
+        stands = watched and not newest.moving and abs(newest.position_deg - goal_deg) <= _OFF_GOAL_DEG
+        return stands and abs(self._goal_deg.get(name, math.inf) - goal_deg) <= 1e-9
 
     def _command(self, step: str, move: AxisCommand) -> None:
         axis, name = self._axes[move.axis], move.axis

@@ -330,10 +330,11 @@ def _parts(block: MotionBlock, total: float, names: dict[str, str], *, ends: boo
         start, lasts_s = number * period, total - number * period if last else period
         moves: list[AxisCommand] = []
         reads = [0.0] if number == 0 else list[float]()
+        cycle_s = None if ends else start
         for move in own if last else block.moves:
-            _add(moves, reads, move, names, start, ends=ends)
+            _add(moves, reads, move, names, cycle_s)
         if last and after > 0.0 and block.read_every_after is not None:
-            reads += _reads(lasts_s - after, after, float(block.read_every_after), None if ends else start)
+            reads += _reads(lasts_s - after, after, float(block.read_every_after), cycle_s)
         name = f"{block.name}, {number + 1} of {block.repeat}" if block.repeat > 1 else block.name
         slack_s = after if last else max(0.0, period - busy)
         yield start, TrackStep(name, lasts_s, moves=tuple(moves), read_at_s=tuple(sorted(reads)), slack_s=slack_s)
@@ -369,13 +370,7 @@ def _points(block: MotionBlock, names: dict[str, str]) -> Iterator[Part]:
 
 
 def _add(
-    moves: list[AxisCommand],
-    reads: list[float],
-    move: TrackMove,
-    names: dict[str, str],
-    begins_s: float,
-    *,
-    ends: bool,
+    moves: list[AxisCommand], reads: list[float], move: TrackMove, names: dict[str, str], cycle_s: float | None
 ) -> None:
     duration = float(move.duration)
     for repetition in range(move.repeat):
@@ -383,8 +378,8 @@ def _add(
         if move.do not in ("rest", "wait"):
             moves.append(_command(move, start, names[move.axis]))
         if move.read_every is not None:
-            reads += _reads(start, duration, float(move.read_every), None if ends else begins_s)
-            if ends and move.do == "rest" and reads[-1:] != [start + duration]:
+            reads += _reads(start, duration, float(move.read_every), cycle_s)
+            if cycle_s is None and move.do == "rest" and reads[-1:] != [start + duration]:
                 reads.append(start + duration)
         elif move.read == "end":
             reads.append(start + duration)
@@ -392,11 +387,11 @@ def _add(
 
 def _reads(start: float, duration: float, every: float, cycle_s: float | None) -> list[float]:
     """The times of the readings of a move, on the clock of its cycle. `cycle_s`: the begin of the cycle, for a table
-    that is held: an axis that stands while others move one after another is read at even intervals all the time."""
+    that is held (None: one that is read at the end of its rests): an axis that stands while others move one after
+    another is read at even intervals all the time."""
     if cycle_s is None:
         return [start + time for time in reading_times(duration, every)]
-    before = reading_count(cycle_s + start, every) if cycle_s + start > 0.0 else 0
-    after = reading_count(cycle_s + start + duration, every)
+    before, after = (reading_count(cycle_s + time, every) for time in (start, start + duration))
     return [k * every - cycle_s for k in range(before + 1, after + 1)]
 
 

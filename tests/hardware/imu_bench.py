@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from hardware_bench import unpredicted
 from matrix_errors import nees_of
+from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.api.fit_of_log import fitted_twice
 from gradcal_jax.api.imu_build import build_imu
@@ -17,7 +18,9 @@ from gradcal_jax.files.recipe import Recipe
 from gradcal_jax.files.spec import parse_spec, read_spec
 from gradcal_jax.files.spec_sections import Spec
 from gradcal_jax.hardware import execute
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
 from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.information import segments_of, whiten
 
 HAND = Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml"
@@ -126,3 +129,28 @@ def estimated(
     values, true = reported[kept] @ found.parameters, np.array([truth[name] for name in of_kept])
     nees = nees_of(of_kept, values, true, found.known.covariance(reported[kept]))
     return chi_squared, degrees, nees, len(kept)
+
+
+class Stage:
+    """A stage of which nothing but turns is asked, that turns at `pace` times the rate that it is told."""
+
+    def __init__(self, clock: LineClock, pace: float = 1.0) -> None:
+        self.plant, self.clock, self.settings = AxisPlant(None, clock.now()), clock, KeptSettings()
+        self.pace, self.told = pace, list[float]()
+
+    def not_asked(self, *said: Any) -> Any:
+        raise AssertionError("nothing but turns is asked for here")
+
+    identify = home = spin = stop = arm_watchdog = heartbeat = safe = close = not_asked
+
+    def limits(self) -> AxisLimits:
+        return AxisLimits(100.0, 100.0, None, None, 0.001, hardware_watchdog=False)
+
+    def read(self) -> AxisReading:
+        now = self.clock.now()
+        angle, rate = self.plant.state(now)
+        return AxisReading(now, angle, rate, self.plant.moving(now), True, (), ())
+
+    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
+        self.told.append(position_deg)
+        self.plant.move_to(self.clock.now(), position_deg, rate_dps * self.pace, acceleration_dps2)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hardware_evidence import record
-from imu_bench import estimated, hand, made, short, stopped_in_its_second_cycle, triad
+from imu_bench import Stage, estimated, hand, made, short, stopped_in_its_second_cycle, triad
 from scipy.stats import chi2
 from simulated_devices.line_clock import LineClock
 
@@ -25,11 +25,9 @@ from gradcal_jax.files.spec import parse_spec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.errors import HardwareError
-from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.simulate.lab import SimulatedPerson
-from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.hardware.track import AxisCommand, track_of
 
 
@@ -61,32 +59,9 @@ def test_one_axis_turns_at_a_time(ran: tuple[Path, Log]) -> None:
         assert begins >= ended
 
 
-class SlowStage:
-    """A stage that turns at half the rate that it is told."""
-
-    def __init__(self, clock: LineClock) -> None:
-        self.plant, self.clock, self.settings = AxisPlant(None, clock.now()), clock, KeptSettings()
-
-    def not_asked(self, *said: Any) -> Any:
-        raise AssertionError("nothing but turns is asked for here")
-
-    identify = home = spin = stop = arm_watchdog = heartbeat = safe = close = not_asked
-
-    def limits(self) -> AxisLimits:
-        return AxisLimits(100.0, 100.0, None, None, 0.001, hardware_watchdog=False)
-
-    def read(self) -> AxisReading:
-        now = self.clock.now()
-        angle, rate = self.plant.state(now)
-        return AxisReading(now, angle, rate, self.plant.moving(now), True, (), ())
-
-    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        self.plant.move_to(self.clock.now(), position_deg, rate_dps / 2.0, acceleration_dps2)
-
-
 def test_a_turn_waits_for_the_one_of_another_axis() -> None:
     clock = LineClock()
-    stages: dict[str, Any] = {"tilt": SlowStage(clock), "spin": SlowStage(clock)}
+    stages: dict[str, Any] = {name: Stage(clock, pace=0.5) for name in ("tilt", "spin")}
     moving: list[bool] = []
 
     def told(name: str, **data: Any) -> None:

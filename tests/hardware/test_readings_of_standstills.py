@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from imu_bench import made, short
+from imu_bench import Stage, made, short
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.api.fit_of_log import fitted_twice
@@ -19,9 +19,7 @@ from gradcal_jax.files import changed
 from gradcal_jax.files.log import Log, ReadingKind
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
-from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
 from gradcal_jax.hardware.run_folder import RunFolder
-from gradcal_jax.hardware.simulate.plants import AxisPlant
 
 EVERY_S = 1.5
 MOVES: list[dict[str, Any]] = [
@@ -93,31 +91,6 @@ def test_an_axis_that_stands_where_a_part_begins_is_not_told_to_go_there(ran) ->
     (seam,) = np.flatnonzero(np.diff(log.time_s) > 50.0)
     assert log.standstill is not None
     assert log.standstill[seam] == log.standstill[seam + 1] >= 0
-
-
-class Stage:
-    """A stage of which nothing but turns is asked."""
-
-    def __init__(self, clock: LineClock) -> None:
-        self.plant, self.clock, self.settings = AxisPlant(None, clock.now()), clock, KeptSettings()
-        self.told: list[float] = []
-
-    def not_asked(self, *said: Any) -> Any:
-        raise AssertionError("nothing but turns is asked for here")
-
-    identify = home = spin = stop = arm_watchdog = heartbeat = safe = close = not_asked
-
-    def limits(self) -> AxisLimits:
-        return AxisLimits(100.0, 100.0, None, None, 0.001, hardware_watchdog=False)
-
-    def read(self) -> AxisReading:
-        now = self.clock.now()
-        angle, rate = self.plant.state(now)
-        return AxisReading(now, angle, rate, self.plant.moving(now), True, (), ())
-
-    def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        self.told.append(position_deg)
-        self.plant.move_to(self.clock.now(), position_deg, rate_dps, acceleration_dps2)
 
 
 def test_an_axis_goes_to_its_start_unless_it_was_watched_and_stands_there() -> None:

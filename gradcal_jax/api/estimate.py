@@ -21,6 +21,7 @@ from gradcal_jax.api.contradictions import (
     discrepancies,
     excess_of,
     lacks_of,
+    latitude_tests,
     noise_sentences,
     not_valid,
     omitted_sentences,
@@ -351,6 +352,8 @@ def report_of(
     budget = budget_of_estimate(estimated, known, run, noise)
     structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))
     beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.beyond for channel, t in structure}
+    site = () if options.robust else tuple(latitude_tests(built.spec, readings, solution))
+    beyond_maps |= {one.name: one.test for one in site}
     contradicted = (*shown.not_valid, *estimation.contradictions(tests_by_name(tests, channels) | beyond_maps))
     requirements, beyond = [], list[str]()
     for requirement in built.spec.requirement:
@@ -391,12 +394,11 @@ def report_of(
     beside = *of_path, *omitted_sentences(built.spec, temperature[record], lag.std is not None), *beyond
     looks = diagnosis_sentences(solution.estimate.residuals, of_segment[at.row_segment][used], moved)
     told = _words(report, solution), looks if contradicted else []
+    told = *told, [one.sentence for one in site if one.name in contradicted]
     hidden = (f"{channel.replace('_', ' ')}: {structure_in_words(test)}" for channel, test in structure if test.noticed)
     if smoothness is not None and smoothness.at_edge:
-        messages = (
-            *messages,
-            "the data do not determine the smoothness of the maps: the estimate is at the edge of the allowed range",
-        )
+        edge = "the data do not determine the smoothness of the maps: the estimate is at the edge of the allowed range"
+        messages = *messages, edge
     return report._replace(
         messages=(*messages, *alone, *lag.sentences, *lesser, *hidden, *itertools.chain(*told), *beside)
     )

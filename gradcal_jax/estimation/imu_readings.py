@@ -164,19 +164,34 @@ class ImuReadings(NamedTuple):
         row = row_of_steps(self.done.motion, self.model)
         return np.where(row >= 0, values[row], np.zeros((), values.dtype))
 
-    def whitened_term(self, channel: int, term: Term) -> np.ndarray:
-        """The whitened columns `(n, k)` of a term, of the rows used, if the channel of this number had it."""
-        steps, _ = self.linear(None)
+    def whitened_terms(self) -> Callable[[int, Term], np.ndarray]:
+        """Of a channel's number and a term: the whitened columns `(n, k)`, of the rows used, if the channel had it."""
         nodes, at = self.nominal(), segments_of(self.done.motion, self.model)
-        of = self.model.channels[channel]
-        alone = eqx.tree_at(lambda m: m.terms, of.model, (term,))
-        (columns,) = ImuModel((replace(of, model=alone),), (), self.model.encoder).own_columns(nodes)
-        rows = np.zeros((len(at.row_segment), term.size))
-        own = at.row_channel == channel
-        rows[own] = at.sums(np.asarray(columns))[at.row_segment[own]]
+        steps, _ = self._system(nodes)
+
+        def columns_of(channel: int, term: Term) -> np.ndarray:
+            of = self.model.channels[channel]
+            alone = eqx.tree_at(lambda m: m.terms, of.model, (term,))
+            (columns,) = ImuModel((replace(of, model=alone),), (), self.model.encoder).own_columns(nodes)
+            rows = np.zeros((len(at.row_segment), term.size))
+            own = at.row_channel == channel
+            rows[own] = at.sums(np.asarray(columns))[at.row_segment[own]]
+            return self._whitened(steps, rows)
+
+        return columns_of
+
+    def by_latitude(self, parameters: np.ndarray) -> np.ndarray:
+        """The whitened derivative `(n, 1)` of the rows used with respect to the site's latitude, 1/rad."""
+        motion = self.done.motion
+        there = motion.geometry.latitude + _SMALL_TURN
+        moved = eqx.tree_at(lambda m: m.geometry.latitude, motion, there)
+        rows = self._replace(done=self.done._replace(motion=moved)).expected(parameters) - self.expected(parameters)
+        return self._whitened(self._system(self.nominal())[0], rows[:, None] / _SMALL_TURN)
+
+    def _whitened(self, steps: NoiseSteps, rows: np.ndarray) -> np.ndarray:
         row = row_of_steps(self.done.motion, self.model)
         white = np.asarray(whiten(steps, np.where((row >= 0)[:, None], rows[row], 0.0)))
-        return white[self.by_steps(np.asarray(at.used))]
+        return white[self.by_steps(np.asarray(segments_of(self.done.motion, self.model).used))]
 
     def with_noise(self, steps: NoiseSteps, variance: np.ndarray) -> NoiseSteps:
         """The steps with more noise of their readings, `(N,)`: where the only axis of a table is read, of its encoder,

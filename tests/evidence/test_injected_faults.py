@@ -141,6 +141,16 @@ def test_a_few_in_every_run(name: str, tmp_path: Path) -> None:
     assert handled(fault, found), found.printed
 
 
+def test_a_wrong_latitude_is_said_with_the_one_that_the_gyros_observe(tmp_path: Path) -> None:
+    """38 deg, where the spec says 48: else it is taken for a sensitivity to g."""
+    (fault,) = (fault for fault in FAULTS if fault.name.startswith("latitude of another town"))
+    found = outcome(fault, tmp_path)
+    assert handled(fault, found), found.printed
+    assert "not valid: latitude of the site: " in found.printed
+    seen, std = map(float, re.findall(r"at a latitude of about (\d+) ± (\d+) deg", found.printed)[0])
+    assert abs(seen - 38.0) < 3.0 * std < 10.0
+
+
 def test_a_sound_log_accuses_nobody(tmp_path: Path) -> None:
     """Of a spec that gives every term: met, within U, and silent."""
     found = outcome(Fault("no fault", AXIS_FULL, "", none), tmp_path)

@@ -248,6 +248,8 @@ def _no_device(own: float, across: Mapping[str, float]) -> str:
 
 # An angle within a standstill is no chance at this many standard deviations, and matters at this many of a reading.
 _NO_CHANCE, _MATTERS = 6.0, 2.0
+# Angle (rad) that no readings without a stated noise need to be better than.
+_UNCERTAIN: Final = 1e-5
 
 
 class RecordFaults(NamedTuple):
@@ -281,11 +283,12 @@ def without_bad_rows(
         cleaned.append(clean)
         for name, faults in found.items():
             left_out.setdefault(name, []).extend(faults.sentences)
-            wrong.setdefault(name, {}).update(faults.coarse | _ends_of_standstills(spec, clean, name, channels))
+            wrong.setdefault(name, {}).update(faults.coarse | _wrong_motion(spec, clean, name, channels))
     return cleaned, {name: RecordFaults(tuple(left_out[name]), wrong[name]) for name in left_out}
 
 
-def _ends_of_standstills(spec: Spec, log: Log, name: str, channels: Collection[str]) -> dict[str, str]:
+def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) -> dict[str, str]:
+    """What the rates of a unit show at the ends of standstills and within moves, by a name for each."""
     if log.standstill is None:
         return {}
     angles = [axis.angle for axis in spec.rig.table.axis]
@@ -294,8 +297,15 @@ def _ends_of_standstills(spec: Spec, log: Log, name: str, channels: Collection[s
     for k, label in enumerate(log.axes):
         if f"gyro {label}" not in channels:
             continue
-        rate = log.rate_rad_per_s[log.unit_index(name), :, k]
-        seen = estimation.settling(log.time_s, rate, log.standstill >= 0, log.usable(name))
+        rate, usable = log.rate_rad_per_s[log.unit_index(name), :, k], log.usable(name)
+        count, angle = estimation.lost_in_moves(log.time_s, rate, log.standstill >= 0, usable, log.stretch_starts)
+        if angle > max(_MATTERS * known, _UNCERTAIN):
+            found[f"samples of gyro {label} lost in moves"] = (
+                f"gyro {label}: samples are lost or repeated {count} times during moves, where its rate changes, so the "
+                f"angle of each move is uncertain by {np.degrees(angle):.2g} deg on average: record every sample, or "
+                "mark the rows after lost samples as the start of a stretch"
+            )
+        seen = estimation.settling(log.time_s, rate, log.standstill >= 0, usable)
         if seen is None:
             continue
         for angle, std, end, words in (

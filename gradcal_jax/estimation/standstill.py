@@ -15,7 +15,7 @@ divides a stretch: by the spread or, if it is too slow for that, by the mean.
 And whether the gyros agree that a table stands where its standstills begin and end. A gyro that is filtered or delayed,
 or a controller that says "in position" too early, shows the end of a move within the standstill; one that says so too
 late, or stamps of the wrong clock, its beginning. Each angle is small and the same after every move, so that no test of
-single readings need notice it.
+single readings need notice it. The same is true of samples that are lost on the ramp of every move.
 """
 
 from typing import NamedTuple
@@ -170,3 +170,38 @@ def settling(time_s: np.ndarray, rate: np.ndarray, standing: np.ndarray, usable:
         angles, stds = np.array(one).T
         values += [float(angles.mean()), float(np.sqrt(np.sum(stds**2))) / len(stds)]
     return Settling(*values)
+
+
+# An interval of so many usual ones lacks a sample, unless stamps within so many rows of it make up for it.
+_LOST, _STAMPS = 1.6, 5
+
+
+def lost_in_moves(
+    time_s: np.ndarray, rate: np.ndarray, standing: np.ndarray, usable: np.ndarray, starts: np.ndarray
+) -> tuple[int, float]:
+    """How often samples of a gyro are missing or repeated within moves, and the mean over all moves of the angle (rad)
+    that is uncertain by it: half the change of rate, times the time without a sample.
+
+    An integration holds the next sample for this time. If samples are lost on the same ramp of every move, the errors
+    have the same sign, so they look like a scale factor. Times, rates (rad/s) and truth values of all rows `(n,)`;
+    `starts`: rows at which stretches begin, before which nothing is integrated.
+    """
+    known = np.flatnonzero(np.isfinite(rate))
+    begin, end = known[:-1], known[1:]
+    # (A repeated value is no new sample; a coarse channel that repeats values changes by one step after them.)
+    fresh = np.concatenate([[True], (rate[end] != rate[begin]) | standing[end]])
+    known = known[fresh]
+    if len(known) < 2 * _STAMPS:
+        return 0, 0.0
+    begin, end = known[:-1], known[1:]
+    interval = time_s[end] - time_s[begin]
+    usual = float(np.median(interval))
+    at = np.flatnonzero(interval > _LOST * usual)
+    first, last = np.maximum(at - _STAMPS, 0), np.minimum(at + 1 + _STAMPS, len(known) - 1)
+    at = at[(time_s[known[last]] - time_s[known[first]]) / usual - (last - first) > _LOST - 1.0]
+    unusable = ~(usable & np.isfinite(rate))
+    unusable[starts] = True
+    marked = np.cumsum(unusable)
+    at = at[(marked[end[at]] == marked[begin[at]]) & ~(standing[begin[at]] & standing[end[at]])]
+    uncertain = 0.5 * np.abs(rate[end[at]] - rate[begin[at]]) * (interval[at] - usual)
+    return len(at), float(np.sum(uncertain)) / max(len(runs(~standing)), 1)

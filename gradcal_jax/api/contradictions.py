@@ -301,9 +301,9 @@ def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) ->
         count, angle = estimation.lost_in_moves(log.time_s, rate, log.standstill >= 0, usable, log.stretch_starts)
         if angle > max(_MATTERS * known, _UNCERTAIN):
             found[f"samples of gyro {label} lost in moves"] = (
-                f"gyro {label}: samples are lost or repeated {count} times during moves, where its rate changes, so the "
-                f"angle of each move is uncertain by {np.degrees(angle):.2g} deg on average: record every sample, or "
-                "mark the rows after lost samples as the start of a stretch"
+                f"gyro {label}: samples are lost or repeated {count} times during moves. The angle of a move is "
+                f"therefore uncertain by {np.degrees(angle):.2g} deg on average: record every sample, or mark the rows "
+                "after lost samples as the start of a stretch"
             )
         seen = estimation.settling(log.time_s, rate, log.standstill >= 0, usable)
         if seen is None:

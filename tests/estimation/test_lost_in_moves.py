@@ -38,7 +38,7 @@ def test_a_whole_record_lacks_nothing():
 @pytest.mark.parametrize("count", [1, 4, 10])
 def test_rows_lost_on_every_ramp_leave_the_angle_uncertain(count: int):
     """Held from the next sample, the integral is wrong by half the change of rate times the time that is lost."""
-    time, rate, standing, _ = record()
+    _, rate, standing, _ = record()
     at = begins(standing) + 20
     lost, angle = lost_in_moves(*without((at[:, None] + np.arange(count)).ravel()), START)
     assert lost == MOVES

@@ -418,6 +418,20 @@ def force_jumps(r: Recorded) -> Recorded:
     return replace(r, values=r.values + 2e-3 * G * later[:, None] * (np.arange(r.values.shape[1]) == 3))
 
 
+def on_ramps(rows_lost: int, held: bool) -> Callable[[Scene], None]:
+    """Samples that are lost 0.4 s after each move begins, as of a buffer that overflows, or are the last one again."""
+
+    def change(r: Recorded) -> Recorded:
+        begins = np.flatnonzero((r.stands[1:] < 0) & (r.stands[:-1] >= 0)) + 20
+        kept = np.ones(len(r.time), bool)
+        kept[(begins[:, None] + np.arange(rows_lost)).ravel()] = False
+        if held:
+            return replace(r, values=r.values[np.maximum.accumulate(np.where(kept, np.arange(len(kept)), 0))])
+        return Recorded(r.time[kept], r.values[kept], r.temperature[kept], r.angles[kept], r.stands[kept])
+
+    return rows(change)
+
+
 AXIS, UNIT, AXIS_FULL, UNIT_FULL = "axis, lean", "unit, lean", "axis, full", "unit, full"
 
 # --- the list ---------------------------------------------------------------------------------------------------------
@@ -552,6 +566,10 @@ FAULTS: tuple[Fault, ...] = (
     Fault("transient of 100 deg/h after power-on", UNIT_FULL, EVENT, rows(warming)),
     Fault("five seconds lost of every fifty", AXIS_FULL, DROPPED, rows(in_bursts), always=True),
     Fault("five seconds lost of every fifty", UNIT_FULL, DROPPED, rows(in_bursts), always=True),
+    Fault("two samples lost on each ramp", AXIS_FULL, DROPPED, on_ramps(2, held=False)),
+    Fault("two samples lost on each ramp", UNIT_FULL, DROPPED, on_ramps(2, held=False)),
+    Fault("the last sample repeated for 0.1 s on each ramp", AXIS_FULL, rf"repeat|{DROPPED}", on_ramps(5, held=True)),
+    Fault("the last sample repeated for 0.1 s on each ramp", UNIT_FULL, rf"repeat|{DROPPED}", on_ramps(5, held=True)),
     Fault("clipped on one side", AXIS_FULL, SATURATION, values(one_sided), always=True),
     Fault("clipped on one side", UNIT_FULL, SATURATION, values(one_sided), always=True),
     Fault("standstills marked 0.3 s too long", AXIS_FULL, STILL, rows(marked_late)),

@@ -38,7 +38,8 @@ REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "faults.md"
 # Lines that are printed of every log, whatever it holds.
 _ALWAYS = re.compile(
     r"^(wrote |covers |unit |frame: |discrepancy of |\|f\||axis \w+: \d+ readings|\d+ rows of \d+ channels|"
-    r"residuals are (0\.[89]|1\.[01])|.*\.nc: |.*simple acceptance|the terms, at most)"
+    r"(the )?residuals are (0\.[89]|1\.0)|.*\.nc: |.*simple acceptance|the terms, at most|the largest value of each "
+    r"term|rows: \d+ used, \d+ without a reference$|\d+ readings of|note: the log does not compare)"
 )
 ACCUSES = re.compile(
     r"disagree|contradict|not valid|not white|not a gyro|not an accelerometer|cannot explain|implausibl", re.IGNORECASE

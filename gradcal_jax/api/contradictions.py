@@ -32,7 +32,7 @@ from gradcal_jax.files.requirement import Requirement
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.signal_faults import without_faults
 from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.model import AXIS_NAMES, BIAS, KINDS, Channel
+from gradcal_jax.model import AXIS_NAMES, BIAS, KINDS, Channel, ImuModel
 
 # K by which a die may be colder or warmer than the chamber's limits, self-heating included.
 _COLDER, _WARMER = 10.0, 35.0
@@ -44,6 +44,8 @@ _SHORT_K, _SHORT_RATE = 1.5, 1e-3
 # Sizes that no channel has: of a scale-factor error, of a misalignment (rad), of any coefficient in its priors.
 SCALE_FACTOR_ERROR: Final = 0.5
 _MISALIGNED, _PRIORS = 0.3, 50.0
+# Standard deviations of the spec beyond which an error of the table contradicts the spec.
+_CONTRADICTED: Final = 4.0
 # Standard deviations of the spec's misalignments beyond which a rotation of all sensors together is reported.
 _TURNED = 4.0
 # Standard deviation of the latitude, rad, above which readings say nothing about it.
@@ -170,6 +172,23 @@ def refuse_implausible(where: str, names: Sequence[str], values: np.ndarray, pri
             f"{where}: {names[worst]} is {ratios[worst]:.3g} times its prior standard deviation in the spec: does "
             "the column have another unit, or is the prior too small?"
         )
+
+
+def beyond_the_spec(model: ImuModel, values: np.ndarray, priors: np.ndarray) -> dict[str, str]:
+    """By its name a sentence on each error of the table that is beyond what the spec says of it; `values` and `priors`
+    of all reported parameters, as of `refuse_implausible`.
+
+    A fault that the model lacks, such as backlash, appears as an error that the model has.
+    """
+    names = model.names()
+    return {
+        f"the table's {names[k]}": (
+            f"the table's {names[k].replace('_', ' ')} is {values[k] / priors[k]:+.1f} times its standard deviation in "
+            "the spec: is the spec of the table correct?"
+        )
+        for k in range(model.calibrated, model.size)
+        if abs(values[k]) > _CONTRADICTED * priors[k]
+    }
 
 
 def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> Iterator[str]:

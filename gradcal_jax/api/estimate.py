@@ -16,6 +16,7 @@ from gradcal_jax.api.contradictions import (
     MeasuredDiscrepancy,
     RecordFaults,
     beyond_the_data,
+    beyond_the_spec,
     counting_less,
     diagnosis_sentences,
     discrepancies,
@@ -84,8 +85,6 @@ _TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
 _ONE_WAY = 0.8
 # Fewer moves are not divided into odd and even ones.
 _FEWEST_MOVES = 4
-# An error of the table of more than this many times its standard deviation by the spec is reported.
-_CONTRADICTED = 4.0
 # Standard deviations by which two parts of the data differ by chance once in a thousand.
 _APART = 3.3
 
@@ -354,7 +353,9 @@ def report_of(
     beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.beyond for channel, t in structure}
     site = () if options.robust else tuple(latitude_tests(built.spec, readings, solution))
     beyond_maps |= {one.name: one.test for one in site}
-    contradicted = (*shown.not_valid, *estimation.contradictions(tests_by_name(tests, channels) | beyond_maps))
+    of_table = beyond_the_spec(model, model.to_reported @ solution.parameters, prior_deviations(built))
+    failed = estimation.contradictions(tests_by_name(tests, channels) | beyond_maps)
+    contradicted = (*shown.not_valid, *failed, *of_table)
     requirements, beyond = [], list[str]()
     for requirement in built.spec.requirement:
         if sentence := beyond_the_data(requirement, *covered):
@@ -503,15 +504,10 @@ def _words(report: SensorEstimate, solution: ImuEstimate) -> list[str]:
             chance = f"p-value {split.agreement.probability:.1g}"
             also = f"; they differ in {worst}" if worst else ""
             sentences.append(f"{split.name}: the parts disagree ({chance}){also}")
-    for error in report.calibration.table:
-        if abs(error.value) > _CONTRADICTED * error.prior:
-            sentences.append(
-                f"the table's {error.name.replace('_', ' ')} is {error.value / error.prior:+.1f} times its "
-                "standard deviation in the spec: is the spec of the table correct?"
-            )
-    model = report.built.model
+    model, priors = report.built.model, prior_deviations(report.built)
     values = model.to_reported @ report.solution.parameters
-    sentences += turned_together(model.names(), values, prior_deviations(report.built))
+    sentences += beyond_the_spec(model, values, priors).values()
+    sentences += turned_together(model.names(), values, priors)
     if report.calibration.unobservable:
         sentences.append(f"not observable: {', '.join(report.calibration.unobservable)}")
     return sentences

@@ -26,8 +26,9 @@ def begins(standing: np.ndarray) -> np.ndarray:
 
 def without(rows: np.ndarray):
     """The record without some rows."""
-    keep = np.setdiff1d(np.arange(len(record()[0])), rows)
-    return tuple(column[keep] for column in record())
+    time, rate, standing, usable = record()
+    keep = np.setdiff1d(np.arange(len(time)), rows)
+    return time[keep], rate[keep], standing[keep], usable[keep]
 
 
 def test_a_whole_record_lacks_nothing():

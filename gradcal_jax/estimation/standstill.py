@@ -174,6 +174,8 @@ def settling(time_s: np.ndarray, rate: np.ndarray, standing: np.ndarray, usable:
 
 # An interval of so many usual ones lacks a sample, unless stamps within so many rows of it make up for it.
 _LOST, _STAMPS = 1.6, 5
+# Least steps of a channel that a rate changes by where a repeated value was no measured one.
+_STEPS = 2.5
 
 
 def lost_in_moves(
@@ -188,20 +190,27 @@ def lost_in_moves(
     """
     known = np.flatnonzero(np.isfinite(rate))
     begin, end = known[:-1], known[1:]
-    # (A repeated value is no new sample; a coarse channel that repeats values changes by one step after them.)
+    # A repeated value is no new sample. (At rest a coarse channel repeats values by nature.)
     fresh = np.concatenate([[True], (rate[end] != rate[begin]) | standing[end]])
     known = known[fresh]
     if len(known) < 2 * _STAMPS:
         return 0, 0.0
     begin, end = known[:-1], known[1:]
-    interval = time_s[end] - time_s[begin]
-    usual = float(np.median(interval))
-    at = np.flatnonzero(interval > _LOST * usual)
+    interval, moving = time_s[end] - time_s[begin], ~(standing[begin] & standing[end])
+    if not moving.any():
+        return 0, 0.0
+    # (Of moves alone: a sensor that is read twice as often as it measures repeats every value.)
+    usual = float(np.median(interval[moving]))
+    at = np.flatnonzero(moving & (interval > _LOST * usual))
     first, last = np.maximum(at - _STAMPS, 0), np.minimum(at + 1 + _STAMPS, len(known) - 1)
     at = at[(time_s[known[last]] - time_s[known[first]]) / usual - (last - first) > _LOST - 1.0]
     unusable = ~(usable & np.isfinite(rate))
     unusable[starts] = True
     marked = np.cumsum(unusable)
-    at = at[(marked[end[at]] == marked[begin[at]]) & ~(standing[begin[at]] & standing[end[at]])]
-    uncertain = 0.5 * np.abs(rate[end[at]] - rate[begin[at]]) * (interval[at] - usual)
+    at = at[marked[end[at]] == marked[begin[at]]]
+    change = np.abs(rate[end[at]] - rate[begin[at]])
+    # (In motion, too, it repeats values, and then changes by one step.)
+    wide = change > _STEPS * _least_step(rate[known])
+    at, change = at[wide], change[wide]
+    uncertain = 0.5 * change * (interval[at] - usual)
     return len(at), float(np.sum(uncertain)) / max(len(runs(~standing)), 1)

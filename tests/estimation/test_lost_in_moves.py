@@ -77,7 +77,7 @@ def test_lost_rows_at_rest_or_at_constant_rate_matter_little():
     standing = record()[2]
     rest, middle = begins(standing) - 100, begins(standing) + 150
     lost, angle = lost_in_moves(*without(np.concatenate([rest, middle])), START)
-    assert lost == MOVES
+    assert lost <= MOVES
     assert angle < 1e-5
 
 
@@ -86,9 +86,9 @@ def test_late_stamps_and_coarse_steps_are_no_loss():
     late = time + np.where(np.random.default_rng(3).random(len(time)) < 0.03, 0.75 * INTERVAL, 0.0)
     # (But for those at the end of the window in which stamps are compared.)
     assert lost_in_moves(late, rate, standing, usable, START)[1] < 5e-5
-    step = 2e-3
-    count, angle = lost_in_moves(time, np.round(rate / step) * step, standing, usable, START)
-    assert angle < 10 * step * INTERVAL * max(count, 1) / MOVES
+    for step in (2e-3, 2e-2):
+        coarse = np.round(rate / step) * step
+        assert lost_in_moves(time, coarse, standing, usable, START)[1] < 5e-5
     # Every sample twice: the rate of the samples is half that of the rows.
     twice = rate[np.arange(len(rate)) // 2 * 2]
-    assert lost_in_moves(time, twice, standing, usable, START)[1] < 1e-2 * INTERVAL
+    assert lost_in_moves(time, twice, standing, usable, START)[1] < 5e-5

@@ -10,7 +10,7 @@ from ..files.rig import ImuDevice
 from ..hardware.journal import Chunk, Event
 from ..hardware.roles import ImuBatch, ImuDecoder, join
 from ..hardware.run_folder import SESSION, breaks_off
-from ..hardware.setup import config_of, driver_of
+from ..hardware.setup import config_of, known_driver
 from .spool import SampleSpool
 
 Floats = NDArray[np.float64]
@@ -110,9 +110,8 @@ class Stream:
         if event.data["device"] != self._device.name or self.decoder is not None:
             return
         config = config_of(self._device, "imu", ("imu", self._device.name))
-        driver = driver_of(self._device.driver)
-        assert driver is not None
-        self.decoder = driver.load().decoder_of(config, event.data["registers"])
+        module = known_driver(self._device.driver).load()
+        self.decoder = module.decoder_of(config, event.data["registers"])
         for chunk in self._early:
             self.push(chunk)
         self._early.clear()

@@ -164,11 +164,9 @@ def run_session(
     """Execute a run's recipe from `first_step` on, and leave everything safe.
 
     `bench`: the open devices, where they are not at the ports of the rig file. `guard`: a process beside this one makes
-    the rig safe if this one is killed or broken off, and tries again where this one ends with a device that is not
-    verified safe. `with_runner` is called with the runner before it starts. Without `wait_when_paused`, which needs an
-    operator, a reason to pause ends the run, safe. `terminal` is where the operator is asked to turn axes; `knows`
-    gives the knowledge so far, for the status. Raises `HardwareError` where the run cannot start; later problems are in
-    the result.
+    the rig safe where this one does not. `with_runner` is called with the runner before it starts. Without
+    `wait_when_paused`, which needs an operator, a reason to pause ends the run. `knows` gives the knowledge so far, for
+    the status. Raises `HardwareError` where the run cannot start; later problems are in the result.
     """
     recipe = folder.recipe()
     track = track_of(recipe, [axis.name for axis in rig.axis])
@@ -185,11 +183,10 @@ def run_session(
 
         bench = stack.enter_context(bench or open_rig(rig, clock, recorder_of, terminal=attended.get("terminal")))
         number = 0 if resumed is None else sessions(resumed)
-        numbers, recipes = itertools.count(number), len(folder.recipes())
+        numbers, of = itertools.count(number), {"simulated": simulated, "recipe": len(folder.recipes()) - 1}
 
         def new_session(first_step: int) -> None:
-            part = {"first_step": first_step, "recipe": recipes - 1}
-            begin_session(journal, clock.now(), next(numbers), rig, simulated=simulated, **part)
+            begin_session(journal, clock.now(), next(numbers), rig, first_step=first_step, **of)
 
         new_session(first_step)
         if journal.problem:
@@ -289,18 +286,16 @@ def signals_to(runner: Runner) -> Generator[None, None, None]:
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         # Two signals at once count as two, even before the first has been handled.
-        again = (
-            runner.state in (RunState.IDLE, RunState.PAUSING, RunState.PAUSED) or time.monotonic() - paused_s[0] < 2.0
-        )
+        twice = time.monotonic() - paused_s[0] < 2.0
+        again = twice or runner.state in (RunState.IDLE, RunState.PAUSING, RunState.PAUSED)
         paused_s[0] = time.monotonic()
         runner.request("abort" if again else "soft pause", "Ctrl-C")
 
     def terminate(number: int, frame: FrameType | None) -> None:
         runner.request("abort", signal.Signals(number).name)
 
-    handlers = {signal.SIGINT: interrupt, signal.SIGTERM: terminate}
-    if hasattr(signal, "SIGHUP"):
-        handlers[signal.SIGHUP] = terminate
+    ends = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    handlers = {signal.SIGINT: interrupt, **dict.fromkeys(ends, terminate)}
     before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield

@@ -63,6 +63,9 @@ class Driver:
     def config(self) -> type[Any]:
         return getattr(self.load(), self.config_class)
 
+    def device(self) -> Callable[..., Any]:
+        return getattr(self.load(), self.device_class)
+
 
 _HERE: Final = f"{__package__}.drivers"
 DRIVERS: Final[Mapping[str, Driver]] = {
@@ -111,7 +114,8 @@ def driver_of(name: str) -> Driver | None:
     return driver
 
 
-def _known(name: str) -> Driver:
+def known_driver(name: str) -> Driver:
+    """A driver that `config_of` has accepted."""
     driver = driver_of(name)
     assert driver is not None
     return driver
@@ -144,7 +148,7 @@ _TERMINATORS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n"}
 
 def option_names(driver: str) -> dict[str, str]:
     """The options of a driver, in the file's spelling -> the fields of its configuration."""
-    return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(_known(driver).config())}
+    return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(known_driver(driver).config())}
 
 
 class _Options(Section):
@@ -317,19 +321,16 @@ def open_rig(
         return line
 
     def axis_or_chamber(device: Device | EncoderDevice, config: Any, *more: Any) -> Any:
-        driver = _known(device.driver)
-        module = driver.load()
-        if same_port(device.port) not in exchanges:
-            exchanges[same_port(device.port)] = module.open_exchange(opened(device, config), clock, config)
-        return getattr(module, driver.device_class)(exchanges[same_port(device.port)], config, *more)
+        driver, port = known_driver(device.driver), same_port(device.port)
+        if port not in exchanges:
+            exchanges[port] = driver.load().open_exchange(opened(device, config), clock, config)
+        return driver.device()(exchanges[port], config, *more)
 
     try:
         for _, place, _, device in _entries(rig):
             config = configs[place]
             if isinstance(device, ImuDevice):
-                driver = _known(device.driver)
-                make = getattr(driver.load(), driver.device_class)
-                bench.imus[device.name] = make(opened(device, config), clock, config)
+                bench.imus[device.name] = known_driver(device.driver).device()(opened(device, config), clock, config)
             elif isinstance(device, ChamberDevice):
                 bench.chamber = axis_or_chamber(device, config)
             else:
@@ -418,7 +419,7 @@ def _report(
             limits = device.configure()
         else:
             limits = bench.chamber_limits() if device is bench.chamber else device.limits()
-            # roles.Identity and limits may stand in the rig file alone: at least this is asked of the device.
+            # Identity and limits may stand in the rig file alone: at least this is asked of the device.
             device.read()
         return DeviceReport(name, entry.driver, entry.port, identity, limits)
     except HardwareError as problem:
@@ -441,7 +442,7 @@ def with_options(schema: dict[str, Any]) -> dict[str, Any]:
     for kind, role in roles.items():
         cases: list[dict[str, Any]] = []
         for name in driver_names(role):
-            definitions[f"options of {name}"] = _options_of(_known(name)).model_json_schema()
+            definitions[f"options of {name}"] = _options_of(known_driver(name)).model_json_schema()
             when = {"properties": {"driver": {"const": name}}, "required": ["driver"]}
             cases.append({"if": when, "then": {"properties": {"options": {"$ref": f"#/$defs/options of {name}"}}}})
         definitions[f"{kind}Device"] = {**definitions[f"{kind}Device"], "allOf": cases}

@@ -70,10 +70,10 @@ def sessions_of(
     for record in records:
         if isinstance(record, Event):
             if record.name == SESSION:
-                data = record.data
-                wall_clock_s, simulated = float(data["wall_clock_s"]), bool(data["simulated"])
                 _end(sessions)
-                sessions.append(Session(int(data["number"]), simulated, wall_clock_s, record.time_s, mounting))
+                data = record.data
+                of = int(data["number"]), bool(data["simulated"]), float(data["wall_clock_s"])
+                sessions.append(Session(*of, record.time_s, mounting))
                 if device is not None and samples is not None:
                     sessions[-1].stream = Stream(device, samples)
             elif record.name == "hung":

@@ -182,20 +182,23 @@ class ChamberControl:
 
     def step_soft_ramp(self) -> None:
         """Continue a ramp by set points, at least five seconds apart; to be called often."""
-        if self._soft is None:
+        if self._soft is not None:
+            with self._alone() as may:
+                if may:
+                    self._step_soft_ramp()
+
+    def _step_soft_ramp(self) -> None:
+        now = self._clock.now()
+        if self._soft is None or now < self._next_soft_s:
             return
-        with self._alone() as may:
-            now = self._clock.now()
-            if not may or self._soft is None or now < self._next_soft_s:
-                return
-            ramp, target_c = self._soft
-            # A set point that is held until the next one is late by half of that time.
-            reached_c = ramp.at(now + 0.5 * max(_SOFT_STEP_S, now - self._next_soft_s + _SOFT_STEP_S))
-            self.chamber.hold(reached_c)
-            self._conditioned()
-            if reached_c == target_c:
-                self._soft, self._held_c = None, target_c
-            self._next_soft_s = now + _SOFT_STEP_S
+        ramp, target_c = self._soft
+        # A set point that is held until the next one is late by half of that time.
+        reached_c = ramp.at(now + 0.5 * max(_SOFT_STEP_S, now - self._next_soft_s + _SOFT_STEP_S))
+        self.chamber.hold(reached_c)
+        self._conditioned()
+        if reached_c == target_c:
+            self._soft, self._held_c = None, target_c
+        self._next_soft_s = now + _SOFT_STEP_S
 
     def watch(self, every_s: float, watching: threading.Event, failed: Callable[[str], None]) -> None:
         failures = 0
@@ -230,7 +233,7 @@ class ChamberControl:
         for time_s, value in reversed(readings):
             lowest, highest = min(lowest, value), max(highest, value)
             if abs(value - temperature_c) > wanted.band_k or highest - lowest > wanted.band_k:
-                break
+                return None
             if readings[-1][0] - time_s >= wanted.for_s:
                 return readings[-1][1]
         return None

@@ -183,10 +183,11 @@ def run_session(
 
         bench = stack.enter_context(bench or open_rig(rig, clock, recorder_of, terminal=attended.get("terminal")))
         number = 0 if resumed is None else sessions(resumed)
-        numbers, of = itertools.count(number), {"simulated": simulated, "recipe": len(folder.recipes()) - 1}
+        numbers, recipes = itertools.count(number), len(folder.recipes())
 
         def new_session(first_step: int) -> None:
-            begin_session(journal, clock.now(), next(numbers), rig, first_step=first_step, **of)
+            part = {"first_step": first_step, "recipe": recipes - 1}
+            begin_session(journal, clock.now(), next(numbers), rig, simulated=simulated, **part)
 
         new_session(first_step)
         if journal.problem:

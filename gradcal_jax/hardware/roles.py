@@ -212,7 +212,8 @@ class MotionAxis(Protocol):
     def arm_watchdog(self) -> None:
         """Switch the device's watchdog on, where it has one; from now on `heartbeat` must come in time."""
 
-    def heartbeat(self) -> None: ...
+    def heartbeat(self) -> None:
+        """In time, once the watchdog is on."""
 
     def safe(self, policy: AxisSafe) -> SafeReport: ...
 

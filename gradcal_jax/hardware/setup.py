@@ -45,8 +45,7 @@ class Driver:
 
     The module also has `open_exchange(line, clock, config)` or, for a unit, `decoder_of(config, registers)`. A
     configuration may have `lacks_for(safe)`: a sentence where a device with these options cannot take a safe state of
-    the rig file, else an empty text. A new driver is a module beside the others and a line in `DRIVERS`, or another
-    package's entry point.
+    the rig file, else an empty text.
     """
 
     role: Role | None
@@ -299,13 +298,10 @@ def open_rig(
         PortRefused: a port that cannot be opened; those opened before are closed again.
     """
     configs = configs_of(rig)
-    bench = Bench(rig)
-    exchanges: dict[str, Any] = {}
-    lines: dict[str, Transport] = {}
+    bench, exchanges, lines = Bench(rig), dict[str, Any](), dict[str, Transport]()
 
     def opened(device: Device | EncoderDevice | OperatorPlace, config: Any) -> TextLine:
-        url = device.port
-        recorder = recorder_of(url) if recorder_of is not None else None
+        url, recorder = device.port, None if recorder_of is None else recorder_of(device.port)
         if url == TERMINAL:
             line = terminal or Terminal()
             line.clock, line.recorder = clock, recorder
@@ -374,12 +370,8 @@ class DeviceReport:
 
 def only_of(rig: RigFile, names: Collection[str]) -> RigFile:
     """The rig with these devices alone; the chamber's name is "chamber"."""
-    chosen = {
-        "chamber": rig.chamber if "chamber" in names else None,
-        "axis": tuple(entry for entry in rig.axis if entry.name in names),
-        "imu": tuple(entry for entry in rig.imu if entry.name in names),
-    }
-    return rig.model_copy(update=chosen)
+    chosen = {role: tuple(of for of in getattr(rig, role) if of.name in names) for role in ("axis", "imu")}
+    return rig.model_copy(update={"chamber": rig.chamber if "chamber" in names else None, **chosen})
 
 
 def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:

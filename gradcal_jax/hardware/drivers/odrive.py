@@ -6,17 +6,16 @@ A request that ends in `*` and the decimal exclusive or of its characters is ans
 encoder estimate is printed as 0.0, so that readiness is queried with every position. `q` and `c` are not used.
 
 **The controller's memory changes the effect of commands.** `t` plans from `pos_setpoint`, which velocity commands do
-not change and which `t` itself does not synchronise: after a spin the axis would first go back to the end of the last
-move, at the controller's `vel_limit`. Writing `control_mode` as a property does synchronise. So before every `t` the
-mode is written, `pos_setpoint` and estimate are read back, and the move is sent only if they agree. An `input_vel` of
-an earlier spin acts as soon as the input mode allows it: it is set to zero before modes are changed. A velocity loop at
-zero yields to a load; therefore the position loop holds an axis at rest.
+not change: after a spin the axis would first go back to the end of the last move, at the controller's `vel_limit`.
+Writing `control_mode` as a property synchronises it. So before every `t` the mode is written, `pos_setpoint` and
+estimate are read back, and the move is sent only if they agree. An `input_vel` of an earlier spin acts as soon as the
+input mode allows it: it is set to zero before modes are changed. A velocity loop at zero yields to a load; therefore
+the position loop holds an axis at rest.
 
-**Watchdog**: fed by every motion command and by `heartbeat()`, checked by the controller in every state, and its error
-stays until `sc`. When it expires the motor goes idle and *coasts*: an unbalanced gimbal falls. `safe` switches it off,
-clears its error, and takes control again of an axis that this program had powered. Errors at the beginning of a run are
-cleared and shown as warnings of every reading; recurring and later errors are faults. (`sc` clears the errors of both
-motors of a board.)
+**Watchdog**: fed by every motion command and by `heartbeat()`; its error stays until `sc`. When it expires the motor
+goes idle and *coasts*: an unbalanced gimbal falls. `safe` switches it off, clears its error, and takes control again of
+an axis that this program had powered. Errors at the beginning of a run are cleared (of both motors of a board) and
+shown as warnings of every reading; recurring and later errors are faults.
 
 Positions are float32: one step is 2⁻²³ of the value, 0.011 deg at 440 turns; `limits().resolution_deg` says it.
 

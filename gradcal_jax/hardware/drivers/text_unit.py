@@ -66,8 +66,8 @@ class TextUnitDecoder:
         self._last_line = b""
         self._lines = 0
         self._disturbed = False
-        wanted = (unit.gyro, "deg/s"), (unit.acceleration, "mg", 1e-3), (unit.temperature, "degC")
-        self._scales = [_line_of(*units_of) for units_of in wanted]
+        self._scales = [_line_of(unit.gyro, "deg/s"), _line_of(unit.acceleration, "mg", 1e-3)]
+        self._scales.append(_line_of(unit.temperature, "degC"))
         self.bad_bytes = self.repeated_datagrams = 0
 
     def matches(self, frame: bytes) -> re.Match[str] | None:

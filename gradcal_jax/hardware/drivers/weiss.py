@@ -2,9 +2,9 @@
 
 Sources: several independent public drivers and their tests, two captured self-descriptions, and a chamber's help text.
 9600 8N1, address of two digits, CR. `$aaI` reads a fixed-width record whose layout differs from chamber to chamber;
-`$aaE` writes *all* set points and *all* digital channels at once; `$aaU` sets gradients; `$aa?` describes the layout.
-The driver reads the description once and derives the positions of all values; a chamber without a description gets its
-layout from the rig file. To write is to read, change temperature and start, and write all other values unchanged.
+`$aaE` writes *all* set points and *all* digital channels at once; `$aaU` sets gradients; `$aa?` describes the layout,
+which the rig file gives for a chamber without a description. To write is to read, change temperature and start, and
+write all other values unchanged.
 
 The manual allows one string in five seconds (`min_interval_s`): more disturb the chamber's own control.
 
@@ -212,12 +212,12 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         self._orders = 0
 
     def identify(self) -> Identity:
-        layout = self._layout
-        return Identity("weiss", "ASCII-2 chamber", details={"channels": " ".join(layout.read)} | layout.names)
+        details = {"channels": " ".join(self._layout.read)} | self._layout.names
+        return Identity("weiss", "ASCII-2 chamber", details=details)
 
     def limits(self) -> ChamberLimits:
-        layout = self._layout
-        return ChamberLimits(layout.lowest_c, layout.highest_c, 0.1, self._config.hardware_ramp, 0.1, math.inf, 0.1)
+        ends = self._layout.lowest_c, self._layout.highest_c
+        return ChamberLimits(*ends, 0.1, self._config.hardware_ramp, 0.1, math.inf, 0.1)
 
     def read(self) -> ChamberReading:
         record = self._record()
@@ -353,9 +353,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
 
         for _ in range(TRIES):
             try:
-                self._exchange.query(
-                    self._request(letter, body), parse, repeat=False, reply_timeout_s=self._config.acknowledge_timeout_s
-                )
+                timeout_s = self._config.acknowledge_timeout_s
+                self._exchange.query(self._request(letter, body), parse, repeat=False, reply_timeout_s=timeout_s)
                 self._acknowledges = True
                 return
             except (ReplyTimeout, FramingError):

@@ -128,11 +128,11 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
         turn, config = self._per_turn(), self._config
         low, high = (float(self._setting(name)) for name in ("limit.min", "limit.max"))
         # Limits as wide as the integers that hold them are no limits.
-        ends = (None, None) if high - low >= 2.0**31 else sorted((self._degrees(low), self._degrees(high)))
+        lowest, highest = (None, None) if high - low >= 2.0**31 else sorted((self._degrees(low), self._degrees(high)))
         # The data value of a rate is a 32-bit integer.
         most = min(config.max_rate_dps, 2.0**31 / self._velocity_data()), config.max_acceleration_dps2
         step = 360.0 / (turn * config.acceleration_factor)
-        return AxisLimits(*most, *ends, 360.0 / turn, hardware_watchdog=False, acceleration_step_dps2=step)
+        return AxisLimits(*most, lowest, highest, 360.0 / turn, hardware_watchdog=False, acceleration_step_dps2=step)
 
     def read(self) -> AxisReading:
         asked_s = self._clock.now()

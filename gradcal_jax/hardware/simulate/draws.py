@@ -293,7 +293,7 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
             cosine = draw(size, f"angle_{axis.name}_cos{order}")
             sine = draw(size, f"angle_{axis.name}_sin{order}")
             waves.append((order, -float(np.degrees(cosine)), -float(np.degrees(sine))))
-        noise_deg = (float(np.degrees(of)) for of in (axis.angle.standstill_offset, axis.angle.reading_noise))
+        noise_deg = float(np.degrees(axis.angle.standstill_offset)), float(np.degrees(axis.angle.reading_noise))
         errors = *noise_deg, float(axis.angle.timing_error), float(table.rate_accuracy or 0.0)
         encoders.append(AxisTruth(tuple(waves), *errors, seed=16 * seed + number))
     in_case = _in_case(spec)

@@ -105,11 +105,10 @@ def run(
 def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack[Attended]) -> RunResult:
     """Resume a run that was ended or lost, with the recipe and the rig (or the simulation) in its folder.
 
-    A `rig` argument must be the one that the run began with.
-
-    The interrupted step is repeated; a simulated run continues 60 s after its last record. `attended` and the result
-    are as for `run`. Errors: `ValueError` where the folder holds no run, a complete one, or one of another recipe or
-    version; `HardwareError` where other devices answer than at the beginning.
+    A `rig` argument must be the one that the run began with. The interrupted step is repeated; a simulated run
+    continues 60 s after its last record. `attended` and the result are as for `run`. Errors: `ValueError` where the
+    folder holds no run, a complete one, or one of another recipe or version; `HardwareError` where other devices answer
+    than at the beginning.
     """
     existing = RunFolder(Path(folder))
     first = prepare_resume(existing, rig)

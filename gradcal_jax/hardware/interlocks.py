@@ -1,10 +1,8 @@
 """Interlocks: conditions that pause or abort a run; and what a step's samples lack, so that it is repeated.
 
-A rule examines the situation and returns a sentence where it is violated. A violation that lasts longer than the rule's
-patience trips it: the run pauses or aborts, and the sentence goes into the journal. The rules hold in every state of a
-run: while it homes axes, waits, is paused, or runs. A run that is paused can only be aborted.
-
-A step may lack samples themselves, their rate, or the motion that the table made.
+A rule returns a sentence where it is violated. A violation that lasts longer than the rule's patience trips it: the run
+pauses or aborts. The rules hold in every state of a run: while it homes axes, waits, is paused (then it can only be
+aborted), or runs. A step may lack samples themselves, their rate, or the motion that the table made.
 """
 
 import itertools
@@ -100,7 +98,7 @@ def _limit(bounds: InterlockLimits, now: Situation) -> str:
 
 
 def _off_course(bounds: InterlockLimits, now: Situation, *, paused: bool) -> str:
-    """A sentence where the air is off its course. A pause may open the door: then the room belongs to the course."""
+    """A pause may open the door: then the room belongs to the course."""
     if now.chamber is None or now.course_c is None:
         return ""
     low, high = now.course_c

@@ -2,9 +2,7 @@
 
 The input is drained before every request, so that a late reply to an earlier query does not count as the reply to this
 one; after a time-out or a damaged reply the line is given time to become silent; queries are repeated, commands are not
-(their driver reads back instead).
-
-A reply that comes after its time-out is recognised by its request's own parser, and said (`Transport.late`).
+(their driver reads back instead). A late reply is recognised by its request's own parser, and said (`Transport.late`).
 """
 
 import math

@@ -125,10 +125,8 @@ def rig_tables(rig: RigFile) -> dict[str, Any]:
 
 
 def rig_as_run(contents: JournalContents, rig: RigFile) -> RigFile:
-    """The rig that the run began with, from its journal; `rig` where the journal has none.
-
-    A later change of the rig file does not change the meaning of the recorded bytes.
-    """
+    """The rig that the run began with, from its journal; `rig` where the journal has none: a later change of the rig
+    file does not change the meaning of the recorded bytes."""
     for event in contents.events:
         if event.name == SESSION and isinstance(event.data.get("rig"), dict):
             return rig_of(event.data["rig"], "the rig in the journal")

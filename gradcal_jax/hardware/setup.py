@@ -1,8 +1,7 @@
 """From a rig file to open devices: drivers by name, options in units, ports shared where axes share one.
 
 A driver's options are the fields of its configuration class. A field with a unit in its name is written in the file
-without it, as text with a unit: `reply_timeout_s` is `reply_timeout = "3 s"`. Unknown names are refused with the
-nearest right spelling, all problems at once.
+without it, as text with a unit: `reply_timeout_s` is `reply_timeout = "3 s"`.
 """
 
 import dataclasses

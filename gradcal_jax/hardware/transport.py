@@ -1,11 +1,11 @@
 """A serial line: opened exclusively, read and written with time-outs, every byte recorded; and the operator's terminal
 in place of one.
 
-A small class around pyserial, so that a fork can replace it. The code depends on these properties of pyserial 3.5: a
-vanished pty or adapter raises `SerialException` from `read` and `write` but a bare `OSError` from `in_waiting`,
-`TypeError` where another thread has just closed it, and `termios.error`, which is neither, from an open; a `socket://`
-line reports at most one waiting byte; without a write time-out a stuck peer blocks for ever; an exclusive
-open does not exclude openers that are not exclusive, hence the additional lock file.
+The code depends on these properties of pyserial 3.5: a vanished pty or adapter raises `SerialException` from `read` and
+`write` but a bare `OSError` from `in_waiting`, `TypeError` where another thread has just closed it, and
+`termios.error`, which is neither, from an open; a `socket://` line reports at most one waiting byte; without a write
+time-out a stuck peer blocks for ever; an exclusive open does not exclude openers that are not exclusive, hence the
+additional lock file.
 """
 
 import contextlib
@@ -243,11 +243,9 @@ _CLEAR = "\r\x1b[2K"
 
 
 class Terminal:
-    """Line `terminal`. Without a keyboard there is no operator, and a question raises `HardwareError`.
-
-    A question is a line without an end: while it is shown, no other text may be drawn on the terminal (`asking`).
-    `heard` is whether the keyboard is being read here: two readers would get every other line each.
-    """
+    """Line `terminal`. Without a keyboard there is no operator, and a question, a line without an end, raises
+    `HardwareError`. `asking`: one is shown, and no other text may be drawn on the terminal. `heard`: the keyboard is
+    read here; two readers would get every other line each."""
 
     url = "terminal"
 

@@ -2,8 +2,8 @@
 
 The description has the queries, commands and replies; this driver has their order and verification:
 
-* a chamber's set point, ramp and conditioning are read back after every command; the chamber shows a ramp's rate before
-  it gets the target, so that no lost line makes it go at full speed;
+* a chamber's commands are read back; it shows a ramp's rate before it gets the target, so that no lost line makes it go
+  at full speed;
 * an axis that moves is stopped before another command, unless commands can be read back; after the command of a move
   the driver verifies that the axis moves or has arrived.
 

@@ -89,7 +89,7 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
         return [condition.field for condition in self._protocol.alarm.values()]
 
     def _alarms(self, texts: Texts) -> tuple[str, ...]:
-        return tuple(name for name, of in self._protocol.alarm.items() if of.holds(texts[of.field]))
+        return tuple(name for name, alarm in self._protocol.alarm.items() if alarm.holds(texts[alarm.field]))
 
     def _mode(self, texts: Texts) -> str:
         if self._is("program", texts):

@@ -190,10 +190,10 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
         def parse(frame: bytes) -> str:
             if frame[0] != _DOLLAR:
                 raise NotThisReply
-            name, number, *shown = [*parse_line(frame), ""]
-            if (name, number.lstrip("0")) != (command, register.lstrip("0")):
+            name, *fields = parse_line(frame)
+            if (name, [number.lstrip("0") for number in fields[:1]]) != (command, [register.lstrip("0")]):
                 raise NotThisReply
-            return ",".join(shown[:-1])
+            return ",".join(fields[1:])
 
         return self._exchange.query(request(",".join([command, register.zfill(2), *values])), parse)
 

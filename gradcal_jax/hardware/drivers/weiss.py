@@ -248,7 +248,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
                 if amiss:
                     # Begin at the first temperature: the chamber may be moving at full speed.
                     self._write(start_c, start=True)
-                self._tell(temperature_c, *((rate, 0.0) if temperature_c >= start_c else (0.0, rate)), start=True)
+                up, down = (rate, 0.0) if temperature_c >= start_c else (0.0, rate)
+                self._tell(temperature_c, up, down, start=True)
             amiss = self._amiss(order, (self._clock.now(), start_c) if runs else None, temperature_c, rate)
             runs = True
             if not amiss:

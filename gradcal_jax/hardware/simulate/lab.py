@@ -7,8 +7,7 @@ gravity is the reference nothing is read, and axes stop some degrees off. The op
 there are several mountings; at the places of a fixture sits one each.
 
 The devices have the methods of their roles and no lines. They wait on the run's clock alone, so that a run in virtual
-time takes as long as its computation. A unit gives the raw bytes of a STIM300, which go into the journal and are
-decoded from it as a real one's. The tests run every driver against devices that answer byte for byte.
+time takes as long as its computation. A unit gives the raw bytes of a STIM300.
 """
 
 import math

@@ -110,7 +110,7 @@ class SimulatedCts(_LineChamber):
 
     def receive(self, data: bytes) -> list[bytes]:
         *frames, self._buffer = (self._buffer + data).split(b"\x03")
-        return [self._framed(reply) for reply in map(self._frame, frames) if reply]
+        return [self._framed(reply) for reply in map(self._line, frames) if reply]
 
     def raise_alarm(self) -> None:
         self.error = True
@@ -120,9 +120,9 @@ class SimulatedCts(_LineChamber):
         body = bytes([self._address, *(ord(letter) | 0x80 for letter in text)])
         return b"\x02" + body + bytes([reduce(lambda a, b: a ^ b, body) | 0x80, 3])
 
-    def _frame(self, frame: bytes) -> str:
-        begins = frame.rfind(b"\x02")
-        body = frame[begins + 1 :]
+    def _line(self, line: bytes) -> str:
+        begins = line.rfind(b"\x02")
+        body = line[begins + 1 :]
         sound = begins >= 0 and len(body) > 2 and body[0] == self._address and all(byte & 0x80 for byte in body)
         if not sound or (reduce(lambda a, b: a ^ b, body[:-1]) | 0x80) != body[-1]:
             self.unanswered += 1

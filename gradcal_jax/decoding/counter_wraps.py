@@ -112,10 +112,8 @@ def _gaps(block: Rows, first: bool, round_samples: int) -> Whole:
 
 def _since(gaps: Whole, counted: int) -> Whole:
     """The number of each sample in the unit's own count, where `counted` is that before; −1: there is none."""
-    steps = gaps + 1
-    if counted < 0:
-        steps[0] = 1
-    return counted + np.cumsum(steps)
+    since = counted + np.cumsum(gaps + 1)
+    return since if counted >= 0 else since - gaps[0]
 
 
 def _collect(samples: SampleSpool, first: int, end: int, round_samples: int, sample_s: float, arrivals: Spool) -> None:

@@ -1,8 +1,8 @@
 """From a run's journal to a log: samples decoded from the raw bytes, angles and standstills from the events.
 
-Only rows of stretches with data are kept; soaks, waiting times, everything before a stretch and pauses are counted as
-removed. A pause ends stretches and standstills, because the state of the rig in it is unknown. In a standstill all axes
-stand. Every poll of an axis's angle is one reading, at the row at whose end the axis stands there.
+Only rows of stretches with data are kept; all others are counted as removed. A pause ends stretches and standstills,
+because the state of the rig in it is unknown. In a standstill all axes stand. Every poll of an axis's angle is one
+reading, at the row at whose end the axis stands there.
 
 Between readings the angle is a reconstruction, for pictures: in a standstill the nearest reading; an axis that a motor
 turns follows the commanded trapezoid between its readings before and after; every other angle is interpolated linearly.
@@ -96,19 +96,13 @@ def _of_unit(
     """The log of a unit from all `records` of the journal; `contents` holds the begin of the first session at least."""
     rig = rig_as_run(contents, rig)
     device = _device(rig, unit)
-    parts: list[Part] = []
-    aside = 0
-    samples = stack.enter_context(SampleSpool(folder=spool))
-    sessions = sessions_of(records, device, samples)
+    sessions = sessions_of(records, device, stack.enter_context(SampleSpool(folder=spool)))
     names = [axis.name for axis in rig.axis]
     # The axes of the spec, in that order; a single axis may have another name.
     drawn = [axis.name for axis in recipe.spec.rig.table.axis]
-    names = drawn if set(drawn) <= set(names) else names
-    axes = _axes_of(sessions, names)
-    for session in sessions:
-        kept, left = parts_of(session, axes)
-        parts += kept
-        aside += left
+    axes = _axes_of(sessions, drawn if set(drawn) <= set(names) else names)
+    found = [parts_of(session, axes) for session in sessions]
+    parts, aside = [part for kept, _ in found for part in kept], sum(left for _, left in found)
     if not parts:
         raise HardwareError(
             "The journal has no samples to use: the run ended before the first part whose data are used."
@@ -373,8 +367,7 @@ def _placed(parts: Sequence[Part]) -> list[PlacedPart]:
 
 
 def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
-    missing = sum(part.seen.missing for part in parts)
-    gaps = sum(part.seen.gaps for part in parts)
+    missing, gaps = (sum(getattr(part.seen, name) for part in parts) for name in ("missing", "gaps"))
     unsure = max(part.clock.residual_max_s for part in parts)
     anew = sum(part.restarted for part in parts)
     bad, twice = (sum(getattr(part, name) for part in parts) for name in ("bad_bytes", "repeated"))
@@ -383,15 +376,14 @@ def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
         "margin, this time is left out"
     )
     times = f"{anew} time{'s' * (anew > 1)} during the run; the samples lost in a restart are not counted as missing"
+    gap = [Finding("gap", "split", gaps, f"{missing} samples are missing at {gaps} places")] if missing else []
     others = [
         (unsure > SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
         (anew, Finding("unit restarted", "split", anew, f"the IMU restarted {times}")),
         (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no valid datagram")),
         (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice; each is used once")),
     ]
-    findings = [Finding("gap", "split", gaps, f"{missing} samples are missing at {gaps} places")] if missing else []
-    findings += _findings_of_rounds(parts)
-    return (*findings, *(one for there, one in others if there))
+    return (*gap, *_findings_of_rounds(parts), *(one for there, one in others if there))
 
 
 def _findings_of_rounds(parts: Sequence[Part]) -> Iterator[Finding]:
@@ -401,15 +393,11 @@ def _findings_of_rounds(parts: Sequence[Part]) -> Iterator[Finding]:
         if places:
             part, first_s, first = places[0]
             samples = part.round_samples
-            message = (
-                f"{len(places)} of the gaps may be longer or shorter by one period of the sample counter ({samples} "
-                "samples)"
-                if traced
-                else (
-                    f"at {len(places)} places, {samples} samples (or a multiple of this number) may be missing; "
-                    "they are not counted as missing"
-                )
-            )
+            message = f"{len(places)} of the gaps may be longer or shorter by one period of the sample counter "
+            message += f"({samples} samples)"
+            if not traced:
+                message = f"at {len(places)} places, {samples} samples (or a multiple of this number) may be missing; "
+                message += "they are not counted as missing"
             where = f"the first {abs(first_s):.1f} s {'before' if first_s < 0.0 else 'after'} data begin: {first.why}"
             yield Finding(kind, "split" if traced else "keep", len(places), f"{message}; {where}")
 

@@ -10,7 +10,7 @@ from ..files.rig import ImuDevice
 from ..hardware.journal import Chunk, Event
 from ..hardware.roles import ImuBatch, ImuDecoder, join
 from ..hardware.run_folder import SESSION, breaks_off
-from ..hardware.setup import config_of, driver_of
+from ..hardware.setup import config_of, known_driver
 from .spool import SampleSpool
 
 Floats = NDArray[np.float64]
@@ -70,10 +70,10 @@ def sessions_of(
     for record in records:
         if isinstance(record, Event):
             if record.name == SESSION:
-                data = record.data
-                wall_clock_s, simulated = float(data["wall_clock_s"]), bool(data["simulated"])
                 _end(sessions)
-                sessions.append(Session(int(data["number"]), simulated, wall_clock_s, record.time_s, mounting))
+                data = record.data
+                of = int(data["number"]), bool(data["simulated"]), float(data["wall_clock_s"])
+                sessions.append(Session(*of, record.time_s, mounting))
                 if device is not None and samples is not None:
                     sessions[-1].stream = Stream(device, samples)
             elif record.name == "hung":
@@ -110,9 +110,8 @@ class Stream:
         if event.data["device"] != self._device.name or self.decoder is not None:
             return
         config = config_of(self._device, "imu", ("imu", self._device.name))
-        driver = driver_of(self._device.driver)
-        assert driver is not None
-        self.decoder = driver.load().decoder_of(config, event.data["registers"])
+        module = known_driver(self._device.driver).load()
+        self.decoder = module.decoder_of(config, event.data["registers"])
         for chunk in self._early:
             self.push(chunk)
         self._early.clear()

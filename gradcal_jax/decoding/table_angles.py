@@ -216,8 +216,8 @@ class _Course:
         read = [
             e for e in events if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None
         ]
-        self._times = times = np.array([float(e.data["time_s"]) for e in read])
-        self._values = values = np.array([float(e.data["position_deg"]) for e in read])
+        self._times, self._values = (np.array([float(e.data[of]) for e in read]) for of in ("time_s", "position_deg"))
+        times, values = self._times, self._values
         still = np.array([not e.data["moving"] for e in read], bool)
         moves = [e for e in events if e.name in MOVE_COMMANDS and e.data["axis"] == axis]
         moved = np.array([float(e.data.get("began_s", e.time_s)) for e in moves])

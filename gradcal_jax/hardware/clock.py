@@ -179,7 +179,7 @@ class VirtualClock:
 
     def advance_if_all_wait(self) -> None:
         """Wake the next sleepers when no party works. The caller holds `lock`."""
-        if self._working or not self._sleepers or self._is_held():
+        if self._working or not self._sleepers:
             return
         self._now = max(self._now, self._sleepers[0][0])
         while self._sleepers and self._sleepers[0][0] <= self._now:
@@ -189,7 +189,3 @@ class VirtualClock:
 
     def _await(self, gate: threading.Lock) -> None:
         gate.acquire()
-
-    def _is_held(self) -> bool:
-        """Whether something beside the parties holds the time."""
-        return False

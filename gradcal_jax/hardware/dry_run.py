@@ -70,8 +70,7 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
         start = [] if step.start_c is None else [Course(0.0, step.start_c)]
         for course in (*own, *start, *step.courses):
             problems += [f"{where} {text}" for text in _beyond_chamber(course, chamber)]
-        later = [course for course in step.courses if step.follows or course.start_s > 0.0]
-        for course in later if step.follows else own + later:
+        for course in step.courses if step.follows else [*own, *(c for c in step.courses if c.start_s > 0.0)]:
             command, rounding = _chamber_command(course, chamber)
             commands.append(f"chamber: {command}")
             rounded += [f"step {step.name!r}: {rounding}"] if rounding else []
@@ -100,23 +99,22 @@ def _chamber_command(course: Course, limits: ChamberLimits | None) -> tuple[str,
     rate = course.ramp_k_per_min
     if rate is None:
         return f"hold {course.temperature_c:g} degC", ""
-    command = f"ramp to {course.temperature_c:g} degC at {rate:.3g} K/min"
-    if limits is None or not limits.hardware_ramp:
-        return command + " (by steps of its set point, every 5 s)", ""
-    if ramps_alone(limits, rate):
+    command, rounded = f"ramp to {course.temperature_c:g} degC at {rate:.3g} K/min", ""
+    if limits is not None and ramps_alone(limits, rate):
         return command, ""
-    rounded = f"the chamber would round {rate:.3g} K/min to {rate_as_made(limits, rate):.3g} K/min"
-    return command + " (by steps of its set point, every 5 s)", f"{rounded}: the run steps the set point instead"
+    if limits is not None and limits.hardware_ramp:
+        rounded = f"the chamber would round {rate:.3g} K/min to {rate_as_made(limits, rate):.3g} K/min"
+        rounded += ": the run steps the set point instead"
+    return f"{command} (by steps of its set point, every 5 s)", rounded
 
 
 def _beyond_chamber(course: Course, limits: ChamberLimits | None) -> list[str]:
     if limits is None:
         return ["sets a temperature, but the rig has no chamber."]
     problems: list[str] = []
-    if not limits.lowest_c <= course.temperature_c <= limits.highest_c:
-        problems.append(
-            f"sets {course.temperature_c:g} degC; the chamber accepts {limits.lowest_c:g} to {limits.highest_c:g}."
-        )
+    lowest, highest = limits.lowest_c, limits.highest_c
+    if not lowest <= course.temperature_c <= highest:
+        problems.append(f"sets {course.temperature_c:g} degC; the chamber accepts {lowest:g} to {highest:g}.")
     slowest, fastest = limits.slowest_ramp_k_per_min, limits.fastest_ramp_k_per_min
     if course.ramp_k_per_min is not None and limits.hardware_ramp and not slowest <= course.ramp_k_per_min <= fastest:
         problems.append(f"ramps at {course.ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
@@ -127,18 +125,16 @@ def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str
     if move.kind == "stop":
         return []
     problems: list[str] = []
-    if not 0.0 < abs(move.rate_dps) <= limits.max_rate_dps * (1.0 + 1e-9):
-        problems.append(f"turns at {abs(move.rate_dps):g} deg/s; the axis accepts up to {limits.max_rate_dps:g}.")
-    if not 0.0 < move.acceleration_dps2 <= limits.max_acceleration_dps2 * (1.0 + 1e-9):
+    rate, acceleration, step = abs(move.rate_dps), move.acceleration_dps2, limits.acceleration_step_dps2
+    fastest, strongest = limits.max_rate_dps, limits.max_acceleration_dps2
+    if not 0.0 < rate <= fastest * (1.0 + 1e-9):
+        problems.append(f"turns at {rate:g} deg/s; the axis accepts up to {fastest:g}.")
+    if not 0.0 < acceleration <= strongest * (1.0 + 1e-9):
+        problems.append(f"accelerates at {acceleration:g} deg/s²; the axis accepts up to {strongest:g}.")
+    made = step * max(1, round(acceleration / step)) if step else acceleration
+    if move.kind == "turn" and abs(made - acceleration) > _LIKE_ACCELERATION * acceleration:
         problems.append(
-            f"accelerates at {move.acceleration_dps2:g} deg/s²; the axis accepts up to "
-            f"{limits.max_acceleration_dps2:g}."
-        )
-    step = limits.acceleration_step_dps2
-    made = step * max(1, round(move.acceleration_dps2 / step)) if step else move.acceleration_dps2
-    if move.kind == "turn" and abs(made - move.acceleration_dps2) > _LIKE_ACCELERATION * move.acceleration_dps2:
-        problems.append(
-            f"accelerates at {move.acceleration_dps2:g} deg/s², but its controller rounds this to {made:g}: make the "
+            f"accelerates at {acceleration:g} deg/s², but its controller rounds this to {made:g}: make the "
             f'recipe with acceleration = "{step:.9g} deg/s^2" in [rig.resolution] of the spec.'
         )
     lowest, highest = limits.travel_deg
@@ -148,7 +144,7 @@ def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str
         problems.append(
             "turns at a constant rate, but is turned by hand: use turns in the plan, or a motor-driven axis."
         )
-    elif move.kind == "spin" and (limits.lowest_deg is not None or limits.highest_deg is not None):
+    elif move.kind == "spin" and (lowest, highest) != (-math.inf, math.inf):
         problems.append("turns continuously, but its travel is limited.")
     return problems
 

@@ -105,11 +105,10 @@ def run(
 def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack[Attended]) -> RunResult:
     """Resume a run that was ended or lost, with the recipe and the rig (or the simulation) in its folder.
 
-    A `rig` argument must be the one that the run began with.
-
-    The interrupted step is repeated; a simulated run continues 60 s after its last record. `attended` and the result
-    are as for `run`. Errors: `ValueError` where the folder holds no run, a complete one, or one of another recipe or
-    version; `HardwareError` where other devices answer than at the beginning.
+    A `rig` argument must be the one that the run began with. The interrupted step is repeated; a simulated run
+    continues 60 s after its last record. `attended` and the result are as for `run`. Errors: `ValueError` where the
+    folder holds no run, a complete one, or one of another recipe or version; `HardwareError` where other devices answer
+    than at the beginning.
     """
     existing = RunFolder(Path(folder))
     first = prepare_resume(existing, rig)
@@ -164,11 +163,9 @@ def run_session(
     """Execute a run's recipe from `first_step` on, and leave everything safe.
 
     `bench`: the open devices, where they are not at the ports of the rig file. `guard`: a process beside this one makes
-    the rig safe if this one is killed or broken off, and tries again where this one ends with a device that is not
-    verified safe. `with_runner` is called with the runner before it starts. Without `wait_when_paused`, which needs an
-    operator, a reason to pause ends the run, safe. `terminal` is where the operator is asked to turn axes; `knows`
-    gives the knowledge so far, for the status. Raises `HardwareError` where the run cannot start; later problems are in
-    the result.
+    the rig safe where this one does not. `with_runner` is called with the runner before it starts. Without
+    `wait_when_paused`, which needs an operator, a reason to pause ends the run. `knows` gives the knowledge so far, for
+    the status. Raises `HardwareError` where the run cannot start; later problems are in the result.
     """
     recipe = folder.recipe()
     track = track_of(recipe, [axis.name for axis in rig.axis])
@@ -289,18 +286,16 @@ def signals_to(runner: Runner) -> Generator[None, None, None]:
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         # Two signals at once count as two, even before the first has been handled.
-        again = (
-            runner.state in (RunState.IDLE, RunState.PAUSING, RunState.PAUSED) or time.monotonic() - paused_s[0] < 2.0
-        )
+        twice = time.monotonic() - paused_s[0] < 2.0
+        again = twice or runner.state in (RunState.IDLE, RunState.PAUSING, RunState.PAUSED)
         paused_s[0] = time.monotonic()
         runner.request("abort" if again else "soft pause", "Ctrl-C")
 
     def terminate(number: int, frame: FrameType | None) -> None:
         runner.request("abort", signal.Signals(number).name)
 
-    handlers = {signal.SIGINT: interrupt, signal.SIGTERM: terminate}
-    if hasattr(signal, "SIGHUP"):
-        handlers[signal.SIGHUP] = terminate
+    ends = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    handlers = {signal.SIGINT: interrupt, **dict.fromkeys(ends, terminate)}
     before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield

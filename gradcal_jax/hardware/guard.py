@@ -3,16 +3,15 @@
 Every device is made safe in its own thread, with its own deadline, retried, verified by read-back: one that hangs
 delays no other.
 
-The guard reads all that it needs before anything moves: the rig file, the drivers, the folder of the journal. Then it
-sends "ready". A pipe in each direction connects the two. The run sends "begun" before its first command, "before" with
-every setting of a device before the first change, "alive" every second, and "done" when it has ended by itself with
-everything verified safe, or before it commanded anything. The guard replies "alive".
+The guard reads the rig file and the drivers before anything moves, and sends "ready". The run sends "begun" before its
+first command, "before" with every setting of a device before the first change, "alive" every second, and "done" when it
+has ended with everything verified safe, or before it commanded anything. The guard replies "alive"; one that does not
+is replaced, which is an event of the run's journal.
 
 When the pipe closes after "begun" or "before" and without "done", the run was killed, broken off, or could not reach a
-device. When the pipe stays open and silent, the run hangs: the guard ends it. Then the ports are free; the guard opens
-them, makes every device safe, restores the settings, and appends the outcome to the run's journal and its status. A
-device that does not answer is tried again for an hour, unless another run takes its port. A guard that does not reply
-is replaced, which is an event of the run's journal.
+device. When the pipe stays open and silent, the run hangs: the guard ends it. Then it opens the ports, makes every
+device safe, restores the settings, and appends the outcome to the run's journal and its status. A device that does not
+answer is tried again for an hour, unless another run takes its port.
 """
 
 import json
@@ -50,6 +49,7 @@ _KEEP_TRYING_S = 3600.0
 _LONGEST_PAUSE_S = 30.0
 _RETRY_PAUSE_S = 0.2
 _GOES_ON = "an earlier command to this device is still active"
+_LOST = "the run has ended unexpectedly, or a device is not safe"
 
 
 def make_safe(
@@ -58,18 +58,15 @@ def make_safe(
     """Bring every device of the bench to the safe state of the rig file.
 
     `busy` is called in a device's thread, with its name: whether an earlier command to it is still active, for whose
-    end it may wait. Such a device is made safe at once, and again: the command could undo it.
-
-    Returns after all devices are verified, or after `deadline_s` real seconds: the others then have a reason. Raises no
-    error of a device.
+    end it may wait. Such a device is made safe at once, and again: the command could undo it. Returns after all devices
+    are verified, or after `deadline_s` real seconds; raises no error of a device.
     """
     acts: dict[str, tuple[str, Callable[[], SafeReport]]] = {
         entry.name: (entry.safe, partial(bench.axes[entry.name].safe, AxisSafe(entry.safe))) for entry in bench.rig.axis
     }
     if bench.chamber is not None and (how := bench.rig.chamber) is not None:
         acts["chamber"] = how.safe, partial(bench.chamber.safe, ChamberSafe(how.safe), float(how.ambient))
-    outcomes = [SafeOutcome(name, action) for name, (action, _) in acts.items()]
-    began_s = time.monotonic()
+    outcomes, began_s = [SafeOutcome(name, action) for name, (action, _) in acts.items()], time.monotonic()
 
     def attempt(outcome: SafeOutcome) -> None:
         line, act = bench.lines.get(outcome.name), acts[outcome.name][1]
@@ -107,18 +104,13 @@ def make_safe(
 
 def put_back(bench: Bench) -> dict[str, str]:
     """Restore the settings that drivers have changed; by device with changed settings the problem, or an empty text."""
-    problems: dict[str, str] = {}
-    for name, settings in bench.settings.items():
-        if settings.before:
-            try:
-                settings.put_back()
-                problems[name] = ""
-            except Exception as problem:
-                problems[name] = sentence_of(problem)
+    problems = {name: "" for name, settings in bench.settings.items() if settings.before}
+    for name in problems:
+        try:
+            bench.settings[name].put_back()
+        except Exception as problem:
+            problems[name] = sentence_of(problem)
     return problems
-
-
-# -------------------------------------------------------------------------------------------------- the run's own side
 
 
 class Guard:
@@ -227,9 +219,6 @@ class Guard:
             self._input.write(line.encode() + b"\n")
 
 
-# ------------------------------------------------------------------------------------------------- the guard's process
-
-
 def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEEP_TRYING_S) -> list[SafeOutcome]:
     """Wait for the run's end on standard input; make safe if it began and then ended or hangs without "done"."""
     # Its working folder keeps the guard with a run's folder that is moved.
@@ -275,11 +264,7 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
             before.setdefault(device, {}).setdefault(name, value)
     if not (begun or before):
         return []
-    why = (
-        "the run no longer responded and was ended"
-        if hangs
-        else "the run has ended unexpectedly, or a device is not safe"
-    )
+    why = "the run no longer responded and was ended" if hangs else _LOST
     # The alarm comes first: a device that does not answer may take an hour.
     sound_alarm(rig, f"In {folder} {why}; the guard makes the rig safe")
     return make_folder_safe(Path(), rig=rig, before=before, why=why, keep_trying_s=keep_trying_s)
@@ -290,7 +275,7 @@ def make_folder_safe(
     *,
     rig: RigFile | None = None,
     before: Mapping[str, Mapping[str, str]] | None = None,
-    why: str = "the run has ended unexpectedly, or a device is not safe",
+    why: str = _LOST,
     deadline_s: float = 60.0,
     keep_trying_s: float = 0.0,
 ) -> list[SafeOutcome]:
@@ -357,8 +342,7 @@ def _try_once(
                     note("settings put back", device=name, problem=problem)
         except PortTaken as problem:
             # The other run is responsible for them now.
-            taken = {name: SafeOutcome(name, "left to another run", True, str(problem)) for name in names}
-            outcomes.update(taken)
+            outcomes.update((name, SafeOutcome(name, "left to another run", True, str(problem))) for name in names)
         except BaseException as problem:
             outcomes.update((name, SafeOutcome(name, lines[name][1], False, sentence_of(problem))) for name in names)
 
@@ -372,8 +356,7 @@ def _try_once(
     end = time.monotonic() + _TO_OPEN_S + 2.0 * deadline_s
     for port in groups:
         at_work[port].join(max(0.0, end - time.monotonic()))
-    missing = "has not answered yet"
-    return [outcomes.get(name) or SafeOutcome(name, action, False, missing) for name, (_, action) in lines.items()]
+    return [outcomes.get(name) or SafeOutcome(name, action) for name, (_, action) in lines.items()]
 
 
 def _say(sentence: str) -> None:

@@ -1,10 +1,8 @@
 """Interlocks: conditions that pause or abort a run; and what a step's samples lack, so that it is repeated.
 
-A rule examines the situation and returns a sentence where it is violated. A violation that lasts longer than the rule's
-patience trips it: the run pauses or aborts, and the sentence goes into the journal. The rules hold in every state of a
-run: while it homes axes, waits, is paused, or runs. A run that is paused can only be aborted.
-
-A step may lack samples themselves, their rate, or the motion that the table made.
+A rule returns a sentence where it is violated. A violation that lasts longer than the rule's patience trips it: the run
+pauses or aborts. The rules hold in every state of a run: while it homes axes, waits, is paused (then it can only be
+aborted), or runs. A step may lack samples themselves, their rate, or the motion that the table made.
 """
 
 import itertools
@@ -81,21 +79,18 @@ def _faults(bounds: InterlockLimits, now: Situation) -> str:
 
 
 def _over_speed(bounds: InterlockLimits, now: Situation) -> str:
+    rates = ((name, now.axes[name].rate_dps, most) for name, most in now.allowed_dps.items() if name in now.axes)
     return "; ".join(
-        (
-            f"axis {name} turns at {now.axes[name].rate_dps:.1f} deg/s; the command was {told:g}, and the rig "
-            f"allows {most:g}"
-        )
-        for name, (told, most) in now.allowed_dps.items()
-        if name in now.axes and too_fast(now.axes[name].rate_dps, (told, most))
+        f"axis {name} turns at {dps:.1f} deg/s; the command was {told:g}, and the rig allows {most:g}"
+        for name, dps, (told, most) in rates
+        if too_fast(dps, (told, most))
     )
 
 
 def _limit(bounds: InterlockLimits, now: Situation) -> str:
-    band_k, chamber = bounds.temperature_band_k, now.chamber
-    margin = band_k if math.isfinite(band_k) else 0.0
-    lowest, highest = now.range_c[0] - margin, now.range_c[1] + margin
-    lowest, highest = max(bounds.never_below_c, lowest), min(bounds.never_above_c, highest)
+    chamber, band_k = now.chamber, bounds.temperature_band_k if math.isfinite(bounds.temperature_band_k) else 0.0
+    lowest = max(bounds.never_below_c, now.range_c[0] - band_k)
+    highest = min(bounds.never_above_c, now.range_c[1] + band_k)
     for what, value in () if chamber is None else (("air", chamber.air_c), ("load", chamber.product_c)):
         if value is not None and not lowest <= value <= highest:
             return f"the {what} is at {value:.1f} degC; its limits are {lowest:g} to {highest:g} degC"
@@ -103,7 +98,7 @@ def _limit(bounds: InterlockLimits, now: Situation) -> str:
 
 
 def _off_course(bounds: InterlockLimits, now: Situation, *, paused: bool) -> str:
-    """A sentence where the air is off its course. A pause may open the door: then the room belongs to the course."""
+    """A pause may open the door: then the room belongs to the course."""
     if now.chamber is None or now.course_c is None:
         return ""
     low, high = now.course_c
@@ -190,10 +185,8 @@ class Interlocks:
 
 
 # The window in which the rate of samples is measured is at least so long; what a unit's own clock may be off.
-_WINDOW_S = 60.0
-_RATE_OFF = 0.05
+_WINDOW_S, _RATE_OFF = 60.0, 0.05
 _LEAST_TURN_DEG = 90.0
-_USUAL = GyroErrors()
 _TOGETHER_S = 0.25
 
 
@@ -226,7 +219,7 @@ class _Arrival:
 class SampleLosses:
     """The samples of a unit: the stream is decoded once on arrival, and only their numbers are kept."""
 
-    def __init__(self, decoder: ImuDecoder, sample_rate_hz: float, gyros: GyroErrors | None = _USUAL) -> None:
+    def __init__(self, decoder: ImuDecoder, sample_rate_hz: float, gyros: GyroErrors | None) -> None:
         self._decoder, self._sample_rate_hz, self._gyros = decoder, sample_rate_hz, gyros
         self._arrivals: deque[_Arrival] = deque(maxlen=1 << 16)
         self.received = self.missing = 0

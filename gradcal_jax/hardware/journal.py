@@ -9,13 +9,11 @@ A file of records, little-endian:
 
 Nothing is ever rewritten. A record that a crash has truncated fails its CRC; the next run appends behind it, and the
 reader continues at the next sound record. Events reach the disk before `event` returns (unless `at_once` is false),
-everything else at least once a second.
-
-One thread writes, in order of time; only the caller of an event waits for the disk. A disk that stalls for seconds
-therefore costs memory, and no bytes of a line whose buffer holds a quarter of a second.
+everything else at least once a second: one thread writes, so that a disk that stalls for seconds costs memory, and no
+bytes of a line whose buffer holds a quarter of a second.
 
 Writing raises nothing, because the caller may be about to stop an axis: a journal that can no longer be written has a
-`problem`, an interlock ends the run with it, and everything is made safe without a journal.
+`problem`, which ends the run, and everything is made safe without a journal.
 """
 
 import errno
@@ -108,14 +106,11 @@ class Journal(AbstractContextManager["Journal"]):
     def __init__(self, path: Path) -> None:
         self.path = path
         self._lines: dict[str, int] = {}
+        self._first_number = 0
         if path.exists():
             # Numbers of lines continue after the last session's: one number never means two lines.
-            known = [
-                event.data["number"] for event in read_journal(path, chunks=False).events if event.name == LINE_EVENT
-            ]
-            self._first_number = max(known, default=-1) + 1
-        else:
-            self._first_number = 0
+            events = read_journal(path, chunks=False).events
+            self._first_number = max((e.data["number"] for e in events if e.name == LINE_EVENT), default=-1) + 1
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
         self.problem = ""
         """The reason why nothing more can be written, for the operator; empty: writing is possible."""

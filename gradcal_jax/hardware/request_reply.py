@@ -2,9 +2,7 @@
 
 The input is drained before every request, so that a late reply to an earlier query does not count as the reply to this
 one; after a time-out or a damaged reply the line is given time to become silent; queries are repeated, commands are not
-(their driver reads back instead).
-
-A reply that comes after its time-out is recognised by its request's own parser, and said (`Transport.late`).
+(their driver reads back instead). A late reply is recognised by its request's own parser, and said (`Transport.late`).
 """
 
 import math
@@ -57,8 +55,7 @@ class Exchange:
     """One conversation at a time on a port. Thread-safe; several devices of one port share one exchange.
 
     `min_interval_s` is the device's least time between the starts of two requests, `boot_s` the time from here to the
-    first, on the run's clock;
-    `reply_timeout_s` is real time.
+    first, on the run's clock; `reply_timeout_s` is real time.
     """
 
     def __init__(
@@ -130,6 +127,13 @@ class Exchange:
     def write(self, request: bytes, *, pause_after_s: float | None = None) -> None:
         with self.alone():
             self._send(request, pause_after_s)
+
+    def text(self, request: bytes, reply_timeout_s: float, silence_s: float, *, longest_s: float = 2.0) -> bytes:
+        """The reply to `request` where no mark ends it: all bytes until none came for `silence_s`."""
+        with self.alone():
+            self._send(request, None)
+            received = self.transport.read(reply_timeout_s)
+            return received + self.transport.drain(silence_s, longest_s=longest_s)
 
     def _send(self, request: bytes, pause_after_s: float | None) -> None:
         self.clock.sleep_until(self._next_request_s)

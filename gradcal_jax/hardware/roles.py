@@ -1,8 +1,7 @@
 """The roles of devices: a chamber, axes of motion (driven, or turned by hand), a stream of an IMU; changed settings.
 
-The roles are `typing` protocols: a driver has the methods and inherits nothing. Set point and read-back are different
-fields everywhere. Units are in the names: temperatures in °C (`_c`), angles in degrees (`_deg`), rates in deg/s
-(`_dps`).
+The roles are `typing` protocols: a driver has the methods and inherits nothing. Units are in the names: temperatures in
+°C (`_c`), angles in degrees (`_deg`), rates in deg/s (`_dps`).
 """
 
 import math
@@ -25,7 +24,6 @@ class KeptSettings:
     values: those before are kept, and restored at the end, by another process (`on_first_change`) where this one ends.
 
     `read` asks the device, `write` returns only when the device shows the new value, and `same` compares two values.
-    A device without changed settings has a `KeptSettings()`.
     """
 
     def __init__(
@@ -89,7 +87,7 @@ class ChamberSafe(Enum):
 
 
 class AxisSafe(Enum):
-    """The state of an axis after a run. No default unpowers a gravity-loaded axis."""
+    """The state of an axis after a run."""
 
     HOLD = "hold"  # controlled stop, stays powered
     STOP = "controlled stop"  # controlled stop; powered state left to the device
@@ -171,9 +169,12 @@ class AxisLimits:
 
     @property
     def travel_deg(self) -> tuple[float, float]:
-        """The ends of the travel, infinite where there are none."""
-        lowest = -math.inf if self.lowest_deg is None else self.lowest_deg
-        return lowest, math.inf if self.highest_deg is None else self.highest_deg
+        return travel_of(self.lowest_deg, self.highest_deg)
+
+
+def travel_of(lowest_deg: float | None, highest_deg: float | None) -> tuple[float, float]:
+    """The ends of the travel, infinite where there are none."""
+    return -math.inf if lowest_deg is None else lowest_deg, math.inf if highest_deg is None else highest_deg
 
 
 @dataclass(frozen=True)
@@ -209,8 +210,7 @@ class MotionAxis(Protocol):
         """Controlled stop; returns when the axis stands."""
 
     def arm_watchdog(self) -> None:
-        """Switch the device's watchdog on, where it has one; from now on `heartbeat` must come in time. What inherits
-        this has none."""
+        """Switch the device's watchdog on, where it has one; from now on `heartbeat` must come in time."""
 
     def heartbeat(self) -> None:
         """In time, once the watchdog is on."""
@@ -291,8 +291,7 @@ def imu_batch(
     count = len(device_time_s)
     none: dict[str, Any] = {name: np.zeros(count, np.int64) for name in ("status", "gap_before")}
     none |= {name: np.zeros(count, np.bool_) for name in ("disturbed", "restarted")}
-    none["second_c"] = np.full(count, np.nan)
-    host = np.full(count, float(host_time_s))
+    none["second_c"], host = np.full(count, np.nan), np.full(count, float(host_time_s))
     return ImuBatch(host, device_time_s, gyro_dps, acceleration_g, temperature_c, **(none | more))
 
 

@@ -59,9 +59,8 @@ class RunFolder:
         try:
             notes = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
-            raise RunFolderError(
-                f"{self.path} is not the folder of a run: there is no run.json that can be read."
-            ) from None
+            what = "is not the folder of a run: there is no run.json that can be read."
+            raise RunFolderError(f"{self.path} {what}") from None
         if not isinstance(notes, dict) or notes.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
             raise RunFolderError(
                 f"{self.path}/run.json is not of the format {FORMAT}: another version may have recorded the run."
@@ -105,7 +104,6 @@ def new_folder(
     elif names:
         raise RunFolderError(f"{path} is not empty; name a new folder for the run.")
     path.mkdir(parents=True, exist_ok=True)
-    folder = RunFolder(path)
     write_toml(recipe, path / "recipe.toml")
     write_toml(rig, path / "rig.toml")
     notes: dict[str, Any] = {
@@ -119,7 +117,7 @@ def new_folder(
         "about": dict(about or {}),
     }
     write_whole(path / "run.json", json.dumps(notes, indent=2) + "\n")
-    return folder
+    return RunFolder(path)
 
 
 def rig_tables(rig: RigFile) -> dict[str, Any]:
@@ -127,10 +125,8 @@ def rig_tables(rig: RigFile) -> dict[str, Any]:
 
 
 def rig_as_run(contents: JournalContents, rig: RigFile) -> RigFile:
-    """The rig that the run began with, from its journal; `rig` where the journal has none.
-
-    A later change of the rig file does not change the meaning of the recorded bytes.
-    """
+    """The rig that the run began with, from its journal; `rig` where the journal has none: a later change of the rig
+    file does not change the meaning of the recorded bytes."""
     for event in contents.events:
         if event.name == SESSION and isinstance(event.data.get("rig"), dict):
             return rig_of(event.data["rig"], "the rig in the journal")
@@ -178,8 +174,7 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
     everything is done.
     """
     notes = folder.notes()
-    recipe = folder.recipe()
-    if notes.get("recipe") != recipe.fingerprint:
+    if notes.get("recipe") != folder.recipe().fingerprint:
         raise RunFolderError(
             f"The recipe in {folder.path} is not the one that the run began with: restore it, or begin a new run."
         )
@@ -223,8 +218,8 @@ def require_same_devices(bench: Bench, contents: JournalContents) -> None:
         before = known.get(report.name)
         if before is None or report.identity is None:
             continue
-        now = (report.identity.driver, report.identity.model, report.identity.serial_number, report.identity.firmware)
-        then = tuple(before.data.get(name, "") for name in ("driver", "model", "serial_number", "firmware"))
+        names = ("driver", "model", "serial_number", "firmware")
+        now, then = [[of.get(name, "") for name in names] for of in (vars(report.identity), before.data)]
         if now != then:
             raise WrongIdentity(
                 f"{report.name} at {report.port} is {' '.join(now)}, but the run began with {' '.join(then)}. Connect "

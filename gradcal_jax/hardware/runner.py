@@ -88,7 +88,7 @@ class Runner:
         self.state = RunState.IDLE
         self._requests: deque[tuple[Request, str]] = deque()
         self._pause_first = False
-        # Why the run is paused, by a rule or by a request; since when; and when the alarm sounds again.
+        # Why the run is paused, by a rule or by a request, and since when.
         self._why, self._by_rule = "", False
         self._paused_s: float | None = None
         self._range_c = (-math.inf, math.inf)
@@ -234,43 +234,41 @@ class Runner:
                 self._imu_heard_s[name] = time_s
 
     def _execute(self) -> None:
+        steps = self.track.steps
         # A run that was killed after its last step only has to end.
-        again = 0 < self.first_step < len(self.track.steps)
+        again = 0 < self.first_step < len(steps)
         if again:
-            step = self.track.steps[self._steps_done]
-            self._event("seam", step=step.name, why="the run was resumed; the step begins again")
-        while self._steps_done < len(self.track.steps):
-            step = self.track.steps[self._steps_done]
+            self._seam(self._steps_done, "the run was resumed; the step begins again")
+        while (number := self._steps_done) < len(steps):
             try:
-                self._unconfirmed.append(self._run_step(step, again))
+                self._unconfirmed.append(self._run_step(steps[number], again))
                 again = False
                 self._steps_done += 1
                 self._confirm_steps()
-                if self.state is RunState.PAUSING and self._steps_done < len(self.track.steps):
-                    self._pause_between(step)
-                    after = self.track.steps[self._steps_done]
-                    if after.follows:
-                        self._event("seam", step=after.name, why="the run was paused before this step")
-                        again = True
-                if self._steps_done == len(self.track.steps):
+                if self._steps_done == len(steps):
                     self._await_confirmation()
+                elif self.state is RunState.PAUSING:
+                    self._pause_between(steps[number])
+                    if again := steps[self._steps_done].follows:
+                        self._seam(self._steps_done, "the run was paused before this step")
             except _Interrupted:
                 self._wait_paused()
-                self._event("seam", step=step.name, why="the step begins again after a pause")
+                self._seam(number, "the step begins again after a pause")
                 again = True
             except StepNotDone as shortfall:
                 self._take_back(shortfall)
                 again = True
 
+    def _seam(self, number: int, why: str) -> None:
+        self._event("seam", step=self.track.steps[number].name, why=why)
+
     def _take_back(self, shortfall: StepNotDone) -> None:
-        number, why = shortfall.number, str(shortfall)
-        name = self.track.steps[number].name
-        self._event("not done", step=name, number=number, why=why)
+        number, name = shortfall.number, self.track.steps[shortfall.number].name
+        self._event("not done", step=name, number=number, why=str(shortfall))
         self._tries[number] = self._tries.get(number, 0) + 1
         if self._tries[number] == _TRIES:
-            raise HardwareError(
-                f"In {_TRIES} attempts, step {name!r} was not executed as the recipe states. The last attempt: {why}."
-            )
+            what = f"In {_TRIES} attempts, step {name!r} was not executed as the recipe states."
+            raise HardwareError(f"{what} The last attempt: {shortfall}.")
         self._axes.stop()
         self._steps_done = number
         if shortfall.unit:
@@ -283,7 +281,7 @@ class Runner:
             self.clock.sleep(_SLICE_S)
         self._shortfall = None
         self._unconfirmed = [executed for executed in self._unconfirmed if executed.number < number]
-        self._event("seam", step=name, why="the step is repeated: it was not executed as the recipe states")
+        self._seam(number, "the step is repeated: it was not executed as the recipe states")
 
     def _pause_between(self, step: TrackStep) -> None:
         """Stop every axis: nothing turns while a run is paused, not even a spin that the next step continues."""

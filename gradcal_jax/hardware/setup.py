@@ -1,8 +1,7 @@
 """From a rig file to open devices: drivers by name, options in units, ports shared where axes share one.
 
 A driver's options are the fields of its configuration class. A field with a unit in its name is written in the file
-without it, as text with a unit: `reply_timeout_s` is `reply_timeout = "3 s"`. Unknown names are refused with the
-nearest right spelling, all problems at once.
+without it, as text with a unit: `reply_timeout_s` is `reply_timeout = "3 s"`.
 """
 
 import dataclasses
@@ -45,8 +44,7 @@ class Driver:
 
     The module also has `open_exchange(line, clock, config)` or, for a unit, `decoder_of(config, registers)`. A
     configuration may have `lacks_for(safe)`: a sentence where a device with these options cannot take a safe state of
-    the rig file, else an empty text. A new driver is a module beside the others and a line in `DRIVERS`, or another
-    package's entry point.
+    the rig file, else an empty text.
     """
 
     role: Role | None
@@ -62,6 +60,9 @@ class Driver:
 
     def config(self) -> type[Any]:
         return getattr(self.load(), self.config_class)
+
+    def device(self) -> Callable[..., Any]:
+        return getattr(self.load(), self.device_class)
 
 
 _HERE: Final = f"{__package__}.drivers"
@@ -111,7 +112,8 @@ def driver_of(name: str) -> Driver | None:
     return driver
 
 
-def _known(name: str) -> Driver:
+def known_driver(name: str) -> Driver:
+    """A driver that `config_of` has accepted."""
     driver = driver_of(name)
     assert driver is not None
     return driver
@@ -144,7 +146,7 @@ _TERMINATORS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n"}
 
 def option_names(driver: str) -> dict[str, str]:
     """The options of a driver, in the file's spelling -> the fields of its configuration."""
-    return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(_known(driver).config())}
+    return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(known_driver(driver).config())}
 
 
 class _Options(Section):
@@ -295,13 +297,10 @@ def open_rig(
         PortRefused: a port that cannot be opened; those opened before are closed again.
     """
     configs = configs_of(rig)
-    bench = Bench(rig)
-    exchanges: dict[str, Any] = {}
-    lines: dict[str, Transport] = {}
+    bench, exchanges, lines = Bench(rig), dict[str, Any](), dict[str, Transport]()
 
     def opened(device: Device | EncoderDevice | OperatorPlace, config: Any) -> TextLine:
-        url = device.port
-        recorder = recorder_of(url) if recorder_of is not None else None
+        url, recorder = device.port, None if recorder_of is None else recorder_of(device.port)
         if url == TERMINAL:
             line = terminal or Terminal()
             line.clock, line.recorder = clock, recorder
@@ -317,19 +316,16 @@ def open_rig(
         return line
 
     def axis_or_chamber(device: Device | EncoderDevice, config: Any, *more: Any) -> Any:
-        driver = _known(device.driver)
-        module = driver.load()
-        if same_port(device.port) not in exchanges:
-            exchanges[same_port(device.port)] = module.open_exchange(opened(device, config), clock, config)
-        return getattr(module, driver.device_class)(exchanges[same_port(device.port)], config, *more)
+        driver, port = known_driver(device.driver), same_port(device.port)
+        if port not in exchanges:
+            exchanges[port] = driver.load().open_exchange(opened(device, config), clock, config)
+        return driver.device()(exchanges[port], config, *more)
 
     try:
         for _, place, _, device in _entries(rig):
             config = configs[place]
             if isinstance(device, ImuDevice):
-                driver = _known(device.driver)
-                make = getattr(driver.load(), driver.device_class)
-                bench.imus[device.name] = make(opened(device, config), clock, config)
+                bench.imus[device.name] = known_driver(device.driver).device()(opened(device, config), clock, config)
             elif isinstance(device, ChamberDevice):
                 bench.chamber = axis_or_chamber(device, config)
             else:
@@ -373,12 +369,8 @@ class DeviceReport:
 
 def only_of(rig: RigFile, names: Collection[str]) -> RigFile:
     """The rig with these devices alone; the chamber's name is "chamber"."""
-    chosen = {
-        "chamber": rig.chamber if "chamber" in names else None,
-        "axis": tuple(entry for entry in rig.axis if entry.name in names),
-        "imu": tuple(entry for entry in rig.imu if entry.name in names),
-    }
-    return rig.model_copy(update=chosen)
+    chosen = {role: tuple(of for of in getattr(rig, role) if of.name in names) for role in ("axis", "imu")}
+    return rig.model_copy(update={"chamber": rig.chamber if "chamber" in names else None, **chosen})
 
 
 def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:
@@ -418,7 +410,7 @@ def _report(
             limits = device.configure()
         else:
             limits = bench.chamber_limits() if device is bench.chamber else device.limits()
-            # roles.Identity and limits may stand in the rig file alone: at least this is asked of the device.
+            # Identity and limits may stand in the rig file alone: at least this is asked of the device.
             device.read()
         return DeviceReport(name, entry.driver, entry.port, identity, limits)
     except HardwareError as problem:
@@ -441,7 +433,7 @@ def with_options(schema: dict[str, Any]) -> dict[str, Any]:
     for kind, role in roles.items():
         cases: list[dict[str, Any]] = []
         for name in driver_names(role):
-            definitions[f"options of {name}"] = _options_of(_known(name)).model_json_schema()
+            definitions[f"options of {name}"] = _options_of(known_driver(name)).model_json_schema()
             when = {"properties": {"driver": {"const": name}}, "required": ["driver"]}
             cases.append({"if": when, "then": {"properties": {"options": {"$ref": f"#/$defs/options of {name}"}}}})
         definitions[f"{kind}Device"] = {**definitions[f"{kind}Device"], "allOf": cases}

@@ -77,14 +77,11 @@ class TrackStep:
     time begins and the chamber gets its command. `courses` are further commands in the step's own time. A step that
     `follows` begins when the one before ends, and the chamber continues, unless there is a course; where it begins
     separately (after a pause, or when a run is resumed) the chamber first goes to `start_c` and is stable by `again`,
-    and the axes go to `start_deg`.
+    and the axes go to `start_deg`, as they always do with `goes_there`.
 
-    With `goes_there` the axes always go to `start_deg` first. Of several mountings `hang` is the step's, with number
-    `mounting`, from 1: where the units hang otherwise the operator is asked to change it before, with the axes at zero
-    and the chamber at a temperature safe for hands; the step's own time begins afterwards, or before it with
-    `hangs_meanwhile`.
-
-    The last `slack_s` of the step are waiting only: they make up for late turns by hand.
+    Of several mountings `hang` is the step's, with number `mounting`, from 1: where the units hang otherwise the
+    operator is asked to change it, with the axes at zero and the chamber at a temperature safe for hands; the step's
+    own time begins afterwards, or before it with `hangs_meanwhile`. The last `slack_s` make up for late turns by hand.
 
     The angles of all axes are read at `read_at_s`, and after every turn when the axis stands; where `read_at_s` is
     empty, every `read_every_s`.
@@ -344,10 +341,9 @@ def _standing(block: MotionBlock, total: float) -> Iterator[Part]:
     every = block.moves[0].read_every
     times = [0.0, *reading_times(total, None if every is None else float(every))]
     count = max(1, math.ceil(total / _LONGEST_STAND_S - 1e-9))
-    size = total / count
     for number in range(count):
-        start = number * size
-        end = total if number == count - 1 else start + size
+        start = number * (total / count)
+        end = total if number == count - 1 else start + total / count
         inside = [t - start for t in times if start - 1e-9 < t <= end + 1e-9 and (t > start + 1e-9 or number == 0)]
         name = f"{block.name}, {number + 1} of {count}" if count > 1 else block.name
         yield start, TrackStep(name, end - start, read_at_s=tuple(inside))
@@ -357,16 +353,15 @@ def _points(block: MotionBlock, names: dict[str, str]) -> Iterator[Part]:
     """The standard method's rates: a step for each; a standstill begins with a stop."""
     axis = next(iter(names.values()), "")
     for number, move in enumerate(block.moves, 1):
-        rate = to_unit(float(move.rate or 0.0), "deg/s")
-        duration = float(move.duration)
-        moves: list[AxisCommand] = []
+        rate, duration = to_unit(float(move.rate or 0.0), "deg/s"), float(move.duration)
+        moves: tuple[AxisCommand, ...] = ()
         if rate and axis:
-            moves.append(AxisCommand(0.0, axis, "spin", rate_dps=rate, acceleration_dps2=_SPIN_ACCELERATION_DPS2))
+            moves = (AxisCommand(0.0, axis, "spin", rate_dps=rate, acceleration_dps2=_SPIN_ACCELERATION_DPS2),)
         elif axis and number > 1:
-            moves.append(AxisCommand(0.0, axis, "stop"))
+            moves = (AxisCommand(0.0, axis, "stop"),)
         reads = (*([0.0] if number == 1 else []), *reading_times(duration, 1.0))
         name = f"{block.begins_with}, rate {number} of {len(block.moves)}"
-        yield float(move.start), TrackStep(name, duration, moves=tuple(moves), read_at_s=reads)
+        yield float(move.start), TrackStep(name, duration, moves=moves, read_at_s=reads)
 
 
 def _add(
@@ -399,9 +394,9 @@ def _command(move: TrackMove, start: float, axis: str) -> AxisCommand:
     assert move.angle is not None
     assert move.rate is not None
     assert move.acceleration is not None
-    rates = {"rate_dps": abs(to_unit(float(move.rate), "deg/s"))}
-    rates["acceleration_dps2"] = to_unit(float(move.acceleration), "deg/s^2")
-    turn = AxisCommand(start, axis, "turn", angle_deg=to_unit(float(move.angle), "deg"), **rates)
+    angle, rate = to_unit(float(move.angle), "deg"), abs(to_unit(float(move.rate), "deg/s"))
+    acceleration = to_unit(float(move.acceleration), "deg/s^2")
+    turn = AxisCommand(start, axis, "turn", rate_dps=rate, acceleration_dps2=acceleration, angle_deg=angle)
     # Beyond the rounding of the recipe's numbers.
     more_s = round(float(move.duration) - turn.duration_s, 3)
     return replace(turn, answer_s=max(0.0, more_s)) if move.do == "turn by hand" else turn

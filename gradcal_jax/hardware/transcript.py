@@ -95,16 +95,14 @@ def conversation(bench: Bench, clock: Clock, *, move: bool) -> Iterator[tuple[st
         if move:
             yield entry.name, "home", outcome(axis.home)
             for goal in (_MOVE_DEG, 0.0):
-                turn = partial(axis.move_to, goal, _MOVE_DPS, _MOVE_DPS2)
-                yield entry.name, f"move_to {goal:g}", outcome(turn)
+                yield entry.name, f"move_to {goal:g}", outcome(partial(axis.move_to, goal, _MOVE_DPS, _MOVE_DPS2))
                 clock.sleep(_MOVE_DEG / _MOVE_DPS + 2.0)
                 yield entry.name, "read", outcome(axis.read)
             yield entry.name, "safe", outcome(partial(axis.safe, AxisSafe(entry.safe)))
     for entry in bench.rig.imu:
         unit = bench.imus[entry.name]
-        yield entry.name, "identify", outcome(unit.identify)
-        yield entry.name, "configure", outcome(unit.configure)
-        yield entry.name, "start", outcome(unit.start)
+        for name in ("identify", "configure", "start"):
+            yield entry.name, name, outcome(getattr(unit, name))
         ends_s = clock.now() + _STREAM_S
         while clock.now() < ends_s:
             clock.sleep(0.05)

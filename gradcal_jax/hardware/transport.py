@@ -1,11 +1,11 @@
 """A serial line: opened exclusively, read and written with time-outs, every byte recorded; and the operator's terminal
 in place of one.
 
-A small class around pyserial, so that a fork can replace it. The code depends on these properties of pyserial 3.5: a
-vanished pty or adapter raises `SerialException` from `read` and `write` but a bare `OSError` from `in_waiting`,
-`TypeError` where another thread has just closed it, and `termios.error`, which is neither, from an open; a `socket://`
-line reports at most one waiting byte; without a write time-out a stuck peer blocks for ever; an exclusive
-open does not exclude openers that are not exclusive, hence the additional lock file.
+The code depends on these properties of pyserial 3.5: a vanished pty or adapter raises `SerialException` from `read` and
+`write` but a bare `OSError` from `in_waiting`, `TypeError` where another thread has just closed it, and
+`termios.error`, which is neither, from an open; a `socket://` line reports at most one waiting byte; without a write
+time-out a stuck peer blocks for ever; an exclusive open does not exclude openers that are not exclusive, hence the
+additional lock file.
 """
 
 import contextlib
@@ -49,9 +49,8 @@ class PortLock:
     """One process, one port: a lock file that the operating system releases when its owner dies."""
 
     def __init__(self, url: str) -> None:
-        identity = same_port(url)
         folder = Path(tempfile.gettempdir()) / "gradcal-ports"
-        self._path = folder / (hashlib.sha256(identity.encode()).hexdigest()[:24] + ".lock")
+        self._path = folder / (hashlib.sha256(same_port(url).encode()).hexdigest()[:24] + ".lock")
         try:
             folder.mkdir(exist_ok=True)
             self._handle = self._open(folder)
@@ -149,13 +148,10 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
             port.open()
         except BaseException as problem:
             self._lock.release()
-            # Not only `SerialException` and `OSError`: pyserial lets `termios.error` through.
             if not isinstance(problem, Exception):
                 raise
             raise _refused(url, problem) from None
-        self._port = port
-        self._is_socket = url.startswith("socket://")
-        self._closed = False
+        self._port, self._is_socket, self._closed = port, url.startswith("socket://"), False
         self.late = ""
         """The newest reply that came after its time-out, for the operator; empty: none."""
 
@@ -210,8 +206,7 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
 
     def drain(self, quiet_s: float = 0.0, *, longest_s: float = 2.0) -> bytes:
         """Read and return (and record) bytes until none came for `quiet_s`, for at most `longest_s`."""
-        dropped = b""
-        end = time.monotonic() + longest_s
+        dropped, end = b"", time.monotonic() + longest_s
         while chunk := self.read(quiet_s):
             dropped += chunk
             if time.monotonic() > end:
@@ -248,11 +243,9 @@ _CLEAR = "\r\x1b[2K"
 
 
 class Terminal:
-    """Line `terminal`. Without a keyboard there is no operator, and a question raises `HardwareError`.
-
-    A question is a line without an end: while it is shown, no other text may be drawn on the terminal (`asking`).
-    `heard` is whether the keyboard is being read here: two readers would get every other line each.
-    """
+    """Line `terminal`. Without a keyboard there is no operator, and a question, a line without an end, raises
+    `HardwareError`. `asking`: one is shown, and no other text may be drawn on the terminal. `heard`: the keyboard is
+    read here; two readers would get every other line each."""
 
     url = "terminal"
 

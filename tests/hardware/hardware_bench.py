@@ -1,7 +1,7 @@
 """A bench for the tests: simulated devices behind pseudo-terminals, and the drivers that talk to them."""
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from gradcal_jax.files.tracks import Stability, tracks_of
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import lines, odrive, registers, stim300, vectornav, weiss, zaber
 from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
+from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.transport import Transport
 
@@ -316,3 +317,16 @@ def unpredicted(spec: Spec, *, stable_for: str = "20 s") -> Recipe:
         prediction=Predicted(duration_s=1.0, soak_s=0.0, motion_s=1.0),
         spec=result,
     )
+
+
+def once(runner: Runner, when: Callable[[RunProgress], bool], act: Callable[[], Any], every_s: float = 1.0) -> None:
+    """Act from within the run, the first time that its progress, shown each `every_s`, is so."""
+    done: list[bool] = []
+
+    def look(progress: RunProgress) -> None:
+        if not done and when(progress):
+            done.append(True)
+            act()
+
+    runner.chamber_every_s = every_s
+    runner.on_progress = look

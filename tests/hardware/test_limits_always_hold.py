@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hardware_bench import Rig, short_recipe
+from hardware_bench import Rig, once, short_recipe
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.cli import main
@@ -75,19 +75,6 @@ def weld_on(rig: Rig, k_per_min: float = 6.0) -> None:
         plant._load_c = plant._air_c
 
     plant._step = heats
-
-
-def once(runner: Runner, when: Callable[[RunProgress], bool], act: Callable[[], Any]) -> None:
-    """Act from within the run, the first time that its progress is so."""
-    done: list[bool] = []
-
-    def look(progress: RunProgress) -> None:
-        if not done and when(progress):
-            done.append(True)
-            act()
-
-    runner.chamber_every_s = 1.0
-    runner.on_progress = look
 
 
 def after(runner: Runner, seconds: float, act: Callable[[], Any]) -> None:

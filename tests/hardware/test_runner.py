@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hardware_bench import Rig, chunks_of, fit_clock
+from hardware_bench import Rig, chunks_of, fit_clock, once
 from simulated_devices.faults import Faults
 from simulated_devices.gyro import EARTH_RATE_DPS, SensorTruth
 from simulated_devices.line_clock import LineClock
@@ -82,14 +82,7 @@ def states(contents: JournalContents) -> list[str]:
 
 def when_step_begins(runner: Runner, number: int, act) -> None:
     """Call `act` from within the run once a step has begun (on the progress call, which the run makes itself)."""
-    done: list[bool] = []
-
-    def look(progress: RunProgress) -> None:
-        if not done and progress.steps_done == number and progress.step_left_s is not None:
-            done.append(True)
-            act()
-
-    runner.on_progress = look
+    once(runner, lambda now: now.steps_done == number and now.step_left_s is not None, act, runner.chamber_every_s)
 
 
 def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path: Path) -> None:

@@ -1,13 +1,13 @@
 """A unit that restarts with other settings, stops measuring or loses lines that it does not count: nothing is done."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hardware_bench import Rig, short_recipe
+from hardware_bench import Rig, once, short_recipe
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, decoder_of
@@ -28,17 +28,8 @@ def lab(folder: Path) -> Iterator[tuple[Rig, Runner]]:
             yield rig, Runner(track, bench, journal, clock, safe_deadline_s=10.0, wait_when_paused=False)
 
 
-def once(runner: Runner, act: Callable[[], Any]) -> None:
-    """Act once, from within the second step with data."""
-    done: list[bool] = []
-
-    def look(progress: RunProgress) -> None:
-        if not done and progress.steps_done == 2 and progress.step_left_s is not None:
-            done.append(True)
-            act()
-
-    runner.chamber_every_s = 1.0
-    runner.on_progress = look
+def in_second_step_with_data(progress: RunProgress) -> bool:
+    return progress.steps_done == 2 and progress.step_left_s is not None
 
 
 def events(folder: Path, name: str) -> list[Event]:
@@ -53,7 +44,7 @@ def test_a_unit_that_restarts_at_another_rate_is_configured_again(tmp_path: Path
             rig.imu.options.rate_code = rate_code
             rig.imu.reboot()
 
-        once(runner, restart)
+        once(runner, in_second_step_with_data, restart)
         result = runner.run()
         assert result.exit_status == "success", result.reason
         assert rig.imu._registers["im"] == "0"
@@ -78,7 +69,7 @@ def test_a_unit_that_stops_measuring_ends_the_run(tmp_path: Path) -> None:
 
             rig.sensor.take = stuck
 
-        once(runner, freeze)
+        once(runner, in_second_step_with_data, freeze)
         result = runner.run()
         assert result.exit_status == "aborted"
         assert "the IMU's gyros measured" in result.reason
@@ -89,7 +80,10 @@ def test_a_unit_that_stops_measuring_ends_the_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize("share", [0.0, 0.1])
 def test_lost_lines_of_a_unit_that_does_not_count_are_noticed_by_their_rate(share: float) -> None:
     described = {"format": "gradcal-text/1", "line": "{gyro_x} {gyro_y} {gyro_z}", "rate": "50 Hz"}
-    losses, random = SampleLosses(decoder_of(TextUnitConfig(described), {}), 50.0), np.random.default_rng(1)
+    losses, random = (
+        SampleLosses(decoder_of(TextUnitConfig(described), {}), 50.0, None),
+        np.random.default_rng(1),
+    )
     line = b"0.001 0.002 0.003\r\n"
     for k in range(50 * 40):
         if random.random() >= share:

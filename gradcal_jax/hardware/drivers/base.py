@@ -24,7 +24,7 @@ from ..request_reply import TRIES, Exchange, Reply
 
 Config = TypeVar("Config")
 _BETWEEN_LOOKS_S = 0.2
-_OVER_S = 0.4
+_OVER_S, _SETTLED_K = 0.4, 2.0
 _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 
 
@@ -156,6 +156,26 @@ class AxisDriver(ExchangeDriver[Options], roles.MotionAxis, ABC):
                 f"The axis cannot be moved: {', '.join(reading.faults) or 'it has no reference'}. Home it first."
             )
 
+    @cached_property
+    def _recent(self) -> deque[tuple[float, float]]:
+        """The times of requests of readings, and the positions."""
+        return deque()
+
+    def _mean_rate(self, asked_s: float, time_s: float, position_deg: float, *, moving: bool) -> float:
+        """The rate (deg/s) at a reading with these times of request and reply, for controllers that do not report it; 0
+        for an axis that stands.
+
+        It is the mean since a reading at least 0.4 s before, because a noisy encoder that is read twice in a
+        millisecond could show any rate. A host that was busy in between makes it too small, never too large.
+        """
+        recent, rate = self._recent, 0.0
+        while len(recent) > 1 and time_s - recent[1][0] >= _OVER_S:
+            recent.popleft()
+        if recent and moving and time_s - recent[0][0] >= _OVER_S:
+            rate = (position_deg - recent[0][1]) / (time_s - recent[0][0])
+        recent.append((asked_s, position_deg))
+        return rate
+
     def _left_safe(self, policy: roles.AxisSafe, lack: str, unpower: Callable[[], object]) -> roles.SafeReport:
         """The end of `safe`, where the axis stands: without power, if that is wanted and nothing lacks for it."""
         if policy is roles.AxisSafe.UNPOWER:
@@ -177,35 +197,8 @@ class AxisDriver(ExchangeDriver[Options], roles.MotionAxis, ABC):
         return reading
 
 
-class MeanRate:
-    """An axis's rate from its positions, for controllers that do not report it: the mean since a reading at least 0.4 s
-    before, because a noisy encoder that is read twice in a millisecond could show any rate. The time is from the
-    earlier request to the later reply: a host that was busy in between makes a rate too small, never too large.
-    """
-
-    def __init__(self) -> None:
-        # The times of requests, and the positions.
-        self._recent: deque[tuple[float, float]] = deque()
-
-    def of(self, asked_s: float, time_s: float, position_deg: float, *, moving: bool) -> float:
-        """The rate at a reading with these times of request and reply; 0 for an axis that stands."""
-        recent = self._recent
-        while len(recent) > 1 and time_s - recent[1][0] >= _OVER_S:
-            recent.popleft()
-        rate = 0.0
-        if recent and moving and time_s - recent[0][0] >= _OVER_S:
-            rate = (position_deg - recent[0][1]) / (time_s - recent[0][0])
-        recent.append((asked_s, position_deg))
-        return rate
-
-
 Texts = dict[str, str]
 """Fields in the device's own text."""
-
-_SETTLED_K = 2.0
-
-
-Description = LineProtocol | RegisterProtocol
 
 
 @dataclass(frozen=True)
@@ -226,7 +219,7 @@ class DescribedOptions(ABC):
 
     @cached_property
     @abstractmethod
-    def described(self) -> Description: ...
+    def described(self) -> LineProtocol | RegisterProtocol: ...
 
     @property
     def line_settings(self) -> dict[str, Any]:

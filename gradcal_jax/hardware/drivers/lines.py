@@ -2,8 +2,8 @@
 
 The description has the queries, commands and replies; this driver has their order and verification:
 
-* a chamber's set point, ramp and conditioning are read back after every command; the chamber shows a ramp's rate before
-  it gets the target, so that no lost line makes it go at full speed;
+* a chamber's commands are read back; it shows a ramp's rate before it gets the target, so that no lost line makes it go
+  at full speed;
 * an axis that moves is stopped before another command, unless commands can be read back; after the command of a move
   the driver verifies that the axis moves or has arrived.
 
@@ -29,7 +29,7 @@ from ..framing import LineFramer, NotThisReply
 from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, AxisOptions, DescribedChamber, DescribedDevice, DescribedOptions, MeanRate, Texts
+from .base import AxisDriver, AxisOptions, DescribedChamber, DescribedDevice, DescribedOptions, Texts
 
 _STOPS_AGAIN_S = 1.0
 _pattern = cache(reply_pattern)
@@ -217,7 +217,6 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         _Spoken.__init__(self, exchange, config)
         self._referenced = self._moved = False
-        self._rates = MeanRate()
         self.settings = KeptSettings(self._setting, self._set, lambda left, right: shows(right, left))
 
     def limits(self) -> AxisLimits:
@@ -251,12 +250,11 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         faults = (texts[self._protocol.state["fault"].field],) if self._is("fault", texts) else ()
         self._referenced = self._referenced and not faults
         position = self._degrees(float(texts["position"]))
-        rate = self._rates.of(asked_s, time_s, position, moving=moving)
+        rate = self._mean_rate(asked_s, time_s, position, moving=moving)
         return AxisReading(time_s, position, rate, moving, self._referenced, faults, ())
 
     def home(self) -> None:
-        self._power_on()
-        self._stop_if_moving()
+        self._make_ready()
         self._tell("home")
         reading = self._until_still(self._config.home_timeout_s, "homing", raise_faults=False)
         if reading.faults:
@@ -267,8 +265,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         limits = self._check(rate_dps, acceleration_dps2)
         self._require_travel(position_deg, limits.travel_deg)
         self._require_ready(referenced=True)
-        self._power_on()
-        self._stop_if_moving()
+        self._make_ready()
         self._prepare(rate_dps, acceleration_dps2)
         values = {"position": self._own(position_deg), **self._motion(rate_dps, acceleration_dps2)}
         self._verify(
@@ -283,10 +280,8 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
             raise Rejected(f"The protocol of {self._title} has no command for a constant rate: use turns in the plan.")
         self._check(abs(rate_dps), acceleration_dps2)
         self._require_ready(referenced=False)
-        self._power_on()
         shown_by = self._protocol.tell["spin"].shown_by
-        if not shown_by:
-            self._stop_if_moving()
+        self._make_ready(stands=not shown_by)
         self._prepare(abs(rate_dps), acceleration_dps2)
         signed = rate_dps * self._config.direction
         velocity = units.convert(signed, "deg/s", self._protocol.units.rate)
@@ -296,9 +291,9 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
             values["way"] = math.copysign(far, signed)
         if shown_by:
             self._until_shown("spin", values, *shown_by)
-            return
-        what = f"The rate {rate_dps:g} deg/s"
-        self._verify(what, lambda: self._tell("spin", values), self.read, lambda reading: reading.moving)
+        else:
+            what = f"The rate {rate_dps:g} deg/s"
+            self._verify(what, lambda: self._tell("spin", values), self.read, lambda reading: reading.moving)
 
     def stop(self) -> None:
         # A stop is harmless when repeated: it is sent until the axis stands.
@@ -335,9 +330,11 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         self._require_motion(rate_dps, limits.max_rate_dps, acceleration_dps2, limits.max_acceleration_dps2)
         return limits
 
-    def _power_on(self) -> None:
+    def _make_ready(self, *, stands: bool = True) -> None:
         if "on" in self._protocol.tell:
             self._switch("on", "powered", True)
+        if stands and self.read().moving:
+            self.stop()
 
     def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:
         """Settings that the device keeps between moves are set before a move, and restored at the end of a run."""
@@ -353,7 +350,3 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
 
     def _set(self, name: str, value: str) -> None:
         self._until_shown(name, {name: float(value)}, *self._protocol.tell[name].shown_by)
-
-    def _stop_if_moving(self) -> None:
-        if self.read().moving:
-            self.stop()

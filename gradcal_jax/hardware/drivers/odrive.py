@@ -6,17 +6,16 @@ A request that ends in `*` and the decimal exclusive or of its characters is ans
 encoder estimate is printed as 0.0, so that readiness is queried with every position. `q` and `c` are not used.
 
 **The controller's memory changes the effect of commands.** `t` plans from `pos_setpoint`, which velocity commands do
-not change and which `t` itself does not synchronise: after a spin the axis would first go back to the end of the last
-move, at the controller's `vel_limit`. Writing `control_mode` as a property does synchronise. So before every `t` the
-mode is written, `pos_setpoint` and estimate are read back, and the move is sent only if they agree. An `input_vel` of
-an earlier spin acts as soon as the input mode allows it: it is set to zero before modes are changed. A velocity loop at
-zero yields to a load; therefore the position loop holds an axis at rest.
+not change: after a spin the axis would first go back to the end of the last move, at the controller's `vel_limit`.
+Writing `control_mode` as a property synchronises it. So before every `t` the mode is written, `pos_setpoint` and
+estimate are read back, and the move is sent only if they agree. An `input_vel` of an earlier spin acts as soon as the
+input mode allows it: it is set to zero before modes are changed. A velocity loop at zero yields to a load; therefore
+the position loop holds an axis at rest.
 
-**Watchdog**: fed by every motion command and by `heartbeat()`, checked by the controller in every state, and its error
-stays until `sc`. When it expires the motor goes idle and *coasts*: an unbalanced gimbal falls. `safe` switches it off,
-clears its error, and takes control again of an axis that this program had powered. Errors at the beginning of a run are
-cleared and shown as warnings of every reading; recurring and later errors are faults. (`sc` clears the errors of both
-motors of a board.)
+**Watchdog**: fed by every motion command and by `heartbeat()`; its error stays until `sc`. When it expires the motor
+goes idle and *coasts*: an unbalanced gimbal falls. `safe` switches it off, clears its error, and takes control again of
+an axis that this program had powered. Errors at the beginning of a run are cleared (of both motors of a board) and
+shown as warnings of every reading; recurring and later errors are faults.
 
 Positions are float32: one step is 2⁻²³ of the value, 0.011 deg at 440 turns; `limits().resolution_deg` says it.
 
@@ -40,7 +39,7 @@ from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, printable
 from ..framing import LineFramer
 from ..request_reply import Exchange
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
+from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport, travel_of
 from ..transport import Transport
 from .base import AxisDriver, AxisOptions, codes_of
 
@@ -133,15 +132,12 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         )
 
     def identify(self) -> Identity:
-        with self._exchange.alone():
-            self._exchange.write(request("i"))
-            lines = self._exchange.transport.read(self._config.reply_timeout_s)
-            lines += self._exchange.transport.drain(self._config.reply_timeout_s)
-        texts = [parse_line(line) for line in re.split(rb"[\r\n]+", lines) if line]
+        received = self._exchange.text(request("i"), self._config.reply_timeout_s, self._config.reply_timeout_s)
+        texts = [parse_line(line) for line in re.split(rb"[\r\n]+", received) if line]
         if len(texts) != 3:
             raise FramingError(
-                f"The controller at {self._exchange.transport.url} answered `i` with {printable(lines)!r}; hardware, "
-                "firmware and serial number were expected. Check port and baud rate."
+                f"The controller at {self._exchange.transport.url} answered `i` with {printable(received)!r}; "
+                "hardware, firmware and serial number were expected. Check port and baud rate."
             )
         values = [text.partition(":")[2].strip() or text for text in texts]
         return Identity("odrive", values[0], values[2], values[1])
@@ -160,13 +156,11 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
         turns, turns_per_s = self._feedback()
         time_s = self._clock.now()
         errors = self._faults()
-        ready = self._property(self._ready_in) != 0.0 if self._ready_in else True
-        slow = abs(turns_per_s) < _STANDING_TURNS_PER_S
+        ready = not self._ready_in or self._property(self._ready_in) != 0.0
         arrived = self._target_turns is None or abs(turns - self._target_turns) < self._units(config.in_position_deg)
-        moving = not slow or self._spinning or not arrived
-        if errors:
-            # A controller with an error does not drive the motor: no move is under way any more.
-            moving = not slow
+        # A controller with an error does not drive the motor: no move is under way any more.
+        driven = not errors and (self._spinning or not arrived)
+        moving = abs(turns_per_s) >= _STANDING_TURNS_PER_S or driven
         rate = config.direction * turns_per_s * 360.0 / config.turns_per_table_turn
         faults = errors if ready else (*errors, "the encoder's position is not valid")
         return AxisReading(time_s, self._degrees(turns), rate, moving, ready, faults, self._cleared)
@@ -174,24 +168,21 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
     def home(self) -> None:
         self._clear_errors()
         if self._config.home_state:
-            self._tell(f"w axis{self._config.motor}.requested_state {self._config.home_state}")
-            self._wait_for_state(IDLE, self._config.home_timeout_s, "homing")
+            self._go_idle(self._config.home_state, self._config.home_timeout_s, "homing")
         if faults := self.read().faults:
             raise DeviceFault(f"The axis has no valid reference: {', '.join(faults)}.")
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         config = self._config
-        lowest = -math.inf if config.lowest_deg is None else config.lowest_deg
-        self._require_travel(position_deg, (lowest, math.inf if config.highest_deg is None else config.highest_deg))
+        self._require_travel(position_deg, travel_of(config.lowest_deg, config.highest_deg))
         rate, acceleration = self._checked(rate_dps, acceleration_dps2)
         self._close_loop()
         if self.read().moving:
             self._brake()
         else:
             self._hold_here()
-        self.settings.change("trap_traj.config.vel_limit", decimal(rate))
-        self.settings.change("trap_traj.config.accel_limit", decimal(acceleration))
-        self.settings.change("trap_traj.config.decel_limit", decimal(acceleration))
+        for name, value in (("vel", rate), ("accel", acceleration), ("decel", acceleration)):
+            self.settings.change(f"trap_traj.config.{name}_limit", decimal(value))
         turns = self._own(position_deg)
         self._spinning, self._target_turns = False, turns
         self.settings.note(_INPUT_MODE, str(TRAPEZOID))
@@ -200,7 +191,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
         rate, acceleration = self._checked(abs(rate_dps), acceleration_dps2)
         self._close_loop()
-        self._velocity(rate * (1.0 if rate_dps >= 0.0 else -1.0) * self._config.direction, acceleration)
+        self._velocity(math.copysign(rate, rate_dps) * self._config.direction, acceleration)
         self._spinning, self._target_turns = True, None
 
     def stop(self) -> None:
@@ -225,8 +216,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
             self._clear_errors()
         if policy is AxisSafe.UNPOWER:
             reading = self._brake()
-            self._tell(f"w axis{self._config.motor}.requested_state {IDLE}")
-            self._wait_for_state(IDLE, 2.0, "unpowering")
+            self._go_idle(IDLE, 2.0, "unpowering")
             held = True
         else:
             # An axis that this program has powered is held, also after an error; an idle axis stays idle.
@@ -259,8 +249,7 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
 
     def _shown(self, words: str, path: str, value: float) -> None:
         """Send a line that has no reply until the property shows it (the reply of a property has ten characters)."""
-        read = partial(self._property, path)
-        self._verify(f"{words!r}", lambda: self._tell(words), read, lambda shown: _near(shown, value))
+        self._verify(f"{words!r}", lambda: self._tell(words), lambda: self._property(path), lambda s: _near(s, value))
 
     def _error_code(self) -> int:
         return int(self._property(self._errors_in))
@@ -302,11 +291,13 @@ class ODriveAxis(AxisDriver[ODriveConfig]):
             self._verify("Closing the loop", lambda: self._tell(words), self._state, CLOSED_LOOP.__eq__, looks=10)
         self._powered = True
 
-    def _wait_for_state(self, state: int, timeout_s: float, doing: str) -> None:
+    def _go_idle(self, by: int, timeout_s: float, doing: str) -> None:
+        """Request a state that ends in the idle one, or that, and wait."""
+        self._tell(f"w axis{self._config.motor}.requested_state {by}")
         end = self._clock.now() + timeout_s
-        while (seen := self._state()) != state:
+        while (seen := self._state()) != IDLE:
             if self._clock.now() > end:
-                raise NotVerified(f"The controller is in state {seen} after {timeout_s:g} s of {doing}, not {state}.")
+                raise NotVerified(f"The controller is in state {seen} after {timeout_s:g} s of {doing}, not {IDLE}.")
             self._clock.sleep(self._POLL_S)
 
     def _velocity(self, turns_per_s: float, acceleration_turns: float) -> None:

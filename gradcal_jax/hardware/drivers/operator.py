@@ -133,7 +133,6 @@ class OperatorAxis(MotionAxis):
         self._doubted = False
         # The newest reading confirmed by the operator; None: unknown.
         self._stands: AxisReading | None = None
-        # Nothing tells the angle: it is where the operator was told to turn.
         self._told = config.angle == "none"
 
     def identify(self) -> Identity:
@@ -234,15 +233,12 @@ class OperatorAxis(MotionAxis):
             if self._stands is None:
                 self._whole_turns_deg = turns
             return self._encoded()
-        if self._told:
-            return AxisReading(time_s, self._goal_deg, 0.0, False, True, (), ())
         try:
-            shown = angle_deg(text, self._config.unit)
+            shown_deg = self._goal_deg if self._told else angle_deg(text, self._config.unit)
         except units.UnitError as problem:
             self._console.ask(f"{self._name}: {problem}. Type the angle that its scale shows:")
             return None
-        position = nearest_turn_deg(shown, self._goal_deg)
-        return AxisReading(time_s, position, 0.0, False, True, (), ())
+        return AxisReading(time_s, nearest_turn_deg(shown_deg, self._goal_deg), 0.0, False, True, (), ())
 
     def _encoded(self) -> AxisReading:
         """The encoder's reading, with whole turns counted from the zero mark."""

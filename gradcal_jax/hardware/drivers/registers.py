@@ -89,9 +89,7 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
         return [condition.field for condition in self._protocol.alarm.values()]
 
     def _alarms(self, texts: Texts) -> tuple[str, ...]:
-        return tuple(
-            name for name, condition in self._protocol.alarm.items() if condition.holds(texts[condition.field])
-        )
+        return tuple(name for name, alarm in self._protocol.alarm.items() if alarm.holds(texts[alarm.field]))
 
     def _mode(self, texts: Texts) -> str:
         if self._is("program", texts):
@@ -133,10 +131,10 @@ class RegistersChamber(DescribedChamber[RegistersConfig]):
         entry = self._protocol.registers[name]
         if entry.type == "text":
             return "".join(chr(word & 0xFF) for word in self._words(name, entry.count) if word & 0xFF).strip()
-        value, decimals = self._number(name), self._decimals(name)
         if entry.type == "float32":
-            return f"{value:.4f}"
-        return entry.codes.get(f"{value:.{decimals}f}", f"{value:.{decimals}f}")
+            return f"{self._number(name):.4f}"
+        text = f"{self._number(name):.{self._decimals(name)}f}"
+        return entry.codes.get(text, text)
 
     def _number(self, name: str) -> float:
         entry = self._protocol.registers[name]

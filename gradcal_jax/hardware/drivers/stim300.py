@@ -1,8 +1,7 @@
 """Sensonor / Safran STIM300 inertial units: binary datagrams, and Utility Mode for everything else.
 
-Source: the official data sheet TS1524 rev. 31; the frames of a real unit agree. Utility Mode (`$name,parameters,check`)
-is the interface for machines; nothing is ever saved to the flash memory. Bias trim and g-compensation alter the
-outputs: they are read and recorded.
+Source: the data sheet TS1524 rev. 31; the frames of a real unit agree. Nothing is saved to the flash memory. Bias trim
+and g-compensation alter the outputs: they are read and recorded.
 
 A datagram has no sync word: it begins with an identifier that implies its length and ends in a CRC-32 that includes
 zero bytes which are never sent, up to a multiple of four. The decoder locks only where a CRC is right, stays locked
@@ -15,13 +14,12 @@ Unverified on real hardware: that a unit already in Utility Mode answers the req
 output units (`rate_unit_code`, `increment_unit_code`); non-standard baud rates on USB adapters.
 """
 
-import itertools
 import re
 import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +47,7 @@ _ACCELERATION_BITS = {2: 21, 5: 20, 10: 19, 30: 18, 80: 16}
 _INCREMENT_BITS = {5: 23, 10: 22, 30: 21, 80: 19}
 
 
-@dataclass(frozen=True)
-class DatagramLayout:
+class DatagramLayout(NamedTuple):
     """Offsets of one kind of datagram; -1 where a part is absent. `length` is without a line end."""
 
     length: int
@@ -73,11 +70,6 @@ LAYOUTS: dict[int, DatagramLayout] = {}
 for _contents, _plain, _pulse, _older in CONTENTS:
     LAYOUTS[_plain] = _layout(*_contents, auxiliary=False)
     LAYOUTS[_pulse] = LAYOUTS[_older] = _layout(*_contents, auxiliary=True)
-
-
-def _sound(frame: bytes, layout: DatagramLayout) -> bool:
-    end = layout.length - 4
-    return crc32_mpeg2(frame[:end] + bytes(layout.unsent_zeros)) == int.from_bytes(frame[end : layout.length], "big")
 
 
 def _temperatures(block: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -129,12 +121,9 @@ class GapCounter:
 class Stim300Decoder:
     """Bytes of Normal Mode -> samples. `acceleration_range_g` comes from the unit itself (`$irng`).
 
-    The first datagram shows whether the unit ends them in CR LF.
-
-    A start-up bit within a stream means that the IMU restarted: power was cut, or it was reset.
-
-    Special datagrams, which come after power-on and are never asked for, count as `bad_bytes`. A datagram that comes
-    twice, at once or later, counts once.
+    The first datagram shows whether the unit ends them in CR LF. A start-up bit within a stream means that the IMU
+    restarted. Special datagrams, which come after power-on, count as `bad_bytes`. A datagram that comes twice, at once
+    or later, counts once.
     """
 
     resolution_s = 1.0 / INTERNAL_RATE_HZ
@@ -204,10 +193,12 @@ class Stim300Decoder:
             layout = LAYOUTS.get(identifier)
             if layout is None:
                 continue
-            if start + layout.length > len(self._buffer):
+            end = start + layout.length
+            if end > len(self._buffer):
                 self._drop(start)
                 return False
-            if _sound(self._buffer[start : start + layout.length], layout):
+            crc = crc32_mpeg2(self._buffer[start : end - 4] + bytes(layout.unsent_zeros))
+            if crc == int.from_bytes(self._buffer[end - 4 : end], "big"):
                 self._drop(start)
                 self._locked = identifier
                 return True
@@ -234,12 +225,6 @@ class Stim300Decoder:
         that each is compared."""
         data, stride = block.tobytes(), block.shape[1]
         datagrams = [data[start : start + stride] for start in range(0, len(data), stride)]
-        if len(set(datagrams)) == len(datagrams) and self._recent.keys().isdisjoint(datagrams):
-            self._recent.update(dict.fromkeys(datagrams))
-            for datagram in list(itertools.islice(self._recent, max(0, len(self._recent) - self.round_samples + 1))):
-                del self._recent[datagram]
-            self._before = datagrams[-1]
-            return block
         fresh: list[int] = []
         for row, datagram in enumerate(datagrams):
             if not self._came_before(datagram, layout):
@@ -286,8 +271,7 @@ class Stim300Decoder:
         disturbed[0], self._disturbed = self._disturbed, False
         times, rates = counts.astype(np.float64) / float(INTERNAL_RATE_HZ), raw.astype(np.float64) * self._gyro_scale
         more = {"status": status, "gap_before": gaps, "disturbed": disturbed, "restarted": restarted}
-        more["second_c"] = second
-        return imu_batch(host_time_s, times, rates, acceleration, temperature, **more)
+        return imu_batch(host_time_s, times, rates, acceleration, temperature, second_c=second, **more)
 
 
 _STATUS_TEXTS = codes_of("stim300")
@@ -374,8 +358,8 @@ class Stim300Stream(ImuDriver[Stim300Config]):
         config = self._config
         self._set("m", SAMPLE_RATE_CODES[config.sample_rate_hz])
         self._set("d", config.datagram)
-        self._set("gu", config.increment_unit_code if config.increments else config.rate_unit_code)
-        self._set("au", config.increment_unit_code if config.increments else config.rate_unit_code)
+        for name in ("gu", "au"):
+            self._set(name, config.increment_unit_code if config.increments else config.rate_unit_code)
         registers: dict[str, str] = {}
         for name in ("id", "im", "it", "irng", "igu", "iau", "igf", "iaf", "ig", "ibto", "isv"):
             try:

@@ -56,13 +56,11 @@ class TextUnitDecoder:
         self._unit, self._pattern, self._framer = unit, unit.pattern(), LineFramer()
         self._rate = float(unit.rate)
         self.sample_s = 1.0 / self._rate
-        self._stamp = "count" if "count" in unit.fields else "time" if "time" in unit.fields else ""
-        tick_s = _SECONDS[unit.time.unit] if self._stamp == "time" else self.sample_s
+        self._stamp = next((name for name in ("count", "time") if name in unit.fields), "")
         self._modulus = unit.counter if self._stamp == "count" else unit.time.modulus
         short = self._stamp == "count" and self._modulus is not None and self._modulus < _LONG
         self.round_samples = int(self._modulus or 0) if short else 0
-        self.resolution_s = tick_s if self._stamp == "time" else self.sample_s
-        self._tick_s = tick_s
+        self.resolution_s = _SECONDS[unit.time.unit] if self._stamp == "time" else self.sample_s
         self._gaps = GapCounter(step=1, modulus=self.round_samples, ticks_per_s=self._rate) if short else None
         self._before: tuple[float, float] | None = None
         self._last_line = b""
@@ -70,8 +68,7 @@ class TextUnitDecoder:
         self._disturbed = False
         self._scales = [_line_of(unit.gyro, "deg/s"), _line_of(unit.acceleration, "mg", 1e-3)]
         self._scales.append(_line_of(unit.temperature, "degC"))
-        self.bad_bytes = 0
-        self.repeated_datagrams = 0
+        self.bad_bytes = self.repeated_datagrams = 0
 
     def matches(self, frame: bytes) -> re.Match[str] | None:
         if self._unit.checksum == "xor8":
@@ -119,18 +116,16 @@ class TextUnitDecoder:
         if self._gaps is not None:
             counts, gaps = self._gaps.push(stamps.astype(np.int64), host_time_s, disturbed=disturbed)
             return counts / self._rate, gaps, never
-        sample = self.sample_s / self._tick_s
+        sample = self.sample_s / self.resolution_s
         stamp, ticks = self._before or (float(stamps[0]) - sample, 0.0)
         steps = np.diff(stamps, prepend=stamp)
         if self._modulus is not None:
             steps = np.mod(steps, float(self._modulus))
-            restarted = steps > 0.5 * self._modulus
-        else:
-            restarted = steps < 0.0
+        restarted = steps < 0.0 if self._modulus is None else steps > 0.5 * self._modulus
         steps = np.where(restarted, sample, steps)
         counts = ticks + np.cumsum(steps)
         self._before = float(stamps[-1]), float(counts[-1])
-        return counts * self._tick_s, np.maximum(np.rint(steps / sample).astype(np.int64) - 1, 0), restarted
+        return counts * self.resolution_s, np.maximum(np.rint(steps / sample).astype(np.int64) - 1, 0), restarted
 
 
 def _line_of(unit: str, wanted: str, factor: float = 1.0) -> tuple[float, float]:
@@ -166,12 +161,10 @@ class TextUnitStream(ImuDriver[TextUnitConfig]):
 
     def _listen(self) -> None:
         """Wait for lines of the description. Raises with what the unit printed instead."""
-        transport, decoder = self._exchange.transport, self.decoder()
+        transport, decoder, timeout_s = self._exchange.transport, self.decoder(), float(self._unit.timeout)
         self._clock.sleep_until(self._ready_s)
-        timeout_s = float(self._unit.timeout)
         end = self._clock.now() + timeout_s
-        framer, good, other = LineFramer(), 0, list[bytes]()
-        received = b""
+        framer, good, other, received = LineFramer(), 0, list[bytes](), b""
         transport.drain()
         while good < _ENOUGH and self._clock.now() < end:
             self._clock.sleep(_LOOKS_S)

@@ -91,8 +91,9 @@ class VectorNavFramer(LengthFramer):
             return end + 2 if end >= 0 else 0
         if head[: len(_HEADER)] != _HEADER[: len(head)]:
             return None
-        sound = len(head) >= _PACKET and not crc16_vectornav(head[1:_PACKET])
-        return _PACKET if sound else None if len(head) >= _PACKET else 0
+        if len(head) < _PACKET:
+            return 0
+        return None if crc16_vectornav(head[1:_PACKET]) else _PACKET
 
 
 class VectorNavDecoder:
@@ -122,9 +123,8 @@ class VectorNavDecoder:
             return join([])
         table = np.array([row[0] for row in rows])
         times = table[:, 0]
-        previous = times[0] - 1.0 / self._rate if self._last_time_s is None else self._last_time_s
-        steps = np.rint(np.diff(times, prepend=previous) * self._rate).astype(np.int64)
-        self._last_time_s = float(times[-1])
+        before = times[0] - 1.0 / self._rate if self._last_time_s is None else self._last_time_s
+        steps, self._last_time_s = np.diff(times, prepend=before), float(times[-1])
         return imu_batch(
             host_time_s,
             times,
@@ -132,8 +132,8 @@ class VectorNavDecoder:
             table[:, 1:4] / STANDARD_GRAVITY,
             np.repeat(table[:, 7:8], 3, axis=1),
             status=np.array([row[1] for row in rows], np.int64),
-            gap_before=np.maximum(steps - 1, 0),
-            restarted=np.diff(times, prepend=previous) < 0.0,
+            gap_before=np.maximum(np.rint(steps * self._rate).astype(np.int64) - 1, 0),
+            restarted=steps < 0.0,
         )
 
     def _row(self, frame: bytes) -> tuple[list[float], int] | None:
@@ -155,21 +155,18 @@ def decoder_of(config: VectorNavConfig, registers: Mapping[str, str]) -> VectorN
 
 class VectorNavStream(ImuDriver[VectorNavConfig]):
     def __init__(self, transport: Transport, clock: Clock, config: VectorNavConfig) -> None:
-        super().__init__(
-            Exchange(transport, VectorNavFramer(), clock, "The VectorNav IMU", config.reply_timeout_s), config
-        )
-        self.settings = KeptSettings(
-            lambda name: self._read(int(name)), lambda name, value: self._write(int(name), value), _same
-        )
+        line = transport, VectorNavFramer(), clock, "The VectorNav IMU", config.reply_timeout_s
+        super().__init__(Exchange(*line), config)
+        self.settings = KeptSettings(self._read, self._write, _same)
 
     def identify(self) -> Identity:
-        model, hardware, serial, firmware = map(self._read, (1, 2, 3, 4))
+        model, hardware, serial, firmware = map(self._read, ("1", "2", "3", "4"))
         return Identity("vectornav", model, serial, firmware, {"hardware": hardware})
 
     def configure(self) -> ImuSettings:
         self.stop()
-        registers = {f"{register:02d}": self._read(register) for register in (1, 2, 3, 4, 5, 30, 6, 7, 75)}
-        return ImuSettings(self._config.sample_rate_hz, registers)
+        names = ("01", "02", "03", "04", "05", "30", "06", "07", "75")
+        return ImuSettings(self._config.sample_rate_hz, {name: self._read(name) for name in names})
 
     def start(self) -> None:
         self.settings.change("75", self._binary_output(1))
@@ -181,7 +178,7 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
         for register in ("76", "77"):
             # The unit does not have this output.
             with suppress(Rejected):
-                self.settings.change(register, ",".join(["0", *self._read(int(register)).split(",")[1:]]))
+                self.settings.change(register, ",".join(["0", *self._read(register).split(",")[1:]]))
 
     def decoder(self) -> VectorNavDecoder:
         return decoder_of(self._config, {})
@@ -189,26 +186,26 @@ class VectorNavStream(ImuDriver[VectorNavConfig]):
     def _binary_output(self, port: int) -> str:
         return f"{port},{round(self._config.base_rate_hz / self._config.sample_rate_hz)},05,0001,001C"
 
-    def _ask(self, words: str, header: list[str]) -> str:
+    def _ask(self, command: str, register: str, *values: str) -> str:
         def parse(frame: bytes) -> str:
             if frame[0] != _DOLLAR:
                 raise NotThisReply
-            fields = parse_line(frame)
-            if [fields[0], *(field.lstrip("0") for field in fields[1 : len(header)])] != header:
+            name, *fields = parse_line(frame)
+            if (name, [number.lstrip("0") for number in fields[:1]]) != (command, [register.lstrip("0")]):
                 raise NotThisReply
-            return ",".join(fields[len(header) :])
+            return ",".join(fields[1:])
 
-        return self._exchange.query(request(words), parse)
+        return self._exchange.query(request(",".join([command, register.zfill(2), *values])), parse)
 
-    def _read(self, register: int) -> str:
-        return self._ask(f"VNRRG,{register:02d}", ["VNRRG", str(register)])
+    def _read(self, register: str) -> str:
+        return self._ask("VNRRG", register)
 
-    def _write(self, register: int, values: str) -> None:
+    def _write(self, register: str, values: str) -> None:
         """Registers are idempotent: writing again after a lost reply is harmless; the read-back decides."""
-        self._ask(f"VNWRG,{register:02d},{values}", ["VNWRG", str(register)])
+        self._ask("VNWRG", register, values)
         shown = self._read(register)
         if not _same(shown, values):
-            raise NotVerified(f"Register {register} was set to {values}, but it reports {shown}.")
+            raise NotVerified(f"Register {int(register)} was set to {values}, but it reports {shown}.")
 
 
 def _same(shown: str, wanted: str) -> bool:

@@ -2,9 +2,9 @@
 
 Sources: several independent public drivers and their tests, two captured self-descriptions, and a chamber's help text.
 9600 8N1, address of two digits, CR. `$aaI` reads a fixed-width record whose layout differs from chamber to chamber;
-`$aaE` writes *all* set points and *all* digital channels at once; `$aaU` sets gradients; `$aa?` describes the layout.
-The driver reads the description once and derives the positions of all values; a chamber without a description gets its
-layout from the rig file. To write is to read, change temperature and start, and write all other values unchanged.
+`$aaE` writes *all* set points and *all* digital channels at once; `$aaU` sets gradients; `$aa?` describes the layout,
+which the rig file gives for a chamber without a description. To write is to read, change temperature and start, and
+write all other values unchanged.
 
 The manual allows one string in five seconds (`min_interval_s`): more disturb the chamber's own control.
 
@@ -138,8 +138,7 @@ def write_body(record: Record, *, temperature_c: float, start: bool, start_chann
 
 
 def parse_record(frame: bytes, layout: Layout, digital_channels: int = 32) -> Record:
-    fields = frame.decode("ascii", "replace").strip().split(" ")
-    *numbers, digital = fields
+    *numbers, digital = frame.decode("ascii", "replace").strip().split(" ")
     if (
         len(numbers) != len(layout.read)
         or not all(len(text) >= 6 and _NUMBER.fullmatch(text) for text in numbers)
@@ -213,18 +212,17 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         self._orders = 0
 
     def identify(self) -> Identity:
-        layout = self._layout
-        return Identity("weiss", "ASCII-2 chamber", details={"channels": " ".join(layout.read)} | layout.names)
+        details = {"channels": " ".join(self._layout.read)} | self._layout.names
+        return Identity("weiss", "ASCII-2 chamber", details=details)
 
     def limits(self) -> ChamberLimits:
-        layout = self._layout
-        return ChamberLimits(layout.lowest_c, layout.highest_c, 0.1, self._config.hardware_ramp, 0.1, math.inf, 0.1)
+        ends = self._layout.lowest_c, self._layout.highest_c
+        return ChamberLimits(*ends, 0.1, self._config.hardware_ramp, 0.1, math.inf, 0.1)
 
     def read(self) -> ChamberReading:
         record = self._record()
-        time_s, product = self._clock.now(), self._config.product_channel
+        time_s, product, runs = self._clock.now(), self._config.product_channel, self._runs(record)
         product_c = record.numbers[record.layout.actual(product)] if product else None
-        runs = self._runs(record)
         state = "RUN" if runs else "STOP", runs, self._faults()
         return ChamberReading(time_s, record.actual_c, product_c, record.nominal_c, *state)
 
@@ -250,8 +248,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
                 if amiss:
                     # Begin at the first temperature: the chamber may be moving at full speed.
                     self._write(start_c, start=True)
-                warming = temperature_c >= start_c
-                self._tell(temperature_c, rate if warming else 0.0, 0.0 if warming else rate, start=True)
+                up, down = (rate, 0.0) if temperature_c >= start_c else (0.0, rate)
+                self._tell(temperature_c, up, down, start=True)
             amiss = self._amiss(order, (self._clock.now(), start_c) if runs else None, temperature_c, rate)
             runs = True
             if not amiss:
@@ -275,11 +273,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             reads, writes = config.read_layout.split(), config.write_layout.split()
             channel = config.temperature_channel or reads[0]
             return Layout(tuple(reads), tuple(writes), channel, config.lowest_c, config.highest_c, {})
-        with self._exchange.alone():
-            self._exchange.write(self._request("?"))
-            # There is no end mark: the first byte has the reply's time-out, then silence ends the text.
-            received = self._exchange.transport.read(config.reply_timeout_s)
-            received += self._exchange.transport.drain(config.description_silence_s, longest_s=10.0)
+        times_s = config.reply_timeout_s, config.description_silence_s
+        received = self._exchange.text(self._request("?"), *times_s, longest_s=10.0)
         if not received:
             raise ReplyTimeout(
                 f"The chamber at {self._exchange.transport.url} did not describe itself ($aa?). Check address, baud "
@@ -306,9 +301,9 @@ class WeissChamber(ChamberDriver[WeissConfig]):
             return self._runs(now) == start and abs(now.nominal_c - float(value_text(temperature_c))) < 0.05
 
         what = f"Set point {temperature_c:.1f} degC with start {'on' if start else 'off'}"
-        self._verify(what, lambda: self._tell(temperature_c, 0.0, 0.0, start=start), self._record, shows, looks=1)
+        self._verify(what, lambda: self._tell(temperature_c, start=start), self._record, shows, looks=1)
 
-    def _tell(self, temperature_c: float, up: float, down: float, *, start: bool) -> None:
+    def _tell(self, temperature_c: float, up: float = 0.0, down: float = 0.0, *, start: bool) -> None:
         gradients, channel = " ".join(map(value_text, (up, down, 0.0, 0.0))), self._config.start_channel
         self._acknowledged("U", gradients)
         if not (up or down or self._acknowledges):
@@ -359,9 +354,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
 
         for _ in range(TRIES):
             try:
-                self._exchange.query(
-                    self._request(letter, body), parse, repeat=False, reply_timeout_s=self._config.acknowledge_timeout_s
-                )
+                timeout_s = self._config.acknowledge_timeout_s
+                self._exchange.query(self._request(letter, body), parse, repeat=False, reply_timeout_s=timeout_s)
                 self._acknowledges = True
                 return
             except (ReplyTimeout, FramingError):

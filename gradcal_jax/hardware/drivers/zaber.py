@@ -10,7 +10,7 @@ for devices without that setting.
 Unverified on real hardware: `velocity_factor` and `acceleration_factor` (data value per microstep/s and microstep/s²;
 time a known move at commissioning); the exact effect of `set comm.checksum 1`: the driver sends it, and requires a
 check sum in every reply if it was accepted and the next reply has one (see `reply_checksum`).
-Rates are not read from the device (see `base.MeanRate`).
+Rates are not read from the device (see `base.AxisDriver`).
 
 Firmware 6 calls its identity `deviceid`, firmware 7 `device.id`. Settings outlive a session: they are set only where
 they differ (whether a stage writes them to its flash memory at each `set` is open), and put back at the end.
@@ -30,7 +30,7 @@ from ..framing import LineFramer, NotThisReply
 from ..request_reply import Exchange
 from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from ..transport import Transport
-from .base import AxisDriver, AxisOptions, MeanRate, codes_of
+from .base import AxisDriver, AxisOptions, codes_of
 
 _WARNINGS = codes_of("zaber")
 _UNREFERENCED = {"WR", "WH"}
@@ -106,7 +106,6 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
         super().__init__(exchange, config)
         self._message_id = 0
         self._steps_per_turn = float(config.microsteps_per_turn)
-        self._rates = MeanRate()
         self.reply_checksum = False
         self.settings = KeptSettings(self._setting, self._set)
 
@@ -121,31 +120,26 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
             model = self._setting("deviceid")  # the name of firmware 6
         self.reply_checksum = self._ask("get system.serial", axis=0).checked
         serial, firmware = self._setting("system.serial"), self._setting("version")
-        replies = "with check sum" if self.reply_checksum else "without check sum"
-        details = {"microsteps a turn": f"{self._per_turn():g}", "replies": replies}
+        details = {"microsteps a turn": f"{self._per_turn():g}"}
+        details["replies"] = "with check sum" if self.reply_checksum else "without check sum"
         return Identity("zaber", f"device {model}", serial, firmware, details)
 
     def limits(self) -> AxisLimits:
-        turn = self._per_turn()
+        turn, config = self._per_turn(), self._config
         low, high = (float(self._setting(name)) for name in ("limit.min", "limit.max"))
-        ends = sorted((self._degrees(low), self._degrees(high)))
         # Limits as wide as the integers that hold them are no limits.
-        endless = high - low >= 2.0**31
+        lowest, highest = (None, None) if high - low >= 2.0**31 else sorted((self._degrees(low), self._degrees(high)))
         # The data value of a rate is a 32-bit integer.
-        fastest = min(self._config.max_rate_dps, 2.0**31 / self._velocity_data())
-        lowest, highest = (None, None) if endless else ends
-        strongest = self._config.max_acceleration_dps2
-        step = 360.0 / (turn * self._config.acceleration_factor)
-        return AxisLimits(
-            fastest, strongest, lowest, highest, 360.0 / turn, hardware_watchdog=False, acceleration_step_dps2=step
-        )
+        most = min(config.max_rate_dps, 2.0**31 / self._velocity_data()), config.max_acceleration_dps2
+        step = 360.0 / (turn * config.acceleration_factor)
+        return AxisLimits(*most, lowest, highest, 360.0 / turn, hardware_watchdog=False, acceleration_step_dps2=step)
 
     def read(self) -> AxisReading:
         asked_s = self._clock.now()
         reply = self._ask("get pos")
         time_s = self._clock.now()
         position = self._degrees(_number(reply))
-        rate = self._rates.of(asked_s, time_s, position, moving=reply.busy)
+        rate = self._mean_rate(asked_s, time_s, position, moving=reply.busy)
         flag = reply.warning
         faults, warnings = ((_meaning(flag),) if flag.startswith(kind) else () for kind in "FW")
         return AxisReading(time_s, position, rate, reply.busy, flag not in _UNREFERENCED, faults, warnings)
@@ -161,15 +155,13 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
         self._require_ready(referenced=True)
         self._prepare(rate_dps, acceleration_dps2)
         self.settings.change("maxspeed", str(round(rate_dps * self._velocity_data())))
-        steps = round(self._own(position_deg))
-        self._start(f"move abs {steps}")
+        self._start(f"move abs {round(self._own(position_deg))}")
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
         self._prepare(abs(rate_dps), acceleration_dps2)
         self._start(f"move vel {round(rate_dps * self._config.direction * self._velocity_data())}")
 
     def stop(self) -> None:
-        # A stop is harmless when repeated: no read-back is needed before it.
         self._ask("stop")
         self._until_still(self._config.stop_timeout_s, "stopping")
 
@@ -181,9 +173,7 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
 
     def _ask(self, words: str, *, axis: int | None = None) -> Reply:
         """Send a command. All commands of this driver are absolute, hence harmless when repeated."""
-        config = self._config
-        number = self._config.axis if axis is None else axis
-
+        config, number = self._config, self._config.axis if axis is None else axis
         with self._exchange.alone():
             self._message_id = message_id = (self._message_id + 1) % 100
 
@@ -196,8 +186,7 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
             reply = self._exchange.query(command(config.device, number, message_id, words), parse)
         if not reply.accepted:
             text = f"{reply.data}, {reply.warning}" if reply.warning != "--" else reply.data
-            where = f"The Zaber stage at {self._exchange.transport.url}"
-            raise Rejected(f"{where} refuses {words!r}: {text}.")
+            raise Rejected(f"{self._title} at {self._exchange.transport.url} refuses {words!r}: {text}.")
         return reply
 
     def _start(self, words: str) -> None:
@@ -221,8 +210,7 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
     def _prepare(self, rate_dps: float, acceleration_dps2: float) -> None:
         config = self._config
         self._require_motion(rate_dps, config.max_rate_dps, acceleration_dps2, config.max_acceleration_dps2)
-        data = round(self._units(acceleration_dps2) * self._config.acceleration_factor)
-        self.settings.change("accel", str(max(1, data)))
+        self.settings.change("accel", str(max(1, round(self._units(acceleration_dps2) * config.acceleration_factor))))
 
     def _per_turn(self) -> float:
         if not self._steps_per_turn:

@@ -293,30 +293,18 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
             cosine = draw(size, f"angle_{axis.name}_cos{order}")
             sine = draw(size, f"angle_{axis.name}_sin{order}")
             waves.append((order, -float(np.degrees(cosine)), -float(np.degrees(sine))))
-        encoders.append(
-            AxisTruth(
-                harmonics=tuple(waves),
-                standstill_offset_deg=float(np.degrees(axis.angle.standstill_offset)),
-                reading_noise_deg=float(np.degrees(axis.angle.reading_noise)),
-                timing_error_s=float(axis.angle.timing_error),
-                rate_accuracy=float(table.rate_accuracy or 0.0),
-                seed=16 * seed + number,
-            )
-        )
+        noise_deg = float(np.degrees(axis.angle.standstill_offset)), float(np.degrees(axis.angle.reading_noise))
+        errors = *noise_deg, float(axis.angle.timing_error), float(table.rate_accuracy or 0.0)
+        encoders.append(AxisTruth(tuple(waves), *errors, seed=16 * seed + number))
     in_case = _in_case(spec)
     mountings: list[Vectors] = []
     for number, mounting in enumerate(table.mounting, start=1):
         size = float(mounting.accuracy) if in_case else 0.0
         off = [draw(size, f"mounting{number}_{axis}") for axis in _XYZ]
         mountings.append(rotation_of(mounting) @ turn_by(off))
-    truth = TableTruth(
-        axes=tuple(axis.unit_vector for axis in table.axis),
-        latitude=site.latitude_rad,
-        gravity=site.gravity_m_per_s2 + draw(float(site.gravity_accuracy), "gravity"),
-        base=(*base, azimuth),
-        orthogonality=leans,
-        mountings=tuple(mountings),
-    )
+    gravity = site.gravity_m_per_s2 + draw(float(site.gravity_accuracy), "gravity")
+    axes = tuple(axis.unit_vector for axis in table.axis)
+    truth = TableTruth(axes, site.latitude_rad, gravity, (*base, azimuth), leans, tuple(mountings))
     return truth, encoders, named
 
 

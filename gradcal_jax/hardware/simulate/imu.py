@@ -4,9 +4,9 @@ Attitude is a product of rotation matrices, body to East-North-Up, outermost sta
 
     base (tilt, azimuth) · axis 1 · (its non-orthogonality to axis 2) · axis 2 · … · mounting · (mounting's error)
 
-The unit turns at the Earth's rate and at those of the axes, and senses the reaction to gravity. Its gyros and
-accelerometers are off the intersection of the axes, some millimetres apart, so that they also sense the acceleration by
-rotation. Each sample is the mean over its interval, with the sensors' own errors (IEEE 1431, 1293):
+The unit turns at the Earth's rate and at those of the axes, and senses the reaction to gravity. Its sensors are off the
+intersection of the axes, so that they also sense the acceleration by rotation. Each sample is the mean over its
+interval, with the sensors' own errors (IEEE 1431, 1293):
 
     gyro           s_i + B(T) + M(T, s_i)s_i + Σ G_ij(T)f_j + Σ Q_ij(T)f_j² + k dT/dt + drift + walks
     accelerometer  s_i + b(T) + s(T)s_i + k(T)s_i² + h(T)s_i³ + a(T)|s_i| + Σ c_jl(T)f_j f_l + drift + walk

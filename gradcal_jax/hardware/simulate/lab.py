@@ -1,16 +1,13 @@
 """A simulated laboratory for a recipe: chamber, a table of nested axes, one or several devices, with hidden truth.
 
-The seed draws the true parameters from the spec's priors: each device's own coefficients, and the common ones,
-attitudes of base and axes, harmonics of the encoders, the mountings. The accelerometers are a few centimetres off the
-axes and sense it. With the frame "table axes" the mounting has no error, by definition of the frame. Where the spec's
-table is driven by hand, a person turns it, and types its angles where the plan does not read the axes at rest; else an
-encoder is read. Where gravity is the reference nothing is read, and axes stop some degrees off. The operator hangs the
-devices anew where there are several mountings; at the places of a fixture sits one each. What a `discrepancy` says that
-the maps lack is drawn, too.
+The seed draws the true parameters from the spec's priors (`draws`): each device's own, and those of the table. With the
+frame "table axes" the mounting has no error, by definition of the frame. Where the spec's table is driven by hand, a
+person turns it, and types its angles where the plan does not read the axes at rest; else an encoder is read. Where
+gravity is the reference nothing is read, and axes stop some degrees off. The operator hangs the devices anew where
+there are several mountings; at the places of a fixture sits one each.
 
 The devices have the methods of their roles and no lines. They wait on the run's clock alone, so that a run in virtual
-time takes as long as its computation. A unit gives the raw bytes of a STIM300, which go into the journal and are
-decoded from it as a real one's. The tests run every driver against devices that answer byte for byte.
+time takes as long as its computation. A unit gives the raw bytes of a STIM300.
 """
 
 import math
@@ -55,14 +52,9 @@ def datagrams(samples: SensorSamples, first: int, rate_hz: float) -> NDArray[np.
     number: NDArray[np.int64] = first + np.arange(count, dtype=np.int64)
     counter = ((number + 1) * round(2000.0 / rate_hz) % 256).astype(np.uint8)[:, None]
     latency = np.tile(np.frombuffer(_LATENCY_US.to_bytes(2, "big"), np.uint8), (count, 1))
-    parts = [
-        none + np.uint8(_IDENTIFIER),
-        _int24(gyro),
-        _overload(gyro),
-        _int24(samples.acceleration_g * 2.0**19),
-        none,
-    ]
-    bodies = np.concatenate([*parts, gyros, none, forces, none, counter, latency], axis=1)
+    rates = none + np.uint8(_IDENTIFIER), _int24(gyro), _overload(gyro)
+    accelerations = _int24(samples.acceleration_g * 2.0**19), none
+    bodies = np.concatenate([*rates, *accelerations, gyros, none, forces, none, counter, latency], axis=1)
     crc = crc32_mpeg2_of_rows(np.hstack([bodies, np.zeros((count, _UNSENT), np.uint8)]))
     return np.hstack([bodies, crc.astype(">u4")[:, None].view(np.uint8)])
 
@@ -152,8 +144,7 @@ class SimulatedAxis(AxisDriver[AxisOptions]):
 
     def read(self) -> roles.AxisReading:
         now = self._clock.now()
-        angle, rate = self._on_grid(self.plant.reading(now)), self.plant.state(now)[1]
-        angle -= self._off_deg
+        angle, rate = self._on_grid(self.plant.reading(now)) - self._off_deg, self.plant.state(now)[1]
         return roles.AxisReading(now, angle, rate, self.plant.moving(now), self._referenced, (), ())
 
     def home(self) -> None:
@@ -402,12 +393,8 @@ class SimulatedLab:
         for axis in axes:
             limits = _limits_of(axis, told=told and not by_hand)
             driven = SimulatedAxis(plants[axis.name], clock, limits)
-            config = OperatorConfig(
-                limits.max_rate_dps,
-                limits.max_acceleration_dps2,
-                limits.travel_deg[1],
-                angle="none" if told else "typed",
-            )
+            ends = limits.max_rate_dps, limits.max_acceleration_dps2, limits.travel_deg[1]
+            config = OperatorConfig(*ends, angle="none" if told else "typed")
             by_person = OperatorAxis(person, config, clock, axis.name, None if typed or told else driven)
             self.bench.axes[axis.name] = by_person if by_hand else driven
         config = Stim300Config(baudrate=baudrate, sample_rate_hz=sample_rate_hz)

@@ -1,7 +1,4 @@
-"""Physics of the simulated devices: a chamber with a load, and a rotary axis. NumPy only.
-
-A query for the state at a time advances the plant to it; time never goes back.
-"""
+"""Physics of the simulated devices: a chamber with a load, and a rotary axis. Time never goes back."""
 
 import math
 import threading
@@ -111,10 +108,8 @@ class AxisTruth:
     """True properties of a rotary axis.
 
     The encoder reads the true angle plus a repeatable error (`harmonics`: order, cosine and sine part in deg) plus an
-    offset drawn at every standstill plus white noise; the time of each reading has an error of `timing_error_s`, one
-    sigma.
-
-    A constant rate has a relative error of `rate_accuracy`, drawn for each command, which the encoder does not see: it
+    offset drawn at every standstill plus white noise; the time of each reading is off by `timing_error_s`, one sigma. A
+    constant rate has a relative error of `rate_accuracy`, drawn for each command, which the encoder does not see: it
     counts at the commanded rate, and keeps the difference in angle until the axis is homed.
     """
 
@@ -262,10 +257,8 @@ class AxisPlant:
             rates *= (target_deg - start) / (piece * float(np.sum(rates[1:] + rates[:-1]) / 2.0))
             slopes = np.diff(rates) / piece
             turned = start + np.concatenate(([0.0], np.cumsum(piece * (rates[1:] + rates[:-1]) / 2.0)))
-            phases = [
-                _Phase(now_s + k * piece, float(turned[k]), float(rates[k]), float(slopes[k]))
-                for k in range(_PIECES_BY_HAND)
-            ]
+            pieces = zip(turned[:-1].tolist(), rates[:-1].tolist(), slopes.tolist(), strict=True)
+            phases = [_Phase(now_s + k * piece, *motion) for k, motion in enumerate(pieces)]
             self._replace(now_s, [*phases, _Phase(now_s + duration_s, target_deg, 0.0, 0.0)])
 
     def _held(self, position_deg: float, rate_dps: float) -> float:

@@ -4,63 +4,78 @@ Written from the protocols' public descriptions (see the heads of `files/presets
 """
 
 import re
+from abc import ABC, abstractmethod
 from functools import reduce
 
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate.plants import ChamberPlant
 
 
-class SimulatedThermotron:
+class _LineChamber(ABC):
+    """What these have in common: lines, a time after each command in which they are deaf, and a switch."""
+
+    _ENDS, _REPLY_ENDS = b"\r", b"\r\n"
+
+    def __init__(self, plant: ChamberPlant, clock: Clock) -> None:
+        self.plant, self._clock = plant, clock
+        self._buffer = b""
+        self._deaf_until_s = -1.0
+        self.running = False
+        self.ignored: list[str] = []
+
+    def receive(self, data: bytes) -> list[bytes]:
+        *lines, self._buffer = (self._buffer + data).split(self._ENDS)
+        return [reply.encode() + self._REPLY_ENDS for reply in map(self._line, lines) if reply]
+
+    def reboot(self) -> None:
+        self._buffer = b""
+        self._run(False)
+
+    def _run(self, on: bool) -> None:
+        self.running = on
+        self.plant.switch(self._clock.now(), on)
+
+    @abstractmethod
+    def _line(self, line: bytes) -> str: ...
+
+
+class SimulatedThermotron(_LineChamber):
     """A set point that was told counts, and is shown, from the next RUNM on; the ramp outlives STOP; a line that comes
     less than a second after a command is lost. Commands have no reply, and words that are none neither."""
 
     _DEAF_S = 1.0
 
     def __init__(self, plant: ChamberPlant, clock: Clock) -> None:
-        self.plant = plant
-        self._clock = clock
-        self._buffer = b""
-        self._deaf_until_s = -1.0
+        super().__init__(plant, clock)
         self.told_c = self.setpoint_c = plant.truth.ambient_c
         self.ramp_k_per_min = 0.0
-        self.mode = 2
         self.alarm = 0
-        self.ignored: list[bytes] = []
-
-    def receive(self, data: bytes) -> list[bytes]:
-        *lines, self._buffer = (self._buffer + data).split(b"\r")
-        return [reply + b"\r\n" for reply in map(self._line, lines) if reply]
-
-    def reboot(self) -> None:
-        self._buffer = b""
-        self._stop()
 
     def raise_alarm(self) -> None:
         self.alarm = 1 << 5
-        self._stop()
+        self._run(False)
 
-    def _line(self, line: bytes) -> bytes:
-        now = self._clock.now()
-        text = line.decode("latin-1").strip()
+    def _line(self, line: bytes) -> str:
+        now, text = self._clock.now(), line.decode("latin-1").strip()
         if now < self._deaf_until_s - 1e-9:
-            self.ignored.append(line)
-            return b""
+            self.ignored.append(text)
+            return ""
         answers = {
             "IDEN?": "3800",
             "VRSN?": "1.07",
             "PVAR1?": f"{self.plant.air_c(now):.2f}",
             "SETP1?": f"{self.setpoint_c:.2f}",
             "MRMP1?": f"{self.ramp_k_per_min:.1f}",
-            "MODE?": str(self.mode),
+            "MODE?": "16" if self.running else "2",
             "ALRM1?": str(self.alarm),
         }
         if text in answers:
-            return answers[text].encode()
-        if not self._obeys(text, now):
-            self.ignored.append(line)
-            return b""
-        self._deaf_until_s = now + self._DEAF_S
-        return b""
+            return answers[text]
+        if self._obeys(text, now):
+            self._deaf_until_s = now + self._DEAF_S
+        else:
+            self.ignored.append(text)
+        return ""
 
     def _obeys(self, text: str, now: float) -> bool:
         if (match := re.fullmatch(r"SETP1,(-?\d+(?:\.\d+)?(?:e-?\d+)?)", text)) and -55.0 <= float(match[1]) <= 150.0:
@@ -68,32 +83,26 @@ class SimulatedThermotron:
         elif (match := re.fullmatch(r"MRMP1,(\d+(?:\.\d+)?)", text)) and float(match[1]) <= 20.0:
             self.ramp_k_per_min = float(match[1])
         elif text == "RUNM":
-            self.mode, self.setpoint_c = 16, self.told_c
+            self.setpoint_c = self.told_c
             self.plant.command(now, target_c=self.setpoint_c, gradient_k_per_min=self.ramp_k_per_min or None)
-            self.plant.switch(now, True)
+            self._run(True)
         elif text in ("STOP", "INIT"):
-            self._stop()
+            self._run(False)
         else:
             return False
         return True
 
-    def _stop(self) -> None:
-        self.mode = 2
-        self.plant.switch(self._clock.now(), False)
 
-
-class SimulatedCts:
+class SimulatedCts(_LineChamber):
     """Framed by STX, address, check and ETX; what fails its check is not answered. Rates of ramps outlive a stop; the
     set value that A0 shows is the one that is regulated to now; the target is in R1."""
 
     _FREE = 999.9
 
     def __init__(self, plant: ChamberPlant, clock: Clock, address: int = 129) -> None:
-        self.plant = plant
-        self._clock = clock
+        super().__init__(plant, clock)
         self._address = address
-        self._buffer = b""
-        self.running = self.error = False
+        self.error = False
         self.up = self.down = self._FREE
         self.target_c = plant.truth.ambient_c
         self.limits_c = (-40.0, 180.0)
@@ -101,11 +110,7 @@ class SimulatedCts:
 
     def receive(self, data: bytes) -> list[bytes]:
         *frames, self._buffer = (self._buffer + data).split(b"\x03")
-        return [self._framed(reply) for reply in map(self._frame, frames) if reply]
-
-    def reboot(self) -> None:
-        self._buffer = b""
-        self._run(False)
+        return [self._framed(reply) for reply in map(self._line, frames) if reply]
 
     def raise_alarm(self) -> None:
         self.error = True
@@ -115,9 +120,9 @@ class SimulatedCts:
         body = bytes([self._address, *(ord(letter) | 0x80 for letter in text)])
         return b"\x02" + body + bytes([reduce(lambda a, b: a ^ b, body) | 0x80, 3])
 
-    def _frame(self, frame: bytes) -> str:
-        begins = frame.rfind(b"\x02")
-        body = frame[begins + 1 :]
+    def _line(self, line: bytes) -> str:
+        begins = line.rfind(b"\x02")
+        body = line[begins + 1 :]
         sound = begins >= 0 and len(body) > 2 and body[0] == self._address and all(byte & 0x80 for byte in body)
         if not sound or (reduce(lambda a, b: a ^ b, body[:-1]) | 0x80) != body[-1]:
             self.unanswered += 1
@@ -154,12 +159,8 @@ class SimulatedCts:
         rate = self.up if self.target_c >= self.plant.set_point_c(now) else self.down
         self.plant.command(now, target_c=self.target_c, gradient_k_per_min=rate if rate < self._FREE else None)
 
-    def _run(self, on: bool) -> None:
-        self.running = on
-        self.plant.switch(self._clock.now(), on)
 
-
-class SimulatedJulabo:
+class SimulatedJulabo(_LineChamber):
     """7E1, and no command has a reply. Commands count only in remote state, only 0.25 s after another, and only inside
     the bath's warning limits; which of three set points is regulated to was chosen at the panel or by MODE_01. The very
     first question after power-on is not answered."""
@@ -167,26 +168,13 @@ class SimulatedJulabo:
     _DEAF_S = 0.25
 
     def __init__(self, plant: ChamberPlant, clock: Clock, *, first_is_lost: bool = False) -> None:
-        self.plant = plant
-        self._clock = clock
-        self._buffer = b""
-        self._deaf_until_s = -1.0
+        super().__init__(plant, clock)
         self._lost = 1 if first_is_lost else 0
         self.remote = True
-        self.running = False
         self.chosen = 0
         self.setpoints = [plant.truth.ambient_c, 40.0, 60.0]
         self.limits_c = (-50.0, 200.0)
         self.problem = ""
-        self.ignored: list[str] = []
-
-    def receive(self, data: bytes) -> list[bytes]:
-        *lines, self._buffer = (self._buffer + data).split(b"\r")
-        return [reply.encode() + b"\r\n" for reply in map(self._line, lines) if reply]
-
-    def reboot(self) -> None:
-        self._buffer = b""
-        self._run(False)
 
     def raise_alarm(self) -> None:
         self.problem = "-01 LOW LEVEL ALARM"
@@ -235,39 +223,24 @@ class SimulatedJulabo:
         self.plant.command(now, target_c=self.setpoints[self.chosen])
         return True
 
-    def _run(self, on: bool) -> None:
-        self.running = on
-        self.plant.switch(self._clock.now(), on)
 
-
-class SimulatedF4TScpi:
+class SimulatedF4TScpi(_LineChamber):
     """SCPI without replies to commands. A set point that is told while event 1 has the loop off is taken, and ignored;
     SPOINT? is the one in force, which ramps where RACTION says so. A new controller speaks Fahrenheit."""
 
     _DEAF_S = 0.1
+    _ENDS = _REPLY_ENDS = b"\n"
 
     def __init__(self, plant: ChamberPlant, clock: Clock, *, unit: str = "C") -> None:
-        self.plant = plant
-        self._clock = clock
-        self._buffer = b""
-        self._deaf_until_s = -1.0
+        super().__init__(plant, clock)
         self.unit = unit
         self.ramp_k_per_min = 3.0
         self.action = "OFF"
         self.input = "NONE"
-        self.ignored: list[str] = []
-
-    def receive(self, data: bytes) -> list[bytes]:
-        *lines, self._buffer = (self._buffer + data).split(b"\n")
-        return [reply.encode() + b"\n" for reply in map(self._line, lines) if reply]
-
-    def reboot(self) -> None:
-        self._buffer = b""
-        self._switch(False)
 
     def raise_alarm(self) -> None:
         self.input = "ERROR"
-        self._switch(False)
+        self._run(False)
 
     def _line(self, line: bytes) -> str:
         now, text = self._clock.now(), line.decode("latin-1").strip().upper()
@@ -307,10 +280,7 @@ class SimulatedF4TScpi:
         elif (match := re.fullmatch(r":UNIT:TEMPERATURE ([CF])", text)) is not None:
             self.unit = match[1]
         elif (match := re.fullmatch(r":OUTPUT1:STATE (ON|OFF)", text)) is not None:
-            self._switch(match[1] == "ON" and self.input == "NONE")
+            self._run(match[1] == "ON" and self.input == "NONE")
         else:
             return False
         return True
-
-    def _switch(self, on: bool) -> None:
-        self.plant.switch(self._clock.now(), on)

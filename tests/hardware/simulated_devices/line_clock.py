@@ -172,7 +172,12 @@ class LineClock(VirtualClock):
                 self._forget_unread_bytes()
                 self.advance_if_all_wait()
 
+    def advance_if_all_wait(self) -> None:
+        if self._sleepers and not self._is_held():
+            VirtualClock.advance_if_all_wait(self)
+
     def _is_held(self) -> bool:
+        """Whether something beside the parties holds the time."""
         if any(account.attached and (account.to_device or account.to_host) for account in self._accounts.values()):
             return True
         if self._real_waiters:

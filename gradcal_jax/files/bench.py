@@ -229,7 +229,6 @@ class Place(Mounting):
     """Position of the IMU relative to the intersection of the table's axes, in the fixture's frame."""
 
     def _problems(self) -> Iterator[Problem]:
-        yield from super()._problems()
         if self.matrix is not None:
             products = [sum(a * b for a, b in zip(u, v, strict=True)) for u in self.matrix for v in self.matrix]
             whole = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)

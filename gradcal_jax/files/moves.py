@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax import formulas
 from gradcal_jax.files.problems import Problem, SpecError, one_of
@@ -138,17 +138,15 @@ class Angled(Section):
     turns: Number | None = None
     """Number of revolutions instead of an angle; its sign is the direction."""
 
-    @model_validator(mode="after")
-    def _one_angle(self) -> "Angled":
+    def _problems(self) -> Iterator[Problem]:
         if self.turn is not None and self.turns is not None:
-            refuse(Problem(("turns",), 'cannot be combined with "turn"; keep one of them', self.turns))
-        if self.turn == 0.0:
-            refuse(Problem(("turn",), "must not be zero; write a rest as { rest = … }", "0"))
-        if abs(self.turn or 0.0) > 1e6 * FULL_TURN:
-            refuse(Problem(("turn",), "must be at most a million turns", str(self.turn)))
-        if self.turns == 0.0 or abs(self.turns or 0.0) > 1e6:
-            refuse(Problem(("turns",), "must not be zero, and must be at most a million turns", self.turns))
-        return self
+            yield Problem(("turns",), 'cannot be combined with "turn"; keep one of them', self.turns)
+        elif self.turn == 0.0:
+            yield Problem(("turn",), "must not be zero; write a rest as { rest = … }", "0")
+        elif abs(self.turn or 0.0) > 1e6 * FULL_TURN:
+            yield Problem(("turn",), "must be at most a million turns", str(self.turn))
+        elif self.turns == 0.0 or abs(self.turns or 0.0) > 1e6:
+            yield Problem(("turns",), "must not be zero, and must be at most a million turns", self.turns)
 
     @property
     def angle(self) -> float | None:
@@ -176,15 +174,13 @@ class _RampedTurn(_Turn):
     ramp: Time | None = None
     """Time from rest to the peak rate; absent: as short as the table allows."""
 
-    @model_validator(mode="after")
-    def _signs(self) -> "_RampedTurn":
+    def _problems(self) -> Iterator[Problem]:
         peak = self.peak_rate
         if peak is not None and peak == 0.0:
-            refuse(Problem(("peak_rate",), "must not be zero", peak.text))
+            yield Problem(("peak_rate",), "must not be zero", peak.text)
         if peak is not None and peak < 0.0 and self.angle is not None:
             message = f'must be positive, because the sign of "{self.angle_key}" states the direction'
-            refuse(Problem(("peak_rate",), message, peak.text))
-        return self
+            yield Problem(("peak_rate",), message, peak.text)
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """Complete (θ, A, D, r) by θ = A(D − r)."""
@@ -292,12 +288,10 @@ class Hand(_Turn):
     unevenness: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.3
     """Unevenness of the turn, as a fraction of the rate."""
 
-    @model_validator(mode="after")
-    def _ends_only(self) -> "Hand":
+    def _problems(self) -> Iterator[Problem]:
         if self.read_every is not None:
             message = "the angle of a turn by hand is known only at its start and its end: leave this key out"
-            refuse(Problem(("read_every",), message, self.read_every.text))
-        return self
+            yield Problem(("read_every",), message, self.read_every.text)
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         angle = self.angle

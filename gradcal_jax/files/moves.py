@@ -189,10 +189,8 @@ class _RampedTurn(_Turn):
         angle, peak = (None if value is None else abs(value) for value in (signed, fastest))
         duration, ramp = _number(self.duration), _number(self.ramp)
         if sum(value is not None for value in (angle, peak, duration)) < 2:
-            message = (
-                "these keys do not determine the motion: give two of turn, peak_rate and duration (and optionally ramp)"
-            )
-            raise SpecError([Problem((), message)])
+            message = "these keys do not determine the motion: give two of turn, peak_rate and duration "
+            raise SpecError([Problem((), message + "(and optionally ramp)")])
         least = self.STEEPNESS / max_acceleration  # ramp time for each unit of peak rate
         if angle is not None and peak is not None and duration is not None:
             ramp = self._from_three(angle, peak, duration, ramp)
@@ -250,7 +248,8 @@ class _RampedTurn(_Turn):
             )
             refuse(Problem(("ramp",), message, self.ramp.text))
         message = f"cannot be reached within {self._written_angle()} at the table's max_acceleration; expected at most "
-        refuse(Problem(("peak_rate",), message + _round_rate(math.sqrt(angle / least)), str(self.peak_rate)))
+        fastest = math.degrees(math.sqrt(angle / least))
+        refuse(Problem(("peak_rate",), f"{message}{fastest:.4g} deg/s", str(self.peak_rate)))
 
     def _too_short(self, needed: float) -> None:
         reason = "its two ramps" if self.ramp is not None else "the ramps at the table's max_acceleration"
@@ -300,27 +299,14 @@ class Hand(_Turn):
             raise SpecError([Problem((missing,), "this key is missing: a turn by hand needs an angle and a duration")])
         peak, duration = 2.0 * angle / self.duration, float(self.duration)
         fastest, steepest = _uneven_maxima(self.unevenness)
-        return self.resolved(
-            "hand",
-            duration,
-            angle=angle,
-            peak_rate=peak,
-            peak_acceleration=abs(peak) / duration * steepest,
-            fastest=abs(peak) * fastest,
-            reach=angle,
-            unevenness=self.unevenness,
-        )
+        sizes = {"peak_acceleration": abs(peak) / duration * steepest, "fastest": abs(peak) * fastest}
+        motion = {"angle": angle, "peak_rate": peak, "unevenness": self.unevenness, **sizes}
+        return self.resolved("hand", duration, reach=angle, **motion)
 
 
-Move = Annotated[
-    Rest | CosineRamps | LinearRamps | Hand,
-    read_by(lambda table: choose_move(table)),
-]
+Move = Annotated[Rest | CosineRamps | LinearRamps | Hand, read_by(lambda table: choose_move(table))]
 
-SHAPES: Final[dict[str, type[Section]]] = {
-    **{kind.SHAPE: kind for kind in (CosineRamps, LinearRamps)},
-    "hand": Hand,
-}
+SHAPES: Final[dict[str, type[Section]]] = {"cosine ramps": CosineRamps, "linear ramps": LinearRamps, "hand": Hand}
 
 
 def choose_move(table: Mapping[str, object]) -> object:
@@ -352,7 +338,3 @@ def _uneven_maxima(unevenness: float) -> tuple[float, float]:
 
 def _seconds(value: float) -> str:
     return f"{value:.4g} s"
-
-
-def _round_rate(value: float) -> str:
-    return f"{math.degrees(value):.4g} deg/s"

@@ -376,15 +376,16 @@ def _unread(item: AxisMove, rig: Rig, key: tuple[str | int, ...]) -> Iterator[Pr
 
 def _unclosed(ends: Sequence[float], start: Sequence[float], axes: Iterable[str], why: str) -> list[Problem]:
     """Problems of axes whose final angle in a cycle differs from the first."""
-    return [
-        Problem(
-            ("cycle", "moves"),
-            f'the cycle begins with axis "{name}" at {_degrees(begin)} and ends at {_degrees(end)}: {why}, so a cycle '
-            "must return to its initial angle (or end whole turns away from it): add a pose",
-        )
-        for name, begin, end in zip(axes, start, ends, strict=True)
-        if abs((end - begin) / FULL_TURN - round((end - begin) / FULL_TURN)) > 1e-6
-    ]
+    problems: list[Problem] = []
+    for name, begin, end in zip(axes, start, ends, strict=True):
+        if abs((end - begin) / FULL_TURN - round((end - begin) / FULL_TURN)) > 1e-6:
+            message = (
+                f'the cycle begins with axis "{name}" at {math.degrees(begin):.5g} deg and ends at '
+                f"{math.degrees(end):.5g} deg: {why}, so a cycle must return to its initial angle (or end whole turns "
+                "away from it): add a pose"
+            )
+            problems.append(Problem(("cycle", "moves"), message))
+    return problems
 
 
 def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None) -> ResolvedMove:
@@ -453,7 +454,3 @@ def _beyond_drive(drive: str, key: tuple[str | int, ...], shape: str) -> Problem
         "and a duration"
     )
     return Problem(key, message, shape)
-
-
-def _degrees(value: float) -> str:
-    return f"{math.degrees(value):.5g} deg"

@@ -108,9 +108,8 @@ class TemperatureError(UncertainSection):
 
     def _problems(self) -> Iterator[Problem]:
         if self.standard_deviation and self.bias_slope is None and self.scale_factor_slope is None:
-            yield Problem(
-                (), 'a temperature error acts through "bias_slope" or "scale_factor_slope"; give at least one'
-            )
+            message = 'a temperature error acts through "bias_slope" or "scale_factor_slope"; give at least one'
+            yield Problem((), message)
 
 
 class BiasTemperatureGradient(Section):

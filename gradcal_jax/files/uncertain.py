@@ -64,8 +64,9 @@ class UncertainSection(Section):
         if isinstance(self.uncertain, str):
             return {name: self._range(("uncertain",), name, self.uncertain) for name in there}
         unknown = [("uncertain", name) for name in self.uncertain if name not in there]
-        message = "is not a figure of this table that can be uncertain; expected "
-        refuse(*(Problem(key, message + one_of(there)) for key in unknown))
+        known = f"expected {one_of(there)}" if there else "the table has no such figure"
+        message = f"is not a figure of this table that can be uncertain; {known}"
+        refuse(*(Problem(key, message) for key in unknown))
         return {name: self._range(("uncertain", name), name, value) for name, value in self.uncertain.items()}
 
     def _range(self, key: tuple[str, ...], name: str, value: str | Ends) -> tuple[Quantity, Quantity]:

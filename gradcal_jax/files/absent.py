@@ -12,13 +12,12 @@ from importlib import resources
 from typing import Any, Final, NamedTuple, cast
 
 from gradcal_jax import units
-from gradcal_jax.files.bench import RigTable
 from gradcal_jax.files.changes import changed
 from gradcal_jax.files.plan import StandardPlan
 from gradcal_jax.files.quantity import Quantity
 from gradcal_jax.files.schedule import StandardSchedule
 from gradcal_jax.files.section import Section
-from gradcal_jax.files.sensor import HOST_CLOCK, GyroTriad, Sensor
+from gradcal_jax.files.sensor import HOST_CLOCK, Sensor
 from gradcal_jax.files.spec_sections import Spec
 
 # Terms that act through one of the maps alone, or through motion or temperature.
@@ -115,11 +114,15 @@ def _absent(spec: Spec) -> Iterator[AbsentTerm]:
     common = set(type(sensor).model_fields)
     yield from _unnamed(sensor, "sensor", [_of_clock(t, sensor) for t in terms if t.key in common])
     if gyro is not None:
-        own = [_of_the_maps(t, gyro) for t in terms if t.key not in common]
-        for term in _unnamed(gyro, "sensor.gyro", own):
-            # Beside other channels a sensitivity to dT/dt is a figure, and no parameter.
-            figure = not alone and term.key.endswith("gradient")
-            yield term._replace(value=term.value["prior"]) if figure else term
+        # A temperature error acts through the slopes of the estimated maps.
+        fixed = {f"{name}_slope" for name in ("bias", "scale_factor") if getattr(gyro, name) is None}
+        for term in _unnamed(gyro, "sensor.gyro", [t for t in terms if t.key not in common]):
+            if term.key.endswith("temperature_error"):
+                yield term._replace(value={key: value for key, value in term.value.items() if key not in fixed})
+            else:
+                # Beside other channels a sensitivity to dT/dt is a figure, and no parameter.
+                figure = not alone and term.key.endswith("gradient")
+                yield term._replace(value=term.value["prior"]) if figure else term
         if (arm := absent_lever_arm(spec)) is not None:
             yield arm
     if force is not None:
@@ -127,27 +130,27 @@ def _absent(spec: Spec) -> Iterator[AbsentTerm]:
         yield from _unnamed(force, "sensor.accelerometer", of_force)
         of_site = [t for t in every if t.key == "gravity_accuracy"]
         yield from _unnamed(site, "rig.site", of_site if site.gravity is not None else [_NORMAL_GRAVITY])
-    yield from _of_branches(spec)
-    for term in of_table:
-        if term.key == "mounting_accuracy":
-            yield from _unhung(table, term)
+    # Hysteresis of quantities that are required on a branch of the temperature.
+    branched = {_OF_BRANCHES[r.quantity] for r in spec.requirement if getattr(r, "branch", None) is not None}
+    for kind in ("gyro", "accelerometer"):
+        if (section := getattr(sensor, kind)) is not None:
+            of_path = [t for t in path_terms_of(sensor, kind) if (kind, t.key) in branched]
+            yield from _unnamed(section, f"sensor.{kind}", of_path)
+    for term in [t for t in of_table if t.key == "mounting_accuracy"]:
+        if "mounting" not in table.model_fields_set:
+            yield term._replace(key="rig.table.mounting", value=[{"accuracy": term.value}])
+        else:
+            yield from _unnamed(table.mounting[0], "rig.table.mounting[0]", [term._replace(key="accuracy")])
     yield from _unnamed(table, "rig.table", [t for t in of_table if t.key in _OF_TABLE])
     for k, axis in enumerate(table.axis):
         if k < len(table.axis) - 1:
             yield from _unnamed(axis, f"rig.table.axis[{k}]", [t for t in every if t.key == "orthogonality"])
         if alone or not table.by_gravity:
-            yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", _below("angle.", of_table))
+            of_angle = [t._replace(key=t.key[6:]) for t in of_table if t.key.startswith("angle.")]
+            yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", of_angle)
     if alone and site.latitude is None:
         reason = "the Earth turns at 15.04 deg/h, and the angle between its axis and the table's is not stated"
         yield AbsentTerm(EARTH, "unknown", reason)
-
-
-def _unhung(table: RigTable, term: AbsentTerm) -> Iterator[AbsentTerm]:
-    """The accuracy of the only mounting, which the file may not name at all."""
-    if "mounting" not in table.model_fields_set:
-        yield term._replace(key="rig.table.mounting", value=[{"accuracy": term.value}])
-    else:
-        yield from _unnamed(table.mounting[0], "rig.table.mounting[0]", [term._replace(key="accuracy")])
 
 
 _OF_BRANCHES: Final = {
@@ -158,15 +161,6 @@ _OF_BRANCHES: Final = {
 }
 """For each quantity whose requirement may state a `branch` (heating or cooling): the kind of its channel, and the key
 of its hysteresis terms."""
-
-
-def _of_branches(spec: Spec) -> Iterator[AbsentTerm]:
-    """Hysteresis of quantities that are required on a branch of the temperature."""
-    keys = {_OF_BRANCHES[r.quantity] for r in spec.requirement if getattr(r, "branch", None) is not None}
-    for kind in ("gyro", "accelerometer"):
-        if (section := getattr(spec.sensor, kind)) is not None:
-            of_path = [t for t in path_terms_of(spec.sensor, kind) if (kind, t.key) in keys]
-            yield from _unnamed(section, f"sensor.{kind}", of_path)
 
 
 def path_terms_of(sensor: Sensor, kind: str) -> list[AbsentTerm]:
@@ -236,10 +230,6 @@ def _unnamed(section: Section, prefix: str, terms: list[AbsentTerm]) -> Iterator
             yield term._replace(key=f"{prefix}.{term.key}")
 
 
-def _below(prefix: str, terms: list[AbsentTerm]) -> list[AbsentTerm]:
-    return [t._replace(key=t.key.removeprefix(prefix)) for t in terms if t.key.startswith(prefix)]
-
-
 def with_typical(spec: Spec) -> Spec:
     """The spec with every absent term at its typical value. Errors: `SpecError` where the two contradict each other."""
     absent = absent_terms(spec)
@@ -253,8 +243,7 @@ def sensor_grade(sensor: Sensor) -> Grade:
         return accelerometer_grade(sensor)
     if sensor.grade is not None:
         return Grade(sensor.grade, str(_row("sensor", sensor.grade)["like"]), "sensor.grade")
-    walk = float(gyro.angle_random_walk), "angle random walk", "its angle random walk"
-    return _by_noise("sensor", gyro.drift, "angular rate", walk)
+    return _by_noise("sensor", gyro.drift, "angular rate", gyro.angle_random_walk)
 
 
 def accelerometer_grade(sensor: Sensor) -> Grade:
@@ -262,13 +251,13 @@ def accelerometer_grade(sensor: Sensor) -> Grade:
     its gyros."""
     if (force := sensor.accelerometer) is None:
         return sensor_grade(sensor)
-    walk = float(force.velocity_random_walk), "velocity random walk", "its velocity random walk"
-    return _by_noise("accelerometer", force.drift, "acceleration", walk)
+    return _by_noise("accelerometer", force.drift, "acceleration", force.velocity_random_walk)
 
 
-def _by_noise(kind: str, drift: Any, dimension: str, walk: tuple[float, str, str]) -> Grade:
-    size = max((float(d.standard_deviation) for d in drift), default=0.0)
-    return _grade(kind, size, "drift", dimension, "its drift") if size else _grade(kind, walk[0], "walk", *walk[1:])
+def _by_noise(kind: str, drift: Any, dimension: str, walk: Quantity) -> Grade:
+    if size := max((float(d.standard_deviation) for d in drift), default=0.0):
+        return _grade(kind, size, "drift", dimension, "its drift")
+    return _grade(kind, float(walk), "walk", walk.dimension, f"its {walk.dimension}")
 
 
 def slopes_of(sensor: Sensor, kind: str = "gyro") -> tuple[float, float]:
@@ -280,11 +269,10 @@ def slopes_of(sensor: Sensor, kind: str = "gyro") -> tuple[float, float]:
     typical = next(t.value for t in terms_of("sensor", sensor_grade(sensor).name) if t.key == "temperature_error")
     bias = units.parse(typical["bias_slope"], "bias slope")
     scale = units.parse(typical["scale_factor_slope"], "scale factor slope")
-    own = None if sensor.gyro is None else sensor.gyro.temperature_error
-    if own is None:
-        return bias, scale
-    stated = own.bias_slope, own.scale_factor_slope
-    return tuple(abs(float(s)) if s is not None else t for s, t in zip(stated, (bias, scale), strict=True))  # pyright: ignore[reportReturnType]
+    if sensor.gyro is not None and (own := sensor.gyro.temperature_error) is not None:
+        bias = bias if own.bias_slope is None else abs(float(own.bias_slope))
+        scale = scale if own.scale_factor_slope is None else abs(float(own.scale_factor_slope))
+    return bias, scale
 
 
 def table_grade(spec: Spec) -> Grade:
@@ -352,15 +340,6 @@ def _keys_of_imu(spec: Spec) -> set[str]:
         keys -= {"angle.scale_error"}
         keys |= {"sample_clock_error"} if force is not None and force.velocity_increments else set()
     return keys - ({"sample_clock_error"} if spec.sensor.clock == "host" else set())
-
-
-def _of_the_maps(term: AbsentTerm, sensor: GyroTriad) -> AbsentTerm:
-    """A temperature error acts through the slopes of the estimated maps."""
-    if term.key != "temperature_error":
-        return term
-    maps = {"bias_slope": sensor.bias, "scale_factor_slope": sensor.scale_factor}
-    without = {name for name, section in maps.items() if section is None}
-    return term._replace(value={name: value for name, value in term.value.items() if name not in without})
 
 
 def _of_clock(term: AbsentTerm, sensor: Sensor) -> AbsentTerm:

@@ -3,7 +3,7 @@ simulated sensors."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Annotated, Final, Literal, cast
+from typing import Annotated, Final, Literal
 
 from pydantic import BeforeValidator, Field
 
@@ -159,9 +159,8 @@ class TableAxis(Section):
 
     def _problems(self) -> Iterator[Problem]:
         if not math.hypot(*self.direction) > 0.0:
-            yield Problem(
-                ("direction",), "is not a direction; expected a vector such as [0.0, 0.0, 1.0]", list(self.direction)
-            )
+            message = "is not a direction; expected a vector such as [0.0, 0.0, 1.0]"
+            yield Problem(("direction",), message, list(self.direction))
         if self.keep_out is not None:
             low, high = self.keep_out
             if not (0.0 < low < high < _TURN or -_TURN < low < high < 0.0):
@@ -229,26 +228,23 @@ class Place(Mounting):
     """Position of the IMU relative to the intersection of the table's axes, in the fixture's frame."""
 
     def _problems(self) -> Iterator[Problem]:
-        yield from super()._problems()
         if self.matrix is not None:
-            products = [sum(a * b for a, b in zip(u, v, strict=True)) for u in self.matrix for v in self.matrix]
-            whole = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-            if (
-                _determinant(self.matrix) < 0.0
-                or max(abs(p - w) for p, w in zip(products, whole, strict=True)) > _ROTATION
-            ):
-                yield Problem(
-                    ("matrix",), "is not a rotation matrix: its rows must be orthogonal, of length 1 and right-handed"
-                )
+            rows = list(enumerate(self.matrix))
+            errors = (sum(a * b for a, b in zip(u, v, strict=True)) - (i == j) for i, u in rows for j, v in rows)
+            if _determinant(self.matrix) < 0.0 or max(map(abs, errors)) > _ROTATION:
+                message = "is not a rotation matrix: its rows must be orthogonal, of length 1 and right-handed"
+                yield Problem(("matrix",), message)
             if self.model_fields_set & {"x", "y", "z"}:
                 yield Problem(("matrix",), "this matrix replaces x, y and z: leave these keys out")
 
 
 _Mountings = Annotated[tuple[Mounting, ...], Field(min_length=1, max_length=12)]
-
-
-def _one_or_more(value: object) -> object:
-    return (cast("object", value),) if isinstance(value, Mapping) else value
+_OneOrMoreMountings = Annotated[
+    _Mountings,
+    BeforeValidator(
+        lambda value: (value,) if isinstance(value, Mapping) else value, json_schema_input_type=Mounting | _Mountings
+    ),
+]
 
 
 class RigTable(Section):
@@ -270,9 +266,7 @@ class RigTable(Section):
     """Standard deviation, as a ratio, of the reference rate of the standard method; absent: the reference is exact."""
     axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
     """Axes of the table, outermost first."""
-    mounting: Annotated[_Mountings, BeforeValidator(_one_or_more, json_schema_input_type=Mounting | _Mountings)] = (
-        Mounting(),
-    )
+    mounting: _OneOrMoreMountings = (Mounting(),)
     """The mounting of the IMU, or several mountings that are used one after the other."""
     place: Annotated[tuple[Place, ...], Field(max_length=64)] = ()
     """Places of a fixture that holds several IMUs; absent: one IMU, in the mounting of the table."""
@@ -341,10 +335,8 @@ class SimulatedLoop(Section):
 
     def _problems(self) -> Iterator[Problem]:
         if self.time_constants[0] == self.time_constants[1]:
-            yield Problem(
-                ("time_constants",),
-                "two equal thermal masses always have the same temperature; expected two different times",
-            )
+            message = "two equal thermal masses always have the same temperature; expected two different times"
+            yield Problem(("time_constants",), message)
 
     def size(self, sensors: str, quantity: str) -> float | None:
         """The size of "bias" or "scale_factor" of gyros or accelerometers (SI); None: it has no such loop."""

@@ -101,15 +101,12 @@ def _put(tables: dict[str, Any], key: Key, value: object) -> None:
             cast("dict[str, Any]", here)[part] = {}
         here = _inside(here, part, key[: depth + 1])
     last = key[-1]
-    if isinstance(here, dict) and isinstance(last, str):
-        table = cast("dict[str, Any]", here)
-        if value is None:
-            table.pop(last, None)
-        else:
-            table[last] = copy.deepcopy(value)
-        return
-    _inside(here, last, key)
-    here[last] = copy.deepcopy(value)
+    if not (isinstance(here, dict) and isinstance(last, str)):
+        _inside(here, last, key)
+    if value is None and isinstance(here, dict):
+        cast("dict[str, Any]", here).pop(cast("str", last), None)
+    else:
+        here[last] = copy.deepcopy(value)
 
 
 def _inside(here: Any, part: str | int, key: Key) -> Any:

@@ -6,11 +6,12 @@ A section that could not be read is None; a check that needs it is left out, so 
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 from gradcal_jax.files.bench import Chamber, Mounting, RigTable
 from gradcal_jax.files.design import design_problems, notice_problems
-from gradcal_jax.files.motion_plan import PlanSchedule, PlanStep, plan_schedule, resolve_steps, row_count
+from gradcal_jax.files.motion_plan import PlanStep, plan_schedule, resolve_steps, row_count
 from gradcal_jax.files.plan import ChamberCourse, RampItem, StandardPlan
 from gradcal_jax.files.problems import Key, Problem, SpecError, repeated_names
 from gradcal_jax.files.quantity import Quantity
@@ -35,13 +36,6 @@ def problems_between(spec: "Spec") -> Iterator[Problem]:
             yield from check(spec)
 
 
-def _schedule(spec: "Spec") -> PlanSchedule | None:
-    """The schedule of a gradient plan without problems."""
-    with contextlib.suppress(SpecError):
-        return None if isinstance(spec.plan, StandardPlan) else spec.gradient_schedule
-    return None
-
-
 def _steps(spec: "Spec") -> tuple[PlanStep, ...]:
     """The steps of the cycle that have no problems themselves."""
     if isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None:
@@ -50,16 +44,19 @@ def _steps(spec: "Spec") -> tuple[PlanStep, ...]:
 
 
 def _plan_on_rig(spec: "Spec") -> Iterator[Problem]:
-    plan, table, chamber = spec.plan, spec.rig.table, spec.rig.chamber
+    plan, table, chamber, schedule = spec.plan, spec.rig.table, spec.rig.chamber, None
+    problems: list[Problem] = []
     if isinstance(plan, StandardPlan):
-        yield from (p.under("plan") for p in _standard(plan, table, chamber))
+        problems += _standard(plan, table, chamber)
+    else:
+        try:
+            schedule = spec.gradient_schedule
+        except SpecError as error:
+            problems += error.problems
+        problems += _course(plan, chamber, schedule and schedule.segments)
+    yield from (p.under("plan") for p in problems)
+    if schedule is None or isinstance(plan, StandardPlan):
         return
-    try:
-        schedule = spec.gradient_schedule
-    except SpecError as error:
-        yield from (p.under("plan") for p in (*error.problems, *_course(plan, chamber, None)))
-        return
-    yield from (p.under("plan") for p in _course(plan, chamber, schedule.segments))
     rows = row_count(schedule, table)
     key = ("rig", "table", "axis", 0, "angle", "read_every") if plan.cycle is None else ("plan", "cycle")
     if rows > _MOST_READINGS:
@@ -122,12 +119,13 @@ def _turned(vector: Sequence[float], axis: Sequence[float], angle: float) -> tup
 
 def _missions_on_plan(spec: "Spec") -> Iterator[Problem]:
     """Where missions leave the temperatures that the plan visits."""
+    ends: list[float] = []
     if isinstance(spec.plan, StandardPlan):
-        ends = [float(temperature) for temperature in spec.plan.temperatures]
+        ends += spec.plan.temperatures
     else:
-        schedule = _schedule(spec)
-        segments = () if schedule is None else schedule.segments
-        ends = [t for s in segments if s.used for t in (s.temperature_start, s.temperature_end)]
+        with contextlib.suppress(SpecError):
+            used = (segment for segment in spec.gradient_schedule.segments if segment.used)
+            ends += [end for s in used for end in (s.temperature_start, s.temperature_end)]
     if ends:
         for i, requirement in enumerate(spec.requirement):
             yield from _missions(i, requirement, (min(ends), max(ends)), "the plan")
@@ -190,13 +188,9 @@ def _requirements_of_sensor(spec: "Spec") -> Iterator[Problem]:
 
 
 _NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
-    "gyro_bias": ("gyro.bias",),
-    "gyro_scale_factor": ("gyro.scale_factor",),
-    "gyro_misalignment": ("gyro.misalignment",),
+    **{f"gyro_{name}": (f"gyro.{name}",) for name in ("bias", "scale_factor", "misalignment")},
+    **{f"accelerometer_{n}": (f"accelerometer.{n}",) for n in ("bias", "scale_factor", "misalignment")},
     "g_sensitivity": ("gyro.g_sensitivity",),
-    "accelerometer_bias": ("accelerometer.bias",),
-    "accelerometer_scale_factor": ("accelerometer.scale_factor",),
-    "accelerometer_misalignment": ("accelerometer.misalignment",),
     "second_order": ("accelerometer.second_order",),
     "position": ("gyro.bias", "accelerometer.bias"),
     "tilt": ("accelerometer.bias",),
@@ -231,17 +225,9 @@ _NEEDED_AXES: Final[Mapping[str, tuple[tuple[str, ...], str]]] = {
 
 
 def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, key: Key) -> list[Problem]:
-    if span is None:
-        return []
-    return [
-        Problem(
-            (*key, i),
-            f"is outside the range of the {key[-1]} basis (from its first to its last entry)",
-            end.text,
-        )
-        for i, end in enumerate(box)
-        if not span[0] <= end <= span[1]
-    ]
+    message = f"is outside the range of the {key[-1]} basis (from its first to its last entry)"
+    low, high = span or (-math.inf, math.inf)
+    return [Problem((*key, i), message, end.text) for i, end in enumerate(box) if not low <= end <= high]
 
 
 def _standard(plan: StandardPlan, table: RigTable, chamber: Chamber) -> Iterator[Problem]:
@@ -251,7 +237,7 @@ def _standard(plan: StandardPlan, table: RigTable, chamber: Chamber) -> Iterator
         yield Problem(("method",), "the standard method needs a table with one axis", "standard")
     for i, temperature in enumerate(plan.temperatures):
         yield from _in_chamber(temperature, chamber, ("temperatures", i))
-    for before, after in zip(plan.temperatures, plan.temperatures[1:], strict=False):
+    for before, after in pairwise(plan.temperatures):
         slope = chamber.max_heating if after > before else chamber.max_cooling
         needed = abs(after - before) / slope
         if needed > plan.soak * (1.0 + _SLACK):
@@ -343,12 +329,13 @@ def _done(spec: "Spec") -> Iterator[Problem]:
     if spec.done and isinstance(spec.plan, StandardPlan):
         yield Problem(("done",), '[[done]] needs a plan with method = "gradient"')
     for number, part in enumerate(spec.done):
-        segments = None
+        segments, problems = None, list[Problem]()
         try:
             segments = plan_schedule(part.plan, spec.rig).segments
         except SpecError as error:
-            yield from (p.under("done", number, "plan") for p in error.problems)
-        yield from (p.under("done", number, "plan") for p in _course(part.plan, spec.rig.chamber, segments))
+            problems += error.problems
+        problems += _course(part.plan, spec.rig.chamber, segments)
+        yield from (p.under("done", number, "plan") for p in problems)
         if part.end <= part.start:
             yield Problem(("done", number, "end"), "expected a time after the start of this part", part.end.text)
 
@@ -372,11 +359,10 @@ def _accelerometer(spec: "Spec") -> Iterator[Problem]:
     if slow and turning and min(turning) > slow:
         message = (
             f"has no effect, because even the slowest move reaches {math.degrees(min(turning)):.4g} deg/s: raise "
-            "this limit, or "
+            "this limit, or leave this key out (and the lever arm)"
         )
         key = ("sensor", "accelerometer", "read_on_moves_below")
-        limit = str(accelerometer.read_on_moves_below)
-        yield Problem(key, message + "leave this key out (and the lever arm)", limit)
+        yield Problem(key, message, str(accelerometer.read_on_moves_below))
 
 
 def _without_encoder(spec: "Spec") -> Iterator[Problem]:

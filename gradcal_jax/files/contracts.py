@@ -397,7 +397,6 @@ class Prediction(Section):
     _repr_html_ = html
 
     def _shown(self) -> list[str]:
-
         hidden = [row.name for row in self.parameters if row.std is None]
         counts = {"parameter": self.parameters, "omitted error term": self.omitted, "warning": self.warnings}
         numbers = [f"{len(rows)} {name}{'s' * (len(rows) != 1)}" for name, rows in counts.items() if rows]

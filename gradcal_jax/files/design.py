@@ -165,14 +165,10 @@ def notice_problems(notice: Notice, scale: ScaleFactor | None) -> Iterator[Probl
         if hidden is None:
             continue
         if scale.discrepancy is not None and hidden != getattr(scale.discrepancy, name):
-            yield Problem(
-                (name,),
-                "must equal the degree in the scale factor's discrepancy (the default): leave this key out",
-                hidden,
-            )
+            message = "must equal the degree in the scale factor's discrepancy (the default): leave this key out"
+            yield Problem((name,), message, hidden)
         elif hidden <= degree:
-            yield Problem(
-                (name,),
-                f"must exceed the degree of the map, {degree}: structure up to this degree is estimated, not hidden",
-                hidden,
+            message = (
+                f"must exceed the degree of the map, {degree}: structure up to this degree is estimated, not hidden"
             )
+            yield Problem((name,), message, hidden)

@@ -38,22 +38,20 @@ def read_text(path: str | Path, what: str = "TOML file") -> str:
     name = str(path)
     try:
         if path.is_dir():
-            raise SpecError([Problem((), f"is a directory; expected a {what}")], name)
-        if path.stat().st_size > _LARGEST:
-            raise SpecError([Problem((), f"is larger than {_LARGEST // 1_000_000} MB; expected a {what}")], name)
-        raw = path.read_bytes()
-    except SpecError:
-        raise
+            problem = f"is a directory; expected a {what}"
+        elif path.stat().st_size > _LARGEST:
+            problem = f"is larger than {_LARGEST // 1_000_000} MB; expected a {what}"
+        else:
+            return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
-        raise SpecError([Problem((), "does not exist" + _neighbour(path))], name) from None
+        problem = "does not exist" + _neighbour(path)
     except OSError as error:
-        raise SpecError([Problem((), f"cannot be read: {error.strerror or error}")], name) from None
-    except ValueError:
-        raise SpecError([Problem((), "is not a possible path")], repr(name)) from None
-    try:
-        return raw.decode("utf-8-sig")
+        problem = f"cannot be read: {error.strerror or error}"
     except UnicodeDecodeError:
-        raise SpecError([Problem((), f"is not text in UTF-8; expected a {what}")], name) from None
+        problem = f"is not text in UTF-8; expected a {what}"
+    except ValueError:
+        name, problem = repr(name), "is not a possible path"
+    raise SpecError([Problem((), problem)], name)
 
 
 def _neighbour(path: Path) -> str:
@@ -120,7 +118,7 @@ def from_text(of: Callable[[dict[str, Any], str], Result], text: str, source: st
         return of(read_toml(text, source), source)
 
 
-_KEY_PART: Final = re.compile(r"""\s*(?:"((?:[^"\\]|\\.)*)"|'([^']*)'|([A-Za-z0-9_-]+))\s*(\.?)""")
+_KEY_PART: Final = re.compile(r"""\s*("(?:[^"\\]|\\.)*"|'[^']*'|[A-Za-z0-9_-]+)\s*(\.?)""")
 _BLANK: Final = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
 _STRING: Final = re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'', re.DOTALL)
 _PLAIN: Final = re.compile(r"[^,\]}\n#]*")
@@ -135,21 +133,17 @@ def with_lines(text: str) -> Generator[None]:
         if not any(problem.key for problem in error.problems):
             raise  # of the text as a whole, which may be no TOML
         known = lines_of(text)
-        raise SpecError((replace(p, line=_nearest_line(known, p.key)) for p in error.problems), error.source) from None
 
+        def line(key: Key) -> int | None:
+            """The line of the key or, where it is missing, of the innermost table around it."""
+            return next((known[key[:n]] for n in range(len(key), 0, -1) if key[:n] in known), None)
 
-def _nearest_line(known: dict[Key, int], key: Key) -> int | None:
-    """The line of the key or, where it is missing, of the innermost table around it."""
-    return next((known[key[:n]] for n in range(len(key), 0, -1) if key[:n] in known), None)
+        raise SpecError((replace(p, line=line(p.key)) for p in error.problems), error.source) from None
 
 
 def lines_of(text: str) -> dict[Key, int]:
     """The line, from 1, of every key, table and list entry of a valid TOML text."""
     return _Scanner(text.replace("\r\n", "\n")).all()
-
-
-def _unescaped(text: str) -> str:
-    return text if "\\" not in text else next(iter(tomllib.loads(f'"{text}" = 0')))
 
 
 class _Scanner:
@@ -194,40 +188,39 @@ class _Scanner:
     def value(self, key: Key) -> None:
         self.blank()
         self.note(key)
-        opened = self.text[self.at]
-        if opened in "[{":
-            self.at += 1
-            number = 0
-            while self.blank() and self.text[self.at] not in "]}":
-                if opened == "[":
-                    self.value((*key, number))
-                    number += 1
-                else:
-                    self.pair(key)
-                self.blank()
-                self.at += self.text[self.at] == ","
-            self.at += 1
+        opened, number = self.text[self.at], 0
+        if opened not in "[{":
+            self.skip(_STRING)
+            self.skip(_PLAIN)
             return
-        match = _STRING.match(self.text, self.at) or _PLAIN.match(self.text, self.at)
-        assert match is not None
-        self.at = match.end()
+        self.at += 1
+        while self.blank() and self.text[self.at] not in "]}":
+            if opened == "[":
+                self.value((*key, number))
+                number += 1
+            else:
+                self.pair(key)
+            self.blank()
+            self.at += self.text[self.at] == ","
+        self.at += 1
 
     def key(self) -> Key:
         parts: list[str] = []
-        while (match := _KEY_PART.match(self.text, self.at)) is not None:
-            quoted, literal, bare = match.groups()[:3]
-            parts.append(_unescaped(quoted) if quoted is not None else bare if literal is None else literal)
+        more = "."
+        while more and (match := _KEY_PART.match(self.text, self.at)) is not None:
+            part, more = match.groups()
+            parts += tomllib.loads(f"{part} = 0") if part[0] in "\"'" else [part]
             self.at = match.end()
-            if not match.group(4):
-                break
         return tuple(parts)
 
     def blank(self) -> bool:
         """Skip blanks and comments; whether text remains."""
-        match = _BLANK.match(self.text, self.at)
-        assert match is not None
-        self.at = match.end()
+        self.skip(_BLANK)
         return self.at < len(self.text)
+
+    def skip(self, pattern: re.Pattern[str]) -> None:
+        match = pattern.match(self.text, self.at)
+        self.at = self.at if match is None else match.end()
 
     def note(self, key: Key) -> None:
         self._line += self.text.count("\n", self._counted, self.at)

@@ -123,11 +123,8 @@ class ColumnMap(SensorColumns):
         if len({sensor.name for sensor in self.sensor}) < len(self.sensor):
             yield Problem(("sensor",), "two sensors have the same name")
         if self.time is None and self.sample_rate is None:
-            yield Problem(
-                ("time",),
-                'give the column of the time, or the sample rate as in sample_rate = "100 Hz"',
-                kind="missing",
-            )
+            message = 'give the column of the time, or the sample rate as in sample_rate = "100 Hz"'
+            yield Problem(("time",), message, kind="missing")
         own = self.sources() if self.rate or self.sensor else ()
         if not self.interpolate and any(isinstance(one, Measured) and one.where is not None for one in own):
             text = "expected true, because columns that are selected by `where` are in different rows"
@@ -195,13 +192,11 @@ def import_log(path: str | Path, columns: ColumnMap | str | Path, *, rows: tuple
 
 def _refuse_contradictions(table: Numbers, columns: ColumnMap) -> None:
     """Unless units are to be kept whatever they are."""
-    if columns.policy.wrong_units == "keep":
-        return
-    for source in columns.sources():
-        if isinstance(source, Measured):
-            for name in table.names(source):
-                if question := question_of(name, source):
-                    raise LogError(f"{question} {_MEND}")
+    measured = [source for source in columns.sources() if isinstance(source, Measured)]
+    for source in measured if columns.policy.wrong_units == "refuse" else ():
+        for name in table.names(source):
+            if question := question_of(name, source):
+                raise LogError(f"{question} {_MEND}")
 
 
 def _refuse_counts(table: Numbers, columns: ColumnMap) -> None:

@@ -16,7 +16,7 @@ from pydantic import BeforeValidator, Field
 from gradcal_jax import units
 from gradcal_jax.files import quantity as q
 from gradcal_jax.files.document import Model, model_of, read_toml
-from gradcal_jax.files.problems import Problem, instead
+from gradcal_jax.files.problems import Key, Problem, instead
 from gradcal_jax.files.section import Section
 
 FORMAT: Final = "gradcal-lines/1"
@@ -25,6 +25,7 @@ _VALUE: Final = re.compile(r"\{([a-z]+):(0?\d{0,2}(?:\.\d)?f|g)\}")
 # Further decimals of a device are rounding errors.
 _FINEST_DECIMALS: Final = 3
 _NUMBER: Final = r"([-+]?\d+(?:\.\d*)?)"
+_DEVICES: Final = resources.files("gradcal_jax.files.presets") / "devices"
 
 
 def _listed(value: object) -> object:
@@ -152,12 +153,11 @@ class LineQuestion(Section):
         fields = ((match for match in _FIELD.finditer(reply) if match[1]) for reply in self.reply)
         forms = [sorted(match[1] for match in form if match[2] != "text") for form in fields]
         if self.last is None and any(form != forms[0] for form in forms):
-            yield Problem(
-                ("last",),
-                "this key is missing: the entries of reply have different fields, so they are the lines "
-                "of one reply; state the last line of this reply",
-                kind="missing",
+            message = (
+                "this key is missing: the entries of reply have different fields, so they are the lines of one reply; "
+                "state the last line of this reply"
             )
+            yield Problem(("last",), message, kind="missing")
 
 
 class Command(Section):
@@ -193,10 +193,8 @@ class Condition(Section):
     """In this state if the field is a number below this value."""
 
     def _problems(self) -> Iterator[Problem]:
-        if (
-            sum(map(bool, (self.equals, self.not_equals, self.begins, self.bit is not None, self.below is not None)))
-            != 1
-        ):
+        tests = (self.equals, self.not_equals, self.begins, self.bit is not None, self.below is not None)
+        if sum(map(bool, tests)) != 1:
             yield Problem((), "use exactly one of equals, not_equals, begins, bit and below")
 
     def holds(self, text: str) -> bool:
@@ -256,23 +254,14 @@ class LineProtocol(Section):
         return {field: name for name, question in self.ask.items() for field in question.fields}
 
     def _missing(self) -> Iterator[Problem]:
-        role = _ROLES[self.role]
-        yield from [
-            Problem((table, name), f"this key is missing; a {self.role} needs it", kind="missing")
-            for table, needed in (("tell", role.tells), ("state", role.states))
-            for name in needed
-            if name not in getattr(self, table)
-        ]
-        yield from [
-            Problem(("ask",), f"a {self.role} needs a reply with the field {{{name}}}", kind="missing")
-            for name in role.fields
-            if name not in self.fields
-        ]
-        yield from [
-            Problem(("limits", name), f"this key is missing; a {self.role} needs it", kind="missing")
-            for name in role.limits
-            if getattr(self.limits, name) is None
-        ]
+        role, message = _ROLES[self.role], f"this key is missing; a {self.role} needs it"
+        for table, needed in (("tell", role.tells), ("state", role.states)):
+            absent = [name for name in needed if name not in getattr(self, table)]
+            yield from (Problem((table, name), message, kind="missing") for name in absent)
+        for name in (name for name in role.fields if name not in self.fields):
+            yield Problem(("ask",), f"a {self.role} needs a reply with the field {{{name}}}", kind="missing")
+        for name in (name for name in role.limits if getattr(self.limits, name) is None):
+            yield Problem(("limits", name), message, kind="missing")
         if "ramp" in self.tell and self.limits.free_ramp is None:
             message = "this key is missing: it is the command that ends a ramp"
             yield Problem(("limits", "free_ramp"), message, kind="missing")
@@ -283,9 +272,8 @@ class LineProtocol(Section):
             key = ("tell", name)
             known = _ROLES[self.role].values
             if name not in known:
-                yield Problem(
-                    key, f"is not a command; those of a {self.role} are {', '.join(known)}; {instead(name, known)}"
-                )
+                message = f"is not a command; those of a {self.role} are {', '.join(known)}; {instead(name, known)}"
+                yield Problem(key, message)
                 continue
             written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
             if (name == "setpoint" or command.shown_by) and len(written) != 1:
@@ -302,45 +290,47 @@ class LineProtocol(Section):
                 message = f"the placeholder {{{sorted(wrong)[0]}}} cannot be used in this command; {only}"
                 yield Problem((*key, "send"), message)
             if command.reply and len(command.reply) not in (1, len(command.send)):
-                yield Problem(
-                    (*key, "reply"), f"expected one reply, or {len(command.send)} replies: one for each line of send"
-                )
+                message = f"expected one reply, or {len(command.send)} replies: one for each line of send"
+                yield Problem((*key, "reply"), message)
             if name in _SHOWN_BY_THEMSELVES and not command.shown_by:
                 message = (
                     "this key is missing: every value that is set must be read back; expected the fields of replies "
                     "that show it"
                 )
                 yield Problem((*key, "shown_by"), message, kind="missing")
-            yield from [
-                Problem((*key, "shown_by"), f"no reply has the field {{{field}}}", field)
-                for field in command.shown_by
-                if field not in self.fields
-            ]
+            yield from self._unknown((*key, "shown_by"), *command.shown_by)
         if "on" in self.tell and self.role == "axis" and "powered" not in self.state:
-            yield Problem(
-                ("state", "powered"), "this key is missing: without this state, no reply shows the effect of tell.on"
-            )
-        for key, field in [
-            *((("state", name, "field"), entry.field) for name, entry in self.state.items()),
-            *((("require", index, "field"), entry.field) for index, entry in enumerate(self.require)),
-        ]:
+            message = "this key is missing: without this state, no reply shows the effect of tell.on"
+            yield Problem(("state", "powered"), message)
+        for name, entry in self.state.items():
+            yield from self._unknown(("state", name, "field"), entry.field)
+        for index, entry in enumerate(self.require):
+            yield from self._unknown(("require", index, "field"), entry.field)
+
+    def _unknown(self, key: Key, *fields: str) -> Iterator[Problem]:
+        for field in fields:
             if field not in self.fields:
                 yield Problem(key, f"no reply has the field {{{field}}}", field)
 
     def _badly_written(self) -> Iterator[Problem]:
         for name, question in self.ask.items():
             for key, template in (*(("reply", reply) for reply in question.reply), ("last", question.last or "")):
-                if problem := _problem_of_reply(template):
-                    yield Problem(("ask", name, key), problem, template)
+                if {"{", "}"} & set(_FIELD.sub("", template)):
+                    message = "expected fields in braces, such as {air}, {state:text} or {running:char}"
+                    yield Problem(("ask", name, key), message, template)
+                elif re.search(r":text\}\{", template):
+                    message = (
+                        "a text field ends at the character that follows it in the template: expected a character "
+                        "between these two fields"
+                    )
+                    yield Problem(("ask", name, key), message, template)
         for name, command in self.tell.items():
             for send in command.send:
                 if {"{", "}"} & set(_VALUE.sub("", send)):
                     yield Problem(("tell", name, "send"), "expected values in braces, such as {setpoint:.1f}", send)
         if "end_program" in self.tell and "program" not in self.state:
-            yield Problem(
-                ("state", "program"),
-                "this key is missing: without this state, no reply shows the effect of end_program",
-            )
+            message = "this key is missing: without this state, no reply shows the effect of end_program"
+            yield Problem(("state", "program"), message)
         line = self.line
         spoken = [*(question.send for question in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
         if any(ord(letter) > 255 for text in (*spoken, line.prefix, line.ends, line.reply_ends) for letter in text):
@@ -366,17 +356,6 @@ _ROLES: Final[Mapping[str, _Role]] = {
     ),
 }  # fmt: skip
 _SHOWN_BY_THEMSELVES: Final = frozenset({"ramp", "rate", "acceleration"})
-
-
-def _problem_of_reply(template: str) -> str:
-    if {"{", "}"} & set(_FIELD.sub("", template)):
-        return "expected fields in braces, such as {air}, {state:text} or {running:char}"
-    if re.search(r":text\}\{", template):
-        return (
-            "a text field ends at the character that follows it in the template: expected a character between these "
-            "two fields"
-        )
-    return ""
 
 
 def reply_pattern(template: str, number: str = _NUMBER, blanks: str = " +", around: str = r" *\1 *") -> re.Pattern[str]:
@@ -460,11 +439,10 @@ def changed_tables(tables: Mapping[str, Any], changes: object) -> dict[str, Any]
 
 def shipped(kind: str = FORMAT) -> tuple[str, ...]:
     """The names of the protocols of a format that come with this program."""
-    files = (resources.files("gradcal_jax.files.presets") / "devices").iterdir()
-    names = (file.name for file in files if file.name.endswith(".toml") and f'"{kind}"' in file.read_text("utf-8"))
-    return tuple(sorted(name.removesuffix(".toml") for name in names))
+    names = (file.name for file in _DEVICES.iterdir() if file.name.endswith(".toml"))
+    return tuple(sorted(n.removesuffix(".toml") for n in names if f'"{kind}"' in (_DEVICES / n).read_text("utf-8")))
 
 
 def protocol_text(name: str) -> str:
     """The TOML text of a protocol that comes with this program."""
-    return (resources.files("gradcal_jax.files.presets") / "devices" / f"{name}.toml").read_text(encoding="utf-8")
+    return (_DEVICES / f"{name}.toml").read_text(encoding="utf-8")

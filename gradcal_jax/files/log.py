@@ -15,6 +15,7 @@ A log never loses a row silently: `rows_read` counts the rows of the source, `ro
 
 import contextlib
 import hashlib
+import importlib
 import io
 import warnings
 from collections.abc import Generator, Mapping, Sequence
@@ -72,6 +73,16 @@ def quietly(kind: str) -> Generator[None]:
         raise LogError(f"cannot be read as {kind} ({name}): is it damaged, or a file of another kind?") from None
 
 
+def library(name: str, package: str) -> Any:
+    """A reader's library. Raises `LogError` with a sentence on how to install it."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise LogError(
+            f'reading it needs the package {package}, of the extra "logs": pip install "gradcal_jax[logs]"'
+        ) from None
+
+
 class Reason(IntFlag):
     """Why a row of a unit is masked; a row may have several, and is counted under the first."""
 
@@ -124,11 +135,10 @@ class AngleReadings:
     @classmethod
     def in_order(cls, parts: Sequence["AngleReadings"]) -> "AngleReadings":
         """The readings of several axes or parts, in order of time."""
-        none = np.zeros(0), np.zeros(0, np.int64)
-        numbers = cls(none[0], none[1], none[1], none[0], none[0], none[1])
-        arrays = {
-            one.name: np.concatenate([getattr(part, one.name) for part in (numbers, *parts)]) for one in fields(cls)
-        }
+        arrays: dict[str, Any] = {}
+        for name, _, kind, *_ in OF_READINGS.values():
+            # (An empty array of the type, for no parts.)
+            arrays[name] = np.concatenate([np.zeros(0, kind), *(getattr(part, name) for part in parts)])
         return cls(**arrays)._chosen(np.argsort(arrays["time_s"], kind="stable"))
 
     def of_axis(self, axis: int, *kinds: ReadingKind) -> "AngleReadings":
@@ -274,12 +284,12 @@ class Log:
         also = [name for name, array in arrays.items() if array is not None]
         also += [] if self.readings is None else [f"{len(self.readings.time_s)} readings of the table's angle"]
         also += [f"{len(self.stretch_starts)} stretches"] if len(self.stretch_starts) > 1 else []
+        forces = f"; specific forces of {', '.join(self.force_axes)}" if self.force_axes else ""
         lines = [
-            f"Log of {units}: {self.duration_s:.6g} s, {rows} rows" + (", SIMULATED" if self.simulated else ""),
-            f"  rates of {', '.join(self.axes) or 'no axis'}"
-            + (f"; specific forces of {', '.join(self.force_axes)}" if self.force_axes else ""),
-            *([f"  with {', '.join(also)}"] if also else []),
+            f"Log of {units}: {self.duration_s:.6g} s, {rows} rows" + ", SIMULATED" * self.simulated,
+            f"  rates of {', '.join(self.axes) or 'no axis'}{forces}",
         ]
+        lines += [f"  with {', '.join(also)}"] if also else []
         return lines + ([text_columns([(f.done, f.message) for f in self.findings])] if self.findings else [])
 
     _shown = summary_lines
@@ -303,20 +313,27 @@ class Log:
                 wanted = tuple(sizes[dimension] for dimension in variable.dimensions)
                 if array.shape != wanted:
                     raise LogError(f"the {name.replace('_', ' ')} has the shape {array.shape} instead of {wanted}")
-        if self.readings is not None:
-            _check_readings(self.readings, rows, len(self.table_axes))
+        if (known := self.readings) is not None:
+            if len({len(getattr(known, one.name)) for one in fields(known)}) != 1:
+                raise LogError("the readings of the table's angle have columns of different lengths")
+            for name, values, end in (("row", known.row, rows), ("axis", known.axis, len(self.table_axes))):
+                if np.any((values < 0) | (values >= end)):
+                    raise LogError(f"a reading of the table's angle has a {name} that the log does not have")
+            if not (np.isfinite(known.time_s).all() and np.isfinite(known.angle_rad).all()):
+                raise LogError("a reading of the table's angle has no time or no angle")
         for name, of in labels.items():
             if len(set(of)) != len(of):
                 raise LogError(f"two of the log's {name} labels are the same: {', '.join(of)}")
         starts = self.stretch_starts
         if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= rows:
             raise LogError("stretch_starts must increase, and the first stretch of a log must begin at row 0")
+        removed = sum(self.rows_removed.values())
         if self.rows_read < 0:
-            object.__setattr__(self, "rows_read", rows + sum(self.rows_removed.values()))
-        if self.rows_read != rows + sum(self.rows_removed.values()):
+            object.__setattr__(self, "rows_read", rows + removed)
+        if self.rows_read != rows + removed:
             raise LogError(
-                f"{self.rows_read} rows were read, but {rows} kept and {sum(self.rows_removed.values())} removed "
-                "rows do not add up to this number"
+                f"{self.rows_read} rows were read, but {rows} kept and {removed} removed rows do not add up to this "
+                "number"
             )
 
     @property
@@ -373,10 +390,9 @@ class Log:
         """A unit's temperature at every row, of the `second` thermometer if asked, missing ones interpolated linearly;
         None without any. [time]"""
         columns = self.second_temperature_c if second else self.temperature_c
-        if columns is None or not np.isfinite(columns[self.unit_index(unit)]).any():
+        values: Floats | None = None if columns is None else columns[self.unit_index(unit)]
+        if values is None or not (known := np.isfinite(values)).any():
             return None
-        values: Floats = columns[self.unit_index(unit)]
-        known = np.isfinite(values)
         if known.all():
             return values
         return np.asarray(np.interp(self.time_s, self.time_s[known], values[known]), np.float64)
@@ -388,8 +404,7 @@ class Log:
             status = self.status[self.unit_index(unit)]
             first = status & (~status + np.uint16(1))  # the lowest bit alone
             for reason in Reason:
-                count = int(np.count_nonzero(first == reason.value))
-                if count:
+                if count := int(np.count_nonzero(first == reason.value)):
                     result[reason.words] = result.get(reason.words, 0) + count
         return result
 
@@ -400,27 +415,13 @@ class Log:
         The interval is the mean one; jitter of the stamps about it has no effect on sums of rates.
         """
         values = self.channel(axis, unit, force=force)
-        unit_number = self.unit_index(unit)
-        rows = len(self.time_s)
-        row = np.insert(np.arange(rows), self.stretch_starts[1:], -1)
+        row = np.insert(np.arange(len(self.time_s)), self.stretch_starts[1:], -1)
         there = row >= 0
         valid = there & self.usable(unit)[row]
-        rate = np.where(there, values[row], 0.0)
-        rate[~valid] = 0.0
         temperature = None
         if self.temperature_c is not None:
-            temperature = np.where(there, self.temperature_c[unit_number, row], np.nan)
-        return EvenSeries(rate, valid, self.sample_interval_s, temperature, row)
-
-
-def _check_readings(readings: AngleReadings, rows: int, axes: int) -> None:
-    if len({len(getattr(readings, one.name)) for one in fields(readings)}) != 1:
-        raise LogError("the readings of the table's angle have columns of different lengths")
-    for name, values, end in (("row", readings.row, rows), ("axis", readings.axis, axes)):
-        if np.any((values < 0) | (values >= end)):
-            raise LogError(f"a reading of the table's angle has a {name} that the log does not have")
-    if not (np.isfinite(readings.time_s).all() and np.isfinite(readings.angle_rad).all()):
-        raise LogError("a reading of the table's angle has no time or no angle")
+            temperature = np.where(there, self.temperature_c[self.unit_index(unit), row], np.nan)
+        return EvenSeries(np.where(valid, values[row], 0.0), valid, self.sample_interval_s, temperature, row)
 
 
 def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:

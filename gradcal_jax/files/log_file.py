@@ -77,6 +77,8 @@ _ROWS: Final[Mapping[str, int]] = {
     if "time" in variable.dimensions
 }
 """For each field with rows: the position of the dimension [time]."""
+_LABELS: Final = {"unit": "units", "axis": "axes", "force_axis": "force_axes", "table_axis": "table_axes"}
+"""Dimensions with labels, and the fields of `Log` that have these."""
 
 
 def write_log(log: Log | LogInBlocks, path: str | Path) -> None:
@@ -90,23 +92,19 @@ def write_log(log: Log | LogInBlocks, path: str | Path) -> None:
         of, rows = {one.name: getattr(log, one.name) for one in fields(log)}, len(log.time_s)
         blocks = iter([(0, {name: values for name in _ROWS if (values := of[name]) is not None})])
     begins = next(blocks)
-    labels = {"unit": of["units"], "axis": of["axes"], "force_axis": of["force_axes"], "table_axis": of["table_axes"]}
+    labels = {name: of[field] for name, field in _LABELS.items()}
     labels = {name: np.array(words, object) for name, words in labels.items() if words or name == "axis"}
-    readings: AngleReadings | None = of["readings"]
-    whole_ones = {
-        name: (variable, of[variable.field]) for name, variable in VARIABLES.items() if variable.field not in _ROWS
-    }
-    if readings is not None:
-        whole_ones |= {name: (variable, getattr(readings, variable.field)) for name, variable in OF_READINGS.items()}
     by_rows = {name: variable for name, variable in VARIABLES.items() if variable.field in begins[1]}
-    variables = {**by_rows, **{name: variable for name, (variable, _) in whole_ones.items()}}
+    variables = by_rows | {name: variable for name, variable in VARIABLES.items() if variable.field not in _ROWS}
+    whole = {name: of[variable.field] for name, variable in variables.items() if variable.field not in _ROWS}
+    if (readings := of["readings"]) is not None:
+        variables |= OF_READINGS
+        whole |= {name: getattr(readings, variable.field) for name, variable in OF_READINGS.items()}
     sizes = {"time": rows} | {name: len(words) for name, words in labels.items()}
-    sizes |= {variable.dimensions[0]: len(values) for variable, values in whole_ones.values()}
+    sizes |= {variables[name].dimensions[0]: len(values) for name, values in whole.items()}
 
     def contents() -> Iterator[tuple[str, tuple[slice, ...], NDArray[Any]]]:
-        for name, words in labels.items():
-            yield name, (), words
-        for name, (_, values) in whole_ones.items():
+        for name, values in (*labels.items(), *whole.items()):
             yield name, (), values
         for first, columns in itertools.chain([begins], blocks):
             for name, variable in by_rows.items():
@@ -177,7 +175,7 @@ def _from_dataset(dataset: Any) -> Log:
             raise LogError(f"'{name}' has the dimensions {values.dims} instead of {variable.dimensions}")
         return np.ascontiguousarray(values.transpose(*variable.dimensions).values, dtype=variable.kind)
 
-    def labels(name: str) -> tuple[str, ...]:
+    def labels(name: str) -> Any:
         return tuple(str(label) for label in dataset[name].values) if name in dataset.variables else ()
 
     def table(name: str) -> Any:
@@ -188,11 +186,8 @@ def _from_dataset(dataset: Any) -> Log:
         readings = AngleReadings(**{variable.field: array(name, variable) for name, variable in OF_READINGS.items()})
     return Log(
         **{variable.field: array(name, variable) for name, variable in VARIABLES.items()},
+        **{field: labels(name) for name, field in _LABELS.items()},
         readings=readings,
-        units=labels("unit"),
-        axes=labels("axis"),
-        force_axes=labels("force_axis"),
-        table_axes=labels("table_axis"),
         rows_read=int(dataset.attrs["rows_read"]),
         rows_removed={str(k): int(v) for k, v in cast("dict[str, Any]", table("rows_removed") or {}).items()},
         findings=tuple(Finding(**item) for item in cast("list[dict[str, Any]]", table("findings") or [])),

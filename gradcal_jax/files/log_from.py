@@ -10,15 +10,15 @@ from gradcal_jax.files.log import Floats, Log, LogError
 from gradcal_jax.files.log_faults import Columns, Policy, examine
 from gradcal_jax.files.problems import instead
 
+# By argument its dimension and its unit in SI.
 _KINDS: Final = {
-    "time": "time",
-    "rate": "angular rate",
-    "temperature": "temperature",
-    "angle": "angle",
-    "force": "acceleration",
-    "host_time": "time",
+    "time": ("time", "s"),
+    "rate": ("angular rate", "rad/s"),
+    "temperature": ("temperature", "degC"),
+    "angle": ("angle", "rad"),
+    "force": ("acceleration", "m/s^2"),
+    "host_time": ("time", "s"),
 }
-_SI: Final = {"time": "s", "rate": "rad/s", "temperature": "degC", "angle": "rad", "force": "m/s^2", "host_time": "s"}
 
 
 def log_from(
@@ -82,13 +82,12 @@ def log_from(
     angles = {} if angle is None else named("angle", angle, tuple(rates))
     forces = {} if force is None else named("force", force, ("x", "y", "z"))
     stamps = _in_si("time", time, data, given)
-    whole: dict[str, Any] = {
-        "temperature": None if temperature is None else _in_si("temperature", temperature, data, given),
-        "host_time": None if host_time is None else _in_si("host_time", host_time, data, given),
-        "standstill": None if standstill is None else np.asarray(_column(standstill, data), np.float64),
-    }
+    asked = {"temperature": temperature, "host_time": host_time}
+    whole = {name: _in_si(name, value, data, given) for name, value in asked.items() if value is not None}
+    if standstill is not None:
+        whole["standstill"] = np.asarray(_column(standstill, data), np.float64)
     for name, values in (*rates.items(), *angles.items(), *forces.items(), *whole.items()):
-        if values is not None and values.shape != stamps.shape:
+        if values.shape != stamps.shape:
             raise LogError(f"{name} has the shape {values.shape}, and the times have the shape {stamps.shape}")
     return examine(
         Columns(
@@ -98,11 +97,11 @@ def log_from(
             time_s=stamps,
             specific_force_m_per_s2=np.stack(list(forces.values()), axis=-1)[None] if forces else None,
             force_axes=tuple(forces),
-            temperature_c=None if whole["temperature"] is None else whole["temperature"][None],
+            temperature_c=whole["temperature"][None] if "temperature" in whole else None,
             table_axes=tuple(angles),
             table_angle_rad=np.stack(list(angles.values()), axis=-1) if angles else None,
-            standstill=whole["standstill"],
-            host_time_s=whole["host_time"],
+            standstill=whole.get("standstill"),
+            host_time_s=whole.get("host_time"),
             simulated=simulated,
             provenance={"source": "arrays"},
         ),
@@ -125,7 +124,8 @@ def _column(value: Any, data: Any) -> Any:
 
 def _in_si(kind: str, value: Any, data: Any, given: Mapping[str, str]) -> Floats:
     column = _column(value, data)
-    unit = given.get(kind) or getattr(column, "attrs", {}).get("units") or _SI[kind]
+    dimension, si = _KINDS[kind]
+    unit = given.get(kind) or getattr(column, "attrs", {}).get("units") or si
     values = np.asarray(column)
     if values.dtype.kind in "mM":
         return (values - values[0] if values.dtype.kind == "M" else values) / np.timedelta64(1, "s")
@@ -133,5 +133,5 @@ def _in_si(kind: str, value: Any, data: Any, given: Mapping[str, str]) -> Floats
     if kind == "time" and len(values):
         # The nanoseconds of an epoch.
         values = values - values[0] if abs(float(values[0])) > 1e9 else values
-    at_zero = of_units.parse(f"0 {unit}", _KINDS[kind])
-    return values * (of_units.parse(f"1 {unit}", _KINDS[kind]) - at_zero) + at_zero
+    at_zero = of_units.parse(f"0 {unit}", dimension)
+    return values * (of_units.parse(f"1 {unit}", dimension) - at_zero) + at_zero

@@ -182,10 +182,8 @@ def _columns(head: str) -> Iterator[tuple[int, float, float] | str]:
 def _row(fields: list[str], places: list[tuple[int, float, float]], count: int) -> list[float] | str:
     """Time, rate and temperature of a row; or its problem."""
     if len(fields) != count:
-        return (
-            f"this line has {len(fields)} columns, and the header has {count}; write numbers with a decimal point, "
-            "not a comma"
-        )
+        words = f"this line has {len(fields)} columns, and the header has {count}"
+        return f"{words}; write numbers with a decimal point, not a comma"
     row: list[float] = []
     for (place, zero, factor), (column, (_, least, most)) in zip(places, _COLUMNS.items(), strict=True):
         text = fields[place]

@@ -19,7 +19,7 @@ from gradcal_jax.files.bench import Rig, RigTable, TableAxis
 from gradcal_jax.files.moves import FULL_TURN, Angled, CosineRamps, Move, ResolvedMove, Rest
 from gradcal_jax.files.plan import ChamberCourse, OtherAxes, StandardPlan
 from gradcal_jax.files.problems import Problem, SpecError, from_validation, hint
-from gradcal_jax.files.quantity import Angle, Count, PositiveRate, Temperature, Text, Time
+from gradcal_jax.files.quantity import Angle, Count, PositiveRate, Quantity, Temperature, Text, Time
 from gradcal_jax.files.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
 from gradcal_jax.files.section import Section, chosen_by, read_by, refuse, refuse_misspelt
 
@@ -196,9 +196,8 @@ def row_count(schedule: PlanSchedule, table: RigTable) -> int:
         stands = stretch.leftover if stretch.cycles else stretch.duration
         if stands > 0.0 and (table.standing == "held" or not table.typed):
             # What no cycle fills has no reading at its end beside spaced ones.
-            total += _rows(
-                ResolvedMove("rest", stands, read_end=math.isinf(spacing), read_every=spacing), spacing, table
-            )
+            rest = ResolvedMove("rest", stands, read_end=math.isinf(spacing), read_every=spacing)
+            total += _rows(rest, spacing, table)
     return total
 
 
@@ -230,30 +229,22 @@ def plan_schedule(plan: MotionPlan, rig: Rig) -> PlanSchedule:
             f"has {len(stretches)} parts with used data, and there are {mountings} mountings: expected one part for "
             "each mounting"
         )
-        raise SpecError([Problem(("programme",), message)])
-    longest = max(stretch.duration for stretch in stretches)
+        refuse(Problem(("programme",), message))
     if not any(stretch.cycles for stretch in stretches):
+        longest = max(stretch.duration for stretch in stretches)
         message = (
             f"the moves of a cycle take {moving:.4g} s, longer than every part with used data; the longest has "
             f"{longest:.4g} s"
         )
-        raise SpecError([Problem(("cycle",), message)])
+        refuse(Problem(("cycle",), message))
     if sum(s.cycles for s in stretches) * len(steps) > 200_000:
-        raise SpecError(
-            [
-                Problem(
-                    ("cycle",),
-                    "the plan makes more than 200000 moves in total: lengthen the rests or turns of the cycle",
-                )
-            ]
-        )
+        message = "the plan makes more than 200000 moves in total: lengthen the rests or turns of the cycle"
+        refuse(Problem(("cycle",), message))
     schedule = PlanSchedule(segments, stretches, steps, start, after)
     problems = [*_travel(schedule, rig)]
     if len(stretches) > 1 and (mountings > 1 or len(rig.table.axis) > 1):
-        ends = [
-            math.fsum([angle, *(s.move.repeat * s.move.angle for s in steps if s.axis == k)])
-            for k, angle in enumerate(start)
-        ]
+        turned = ([s.move.repeat * s.move.angle for s in steps if s.axis == k] for k in range(len(start)))
+        ends = [math.fsum([angle, *turns]) for angle, turns in zip(start, turned, strict=True)]
         names = [axis.name for axis in rig.table.axis]
         problems += _unclosed(ends, start, names, "the cycle starts again in every part with used data")
     refuse(*problems)
@@ -289,9 +280,8 @@ def _once_each(
     first, last = segments[0], segments[-1]
     change = first.temperature_start - last.temperature_end
     pace = rig.chamber.max_heating if change > 0.0 else rig.chamber.max_cooling
-    back = TemperatureSegment(
-        "step", last.end, abs(change) / pace, last.temperature_end, first.temperature_start, False
-    )
+    ends = last.temperature_end, first.temperature_start
+    back = TemperatureSegment("step", last.end, abs(change) / pace, *ends, False)
     whole, (stretch,) = back.end, stretches
     course = [replace(s, start=s.start + k * whole) for k in range(mountings) for s in (*segments, back)]
     # After the last mounting the chamber need not return.
@@ -304,10 +294,16 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
     axes = {axis.name: k for k, axis in enumerate(rig.table.axis)}
     problems: list[Problem] = []
     start = [0.0] * len(axes)
-    for name, angle in cycle.start.items():
+
+    def known(name: str, *key: str | int) -> bool:
+        """Whether the table has an axis of this name; a problem where it does not."""
         if name not in axes:
-            problems.append(_no_such_axis(("cycle", "start", name), name, axes))
-        else:
+            ending = hint(name, axes, f"; known: {', '.join(axes)}")
+            problems.append(Problem(("cycle", *key), f"the table has no axis of this name{ending}", name))
+        return name in axes
+
+    for name, angle in cycle.start.items():
+        if known(name, "start", name):
             start[axes[name]] = float(angle)
     here, poses, by_hand = list(start), False, rig.table.drive == "hand"
     steps: list[PlanStep] = []
@@ -316,8 +312,7 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
         if isinstance(item, Pose):
             poses = True
             for name in item.pose:
-                if name not in axes:
-                    problems.append(_no_such_axis((*key, "pose", name), name, axes))
+                known(name, "moves", i, "pose", name)
             for k, axis in enumerate(rig.table.axis):
                 goal = item.pose.get(axis.name)
                 if goal is not None and abs(goal - here[k]) > 1e-9:
@@ -339,8 +334,7 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
             problems.append(Problem((*key, "axis"), message, kind="missing"))
             continue
         name = item.axis if item.axis is not None else next(iter(axes))
-        if name not in axes:
-            problems.append(_no_such_axis((*key, "axis"), name, axes))
+        if not known(name, "moves", i, "axis"):
             continue
         axis = rig.table.axis[axes[name]]
         try:
@@ -361,7 +355,7 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
             continue
         if (move.shape == "hand") != by_hand:
             problems.append(_beyond_drive(rig.table.drive, (*key, "shape"), move.shape))
-        problems += [replace(p, key=(*key, *p.key)) for p in _limits(move, axis)]
+        problems += [p.under(*key) for p in _limits(move, axis)]
         steps.append(PlanStep(axes[name], move, i))
         here[axes[name]] += move.repeat * move.angle
     if poses:
@@ -382,15 +376,16 @@ def _unread(item: AxisMove, rig: Rig, key: tuple[str | int, ...]) -> Iterator[Pr
 
 def _unclosed(ends: Sequence[float], start: Sequence[float], axes: Iterable[str], why: str) -> list[Problem]:
     """Problems of axes whose final angle in a cycle differs from the first."""
-    return [
-        Problem(
-            ("cycle", "moves"),
-            f'the cycle begins with axis "{name}" at {_degrees(begin)} and ends at {_degrees(end)}: {why}, so a cycle '
-            "must return to its initial angle (or end whole turns away from it): add a pose",
-        )
-        for name, begin, end in zip(axes, start, ends, strict=True)
-        if abs((end - begin) / FULL_TURN - round((end - begin) / FULL_TURN)) > 1e-6
-    ]
+    problems: list[Problem] = []
+    for name, begin, end in zip(axes, start, ends, strict=True):
+        if abs((end - begin) / FULL_TURN - round((end - begin) / FULL_TURN)) > 1e-6:
+            message = (
+                f'the cycle begins with axis "{name}" at {math.degrees(begin):.5g} deg and ends at '
+                f"{math.degrees(end):.5g} deg: {why}, so a cycle must return to its initial angle (or end whole turns "
+                "away from it): add a pose"
+            )
+            problems.append(Problem(("cycle", "moves"), message))
+    return problems
 
 
 def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None) -> ResolvedMove:
@@ -401,30 +396,20 @@ def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None)
     peak = min(most, math.sqrt(size * acceleration / _STEEPNESS))
     ramp = _STEEPNESS * peak / acceleration
     duration, signed = size / peak + ramp, math.copysign(peak, angle)
-    return ResolvedMove(
-        "cosine ramps",
-        max(duration, 2.0 * ramp),
-        angle=angle,
-        peak_rate=signed,
-        ramp=ramp,
-        peak_acceleration=acceleration,
-        fastest=peak,
-        low=min(0.0, angle),
-        high=max(0.0, angle),
-    )
+    sizes: dict[str, Any] = {"ramp": ramp, "peak_acceleration": acceleration, "fastest": peak}
+    sizes |= {"low": min(0.0, angle), "high": max(0.0, angle)}
+    return ResolvedMove("cosine ramps", max(duration, 2.0 * ramp), angle=angle, peak_rate=signed, **sizes)
 
 
 def _limits(move: ResolvedMove, axis: TableAxis) -> Iterator[Problem]:
-    if move.fastest > axis.max_rate * (1.0 + _SLACK):
-        reached = f"{math.degrees(move.fastest):.5g} deg/s"
-        message = f'reaches {reached}, which exceeds max_rate of axis "{axis.name}", {axis.max_rate}'
-        yield Problem((), message, move.words)
-    if move.peak_acceleration > axis.max_acceleration * (1.0 + _SLACK):
-        reached = f"{math.degrees(move.peak_acceleration):.5g} deg/s^2"
-        message = (
-            f'accelerates at {reached}, which exceeds max_acceleration of axis "{axis.name}", {axis.max_acceleration}'
-        )
-        yield Problem((), message, move.words)
+    for value, does, unit, name in (
+        (move.fastest, "reaches", "deg/s", "max_rate"),
+        (move.peak_acceleration, "accelerates at", "deg/s^2", "max_acceleration"),
+    ):
+        limit: Quantity = getattr(axis, name)
+        if value > limit * (1.0 + _SLACK):
+            reached = f"{math.degrees(value):.5g} {unit}"
+            yield Problem((), f'{does} {reached}, which exceeds {name} of axis "{axis.name}", {limit}', move.words)
 
 
 def _travel(schedule: PlanSchedule, rig: Rig) -> Iterator[Problem]:
@@ -453,9 +438,8 @@ def _travel(schedule: PlanSchedule, rig: Rig) -> Iterator[Problem]:
                 at += step.move.repeat * step.move.angle
         free = f"the travel of this axis is {axis.travel} in each direction"
         if axis.keep_out is not None:
-            free = "this axis must stay between {} and {} deg".format(
-                *(f"{math.degrees(side):.6g}" for side in axis.reach)
-            )
+            low, high = map(math.degrees, axis.reach)
+            free = f"this axis must stay between {low:.6g} and {high:.6g} deg"
         for source, (_, reach, cycle) in sorted(farthest.items()):
             later = f" in cycle {cycle + 1} (each cycle ends {math.degrees(net):.6g} deg further)" if cycle else ""
             message = f'takes axis "{axis.name}" {math.degrees(abs(reach)):.6g} deg from zero{later}; {free}'
@@ -470,12 +454,3 @@ def _beyond_drive(drive: str, key: tuple[str | int, ...], shape: str) -> Problem
         "and a duration"
     )
     return Problem(key, message, shape)
-
-
-def _no_such_axis(key: tuple[str | int, ...], name: str, axes: Mapping[str, int]) -> Problem:
-    ending = hint(name, axes, f"; known: {', '.join(axes)}")
-    return Problem(key, f"the table has no axis of this name{ending}", name)
-
-
-def _degrees(value: float) -> str:
-    return f"{math.degrees(value):.5g} deg"

@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax import formulas
 from gradcal_jax.files.problems import Problem, SpecError, one_of
@@ -138,17 +138,15 @@ class Angled(Section):
     turns: Number | None = None
     """Number of revolutions instead of an angle; its sign is the direction."""
 
-    @model_validator(mode="after")
-    def _one_angle(self) -> "Angled":
+    def _problems(self) -> Iterator[Problem]:
         if self.turn is not None and self.turns is not None:
-            refuse(Problem(("turns",), 'cannot be combined with "turn"; keep one of them', self.turns))
-        if self.turn == 0.0:
-            refuse(Problem(("turn",), "must not be zero; write a rest as { rest = … }", "0"))
-        if abs(self.turn or 0.0) > 1e6 * FULL_TURN:
-            refuse(Problem(("turn",), "must be at most a million turns", str(self.turn)))
-        if self.turns == 0.0 or abs(self.turns or 0.0) > 1e6:
-            refuse(Problem(("turns",), "must not be zero, and must be at most a million turns", self.turns))
-        return self
+            yield Problem(("turns",), 'cannot be combined with "turn"; keep one of them', self.turns)
+        elif self.turn == 0.0:
+            yield Problem(("turn",), "must not be zero; write a rest as { rest = … }", "0")
+        elif abs(self.turn or 0.0) > 1e6 * FULL_TURN:
+            yield Problem(("turn",), "must be at most a million turns", str(self.turn))
+        elif self.turns == 0.0 or abs(self.turns or 0.0) > 1e6:
+            yield Problem(("turns",), "must not be zero, and must be at most a million turns", self.turns)
 
     @property
     def angle(self) -> float | None:
@@ -176,15 +174,13 @@ class _RampedTurn(_Turn):
     ramp: Time | None = None
     """Time from rest to the peak rate; absent: as short as the table allows."""
 
-    @model_validator(mode="after")
-    def _signs(self) -> "_RampedTurn":
+    def _problems(self) -> Iterator[Problem]:
         peak = self.peak_rate
         if peak is not None and peak == 0.0:
-            refuse(Problem(("peak_rate",), "must not be zero", peak.text))
+            yield Problem(("peak_rate",), "must not be zero", peak.text)
         if peak is not None and peak < 0.0 and self.angle is not None:
             message = f'must be positive, because the sign of "{self.angle_key}" states the direction'
-            refuse(Problem(("peak_rate",), message, peak.text))
-        return self
+            yield Problem(("peak_rate",), message, peak.text)
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         """Complete (θ, A, D, r) by θ = A(D − r)."""
@@ -193,10 +189,8 @@ class _RampedTurn(_Turn):
         angle, peak = (None if value is None else abs(value) for value in (signed, fastest))
         duration, ramp = _number(self.duration), _number(self.ramp)
         if sum(value is not None for value in (angle, peak, duration)) < 2:
-            message = (
-                "these keys do not determine the motion: give two of turn, peak_rate and duration (and optionally ramp)"
-            )
-            raise SpecError([Problem((), message)])
+            message = "these keys do not determine the motion: give two of turn, peak_rate and duration "
+            raise SpecError([Problem((), message + "(and optionally ramp)")])
         least = self.STEEPNESS / max_acceleration  # ramp time for each unit of peak rate
         if angle is not None and peak is not None and duration is not None:
             ramp = self._from_three(angle, peak, duration, ramp)
@@ -254,7 +248,8 @@ class _RampedTurn(_Turn):
             )
             refuse(Problem(("ramp",), message, self.ramp.text))
         message = f"cannot be reached within {self._written_angle()} at the table's max_acceleration; expected at most "
-        refuse(Problem(("peak_rate",), message + _round_rate(math.sqrt(angle / least)), str(self.peak_rate)))
+        fastest = math.degrees(math.sqrt(angle / least))
+        refuse(Problem(("peak_rate",), f"{message}{fastest:.4g} deg/s", str(self.peak_rate)))
 
     def _too_short(self, needed: float) -> None:
         reason = "its two ramps" if self.ramp is not None else "the ramps at the table's max_acceleration"
@@ -292,12 +287,10 @@ class Hand(_Turn):
     unevenness: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.3
     """Unevenness of the turn, as a fraction of the rate."""
 
-    @model_validator(mode="after")
-    def _ends_only(self) -> "Hand":
+    def _problems(self) -> Iterator[Problem]:
         if self.read_every is not None:
             message = "the angle of a turn by hand is known only at its start and its end: leave this key out"
-            refuse(Problem(("read_every",), message, self.read_every.text))
-        return self
+            yield Problem(("read_every",), message, self.read_every.text)
 
     def resolve(self, max_acceleration: float) -> ResolvedMove:
         angle = self.angle
@@ -306,27 +299,14 @@ class Hand(_Turn):
             raise SpecError([Problem((missing,), "this key is missing: a turn by hand needs an angle and a duration")])
         peak, duration = 2.0 * angle / self.duration, float(self.duration)
         fastest, steepest = _uneven_maxima(self.unevenness)
-        return self.resolved(
-            "hand",
-            duration,
-            angle=angle,
-            peak_rate=peak,
-            peak_acceleration=abs(peak) / duration * steepest,
-            fastest=abs(peak) * fastest,
-            reach=angle,
-            unevenness=self.unevenness,
-        )
+        sizes = {"peak_acceleration": abs(peak) / duration * steepest, "fastest": abs(peak) * fastest}
+        motion = {"angle": angle, "peak_rate": peak, "unevenness": self.unevenness, **sizes}
+        return self.resolved("hand", duration, reach=angle, **motion)
 
 
-Move = Annotated[
-    Rest | CosineRamps | LinearRamps | Hand,
-    read_by(lambda table: choose_move(table)),
-]
+Move = Annotated[Rest | CosineRamps | LinearRamps | Hand, read_by(lambda table: choose_move(table))]
 
-SHAPES: Final[dict[str, type[Section]]] = {
-    **{kind.SHAPE: kind for kind in (CosineRamps, LinearRamps)},
-    "hand": Hand,
-}
+SHAPES: Final[dict[str, type[Section]]] = {"cosine ramps": CosineRamps, "linear ramps": LinearRamps, "hand": Hand}
 
 
 def choose_move(table: Mapping[str, object]) -> object:
@@ -358,7 +338,3 @@ def _uneven_maxima(unevenness: float) -> tuple[float, float]:
 
 def _seconds(value: float) -> str:
     return f"{value:.4g} s"
-
-
-def _round_rate(value: float) -> str:
-    return f"{math.degrees(value):.4g} deg/s"

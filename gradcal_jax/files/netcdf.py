@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Iterable, Mapping
 from importlib import import_module
+from io import FileIO
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NamedTuple
 
@@ -65,8 +66,7 @@ def write_netcdf(
     memory together. The file is what xarray makes of the same variables. Errors: `OSError` that names the file.
     """
     h5py: Any = import_module("h5py")
-    with whole(path) as passing, passing.open("w+b", buffering=0) as opened:
-        growing = _Growing(opened)
+    with whole(path) as passing, _Growing(passing, "w+b") as growing:
         try:
             with import_module("h5netcdf").File(growing, "w") as file:
                 file.dimensions = dict(dimensions)
@@ -89,62 +89,44 @@ def write_netcdf(
             raise growing.problem
 
 
-class _Growing:
+class _Growing(FileIO):
     """A file for HDF5, which crashes the program where a file cannot grow: it hears of no problem, this object keeps
     it."""
 
-    def __init__(self, opened: Any) -> None:
-        self._opened = opened
-        self.problem: OSError | None = None
+    problem: OSError | None = None
 
     def write(self, data: Any) -> int:
         left = memoryview(data).cast("B")
         size = len(left)
         try:
             while len(left) and self.problem is None:
-                left = left[self._opened.write(left) :]
+                left = left[super().write(left) :]
         except OSError as problem:
             self.problem = problem
         return size
 
-    def truncate(self, size: int) -> int:
+    def truncate(self, size: int | None = None) -> int:
         try:
-            return self._opened.truncate(size)
+            return super().truncate(size)
         except OSError as problem:
             self.problem = self.problem or problem
-            return size
+            return size or 0
 
     def readinto(self, buffer: Any) -> int:
         # What could not be written is read as zeros.
         view = memoryview(buffer).cast("B")
-        count = self._opened.readinto(view)
+        count = super().readinto(view) or 0
         view[count:] = bytes(len(view) - count)
         return len(view)
-
-    def read(self, size: int = -1) -> bytes:
-        return self._opened.read(size)
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        return self._opened.seek(offset, whence)
-
-    def tell(self) -> int:
-        return self._opened.tell()
-
-    def flush(self) -> None:
-        """Nothing waits here."""
 
 
 def _signed(opened: BinaryIO) -> bool:
     """HDF5's signature is at byte 0, or after a user block of 512, 1024, 2048, … bytes."""
     at = 0
-    while True:
-        opened.seek(at)
-        begin = opened.read(len(_SIGNATURE))
-        if begin == _SIGNATURE:
-            return True
-        if len(begin) < len(_SIGNATURE):
-            return False
+    while len(begin := opened.read(len(_SIGNATURE))) == len(_SIGNATURE) and begin != _SIGNATURE:
         at = max(512, 2 * at)
+        opened.seek(at)
+    return begin == _SIGNATURE
 
 
 def _load(path: Path) -> Any:

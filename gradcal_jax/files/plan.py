@@ -11,6 +11,7 @@ The temperature of a gradient plan is written in one of three ways:
 """
 
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -99,7 +100,10 @@ class _Slopes:
     _each = q.Of("temperature slope")
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        writing = core_schema.plain_serializer_function_ser_schema(_slopes_as_text)
+        def text(value: q.Quantity | tuple[q.Quantity, ...]) -> str | list[str]:
+            return [str(slope) for slope in value] if isinstance(value, tuple) else str(value)
+
+        writing = core_schema.plain_serializer_function_ser_schema(text)
         return core_schema.no_info_plain_validator_function(self.read, serialization=writing)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -120,10 +124,6 @@ class _Slopes:
             raise ValueError("expected a temperature slope, or a list of slopes, one for each cycle")
         refuse(*problems)
         return tuple(slopes)
-
-
-def _slopes_as_text(value: q.Quantity | tuple[q.Quantity, ...]) -> str | list[str]:
-    return [str(slope) for slope in value] if isinstance(value, tuple) else str(value)
 
 
 Slopes = Annotated[q.Quantity | tuple[q.Quantity, ...], _Slopes()]
@@ -160,9 +160,8 @@ class ChamberCourse(Section):
             return
         if isinstance(self.gradient, tuple):
             if not with_cycle:
-                yield Problem(
-                    ("gradient",), "a list gives one slope for each cycle, and this plan has no cycle: give one slope"
-                )
+                message = "a list gives one slope for each cycle, and this plan has no cycle: give one slope"
+                yield Problem(("gradient",), message)
             if len(self.temperature) == 2:
                 message = "a list of slopes determines the end of the ramp: give only the start, as [start]"
                 yield Problem(("temperature",), message, [t.text for t in self.temperature])
@@ -192,7 +191,7 @@ class StandardPlan(Section):
     of different points are independent (as in the paper)."""
 
     def _problems(self) -> Iterator[Problem]:
-        for i in range(1, len(self.temperatures)):
-            if self.temperatures[i] == self.temperatures[i - 1]:
+        for i, (before, after) in enumerate(pairwise(self.temperatures), 1):
+            if before == after:
                 message = "repeats the previous temperature; lengthen the integration instead"
-                yield Problem(("temperatures", i), message, self.temperatures[i].text)
+                yield Problem(("temperatures", i), message, after.text)

@@ -85,16 +85,13 @@ def read_points(path: str | Path, columns: PointMap | str | Path) -> RatePoints:
             if not np.all(sigma > 0.0):
                 raise LogError(f"sigma in row {int(np.argmin(sigma > 0.0))} must be above zero")
         for words, values in (("temperature", temperature), ("reference rate", reference), ("output", output)):
-            if not np.isfinite(values).all():
-                raise LogError(
-                    f"the {words} of row {int(np.argmin(np.isfinite(values)))} is not a number: leave this row out"
-                )
+            if not (finite := np.isfinite(values)).all():
+                raise LogError(f"the {words} of row {np.argmin(finite)} is not a number: leave this row out")
         # Except for its bias, a sensor's output is the table's rate: a factor of a hundred is a wrong unit.
         slope = float(output @ reference / (reference @ reference)) if reference.any() else 1.0
         if not 0.5 < abs(slope) < 2.0:
             raise LogError(
                 f"the output is {slope:.3g} times the reference: does one of them have another unit or scale?"
             )
-    return RatePoints(
-        columns.name, columns.axis, temperature, reference, output, sigma, path.name, columns.simulated
-    )  # fmt: skip
+    series = (temperature, reference, output, sigma)
+    return RatePoints(columns.name, columns.axis, *series, path.name, columns.simulated)

@@ -63,25 +63,16 @@ class SpecError(ValueError):
     """
 
     def __init__(self, problems: Iterable[Problem], source: str = "") -> None:
-        self.problems: tuple[Problem, ...] = _unique(problems)
+        unique: dict[str, Problem] = {}
+        for problem in problems:
+            unique.setdefault(str(problem), problem)
+        self.problems: tuple[Problem, ...] = tuple(unique.values())
         self.source = source
-        super().__init__(self._sentence())
-
-    def _sentence(self) -> str:
-        count = len(self.problems)
-        head = f"{self.source}: " if self.source else ""
-        if count == 1:
-            return f"{head}{self.problems[0]}"
-        shown_ = [f"  {problem}" for problem in self.problems[:_MOST]]
-        more = [f"  … and {count - _MOST} more"] if count > _MOST else []
-        return f"{head}{count} problems\n" + "\n".join([*shown_, *more])
-
-
-def _unique(problems: Iterable[Problem]) -> tuple[Problem, ...]:
-    unique: dict[str, Problem] = {}
-    for problem in problems:
-        unique.setdefault(str(problem), problem)
-    return tuple(unique.values())
+        count, text = len(unique), next(iter(unique), "")
+        if count != 1:
+            more = [f"… and {count - _MOST} more"] if count > _MOST else []
+            text = "\n  ".join([f"{count} problems", *list(unique)[:_MOST], *more])
+        super().__init__(f"{source}: {text}" if source else text)
 
 
 def dotted(key: Key) -> str:

@@ -18,6 +18,7 @@ from gradcal_jax.files.problems import one_of
 
 # SI sizes that no sensor, rig or plan has; inside them no product of a few quantities overflows.
 _SMALLEST, _LARGEST = 1e-30, 1e15
+_BOUNDS = {"above": operator.gt, "at_least": operator.ge, "below": operator.lt, "at_most": operator.le}
 
 
 class Quantity(float):
@@ -95,21 +96,13 @@ class Of:
             example = self.example or dimension.example
             named = f" or {one_of([self.infinite])}" if self.infinite else ""
             raise ValueError(f'expected {dimension.described} as text with a unit, such as "{example}"{named}')
-        self._bounded(quantity)
-        return quantity
-
-    def _bounded(self, value: Quantity) -> None:
-        if value != 0.0 and not _SMALLEST <= abs(value) <= _LARGEST:
+        if quantity != 0.0 and not _SMALLEST <= abs(quantity) <= _LARGEST:
             raise ValueError("is outside the range of this program")
-        tests = (
-            (self.above, "above", operator.gt),
-            (self.at_least, "at least", operator.ge),
-            (self.below, "below", operator.lt),
-            (self.at_most, "at most", operator.le),
-        )
-        for bound, words, holds in tests:
-            if bound is not None and not holds(float(value), units.parse(bound, self.dimension)):
-                raise ValueError(f"must be {words} {bound}")
+        for name, holds in _BOUNDS.items():
+            bound: str | None = getattr(self, name)
+            if bound is not None and not holds(float(quantity), units.parse(bound, self.dimension)):
+                raise ValueError(f"must be {name.replace('_', ' ')} {bound}")
+        return quantity
 
 
 Angle = Annotated[Quantity, Of("angle")]

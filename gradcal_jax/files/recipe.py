@@ -166,8 +166,8 @@ def read_recipe(path: str | Path) -> Recipe:
 
 def spec_in(path: str | Path) -> Spec:
     """The spec in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
-    contents = spec_or_recipe(path)
-    return contents.spec if isinstance(contents, Recipe) else contents
+    with missions_from(Path(path).parent):
+        return from_text(spec_of_either, read_text(path), str(path))
 
 
 def spec_or_recipe(path: str | Path) -> Spec | Recipe:

@@ -94,12 +94,9 @@ class RegisterProtocol(Section):
         return {name: name for name in self.registers}
 
     def _problems(self) -> Iterator[Problem]:
-        known = self.registers
-        for name in ("air", "setpoint"):
-            if name not in known:
-                yield Problem(("registers", name), "this key is missing; a chamber needs it", kind="missing")
-        if "setpoint" not in self.tell:
-            yield Problem(("tell", "setpoint"), "this key is missing; a chamber needs it", kind="missing")
+        known, needed = self.registers, (("registers", "air"), ("registers", "setpoint"), ("tell", "setpoint"))
+        for key in (key for key in needed if key[1] not in getattr(self, key[0])):
+            yield Problem(key, "this key is missing; a chamber needs it", kind="missing")
         for name in ("lowest", "highest"):
             if name not in known and getattr(self.limits, name) is None:
                 message = f"this key is missing; give it, or describe a register {name}"
@@ -118,18 +115,16 @@ class RegisterProtocol(Section):
     def _badly_written(self) -> Iterator[Problem]:
         known = self.registers
         named = [(("registers", name, "shown_in"), entry.shown_in) for name, entry in known.items()]
-        named += [(("registers", n, "decimals"), e.decimals) for n, e in known.items() if isinstance(e.decimals, str)]
-        named += [(("state", name, "field"), entry.field) for name, entry in self.state.items()]
-        named += [(("alarm", name, "field"), entry.field) for name, entry in self.alarm.items()]
+        named += [(("registers", name, "decimals"), entry.decimals) for name, entry in known.items()]
+        for table in ("state", "alarm"):
+            named += [((table, name, "field"), entry.field) for name, entry in getattr(self, table).items()]
         for key, name in named:
-            if name is not None and name not in known:
-                yield Problem(key, f"there is no such register; {instead(str(name), known)}", name)
+            if isinstance(name, str) and name not in known:
+                yield Problem(key, f"there is no such register; {instead(name, known)}", name)
         for name, writes in self.tell.items():
             if name not in _VALUES:
-                yield Problem(
-                    ("tell", name),
-                    f"is not a command; those of a chamber are {', '.join(_VALUES)}; {instead(name, _VALUES)}",
-                )
+                message = f"is not a command; those of a chamber are {', '.join(_VALUES)}; {instead(name, _VALUES)}"
+                yield Problem(("tell", name), message)
                 continue
             for register, value in writes.items():
                 entry = known.get(register)

@@ -3,13 +3,13 @@
 from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
-from pydantic import Field, Strict, model_validator
+from pydantic import Field, Strict
 
 from gradcal_jax.files import quantity as q
 from gradcal_jax.files.bases import increasing
 from gradcal_jax.files.mission import Missions
 from gradcal_jax.files.problems import Problem, one_of
-from gradcal_jax.files.section import Section, chosen_by, refuse
+from gradcal_jax.files.section import Section, chosen_by
 
 Coverage = Annotated[float, Strict(), Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 Risk = Annotated[q.Quantity, q.Of("scale factor", above="0 %", at_most="50 %")]
@@ -50,7 +50,6 @@ class _InARange(_OfElements):
     """Lowest and highest temperature of the requirement."""
 
     def _problems(self) -> Iterator[Problem]:
-        yield from _OfElements._problems(self)
         yield from increasing(self.temperature, "temperature")
 
 
@@ -76,21 +75,13 @@ class _OnAPath(Section):
     """Lowest and highest dT/dt in service; the errors that dT/dt causes are included. Absent: the temperature is
     constant in service."""
 
-    @model_validator(mode="after")
-    def _path(self) -> "_OnAPath":
-        if self.slope is not None:
-            low, high = self.slope
-            if low > high:
-                refuse(Problem(("slope",), "expected [lowest, highest]", [str(low), str(high)]))
-            if (self.branch == "heating" and high < 0.0) or (self.branch == "cooling" and low > 0.0):
-                refuse(
-                    Problem(
-                        ("slope",),
-                        f'this range of slopes contains no {self.branch}, but branch = "{self.branch}" needs it',
-                        [str(low), str(high)],
-                    )
-                )
-        return self
+    def _problems(self) -> Iterator[Problem]:
+        low, high = self.slope or (0.0, 0.0)
+        if low > high:
+            yield Problem(("slope",), "expected [lowest, highest]", [str(low), str(high)])
+        elif (self.branch == "heating" and high < 0.0) or (self.branch == "cooling" and low > 0.0):
+            message = f'this range of slopes contains no {self.branch}, but branch = "{self.branch}" needs it'
+            yield Problem(("slope",), message, [str(low), str(high)])
 
     def service(self) -> tuple[tuple[float, float], ...]:
         """States in which the error may be largest: the sign of T less the play (1: heating, −1: cooling, 0: the mean
@@ -122,7 +113,6 @@ class GyroScaleFactorRequirement(_InARange, _OnAPath):
     target: q.PositiveScaleFactor | None = None
 
     def _problems(self) -> Iterator[Problem]:
-        yield from _InARange._problems(self)
         yield from increasing(self.rate, "rate")
         if self.grid[0] * self.grid[1] > 1_000_000:
             yield Problem(("grid",), "must have at most 1000000 points in all", list(self.grid))
@@ -219,7 +209,6 @@ class MissionHeadingRequirement(_OfElements):
     target: q.PositiveAngle | None = None
 
     def _problems(self) -> Iterator[Problem]:
-        yield from _OfElements._problems(self)
         for i, mission in enumerate(self.mission):
             end = mission.rows.time[-1]
             if self.after is not None and self.after > end:

@@ -130,9 +130,8 @@ class AxisDevice(Section):
         if self.port == TERMINAL and not by_hand:
             yield Problem(("port",), f'"terminal" is only for the driver "{OPERATOR}"', self.port)
         if self.safe == "unpower" and self.gravity_loaded:
-            yield Problem(
-                ("safe",), 'an axis that is loaded by gravity falls without power; expected "hold"', self.safe
-            )
+            message = 'an axis that is loaded by gravity falls without power; expected "hold"'
+            yield Problem(("safe",), message, self.safe)
 
 
 class ImuDevice(Section):
@@ -214,39 +213,23 @@ class RigFile(TitledFile):
     """References to which a certificate's values are traced."""
 
     def _problems(self) -> Iterator[Problem]:
-        yield from self._doubles()
-        yield from self._shared_ports()
-        if self.chamber is None and not self.axis and not self.imu:
+        named = [(("axis", k), axis) for k, axis in enumerate(self.axis)]
+        named += [(("imu", k), imu) for k, imu in enumerate(self.imu)]
+        names = Counter(device.name for _, device in named)
+        for key, device in named:
+            if names[device.name] > 1:
+                yield Problem((*key, "name"), "two devices have this name", device.name)
+        # Only axes of one controller share a port: they speak one protocol, by address.
+        chamber = () if self.chamber is None else (self.chamber,)
+        encoders = (axis.encoder for axis in self.axis if axis.encoder is not None)
+        users = Counter(_adapter(device.port) for device in (*self.imu, *encoders, *chamber))
+        users.update(port for port, _ in {(_adapter(axis.port), axis.driver) for axis in self.axis})
+        for key, device in (*((("chamber",), one) for one in chamber), *named):
+            if users[_adapter(device.port)] > 1:
+                message = "two devices use this port, and only axes of one controller can share a port"
+                yield Problem((*key, "port"), message, device.port)
+        if not (chamber or named):
             yield Problem((), "this rig has no device: expected [chamber], [[axis]] or [[imu]]")
-
-    def _doubles(self) -> list[Problem]:
-        names = Counter([device.name for device in (*self.axis, *self.imu)])
-        return [
-            Problem((kind, index, "name"), "two devices have this name", device.name)
-            for kind, devices in (("axis", self.axis), ("imu", self.imu))
-            for index, device in enumerate(devices)
-            if names[device.name] > 1
-        ]
-
-    def _shared_ports(self) -> list[Problem]:
-        """Only axes of one controller share a port: they speak one protocol, by address."""
-        encoders = [axis.encoder for axis in self.axis if axis.encoder is not None]
-        alone = (*self.imu, *encoders, *([self.chamber] if self.chamber else []))
-        users = Counter([_adapter(device.port) for device in alone])
-        drivers: dict[str, set[str]] = {}
-        for axis in self.axis:
-            drivers.setdefault(_adapter(axis.port), set()).add(axis.driver)
-        wrong = {port for port in (*users, *drivers) if users[port] + len(drivers.get(port, ())) > 1}
-        places = [
-            *((("chamber", "port"), device) for device in ([self.chamber] if self.chamber else [])),
-            *((("axis", index, "port"), device) for index, device in enumerate(self.axis)),
-            *((("imu", index, "port"), device) for index, device in enumerate(self.imu)),
-        ]
-        return [
-            Problem(key, "two devices use this port, and only axes of one controller can share a port", device.port)
-            for key, device in places
-            if _adapter(device.port) in wrong
-        ]
 
 
 def read_rig(path: str | Path) -> RigFile:

@@ -104,20 +104,13 @@ def rounded(spec: Spec, steps: ControllerSteps | None = None, *, keep_shapes: bo
         if spec.plan.cycle is not None:
             _cycle(spec, spec.executable_schedule, plan["cycle"], rounder)
         result = _keep_cycles(spec, tables, rounder)
-    changes = (
-        f"{dotted(key)}: {_shown(before)} -> {_shown(after)}"
-        for key, before, after in differences(tables_of(spec)["plan"], tables_of(result)["plan"], ("plan",))
-        if not _names_its_axis(before, after)
-    )
+    changes: list[str] = []
+    for key, before, after in differences(tables_of(spec)["plan"], tables_of(result)["plan"], ("plan",)):
+        # A move that is as it was, but that it names the table's axis, is no change.
+        was, now = cast("tuple[Table, Table]", (before, after))
+        if not (isinstance(before, dict) and isinstance(after, dict) and {**was, "axis": now.get("axis")} == now):
+            changes.append(f"{dotted(key)}: {_shown(before)} -> {_shown(after)}")
     return Rounded(result, tuple(changes), tuple(rounder.notes))
-
-
-def _names_its_axis(before: object, after: object) -> bool:
-    """Whether a move is as it was, but that it names the table's axis."""
-    if not (isinstance(before, dict) and isinstance(after, dict)):
-        return False
-    was, now = cast("Table", before), cast("Table", after)
-    return {**was, "axis": now.get("axis")} == now
 
 
 class _Rounder:
@@ -233,9 +226,9 @@ def _cycle(spec: Spec, schedule: PlanSchedule, cycle: Table, rounder: _Rounder) 
         if move.shape == "hand":
             turn = dict(moves_of_file[step.source])
             rounder.entries(turn, duration="time")
-            moves.append(
-                {key: value for key, value in turn.items() if key != "read" or spec.rig.table.standing == "read"}
-            )
+            if spec.rig.table.standing != "read":
+                turn.pop("read", None)
+            moves.append(turn)
             at[k] += move.repeat * move.angle
             continue
         shape = rounder.shape(move)
@@ -307,21 +300,18 @@ def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest
     turns = angle / (2.0 * math.pi)
     if abs(turns - round(turns)) <= 1e-9 * abs(turns):
         written: Table = {"turns": float(round(turns))}
-        angle = 2.0 * math.pi * round(turns)
+        size = 2.0 * math.pi * abs(round(turns))
     else:
-        written = {"turn": rounder.to("angle", angle)}
-        angle = units.parse(written["turn"], "angle")
-        if angle == 0.0:
-            written = {"turn": rounder.to("angle", math.copysign(float(rounder.steps.angle), turns))}
-            angle = units.parse(written["turn"], "angle")
-    size = abs(angle)
+        text = rounder.to("angle", angle)
+        if units.parse(text, "angle") == 0.0:
+            text = rounder.to("angle", math.copysign(float(rounder.steps.angle), turns))
+        written, size = {"turn": text}, abs(units.parse(text, "angle"))
     text = rounder.to("rate", peak)
     if units.parse(text, "angular rate") > fastest * (1.0 + 1e-9):
         text = rounder.to("rate", peak, ROUND_FLOOR)
-    peak = units.parse(text, "angular rate")
-    if peak <= 0.0:
+    if units.parse(text, "angular rate") <= 0.0:
         text = rounder.to("rate", float(rounder.steps.rate))
-        peak = units.parse(text, "angular rate")
+    peak = units.parse(text, "angular rate")
     least = (math.pi / 2.0 if shape == "cosine ramps" else 1.0) * peak / steepest
     if shape == "linear ramps":
         planned = peak / max(ramp, least)
@@ -332,10 +322,8 @@ def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest
     duration = units.parse(duration_text, "time")
     if peak > 2.0 * size / duration:
         # Ramps only: the peak follows from angle and duration, one step lower where it is on the grid.
-        lower = rounder.to("rate", 2.0 * size / duration, ROUND_FLOOR)
-        if units.parse(lower, "angular rate") > size / duration:
-            text = lower
-        else:
+        text = rounder.to("rate", 2.0 * size / duration, ROUND_FLOOR)
+        if units.parse(text, "angular rate") <= size / duration:
             text = units.format_quantity(2.0 * size / duration, "deg/s")
     return written | {"peak_rate": text, "duration": duration_text, "shape": shape}
 

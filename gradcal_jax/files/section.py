@@ -39,11 +39,13 @@ class Section(BaseModel):
             section = handler(value)
         except ValidationError as error:
             raise SpecError(with_spelling(from_validation(error), cls, value)) from None
-        refuse(*section._problems())
+        checks: list[Any] = [vars(kind).get("_problems") for kind in reversed(type(section).__mro__)]
+        refuse(*(problem for check in filter(None, checks) for problem in check(section)))
         return section
 
     def _problems(self) -> Iterable[Problem]:
-        """What is wrong between the keys of a table whose keys are right one by one; keys are relative to it."""
+        """What is wrong between the keys of a table whose keys are right one by one; keys are relative to it. What a
+        class yields is added to the problems of its bases."""
         return ()
 
     @classmethod
@@ -123,14 +125,13 @@ def chosen_by(key: str, classes: Mapping[str, type[Section]]) -> BeforeValidator
 
 def read_by(read: Callable[[Mapping[str, object]], object]) -> BeforeValidator:
     """Marks a field that holds one of several tables: `read` takes a table of the file to the class that it is of."""
-    return BeforeValidator(lambda value: value if isinstance(value, Section) else read(a_table(value)))
 
+    def chosen(value: object) -> object:
+        if not isinstance(value, Section | Mapping):
+            raise ValueError("expected a table")
+        return value if isinstance(value, Section) else read(cast("Mapping[str, object]", value))
 
-def a_table(value: object) -> Mapping[str, object]:
-    """The value, where it is a table. Raises `ValueError`."""
-    if not isinstance(value, Mapping):
-        raise ValueError("expected a table")
-    return cast("Mapping[str, object]", value)
+    return BeforeValidator(chosen)
 
 
 def refuse_misspelt(table: Mapping[str, object], known: Iterable[str]) -> None:

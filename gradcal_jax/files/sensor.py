@@ -6,17 +6,18 @@ mean map is one shape, what the type varies in are others, and what may be beyon
 coefficients.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, ClassVar, Final, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from gradcal_jax.files import quantity as q
 from gradcal_jax.files import temperature_path as path_terms
 from gradcal_jax.files.bases import Degree, PolynomialKeys, RateBasis, TemperatureBasis
 from gradcal_jax.files.problems import Problem
 from gradcal_jax.files.quantity import Of, Quantity, Rate
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 from gradcal_jax.files.uncertain import UncertainSection, figures_of
 
 
@@ -42,7 +43,7 @@ class SpecificForceShape(BiasShape):
     coefficients: Annotated[tuple[Annotated[Quantity, Of("acceleration")], ...], Field(min_length=1, max_length=40_000)]
 
 
-def shape_problems(shapes: Sequence[BiasShape], size: int, prior: Quantity | None) -> Iterator[Problem]:
+def _shape_problems(shapes: Sequence[BiasShape], size: int, prior: Quantity | None) -> Iterator[Problem]:
     """What is wrong with the shapes of a map with `size` coefficients."""
     if not shapes:
         return
@@ -105,13 +106,10 @@ class TemperatureError(UncertainSection):
     """Typical slope of the scale factor over temperature; the temperature error times this slope is the scale-factor
     error."""
 
-    @model_validator(mode="after")
-    def _slopes(self) -> "TemperatureError":
+    def _problems(self) -> Iterator[Problem]:
         if self.standard_deviation and self.bias_slope is None and self.scale_factor_slope is None:
-            refuse(
-                Problem((), 'a temperature error acts through "bias_slope" or "scale_factor_slope"; give at least one')
-            )
-        return self
+            message = 'a temperature error acts through "bias_slope" or "scale_factor_slope"; give at least one'
+            yield Problem((), message)
 
 
 class BiasTemperatureGradient(Section):
@@ -145,17 +143,39 @@ def _gradient_of_bias(table: type[BiasTemperatureGradient], dimension: str, leas
     return BeforeValidator(read)
 
 
-class _Lagging(Section):
+class _ErrorFunction(Section):
+    """A function of `temperature` and `rate`, as far as a table has these bases; the keys `smoothness`, `discrepancy`,
+    `shape` and `prior` mean the same in every table that has them."""
+
     lag: q.Time | None = None
     """Known first-order lag of this map behind the sensor's temperature; absent: no lag. At the start, the lag is in
     equilibrium, as after a soak."""
 
-    @model_validator(mode="after")
-    def _smooth(self) -> "_Lagging":
-        basis = getattr(self, "temperature", None)
-        if self.lag is not None and basis is not None and basis.basis != "polynomial":
-            refuse(Problem(("lag",), "a map with its own lag must be a polynomial in temperature", self.lag.text))
-        return self
+    @property
+    def _bases(self) -> dict[str, TemperatureBasis | RateBasis]:
+        bases = ((name, getattr(self, name, None)) for name in ("temperature", "rate"))
+        return {name: basis for name, basis in bases if basis is not None}
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return math.prod(basis.size for basis in self._bases.values())
+
+    def _problems(self) -> Iterator[Problem]:
+        bases = self._bases
+        polynomials = {name: basis for name, basis in bases.items() if isinstance(basis, PolynomialKeys)}
+        if self.lag is not None and "temperature" in bases.keys() - polynomials.keys():
+            yield Problem(("lag",), "a map with its own lag must be a polynomial in temperature", self.lag.text)
+        if (smoothness := getattr(self, "smoothness", None)) is not None and polynomials == bases:
+            message = 'neighbouring coefficients exist only for "b-spline" and "bins"; leave this key out'
+            yield Problem(("smoothness",), message, smoothness.text)
+        hidden = getattr(self, "discrepancy", None)
+        if hidden is not None and polynomials != bases:
+            message = 'is only for polynomials; for B-splines and bins, use "smoothness" instead'
+            yield Problem(("discrepancy",), message)
+        elif hidden is not None and all(getattr(hidden, f"{k}_degree") <= of.degree for k, of in polynomials.items()):
+            yield Problem(("discrepancy",), "at least one of its degrees must exceed that of the map")
+        yield from _shape_problems(getattr(self, "shape", ()), self.size, getattr(self, "prior", None))
 
 
 class BiasDiscrepancy(Section):
@@ -179,7 +199,7 @@ class ScaleFactorDiscrepancy(Section):
     """Highest degree in rate of the hidden polynomials."""
 
 
-class Bias(_Lagging):
+class Bias(_ErrorFunction):
     """The estimated bias B(T)."""
 
     temperature: TemperatureBasis
@@ -194,19 +214,8 @@ class Bias(_Lagging):
     """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
     channel without shapes has a flat prior."""
 
-    def _problems(self) -> Iterable[Problem]:
-        yield from _smoothness(self.smoothness, self.temperature.basis)
-        if self.discrepancy is not None:
-            yield from _beyond((self.temperature, self.discrepancy.temperature_degree))
-        yield from shape_problems(self.shape, self.size, self.prior)
 
-    @property
-    def size(self) -> int:
-        """Number of coefficients."""
-        return self.temperature.size
-
-
-class ScaleFactor(_Lagging):
+class ScaleFactor(_ErrorFunction):
     """The estimated scale-factor error M(T, ω): products of functions of temperature and functions of
     rate."""
 
@@ -223,34 +232,6 @@ class ScaleFactor(_Lagging):
     shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
     """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
     channel without shapes has a flat prior."""
-
-    def _problems(self) -> Iterable[Problem]:
-        yield from _smoothness(self.smoothness, self.temperature.basis, self.rate.basis)
-        if (hidden := self.discrepancy) is not None:
-            yield from _beyond((self.temperature, hidden.temperature_degree), (self.rate, hidden.rate_degree))
-        yield from shape_problems(self.shape, self.size, self.prior)
-
-    @property
-    def size(self) -> int:
-        """Number of coefficients."""
-        return self.temperature.size * self.rate.size
-
-
-def _smoothness(value: q.Quantity | None, *bases: str) -> list[Problem]:
-    if value is not None and all(basis == "polynomial" for basis in bases):
-        message = 'neighbouring coefficients exist only for "b-spline" and "bins"; leave this key out'
-        return [Problem(("smoothness",), message, value.text)]
-    return []
-
-
-def _beyond(*bases: tuple[TemperatureBasis | RateBasis, int]) -> Iterator[Problem]:
-    """What is wrong with a discrepancy up to a degree in each basis."""
-    polynomials = [(basis, degree) for basis, degree in bases if isinstance(basis, PolynomialKeys)]
-    if len(polynomials) < len(bases):
-        message = 'is only for polynomials; for B-splines and bins, use "smoothness" instead'
-        yield Problem(("discrepancy",), message)
-    elif all(degree <= basis.degree for basis, degree in polynomials):
-        yield Problem(("discrepancy",), "at least one of its degrees must exceed that of the map")
 
 
 HOST_CLOCK: Final = 1e-6
@@ -374,16 +355,11 @@ BodyAxis = Literal["x", "y", "z"]
 BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
 
 
-class _ErrorTerm(_Lagging):
+class _ErrorTerm(_ErrorFunction):
     temperature: TemperatureBasis | None = None
     """Basis over temperature; absent: constant."""
     prior: q.Quantity | None = None
     """Standard deviation of each coefficient before the calibration; absent: unknown."""
-
-    @property
-    def size(self) -> int:
-        """Number of coefficients."""
-        return 1 if self.temperature is None else self.temperature.size
 
 
 class Misalignment(_ErrorTerm):
@@ -402,17 +378,16 @@ class AccelerationSensitivity(_ErrorTerm):
     specific force that is not measured. This force causes a bias for each product of two rates (`ww_xy`); the bias is
     estimated but is not part of the calibration."""
 
-    def _problems(self) -> Iterable[Problem]:
+    def _problems(self) -> Iterator[Problem]:
         if self.lever_arm is not None and self.prior is None:
-            yield Problem(
-                ("lever_arm",), "has an effect only through the g-sensitivity: also give the prior of g_sensitivity"
-            )
+            message = "has an effect only through the g-sensitivity: also give the prior of g_sensitivity"
+            yield Problem(("lever_arm",), message)
 
     @property
     def of_rotation(self) -> float:
         """Standard deviation of the bias for each product of two rates (s): of `g_j d_k + g_k d_j`, as of
         `g_y d_y + g_z d_z`, with the sensitivity g and the lever arm d."""
-        return 2.0**0.5 * float(self.prior or 0.0) * float(self.lever_arm or 0.0)
+        return math.sqrt(2.0) * float(self.prior or 0.0) * float(self.lever_arm or 0.0)
 
 
 class SquaredSensitivity(_ErrorTerm):
@@ -434,9 +409,6 @@ class SpecificForceBias(_ErrorTerm):
     shape: Annotated[tuple[SpecificForceShape, ...], Field(max_length=600)] = ()
     """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`."""
 
-    def _problems(self) -> Iterable[Problem]:
-        return shape_problems(self.shape, self.size, self.prior)
-
 
 class SpecificForceScale(_ErrorTerm):
     """An accelerometer's scale factor, or its asymmetry, over temperature."""
@@ -445,9 +417,6 @@ class SpecificForceScale(_ErrorTerm):
     """Standard deviation of each coefficient before the calibration, a ratio; absent: unknown."""
     shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
     """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`."""
-
-    def _problems(self) -> Iterable[Problem]:
-        return shape_problems(self.shape, self.size, self.prior)
 
 
 class SecondOrder(_ErrorTerm):
@@ -482,14 +451,11 @@ class GyroTriad(_Gyro, path_terms.TemperaturePath):
     g_squared: SquaredSensitivity | None = None
     """Bias in proportion to the square of the specific force."""
 
-    @model_validator(mode="after")
-    def _something_to_find(self) -> "GyroTriad":
+    def _problems(self) -> Iterator[Problem]:
         sections = (self.bias, self.scale_factor, self.misalignment, self.g_sensitivity, self.g_squared)
         if all(section is None for section in sections):
-            refuse(
-                Problem((), "there is nothing to calibrate; add [sensor.gyro.bias], [sensor.gyro.scale_factor] or both")
-            )
-        return self
+            message = "there is nothing to calibrate; add [sensor.gyro.bias], [sensor.gyro.scale_factor] or both"
+            yield Problem((), message)
 
 
 class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
@@ -537,21 +503,19 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     cross_coupling: SecondOrder | None = None
     """Output in proportion to products of the force along two axes."""
 
-    @model_validator(mode="after")
-    def _seen(self) -> "AccelerometerTriad":
+    def _problems(self) -> Iterator[Problem]:
         if self.lever_arm is not None and self.read_on_moves_below is None:
             message = (
                 "has an effect only during moves, and accelerometers are read only at rest: leave this key out, or "
-                "also read them on slow "
+                'also read them on slow moves, as in read_on_moves_below = "5 deg/s"'
             )
-            refuse(Problem(("lever_arm",), message + 'moves, as in read_on_moves_below = "5 deg/s"'))
+            yield Problem(("lever_arm",), message)
         if self.asymmetry is not None and self.read_on_moves_below is not None:
             message = (
                 "is observable only if accelerometers are read only at rest: remove this key, or remove "
                 "read_on_moves_below"
             )
-            refuse(Problem(("asymmetry",), message))
-        return self
+            yield Problem(("asymmetry",), message)
 
 
 class BodyFrame(Section):

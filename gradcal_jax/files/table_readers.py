@@ -16,7 +16,7 @@ from typing import Any, Final, TextIO, cast
 import numpy as np
 
 from gradcal_jax import units
-from gradcal_jax.files.log import Floats, LogError, naming, quietly
+from gradcal_jax.files.log import Floats, LogError, library, naming, quietly
 from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.files.problems import instead
 from gradcal_jax.files.tables import DELIMITERS, Array, Measured, Numbers, Source, TextTable, Where
@@ -474,12 +474,7 @@ def _leaves(arrays: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, 
 
 
 def _read_parquet(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
-    try:
-        parquet: Any = importlib.import_module("pyarrow.parquet")
-    except ImportError:
-        raise LogError(
-            'reading it needs the package pyarrow, of the extra "logs": pip install "gradcal_jax[logs]"'
-        ) from None
+    parquet = library("pyarrow.parquet", "pyarrow")
     with quietly("Parquet"):
         file = parquet.ParquetFile(path)
         wanted = [str(source.column) for source in sources]

@@ -1,12 +1,13 @@
 """Errors that depend on the path of temperature and not on its present value alone, and error classes of one's own."""
 
+from collections.abc import Iterator
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from gradcal_jax.files import quantity as q
 from gradcal_jax.files.problems import Problem
-from gradcal_jax.files.section import Section, refuse
+from gradcal_jax.files.section import Section
 
 
 class VariationOfBias(Section):
@@ -105,11 +106,9 @@ class LateGradientOfBias(Section):
         time, apart = float(self.time_constant), float(self.time_constant_uncertainty or 0.0)
         return (time - apart, time + apart) if apart else (time,)
 
-    @model_validator(mode="after")
-    def _shorter(self) -> "LateGradientOfBias":
+    def _problems(self) -> Iterator[Problem]:
         if min(self.lags) <= 0.0:
-            refuse(Problem(("time_constant_uncertainty",), "must be less than the time constant"))
-        return self
+            yield Problem(("time_constant_uncertainty",), "must be less than the time constant")
 
 
 class LateGradientOfForce(LateGradientOfBias):
@@ -196,16 +195,12 @@ class TemperaturePath(Section):
         """Whether any of these is named."""
         return any(getattr(self, key) for key in TemperaturePath.model_fields)
 
-    @model_validator(mode="after")
-    def _differ(self) -> "TemperaturePath":
-        for key, entries, of in (
-            ("hysteresis", self.hysteresis, "width"),
-            ("scale_factor_hysteresis", self.scale_factor_hysteresis, "width"),
-            ("turn_on_transient", self.turn_on_transient, "time_constant"),
-            ("late_temperature_gradient", self.late_temperature_gradient, "time_constant"),
-            ("scale_factor_late_temperature_gradient", self.scale_factor_late_temperature_gradient, "time_constant"),
-        ):
-            values = [float(getattr(entry, of)) for entry in entries]
+    def _problems(self) -> Iterator[Problem]:
+        late = ("turn_on_transient", "late_temperature_gradient", "scale_factor_late_temperature_gradient")
+        differ_by = dict.fromkeys(("hysteresis", "scale_factor_hysteresis"), "width") | dict.fromkeys(
+            late, "time_constant"
+        )
+        for key, of in differ_by.items():
+            values = [float(getattr(entry, of)) for entry in getattr(self, key)]
             if len(set(values)) < len(values):
-                refuse(Problem((key,), f"two entries have the same {of}, so their coefficients cannot be separated"))
-        return self
+                yield Problem((key,), f"two entries have the same {of}, so their coefficients cannot be separated")

@@ -83,27 +83,25 @@ class TextSensor(Section):
         return tuple(match[1] for match in _FIELD.finditer(self.line) if match[1])
 
     def _problems(self) -> Iterator[Problem]:
+        fields = self.fields
         if {"{", "}"} & set(_FIELD.sub("", self.line)) or re.search(r"\}\{", self.line):
-            yield Problem(
-                ("line",), "expected fields in braces, such as {gyro_x}, with a character between two fields", self.line
-            )
+            message = "expected fields in braces, such as {gyro_x}, with a character between two fields"
+            yield Problem(("line",), message, self.line)
             return
-        for name in self.fields:
-            if name not in NAMES:
-                yield Problem(("line",), f"{{{name}}} is not the name of a field; {instead(name, NAMES)}", self.line)
-        if len(set(self.fields)) != len(self.fields):
+        for name in (name for name in fields if name not in NAMES):
+            yield Problem(("line",), f"{{{name}}} is not the name of a field; {instead(name, NAMES)}", self.line)
+        if len(set(fields)) != len(fields):
             yield Problem(("line",), "a field appears twice", self.line)
-        if not any(name.startswith(("gyro", "acceleration")) for name in self.fields):
-            yield Problem(
-                ("line",), "expected at least one field of a rate or an acceleration, such as {gyro_x}", self.line
+        if not any(name.startswith(("gyro", "acceleration")) for name in fields):
+            message = "expected at least one field of a rate or an acceleration, such as {gyro_x}"
+            yield Problem(("line",), message, self.line)
+        if ("count" in fields) is not (self.counter is not None):
+            message = (
+                "this key (the value at which the count restarts at 0) is required if the line has a field {count}, "
+                "and not allowed otherwise"
             )
-        if ("count" in self.fields) is not (self.counter is not None):
-            yield Problem(
-                ("counter",),
-                "this key (the value at which the count restarts at 0) is required if the line has a field "
-                "{count}, and not allowed otherwise",
-            )
-        if {"count", "time"} <= set(self.fields):
+            yield Problem(("counter",), message)
+        if {"count", "time"} <= set(fields):
             yield Problem(("line",), "expected {count} or {time}, not both: replace one of the two by {}", self.line)
         kinds = {"gyro": "angular rate", "acceleration": "acceleration", "temperature": "temperature"}
         yield from unit_problems(self, kinds)

@@ -12,7 +12,7 @@ angle, peak rate and duration, or a spline's largest.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from decimal import Decimal
 from typing import Annotated, Any, Final, Literal
 
@@ -138,8 +138,16 @@ def tracks_of(spec: Spec, acceleration_step: float | None = None) -> tuple[Chamb
     segments = _course(spec.executable_schedule.segments)
     blocks = _blocks(spec.executable_schedule, spec.rig, segments)
     if acceleration_step is not None:
-        strongest = {str(axis.name): float(axis.max_acceleration) for axis in axes}
-        blocks = tuple(_makeable(block, acceleration_step, strongest) for block in blocks)
+        strongest = {axis.name: float(axis.max_acceleration) for axis in axes}
+
+        def makeable(move: TrackMove) -> TrackMove:
+            """The move with an acceleration that the controller makes."""
+            if move.do != "turn" or move.acceleration is None:
+                return move
+            made = makeable_acceleration(float(move.acceleration), acceleration_step, strongest[move.axis])
+            return move.model_copy(update={"acceleration": _in("deg/s^2", math.degrees(made))})
+
+        blocks = tuple(b.model_copy(update={"moves": tuple(map(makeable, b.moves))}) for b in blocks)
     return ChamberTrack(programme=tuple(segments)), blocks
 
 
@@ -150,18 +158,6 @@ def read_at_rest(blocks: Sequence[MotionBlock]) -> bool:
         or any(move.read_every is not None or (move.do == "rest" and move.read == "end") for move in block.moves)
         for block in blocks
     )
-
-
-def _makeable(block: MotionBlock, step: float, strongest: Mapping[str, float]) -> MotionBlock:
-    """The block with accelerations of its turns that the controller makes."""
-
-    def rounded(move: TrackMove) -> TrackMove:
-        if move.do != "turn" or move.acceleration is None:
-            return move
-        made = makeable_acceleration(float(move.acceleration), step, strongest[move.axis])
-        return move.model_copy(update={"acceleration": _in("deg/s^2", math.degrees(made))})
-
-    return block.model_copy(update={"moves": tuple(rounded(move) for move in block.moves)})
 
 
 # ------------------------------------------------------------------------------------------------- gradient method
@@ -268,13 +264,13 @@ def hanging(mounting: Mounting, number: int) -> str:
 
 
 def _motion(move: ResolvedMove) -> dict[str, Any]:
-    motion: dict[str, Any] = {
+    return {
+        "do": "turn by hand" if move.shape == "hand" else "turn",
         "angle": _in("deg", math.degrees(move.angle)),
         "rate": _in("deg/s", math.degrees(move.peak_rate)),
         "acceleration": _in("deg/s^2", trapezoid_acceleration(move) * 180.0 / math.pi),
         "shape": move.shape,
     }
-    return motion | {"do": "turn by hand" if move.shape == "hand" else "turn"}
 
 
 def makeable_acceleration(acceleration: float, step: float | None, steepest: float = math.inf) -> float:

@@ -8,12 +8,12 @@ uncertain          = { correlation_time = ["1 min", "20 min"] }              # o
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, ClassVar, Final, cast
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator
 
-from gradcal_jax.files.problems import Problem, one_of
+from gradcal_jax.files.problems import Problem, SpecError, one_of
 from gradcal_jax.files.quantity import Quantity, Text
 from gradcal_jax.files.section import Section, refuse
 from gradcal_jax.units import UnitError, unit_of
@@ -50,10 +50,11 @@ class UncertainSection(Section):
     """Ranges of the noise figures: "factor 2" for all of them, or a table that gives "factor 2" or [least, largest] for
     each figure."""
 
-    @model_validator(mode="after")
-    def _uncertain(self) -> "UncertainSection":
-        self.ranges()
-        return self
+    def _problems(self) -> Iterator[Problem]:
+        try:
+            self.ranges()
+        except SpecError as error:
+            yield from error.problems
 
     def ranges(self) -> dict[str, tuple[Quantity, Quantity]]:
         """The least and the largest value (SI) of each uncertain figure. Errors: `SpecError`."""
@@ -62,16 +63,10 @@ class UncertainSection(Section):
         there = [name for name in self.FIGURES if getattr(self, name)]
         if isinstance(self.uncertain, str):
             return {name: self._range(("uncertain",), name, self.uncertain) for name in there}
-        unknown = [name for name in self.uncertain if name not in there]
-        refuse(
-            *(
-                Problem(
-                    ("uncertain", name),
-                    f"is not a figure of this table that can be uncertain; expected {one_of(there)}",
-                )
-                for name in unknown
-            )
-        )
+        unknown = [("uncertain", name) for name in self.uncertain if name not in there]
+        known = f"expected {one_of(there)}" if there else "the table has no such figure"
+        message = f"is not a figure of this table that can be uncertain; {known}"
+        refuse(*(Problem(key, message) for key in unknown))
         return {name: self._range(("uncertain", name), name, value) for name, value in self.uncertain.items()}
 
     def _range(self, key: tuple[str, ...], name: str, value: str | Ends) -> tuple[Quantity, Quantity]:

@@ -76,19 +76,17 @@ def whole(path: str | Path) -> Generator[Path]:
 
 def _scalars_first(table: Mapping[str, Any]) -> list[tuple[str, Any]]:
     """TOML requires a table's own keys before its subtables."""
-    return sorted(table.items(), key=lambda entry: _opens_table(entry[0], entry[1]))
 
+    def opens_table(entry: tuple[str, object]) -> bool:
+        name, value = entry
+        return name not in _INLINE if isinstance(value, Mapping) else _is_tables(value) and name not in _LISTED
 
-def _opens_table(name: str, value: object) -> bool:
-    if isinstance(value, Mapping):
-        return name not in _INLINE
-    return _is_tables(value) and name not in _LISTED
+    return sorted(table.items(), key=opens_table)
 
 
 def _is_tables(value: object) -> bool:
-    if not isinstance(value, list) or not value:
-        return False
-    return all(isinstance(entry, Mapping) for entry in cast("list[object]", value))
+    entries = cast("list[object]", value) if isinstance(value, list) else []
+    return bool(entries) and all(isinstance(entry, Mapping) for entry in entries)
 
 
 def _item(name: str, value: Any) -> Any:
@@ -96,11 +94,10 @@ def _item(name: str, value: Any) -> Any:
         table = cast("Mapping[str, Any]", value)
         return _inline(table) if name in _INLINE else _table(table)
     if _is_tables(value):
-        entries = cast("list[Mapping[str, Any]]", value)
         if name not in _LISTED:
-            return AoT([_table(entry) for entry in entries])
+            return AoT([_table(entry) for entry in value])
         array = tomlkit.array()
-        for entry in entries:
+        for entry in value:
             array.append(_inline(entry))  # pyright: ignore[reportUnknownMemberType]
         return array.multiline(True)
     if isinstance(value, str) and "\n" in value:

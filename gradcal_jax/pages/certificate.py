@@ -225,21 +225,9 @@ def _result(row: Result) -> ResultRow:
     risk = None
     if row.verdict in ("met", "missed") and row.target is not None and row.worst is not None:
         risk = specific_risk(0.0, row.worst, row.target)
-    verdict, rule = row.verdict or "no limit stated", row.rule or ""
-    return ResultRow(
-        row.name,
-        _elements(row.axis),
-        row.statistic.removesuffix(", 1 sigma"),
-        row.unit,
-        row.value,
-        k,
-        expanded,
-        row.worst,
-        row.target,
-        verdict,
-        rule,
-        risk,
-    )
+    what = row.name, _elements(row.axis), row.statistic.removesuffix(", 1 sigma"), row.unit
+    judged = row.verdict or "no limit stated", row.rule or "", risk
+    return ResultRow(*what, row.value, k, expanded, row.worst, row.target, *judged)
 
 
 def _budgets(sources: Sources) -> Iterator[Budget]:

@@ -117,13 +117,11 @@ def _by_axis(facts: Sequence[ParameterFact]) -> list[tuple[str, ...]]:
         table.setdefault((row.kind, row.name, row.unit), {})[row.axis] = text
     first = "parameter ± 1σ" if any(row.value is not None for row in facts) else "parameter, 1σ"
     first += " (off by)" if any(row.truth is not None for row in facts) else ""
-    return [
-        (first, "x", "y", "z", "unit"),
-        *(
-            (f"{kind} {symbol}", *(values.get(axis, "") for axis in "xyz"), unit)
-            for (kind, symbol, unit), values in table.items()
-        ),
+    rows = [
+        (f"{kind} {symbol}", *(values.get(axis, "") for axis in "xyz"), unit)
+        for (kind, symbol, unit), values in table.items()
     ]
+    return [(first, "x", "y", "z", "unit"), *rows]
 
 
 def estimated_coefficients(calibration: Calibration) -> tuple[list[tuple[str, ...]], tuple[int, ...]]:

@@ -140,13 +140,11 @@ def track_pictures(recipe: Recipe | None, history: RunHistory | None) -> list[Pi
             ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
 
     words = "Temperature of the chamber on the plan's clock"
-    words += (
-        "." if history is None else " (this clock stops while a step waits), as planned and as measured in the run."
-    )
+    words += "" if history is None else " (this clock stops while a step waits), as planned and as measured in the run"
     if recipe is None:
-        words = "Measured temperature of the chamber on the plan's clock (this clock stops while a step waits)."
+        words = "Measured temperature of the chamber on the plan's clock (this clock stops while a step waits)"
     known = recipe is not None or (history is not None and len(history.chamber_s))
-    pictures = [picture("temperature", words, temperatures, _LOW)] if known else []
+    pictures = [picture("temperature", f"{words}.", temperatures, _LOW)] if known else []
     done = {} if history is None else history.rates
     return pictures + [_rate_picture(axis, recipe, done) for axis in (turned_axes(recipe) if recipe else done)]
 
@@ -182,19 +180,13 @@ def calibration_pictures(calibration: Calibration) -> list[Picture]:
         if (term := channel.term_of("scale_factor")) is not None and term.rate is not None and term.rate.size > 1:
             over_rate.add(channel.kind)
             words = f"Estimated scale factor of {channel.label}; the bands are ± one standard deviation."
-            draw.append(
-                (
-                    f"scale-factor-{channel.axis}",
-                    words,
-                    lambda ax, c=channel: draw_calibrated_scale_factor(calibration, c, ax=ax),
-                )
-            )
+            function = lambda ax, c=channel: draw_calibrated_scale_factor(calibration, c, ax=ax)  # noqa: E731
+            draw.append((f"scale-factor-{channel.axis}", words, function))
     for kind, name in panels_of(calibration):
         if name == "bias" or kind not in over_rate:
             words = f"{kind.capitalize()} {name.replace('_', ' ')}, estimated; the bands are ± one standard deviation."
-            draw.append(
-                (f"{kind}-{name}", words, lambda ax, k=kind, n=name: draw_calibrated_term(calibration, k, n, ax=ax))
-            )
+            function = lambda ax, k=kind, n=name: draw_calibrated_term(calibration, k, n, ax=ax)  # noqa: E731
+            draw.append((f"{kind}-{name}", words, function))
     # Of six channels, those that a test contradicts.
     failed = {name.partition(":")[0] for name in calibration.contradicted}
     for channel in calibration.channel:
@@ -207,9 +199,8 @@ def calibration_pictures(calibration: Calibration) -> list[Picture]:
                     f"Root mean square of the residuals of {channel.label} during the run; if the model is correct, "
                     "95 of 100 values are within the band."
                 )
-                draw.append(
-                    (f"residual-parts-{channel.name}", words, lambda ax, c=channel: draw_residual_parts(c, ax=ax))
-                )
+                function = lambda ax, c=channel: draw_residual_parts(c, ax=ax)  # noqa: E731
+                draw.append((f"residual-parts-{channel.name}", words, function))
     return [picture(picture_key(f"found-{key}"), words, function, _HIGH) for key, words, function in draw]
 
 

@@ -155,11 +155,10 @@ def _verdict(data: ReportData) -> str:
     if data.verdict == "missed":
         missed = [row for row in with_target if row.verdict == "missed"]
         return f"Missed: a {done} residual exceeds its target ({_against(missed)})."
+    names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == data.verdict))
     if data.verdict == "not covered":
-        names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "not covered"))
         return f"Not covered: the data do not cover all temperatures and rates of {names}, so there is no verdict."
     if data.verdict == "unobservable":
-        names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == "unobservable"))
         return f"Unobservable: this plan cannot observe {names}."
     return "No requirement has a target, so there is no verdict."
 
@@ -243,9 +242,7 @@ def _optimised(recipe: Recipe) -> list[str]:
     if record.get("structure"):
         lines.append(sentence(str(record["structure"])))
     if record.get("active_limits"):
-        lines.append(
-            "Limits that the plan reaches: " + "; ".join(str(limit) for limit in record["active_limits"]) + "."
-        )
+        lines.append(f"Limits that the plan reaches: {'; '.join(map(str, record['active_limits']))}.")
     return lines
 
 

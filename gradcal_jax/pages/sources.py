@@ -175,8 +175,7 @@ def _misfits(parts: dict[str, Any]) -> list[str]:
     run: RunFolder | None = parts.get("run")
     notes: list[str] = []
     if recipe is not None and calibration is not None:
-        made_by = calibration.provenance.get("recipe")
-        if made_by is None:
+        if (made_by := calibration.provenance.get("recipe")) is None:
             notes.append(
                 "the calibration does not state the recipe with which its log was made, so it cannot be compared with "
                 "the recipe on this page"
@@ -225,12 +224,10 @@ def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
         ]
         gradient, thermometer = triad.bias_temperature_gradient, triad.thermometer_noise
         priors = {name: getattr(getattr(triad, name), "prior", None) for name in type(triad).model_fields}
+        known = "; ".join(f"{name.replace('_', ' ')} {prior}" for name, prior in priors.items() if prior)
         rows += [
             (own + "temperature measurement", thermometer and str(thermometer.standard_deviation)),
-            (
-                own + "prior knowledge",
-                "; ".join(f"{k.replace('_', ' ')} {of}" for k, of in priors.items() if of) or None,
-            ),
+            (own + "prior knowledge", known or None),
             (own + "rate random walk", getattr(triad, "rate_random_walk", None)),
             (own + "turn-on bias", triad.turn_on_bias),
             # Of an estimated one what is known before.
@@ -307,11 +304,8 @@ def provenance_rows(sources: Sources) -> list[tuple[str, str]]:
             rows.append(("seed of the simulation", str(notes["simulation"]["seed"])))
     if calibration is not None:
         rows += [("device", calibration.serial_number), ("frame", calibration.frame), ("order", calibration.order)]
-        names = {
-            "program": "estimated by",
-            **{key: key for key in ("estimator", "readings", "rows", "log")},
-            "spec": "model",
-        }
-        rows += [(words, calibration.provenance[key]) for key, words in names.items() if key in calibration.provenance]
+        words = {"program": "estimated by", "spec": "model"}
+        kept = ("program", "estimator", "readings", "rows", "log", "spec")
+        rows += [(words.get(key, key), calibration.provenance[key]) for key in kept if key in calibration.provenance]
     rows += [(f"SHA-256 of {name}", digest) for name, digest in sources.paths]
     return rows

@@ -151,6 +151,10 @@ def test_what_is_believed_is_said(spec):
         ({"sensor.gyro.drift[0].uncertain": 3}, "a table that gives"),
         ({"sensor.gyro.drift[0].uncertain": {"tau": "factor 2"}}, "not a figure of this table"),
         (
+            {"sensor.sample_clock_error": None, "sensor.uncertain": {"sample_clock_error": "factor 2"}},
+            "the table has no such figure",
+        ),
+        (
             {"sensor.gyro.drift[0].uncertain": {"correlation_time": ["3 min", "20 min"]}},
             "the stated value",
         ),

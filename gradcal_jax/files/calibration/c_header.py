@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gradcal_jax.files import presets
 from gradcal_jax.files.calibration.correction import SIGNALS, correct, linear_part
 from gradcal_jax.files.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration
+from gradcal_jax.files.calibration.path_losses import Loss
 from gradcal_jax.files.calibration.polynomials import in_powers
 from gradcal_jax.files.log import Floats
 from gradcal_jax.units import DEG_PER_H, G
@@ -23,14 +24,12 @@ _POINTS, _FACTORS = 200, 4
 _FEWEST, _MOST, _SETTLED = 6, 40, 3e-7
 
 
-def header(
-    calibration: Calibration, left_out: Sequence[str], lost: Sequence[str]
-) -> tuple[str, list[tuple[str, str, float, str]]]:
+def header(calibration: Calibration, left_out: Sequence[str], lost: Sequence[str]) -> tuple[str, list[Loss]]:
     """The header's text, and the largest error of its float32 against the calibration itself, by channel. `left_out`:
     coefficients that were set to zero; `lost`: what a header cannot carry, in words."""
     inputs, terms = inputs_of(calibration), list(_terms(calibration))
     errors, rounds, (at, raw, out) = _errors(calibration, inputs)
-    inverse = _inverse(calibration, inputs)
+    inverse = np.linalg.inv(_linear(calibration, inputs)[0])
     arrays: list[str] = []
     rows: list[str] = []
     for k, (channel, term) in enumerate(terms):
@@ -81,7 +80,7 @@ def rounds_in_single(calibration: Calibration, raw: Floats, temperature_c: Float
     f, inputs = np.float32, inputs_of(calibration)
     terms = [(inputs.index(c.input), c, term, in_powers(c, term)) for c, term in _terms(calibration)]
     reading, temperature = raw.astype(f), temperature_c.astype(f)
-    out, inverse = np.zeros_like(reading), _inverse(calibration, inputs).astype(f)
+    out, inverse = np.zeros_like(reading), np.linalg.inv(_linear(calibration, inputs)[0]).astype(f)
     while True:
         along, error = out.copy(), np.zeros_like(out)
         for place, channel, term, ((t0, ts), (w0, ws), table, _) in terms:
@@ -119,20 +118,13 @@ def _evaluated(table: NDArray[Any], x: Any, w: Any) -> Any:
     return total
 
 
-def _middle(calibration: Calibration) -> float:
+def _linear(calibration: Calibration, inputs: list[str]) -> tuple[Floats, Floats]:
+    """The linear part at the middle temperature; the inverse of its matrix is the divisor of each channel's error."""
     low, high = (float(t) for t in calibration.valid_temperature)
-    return 0.5 * (low + high)
+    return linear_part(calibration.channel, 0.5 * (low + high), inputs)
 
 
-def _inverse(calibration: Calibration, inputs: list[str]) -> Floats:
-    """The divisor of each channel's error, `(channels, channels)`."""
-    matrix, _ = linear_part(calibration.channel, _middle(calibration), inputs)
-    return np.asarray(np.linalg.inv(matrix), np.float64)
-
-
-def _errors(
-    calibration: Calibration, inputs: list[str]
-) -> tuple[list[tuple[str, str, float, str]], int, tuple[float, Floats, Floats]]:
+def _errors(calibration: Calibration, inputs: list[str]) -> tuple[list[Loss], int, tuple[float, Floats, Floats]]:
     """The largest error of the header by channel; how many rounds it takes; and a reading, no round number, with the
     header's result."""
     rng = np.random.default_rng(0)
@@ -145,7 +137,7 @@ def _errors(
         names = [name for name in inputs if name.startswith(kind)]
         ends = np.array([rates.get(name, other) for name in names]).reshape(-1, 2)
         true.append(rng.uniform(ends[:, 0], ends[:, 1], (_POINTS, len(names))))
-    matrix, bias = linear_part(calibration.channel, _middle(calibration), inputs)
+    matrix, bias = _linear(calibration, inputs)
     raw = (np.concatenate(true, axis=1) @ matrix.T + bias).astype(np.float32).astype(np.float64)
     # Without the rate of the temperature, terms that it multiplies are zero.
     exact = correct(calibration.channel, dict(zip(inputs, raw.T, strict=True)), temperature)
@@ -154,13 +146,13 @@ def _errors(
         change, rounds, in_header = np.max(np.abs(now - in_header), axis=0), rounds + 1, now
         if rounds >= _FEWEST and np.all(change <= _SETTLED * np.max(np.abs(now), axis=0)):
             break
-    errors: list[tuple[str, str, float, str]] = []
+    errors: list[Loss] = []
     for channel in calibration.channel:
         apart = float(np.max(np.abs(in_header[:, inputs.index(channel.input)] - exact[channel.input])))
         unit, factor = ("deg/h", DEG_PER_H) if channel.kind == "gyro" else ("ug", 1e6 / G)
         fitted = not all(in_powers(c, term).exact for c, term in _terms(calibration) if c is channel)
         what = "polynomials in place of other bases" if fitted else "rounding"
-        errors.append((channel.label, what, apart * factor, unit))
+        errors.append(Loss(channel.label, what, apart * factor, unit))
     return errors, rounds, (float(temperature[0]), raw[0], in_header[0])
 
 

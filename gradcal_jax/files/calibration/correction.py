@@ -293,11 +293,8 @@ def on_path(calibration: Calibration, channel: CalibratedChannel, own: Floats, l
         if one.width is not None:
             low, high = formulas.play_states(own, float(one.width))
             function = 0.5 * (low + high) - own
-            function = (
-                function
-                if one.polynomial is None
-                else function * one.polynomial(np.clip(own, *channel.valid_temperature))
-            )
+            if one.polynomial is not None:
+                function = function * one.polynomial(np.clip(own, *channel.valid_temperature))
             known &= high - low <= _KNOWN_K
         elif one.second_thermometer:
             function = known_temperature(log, unit, second=True) - own

@@ -18,11 +18,18 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import c_header
 from gradcal_jax.files.calibration.correction import linear_part, term_values, value_at
-from gradcal_jax.files.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration, Noise
+from gradcal_jax.files.calibration.file import (
+    TEMPERATURE_RATE,
+    CalibratedChannel,
+    CalibratedTerm,
+    Calibration,
+    common_span,
+)
 from gradcal_jax.files.calibration.path_losses import Loss, lag_losses, path_losses
 from gradcal_jax.files.calibration.polynomials import bias_polynomial
 from gradcal_jax.files.calibration.text_template import rendered
@@ -65,12 +72,11 @@ def export(
     if target not in FORMATS:
         raise ValueError(f'there is no export format "{target}": known are {", ".join(FORMATS)}')
     plain, left_out = _without(calibration, zeroed)
-    options: dict[str, Any] = {"temperature_c": temperature_c, "instance": instance, "device_id": device_id}
-    options["template"] = template
     of_path = list(path_losses(calibration))
     lost = [loss for loss, _ in of_path if loss is not None] + ([] if target == "csv" else list(lag_losses(plain)))
-    unknown = [words for loss, words in of_path if loss is None]
-    done = FORMATS[target](plain, options | {"left_out": left_out, "lost": lost, "unknown": unknown})
+    options: dict[str, Any] = {"temperature_c": temperature_c, "instance": instance, "device_id": device_id}
+    options |= {"template": template, "left_out": left_out, "lost": lost}
+    done = FORMATS[target](plain, options | {"unknown": [words for loss, words in of_path if loss is None]})
     notes = [*done.notes]
     if target != "csv":
         lags = {channel.thermal_lag: channel.label for channel in calibration.channel if channel.thermal_lag}
@@ -167,11 +173,6 @@ def _of_biases(calibration: Calibration, target: str) -> tuple[list[CalibratedCh
     return gyros, [channel for channel in channels if channel.kind == "accelerometer"]
 
 
-def _common_range(channels: Iterable[CalibratedChannel]) -> tuple[float, float]:
-    lowest, highest = zip(*(channel.valid_temperature for channel in channels), strict=True)
-    return float(max(lowest)), float(min(highest))
-
-
 def _losses(
     channels: Iterable[CalibratedChannel], held: Callable[[CalibratedChannel, CalibratedTerm], tuple[float, str] | None]
 ) -> Iterator[Loss]:
@@ -233,8 +234,8 @@ def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     number = int(options["instance"])
     if not 1 <= number <= 3:
         raise ValueError(f"ArduPilot numbers its sensors 1 to 3, not {number}")
-    low, high = _common_range([*gyros, *forces])
-    low, high = max(low, -70.0), min(high, 80.0)
+    cold, warm = common_span(c.valid_temperature for c in (*gyros, *forces))
+    low, high = max(float(cold), -70.0), min(float(warm), 80.0)
     if high - low < 10.0:
         raise ValueError(f"ArduPilot needs a range of at least 10 K, and this calibration covers {low:g} … {high:g} °C")
     at = 0.5 * (low + high)
@@ -305,7 +306,7 @@ def _px4(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     number, identity = int(options["instance"]), options["device_id"]
     if not 0 <= number <= 3:
         raise ValueError(f"PX4 numbers its sensors 0 to 3, not {number}")
-    low, high = _common_range([*gyros, *forces])
+    low, high = map(float, common_span(c.valid_temperature for c in (*gyros, *forces)))
     if not high >= low:
         raise ValueError("the channels' temperature ranges do not overlap, and PX4 has one range for all of them")
     lines: list[str] = []
@@ -427,8 +428,8 @@ def _at_one_temperature(
     if not low - 1e-9 <= at <= high + 1e-9:
         raise ValueError(f"the calibration covers {low:g} … {high:g} °C, and {at:g} °C is outside")
     known = {channel.label for channel in calibration.channel}
-    absent = [f"{kind} {axis}" for kind in ("gyro", "accelerometer") for axis in _TRIAD]
-    absent = [label for label in absent if label not in known]
+    labels = (f"{kind} {axis}" for kind in ("gyro", "accelerometer") for axis in _TRIAD)
+    absent = [label for label in labels if label not in known]
     notes = [f"not calibrated, and taken as without errors: {', '.join(absent)}"] if absent else []
     losses = [loss for loss in _losses(calibration.channel, lambda c, t: _held(c, t, float(at))) if loss.value > 0.0]
     return float(at), linear_at(calibration, float(at)), losses, notes
@@ -446,13 +447,20 @@ def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
         f"# {_list_text(form.frame.ravel())}",
         "rostopic: /imu0",
     ]
-    lines += _kalibr_noise(calibration.noise)
+    for key, name, unit in (
+        ("gyroscope_noise_density", "angle_random_walk", "rad/s/sqrt(Hz)"),
+        ("gyroscope_random_walk", "rate_random_walk", "rad/s^2/sqrt(Hz)"),
+        ("accelerometer_noise_density", "velocity_random_walk", "m/s^2/sqrt(Hz)"),
+        ("update_rate", "sample_rate", "Hz"),
+    ):
+        if (value := getattr(calibration.noise, name, None)) is not None:
+            lines.append(f"{key}: {float(value):.9g}  # {unit}")
     if calibration.noise is None:
         notes.append("the calibration holds no noise: fill in the noise densities and random walks")
     notes.append("the file wants an accelerometer_random_walk, which no calibration tells")
-    lines += ["model: scale-misalignment", "accelerometers:", "  M:", *_matrix_lines(form.accelerometer)]
-    lines += ["gyroscopes:", "  M:", *_matrix_lines(form.gyro), "  A:", *_matrix_lines(form.sensitivity)]
-    lines += ["  C_gyro_i:", *_matrix_lines(form.rotation)]
+    lines += ["model: scale-misalignment", "accelerometers:", *_matrix_lines("M", form.accelerometer)]
+    lines += ["gyroscopes:", *_matrix_lines("M", form.gyro), *_matrix_lines("A", form.sensitivity)]
+    lines += _matrix_lines("C_gyro_i", form.rotation)
     return Export("\n".join(lines) + "\n", tuple(losses), tuple(notes))
 
 
@@ -467,9 +475,8 @@ def _matrices(calibration: Calibration, options: Mapping[str, Any]) -> Export:
         ("accelerometer", linear.accelerometer, linear.accelerometer_bias),
         ("gyro", linear.gyro, linear.gyro_bias),
     ):
-        inverse = np.asarray(np.linalg.inv(matrix), np.float64)
-        lines += [f"{name}:", "  matrix:", *_matrix_lines(inverse), f"  bias: {_list_text(bias)}"]
-    lines += ["  sensitivity:", *_matrix_lines(linear.sensitivity)]
+        lines += [f"{name}:", *_matrix_lines("matrix", np.linalg.inv(matrix)), f"  bias: {_list_text(bias)}"]
+    lines += _matrix_lines("sensitivity", linear.sensitivity)
     return Export("\n".join(lines) + "\n", tuple(losses), tuple(notes))
 
 
@@ -479,21 +486,9 @@ def _file_comment(calibration: Calibration, at: float | None = None) -> str:
     return f"# gradcal {calibration.serial_number}{where}" + (", SIMULATED" if calibration.simulated else "")
 
 
-def _kalibr_noise(noise: Noise | None) -> list[str]:
-    """The lines of the known noise."""
-    keys = (
-        ("gyroscope_noise_density", "angle_random_walk", "rad/s/sqrt(Hz)"),
-        ("gyroscope_random_walk", "rate_random_walk", "rad/s^2/sqrt(Hz)"),
-        ("accelerometer_noise_density", "velocity_random_walk", "m/s^2/sqrt(Hz)"),
-        ("update_rate", "sample_rate", "Hz"),
-    )
-    known = ((key, getattr(noise, name, None), unit) for key, name, unit in keys)
-    return [f"{key}: {float(value):.9g}  # {unit}" for key, value, unit in known if value is not None]
-
-
-def _matrix_lines(values: Floats) -> list[str]:
-    """The rows of a matrix in YAML."""
-    return [f"  - {_list_text(row)}" for row in values]
+def _matrix_lines(name: str, values: NDArray[Any]) -> list[str]:
+    """A matrix in YAML, row by row."""
+    return [f"  {name}:", *(f"  - {_list_text(row)}" for row in values)]
 
 
 def _list_text(values: Floats) -> str:
@@ -509,8 +504,8 @@ def _c_header(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     slopes = [loss._replace(what=f"{loss.what}: follows dT/dt") for loss in of_slope]
     lost = [f"{of}, {what}: {value:.3g} {unit}" for of, what, value, unit in (*slopes, *options["lost"])]
     text, errors = c_header.header(calibration, options["left_out"], (*lost, *options["unknown"]))
-    losses = *(Loss(*error) for error in errors), *slopes
-    return Export(text, losses, ("float32, no allocation, no division; channels in the order of the header",))
+    notes = ("float32, no allocation, no division; channels in the order of the header",)
+    return Export(text, (*errors, *slopes), notes)
 
 
 def _csv(calibration: Calibration, options: Mapping[str, Any]) -> Export:
@@ -522,22 +517,16 @@ def _csv(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     for channel in calibration.channel:
         for term in channel.term:
             lag = float(channel.thermal_lag or 0.0) + float(term.lag or 0.0) if term.temperature is not None else 0.0
-            bases = (_basis_words(term.temperature), _basis_words(term.rate), repr(lag))
+            written = ({} if of is None else of.model_dump(mode="json") for of in (term.temperature, term.rate))
+            bases = ["; ".join(f"{k}={v}" for k, v in of.items() if k != "internal") for of in written]
             where = (channel.name, term.name, " * ".join(term.signals))
             for name, value in term.coefficients.items():
-                rows.append((*where, name, repr(value), std.get(f"{channel.name}.{name}", ""), term.unit, *bases))
+                known_std = std.get(f"{channel.name}.{name}", "")
+                rows.append((*where, name, repr(value), known_std, term.unit, *bases, repr(lag)))
     stream = io.StringIO()
     stream.write(f"{_file_comment(calibration)}\n# {calibration.order}\n")
     csv.writer(stream, lineterminator="\n").writerows(rows)
     return Export(stream.getvalue(), (), ())
-
-
-def _basis_words(basis: Any) -> str:
-    """A basis in one line."""
-    if basis is None:
-        return ""
-    parts = [f"{key}={value}" for key, value in basis.model_dump(mode="json").items() if key != "internal"]
-    return "; ".join(parts)
 
 
 def _template(calibration: Calibration, options: Mapping[str, Any]) -> Export:

@@ -16,10 +16,12 @@ read, exactly at the middle temperature. **Version 1**, which is converted, too,
 an old file stay faults, which the validation reports.
 """
 
+import contextlib
 import copy
+import itertools
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -73,12 +75,10 @@ class CalibratedTerm(Section):
             message = f"expected {self.size} coefficients, one for each function of the bases"
             yield Problem(("coefficients",), message, len(self.coefficients))
         elif self.name in ("bias", "scale_factor") and self.temperature is not None and self.size > 1:
-            rates = 1 if self.rate is None else self.rate.size
-            functions = [[i, j] for i in range(self.temperature.size) for j in range(rates)]
-            functions = functions if self.rate is not None else [[i] for i, _ in functions]
-            for name, functions_of_name in zip(self.coefficients, functions, strict=True):
-                if function_of(name) != functions_of_name:
-                    place = " and ".join(map(str, functions_of_name))
+            sizes = (basis.size for basis in (self.temperature, self.rate) if basis is not None)
+            for name, function in zip(self.coefficients, itertools.product(*map(range, sizes)), strict=True):
+                if function_of(name) != list(function):
+                    place = " and ".join(map(str, function))
                     message = (
                         f"expected at this position the coefficient that multiplies function {place} of temperature "
                         "(and rate)"
@@ -89,7 +89,7 @@ class CalibratedTerm(Section):
     @property
     def size(self) -> int:
         """Number of its functions."""
-        return (1 if self.temperature is None else self.temperature.size) * (1 if self.rate is None else self.rate.size)
+        return math.prod(basis.size for basis in (self.temperature, self.rate) if basis is not None)
 
 
 class PathPolynomial(Section):
@@ -191,6 +191,12 @@ class CalibratedChannel(Section):
     def term_of(self, name: str) -> CalibratedTerm | None:
         """The term of that name, if there is one."""
         return next((term for term in self.term if term.name == name), None)
+
+
+def common_span(spans: Iterable[tuple[q.Quantity, q.Quantity]]) -> tuple[q.Quantity, q.Quantity]:
+    """What all ranges have in common."""
+    lows, highs = zip(*spans, strict=True)
+    return max(lows), min(highs)
 
 
 class Covariance(Section):
@@ -359,14 +365,12 @@ class Calibration(TitledFile):
     @property
     def valid_temperature(self) -> tuple[q.Temperature, q.Temperature]:
         """Temperatures that the data covered for every channel (the second may be below the first: none)."""
-        lows, highs = zip(*(channel.valid_temperature for channel in self.channel), strict=True)
-        return max(lows), min(highs)
+        return common_span(channel.valid_temperature for channel in self.channel)
 
     @property
     def valid_rate(self) -> tuple[q.Rate, q.Rate]:
         """Rates that the data covered for every channel (the second may be below the first: none)."""
-        lows, highs = zip(*(channel.valid_rate for channel in self.channel), strict=True)
-        return max(lows), min(highs)
+        return common_span(channel.valid_rate for channel in self.channel)
 
     _repr_html_ = html
 
@@ -421,7 +425,7 @@ def parse_calibration(text: str, source: str = "") -> Calibration:
     """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
 
     def read(document: dict[str, Any], _: Any) -> Calibration:
-        calibration = model_of(Calibration, upgraded(document), FORMAT, source)
+        calibration = model_of(Calibration, _upgraded(document), FORMAT, source)
         return _multiplied(calibration) if document.get("format") in OLD_FORMATS else calibration
 
     return from_text(read, text, source)
@@ -441,15 +445,15 @@ def write_calibration(calibration: Calibration, path: str | Path) -> None:
 
     Errors: `OSError` where it cannot be written.
     """
-    write_toml(calibration, path, header=_HEADER + (_SIMULATED if calibration.simulated else ""))
+    write_toml(calibration, path, header=_HEADER + _SIMULATED * calibration.simulated)
 
 
 def build_term(
     name: str, unit: str, signals: tuple[str, ...], coefficients: Mapping[str, float], **bases: Any
 ) -> CalibratedTerm:
     """A term from plain numbers; bases that are None are left out."""
-    bases_present = {key: value for key, value in bases.items() if value is not None}
-    return CalibratedTerm(name=name, unit=unit, signals=signals, coefficients=dict(coefficients), **bases_present)
+    present = {key: value for key, value in bases.items() if value is not None}
+    return CalibratedTerm(name=name, unit=unit, signals=signals, coefficients=dict(coefficients), **present)
 
 
 _HEADER: Final = """\
@@ -468,17 +472,14 @@ _GRADIENT: Final = "bias_temperature_gradient"
 Tables = dict[str, Any]
 
 
-def upgraded(document: Mapping[str, Any]) -> Tables:
+def _upgraded(document: Mapping[str, Any]) -> Tables:
     """The tables of a calibration in today's form; tables of other formats, and what is not understood, as they are."""
-    if document.get("format") not in OLD_FORMATS:
-        return dict(document)
-    tables = copy.deepcopy(dict(document)) | {"format": FORMAT}
-    if document["format"] != OLD_FORMATS[0]:
-        return tables
-    try:
-        return _FORMS[tables.pop("quantity")](tables)
-    except (AttributeError, KeyError, TypeError):
-        return dict(document) | {"format": FORMAT}
+    tables = dict(document) | ({"format": FORMAT} if document.get("format") in OLD_FORMATS else {})
+    if document.get("format") == OLD_FORMATS[0]:
+        with contextlib.suppress(AttributeError, KeyError, TypeError):
+            old = copy.deepcopy(tables)
+            return _FORMS[old.pop("quantity")](old)
+    return tables
 
 
 def _multiplied(calibration: Calibration) -> Calibration:
@@ -540,6 +541,7 @@ def _from_axes(tables: Tables) -> Tables:
     channels: list[Tables] = []
     names: list[str] = []
     blocks: list[Any] = []
+    matrix: list[list[Any]] = []
     for axis in tables.pop("axis"):
         label = axis.pop("name")
         name = f"gyro_{label}"
@@ -555,7 +557,11 @@ def _from_axes(tables: Tables) -> Tables:
             names += [f"{name}.{coefficient}" for coefficient in covariance["names"]]
             blocks.append(covariance["matrix"])
         channels.append({"kind": "gyro", "axis": label, "term": list(_terms(axis, f"rate {label}")), **axis})
-    known: Tables = {"covariance": {"names": names, "matrix": _diagonal(blocks)}} if blocks else {}
+    size = sum(map(len, blocks))
+    for block in blocks:
+        before = len(matrix)
+        matrix += [[*[0.0] * before, *row, *[0.0] * (size - before - len(block))] for row in block]
+    known: Tables = {"covariance": {"names": names, "matrix": matrix}} if blocks else {}
     return tables | {"channel": channels} | known | {key: rows for key, rows in whole.items() if rows}
 
 
@@ -578,13 +584,3 @@ def function_of(name: str) -> list[int]:
     b2_11, [4, 0] for b_bin0_spline4."""
     digits = re.findall(r"\d" if re.fullmatch(r"b\d\d", name) else r"\d+", name)
     return [int(digit) for digit in reversed(digits)]
-
-
-def _diagonal(blocks: list[Any]) -> list[list[Any]]:
-    """One matrix of blocks on a diagonal."""
-    size = sum(len(block) for block in blocks)
-    rows: list[list[Any]] = []
-    for block in blocks:
-        before = len(rows)
-        rows += [[*[0.0] * before, *row, *[0.0] * (size - before - len(block))] for row in block]
-    return rows

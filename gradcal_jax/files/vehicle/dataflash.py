@@ -22,8 +22,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from gradcal_jax.files.log import Floats, LogError
-from gradcal_jax.files.vehicle.streams import GyroStream, library
+from gradcal_jax.files.log import Floats, LogError, library
+from gradcal_jax.files.vehicle.streams import GyroStream
 
 _REFERENCE_C: Final = 35.0
 _UNSET_BELOW_C: Final = -80.0
@@ -92,14 +92,8 @@ def _undone(number: int, table: Any, in_force: Callable[[str, Floats, float], Fl
     if orientation[0]:
         note += f" and the board's orientation ({int(orientation[0])})"
     known = temperature if np.isfinite(temperature).any() else None
-    return GyroStream(
-        f"IMU{number}",
-        time,
-        rate,
-        known,
-        None,
-        (f"IMU{number}: ArduPilot's {note} have been removed from the data, by the parameters in the log",),
-    )
+    note = f"IMU{number}: ArduPilot's {note} have been removed from the data, by the parameters in the log"
+    return GyroStream(f"IMU{number}", time, rate, known, notes=(note,))
 
 
 def _to_sensor(orientation: int) -> Floats:

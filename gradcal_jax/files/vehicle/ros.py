@@ -17,14 +17,15 @@ rates are the estimator's, and are refused.
 import itertools
 import struct
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.files.log import Floats, LogError
-from gradcal_jax.files.vehicle.streams import GyroStream, interpolated, library
+from gradcal_jax.files.log import Floats, LogError, library
+from gradcal_jax.files.vehicle.streams import GyroStream, interpolated
 
 _IMU: Final = ("sensor_msgs/msg/Imu", "sensor_msgs/Imu")
 _TEMPERATURE: Final = ("sensor_msgs/msg/Temperature", "sensor_msgs/Temperature")
@@ -32,14 +33,14 @@ _SAME_CLOCK_S: Final = 1.0
 """If the stamps of the header differ from the receiver's by less than this (median), both are from one clock."""
 
 
+@dataclass
 class _Topic:
     """Raw messages of a topic, with the receiver's stamps in ns."""
 
-    def __init__(self, name: str, cdr: bool) -> None:
-        self.name = name
-        self.cdr = cdr
-        self.messages: list[bytes] = []
-        self.received_ns: list[int] = []
+    name: str
+    cdr: bool
+    messages: list[bytes] = field(default_factory=list[bytes])
+    received_ns: list[int] = field(default_factory=list[int])
 
 
 def gyros(path: Path) -> Sequence[GyroStream]:
@@ -125,9 +126,7 @@ def _gather(
     """(topic, type, whether CDR, received ns, bytes) -> topics of Imu, and of Temperature."""
     topics: dict[tuple[str, str], _Topic] = {}
     for name, kind, cdr, received, content in messages:
-        topic = topics.get((name, kind))
-        if topic is None:
-            topic = topics[name, kind] = _Topic(name, cdr)
+        topic = topics.setdefault((name, kind), _Topic(name, cdr))
         topic.messages.append(content)
         topic.received_ns.append(received)
     imus = [topic for (_, kind), topic in topics.items() if kind in _IMU]

@@ -8,7 +8,7 @@ import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -109,14 +109,13 @@ def _log(
     first = streams[0]
     known = [stream.temperature_c for stream in streams if stream.temperature_c is not None]
     nothing = np.full(len(first.time_s), np.nan)
+    warm = [nothing if stream.temperature_c is None else stream.temperature_c for stream in streams]
     columns = Columns(
         rate_rad_per_s=np.stack([stream.rate_rad_per_s for stream in streams]),
         units=tuple(stream.name for stream in streams),
         axes=("x", "y", "z"),
         time_s=first.time_s,
-        temperature_c=np.stack([nothing if s.temperature_c is None else s.temperature_c for s in streams])
-        if known
-        else None,
+        temperature_c=np.stack(warm) if known else None,
         host_time_s=first.host_time_s,
         provenance={"source": path.name, **_FIRMWARE.get(KINDS.get(path.suffix.lower(), ""), {})}
         | ({} if first.sensor_rate is None else {SENSOR_RATE: first.sensor_rate}),
@@ -125,13 +124,10 @@ def _log(
     policy = Policy(missing_temperatures="mask" if len(known) == len(streams) else "keep")
     log = examine(columns if rows is None else columns.part(rows), policy)
     notes = [Finding("source", "keep", 0, note) for stream in streams for note in stream.notes]
-    notes += [
-        Finding(
-            "coarse thermometer", "keep", 0, f"the temperature of {stream.name} is recorded in steps of {step:.3g} degC"
-        )
-        for stream in streams
-        if stream.temperature_c is not None and (step := _step(stream.temperature_c)) > 0.4
-    ]
+    for stream in streams:
+        if stream.temperature_c is not None and (step := _step(stream.temperature_c)) > 0.4:
+            text = f"the temperature of {stream.name} is recorded in steps of {step:.3g} degC"
+            notes.append(Finding("coarse thermometer", "keep", 0, text))
     if others:
         names = ", ".join(stream.name for stream in others)
         text = f"the log also has other gyros, with clocks of their own: {names}; choose one with --unit"
@@ -156,13 +152,3 @@ def interpolated(time_s: Floats, of_time_s: Floats, values: Floats) -> Floats:
     result = np.interp(time_s, x, y)
     result[(time_s < x[0] - beyond) | (time_s > x[-1] + beyond)] = np.nan
     return result
-
-
-def library(name: str, package: str) -> Any:
-    """A reader's library. Raises `LogError` with a sentence on how to install it."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise LogError(
-            f'reading it needs the package {package}, of the extra "logs": pip install "gradcal_jax[logs]"'
-        ) from None

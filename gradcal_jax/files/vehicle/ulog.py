@@ -17,8 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from gradcal_jax.files.log import LogError
-from gradcal_jax.files.vehicle.streams import GyroStream, interpolated, library
+from gradcal_jax.files.log import LogError, library
+from gradcal_jax.files.vehicle.streams import GyroStream, interpolated
 
 _RAW: Final = ("sensor_gyro", "sensor_gyro_fifo")
 _SLOWEST_HZ: Final = 90.0

@@ -2,7 +2,9 @@
 numbers that controllers take."""
 
 import math
+import pickle
 from collections.abc import Mapping, Sequence
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -268,7 +270,8 @@ class CyclePlan:
             self.start = self.start._replace(course=tuple(own.tolist()))
         elif not self.turns_free:
             raise ValueError(f"no part of the plan is free: the table is at rest, and {NO_COURSE}")
-        self.descent = Descent(self._value)
+        self.value = partial(_value, self.objective, self.slots, self.free_course)
+        self.descent = _descent_of(self.value)
 
     def _joint(self, cases: Sequence[PlanCase], model: ImuModel) -> Together | None:
         """What all IMUs of a fixture estimate together; None for one IMU."""
@@ -280,12 +283,6 @@ class CyclePlan:
         shared = shared_parameters(model, clock=self.spec.sensor.takes_host_clock)
         stds = np.concatenate([np.ones(model.calibrated), *(np.asarray(t.stds) for t in model.installation)])
         return Together(np.flatnonzero(shared), stds[shared] ** -2.0, tuple(c.imus for c in cases), tuple(groups))
-
-    def _value(self, z: Any, args: tuple[CycleStructure, Ramp | None, Any, Any]) -> Any:
-        of, ramps, sharpness, targets = args
-        count = 3 * self.slots
-        ramps = self.free_ramps(z[count:], of) if ramps is None else ramps
-        return self.objective.value(jnp.reshape(z[:count], (3, self.slots)), of, ramps, sharpness, targets)
 
     def free_ramps(self, z: Any, of: CycleStructure) -> Ramp:
         """The ramps of a free course."""
@@ -447,6 +444,32 @@ class CyclePlan:
         period, whole = self.course(cycle.cycles).period, self.structure(cycle).whole
         tables["plan"]["cycle"]["moves"] = self.rounding.moves(self.rounding.rounded(cycle.turns, period, whole))
         return spec_of(tables)
+
+
+def _value(objective: CycleObjective, slots: int, course: FreeCourse | None, z: Any, args: tuple[Any, ...]) -> Any:
+    """The objective of the free numbers of a cycle in so many `slots`, and of its course where that is free; `args`:
+    structure, ramps (None: of the free course), sharpness, targets."""
+    of, ramps, sharpness, targets = args
+    if ramps is None:
+        assert course is not None
+        ramps = course.ramps(z[3 * slots :], of.period)
+    return objective.value(jnp.reshape(z[: 3 * slots], (3, slots)), of, ramps, sharpness, targets)
+
+
+def _descent_of(value: "partial[Any]") -> Descent:
+    """Descents of an objective. Those of plans that differ in nothing that the program holds share one, so that another
+    search of a spec, or for other targets, in one process compiles nothing."""
+    objective, *others = value.args
+    try:
+        return _compiled_once(pickle.dumps(partial(_value, objective.without_targets(), *others)))
+    except (AttributeError, TypeError, pickle.PicklingError):
+        # A user's own term may be of a class that cannot be pickled.
+        return Descent(value)
+
+
+@lru_cache(maxsize=4)
+def _compiled_once(value: bytes) -> Descent:
+    return Descent(pickle.loads(value))
 
 
 class CycleCourse(NamedTuple):

@@ -16,6 +16,7 @@ As S is a polynomial of j, its singular values over j leave degree + 1 products 
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -373,6 +374,12 @@ class CycleObjective:
         self.targets, self.minimised, self.weights, self.of_logs = targets, len(statistics), weights, of_logs
         self._believed, self._together = believed, together
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
+
+    def without_targets(self) -> "CycleObjective":
+        """The same with targets of 1, for programs that take them as arguments."""
+        same = copy(self)
+        same.targets = np.ones(len(self.targets))
+        return same
 
     def value(
         self,

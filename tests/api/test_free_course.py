@@ -73,7 +73,7 @@ def standing(**changes) -> Spec:
 def objective(plan: CyclePlan, sharpness: float):
     of = plan.structure(plan.start)
     args = jax.tree.map(jnp.asarray, of), None, sharpness, plan.objective.targets
-    return lambda z: plan._value(z, args), of
+    return lambda z: plan.value(z, args), of
 
 
 @pytest.mark.parametrize("late", [pytest.param(False, marks=pytest.mark.evidence), True])
@@ -119,7 +119,7 @@ def test_the_objective_of_a_fixed_course_with_late_terms_is_about_that_of_its_pl
     plan = CyclePlan(gj.changed(turning(back=True, late=True), {"design": {"free": ["cycle"]}}))
     of = plan.structure(plan.start)
     args = jax.tree.map(jnp.asarray, of), plan.course(plan.start.cycles).ramps, np.inf, plan.objective.targets
-    left = float(np.exp(jax.jit(lambda z: plan._value(z, args))(plan.point(plan.start, of))))
+    left = float(np.exp(jax.jit(lambda z: plan.value(z, args))(plan.point(plan.start, of))))
     assert left == pytest.approx(np.exp(plan.exact.value_of(plan.exact.residuals(plan.spec_of(plan.start)))), rel=0.1)
 
 

@@ -467,7 +467,7 @@ def _descent_of(value: "partial[Any]") -> Descent:
         return Descent(value)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _compiled_once(value: bytes) -> Descent:
     return Descent(pickle.loads(value))
 

@@ -3,9 +3,9 @@
 import contextlib
 
 from gradcal_jax.decoding.run_log import _of_unit
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.rig import RigFile
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.run.recipe import Recipe
+from gradcal_jax.files.spec.rig import RigFile
 from gradcal_jax.hardware.journal import JournalContents
 
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from gradcal_jax.api.estimate import SensorEstimate
 from gradcal_jax.api.imu_residual import quantity_of
-from gradcal_jax.files import spec as specs
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.spec import spec as specs
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.formulas import legendre
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth, SimulatedImu

@@ -13,8 +13,8 @@ from gradcal_jax import formulas
 from gradcal_jax.api.build import Assembled, assemble
 from gradcal_jax.api.turn_plan import gyro_of
 from gradcal_jax.files import Spec
-from gradcal_jax.files.log import AngleReadings, Log, ReadingKind
-from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.log.log import AngleReadings, Log, ReadingKind
+from gradcal_jax.files.spec.schedule import StandardSchedule
 from gradcal_jax.model import BIAS, HARMONICS, SCALE_FACTOR, TEMPERATURE_GRADIENT, SensorModel
 from gradcal_jax.trajectory import Trajectory
 

@@ -18,8 +18,8 @@ from simulated_log import simulate_log
 import gradcal_jax as gj
 from gradcal_jax import display, identify
 from gradcal_jax.api import estimate, instability, limit, optimise
+from gradcal_jax.files.base.contracts import requirement_table
 from gradcal_jax.files.calibration.file import upgraded
-from gradcal_jax.files.contracts import requirement_table
 
 LINES, WIDTH = 15, 80
 # A `repr` runs at most some fifty thousand lines of Python.

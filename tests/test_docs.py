@@ -23,8 +23,8 @@ from gradcal_jax import plots
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import build
 from gradcal_jax.cli.lookup import commands_page
-from gradcal_jax.files import schemas
-from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.base import schemas
+from gradcal_jax.files.run.recipe import read_recipe
 
 ROOT = Path(__file__).parents[1]
 GENERATED = {f"docs/reference/{name}.md" for name in (*schemas.schema_names(), "commands")}
@@ -174,7 +174,7 @@ def test_the_class_of_one_s_own_in_the_how_to_predicts(capsys):
     assert capsys.readouterr().out.count("gyro_x.Magnetic") == 3
 
 
-@pytest.mark.parametrize("module", sorted({*gj._HOME_OF_NAME.values(), "units.quantities", "files.changes"}))
+@pytest.mark.parametrize("module", sorted({*gj._HOME_OF_NAME.values(), "units.quantities", "files.spec.changes"}))
 def test_the_examples_of_docstrings_are_right(module):
     # (A package's own names are those of its modules.)
     names = [name for name, home in gj._HOME_OF_NAME.items() if home == module]

@@ -5,9 +5,9 @@ import pytest
 from random_specs import BASES, FAMILIES, MOST_READINGS, SHAPES, random_spec
 
 from gradcal_jax.files import spec_of
-from gradcal_jax.files.axis_as_imu import convert, turned_axes
-from gradcal_jax.files.motion_plan import row_count
-from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.spec.axis_as_imu import convert, turned_axes
+from gradcal_jax.files.spec.motion_plan import row_count
+from gradcal_jax.files.spec.schedule import StandardSchedule
 
 
 def as_read(tables):

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SimulatedImu
 

@@ -154,7 +154,7 @@ def allan_allantools(rate: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 def calibration_log(samples: int):
     """Ramping up and down between -30 and 70 °C at 1 K/min, as long as it takes; b00 is `TRUTH`, all else zero."""
-    from gradcal_jax.files.log import Log
+    from gradcal_jax.files.log.log import Log
 
     time_s = INTERVAL * np.arange(samples)
     cycle, into = np.divmod(time_s, 2.0 * (REST + TURN))

@@ -34,7 +34,7 @@ def loop(points: list[dict]) -> None:
 
     from gradcal_jax.api import assemble
     from gradcal_jax.files import changed
-    from gradcal_jax.files.sweep import read_sweep
+    from gradcal_jax.files.run.sweep import read_sweep
     from gradcal_jax.information import at_readings, contrasts, noise_steps
 
     base = read_sweep(HERE / "sweep.toml").base
@@ -101,7 +101,7 @@ def main() -> None:
         return
     import numpy as np
 
-    from gradcal_jax.files.sweep import read_sweep
+    from gradcal_jax.files.run.sweep import read_sweep
     from gradcal_jax.jobs.dataset import read_dataset
     from gradcal_jax.jobs.points import Points
 

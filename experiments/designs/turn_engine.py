@@ -27,7 +27,7 @@ from gradcal_jax.api.turn_plan import (  # noqa: E402
     structures,
 )
 from gradcal_jax.design.search import SHARPNESS, Compiled  # noqa: E402
-from gradcal_jax.files.recipe import spec_in  # noqa: E402
+from gradcal_jax.files.run.recipe import spec_in  # noqa: E402
 
 HERE = Path(__file__).parent
 CASES = {

@@ -93,7 +93,7 @@ def compared(name: str) -> dict[str, object]:
     """What the kept recipe leaves, and the limit, where there is a proof."""
     from gradcal_jax.api import predict
     from gradcal_jax.api.limit import limit
-    from gradcal_jax.files.recipe import read_recipe
+    from gradcal_jax.files.run.recipe import read_recipe
 
     spec = read_recipe(path_of(name)).spec
     if name not in MOVING:

@@ -29,7 +29,7 @@ from gradcal_jax.api.estimate import EstimateReport  # noqa: E402
 from gradcal_jax.api.hand_estimate import HandReport  # noqa: E402
 from gradcal_jax.api.imu_build import build_imu, imu_posterior  # noqa: E402
 from gradcal_jax.api.imu_residual import ImuResidual, imu_residual  # noqa: E402
-from gradcal_jax.files.recipe import Recipe  # noqa: E402
+from gradcal_jax.files.run.recipe import Recipe  # noqa: E402
 from gradcal_jax.plots.residual import boxes_of  # noqa: E402
 
 ROOT = Path(__file__).parents[2]

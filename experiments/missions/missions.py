@@ -118,7 +118,7 @@ def compared(name: str) -> dict[str, object]:
     from gradcal_jax.api import predict
     from gradcal_jax.api.limit import limit
     from gradcal_jax.files import read_spec, tables_of
-    from gradcal_jax.files.spec import spec_of
+    from gradcal_jax.files.spec.spec import spec_of
 
     own, for_ppm = read_spec(plan_of(name)), read_spec(plan_of("ppm"))
     both = [predict(one).requirements for one in (own, spec_of(tables_of(own) | {"plan": tables_of(for_ppm)["plan"]}))]

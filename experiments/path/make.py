@@ -12,9 +12,9 @@ import jax
 import numpy as np
 
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.spec.spec import spec_of
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.plots import save
 from gradcal_jax.plots.calibration import draw_loop
 from gradcal_jax.plots.style import new_panels

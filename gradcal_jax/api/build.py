@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax import model, trajectory
-from gradcal_jax.files.bases import PolynomialKeys, SplineKeys
-from gradcal_jax.files.motion_plan import PlanSchedule, plan_schedule
-from gradcal_jax.files.moves import ResolvedMove
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.section import Section
-from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
-from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.base.section import Section
+from gradcal_jax.files.spec.bases import PolynomialKeys, SplineKeys
+from gradcal_jax.files.spec.motion_plan import PlanSchedule, plan_schedule
+from gradcal_jax.files.spec.moves import ResolvedMove
+from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.files.spec.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
+from gradcal_jax.files.spec.spec import expect_spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.model import Map, OtherTemperature, OwnTerm, PathTerm, Processes, Reference, SensorModel, SignalMap
 from gradcal_jax.trajectory import Move, Past, Schedule
 

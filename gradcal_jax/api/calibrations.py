@@ -14,10 +14,10 @@ import numpy as np
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.api.plan_sentences import in_words
 from gradcal_jax.display import summary
-from gradcal_jax.files.bases import RateBasis, TemperatureBasis
+from gradcal_jax.files.base.writing import tables_to_toml
 from gradcal_jax.files.calibration import CalibratedChannel, CalibratedTerm, Calibration
-from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
-from gradcal_jax.files.writing import tables_to_toml
+from gradcal_jax.files.spec.bases import RateBasis, TemperatureBasis
+from gradcal_jax.files.spec.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.identify import lots
 from gradcal_jax.identify.lots import Floats
 from gradcal_jax.information import Posterior

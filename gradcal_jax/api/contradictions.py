@@ -25,13 +25,13 @@ from gradcal_jax.estimation import (
     size_of,
     structure_test,
 )
-from gradcal_jax.files.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
-from gradcal_jax.files.contracts import RequirementRow
-from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.signal_faults import without_faults
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.base.contracts import RequirementRow
+from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.files.log.signal_faults import without_faults
+from gradcal_jax.files.spec.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
+from gradcal_jax.files.spec.requirement import Requirement
+from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.model import AXIS_NAMES, BIAS, KINDS, Channel, ImuModel
 
 # K by which a die may be colder or warmer than the chamber's limits, self-heating included.

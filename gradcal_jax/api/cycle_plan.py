@@ -47,13 +47,13 @@ from gradcal_jax.design.pose_cycle import (
     largest_alike,
     structure_of,
 )
-from gradcal_jax.files.changes import changed
-from gradcal_jax.files.design import Design
-from gradcal_jax.files.motion_plan import MotionPlan, PlanSchedule
-from gradcal_jax.files.rounding import steps_of
-from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.files.tracks import makeable_acceleration
+from gradcal_jax.files.run.rounding import steps_of
+from gradcal_jax.files.run.tracks import makeable_acceleration
+from gradcal_jax.files.spec.changes import changed
+from gradcal_jax.files.spec.design import Design
+from gradcal_jax.files.spec.motion_plan import MotionPlan, PlanSchedule
+from gradcal_jax.files.spec.spec import spec_of
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import imu_system, whiten
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import SCALE_FACTOR, Hysteresis, ImuModel, SensorModel, TemperatureDifference

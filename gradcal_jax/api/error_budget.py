@@ -22,11 +22,11 @@ from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, unweig
 from gradcal_jax.api.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.api.verdicts import mission_weights
 from gradcal_jax.design import Criterion
-from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.files.calibration import UnseenError
-from gradcal_jax.files.changes import changed
-from gradcal_jax.files.requirement import MisalignmentRequirement, Requirement
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.files.spec.changes import changed
+from gradcal_jax.files.spec.requirement import MisalignmentRequirement, Requirement
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import Posterior, estimator_of_means, imu_system, noise_parts, statistic
 from gradcal_jax.information.budget import Sensitivity, information_lost, sensitivity_of, weights_of
 from gradcal_jax.information.posterior import noise_of_sums

@@ -64,17 +64,17 @@ from gradcal_jax.estimation import (
     StructureTest,
     Test,
 )
-from gradcal_jax.files.absent import attitude_sentences, branch_sentences
+from gradcal_jax.files.base.contracts import RequirementRow, narrow_table
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.calibration.correction import correct_triads
-from gradcal_jax.files.changes import along_axis
-from gradcal_jax.files.contracts import RequirementRow, narrow_table
-from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.moves import Axis
-from gradcal_jax.files.places import places_of, specs_at_places
-from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.files.spec.absent import attitude_sentences, branch_sentences
+from gradcal_jax.files.spec.changes import along_axis
+from gradcal_jax.files.spec.moves import Axis
+from gradcal_jax.files.spec.places import places_of, specs_at_places
+from gradcal_jax.files.spec.plan import StandardPlan
+from gradcal_jax.files.spec.spec import expect_spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import Posterior, segments_of
 from gradcal_jax.model import AXIS_NAMES, KINDS
 from gradcal_jax.units import DEG_PER_S, PPM

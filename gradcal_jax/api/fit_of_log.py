@@ -28,6 +28,8 @@ from gradcal_jax.estimation import (
     TablePoints,
     Test,
 )
+from gradcal_jax.files.base.contracts import RequirementRow
+from gradcal_jax.files.base.quantity import Quantity
 from gradcal_jax.files.calibration import (
     FORMAT,
     ORDER,
@@ -43,12 +45,10 @@ from gradcal_jax.files.calibration import (
     build_term,
 )
 from gradcal_jax.files.calibration.correction import correct_triads
-from gradcal_jax.files.contracts import RequirementRow
-from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.files.spec.plan import StandardPlan
+from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.formulas import followed
 from gradcal_jax.model import (
     AXIS_NAMES,

@@ -11,6 +11,7 @@ from gradcal_jax.api.verdicts import coefficient_rows, fit_rows, provenance_of
 from gradcal_jax.display import summary
 from gradcal_jax.estimation import Test
 from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions, solve_by_hand
+from gradcal_jax.files.base.quantity import Quantity
 from gradcal_jax.files.calibration import (
     FORMAT,
     ORDER,
@@ -21,9 +22,8 @@ from gradcal_jax.files.calibration import (
     Noise,
     build_term,
 )
-from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.signal_faults import quiet_windows, refuse_repeated, without_faults
+from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.files.log.signal_faults import quiet_windows, refuse_repeated, without_faults
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.units import DEG_PER_H, G
 

@@ -18,16 +18,16 @@ from gradcal_jax.api.build import (
     shapes_of,
     table_schedule,
 )
-from gradcal_jax.files import sensor as sensor_file
-from gradcal_jax.files.bench import Rig
-from gradcal_jax.files.memory import too_large
-from gradcal_jax.files.motion_plan import PlanSchedule, plan_schedule
-from gradcal_jax.files.places import specs_at_places
-from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
-from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.files.temperature_path import PlayOfBias
+from gradcal_jax.files.spec import sensor as sensor_file
+from gradcal_jax.files.spec.bench import Rig
+from gradcal_jax.files.spec.memory import too_large
+from gradcal_jax.files.spec.motion_plan import PlanSchedule, plan_schedule
+from gradcal_jax.files.spec.places import specs_at_places
+from gradcal_jax.files.spec.plan import StandardPlan
+from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.files.spec.sensor import AccelerometerTriad, GyroTriad
+from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.files.spec.temperature_path import PlayOfBias
 from gradcal_jax.information import Posterior, imu_information, imu_unweighted, posterior, segments_of
 from gradcal_jax.model import (
     AXIS_NAMES,

@@ -17,8 +17,8 @@ from gradcal_jax.api.imu_build import (
     BuiltImu,
 )
 from gradcal_jax.api.verdicts import UNIT_OF, finite, mission_weights
-from gradcal_jax.files.contracts import MissionRow
-from gradcal_jax.files.requirement import (
+from gradcal_jax.files.base.contracts import MissionRow
+from gradcal_jax.files.spec.requirement import (
     AccelerometerBiasRequirement,
     GyroBiasRequirement,
     GyroScaleFactorRequirement,

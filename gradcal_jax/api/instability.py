@@ -16,8 +16,8 @@ from gradcal_jax import formulas, identify, units
 from gradcal_jax.api.log_rows import BRANCHES, branch_of
 from gradcal_jax.api.verdicts import finite
 from gradcal_jax.display import summary
-from gradcal_jax.files.log import SENSOR_RATE, EvenSeries, Log, LogError, Reason
-from gradcal_jax.files.signal_faults import changing_noise, refuse_clipped, refuse_repeated, without_faults
+from gradcal_jax.files.log.log import SENSOR_RATE, EvenSeries, Log, LogError, Reason
+from gradcal_jax.files.log.signal_faults import changing_noise, refuse_clipped, refuse_repeated, without_faults
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H
 

@@ -47,11 +47,11 @@ from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.design import Criterion, Limit, bias_seen_continuously, longest_step, look_at
 from gradcal_jax.design.noise_floor import Course
 from gradcal_jax.display import summary
-from gradcal_jax.files.absent import with_typical
-from gradcal_jax.files.design import TIMES
-from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, Requirement
-from gradcal_jax.files.spec import expect_spec, goes_on
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.absent import with_typical
+from gradcal_jax.files.spec.design import TIMES
+from gradcal_jax.files.spec.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, Requirement
+from gradcal_jax.files.spec.spec import expect_spec, goes_on
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import square_root, statistic
 from gradcal_jax.model import (
     AXIS_NAMES,

@@ -27,17 +27,17 @@ from gradcal_jax.api.instability import RestRecord, allan_of, at_rest, number, p
 from gradcal_jax.api.log_rows import Options, imu_rows, with_earth
 from gradcal_jax.estimation import TablePoints
 from gradcal_jax.files import parse_spec
+from gradcal_jax.files.base.quantity import Quantity
 from gradcal_jax.files.calibration import Calibration, Covariance, Noise
-from gradcal_jax.files.changes import changed
-from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.log_from import log_from
-from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.points import RatePoints
-from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.sensor import GyroTriad
-from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.files.log.log_from import log_from
+from gradcal_jax.files.log.points import RatePoints
+from gradcal_jax.files.spec.changes import changed
+from gradcal_jax.files.spec.plan import StandardPlan
+from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.files.spec.sensor import GyroTriad
+from gradcal_jax.files.spec.spec import expect_spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
 

@@ -11,15 +11,15 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.api.imu_build import BuiltImu
 from gradcal_jax.estimation import HUBER, ImuRows
-from gradcal_jax.files.absent import absent_lever_arm
+from gradcal_jax.files.base.quantity import Quantity
 from gradcal_jax.files.calibration.correction import temperature_slope
-from gradcal_jax.files.changes import changed
-from gradcal_jax.files.log import Log, LogError, ReadingKind
-from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.sensor import HOST_CLOCK
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log, LogError, ReadingKind
+from gradcal_jax.files.spec.absent import absent_lever_arm
+from gradcal_jax.files.spec.changes import changed
+from gradcal_jax.files.spec.plan import StandardPlan
+from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.files.spec.sensor import HOST_CLOCK
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.model import SECOND
 

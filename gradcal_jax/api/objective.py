@@ -24,13 +24,13 @@ from gradcal_jax.api.verdicts import UNIT_OF, limit_of
 from gradcal_jax.design import KEPT, Missed, Optimality
 from gradcal_jax.design.pose_cycle import EXCESS
 from gradcal_jax.files import changed
-from gradcal_jax.files.bases import RatePolynomial, TemperaturePolynomial
-from gradcal_jax.files.contracts import NoticeRow
-from gradcal_jax.files.design import ALL, OPTIMALITIES, TIMES, WORST, Design, Notice, Scenario
-from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.files.sensor import ScaleFactor
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.base.contracts import NoticeRow
+from gradcal_jax.files.base.quantity import Quantity
+from gradcal_jax.files.spec.bases import RatePolynomial, TemperaturePolynomial
+from gradcal_jax.files.spec.design import ALL, OPTIMALITIES, TIMES, WORST, Design, Notice, Scenario
+from gradcal_jax.files.spec.requirement import Requirement
+from gradcal_jax.files.spec.sensor import ScaleFactor
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import (
     Posterior,
     SquareRootInformation,

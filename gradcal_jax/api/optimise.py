@@ -37,13 +37,13 @@ from gradcal_jax.api.turn_search import STEPS, TurnSearch
 from gradcal_jax.api.verdicts import limit_of
 from gradcal_jax.display import summary
 from gradcal_jax.files import changed, tables_of
-from gradcal_jax.files.design import TIMES
-from gradcal_jax.files.motion_plan import duration_of
-from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.rounding import steps_of
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.run.rounding import steps_of
+from gradcal_jax.files.spec.design import TIMES
+from gradcal_jax.files.spec.motion_plan import duration_of
+from gradcal_jax.files.spec.plan import StandardPlan
+from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.files.spec.spec import expect_spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import imu_information, posterior
 from gradcal_jax.trajectory import body_nodes
 

@@ -18,8 +18,8 @@ from scipy.special import chdtrc
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.display import summary
 from gradcal_jax.estimation import Estimate, ImuEstimate, ImuReadings, Whitened, solve, split
-from gradcal_jax.files.absent import path_terms_of
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.absent import path_terms_of
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import segments_of, whiten
 from gradcal_jax.model import (
     BIAS,

@@ -13,12 +13,12 @@ from gradcal_jax.api.imu_build import (
     rest_poses,
 )
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS, quantity_of
-from gradcal_jax.files.absent import absent_terms, minutes_of_change
-from gradcal_jax.files.changes import changed
-from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.absent import absent_terms, minutes_of_change
+from gradcal_jax.files.spec.changes import changed
+from gradcal_jax.files.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
+from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.files.spec.spec import expect_spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import Posterior, posterior, square_root, unobservable_combinations
 from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, Hysteresis, Map, PathTerm, RotationSensitivity
 from gradcal_jax.trajectory import Trajectory, frames

@@ -22,7 +22,7 @@ from gradcal_jax.api.searching import Optimised, PlanOutcome, Price, PricedLimit
 from gradcal_jax.design.compiling import compiler_options
 from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.design.pose_cycle import CycleCoordinates, CycleStructure, PoseTurn, Ramp
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.spec_sections import Spec
 
 # A rate, pose, rest or slope within this share of its limit counts as limited.
 _AT_LIMIT = 0.01

@@ -38,14 +38,14 @@ from gradcal_jax.api.verdicts import (
 )
 from gradcal_jax.display import summary
 from gradcal_jax.files import Prediction
-from gradcal_jax.files.absent import absent_terms, with_typical
-from gradcal_jax.files.contracts import AbsentRow, CheckRow, ParameterRow, PlaceRow, RequirementRow
-from gradcal_jax.files.recipe import FORMAT, Predicted, Recipe, RecipeOrigin
-from gradcal_jax.files.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
-from gradcal_jax.files.rounding import ControllerSteps, rounded, steps_of
-from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.files.tracks import Stability, tracks_of
+from gradcal_jax.files.base.contracts import AbsentRow, CheckRow, ParameterRow, PlaceRow, RequirementRow
+from gradcal_jax.files.run.recipe import FORMAT, Predicted, Recipe, RecipeOrigin
+from gradcal_jax.files.run.rounding import ControllerSteps, rounded, steps_of
+from gradcal_jax.files.run.tracks import Stability, tracks_of
+from gradcal_jax.files.spec.absent import absent_terms, with_typical
+from gradcal_jax.files.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
+from gradcal_jax.files.spec.spec import expect_spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import (
     STATISTICS,
     Posterior,

@@ -19,10 +19,10 @@ from gradcal_jax.api.objective import MET, ExactObjective, RequirementChange, Re
 from gradcal_jax.api.verdicts import finite
 from gradcal_jax.display import summary
 from gradcal_jax.files import to_toml
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.rounding import rounded
-from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.files.writing import whole
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.base.writing import whole
+from gradcal_jax.files.run.rounding import rounded
+from gradcal_jax.files.spec.spec_sections import Spec
 
 
 class SearchStep(NamedTuple):

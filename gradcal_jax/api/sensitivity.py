@@ -37,10 +37,10 @@ from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.design import Criterion
 from gradcal_jax.display import summary
-from gradcal_jax.files.changes import changed, tables_of
-from gradcal_jax.files.requirement import Requirement
-from gradcal_jax.files.spec import expect_spec, goes_on
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.changes import changed, tables_of
+from gradcal_jax.files.spec.requirement import Requirement
+from gradcal_jax.files.spec.spec import expect_spec, goes_on
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import Posterior, information
 from gradcal_jax.model import SensorModel
 from gradcal_jax.trajectory import Rule, Schedule, rule_of

@@ -10,9 +10,8 @@ from gradcal_jax.api.build import shapes_of
 from gradcal_jax.api.error_budget import UNKNOWN_EARTH_RATE
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, has_common_clock
 from gradcal_jax.api.verdicts import finite, section_of
-from gradcal_jax.files import timeline as contract
-from gradcal_jax.files.bases import RateBasis, TemperatureBasis
-from gradcal_jax.files.contracts import (
+from gradcal_jax.files.base import timeline as contract
+from gradcal_jax.files.base.contracts import (
     BasisRow,
     DiscrepancyRow,
     Functions,
@@ -22,14 +21,15 @@ from gradcal_jax.files.contracts import (
     ProcessRow,
     TemperatureErrorRow,
 )
-from gradcal_jax.files.motion_plan import PlanSchedule
-from gradcal_jax.files.moves import ResolvedMove
-from gradcal_jax.files.plan import StandardPlan
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy
-from gradcal_jax.files.spec import expect_spec, goes_on
-from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.files.timeline import Timeline
+from gradcal_jax.files.base.timeline import Timeline
+from gradcal_jax.files.spec.bases import RateBasis, TemperatureBasis
+from gradcal_jax.files.spec.motion_plan import PlanSchedule
+from gradcal_jax.files.spec.moves import ResolvedMove
+from gradcal_jax.files.spec.plan import StandardPlan
+from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.files.spec.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor, ScaleFactorDiscrepancy
+from gradcal_jax.files.spec.spec import expect_spec, goes_on
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import (
     AXIS_NAMES,

@@ -33,15 +33,15 @@ from gradcal_jax.design import (
     make_coordinates,
     polynomial_grid,
 )
-from gradcal_jax.files.changes import changed
-from gradcal_jax.files.design import ALL, OPTIMALITIES, Design
-from gradcal_jax.files.motion_plan import MotionPlan
-from gradcal_jax.files.moves import ResolvedMove
-from gradcal_jax.files.plan import RampItem, StandardPlan
-from gradcal_jax.files.requirement import MissionHeadingRequirement, NorthRequirement, Requirement
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.sensor import GyroTriad
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.changes import changed
+from gradcal_jax.files.spec.design import ALL, OPTIMALITIES, Design
+from gradcal_jax.files.spec.motion_plan import MotionPlan
+from gradcal_jax.files.spec.moves import ResolvedMove
+from gradcal_jax.files.spec.plan import RampItem, StandardPlan
+from gradcal_jax.files.spec.requirement import MissionHeadingRequirement, NorthRequirement, Requirement
+from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.files.spec.sensor import GyroTriad
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.formulas import RAMPED_SHAPES, repetitions
 from gradcal_jax.information import begin_filter, contrasts, noise_states, where_hidden
 from gradcal_jax.information.residual import Statistic, map_of

@@ -28,8 +28,8 @@ from gradcal_jax.design import (
     search,
 )
 from gradcal_jax.files import changed
-from gradcal_jax.files.rounding import ControllerSteps, steps_of
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.run.rounding import ControllerSteps, steps_of
+from gradcal_jax.files.spec.spec_sections import Spec
 
 DEG = math.pi / 180.0
 # A stretch of fewer steps of slope becomes a soak: rounding would change its duration too much.

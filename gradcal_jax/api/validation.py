@@ -19,7 +19,7 @@ from gradcal_jax import estimation, formulas
 from gradcal_jax.api.log_rows import BRANCHES, branch_of, count_rows, table_axis_of, table_readings, usable_rows
 from gradcal_jax.display import summary
 from gradcal_jax.files.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, Result, correction
-from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log.log import Log, LogError
 from gradcal_jax.information.conformity import acceptance_limit, specific_risk
 from gradcal_jax.trajectory import EARTH_RATE
 from gradcal_jax.units import DEG_PER_H, DEG_PER_S, PPM, G

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 import gradcal_jax
-from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.requirement import MissionHeadingRequirement, Requirement
-from gradcal_jax.files.sensor import AccelerometerTriad, GyroTriad
+from gradcal_jax.files.base.quantity import Quantity
+from gradcal_jax.files.spec.requirement import MissionHeadingRequirement, Requirement
+from gradcal_jax.files.spec.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.information.conformity import coverage_of_risk
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.units import DEG_PER_H, PPM, G
@@ -95,9 +95,9 @@ def run_of(requirement: Requirement) -> Literal["any run", "this run"]:
 
 if TYPE_CHECKING:
     from gradcal_jax.estimation import Test
+    from gradcal_jax.files.base.contracts import RequirementRow
     from gradcal_jax.files.calibration import Calibration, Covariance, FitTest, Result, UnseenError
-    from gradcal_jax.files.contracts import RequirementRow
-    from gradcal_jax.files.log import Log
+    from gradcal_jax.files.log.log import Log
 
 
 def finite(value: float | None) -> float | None:

@@ -62,7 +62,7 @@ def apply(
     """
     from gradcal_jax.files.calibration import read_calibration
     from gradcal_jax.files.calibration.correction import apply as correct
-    from gradcal_jax.files.log_file import write_log
+    from gradcal_jax.files.log.log_file import write_log
 
     content = read_calibration(calibration)
     writable(output, force)
@@ -213,9 +213,9 @@ def export(
     json
         Print the text, the losses and the notes as JSON.
     """
+    from gradcal_jax.files.base.document import read_text
+    from gradcal_jax.files.base.writing import write_whole
     from gradcal_jax.files.calibration import exports, read_calibration
-    from gradcal_jax.files.document import read_text
-    from gradcal_jax.files.writing import write_whole
 
     at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
     content = read_calibration(calibration)
@@ -351,7 +351,7 @@ def lot(
 
         complain(f"no priors were written to {output}: no map has a shape that repeats in this lot")
         return NOT_AS_WISHED
-    from gradcal_jax.files.writing import write_whole
+    from gradcal_jax.files.base.writing import write_whole
 
     write_whole(output, work.lot_priors(found))
     if not json:

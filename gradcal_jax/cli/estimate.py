@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from gradcal_jax.api.estimate import SensorEstimate
     from gradcal_jax.api.hand_estimate import HandReport
     from gradcal_jax.estimation import Group
+    from gradcal_jax.files.base.contracts import RequirementRow
     from gradcal_jax.files.calibration import Calibration
-    from gradcal_jax.files.contracts import RequirementRow
-    from gradcal_jax.files.log import Log
-    from gradcal_jax.files.spec_sections import Spec
+    from gradcal_jax.files.log.log import Log
+    from gradcal_jax.files.spec.spec_sections import Spec
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
 Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
@@ -151,7 +151,7 @@ def estimate(
         raise ValueError("a table with one axis turns only one axis of an IMU: give --axis only once")
     table_of_points, logs = None, list["Log"]()
     if points is not None:
-        from gradcal_jax.files.points import read_points
+        from gradcal_jax.files.log.points import read_points
 
         if model is None or source != WHOLE or axis or unit or more or temperature is not None:
             raise ValueError(
@@ -200,8 +200,8 @@ def estimate(
         print("\n".join(line for row in report.discrepancies for line in discrepancy_lines(row)))
     _write(report.calibrations, files, json)
     if parameters is not None and firmware is not None:
+        from gradcal_jax.files.base.writing import write_whole
         from gradcal_jax.files.calibration.exports import export_sensors
-        from gradcal_jax.files.writing import write_whole
 
         done = export_sensors(report.calibrations, firmware)
         write_whole(parameters, done.text)
@@ -292,7 +292,7 @@ def _options(
 def _spec(spec: Path | None, recipe: Path | None) -> "Spec":
     if (spec is None) == (recipe is None):
         raise ValueError("give either the spec (--spec) or the recipe that was run (--recipe)")
-    from gradcal_jax.files.recipe import read_recipe, spec_in
+    from gradcal_jax.files.run.recipe import read_recipe, spec_in
 
     if spec is not None:
         return spec_in(spec)
@@ -340,7 +340,7 @@ def _tests(report: "SensorEstimate | HandReport") -> str:
 def requirement_lines(rows: "Sequence[RequirementRow]") -> list[str]:
     """The requirements as an estimate meets them, and the rules of their verdicts."""
     names = [f"{row.name}, {row.limited_by or f'axis {row.axis}'}" for row in rows]
-    from gradcal_jax.files.contracts import requirement_table
+    from gradcal_jax.files.base.contracts import requirement_table
 
     shown = requirement_table(rows, names)
     return ["", table(shown, indent=""), *(f"{n}: {row.rule}" for n, row in zip(names, rows, strict=True) if row.rule)]

@@ -170,7 +170,7 @@ def _write_noise(
     recorded = load(log, source, unit=unit)
     use_float64()
     from gradcal_jax.api.instability import noise_file, noise_of_imu
-    from gradcal_jax.files.writing import write_whole
+    from gradcal_jax.files.base.writing import write_whole
 
     channels = noise_of_imu(recorded, 0 if unit is None else unit, lag=_lag(lag))
     name = f"{log.name}{' (simulated)' * recorded.simulated}"

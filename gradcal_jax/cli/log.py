@@ -11,7 +11,7 @@ from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, load, quantity
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.files.log import Log
+    from gradcal_jax.files.log.log import Log
 
 log_app = App(name="log", help="Write the log of a run, or of turns that were made by hand.")
 
@@ -53,7 +53,7 @@ def turns(
     use_float64()
     from gradcal_jax.api.log_flow import with_turns
     from gradcal_jax.display import columns
-    from gradcal_jax.files.log_file import write_log
+    from gradcal_jax.files.log.log_file import write_log
 
     marked, matched = with_turns(recorded, angles, axis=axis or 0, unit=unit or 0)
     write_log(marked, output)
@@ -118,7 +118,7 @@ def log(
 def _written(run: Path, unit: str | None, recorded: "Log | None", target: Path, *, quiet: bool) -> dict[str, Any]:
     """Write the log of an IMU; what `--json` prints of it."""
     from gradcal_jax.decoding.run_log import log_in_blocks
-    from gradcal_jax.files.log_file import write_log
+    from gradcal_jax.files.log.log_file import write_log
 
     # A day's samples lie on the disk that the log will be on.
     with log_in_blocks(run, unit, recording=recorded, spool=target.parent) as result:

@@ -37,7 +37,7 @@ def schema(
         Print a page in Markdown instead: every key with its value, default and meaning; or, for the name "commands",
         the help of every command.
     """
-    from gradcal_jax.files import schemas
+    from gradcal_jax.files.base import schemas
 
     if listing:
         print("\n".join(schemas.schema_names()))

@@ -31,7 +31,7 @@ from gradcal_jax.units import time_text
 if TYPE_CHECKING:
     import xarray
 
-    from gradcal_jax.files.sweep import Sweep
+    from gradcal_jax.files.run.sweep import Sweep
     from gradcal_jax.jobs.pool import Cluster, LocalPool
     from gradcal_jax.jobs.sweep import SweepEstimate
 
@@ -109,7 +109,7 @@ def sweep(
     plot
         Draw the results into this file (.png, .svg, .pdf).
     """
-    from gradcal_jax.files.sweep import read_sweep
+    from gradcal_jax.files.run.sweep import read_sweep
 
     if output is None and not dry_run:
         raise ValueError("name the file for the results, such as -o results.nc, or use --dry-run")

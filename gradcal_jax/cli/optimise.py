@@ -34,8 +34,8 @@ from gradcal_jax.units import parse, time_text
 if TYPE_CHECKING:
     from gradcal_jax.api.optimise import FrontierPoint
     from gradcal_jax.api.searching import Optimised, SearchStep
-    from gradcal_jax.files.spec_sections import Spec
-    from gradcal_jax.files.tracks import Stability
+    from gradcal_jax.files.run.tracks import Stability
+    from gradcal_jax.files.spec.spec_sections import Spec
 
 
 def optimise(
@@ -195,10 +195,10 @@ def _read(path: Path) -> "Spec":
     import tomllib
 
     from gradcal_jax.files import SpecError
-    from gradcal_jax.files.mission import missions_from
-    from gradcal_jax.files.recipe import spec_in
-    from gradcal_jax.files.spec import spec_of
-    from gradcal_jax.files.travel import lies_in_travel, within_travel
+    from gradcal_jax.files.run.recipe import spec_in
+    from gradcal_jax.files.spec.mission import missions_from
+    from gradcal_jax.files.spec.spec import spec_of
+    from gradcal_jax.files.spec.travel import lies_in_travel, within_travel
 
     try:
         return spec_in(path)
@@ -352,7 +352,7 @@ _HEADER: Final = (
 def stability_of(wishes: Mapping[str, tuple[str, str | None]]) -> "Stability":
     """When a temperature counts as stable: for each key the kind of quantity, and its text or None."""
     from gradcal_jax.files import Quantity
-    from gradcal_jax.files.tracks import Stability
+    from gradcal_jax.files.run.tracks import Stability
 
     given = {name: Quantity.read(text, kind) for name, (kind, text) in wishes.items() if text is not None}
     return Stability.model_validate(given)
@@ -368,7 +368,7 @@ def write_recipe(spec: "Spec", output: Path, stability: "Stability", *, keep_sha
     if str(output) == "-":
         print(text, end="")
         return
-    from gradcal_jax.files.writing import write_whole
+    from gradcal_jax.files.base.writing import write_whole
 
     write_whole(output, text)
     if json:

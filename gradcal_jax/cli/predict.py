@@ -15,8 +15,8 @@ from gradcal_jax.units import time_text, times_text
 if TYPE_CHECKING:
     from gradcal_jax.api.prediction import TwinRow
     from gradcal_jax.files import Prediction
-    from gradcal_jax.files.contracts import RequirementRow
-    from gradcal_jax.files.spec_sections import Spec
+    from gradcal_jax.files.base.contracts import RequirementRow
+    from gradcal_jax.files.spec.spec_sections import Spec
 
 # Smaller changes, in per cent, are not shown.
 _NOTHING = 5e-4
@@ -55,7 +55,7 @@ def predict(
         Print by how many per cent the predicted error changes if a figure of sensor, rig or plan increases by one per
         cent. For an optimised recipe, the change would be the same if the plan were optimised again.
     """
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.run.recipe import spec_in
 
     if not specs:
         raise ValueError("name a spec file, or several to compare their plans")
@@ -148,7 +148,7 @@ def _fixture(prediction: "Prediction") -> list[str]:
 
 def prediction_text(prediction: "Prediction", name: str) -> str:
     """A prediction as text: ppm, deg/h, hours."""
-    from gradcal_jax.files.contracts import notice_sentences, requirement_table
+    from gradcal_jax.files.base.contracts import notice_sentences, requirement_table
     from gradcal_jax.pages.coefficients import coefficient_table, parameters
 
     times = times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s)
@@ -170,7 +170,7 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
 
 def omitted_lines(spec: "Spec") -> list[str]:
     """Error terms that are absent from the file, with the typical figures that count for them. Empty: none."""
-    from gradcal_jax.files.absent import (
+    from gradcal_jax.files.spec.absent import (
         EARTH,
         EARTH_IS_UNKNOWN,
         absent_terms,
@@ -300,7 +300,7 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     json
         Print the limits for other programs.
     """
-    from gradcal_jax.files.recipe import spec_in
+    from gradcal_jax.files.run.recipe import spec_in
 
     specification = spec_in(spec)
     use_float64()

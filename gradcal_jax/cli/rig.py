@@ -30,7 +30,7 @@ from gradcal_jax.display import amount, columns
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.files.rig import RigFile
+    from gradcal_jax.files.spec.rig import RigFile
     from gradcal_jax.hardware.dry_run import Tried
     from gradcal_jax.hardware.setup import DeviceReport
 
@@ -151,8 +151,8 @@ def new(*, output: OutputOrPrint, force: Force = False) -> int:
     output
         The file to write; "-" prints the example instead.
     """
-    from gradcal_jax.files.rig import TEMPLATE
-    from gradcal_jax.files.writing import write_whole
+    from gradcal_jax.files.base.writing import write_whole
+    from gradcal_jax.files.spec.rig import TEMPLATE
 
     if str(output) == "-":
         print(TEMPLATE, end="")
@@ -173,7 +173,7 @@ def protocols(name: str | None = None, /) -> int:
     name
         The device whose description is printed.
     """
-    from gradcal_jax.files import line_protocol, register_protocol
+    from gradcal_jax.files.run import line_protocol, register_protocol
 
     known = {one: ("lines", line_protocol.protocol_of(one)) for one in line_protocol.shipped()}
     registers = line_protocol.shipped(register_protocol.FORMAT)
@@ -182,7 +182,7 @@ def protocols(name: str | None = None, /) -> int:
         print(columns([(one, kind, protocol.role, protocol.title) for one, (kind, protocol) in known.items()]))
     else:
         if name not in known:
-            from gradcal_jax.files.problems import instead
+            from gradcal_jax.files.base.problems import instead
 
             raise ValueError(f"expected the name of a protocol; {instead(name, known)}")
         print(line_protocol.protocol_text(name), end="")
@@ -209,7 +209,7 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
     json
         Print the devices' answers as JSON.
     """
-    from gradcal_jax.files.rig import read_rig
+    from gradcal_jax.files.spec.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.journal import json_of
     from gradcal_jax.hardware.setup import check_each
@@ -254,7 +254,7 @@ def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, fo
         Also switch the chamber on at its present temperature, let each axis search for its reference position, and turn
         each axis by 10 deg. An operator must be ready to stop them.
     """
-    from gradcal_jax.files.rig import read_rig
+    from gradcal_jax.files.spec.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.transcript import record_bench
 
@@ -269,7 +269,7 @@ def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, fo
 
 
 def _tried(rig: "RigFile", recipe: Path, move: bool) -> "list[Tried]":
-    from gradcal_jax.files.recipe import read_recipe
+    from gradcal_jax.files.run.recipe import read_recipe
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.dry_run import try_for
     from gradcal_jax.hardware.guard import put_back

@@ -15,8 +15,8 @@ from gradcal_jax.cli.user_config import rig_or_own
 from gradcal_jax.units import parse, time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.files.recipe import Recipe
-    from gradcal_jax.files.rig import RigFile
+    from gradcal_jax.files.run.recipe import Recipe
+    from gradcal_jax.files.spec.rig import RigFile
     from gradcal_jax.hardware.execute import Attended
     from gradcal_jax.hardware.runner import Runner
     from gradcal_jax.hardware.supervision import RunProgress, RunResult
@@ -99,8 +99,8 @@ def run(
     either = "name the rig with --rig RIG or use --simulate (not both)"
     if simulate and rig is not None:
         raise ValueError(either)
-    from gradcal_jax.files.recipe import read_recipe
-    from gradcal_jax.files.rig import read_rig
+    from gradcal_jax.files.run.recipe import read_recipe
+    from gradcal_jax.files.spec.rig import read_rig
     from gradcal_jax.hardware.execute import run as execute
 
     executable, bench = read_recipe(recipe), None if simulate else read_rig(rig_or_own(rig, either))
@@ -118,8 +118,8 @@ def run(
 
 
 def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
-    from gradcal_jax.files.recipe import read_recipe
-    from gradcal_jax.files.rig import read_rig
+    from gradcal_jax.files.run.recipe import read_recipe
+    from gradcal_jax.files.spec.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.dry_run import dry_run_of
     from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits
@@ -183,8 +183,8 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
 
 
 def _resume(path: Path, recipe: Path | None, rig: Path | None, json: bool) -> int:
-    from gradcal_jax.files.recipe import read_recipe
-    from gradcal_jax.files.rig import read_rig
+    from gradcal_jax.files.run.recipe import read_recipe
+    from gradcal_jax.files.spec.rig import read_rig
     from gradcal_jax.hardware.execute import resume
     from gradcal_jax.hardware.run_folder import RunFolder, adopt, prepare_resume
 

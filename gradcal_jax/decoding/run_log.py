@@ -24,11 +24,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.bench import RigTable
-from ..files.log import SERIAL_NUMBER, AngleReadings, Finding, Log, Reason
-from ..files.log_file import LogInBlocks
-from ..files.recipe import Recipe
-from ..files.rig import ImuDevice, RigFile
+from ..files.log.log import SERIAL_NUMBER, AngleReadings, Finding, Log, Reason
+from ..files.log.log_file import LogInBlocks
+from ..files.run.recipe import Recipe
+from ..files.spec.bench import RigTable
+from ..files.spec.rig import ImuDevice, RigFile
 from ..hardware.errors import HardwareError
 from ..hardware.journal import Event, JournalContents, records_of
 from ..hardware.roles import STANDARD_GRAVITY, ImuBatch, imu_batch

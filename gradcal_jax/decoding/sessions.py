@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.rig import ImuDevice
+from ..files.spec.rig import ImuDevice
 from ..hardware.journal import Chunk, Event
 from ..hardware.roles import ImuBatch, ImuDecoder, join
 from ..hardware.run_folder import SESSION, breaks_off

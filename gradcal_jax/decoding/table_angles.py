@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.log import AngleReadings, ReadingKind
+from ..files.log.log import AngleReadings, ReadingKind
 from ..hardware.journal import Event
 from ..hardware.run_folder import breaks_off
 from ..hardware.track import AxisCommand

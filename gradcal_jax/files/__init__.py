@@ -5,14 +5,14 @@ rig. All problems of a file are in one `SpecError` that names every key.
 """
 
 from gradcal_jax.files import presets
-from gradcal_jax.files.changes import changed, tables_of
-from gradcal_jax.files.contracts import Prediction
-from gradcal_jax.files.problems import Problem, SpecError
-from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.schemas import schema
-from gradcal_jax.files.spec import Spec, parse_spec, read_spec, spec_of
-from gradcal_jax.files.timeline import Timeline
-from gradcal_jax.files.writing import to_toml, write_toml
+from gradcal_jax.files.base.contracts import Prediction
+from gradcal_jax.files.base.problems import Problem, SpecError
+from gradcal_jax.files.base.quantity import Quantity
+from gradcal_jax.files.base.schemas import schema
+from gradcal_jax.files.base.timeline import Timeline
+from gradcal_jax.files.base.writing import to_toml, write_toml
+from gradcal_jax.files.spec.changes import changed, tables_of
+from gradcal_jax.files.spec.spec import Spec, parse_spec, read_spec, spec_of
 
 __all__ = [
     "Prediction",

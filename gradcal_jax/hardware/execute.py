@@ -19,9 +19,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, TypedDict, Unpack
 
-from ..files.recipe import Recipe
-from ..files.rig import OPERATOR, TERMINAL, RigFile
-from ..files.writing import write_whole
+from ..files.base.writing import write_whole
+from ..files.run.recipe import Recipe
+from ..files.spec.rig import OPERATOR, TERMINAL, RigFile
 from .clock import Clock, RealClock, VirtualClock
 from .errors import HardwareError
 from .guard import BEAT_S, Guard

@@ -29,7 +29,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
-from ..files.rig import RigFile, read_rig
+from ..files.spec.rig import RigFile, read_rig
 from . import transport
 from .clock import Clock, RealClock
 from .errors import Disconnected, HardwareError, PortRefused, PortTaken, sentence_of

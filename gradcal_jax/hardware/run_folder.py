@@ -19,9 +19,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, cast
 
-from ..files.recipe import Recipe, read_recipe
-from ..files.rig import RigFile, read_rig, rig_of
-from ..files.writing import write_toml, write_whole
+from ..files.base.writing import write_toml, write_whole
+from ..files.run.recipe import Recipe, read_recipe
+from ..files.spec.rig import RigFile, read_rig, rig_of
 from .errors import HardwareError, WrongIdentity
 from .journal import Event, Journal, JournalContents, read_journal
 from .setup import Bench, check_rig

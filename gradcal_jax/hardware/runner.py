@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
-from ..files.rig import ImuDevice
+from ..files.spec.rig import ImuDevice
 from .axis_control import AxisControl
 from .chamber_control import ChamberControl
 from .clock import Clock, beside, in_thread

@@ -16,10 +16,19 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, ValidationError, create_model
 
-from ..files.problems import Problem, SpecError, from_validation, hint, one_of
-from ..files.quantity import Of, Quantity
-from ..files.rig import OPERATOR, TERMINAL, AxisDevice, ChamberDevice, EncoderDevice, ImuDevice, OperatorPlace, RigFile
-from ..files.section import Section
+from ..files.base.problems import Problem, SpecError, from_validation, hint, one_of
+from ..files.base.quantity import Of, Quantity
+from ..files.base.section import Section
+from ..files.spec.rig import (
+    OPERATOR,
+    TERMINAL,
+    AxisDevice,
+    ChamberDevice,
+    EncoderDevice,
+    ImuDevice,
+    OperatorPlace,
+    RigFile,
+)
 from ..units import to_unit
 from . import roles
 from .clock import Clock

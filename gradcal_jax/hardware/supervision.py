@@ -16,8 +16,8 @@ from typing import Any, Final, Literal
 
 from gradcal_jax.display import summary
 
-from ..files.rig import RigFile
-from ..files.writing import write_whole
+from ..files.base.writing import write_whole
+from ..files.spec.rig import RigFile
 from .journal import json_of
 from .roles import AxisReading, ChamberReading
 

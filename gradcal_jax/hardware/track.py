@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from ..files.recipe import Recipe
-from ..files.sensor import Sensor
-from ..files.tracks import ChamberSegment, MotionBlock, Stability, TrackMove, read_at_rest
+from ..files.run.recipe import Recipe
+from ..files.run.tracks import ChamberSegment, MotionBlock, Stability, TrackMove, read_at_rest
+from ..files.spec.sensor import Sensor
 from ..formulas import reading_count, reading_times
 from ..units import to_unit
 from .errors import HardwareError

@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import TextIO
 
-from ..files.rig import RigFile
+from ..files.spec.rig import RigFile
 from .clock import Clock
 from .errors import HardwareError, printable
 from .guard import put_back

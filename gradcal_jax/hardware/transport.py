@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 import serial
 
-from ..files.locking import take
+from ..files.base.locking import take
 from .clock import Clock, RealClock
 from .errors import Disconnected, HardwareError, PortRefused, PortTaken
 from .journal import Direction, Recorder

@@ -9,8 +9,8 @@ import numpy as np
 
 from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.files import to_toml
-from gradcal_jax.files.netcdf import NetcdfError, load_netcdf
-from gradcal_jax.files.sweep import Sweep
+from gradcal_jax.files.base.netcdf import NetcdfError, load_netcdf
+from gradcal_jax.files.run.sweep import Sweep
 from gradcal_jax.information import STATISTICS
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.results import PointResult

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.files import changed, spec_of, to_toml
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.jobs.results import PointResult, Residual, one_line
 
 Changes = Mapping[str, object]

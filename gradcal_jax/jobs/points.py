@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from gradcal_jax.files.sweep import Samples, Sweep
+from gradcal_jax.files.run.sweep import Samples, Sweep
 
 
 class Points:

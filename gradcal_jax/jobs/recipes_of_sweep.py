@@ -11,7 +11,7 @@ import numpy as np
 
 from gradcal_jax.api.prediction import recipe
 from gradcal_jax.files import parse_spec, to_toml
-from gradcal_jax.files.writing import write_whole
+from gradcal_jax.files.base.writing import write_whole
 
 if TYPE_CHECKING:
     import xarray

@@ -18,9 +18,9 @@ import gradcal_jax
 from gradcal_jax.api.verdicts import versions_of
 from gradcal_jax.display import summary
 from gradcal_jax.files import tables_of
-from gradcal_jax.files.locking import take
-from gradcal_jax.files.sweep import Sweep
-from gradcal_jax.files.writing import write_whole
+from gradcal_jax.files.base.locking import take
+from gradcal_jax.files.base.writing import write_whole
+from gradcal_jax.files.run.sweep import Sweep
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.pool import JobProgress, Report, Task, TaskRunner, borrowed, unwatched
 from gradcal_jax.jobs.results import PointResult, results_as_json, results_from_json
@@ -144,7 +144,7 @@ def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, p
     exists already, where every point fails, and for the folder of another sweep; `SweepIncomplete` where
     workers are lost.
     """
-    from gradcal_jax.files.netcdf import save_netcdf
+    from gradcal_jax.files.base.netcdf import save_netcdf
     from gradcal_jax.jobs.dataset import dataset_of
 
     begun, output = time.monotonic(), Path(output)

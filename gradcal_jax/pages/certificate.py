@@ -18,11 +18,11 @@ import gradcal_jax
 from gradcal_jax.api.calibrations import calibration_map
 from gradcal_jax.api.prediction import counted_shares
 from gradcal_jax.api.verdicts import finite
-from gradcal_jax.files.absent import with_typical
+from gradcal_jax.files.base.writing import write_whole
 from gradcal_jax.files.calibration import LOG_HASH, CalibratedChannel, Calibration, Result
-from gradcal_jax.files.log import SERIAL_NUMBER
-from gradcal_jax.files.rig import Laboratory, RigFile
-from gradcal_jax.files.writing import write_whole
+from gradcal_jax.files.log.log import SERIAL_NUMBER
+from gradcal_jax.files.spec.absent import with_typical
+from gradcal_jax.files.spec.rig import Laboratory, RigFile
 from gradcal_jax.information.conformity import specific_risk
 from gradcal_jax.pages.numbers import figures, one_sign, percent
 from gradcal_jax.pages.requirements import SUMMED

@@ -8,10 +8,10 @@ import numpy as np
 
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.api.verdicts import coefficient_rows
+from gradcal_jax.files.base.contracts import Prediction
 from gradcal_jax.files.calibration import Calibration, Covariance
-from gradcal_jax.files.contracts import Prediction
-from gradcal_jax.files.recipe import Predicted
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.run.recipe import Predicted
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.model import TEMPERATURE_GRADIENT
 from gradcal_jax.pages.numbers import figures
 

@@ -12,7 +12,7 @@ from typing import Final
 
 import gradcal_jax
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.files.writing import write_whole
+from gradcal_jax.files.base.writing import write_whole
 from gradcal_jax.pages.certificate import NOT_STATED, Certificate, Correction
 from gradcal_jax.pages.templates import page_templates
 

@@ -17,8 +17,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from gradcal_jax import plots
 from gradcal_jax.api.calibrations import Box
 from gradcal_jax.files.calibration import Calibration
-from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.run.recipe import Recipe
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.pages.run_history import RunHistory

@@ -18,17 +18,17 @@ from typing import Any, Final
 import gradcal_jax
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.files.bench import AxisEncoder
-from gradcal_jax.files.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
-from gradcal_jax.files.changes import changed
-from gradcal_jax.files.contracts import RequirementRow
-from gradcal_jax.files.motion_plan import MotionPlan
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.quantity import Quantity
-from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.schedule import StandardSchedule
-from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.files.writing import write_whole
+from gradcal_jax.files.base.contracts import RequirementRow
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.base.quantity import Quantity
+from gradcal_jax.files.base.writing import write_whole
+from gradcal_jax.files.run.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
+from gradcal_jax.files.run.recipe import Recipe
+from gradcal_jax.files.spec.bench import AxisEncoder
+from gradcal_jax.files.spec.changes import changed
+from gradcal_jax.files.spec.motion_plan import MotionPlan
+from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, symbols
 from gradcal_jax.pages.figures import calibration_pictures, map_pictures, pose_picture, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD

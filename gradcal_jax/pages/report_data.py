@@ -8,10 +8,10 @@ import numpy as np
 
 from gradcal_jax.api.calibrations import IeeeTerm, standard_terms
 from gradcal_jax.display import summary
+from gradcal_jax.files.base.contracts import notice_sentences
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.calibration.correction import correct
 from gradcal_jax.files.calibration.exports import FORMATS, export
-from gradcal_jax.files.contracts import notice_sentences
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_values, parameters
 from gradcal_jax.pages.requirements import MapFact, RequirementFact, requirements_of
 from gradcal_jax.pages.run_history import RunHistory, history_of

@@ -12,10 +12,10 @@ from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.api.imu_residual import ErrorCurve, ImuResidual, error_curves, quantity_of
 from gradcal_jax.api.prediction import counted_posteriors
 from gradcal_jax.api.verdicts import run_of
+from gradcal_jax.files.base.contracts import RequirementRow
 from gradcal_jax.files.calibration import Calibration, Result
-from gradcal_jax.files.contracts import RequirementRow
-from gradcal_jax.files.requirement import MissionHeadingRequirement, Requirement
-from gradcal_jax.files.spec import Spec
+from gradcal_jax.files.spec.requirement import MissionHeadingRequirement, Requirement
+from gradcal_jax.files.spec.spec import Spec
 from gradcal_jax.information import Posterior, posterior
 from gradcal_jax.information.posterior import square_root
 from gradcal_jax.pages.sources import Sources

@@ -9,16 +9,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from gradcal_jax.files.absent import absent_terms
-from gradcal_jax.files.bench import Rig
+from gradcal_jax.files.base.contracts import Prediction
+from gradcal_jax.files.base.document import read_text, read_toml
 from gradcal_jax.files.calibration import Calibration, is_calibration, read_calibration
-from gradcal_jax.files.contracts import Prediction
-from gradcal_jax.files.document import read_text, read_toml
-from gradcal_jax.files.places import places_of, specs_at_places
-from gradcal_jax.files.recipe import Predicted, Recipe, is_recipe, recipe_of, spec_in
-from gradcal_jax.files.sensor import Sensor
-from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.spec_sections import FORMAT, Spec
+from gradcal_jax.files.run.recipe import Predicted, Recipe, is_recipe, recipe_of, spec_in
+from gradcal_jax.files.spec.absent import absent_terms
+from gradcal_jax.files.spec.bench import Rig
+from gradcal_jax.files.spec.places import places_of, specs_at_places
+from gradcal_jax.files.spec.sensor import Sensor
+from gradcal_jax.files.spec.spec import spec_of
+from gradcal_jax.files.spec.spec_sections import FORMAT, Spec
 from gradcal_jax.hardware.run_folder import RunFolder
 
 CALIBRATION_IN_RUN = "calibration.toml"

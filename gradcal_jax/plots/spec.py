@@ -14,11 +14,11 @@ from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, rest_p
 from gradcal_jax.api.imu_residual import ErrorCurve, error_curves, imu_residual
 from gradcal_jax.api.verdicts import target_of
 from gradcal_jax.files import Timeline
-from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.requirement import MissionHeadingRequirement, Requirement
-from gradcal_jax.files.spec import expect_spec
-from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.files.tracks import TrackMove
+from gradcal_jax.files.run.recipe import Recipe
+from gradcal_jax.files.run.tracks import TrackMove
+from gradcal_jax.files.spec.requirement import MissionHeadingRequirement, Requirement
+from gradcal_jax.files.spec.spec import expect_spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import Posterior
 from gradcal_jax.plots.residual import boxes_of, draw_curves, draw_map
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, new_figure, new_panels, style_of

@@ -14,7 +14,7 @@ from gradcal_jax import files
 from gradcal_jax.api.cycle_plan import CyclePlan, RepeatedCycle
 from gradcal_jax.api.pose_search import PoseSearch
 from gradcal_jax.cli import main
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.spec_sections import Spec
 
 # Legs of a course, and where its coordinates are: logits of the legs' times, of their slopes, of the first temperature.
 LEGS = 4

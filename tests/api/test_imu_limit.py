@@ -9,7 +9,7 @@ import gradcal_jax as gj
 from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.limit import limit
 from gradcal_jax.files import presets
-from gradcal_jax.files.spec import read_spec, spec_of
+from gradcal_jax.files.spec.spec import read_spec, spec_of
 from gradcal_jax.formulas import followed
 from gradcal_jax.units import DEG_PER_H, PPM, G
 

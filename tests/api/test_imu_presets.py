@@ -9,9 +9,9 @@ import tomlkit
 import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets, tables_of, to_toml
-from gradcal_jax.files.contracts import CheckRow
-from gradcal_jax.files.schemas import schema
-from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.files.base.contracts import CheckRow
+from gradcal_jax.files.base.schemas import schema
+from gradcal_jax.files.spec.spec import parse_spec
 from gradcal_jax.information.conformity import global_risks
 
 # What each leaves, roughly: gyro scale factor ppm, bias deg/h, misalignment urad; accelerometer bias ug, scale factor

@@ -5,7 +5,7 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.files import presets
-from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log.log import Log, LogError
 
 
 def test_an_estimate_that_fails_names_the_rows_that_were_left_out():

@@ -13,7 +13,7 @@ from random_specs import FAMILIES, random_spec
 from gradcal_jax.api.limit import limit
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.files import spec_of
-from gradcal_jax.files.problems import SpecError
+from gradcal_jax.files.base.problems import SpecError
 
 MOVING = [family for family in FAMILIES if "static" not in family and "standard" not in family]
 # Certificates are computed to a duality gap; rounding of the engine is far below.

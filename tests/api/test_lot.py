@@ -15,7 +15,7 @@ from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.log_rows import Options
 from gradcal_jax.files import presets, spec_of
 from gradcal_jax.files.calibration import UnseenError
-from gradcal_jax.files.importers import import_log, parse_column_map
+from gradcal_jax.files.log.importers import import_log, parse_column_map
 from gradcal_jax.information import posterior
 from gradcal_jax.information.posterior import square_root
 

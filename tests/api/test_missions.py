@@ -14,8 +14,8 @@ from gradcal_jax.api.limit import limit
 from gradcal_jax.api.sensitivity import sensitivity
 from gradcal_jax.api.turn_plan import measure
 from gradcal_jax.files import changed, read_spec, tables_of, to_toml
-from gradcal_jax.files.recipe import parse_recipe
-from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.run.recipe import parse_recipe
+from gradcal_jax.files.spec.spec import spec_of
 
 FOLDER = Path(__file__).parents[2] / "experiments/missions"
 HOVER = "time (s), rate (deg/s), temperature (degC)\n0, 0, 20\n100, 30, 25\n200, -20, 26\n600, 0, 30\n"
@@ -164,7 +164,7 @@ def test_a_recipe_and_a_sweep_stand_alone(tmp_path, monkeypatch):
         'values = ["0.5 deg/h", "1 deg/h"]\n',
         encoding="utf-8",
     )
-    from gradcal_jax.files.sweep import read_sweep
+    from gradcal_jax.files.run.sweep import read_sweep
     from gradcal_jax.jobs.dataset import dataset_of
     from gradcal_jax.jobs.evaluate import predict_points
     from gradcal_jax.jobs.points import Points

@@ -6,7 +6,7 @@ import pytest
 
 from gradcal_jax.api import monte_carlo
 from gradcal_jax.files import presets
-from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.files.spec.spec import parse_spec
 from gradcal_jax.information import Posterior, wishart_test
 
 

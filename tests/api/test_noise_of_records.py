@@ -15,9 +15,9 @@ from scipy.signal import lfilter
 from gradcal_jax import identify
 from gradcal_jax.api.instability import allan_of, at_rest, instability, noise_file, noise_of_imu, of_sensor
 from gradcal_jax.cli import main
-from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.log_file import write_log
-from gradcal_jax.files.vehicle import read_vehicle_log
+from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.files.log.log_file import write_log
+from gradcal_jax.files.log.vehicle import read_vehicle_log
 from gradcal_jax.identify.markov import coefficient_errors, drift_errors, fit_markov, markov_covariance, shortest_record
 from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
 

@@ -14,10 +14,10 @@ from gradcal_jax.api.contradictions import omitted_sentences
 from gradcal_jax.api.estimate import estimate_log, estimate_sensors
 from gradcal_jax.api.log_rows import Options
 from gradcal_jax.cli import main
-from gradcal_jax.files.absent import absent_terms, slopes_of, with_typical
-from gradcal_jax.files.log import LogError
-from gradcal_jax.files.log_file import write_log
-from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.files.log.log import LogError
+from gradcal_jax.files.log.log_file import write_log
+from gradcal_jax.files.spec.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.files.spec.spec import parse_spec
 
 SPEC = """
 format = "gradcal-spec/1"

@@ -22,8 +22,8 @@ from gradcal_jax.api.turn_search import best_programme, plan_to_spec
 from gradcal_jax.design import ProgrammeCoordinates, search
 from gradcal_jax.design.search import _program
 from gradcal_jax.files import SpecError, changed, tables_of
-from gradcal_jax.files.rounding import rounded
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.run.rounding import rounded
+from gradcal_jax.files.spec.spec_sections import Spec
 
 DEG = math.pi / 180.0
 

@@ -17,8 +17,8 @@ from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.cli import main
 from gradcal_jax.estimation import posteriors_together
 from gradcal_jax.files import presets, spec_of, tables_of
-from gradcal_jax.files.bench import Place
-from gradcal_jax.files.places import places_of, rotation_of, specs_at_places
+from gradcal_jax.files.spec.bench import Place
+from gradcal_jax.files.spec.places import places_of, rotation_of, specs_at_places
 
 pytestmark = pytest.mark.usefixtures("without_prices")
 

@@ -15,7 +15,7 @@ from gradcal_jax.api.searching import Optimised
 from gradcal_jax.api.turn_plan import measure, structures
 from gradcal_jax.api.turn_search import belief_of
 from gradcal_jax.files import SpecError, changed, parse_spec, spec_of, to_toml
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.units import format_quantity, unit_of
 
 UNCERTAIN = {

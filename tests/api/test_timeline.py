@@ -9,7 +9,7 @@ import pytest
 from gradcal_jax.api.prediction import predict, recipe
 from gradcal_jax.api.timeline import timeline
 from gradcal_jax.files import presets, spec_of
-from gradcal_jax.files.motion_plan import row_count
+from gradcal_jax.files.spec.motion_plan import row_count
 from gradcal_jax.hardware.track import track_of
 
 TABLES = tomllib.loads(presets.text("paper-dynamic-gradient"))

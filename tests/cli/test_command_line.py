@@ -193,7 +193,7 @@ def test_an_interrupt_ends_with_130(monkeypatch, capsys):
     def interrupted(path):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gradcal_jax.files.recipe.spec_or_recipe", interrupted)
+    monkeypatch.setattr("gradcal_jax.files.run.recipe.spec_or_recipe", interrupted)
     assert main(["check", "my.toml"]) == 130
     assert capsys.readouterr().err == "gradcal: interrupted\n"
 

@@ -10,12 +10,12 @@ from estimate_scenes import draw_truth, record, scene
 
 from gradcal_jax.cli import main
 from gradcal_jax.files import tables_of
+from gradcal_jax.files.base.writing import write_toml
 from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.calibration.correction import term_values
-from gradcal_jax.files.log_file import read_log, write_log
-from gradcal_jax.files.rig import TEMPLATE
-from gradcal_jax.files.spec import read_spec, spec_of
-from gradcal_jax.files.writing import write_toml
+from gradcal_jax.files.log.log_file import read_log, write_log
+from gradcal_jax.files.spec.rig import TEMPLATE
+from gradcal_jax.files.spec.spec import read_spec, spec_of
 
 LABORATORY = """
 [laboratory]

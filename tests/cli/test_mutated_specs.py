@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from gradcal_jax.cli import main
 from gradcal_jax.files import SpecError, presets, spec_of
-from gradcal_jax.files.problems import dotted
+from gradcal_jax.files.base.problems import dotted
 
 GOOD = {name: tomllib.loads(presets.text(name)) for name in presets.names()}
 

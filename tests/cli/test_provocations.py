@@ -25,7 +25,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     Path("good.toml").write_text(GOOD, encoding="utf-8")
     Path("whole.toml").write_text(WHOLE, encoding="utf-8")
-    Path("rig.toml").write_text(gj.files.rig.TEMPLATE if hasattr(gj.files, "rig") else "", encoding="utf-8")
+    Path("rig.toml").write_text(gj.files.presets.template("rig.toml"), encoding="utf-8")
     Path("empty.toml").write_bytes(b"")
     Path("empty.nc").write_bytes(b"")
     Path("data.csv").write_text("t,gx\n0,1\n1,2\n", encoding="utf-8")

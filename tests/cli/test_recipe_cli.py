@@ -7,7 +7,7 @@ import pytest
 from gradcal_jax import files
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets
-from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.run.recipe import read_recipe
 
 
 @pytest.fixture(scope="module")

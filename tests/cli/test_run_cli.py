@@ -13,10 +13,10 @@ from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.cli import main
 from gradcal_jax.files import Quantity, changed, parse_spec, presets, to_toml
-from gradcal_jax.files.log_file import read_log
-from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin
-from gradcal_jax.files.rounding import rounded, steps_of
-from gradcal_jax.files.tracks import Stability, tracks_of
+from gradcal_jax.files.log.log_file import read_log
+from gradcal_jax.files.run.recipe import Predicted, Recipe, RecipeOrigin
+from gradcal_jax.files.run.rounding import rounded, steps_of
+from gradcal_jax.files.run.tracks import Stability, tracks_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.journal import read_journal
 

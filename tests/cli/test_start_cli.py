@@ -10,10 +10,10 @@ import pytest
 import gradcal_jax as gj
 from gradcal_jax.api.turn_plan import design_block, design_of, measure
 from gradcal_jax.cli import main
-from gradcal_jax.files.absent import absent_terms
-from gradcal_jax.files.begin import PRESETS, files_of
-from gradcal_jax.files.importers import parse_column_map
-from gradcal_jax.files.rig import parse_rig
+from gradcal_jax.files.log.importers import parse_column_map
+from gradcal_jax.files.spec.absent import absent_terms
+from gradcal_jax.files.spec.rig import parse_rig
+from gradcal_jax.files.start.begin import PRESETS, files_of
 from gradcal_jax.hardware.setup import configs_of
 
 USUAL = PRESETS["drone-gyro"]

@@ -10,7 +10,7 @@ import tomlkit
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets, read_spec
 from gradcal_jax.files.calibration.file import read_calibration
-from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.run.recipe import read_recipe
 
 ROOT = Path(__file__).parents[2]
 RECIPES = sorted((ROOT / "experiments" / "recipes").glob("*/*.toml"))
@@ -19,7 +19,7 @@ RECIPES = sorted((ROOT / "experiments" / "recipes").glob("*/*.toml"))
 @pytest.fixture
 def old(tmp_path):
     """A spec of one axis with comments."""
-    text = (ROOT / "tests" / "files" / "broken" / "rig_max_rate_misspelt.toml").read_text(encoding="utf-8")
+    text = (ROOT / "tests" / "files" / "spec" / "broken" / "rig_max_rate_misspelt.toml").read_text(encoding="utf-8")
     path = tmp_path / "old.toml"
     path.write_text(
         text.replace("max_rte", "max_rate").replace("[rig.chamber]", '[rig]\nearth_rate = "0 deg/h"\n[rig.chamber]')

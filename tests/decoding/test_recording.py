@@ -17,8 +17,8 @@ from simulated_devices.line_clock import LineClock
 from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 from simulated_devices.vectornav import SimulatedVectorNav
 
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.rig import TEMPLATE, parse_rig
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.spec.rig import TEMPLATE, parse_rig
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 

@@ -3,7 +3,7 @@
 from gradcal_jax.api.estimate import SensorEstimate, estimate_log
 from gradcal_jax.api.log_rows import Options
 from gradcal_jax.files import Spec, parse_spec
-from gradcal_jax.files.log import Log
+from gradcal_jax.files.log.log import Log
 
 GRADIENT = """
 format = "gradcal-spec/1"

@@ -9,7 +9,7 @@ from simulated_log import simulate_log
 from gradcal_jax.api.contradictions import lacks_of
 from gradcal_jax.api.estimate import estimate_log, estimate_rows, estimate_sensors
 from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.files.log import Log, part_of
+from gradcal_jax.files.log.log import Log, part_of
 from gradcal_jax.pages.report_data import report_data_of
 from gradcal_jax.pages.sources import Sources
 

@@ -15,7 +15,7 @@ from gradcal_jax.api.fit_of_log import fitted_lag
 from gradcal_jax.api.log_rows import Options, host_time
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.calibration.correction import term_values
-from gradcal_jax.files.log import Log, LogError, Reason
+from gradcal_jax.files.log.log import Log, LogError, Reason
 from gradcal_jax.formulas import followed
 from gradcal_jax.information import information, posterior
 from gradcal_jax.model import BIAS, SCALE_FACTOR

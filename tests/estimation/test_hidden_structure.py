@@ -8,7 +8,7 @@ from simulated_log import simulate_log
 from gradcal_jax.api import assemble, predict
 from gradcal_jax.api.estimate import estimate_log, estimate_rows
 from gradcal_jax.files import changed, to_toml
-from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.files.spec.spec import parse_spec
 
 PPM = 1e-6
 UNITS = 6

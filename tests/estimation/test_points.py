@@ -10,8 +10,8 @@ from logs_zoo import GRADIENT, STANDARD
 from gradcal_jax.api.log_flow import estimate_points
 from gradcal_jax.cli import main
 from gradcal_jax.files import SpecError, parse_spec
-from gradcal_jax.files.log import LogError
-from gradcal_jax.files.points import parse_point_map, read_points
+from gradcal_jax.files.log.log import LogError
+from gradcal_jax.files.log.points import parse_point_map, read_points
 
 MAP = """format = "gradcal-points/1"
 name = "SN-7"

@@ -12,7 +12,7 @@ from simulated_log import simulate_log
 import gradcal_jax as gj
 from gradcal_jax.estimation import find_standstills
 from gradcal_jax.files import Quantity
-from gradcal_jax.files.log import LogError
+from gradcal_jax.files.log.log import LogError
 
 CHANGES = {
     "sensor.scale_factor.temperature.degree": 1,

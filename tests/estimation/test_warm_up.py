@@ -16,7 +16,7 @@ from gradcal_jax.api.log_flow import estimate_warm_up
 from gradcal_jax.cli import main
 from gradcal_jax.files.calibration import read_calibration
 from gradcal_jax.files.calibration.correction import term_values
-from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log.log import Log, LogError
 
 FIT = np.linspace(15.5, 48.0, 40)
 

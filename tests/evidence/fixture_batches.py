@@ -22,8 +22,8 @@ from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.decoding import run_log
 from gradcal_jax.estimation import posteriors_together
 from gradcal_jax.files import changed
-from gradcal_jax.files.places import specs_at_places
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.places import specs_at_places
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware import execute
 from gradcal_jax.information import Posterior
 

@@ -22,7 +22,7 @@ from gradcal_jax.api.fit_of_log import fitted_twice
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.files import presets
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.spec_sections import Spec
 
 # How far off the plan's angle each turn ends, deg (standard deviation).
 SPOILT = (1.0, 5.0, 45.0)

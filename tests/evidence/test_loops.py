@@ -25,8 +25,8 @@ from loop_scene import SIZE, errors_on_branches, recorded, spec_of, type_of_rela
 
 from gradcal_jax.api import predict
 from gradcal_jax.api.estimate import estimate_sensors
-from gradcal_jax.files.changes import changed
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.changes import changed
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import LAWS, Law
 

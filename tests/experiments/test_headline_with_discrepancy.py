@@ -6,7 +6,7 @@ import pytest
 
 from gradcal_jax.api import predict
 from gradcal_jax.files import changed, read_spec
-from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.run.recipe import read_recipe
 
 ROOT = Path(__file__).parents[2]
 SIZES = (0, 2, 5, 10, 20)

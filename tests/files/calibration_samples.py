@@ -6,7 +6,7 @@ import numpy as np
 
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.calibration.correction import channel_error
-from gradcal_jax.files.log import Log
+from gradcal_jax.files.log.log import Log
 
 G = 9.80665
 

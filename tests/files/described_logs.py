@@ -2,7 +2,7 @@
 
 import json
 
-from gradcal_jax.files.log_contents import LogContents
+from gradcal_jax.files.log.log_contents import LogContents
 
 
 def contents(dataset):

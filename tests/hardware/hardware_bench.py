@@ -23,10 +23,10 @@ from simulated_devices.zaber import SimulatedZaber, ZaberOptions
 
 from gradcal_jax.decoding.clockmap import ClockMap, fit_arrivals
 from gradcal_jax.files import Quantity, Spec, changed, parse_spec, presets
-from gradcal_jax.files.recipe import Predicted, Recipe, RecipeOrigin
-from gradcal_jax.files.rig import TEMPLATE, parse_rig
-from gradcal_jax.files.rounding import rounded, steps_of
-from gradcal_jax.files.tracks import Stability, tracks_of
+from gradcal_jax.files.run.recipe import Predicted, Recipe, RecipeOrigin
+from gradcal_jax.files.run.rounding import rounded, steps_of
+from gradcal_jax.files.run.tracks import Stability, tracks_of
+from gradcal_jax.files.spec.rig import TEMPLATE, parse_rig
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import lines, odrive, registers, stim300, vectornav, weiss, zaber
 from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal

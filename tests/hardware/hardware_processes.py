@@ -17,10 +17,10 @@ from pathlib import Path
 from simulated_devices.line_clock import FastClock
 from simulated_devices.port_lab import SimulatedLab
 
-from gradcal_jax.files.recipe import read_recipe
-from gradcal_jax.files.rig import read_rig
-from gradcal_jax.files.spec_sections import Spec
-from gradcal_jax.files.writing import write_toml, write_whole
+from gradcal_jax.files.base.writing import write_toml, write_whole
+from gradcal_jax.files.run.recipe import read_recipe
+from gradcal_jax.files.spec.rig import read_rig
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware import guard as watching
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks

@@ -12,11 +12,11 @@ from gradcal_jax.api.fit_of_log import fitted_twice
 from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.log_rows import Options, clock_fit, imu_rows, with_options
 from gradcal_jax.files import changed
-from gradcal_jax.files.changes import tables_of
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.spec import parse_spec, read_spec
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.run.recipe import Recipe
+from gradcal_jax.files.spec.changes import tables_of
+from gradcal_jax.files.spec.spec import parse_spec, read_spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
 from gradcal_jax.hardware.runner import Runner, RunProgress

@@ -33,8 +33,8 @@ from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import WeissOptions
 
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.rig import rig_of
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.spec.rig import rig_of
 from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.registers import RegistersChamber, open_exchange

@@ -20,10 +20,10 @@ from simulated_devices.port_lab import SimulatedLab
 from gradcal_jax.api import predict
 from gradcal_jax.files import changed, presets
 from gradcal_jax.files.calibration import Calibration, read_calibration
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.log_file import write_log
-from gradcal_jax.files.recipe import Recipe, read_recipe
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.log.log_file import write_log
+from gradcal_jax.files.run.recipe import Recipe, read_recipe
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.simulate import lab

@@ -16,7 +16,7 @@ from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.imu_residual import quantity_of
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import changed, presets
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware import execute
 
 RUNS, UNITS = 20, 2

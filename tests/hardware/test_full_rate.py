@@ -30,9 +30,9 @@ from simulated_devices.port import SimulatedPort
 from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 
 from gradcal_jax.decoding.run_log import log as log_of_run
-from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.rig import read_rig, rig_of
-from gradcal_jax.files.writing import write_toml
+from gradcal_jax.files.base.writing import write_toml
+from gradcal_jax.files.run.recipe import Recipe
+from gradcal_jax.files.spec.rig import read_rig, rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.journal import Journal, read_journal
 from gradcal_jax.hardware.roles import join

@@ -25,8 +25,8 @@ from simulated_devices.faults import Faults
 from simulated_devices.line_clock import FastClock
 from simulated_devices.port_lab import SimulatedLab
 
-from gradcal_jax.files.rig import TEMPLATE
-from gradcal_jax.files.writing import write_toml
+from gradcal_jax.files.base.writing import write_toml
+from gradcal_jax.files.spec.rig import TEMPLATE
 from gradcal_jax.hardware import execute, guard, runner
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused

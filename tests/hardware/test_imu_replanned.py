@@ -17,9 +17,9 @@ from gradcal_jax.api.turn_plan import motion_time
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import SpecError, changed, presets, tables_of
-from gradcal_jax.files.recipe import read_recipe
-from gradcal_jax.files.spec import parse_spec
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.run.recipe import read_recipe
+from gradcal_jax.files.spec.spec import parse_spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError, adopt, stretches_of
 from gradcal_jax.information import imu_system, whiten
 from gradcal_jax.trajectory import TableMotion, TablePart, body_nodes

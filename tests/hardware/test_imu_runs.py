@@ -18,10 +18,10 @@ from gradcal_jax.api.log_rows import Options, imu_rows, with_options
 from gradcal_jax.decoding import run_log
 from gradcal_jax.estimation.imu_executed import executed_imu
 from gradcal_jax.files import changed, presets
-from gradcal_jax.files.absent import absent_terms
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.rig import RigFile, parse_rig
-from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.spec.absent import absent_terms
+from gradcal_jax.files.spec.rig import RigFile, parse_rig
+from gradcal_jax.files.spec.spec import parse_spec
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.errors import HardwareError

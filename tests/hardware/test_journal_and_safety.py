@@ -15,7 +15,7 @@ from hardware_bench import Rig, chunks_of, fit_clock, parse_journal
 from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.files.rig import rig_of
+from gradcal_jax.files.spec.rig import rig_of
 from gradcal_jax.hardware import journal as journal_module
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.chamber_control import ChamberControl

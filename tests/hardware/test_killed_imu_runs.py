@@ -21,9 +21,9 @@ from scipy.stats import chi2
 
 from gradcal_jax.decoding.run_log import log as log_of_run
 from gradcal_jax.files import changed
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.writing import write_toml
+from gradcal_jax.files.base.writing import write_toml
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.run.recipe import Recipe
 from gradcal_jax.hardware.journal import Event
 from gradcal_jax.hardware.run_folder import RunFolder, exit_status
 from gradcal_jax.hardware.track import Track, track_of

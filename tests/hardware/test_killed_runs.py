@@ -21,9 +21,9 @@ from hardware_processes import laboratory
 from journal_log import log_of
 from killing import SAFE, STANDING, STARTING, TURNING, WAITING, Killer, Watched, require_seams
 
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.recipe import read_recipe
-from gradcal_jax.files.writing import write_toml
+from gradcal_jax.files.base.writing import write_toml
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.run.recipe import read_recipe
 from gradcal_jax.hardware.drivers import stim300
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, exit_status

@@ -14,9 +14,9 @@ from hardware_bench import Rig, once, short_recipe
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.cli import main
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.rig import TEMPLATE, parse_rig, rig_of
-from gradcal_jax.files.writing import write_toml
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.base.writing import write_toml
+from gradcal_jax.files.spec.rig import TEMPLATE, parse_rig, rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.execute import limits_of
 from gradcal_jax.hardware.interlocks import RULES, InterlockLimits, InterlockRule, Interlocks, Situation

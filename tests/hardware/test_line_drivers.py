@@ -29,9 +29,9 @@ from simulated_devices.line_clock import LineClock
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.port import SimulatedPort
 
-from gradcal_jax.files.line_protocol import formatted, protocol_of, protocol_text, reply_pattern, shipped, shows
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.rig import rig_of
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.run.line_protocol import formatted, protocol_of, protocol_text, reply_pattern, shipped, shows
+from gradcal_jax.files.spec.rig import rig_of
 from gradcal_jax.hardware.drivers.lines import Codec, LinesConfig
 from gradcal_jax.hardware.errors import (
     ChecksumError,

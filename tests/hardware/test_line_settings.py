@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 from simulated_devices.port import SimulatedPort
 
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.rig import rig_of
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.spec.rig import rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.lines import LinesChamber
 from gradcal_jax.hardware.errors import ReplyTimeout

@@ -23,12 +23,12 @@ from simulated_devices.zaber import SimulatedZaber
 
 from gradcal_jax.decoding import run_log
 from gradcal_jax.files import Quantity, changed, parse_spec, presets
-from gradcal_jax.files.log import ReadingKind
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.recipe import Recipe
-from gradcal_jax.files.rig import TEMPLATE, parse_rig
-from gradcal_jax.files.tracks import read_at_rest
-from gradcal_jax.files.writing import to_toml, write_toml
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.base.writing import to_toml, write_toml
+from gradcal_jax.files.log.log import ReadingKind
+from gradcal_jax.files.run.recipe import Recipe
+from gradcal_jax.files.run.tracks import read_at_rest
+from gradcal_jax.files.spec.rig import TEMPLATE, parse_rig
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
 from gradcal_jax.hardware.drivers import operator, zaber

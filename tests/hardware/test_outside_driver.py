@@ -16,9 +16,9 @@ from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.rig import TEMPLATE, RigFile, parse_rig, rig_of
-from gradcal_jax.files.writing import write_toml
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.base.writing import write_toml
+from gradcal_jax.files.spec.rig import TEMPLATE, RigFile, parse_rig, rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.guard import make_folder_safe

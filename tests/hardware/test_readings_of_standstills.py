@@ -16,7 +16,7 @@ from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.decoding import run_log
 from gradcal_jax.estimation import ExecutedImu, executed_imu, readings_counted
 from gradcal_jax.files import changed
-from gradcal_jax.files.log import Log, ReadingKind
+from gradcal_jax.files.log.log import Log, ReadingKind
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.run_folder import RunFolder

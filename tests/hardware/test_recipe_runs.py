@@ -17,10 +17,10 @@ from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.files import changed, parse_spec, presets
-from gradcal_jax.files.motion_plan import PlanSchedule, row_count
-from gradcal_jax.files.recipe import read_recipe
-from gradcal_jax.files.tracks import tracks_of
-from gradcal_jax.files.writing import write_toml
+from gradcal_jax.files.base.writing import write_toml
+from gradcal_jax.files.run.recipe import read_recipe
+from gradcal_jax.files.run.tracks import tracks_of
+from gradcal_jax.files.spec.motion_plan import PlanSchedule, row_count
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal

@@ -16,9 +16,9 @@ from gradcal_jax.api.estimate import estimate_log
 from gradcal_jax.api.log_rows import Options
 from gradcal_jax.cli import main
 from gradcal_jax.decoding import run_log
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.log_file import read_log
-from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.log.log_file import read_log
+from gradcal_jax.files.run.recipe import Recipe
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.simulate.imu import SensorSamples

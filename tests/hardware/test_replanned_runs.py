@@ -14,7 +14,7 @@ from test_end_to_end import distance, gradcal
 from gradcal_jax.decoding.run_log import log
 from gradcal_jax.files import changed, presets, read_spec, tables_of, write_toml
 from gradcal_jax.files.calibration import read_calibration
-from gradcal_jax.files.recipe import Recipe, read_recipe
+from gradcal_jax.files.run.recipe import Recipe, read_recipe
 from gradcal_jax.hardware.execute import resume, run
 from gradcal_jax.hardware.journal import Event, JournalContents
 from gradcal_jax.hardware.run_folder import SESSION, RunFolder, RunFolderError, adopt, stretches_done, stretches_of

@@ -11,8 +11,8 @@ from simulated_devices.port import SimulatedPort
 from simulated_devices.stim300 import SimulatedStim300
 from simulated_devices.zaber import SimulatedZaber
 
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.rig import TEMPLATE, parse_rig, read_rig
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.spec.rig import TEMPLATE, parse_rig, read_rig
 from gradcal_jax.hardware.drivers.lines import EspecConfig
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.drivers.zaber import ZaberConfig

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from hardware_bench import short_recipe
 
-from gradcal_jax.files.rig import TEMPLATE, RigFile, parse_rig
+from gradcal_jax.files.spec.rig import TEMPLATE, RigFile, parse_rig
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.execute import run
 from gradcal_jax.hardware.journal import Journal

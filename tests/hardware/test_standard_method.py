@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from gradcal_jax import estimation
 from gradcal_jax.api.build import assemble
 from gradcal_jax.files import changed, parse_spec, presets
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SimulatedImu, TableTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth

@@ -15,8 +15,8 @@ from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.cli import main
 from gradcal_jax.decoding.run_log import log
-from gradcal_jax.files.rig import RigFile, rig_of
-from gradcal_jax.files.writing import write_toml
+from gradcal_jax.files.base.writing import write_toml
+from gradcal_jax.files.spec.rig import RigFile, rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.dry_run import dry_run_of, rate_as_made
 from gradcal_jax.hardware.execute import run_session

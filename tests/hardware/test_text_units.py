@@ -15,8 +15,8 @@ from simulated_devices.port import SimulatedPort
 from simulated_devices.text_unit import SimulatedTextUnit, TextUnitOptions
 
 from gradcal_jax.decoding.run_log import log as log_of_run
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.rig import RigFile, rig_of
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.spec.rig import RigFile, rig_of
 from gradcal_jax.hardware.checksums import xor8
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, TextUnitDecoder, decoder_of

@@ -18,9 +18,9 @@ from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
 from gradcal_jax.cli.run import progress_text
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.rig import rig_of
-from gradcal_jax.files.writing import write_toml
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.base.writing import write_toml
+from gradcal_jax.files.spec.rig import rig_of
 from gradcal_jax.hardware import guard
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.lines import LinesConfig

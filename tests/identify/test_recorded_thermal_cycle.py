@@ -14,7 +14,7 @@ import pytest
 from plain_drifts import drifts
 
 from gradcal_jax.api.instability import allan_notes, at_rest, instability
-from gradcal_jax.files.importers import import_log, parse_column_map
+from gradcal_jax.files.log.importers import import_log, parse_column_map
 from gradcal_jax.identify.allan import MISFIT, fit_allan, overlapping_allan
 from gradcal_jax.identify.direct_bound import fit_direct_bound
 from gradcal_jax.identify.largest_drift import integration_times, largest_drift

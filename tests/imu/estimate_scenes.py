@@ -9,9 +9,9 @@ from imu_helpers import shipped
 
 from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.files import presets
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.spec.spec import spec_of
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.formulas import runs
 
 PLANS = ("two axes", "one axis, three mountings", "three axes", "by hand")

@@ -327,7 +327,7 @@ def _slow(draws, legs, axis: int, number, angle, rate, start):
 
 
 def legs_of(steps, cycles: int) -> list[Leg]:
-    """The legs of a plan's cycle (`files.motion_plan`), so many times."""
+    """The legs of a plan's cycle (`files.spec.motion_plan`), so many times."""
     once = []
     for step in steps:
         move = step.move

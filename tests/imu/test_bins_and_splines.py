@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.files.spec.spec import parse_spec
 from gradcal_jax.formulas import b_spline
 
 DEG_PER_H = np.radians(1.0) / 3600.0

@@ -10,11 +10,11 @@ from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.plan_sentences import check
 from gradcal_jax.cli.predict import omitted_lines
 from gradcal_jax.files import presets
-from gradcal_jax.files.absent import attitude_sentences, branch_sentences
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.requirement import GyroBiasRequirement
-from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.spec.absent import attitude_sentences, branch_sentences
+from gradcal_jax.files.spec.requirement import GyroBiasRequirement
+from gradcal_jax.files.spec.spec import spec_of
+from gradcal_jax.files.spec.spec_sections import Spec
 
 HOUR = np.pi / 180.0 / 3600.0
 NONE: dict[str, Any] = {

@@ -11,7 +11,7 @@ import pytest
 
 from gradcal_jax.api import predict
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.spec.spec import spec_of
 from gradcal_jax.formulas import EARTH_RATE
 
 DEG = np.pi / 180.0

@@ -13,7 +13,7 @@ from scipy import stats
 from gradcal_jax.api.hand_estimate import HandReport, estimate_by_hand
 from gradcal_jax.api.log_rows import Options
 from gradcal_jax.files.calibration.correction import apply
-from gradcal_jax.files.log import Log, LogError
+from gradcal_jax.files.log.log import Log, LogError
 
 G = 9.81
 LATITUDE = np.radians(45.0)

@@ -15,9 +15,9 @@ from gradcal_jax.api.imu_residual import quantity_of
 from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.estimation import readings_of
 from gradcal_jax.estimation.imu_executed import ImuRows, across_stops, executed_imu
-from gradcal_jax.files.changes import changed
-from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.files.spec.changes import changed
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.formulas import runs
 from gradcal_jax.information import Posterior, segments_of, whiten
 from gradcal_jax.trajectory import frames

@@ -14,7 +14,7 @@ from reference_imu import Scene, Simulator
 from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.files import changed
-from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.spec.spec import spec_of
 from gradcal_jax.information import square_root, whiten
 from gradcal_jax.information.imu_rows import imu_information, imu_system
 

@@ -12,7 +12,7 @@ from imu_helpers import ARCSEC, DEG_PER_H, G, shipped
 
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.prediction import predict
-from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.spec.spec import spec_of
 
 KNOWN = json.loads((Path(__file__).parent / "known_units.json").read_text(encoding="utf-8"))
 UNIT = {

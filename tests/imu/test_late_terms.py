@@ -16,16 +16,16 @@ import gradcal_jax as gj
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.imu_residual import quantity_of
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.base.schemas import schema
 from gradcal_jax.files.calibration import read_calibration, write_calibration
 from gradcal_jax.files.calibration.correction import apply
 from gradcal_jax.files.calibration.exports import export
-from gradcal_jax.files.importers import import_log, parse_column_map
-from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.log_file import read_log, write_log
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.schemas import schema
-from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.importers import import_log, parse_column_map
+from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.files.log.log_file import read_log, write_log
+from gradcal_jax.files.spec.spec import spec_of
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth
 

@@ -20,9 +20,9 @@ from gradcal_jax.files.calibration.correction import apply, temperature_slope
 from gradcal_jax.files.calibration.exports import export
 from gradcal_jax.files.calibration.file import CalibratedChannel, PathCoefficient, build_term
 from gradcal_jax.files.calibration.path_losses import path_losses
-from gradcal_jax.files.changes import changed
-from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.log_file import read_log, write_log
+from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.files.log.log_file import read_log, write_log
+from gradcal_jax.files.spec.changes import changed
 from gradcal_jax.formulas import followed
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth

@@ -9,8 +9,8 @@ from scipy.stats import chi2
 
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.spec.spec import spec_of
+from gradcal_jax.files.spec.spec_sections import Spec
 
 ANGLE = {"reading_noise": "20 arcsec", "standstill_offset": "10 arcsec", "read_every": "1 s"}
 

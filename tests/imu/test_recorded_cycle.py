@@ -16,9 +16,9 @@ import pytest
 from gradcal_jax import estimation
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.log_rows import Options, imu_rows
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.spec import spec_of
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.spec.spec import spec_of
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import Hysteresis
 

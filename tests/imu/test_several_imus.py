@@ -14,10 +14,10 @@ from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.estimation import posteriors_together, solve_imu, solve_together
-from gradcal_jax.files.bench import Place
-from gradcal_jax.files.log import Log, LogError
-from gradcal_jax.files.places import specs_at_places
-from gradcal_jax.files.spec_sections import Spec
+from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.files.spec.bench import Place
+from gradcal_jax.files.spec.places import specs_at_places
+from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import Posterior
 
 NAMES = ("a", "b", "c", "d")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.files import presets
-from gradcal_jax.files.spec import parse_spec
+from gradcal_jax.files.spec.spec import parse_spec
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth

@@ -16,9 +16,9 @@ from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import ImuRows
 from gradcal_jax.estimation.imu_solve import absorbed
 from gradcal_jax.files import presets
-from gradcal_jax.files.log import LogError
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.spec import spec_of
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.log.log import LogError
+from gradcal_jax.files.spec.spec import spec_of
 from gradcal_jax.information import imu_system, whiten
 from gradcal_jax.trajectory import Geometry, frames
 

@@ -14,7 +14,7 @@ from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.objective import noticing, with_hidden
 from gradcal_jax.estimation import Whitened, chi_squared, components, size_of, structure_test
 from gradcal_jax.files import changed, read_spec
-from gradcal_jax.files.recipe import read_recipe
+from gradcal_jax.files.run.recipe import read_recipe
 from gradcal_jax.information import (
     at_readings,
     information,

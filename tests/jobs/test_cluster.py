@@ -6,7 +6,7 @@ import signal
 import pytest
 from jobs_small import written
 
-from gradcal_jax.files.sweep import read_sweep
+from gradcal_jax.files.run.sweep import read_sweep
 from gradcal_jax.jobs.pool import Cluster, LocalPool
 from gradcal_jax.jobs.sweep import CHUNK, sweep
 

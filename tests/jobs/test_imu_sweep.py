@@ -5,7 +5,7 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.files import tables_of
-from gradcal_jax.files.sweep import parse_sweep
+from gradcal_jax.files.run.sweep import parse_sweep
 from gradcal_jax.jobs.dataset import dataset_of
 from gradcal_jax.jobs.evaluate import optimise_points, predict_points
 from gradcal_jax.jobs.points import Points

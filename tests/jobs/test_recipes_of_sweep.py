@@ -8,8 +8,8 @@ from jobs_small import SPEC, compiled_programs
 
 from gradcal_jax.cli import main
 from gradcal_jax.files import SpecError, changed, parse_spec, tables_of
-from gradcal_jax.files.recipe import read_recipe
-from gradcal_jax.files.sweep import read_sweep
+from gradcal_jax.files.run.recipe import read_recipe
+from gradcal_jax.files.run.sweep import read_sweep
 from gradcal_jax.jobs.points import Points
 from gradcal_jax.jobs.pool import LocalPool
 from gradcal_jax.jobs.recipes_of_sweep import slug, write_recipes

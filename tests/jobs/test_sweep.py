@@ -13,7 +13,7 @@ from jobs_small import GRID, SPEC, written
 
 import gradcal_jax as gj
 from gradcal_jax.files import presets, tables_of
-from gradcal_jax.files.sweep import read_sweep
+from gradcal_jax.files.run.sweep import read_sweep
 from gradcal_jax.information import STATISTICS
 from gradcal_jax.jobs.dataset import identity_in, read_dataset
 from gradcal_jax.jobs.evaluate import predict_points
@@ -163,7 +163,7 @@ def test_a_killed_sweep_goes_on_and_ends_the_same(done, in_pairs, tmp_path):
     # The first time it stops after two chunks of the six, to be killed there.
     script = (
         "import sys, time; from pathlib import Path; from gradcal_jax.jobs import sweep as s; s.CHUNK['predict'] = 2\n"
-        "from gradcal_jax.files.sweep import read_sweep; from gradcal_jax.jobs.pool import LocalPool\n"
+        "from gradcal_jax.files.run.sweep import read_sweep; from gradcal_jax.jobs.pool import LocalPool\n"
         "wait = lambda p: time.sleep(600.0) if sys.argv[3:] and p.done >= 4 else None\n"
         "s.sweep(read_sweep(sys.argv[1]), Path(sys.argv[2]), runner=LocalPool(1), progress=wait)\n"
     )

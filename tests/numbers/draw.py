@@ -15,8 +15,8 @@ from estimate_scenes import draw_truth, record, scene
 from simulated_log import simulate_log
 
 from gradcal_jax.files import parse_spec, tables_of
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.log_file import write_log
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.log.log_file import write_log
 
 HERE = Path(__file__).resolve().parent
 Tables = dict[str, Any]

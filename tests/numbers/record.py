@@ -29,7 +29,7 @@ import numpy as np
 
 from gradcal_jax.api import assemble
 from gradcal_jax.files import Spec, presets, spec_of
-from gradcal_jax.files.schedule import StandardSchedule
+from gradcal_jax.files.spec.schedule import StandardSchedule
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]

@@ -7,9 +7,9 @@ import pytest
 import recorded
 
 from gradcal_jax.files import SpecError, spec_of
-from gradcal_jax.files.axis_as_imu import convert, turned_axes
-from gradcal_jax.files.rounding import rounded, steps_of
-from gradcal_jax.files.tracks import tracks_of
+from gradcal_jax.files.run.rounding import rounded, steps_of
+from gradcal_jax.files.run.tracks import tracks_of
+from gradcal_jax.files.spec.axis_as_imu import convert, turned_axes
 from gradcal_jax.formulas import reading_times
 
 KEPT = recorded.read("predictions")

@@ -12,7 +12,7 @@ from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.verdicts import result_of_requirement
 from gradcal_jax.files import Spec, changed, parse_spec, presets
 from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration, Covariance
-from gradcal_jax.files.recipe import Recipe
+from gradcal_jax.files.run.recipe import Recipe
 from gradcal_jax.hardware import execute
 
 TURN = {"turn": "720 deg", "peak_rate": "200 deg/s", "shape": "cosine ramps"}

@@ -12,7 +12,7 @@ import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.files.calibration import FitTest
 from gradcal_jax.files.calibration.correction import term_values
-from gradcal_jax.files.rig import TEMPLATE
+from gradcal_jax.files.spec.rig import TEMPLATE
 from gradcal_jax.pages.certificate import _value_of
 
 REFERENCES = """

@@ -19,7 +19,7 @@ from test_certificate import REFERENCES
 import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.files.calibration import FitTest
-from gradcal_jax.files.rig import TEMPLATE
+from gradcal_jax.files.spec.rig import TEMPLATE
 
 SCHEMA = Path(os.environ.get("GRADCAL_DCC_SCHEMA", Path(__file__).parents[3] / "shared" / "dcc"))
 D, S = "{https://ptb.de/dcc}", "{https://ptb.de/si}"

@@ -15,8 +15,8 @@ from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets
+from gradcal_jax.files.base.contracts import notice_sentences
 from gradcal_jax.files.calibration import Covariance, UnseenError
-from gradcal_jax.files.contracts import notice_sentences
 from gradcal_jax.information import posterior
 from gradcal_jax.information.posterior import square_root
 from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, parameters

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gradcal_jax.cli import main
-from gradcal_jax.files import schemas
+from gradcal_jax.files.base import schemas
 from gradcal_jax.pages.reference import reference
 
 FOLDER = Path(__file__).parents[2] / "docs" / "reference"

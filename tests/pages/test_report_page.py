@@ -15,9 +15,9 @@ from report_samples import calibration, recipe, rehearse, spec
 from gradcal_jax.api.calibrations import calibration_map, standard_terms
 from gradcal_jax.cli import main
 from gradcal_jax.files import to_toml
+from gradcal_jax.files.base.writing import write_toml
 from gradcal_jax.files.calibration import write_calibration
 from gradcal_jax.files.calibration.correction import channel_error
-from gradcal_jax.files.writing import write_toml
 from gradcal_jax.information import statistic
 from gradcal_jax.pages.figures import map_pictures
 from gradcal_jax.pages.numbers import figures, one_sign

@@ -41,7 +41,7 @@ def hand2(asked: dict) -> dict:
     import jax.numpy as jnp
 
     from gradcal_jax.api.imu_build import build_imu
-    from gradcal_jax.files.spec import read_spec
+    from gradcal_jax.files.spec.spec import read_spec
     from gradcal_jax.information import SquareRootInformation, imu_system, whitened_factor
     from gradcal_jax.trajectory import body_nodes
 

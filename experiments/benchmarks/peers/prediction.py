@@ -9,7 +9,7 @@ import numpy as np
 from gradcal_jax.api import assemble
 from gradcal_jax.api import predict as predict_spec
 from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.files.spec import read_spec
+from gradcal_jax.files.spec.spec import read_spec
 from gradcal_jax.information import contrasts, information, posterior
 
 _SPEC = Path(__file__).resolve().parents[2] / "paper" / "dynamic_gradient.toml"

@@ -16,7 +16,7 @@ from gradcal_jax.files.calibration.correction import SIGNALS, correct, linear_pa
 from gradcal_jax.files.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration
 from gradcal_jax.files.calibration.path_losses import Loss
 from gradcal_jax.files.calibration.polynomials import in_powers
-from gradcal_jax.files.log import Floats
+from gradcal_jax.files.log.log import Floats
 from gradcal_jax.units import DEG_PER_H, G
 
 _POINTS, _FACTORS = 200, 4

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from gradcal_jax import formulas
 from gradcal_jax.display import summary
-from gradcal_jax.files.bases import RateBins
 from gradcal_jax.files.calibration.file import (
     TEMPERATURE_RATE,
     CalibratedChannel,
@@ -32,7 +31,8 @@ from gradcal_jax.files.calibration.file import (
     at_temperatures,
     term_values,
 )
-from gradcal_jax.files.log import Floats, Log, LogError
+from gradcal_jax.files.log.log import Floats, Log, LogError
+from gradcal_jax.files.spec.bases import RateBins
 
 _ROUNDS, _SETTLED, _DIVERGED = 60, 1e-14, 1e-9
 # Larger forces (m/s²) are wrong samples.

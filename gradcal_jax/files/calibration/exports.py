@@ -33,7 +33,7 @@ from gradcal_jax.files.calibration.file import (
 from gradcal_jax.files.calibration.path_losses import Loss, lag_losses, path_losses
 from gradcal_jax.files.calibration.polynomials import bias_polynomial
 from gradcal_jax.files.calibration.text_template import rendered
-from gradcal_jax.files.log import Floats
+from gradcal_jax.files.log.log import Floats
 from gradcal_jax.units import DEG_PER_H, G
 
 _GRID: Final = 201

@@ -30,13 +30,13 @@ from pydantic import Field
 
 from gradcal_jax import formulas
 from gradcal_jax.display import amount, columns, html
-from gradcal_jax.files import quantity as q
-from gradcal_jax.files.bases import RateBasis, TemperatureBasis, increasing
-from gradcal_jax.files.document import TitledFile, from_text, model_of, read_text
-from gradcal_jax.files.log import Floats
-from gradcal_jax.files.problems import Problem
-from gradcal_jax.files.section import Section
-from gradcal_jax.files.writing import write_toml
+from gradcal_jax.files.base import quantity as q
+from gradcal_jax.files.base.document import TitledFile, from_text, model_of, read_text
+from gradcal_jax.files.base.problems import Problem
+from gradcal_jax.files.base.section import Section
+from gradcal_jax.files.base.writing import write_toml
+from gradcal_jax.files.log.log import Floats
+from gradcal_jax.files.spec.bases import RateBasis, TemperatureBasis, increasing
 
 ORDER: Final = (
     "measured = s + sum of map(T) * signals of the terms that are no misalignments, where s = input + sum of "

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev, polynomial
 
-from gradcal_jax.files.bases import PolynomialKeys
 from gradcal_jax.files.calibration.correction import term_values
 from gradcal_jax.files.calibration.file import CalibratedChannel, CalibratedTerm
-from gradcal_jax.files.log import Floats
+from gradcal_jax.files.log.log import Floats
+from gradcal_jax.files.spec.bases import PolynomialKeys
 
 _POINTS, _SMALL_GRID = 201, 41
 _FIT_DEGREE = 7

@@ -6,7 +6,7 @@ Sensor figures are typical of a class of devices, not of one vendor's.
 import tomllib
 from importlib import resources
 
-from gradcal_jax.files.problems import hint
+from gradcal_jax.files.base.problems import hint
 
 
 def names() -> tuple[str, ...]:

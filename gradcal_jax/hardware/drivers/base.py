@@ -16,8 +16,8 @@ from importlib import resources
 from typing import Any, Generic, Literal, TypeVar
 
 from ... import units
-from ...files.line_protocol import LineProtocol
-from ...files.register_protocol import RegisterProtocol
+from ...files.run.line_protocol import LineProtocol
+from ...files.run.register_protocol import RegisterProtocol
 from .. import roles
 from ..errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
 from ..request_reply import TRIES, Exchange, Reply

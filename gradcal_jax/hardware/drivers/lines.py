@@ -1,4 +1,4 @@
-"""Devices with a text protocol that a rig file describes (`files.line_protocol`): chambers and axes.
+"""Devices with a text protocol that a rig file describes (`files.run.line_protocol`): chambers and axes.
 
 The description has the queries, commands and replies; this driver has their order and verification:
 
@@ -21,7 +21,7 @@ from functools import cache, cached_property
 from typing import Any, Literal
 
 from ... import units
-from ...files.line_protocol import LineProtocol, LineQuestion, formatted, protocol_of, reply_pattern, shows
+from ...files.run.line_protocol import LineProtocol, LineQuestion, formatted, protocol_of, reply_pattern, shows
 from ..checksums import xor8
 from ..clock import Clock
 from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, ReplyTimeout, printable

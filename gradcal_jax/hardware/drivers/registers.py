@@ -1,4 +1,4 @@
-"""Chambers that are read and commanded by Modbus registers which a rig file describes (`files.register_protocol`).
+"""Chambers that are read and commanded by Modbus registers which a rig file describes (`files.run.register_protocol`).
 
 Every register that is written is read back, from itself or from the one that shows its effect; a set point that a
 controller accepts and ignores is noticed so. A program that runs is ended before a set point, and a ramp is taken off
@@ -16,7 +16,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ...files.register_protocol import RegisterProtocol, register_protocol_of
+from ...files.run.register_protocol import RegisterProtocol, register_protocol_of
 from ..clock import Clock
 from ..errors import FramingError, LimitExceeded
 from ..framing import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, write_body

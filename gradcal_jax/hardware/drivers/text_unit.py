@@ -1,4 +1,4 @@
-"""Driver of IMUs that print their samples as lines of text, as a rig file describes them (`files.text_unit`).
+"""Driver of IMUs that print their samples as lines of text, as a rig file describes them (`files.run.text_unit`).
 
 Nothing is sent to such a unit, and it cannot be asked who it is: its lines are its identity. A counter that wraps
 early shows losses modulo its modulus, and the host's clock the rest (as of a STIM300); a time or a long counter shows
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ... import units
-from ...files.text_unit import NAMES, TextSensor, text_unit_of
+from ...files.run.text_unit import NAMES, TextSensor, text_unit_of
 from ..checksums import xor8
 from ..clock import Clock
 from ..errors import FramingError, ReplyTimeout, printable

@@ -7,7 +7,7 @@ from them by their header. Nothing is saved to the unit's memory.
 
 The samples are the *uncompensated* ones: calibrated in the factory, without the user's filter and bias registers.
 Binary packets carry the unit's own time in nanoseconds, from which missing samples are counted. (`$VNIMU` lines carry
-no time and no counter: a unit that was set to print them is a unit of text, see `files.text_unit`.)
+no time and no counter: a unit that was set to print them is a unit of text, see `files.run.text_unit`.)
 
 Unverified on real hardware: that the base rate is 800 Hz on every model (`base_rate_hz`); the meaning of
 "uncompensated" differs between versions of the firmware.

@@ -14,11 +14,11 @@ from typing import Any, Final
 import numpy as np
 
 from ... import formulas
-from ...files.absent import absent_lever_arm
-from ...files.bases import PolynomialKeys
-from ...files.places import rotation_of
-from ...files.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureError
-from ...files.spec_sections import Spec
+from ...files.spec.absent import absent_lever_arm
+from ...files.spec.bases import PolynomialKeys
+from ...files.spec.places import rotation_of
+from ...files.spec.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureError
+from ...files.spec.spec_sections import Spec
 from ..pose import turn_by
 from .imu import LAWS, ErrorTerm, ImuTruth, Kind, Law, LoopTruth, Process, TableTruth, TriadTruth, Vectors
 from .plants import AxisTruth

@@ -19,10 +19,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...files.bench import TableAxis
-from ...files.rig import RigFile, rig_of
-from ...files.spec_sections import Spec
-from ...files.tracks import read_at_rest, tracks_of
+from ...files.run.tracks import read_at_rest, tracks_of
+from ...files.spec.bench import TableAxis
+from ...files.spec.rig import RigFile, rig_of
+from ...files.spec.spec_sections import Spec
 from ...units import to_unit
 from .. import roles
 from ..checksums import crc32_mpeg2_of_rows

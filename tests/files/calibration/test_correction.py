@@ -23,8 +23,8 @@ from calibration_samples import (
 
 from gradcal_jax.files.calibration import Calibration, parse_calibration
 from gradcal_jax.files.calibration.correction import apply, correct, term_values
-from gradcal_jax.files.log import Log, LogError, Reason
-from gradcal_jax.files.log_file import read_log, write_log
+from gradcal_jax.files.log.log import Log, LogError, Reason
+from gradcal_jax.files.log.log_file import read_log, write_log
 
 GRADIENT = "bias_temperature_gradient = 2e-3\n"
 

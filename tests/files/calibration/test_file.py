@@ -13,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.files import schema
+from gradcal_jax.files.base.problems import SpecError
+from gradcal_jax.files.base.writing import to_toml
 from gradcal_jax.files.calibration import (
     Calibration,
     is_calibration,
@@ -21,10 +23,8 @@ from gradcal_jax.files.calibration import (
     write_calibration,
 )
 from gradcal_jax.files.calibration.correction import correct
-from gradcal_jax.files.log import Log
-from gradcal_jax.files.log_file import write_log
-from gradcal_jax.files.problems import SpecError
-from gradcal_jax.files.writing import to_toml
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.log.log_file import write_log
 
 IMU = to_toml(calibration_of(a_truth()))
 

@@ -1,0 +1,1 @@
+"""What every file is made of: problems, quantities, sections, documents, contracts."""

@@ -1,0 +1,1 @@
+"""What was recorded: logs, tables of others, and their faults."""

@@ -1,0 +1,1 @@
+"""What is executed: recipe, tracks, rounding, and how devices speak."""

@@ -1,0 +1,1 @@
+"""What is stated: sensor, rig, requirements, plan, and what a plan resolves to."""

@@ -1,0 +1,1 @@
+"""What a user begins with: answers to questions, made into files."""

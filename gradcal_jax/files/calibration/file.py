@@ -425,7 +425,7 @@ def parse_calibration(text: str, source: str = "") -> Calibration:
     """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
 
     def read(document: dict[str, Any], _: Any) -> Calibration:
-        calibration = model_of(Calibration, _upgraded(document), FORMAT, source)
+        calibration = model_of(Calibration, upgraded(document), FORMAT, source)
         return _multiplied(calibration) if document.get("format") in OLD_FORMATS else calibration
 
     return from_text(read, text, source)
@@ -472,7 +472,7 @@ _GRADIENT: Final = "bias_temperature_gradient"
 Tables = dict[str, Any]
 
 
-def _upgraded(document: Mapping[str, Any]) -> Tables:
+def upgraded(document: Mapping[str, Any]) -> Tables:
     """The tables of a calibration in today's form; tables of other formats, and what is not understood, as they are."""
     tables = dict(document) | ({"format": FORMAT} if document.get("format") in OLD_FORMATS else {})
     if document.get("format") == OLD_FORMATS[0]:

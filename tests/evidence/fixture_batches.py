@@ -2,7 +2,7 @@
 
 Runs through simulated devices, journal and log (`hardware.simulate`), estimated as a user would. The errors of every
 IMU are compared with the joint covariance of the prediction and of the estimate.
-`PYTHONPATH=.:tests/hardware python tests/evidence/fixture_batches.py --first 0 --count 5 FOLDER` writes one file;
+`PYTHONPATH=.:tests:tests/hardware python tests/evidence/fixture_batches.py --first 0 --count 5 FOLDER` writes one file;
 `pytest -m evidence tests/evidence/test_fixtures.py` judges those of `experiments/evidence/fixtures`.
 """
 
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from imu_bench import made, short
+from matrix_errors import nees_of
 
 from gradcal_jax.api.estimate import estimate_sensors
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
@@ -76,8 +77,9 @@ def predicted_shares() -> dict[str, float]:
 
 
 def batch(seed: int, *, alone: bool = False) -> dict[str, Any]:
-    """One batch: by place the squared errors over the predicted variances (mean), NEES in the estimate's covariance
-    and its degrees, and the IMUs that are named as contradicting the others; `alone`: the table's share, too."""
+    """One batch: by place the squared errors over the predicted variances (mean), NEES in the estimate's covariance, of
+    coefficients and of a matrix's elements, and their degrees, and the IMUs that are named as contradicting the others;
+    `alone`: the table's share, too."""
     spec, at, built, _, together = planned()
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "run"
@@ -85,12 +87,13 @@ def batch(seed: int, *, alone: bool = False) -> dict[str, Any]:
         hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
         logs = [run_log.log(folder, name) for name in hidden["units"]]
         reports = estimate_sensors(spec, logs)
-        result: dict[str, Any] = {"seed": seed, "squares": [], "nees": [], "degrees": [], "named": 0}
+        result: dict[str, Any] = {"seed": seed, "squares": [], "nees": [], "elements": [], "degrees": [], "named": 0}
         for k, report in enumerate(reports):
             truth, names = hidden["units"][report.unit], report.built.model.names()
             own = [j for j, name in enumerate(names) if name in truth and name in report.calibration.values()]
             reported = report.built.model.to_reported[own]
-            error = reported @ report.solution.parameters - [truth[names[j]] for j in own]
+            found, true = reported @ report.solution.parameters, np.array([truth[names[j]] for j in own])
+            error = found - true
             covariance = report.solution.known.covariance(reported)
             scale = np.sqrt(np.diag(covariance))
             scaled = covariance / np.outer(scale, scale)
@@ -99,6 +102,7 @@ def batch(seed: int, *, alone: bool = False) -> dict[str, Any]:
             rows = plan.to_reported[[plan.names().index(names[j]) for j in own]]
             result["squares"].append(float(np.mean((error / together[k % 6].deviations(rows)) ** 2)))
             result["nees"].append(float(error / scale @ np.linalg.solve(scaled, error / scale)))
+            result["elements"].append(nees_of([names[j] for j in own], found, true, covariance))
             result["degrees"].append(len(own))
             result["named"] += any("contradicts the other IMUs" in message for message in report.messages)
         if alone:

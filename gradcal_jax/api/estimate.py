@@ -4,7 +4,7 @@ The spec describes the noise, the table and the terms; the executed motion is re
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
@@ -394,7 +394,7 @@ def report_of(
     of_path = *of_path, *attitude_sentences(built.spec)
     beside = *of_path, *omitted_sentences(built.spec, temperature[record], lag.std is not None), *beyond
     looks = diagnosis_sentences(solution.estimate.residuals, of_segment[at.row_segment][used], moved)
-    told = _words(report, solution), looks if contradicted else []
+    told = _words(report, solution, of_table.values()), looks if contradicted else []
     told = *told, [one.sentence for one in site if one.name in contradicted]
     hidden = (f"{channel.replace('_', ' ')}: {structure_in_words(test)}" for channel, test in structure if test.noticed)
     if smoothness is not None and smoothness.at_edge:
@@ -478,7 +478,7 @@ def _gravity(readings: ImuReadings, calibration: Calibration, temperature: np.nd
     return before, after
 
 
-def _words(report: SensorEstimate, solution: ImuEstimate) -> list[str]:
+def _words(report: SensorEstimate, solution: ImuEstimate, of_table: Iterable[str]) -> list[str]:
     """Where the data contradict the model or do not observe it, in sentences."""
     tests, failed = report.consistency, report.calibration.contradicted
     sentences = not_valid([name.replace("_", " ") for name in failed])
@@ -506,7 +506,7 @@ def _words(report: SensorEstimate, solution: ImuEstimate) -> list[str]:
             sentences.append(f"{split.name}: the parts disagree ({chance}){also}")
     model, priors = report.built.model, prior_deviations(report.built)
     values = model.to_reported @ report.solution.parameters
-    sentences += beyond_the_spec(model, values, priors).values()
+    sentences += of_table
     sentences += turned_together(model.names(), values, priors)
     if report.calibration.unobservable:
         sentences.append(f"not observable: {', '.join(report.calibration.unobservable)}")

@@ -27,6 +27,7 @@ from gradcal_jax.files.log.uneven_stamps import (
     even_clock,
     refuse_intervals,
     refuse_restart,
+    wander,
 )
 
 _FASTEST_RATE: Final = 90.0
@@ -55,7 +56,6 @@ _DRIFT: Final = 50e-6
 """A clock error up to this value is possible with any crystal."""
 _OTHER_RATE: Final = 0.2
 """If stamps differ from the stated rate by a larger share than this, a clock error cannot be the reason."""
-_BLOCKS: Final = 50
 _TURNS, _IN_TURNS = 8, 3.0
 """Largest number of sensors whose rows may alternate; least ratio of differences, neighbours over rows of a sensor."""
 _ABSURD: Final = 1e12
@@ -555,9 +555,9 @@ class _Examination:
             if abs(slope - 1) > _DRIFT + 3 * uncertain and slope > 0:
                 text = f"the sensor's clock is {(1 / slope - 1) * 1e6:+.0f} ppm fast relative to the computer's"
                 self.note_fault("clock drift", action, 0, text)
-        wander = _wander(within)
-        if wander > _DRIFT:
-            text = f"the sample interval varies by {wander * 1e6:.0f} ppm (rms) during the record"
+        varies = wander(within)
+        if varies > _DRIFT:
+            text = f"the sample interval varies by {varies * 1e6:.0f} ppm (rms) during the record"
             self.note_fault("clock drift", action, 0, text)
 
 
@@ -574,19 +574,6 @@ def _least_walk(values: Floats, interval: float) -> float:
             spread = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
             walks.append(spread * float(np.sqrt(size * interval / 2)))
     return min(walks, default=0.0)
-
-
-def _wander(interval: Floats) -> float:
-    """Deviation of block means of the interval from their mean, beyond jitter; relative rms."""
-    size = len(interval) // _BLOCKS
-    if size < 4:
-        return 0.0
-    table = interval[: size * _BLOCKS].reshape(_BLOCKS, size)
-    means = table.mean(axis=1)
-    # Jitter of stamps cancels in a block except at its ends.
-    jitter = np.sqrt(2) * float(np.std(table - means[:, None])) / size
-    excess = float(np.var(means)) - 4 * jitter**2
-    return float(np.sqrt(max(excess, 0.0))) / float(means.mean())
 
 
 def _numbered(standstill: Floats | None) -> NDArray[np.int64] | None:

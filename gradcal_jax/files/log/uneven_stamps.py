@@ -158,3 +158,16 @@ def _even(time: Floats, rows: Floats, suspects: int) -> Floats | None:
         if np.ptp(time - even) <= burst and np.all(np.diff(even) > 0.0):
             return even
     return None
+
+
+def wander(interval: Floats) -> float:
+    """Deviation of block means of the interval from their mean, beyond jitter; relative rms."""
+    size = len(interval) // _BLOCKS
+    if size < 4:
+        return 0.0
+    table = interval[: size * _BLOCKS].reshape(_BLOCKS, size)
+    means = table.mean(axis=1)
+    # Jitter of stamps cancels in a block except at its ends.
+    jitter = np.sqrt(2) * float(np.std(table - means[:, None])) / size
+    excess = float(np.var(means)) - 4 * jitter**2
+    return float(np.sqrt(max(excess, 0.0))) / float(means.mean())

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_recipe import made_of
 
 from gradcal_jax.files import changed, presets, to_toml
 from gradcal_jax.files.base.problems import SpecError
 from gradcal_jax.files.base.quantity import Quantity
 from gradcal_jax.files.run.bench_tables import block_heading, move_rows
-from gradcal_jax.files.run.recipe import Predicted, Recipe, RecipeOrigin, parse_recipe, spec_in
-from gradcal_jax.files.run.rounding import ControllerSteps, rounded, steps_of
-from gradcal_jax.files.run.tracks import Stability, tracks_of
+from gradcal_jax.files.run.recipe import parse_recipe, spec_in
+from gradcal_jax.files.run.rounding import ControllerSteps, rounded
 from gradcal_jax.files.spec.changes import tables_of
 from gradcal_jax.files.spec.spec import parse_spec
 from gradcal_jax.files.spec.spec_sections import Spec
@@ -21,22 +21,6 @@ from gradcal_jax.files.spec.spec_sections import Spec
 
 def preset(name: str) -> Spec:
     return parse_spec(presets.text(name))
-
-
-def recipe_of_unit(spec: Spec) -> Recipe:
-    made = rounded(spec).spec
-    chamber, motion = tracks_of(made, float(steps_of(spec).acceleration))
-    return Recipe(
-        format="gradcal-recipe/1",
-        status="not optimised",
-        made=RecipeOrigin(by="a test", versions={}),
-        resolution=steps_of(spec),
-        stability=Stability(),
-        chamber=chamber,
-        motion=motion,
-        prediction=Predicted(duration_s=1.0, soak_s=0.0, motion_s=1.0),
-        spec=made,
-    )
 
 
 def ends(spec: Spec) -> list[float]:
@@ -51,7 +35,7 @@ def ends(spec: Spec) -> list[float]:
 @pytest.mark.parametrize("name", presets.names())
 def test_every_preset_is_rounded_and_read_back(name: str) -> None:
     spec = preset(name)
-    recipe = recipe_of_unit(spec)
+    recipe = made_of(spec)
     again = parse_recipe(to_toml(recipe))
     assert again.fingerprint == recipe.fingerprint
     assert isinstance(again.spec, Spec)
@@ -117,7 +101,7 @@ def test_coarse_controllers_keep_an_axis_that_hardly_turns() -> None:
 
 
 def test_a_technician_reads_where_each_axis_stands() -> None:
-    recipe = recipe_of_unit(preset("one-axis-table"))
+    recipe = made_of(preset("one-axis-table"))
     assert [block.mounting for block in recipe.motion] == [1, 2, 3]
     assert recipe.motion[2].hang == "mounting 3 (z along the axis): x along +y, y along +z, z along +x"
     rows = move_rows(recipe.motion[0])
@@ -125,11 +109,11 @@ def test_a_technician_reads_where_each_axis_stands() -> None:
     assert rows[1][1:5] == ("turn", "turn", str(recipe.motion[0].moves[1].duration), "+1080 deg, to 1080 deg")
     assert rows[3][4] == "-1080 deg, to 0 deg"
     placed = changed(preset("one-axis-table"), {"plan.cycle.start": {"turn": "30 deg"}})
-    assert "initial angles: turn 30 deg" in block_heading(recipe_of_unit(placed).motion[0])
+    assert "initial angles: turn 30 deg" in block_heading(made_of(placed).motion[0])
 
 
 def test_tracks_changed_by_hand_are_refused() -> None:
-    text = to_toml(recipe_of_unit(preset("two-axis-table")))
+    text = to_toml(made_of(preset("two-axis-table")))
     axis = text.index('axis = "spin"', text.index("[[motion"))
     with pytest.raises(SpecError, match=r"motion\[0\]\.moves\[\d+\]\.axis.*does not agree with the spec in"):
         parse_recipe(text[:axis] + 'axis = "tilt"' + text[axis + len('axis = "spin"') :])

@@ -10,13 +10,14 @@ import jsonschema
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_recipe import made_of
 
 from gradcal_jax import files
 from gradcal_jax.files import Quantity, SpecError, presets
 from gradcal_jax.files.base.quantity import Quantity as Q
-from gradcal_jax.files.run.recipe import Predicted, Recipe, RecipeOrigin, parse_recipe, read_recipe, recipe_of
+from gradcal_jax.files.run.recipe import parse_recipe, read_recipe, recipe_of
 from gradcal_jax.files.run.rounding import ControllerSteps, rounded, steps_of
-from gradcal_jax.files.run.tracks import Stability, tracks_of
+from gradcal_jax.files.run.tracks import tracks_of
 
 PAPER = files.parse_spec(presets.text("paper-dynamic-gradient"))
 MEMS = files.parse_spec(presets.text("tactical-mems"))
@@ -31,24 +32,6 @@ COARSE = ControllerSteps(
 
 COMMITTED = sorted((Path(__file__).parents[3] / "experiments" / "recipes").glob("*/*.toml"))
 OF_AXIS = Path(__file__).parents[3] / "experiments" / "recipes" / "headline" / "whole-turns.toml"
-
-
-def made_of(spec, **keys):
-    """A recipe without a prediction: what the file room can make by itself."""
-    result = rounded(spec)
-    chamber, motion = tracks_of(result.spec, float(steps_of(spec).acceleration))
-    return Recipe(
-        format="gradcal-recipe/1",
-        status="not optimised",
-        made=RecipeOrigin(by="a test", versions={}),
-        resolution=steps_of(spec),
-        stability=Stability(),
-        chamber=chamber,
-        motion=motion,
-        prediction=Predicted(duration_s=1.0, soak_s=0.0, motion_s=1.0),
-        spec=result.spec,
-        **keys,
-    )
 
 
 def cycles(spec):

@@ -10,26 +10,35 @@ drift too, its information is `∫ψψᵀs²dt/N²` plus its prior's. For the k 
 prior, the squares of the signals add up to at most `bound` at every instant, because |f| = g and |ω| ≤ the fastest
 axis's rate (one axis turns at a time, on the Earth): so their mean information is at most `J = bound/k ∫ψψᵀdt/N² +
 prior`. As `(ψᵀJ⁻¹ψ)^½` is convex in J, the mean of their standard deviations, and so the worst and the root mean
-square, is at least that of J, at every temperature; and so is every statistic over temperature.
+square, is at least that of J, at every temperature; and so is every statistic over temperature. The squares f_i² of
+three accelerometers, the signals of their second-order terms, have the mean g²/3, which their biases have, too: there J
+is of both (`_of_second_order`).
 
 A gyro's scale factor is also a function of the rate: its limit is that of a single axis (`design.limit`) that turns all
 the time, in white noise and under what multiplies its rate. Where the gyro is alone on a table of one axis, it is that
 axis's own limit, with drift, readings and clock; the errors of an encoder that other channels see, too, are no noise.
+
+How a plan divides its time between turns of each axis and rests is a matter of all requirements together. So scale
+factors and misalignments of gyros have a second limit, **with the turns** of the spec's plan: of all plans in which the
+same axes turn at the same times, by any angle and at any rate. `t` after a turn begins and before it ends, |ω| ≤
+min(largest rate, t·largest acceleration). k gyros that share turns have a k-th of its mean square on average. On two
+perpendicular axes, the inner along one of the body, the gyro along it has the inner axis's turns alone and the others
+share the outer one's; and misalignments count the inner encoder (`design.misalignment_limit`).
 """
 
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 
 from gradcal_jax import design, trajectory
-from gradcal_jax.api.build import assemble, chamber_programme
+from gradcal_jax.api.build import assemble
 from gradcal_jax.api.error_budget import floor_of_plan
-from gradcal_jax.api.imu_build import MISALIGNMENT, SECOND_ORDER, BuiltImu, build_imu
+from gradcal_jax.api.imu_build import BuiltImu, build_imu
+from gradcal_jax.api.imu_limit import Elements, PlanData, bias_deviations, channel_of, fastest_rate
 from gradcal_jax.api.imu_residual import box, imu_residual
 from gradcal_jax.api.prediction import requirement_rows
 from gradcal_jax.api.turn_plan import (
@@ -44,61 +53,51 @@ from gradcal_jax.api.turn_plan import (
     with_motion,
 )
 from gradcal_jax.api.verdicts import UNIT_OF
-from gradcal_jax.design import Criterion, Limit, bias_seen_continuously, longest_step, look_at
-from gradcal_jax.design.noise_floor import Course
+from gradcal_jax.design import Criterion, Limit, Turning, bias_seen_continuously, longest_step
+from gradcal_jax.design.noise_floor import PARTS, Course, Windows, between_knots, middles_of_parts, sensor_course
 from gradcal_jax.display import summary
 from gradcal_jax.files.spec.absent import with_typical
 from gradcal_jax.files.spec.design import TIMES
 from gradcal_jax.files.spec.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, Requirement
 from gradcal_jax.files.spec.spec import expect_spec, goes_on
 from gradcal_jax.files.spec.spec_sections import Spec
-from gradcal_jax.information import square_root, statistic
+from gradcal_jax.information import statistic
 from gradcal_jax.model import (
     AXIS_NAMES,
     BIAS,
     SCALE_FACTOR,
     Channel,
-    Map,
     Polynomial,
     SensorModel,
-    SignalMap,
     angle_reference,
     constant,
     gyro_model,
-    make_map,
 )
-from gradcal_jax.trajectory import EARTH_RATE, Programme, programme
+from gradcal_jax.trajectory import programme
 from gradcal_jax.units import time_text
 
-# The time at the table is divided into at least this many equal parts of one temperature, two or more for each turn.
-_PARTS = 48
 _MOST_WINDOWS = 40
-# Longest step of the integrals of signals, s; most steps of a continuous observation.
-_LONGEST_S = 5.0
+# Largest relative difference of a limit and the optimum of its relaxed problem.
+_TOLERANCE, _TOLERANCE_WITH_TURNS = 2e-3, 2e-2
+# Most steps of a continuous observation.
 _MOST_STEPS = 200_000
-_AT_KNOT = 1e-6
-# Nodes of the integral of a signal in a step.
-_NODES = 4
 # An axis this near to a gyro's is the same, by 1 less the cosine.
 _ALONG = 1e-12
-# Lags that differ by a smaller share are equal.
-_APART = 1e-6
 _RELAXED = (
     "everything else is known exactly",
     "the IMU is read continuously, at rest and during moves, with the best distribution of turns and poses",
     "the noise is white, except for the noise of biases",
 )
 
-Windows = list[tuple[float, float]]
-
 
 class PlanLimit(NamedTuple):
     """No plan leaves less than `certified` (`unit`) of a requirement; `reached`: the optimum of the relaxed problem.
 
-    `value`: what the spec's plan leaves (None: not observable); `efficiency`: certified over value. `relaxed`: limits
-    of the rig that the proof leaves out; `kept`: what all plans of the proof have in common; both in words. All of that
-    is by the terms that the spec names; `counted`, `judged`: certified and value with those that it omits, at typical
-    figures.
+    `with_turns`: none in which the same axes turn at the same times as in the spec's plan leaves less than this (None:
+    without such a proof). `value`: what the spec's plan leaves (None: not observable); `efficiency`: with_turns, or
+    else certified, over value. `relaxed`: limits of the rig that the proof leaves out; `kept`: what all plans of the
+    proof have in common; both in words. All of that is by the terms that the spec names; `counted`, `judged`: certified
+    and value with those that it omits, at typical figures.
     """
 
     name: str
@@ -106,6 +105,7 @@ class PlanLimit(NamedTuple):
     unit: str
     certified: float
     reached: float
+    with_turns: float | None
     value: float | None
     efficiency: float | None
     relaxed: tuple[str, ...]
@@ -120,9 +120,9 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     """The proven lower limit on the residual of any plan on this rig in this time, for every requirement of a gradient
     plan that has a proof.
 
-    `certified` (proven) and `value` (of the spec's own plan) are in `unit`; `relaxed`: the limits of the rig that the
-    proof leaves out. `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies
-    are the plan's. The derivation for a scale factor, a convex problem with its certificate, is in
+    `certified` (proven), `with_turns` and `value` (of the spec's own plan) are in `unit`; `relaxed`: the limits of the
+    rig that the proof leaves out. `motion` s: time without soaks, in the place of the plan's or [design]'s; values and
+    efficiencies are the plan's. The derivation for a scale factor, a convex problem with its certificate, is in
     `gradcal_jax.design.limit`.
 
     Errors: `ValueError` where there is no requirement, no proof for one, or another kind of plan.
@@ -140,7 +140,7 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value in the box.
     floors = [floor_of_plan(one) for one in (spec, with_typical(spec))]
     proven: list[PlanLimit] = []
-    for r, certified, reached, relaxed, kept in proofs:
+    for r, certified, reached, with_turns, relaxed, kept in proofs:
         unit, factor = UNIT_OF[r.quantity]
         row, named, every = rows[r.name], 0.0, 0.0
         if r.quantity != "heading":
@@ -149,20 +149,22 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
             float(np.hypot(factor * value, floor))
             for value, floor in ((certified, named), (reached, named), (certified, every))
         )
-        share = None if row.decisive is None else found / row.decisive
-        proven.append(
-            PlanLimit(r.name, r.statistic, unit, found, best, row.decisive, share, relaxed, kept, counted, row.judged)
-        )
+        turning = None if with_turns is None else float(np.hypot(factor * with_turns, named))
+        share = None if row.decisive is None else (turning or found) / row.decisive
+        bounds = found, best, turning, row.decisive, share
+        proven.append(PlanLimit(r.name, r.statistic, unit, *bounds, relaxed, kept, counted, row.judged))
     return proven
 
 
 class Proof(NamedTuple):
-    """A requirement's limit in SI: `certified`, and the optimum of the relaxed problem, `reached`. `relaxed`: limits of
-    the rig that the proof leaves out; `kept`: what all plans of the proof have in common; both in words."""
+    """A requirement's limit in SI: `certified`, the optimum of the relaxed problem, `reached`, and `with_turns`: see
+    `PlanLimit`. `relaxed`: limits of the rig that the proof leaves out; `kept`: what all plans of the proof have in
+    common; both in words."""
 
     requirement: Requirement
     certified: float
     reached: float
+    with_turns: float | None
     relaxed: tuple[str, ...]
     kept: tuple[str, ...]
 
@@ -198,12 +200,15 @@ class _Window(NamedTuple):
             relaxed = (*relaxed, "the calibration contains the discrepancy as far as the data determine it")
         return result, relaxed
 
-    def of_scale_factor(self, criterion: Criterion, temperatures: np.ndarray, rates: np.ndarray) -> Limit:
-        """The limit of a criterion on the scale factor on a grid (°C, rad/s), the bias known."""
+    def of_scale_factor(
+        self, criterion: Criterion, temperatures: np.ndarray, rates: np.ndarray, turning: Turning | None = None
+    ) -> Limit:
+        """The limit of a criterion on the scale factor on a grid (°C, rad/s), the bias known; `turning`: see
+        `design.limit`."""
         sure = design.scale_factor_floor(self.model, self.windows, self.temperature, temperatures)
-        return self._of_scale_factor(criterion, np.repeat(sure, len(rates)))
+        return self._of_scale_factor(criterion, np.repeat(sure, len(rates)), turning)
 
-    def _of_scale_factor(self, criterion: Criterion, sure: np.ndarray) -> Limit:
+    def _of_scale_factor(self, criterion: Criterion, sure: np.ndarray, turning: Turning | None = None) -> Limit:
         """The same; `sure`: a variance that no plan removes."""
         return design.limit(
             criterion,
@@ -215,6 +220,8 @@ class _Window(NamedTuple):
             noise_density=self.density,
             floor=sure,
             prior_share=design.PRIOR_OF_WALK if np.any(sure) else 1.0,
+            turning=turning,
+            tolerance=_TOLERANCE if turning is None else _TOLERANCE_WITH_TURNS,
         )
 
     def _of_functionals(self, criterion: Criterion) -> tuple[Limit, tuple[str, ...]]:
@@ -293,17 +300,17 @@ def _proofs_of_axis(spec: Spec, motion: float | None = None) -> list[Proof]:
     )
     if not tied:
         relaxed.append("the turns may be at any time; only their total time is limited, to the axis's part of a cycle")
-    followed = _sensor_course(chamber, built.thermal_lag)
+    followed = sensor_course(chamber, built.thermal_lag)
     fixed, windows, used = "gradient" not in free, [], []
     if fixed:
-        used = _between_knots(spans, chamber.times())
+        used = between_knots(spans, chamber.times())
         # With a cycle of free length, the turns may lie anywhere in the used data.
         turning = visits if tied else spans
-        temperatures = followed(_middles_of_parts(turning))[0]
-        windows = _between_knots(turning, chamber.times())
+        temperatures = followed(middles_of_parts(turning))[0]
+        windows = between_knots(turning, chamber.times())
     else:
         assert one_ramp is not None
-        temperatures = np.linspace(*one_ramp, _PARTS)
+        temperatures = np.linspace(*one_ramp, PARTS)
         relaxed.append("the time is distributed optimally over the temperatures")
         if np.any(built.model.processes.rate_gain):
             relaxed.append("errors that multiply the rate are left out, except for constant ones")
@@ -322,7 +329,7 @@ def _proofs_of_axis(spec: Spec, motion: float | None = None) -> list[Proof]:
         relaxed,
     )
     limits = ((r, *window.of_requirement(r)) for r in spec.requirement)
-    return [Proof(r, of.certified, of.reached, relaxed, kept) for r, of, relaxed in limits]
+    return [Proof(r, of.certified, of.reached, None, relaxed, kept) for r, of, relaxed in limits]
 
 
 def _kept_in_words(time: float, *, when: bool = False, fixed: bool = True) -> tuple[str, ...]:
@@ -365,43 +372,11 @@ def _between_readings(line: trajectory.Trajectory) -> float:
     return float(np.min(np.diff(times), initial=np.inf))
 
 
-def _middles_of_parts(windows: Windows) -> np.ndarray:
-    """The middles (s) of equal parts of all windows' time together."""
-    count = max(_PARTS, 2 * len(windows))
-    begin, end = np.array(windows).T
-    lasted = np.concatenate([[0.0], np.cumsum(end - begin)])
-    middle = lasted[-1] * (np.arange(count) + 0.5) / count
-    k = np.clip(np.searchsorted(lasted, middle, side="right") - 1, 0, len(begin) - 1)
-    return begin[k] + middle - lasted[k]
-
-
-def _between_knots(windows: Windows, knots: np.ndarray) -> Windows:
-    """The windows, divided where the chamber's slope changes."""
-    parts: Windows = []
-    for begin, end in windows:
-        inside = knots[(knots > begin + _AT_KNOT) & (knots < end - _AT_KNOT)]
-        parts += [(float(a), float(b)) for a, b in pairwise([begin, *inside, end])]
-    return parts
-
-
-def _sensor_course(chamber: Programme, lag: float | None) -> Course:
-    """The sensor's temperature (°C) and its rate (K/s) at any time (s)."""
-    of = chamber.sensor(lag)
-
-    def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        k = np.clip(np.searchsorted(of.times, t, side="right") - 1, 0, len(of.slope) - 1)
-        since = t - of.times[k]
-        fading = of.excess[k] * np.exp(-of.lag_rate * since)
-        return of.level[k] + of.slope[k] * since + fading, of.slope[k] - of.lag_rate * fading
-
-    return at
-
-
 def _visits(cycle: ResolvedCycle, start: float, time: float) -> Windows:
     """When the axis has the table (begin, end; s) in a stretch of that time."""
     period = cycle.duration
     count = int((time + period - cycle.moving + 1e-6) // period)
-    visits: Windows = []
+    visits: list[tuple[float, float]] = []
     for begin in start + period * np.arange(count):
         here = float(begin)
         visits.append((here, here))
@@ -417,7 +392,7 @@ def _visits(cycle: ResolvedCycle, start: float, time: float) -> Windows:
 
 def _proofs_of_imu(spec: Spec) -> list[Proof]:
     """The limit of every requirement of a gradient plan for which there is a proof. Errors: `ValueError` for none."""
-    seen = _Data(build_imu(spec))
+    seen = PlanData(build_imu(spec))
     kept = _kept_in_words(seen.time)
     proven = [Proof(r, *bound, kept) for r in spec.requirement if (bound := _certified(seen, r)) is not None]
     if not proven:
@@ -429,56 +404,33 @@ def _proofs_of_imu(spec: Spec) -> list[Proof]:
     return proven
 
 
-class _Data:
-    """The used data of a plan, `time` s in all: `spans`, and `windows`, divided where the chamber's slope changes (s);
-    the `chamber`'s programme."""
-
-    def __init__(self, built: BuiltImu) -> None:
-        schedule = built.spec.gradient_schedule
-        self.built, (self.chamber, _) = built, chamber_programme(schedule)
-        self.spans: Windows = [(s.start, s.start + s.duration) for s in schedule.stretches]
-        self.windows = _between_knots(self.spans, self.chamber.times())
-        self.time = sum(end - begin for begin, end in self.spans)
-
-    def course(self, term: Map | SignalMap) -> Course:
-        """The course of the temperature that a map follows."""
-        lag, late = self.built.spec.sensor.lag, term.late
-        if not late:
-            return _sensor_course(self.chamber, lag)
-        if not lag:
-            return _sensor_course(self.chamber, late.lag)
-        # One lag after another, in partial fractions; of two equal ones the limit, to a millionth of the lag.
-        then = late.lag if abs(late.lag / lag - 1.0) > _APART else lag * (1.0 + _APART)
-        first, second = _sensor_course(self.chamber, lag), _sensor_course(self.chamber, then)
-
-        def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            level, slope = ((lag * a - then * b) / (lag - then) for a, b in zip(first(t), second(t), strict=True))
-            return level, slope
-
-        return at
-
-
-def _certified(seen: _Data, requirement: Requirement) -> tuple[float, float, tuple[str, ...]] | None:
-    """A requirement's limit in SI: certified, and the optimum of the relaxed problem; and what the proof leaves out.
-    None without a proof."""
+def _certified(seen: PlanData, requirement: Requirement) -> tuple[float, float, float | None, tuple[str, ...]] | None:
+    """A requirement's limit in SI: certified, the optimum of the relaxed problem, and with the turns of the plan; and
+    what the proof leaves out. None without a proof."""
     cold, warm = (float(t) for t in requirement.temperature)
     temperatures = np.linspace(cold, warm, requirement.grid[0])
     if isinstance(requirement, GyroScaleFactorRequirement):
         return _of_scale_factor(seen, requirement, temperatures)
-    of = _of_bias if requirement.quantity in ("gyro_bias", "accelerometer_bias") else _of_signal
-    deviation = of(seen, requirement, temperatures)
+    with_turns, deviation = None, None
+    if requirement.quantity in ("gyro_bias", "accelerometer_bias"):
+        deviation = bias_deviations(seen, requirement, temperatures)
+    elif (elements := Elements.of(seen.built, requirement)) is not None:
+        deviation = elements.deviations(seen, temperatures)
+        if isinstance(requirement, MisalignmentRequirement) and seen.turns is not None:
+            with_turns = elements.with_turns(seen, requirement, temperatures)
     if deviation is None:
         return None
     value = statistic(requirement.statistic, deviation[:, None])
-    return value, value, _RELAXED
+    return value, value, with_turns, _RELAXED
 
 
 def _of_scale_factor(
-    seen: _Data, requirement: GyroScaleFactorRequirement, temperatures: np.ndarray
-) -> tuple[float, float, tuple[str, ...]] | None:
-    """The limit for a gyro that turns all the time, at up to the rate of the rig's fastest axis."""
+    seen: PlanData, requirement: GyroScaleFactorRequirement, temperatures: np.ndarray
+) -> tuple[float, float, float | None, tuple[str, ...]] | None:
+    """The limit for a gyro that turns all the time, at up to the rate of the rig's fastest axis, and for those that
+    share the plan's turns."""
     built = seen.built
-    channel = _channel(built, "gyro", requirement.axis)
+    channel = channel_of(built, "gyro", requirement.axis)
     scale, processes = channel.model.scale, channel.model.processes
     if scale is None or not isinstance(scale.rate, Polynomial) or scale.beyond is not None:
         return None
@@ -490,13 +442,27 @@ def _of_scale_factor(
         processes = processes + constant(clock, rate_gain=1.0) if clock else processes
     model = gyro_model(None, scale, float(channel.model.angle_random_walk), processes, reference)
     density, relaxed = _noise_density(model, *_spacing(built), seen.spans)
-    at, fastest = course(_middles_of_parts(seen.spans))[0], (_fastest_along if alone else _fastest)(built)
+    at, fastest = course(middles_of_parts(seen.spans))[0], (_fastest_along if alone else fastest_rate)(built)
     time, windows = seen.time, seen.windows
     window = _Window(model, time, time, at, True, fastest, density, windows, windows, course, relaxed)
     rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), requirement.grid[1])
     criterion = design.criterion(model, SCALE_FACTOR, temperatures, rates, requirement.statistic)
-    result = window.of_scale_factor(criterion, temperatures, rates)
-    return result.certified, result.reached, tuple(relaxed) if alone else _RELAXED
+    result, with_turns = window.of_scale_factor(criterion, temperatures, rates), None
+    if seen.turns is not None and not alone:
+        each: list[float] = []
+        gyros = [c.axis for c in built.model.channels if c.kind == "gyro" and requirement.axis in _any_of(c)]
+        for axis, together in seen.turns.gyros(gyros):
+            share, squares = seen.turns.shares(seen.spans, len(at), axis)
+            turning = Turning(share, np.minimum(squares, fastest**2) / together)
+            each += together * [window.of_scale_factor(criterion, temperatures, rates, turning).certified]
+        if each:
+            with_turns = float(np.sqrt(np.mean(np.square(each))) if requirement.axis == "all" else max(each))
+    return result.certified, result.reached, with_turns, tuple(relaxed) if alone else _RELAXED
+
+
+def _any_of(channel: Channel) -> tuple[str, ...]:
+    """The words of a requirement that concern a channel."""
+    return "worst", "all", AXIS_NAMES[channel.axis]
 
 
 def _has_the_table_alone(built: BuiltImu, channel: Channel) -> bool:
@@ -514,72 +480,7 @@ def _spacing(built: BuiltImu) -> tuple[float, float]:
     return min([*np.asarray(built.model.encoder.every), apart, _between_readings(built.motion.line)]), apart
 
 
-def _of_bias(seen: _Data, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
-    """Standard deviations of a bias under white noise and drift, seen continuously."""
-    channel = _channel(seen.built, requirement.quantity.removesuffix("_bias"), requirement.axis)
-    term = channel.model.term("bias")
-    assert isinstance(term, Map | SignalMap)
-    if isinstance(term, Map):
-        if term.beyond is not None:
-            return None
-        bias = replace(term, late=None)
-    else:
-        bias = make_map(term.temperature, prior_std=float(term.std) if term.has_prior else np.inf, shapes=term.shapes)
-    white, rows = float(channel.model.angle_random_walk), bias.values(temperatures, 0.0 * temperatures)
-    return bias_seen_continuously(bias, white, channel.model.processes, seen.windows, seen.course(term), rows)
-
-
-def _of_signal(seen: _Data, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
-    """Standard deviations from the mean information of all elements."""
-    built = seen.built
-    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
-        return None
-    kind = "gyro" if requirement.quantity in ("gyro_misalignment", "g_sensitivity") else "accelerometer"
-    channels = [
-        c for c in built.model.channels if c.kind == kind and requirement.axis in ("worst", "all", AXIS_NAMES[c.axis])
-    ]
-    most = _most(built, requirement, channels)
-    if most is None:
-        return None
-    name, bound = most
-    channel = channels[0]
-    term = next(t for t in channel.model.terms if t.name.startswith(name))
-    assert isinstance(term, SignalMap)
-    nodes, weights = trajectory.quadrature(_NODES)
-    look = look_at(seen.windows, seen.course(term), _LONGEST_S)
-    at = (look.begin[:, None] + (look.end - look.begin)[:, None] * nodes)[look.used]
-    functions = term.temperature(at.ravel())
-    root = np.sqrt((look.duration[look.used, None] * weights).ravel() * bound) / float(channel.model.angle_random_walk)
-    rows = np.concatenate([functions * root[:, None], term.prior_rows()])
-    return square_root(rows).deviations(term.temperature(temperatures))
-
-
-def _most(built: BuiltImu, requirement: Requirement, channels: list[Channel]) -> tuple[str, float] | None:
-    """The quantity's term, and the largest possible mean square of its elements' signals."""
-    gravity = float(built.motion.geometry.gravity)
-    fastest = _fastest(built)
-    # Number of misalignments m_ij of the channels i along the same axis j.
-    beside = max(sum(c.axis != j for c in channels) for j in range(3)) / (2 * len(channels))
-    return {
-        "gyro_misalignment": (MISALIGNMENT.format(""), fastest**2 * beside),
-        "accelerometer_misalignment": (MISALIGNMENT.format(""), gravity**2 * beside),
-        "accelerometer_scale_factor": (SCALE_FACTOR, gravity**2 / len(channels)),
-        "second_order": (SECOND_ORDER, gravity**4 / len(channels)),
-        "g_sensitivity": ("g_sensitivity", gravity**2 / 3.0),
-    }.get(requirement.quantity)
-
-
-def _fastest(built: BuiltImu) -> float:
-    """The unit's largest rate, rad/s."""
-    return max(float(axis.max_rate) for axis in built.spec.rig.table.axis) + EARTH_RATE
-
-
 def _fastest_along(built: BuiltImu) -> float:
     """The largest rate (rad/s) of the gyro along the table's only axis, the Earth's share included."""
     of = built.motion.geometry
     return float(built.spec.rig.table.axis[0].max_rate) + abs(float(of.base @ of.axes[0] @ of.earth_rate()))
-
-
-def _channel(built: BuiltImu, kind: str, axis: str) -> Channel:
-    """The channel of that kind and axis; for "worst" and "all" the first, since all are alike."""
-    return next(c for c in built.model.channels if c.kind == kind and axis in ("worst", "all", AXIS_NAMES[c.axis]))

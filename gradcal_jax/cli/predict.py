@@ -290,7 +290,8 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
 
     The proof ignores some limits of the rig; the command lists these limits. Therefore it is possible that no real plan
     reaches the lower limit; no plan can be below it. An efficiency of 67 % means that the error of every
-    plan is at least 0.67 times the error of this plan.
+    plan is at least 0.67 times the error of this plan. Scale factors and misalignments of an IMU's gyros have a second
+    limit, for the plans in which the same axes turn at the same times.
 
     Parameters
     ----------
@@ -310,13 +311,21 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     if json:
         print(as_json([row._asdict() for row in rows]))
         return DONE
-    table = [("requirement", "no plan leaves less than", "relaxed problem reaches", "this plan leaves", "efficiency")]
+    turning = any(row.with_turns is not None for row in rows)
+    between = "none with these turns" if turning else "relaxed problem reaches"
+    table = [("requirement", "no plan leaves less than", between, "this plan leaves", "efficiency")]
     for row in rows:
         share = "" if row.efficiency is None else f"{row.efficiency:.0%}"
-        bounds = amount(row.certified, row.unit), amount(row.reached, row.unit)
+        second = row.with_turns if turning else row.reached
+        bounds = amount(row.certified, row.unit), "" if second is None else amount(second, row.unit)
         table.append((f"{row.name} ({row.statistic})", *bounds, amount(row.value, row.unit), share))
     print(strong(specification.title or str(spec)))
     print(columns(table, indent=""))
+    if turning:
+        print(
+            "none with these turns: no plan in which the same axes turn at the same times as in this plan, by any "
+            "angle and at any rate; where there is such a limit, the efficiency counts from it"
+        )
     for row in rows:
         if row.judged is not None and row.judged != row.value:
             print(

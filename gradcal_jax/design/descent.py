@@ -37,8 +37,22 @@ class Descent:
         self._solver: Any = optimistix.BFGS(rtol=tolerance, atol=tolerance)
         self._function = lambda y, args: (function(y, args), None)
         self._advance = jax.jit(self._advanced, static_argnums=0, compiler_options=compiler_options())
+        every = jax.vmap(self._advanced, in_axes=(None, 0, None, 0, None))
+        self._advance_all = jax.jit(every, static_argnums=0, compiler_options=compiler_options())
         # Of points of each size.
         self._static: dict[tuple[int, ...], _Static] = {}
+
+    def _begun(self, y, args) -> Any:
+        """A solver's state at a point `y`."""
+        value = jax.ShapeDtypeStruct((), y.dtype)
+        return self._solver.init(self._function, y, args, {}, value, None, frozenset())
+
+    def _static_of(self, y, args) -> "_Static":
+        """What is no array in it."""
+        if y.shape not in self._static:
+            # Of several threads that come here at once, all take the same one.
+            self._static.setdefault(y.shape, _Static(eqx.filter(self._begun(y, args), eqx.is_array, inverse=True)))
+        return self._static[y.shape]
 
     def _advanced(self, static: "_Static", y, args, dynamic, count):
         def going(carry):
@@ -59,20 +73,38 @@ class Descent:
     ) -> Iterator[Reached]:
         """Descend from a point; yields after every `together` evaluations, at most until `evaluations` are made."""
         y = jnp.asarray(point, dtype=float)
-        value = jax.ShapeDtypeStruct((), y.dtype)
-        state = self._solver.init(self._function, y, args, {}, value, None, frozenset())
-        dynamic, rest = eqx.partition(state, eqx.is_array)
-        static = self._static.setdefault(y.shape, _Static(rest))
+        static, dynamic = self._static_of(y, args), eqx.filter(self._begun(y, args), eqx.is_array)
         done = 0
         while done < evaluations:
             count = min(together, evaluations - done)
             made, y, dynamic = self._advance(static, y, args, dynamic, count)
             done += int(made)
-            state = eqx.combine(dynamic, rest)
+            state = eqx.combine(dynamic, static.state)
             ended = int(made) < count or bool(state.terminate)
             yield Reached(np.asarray(y), float(state.f_info.f), done, ended)
             if ended:
                 return
+
+    def side_by_side(
+        self,
+        points: Float[np.ndarray, "m n"],
+        args: Any,
+        *,
+        evaluations: int,
+        stop: Callable[[], bool] = lambda: False,
+        together: int = 20,
+    ) -> Float[np.ndarray, "m n"]:
+        """The ends of descents from many points with the same `args`, by one program in which all of them take their
+        steps at once: for a GPU. After every `together` evaluations, `stop()` ends all."""
+        y = jnp.asarray(points, dtype=float)
+        static = self._static_of(y[0], args)
+        dynamic = jax.vmap(lambda one: eqx.filter(self._begun(one, args), eqx.is_array))(y)
+        for done in range(0, evaluations, together):
+            count = min(together, evaluations - done)
+            made, y, dynamic = self._advance_all(static, y, args, dynamic, count)
+            if stop() or not np.any(np.asarray(made) == count):
+                break
+        return np.asarray(y)
 
 
 class _Static:

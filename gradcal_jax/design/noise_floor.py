@@ -50,7 +50,7 @@ import scipy.linalg
 
 from gradcal_jax.information import information
 from gradcal_jax.model import BIAS, SCALE_FACTOR, Basis, Map, Processes, SensorModel, gyro_model
-from gradcal_jax.trajectory import held, quadrature
+from gradcal_jax.trajectory import Programme, held, quadrature
 
 # Begin and end of windows, s; the sensor's temperature (°C) and its rate (K/s) at times (s).
 Windows = Sequence[tuple[float, float]]
@@ -66,6 +66,9 @@ _SMALL = 1e-4
 _TOUCHING = 1e-6
 # Distance of a window's ends from a jump, in windows; variance of a process's change at a jump, over its variance.
 _INSET, _AT_ONCE = 1e-9, 1e-12
+# The time at the table is divided into at least this many equal parts of one temperature, two or more for each turn.
+PARTS = 48
+_AT_KNOT = 1e-6
 # Temperatures of a linear programme.
 _GRID = 2001
 # Observable: singular values of scaled columns above this share of the largest.
@@ -73,6 +76,38 @@ _SEEN = 1e-9
 # Longest step of a continuous observation: as a share of the shortest correlation time, and in s.
 _SHARE_OF_CORRELATION = 0.05
 _LONGEST_S = 5.0
+
+
+def between_knots(windows: Windows, knots: np.ndarray) -> Windows:
+    """The windows, divided where the chamber's slope changes."""
+    parts: list[tuple[float, float]] = []
+    for begin, end in windows:
+        inside = knots[(knots > begin + _AT_KNOT) & (knots < end - _AT_KNOT)]
+        parts += [(float(a), float(b)) for a, b in pairwise([begin, *inside, end])]
+    return parts
+
+
+def middles_of_parts(windows: Windows) -> np.ndarray:
+    """The middles (s) of equal parts of all windows' time together."""
+    count = max(PARTS, 2 * len(windows))
+    begin, end = np.array(windows).T
+    lasted = np.concatenate([[0.0], np.cumsum(end - begin)])
+    middle = lasted[-1] * (np.arange(count) + 0.5) / count
+    k = np.clip(np.searchsorted(lasted, middle, side="right") - 1, 0, len(begin) - 1)
+    return begin[k] + middle - lasted[k]
+
+
+def sensor_course(chamber: Programme, lag: float | None) -> Course:
+    """The sensor's temperature (°C) and its rate (K/s) at any time (s)."""
+    of = chamber.sensor(lag)
+
+    def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        k = np.clip(np.searchsorted(of.times, t, side="right") - 1, 0, len(of.slope) - 1)
+        since = t - of.times[k]
+        fading = of.excess[k] * np.exp(-of.lag_rate * since)
+        return of.level[k] + of.slope[k] * since + fading, of.slope[k] - of.lag_rate * fading
+
+    return at
 
 
 def scale_factor_floor(model: SensorModel, windows: Windows, temperature: Course, at: np.ndarray) -> np.ndarray:

@@ -26,6 +26,8 @@ _PENALTY = 30.0
 _BEGIN, _BRIEF = 24, 0.5
 _SURVIVORS, _FEWEST = 0.5, 4
 _QUICK_STEPS = 200
+# Descents in one program of a GPU.
+_SIDE_BY_SIDE = 64
 # An objective with more noise steps than this has proportionally fewer starts and hops.
 _CHEAP, _FEWEST_DEAR = 1024, 2
 # Standard deviations of hops in coordinates of unit size, used in turn; the search ends after a round that gains less
@@ -142,6 +144,15 @@ class Compiled:
             if stop():
                 break
         return whole[self._places]
+
+    def descend_side_by_side(
+        self, points: Float[np.ndarray, "m n"], sharpness: float, evaluations: int, stop: Callable[[], bool]
+    ) -> Float[np.ndarray, "m n"]:
+        """`descend` from many points by one program."""
+        whole, mask = np.zeros((len(points), self._whole)), np.zeros(self._whole)
+        whole[:, self._places], mask[self._places] = points, 1.0
+        args = self._leaves, mask, np.asarray(sharpness)
+        return self._descent.side_by_side(whole, args, evaluations=evaluations, stop=stop)[:, self._places]
 
 
 class SearchState(NamedTuple):
@@ -280,11 +291,21 @@ def _levels(starts: int, steps: int, hops: int, share: float) -> list[_Level]:
 def _descents(
     compiled: Compiled, points: Sequence[np.ndarray], sharpness: float, steps: int, stop: Callable[[], bool]
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """End of a descent of `steps` steps from each point, in their order; one thread for each core."""
+    """End of a descent of `steps` steps from each point, in their order: one thread for each core, or on a GPU all in
+    one program."""
+    evaluations = _BEGINNING + _EVALUATIONS * steps
 
     def descend(z: np.ndarray) -> np.ndarray:
-        return compiled.descend(z, sharpness, _BEGINNING + _EVALUATIONS * steps, stop)
+        return compiled.descend(z, sharpness, evaluations, stop)
 
+    if jax.default_backend() != "cpu":
+        # Of one size, which is compiled once: the last ones descend several times.
+        for first in range(0, len(points), _SIDE_BY_SIDE):
+            some = points[first : first + _SIDE_BY_SIDE]
+            whole = np.stack([*some, *(_SIDE_BY_SIDE - len(some)) * [some[-1]]])
+            reached = compiled.descend_side_by_side(whole, sharpness, evaluations, stop)
+            yield from enumerate(reached[: len(some)], first)
+        return
     with ThreadPoolExecutor(min(len(points), os.cpu_count() or 1) or 1) as pool:
         yield from enumerate(pool.map(descend, points))
 

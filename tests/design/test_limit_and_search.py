@@ -3,6 +3,7 @@
 import os
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -275,6 +276,17 @@ def test_the_search_improves_goes_on_where_it_was_and_never_beats_the_limit():
     )
     assert proven.certified <= proven.reached * (1 + 1e-12)
     assert proven.certified * 1e6 <= result.value
+
+
+def test_a_gpu_descends_side_by_side_to_the_same_plans(monkeypatch):
+    """(The program for a GPU runs here on the CPU.)"""
+    at, options = compiled(), {"starts": 2, "seed": 0, "steps": 40, "hops": 1}
+    by_threads = [p.state for p in search(at, **options)]
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    side_by_side = [p.state for p in search(compiled(), **options)]
+    assert len(side_by_side) == len(by_threads)
+    assert side_by_side[-1].best == pytest.approx(by_threads[-1].best, rel=1e-4)
+    np.testing.assert_allclose(side_by_side[5].values[:6], by_threads[5].values[:6], rtol=1e-3)
 
 
 def test_a_search_that_is_stopped_ends_at_once_with_its_best():

@@ -149,7 +149,7 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
             float(np.hypot(factor * value, floor))
             for value, floor in ((certified, named), (reached, named), (certified, every))
         )
-        turning = None if with_turns is None else float(np.hypot(factor * with_turns, named))
+        turning = None if with_turns is None else max(found, float(np.hypot(factor * with_turns, named)))
         share = None if row.decisive is None else (turning or found) / row.decisive
         bounds = found, best, turning, row.decisive, share
         proven.append(PlanLimit(r.name, r.statistic, unit, *bounds, relaxed, kept, counted, row.judged))

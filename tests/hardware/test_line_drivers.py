@@ -191,9 +191,9 @@ def test_what_cannot_be_trusted_is_refused(name: str, change: Any, expected: str
 @settings(deadline=None)
 @given(st.text(max_size=60), st.text(max_size=4000))
 def test_no_template_makes_a_reply_cost_more_than_its_length(template: str, reply: str) -> None:
-    began = time.monotonic()
+    began = time.thread_time()
     reply_pattern(template).fullmatch(reply)
-    assert time.monotonic() - began < 1.0
+    assert time.thread_time() - began < 1.0
 
 
 @given(st.floats(-999.0, 999.0), st.sampled_from(["05.1f", ".2f", ".0f", "g", "07.3f"]))

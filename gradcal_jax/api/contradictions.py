@@ -333,8 +333,9 @@ def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) ->
         ):
             if abs(angle) > max(_NO_CHANCE * std, _MATTERS * known):
                 found[f"gyro {label} at the {end} of standstills"] = (
-                    f"gyro {label} turns {np.degrees(abs(angle)):.2g} deg {words}, averaged over all standstills: "
-                    "the samples are delayed or filtered, or standstills are marked while the table still moves"
+                    f"gyro {label} measures a turn of {np.degrees(abs(angle)):.2g} deg {words}, averaged over all "
+                    "standstills: the samples are delayed or filtered, or standstills are marked while the table still "
+                    "moves"
                 )
     return found
 

@@ -112,9 +112,9 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     time, usable, rates, force = filled.time, filled.usable, filled.values[:, :3], filled.values[:, 3:]
     if filled.number:
         messages.append(
-            f"{filled.number} rows in gaps of one or two rows are filled by cubic interpolation; over each gap, the "
-            f"angle differs by at most {filled.error[:3].max():.2g} rad from that with linear interpolation, which is "
-            "taken as its error"
+            f"{filled.number} rows in gaps of one or two rows are filled by cubic interpolation; with linear "
+            f"interpolation, the angle over a gap differs by at most {filled.error[:3].max():.2g} rad, and this "
+            "difference counts as the error of the angle"
         )
     try:
         standing = filled.standing

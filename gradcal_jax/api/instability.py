@@ -239,7 +239,7 @@ def at_rest(
         rate = rate - thermal.bias(np.interp(rows, rows[where], temperature[where]), even.sample_interval_s)
         if thermal.lag_time_s > 0.0 and lag == "auto":
             messages.append(
-                f"the bias follows the temperature {thermal.lag_time_s:.0f} s late: with this lag, the residual is "
+                f"the bias lags behind the temperature by {thermal.lag_time_s:.0f} s: with this lag, the residual is "
                 f"{thermal.residual_rms / at_once.residual_rms:.0%} of the residual of B(T) without a lag"
             )
         if lag in ("auto", "fit") and thermal.lag_time_s > 0.99 * _LONGEST_LAG_S:

@@ -375,7 +375,10 @@ class ExactObjective:
             for r in spec.requirement
         )
         if timed and not any(aim.counted for aim in self.aims):
-            raise ValueError(f'"{name}" is minimised under targets: give a requirement a target')
+            raise ValueError(
+                f'minimise = "{name}" finds the shortest plan that meets the targets: give at least one requirement a '
+                "target"
+            )
         if notice is not None:
             self.aims += (Aim(MISSED, "", 1.0, "max", 1.0 - float(notice.power), timed, not timed),)
         if name in OPTIMALITIES:

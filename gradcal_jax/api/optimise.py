@@ -50,7 +50,7 @@ from gradcal_jax.trajectory import body_nodes
 _LOG = logging.getLogger(__name__)
 
 BY_HAND = (
-    'rig.table.drive is "hand": the search plans turns of a motor. Search the plan with drive = "motor" and '
+    'rig.table.drive is "hand": the search plans turns of a motor. Optimise the plan with drive = "motor" and '
     'moves without shape = "hand", then write its turns as turns by hand, with the durations that a person needs'
 )
 """Why no plan of turns by hand is searched."""
@@ -153,7 +153,10 @@ def minimise_time(
     """
     assert spec.design is not None
     if all(r.target is None for r in spec.requirement):
-        raise ValueError(f'"{spec.design.minimise}" is minimised under targets: give a requirement a target')
+        raise ValueError(
+            f'minimise = "{spec.design.minimise}" finds the shortest plan that meets the targets: give at least one '
+            "requirement a target"
+        )
     longest = motion_time(spec, spec.design)
     _refuse_what_no_plan_meets(spec, longest)
     short, long = _least(spec, longest), longest

@@ -89,9 +89,10 @@ def apply(
                 "the state of the hysteresis: the middle of its possible range was used"
             )
         if corrected.left_alone:
-            print(f"note: left unchanged, since the calibration lacks them: {', '.join(corrected.left_alone)}")
+            alone = ", ".join(corrected.left_alone)
+            print(f"note: these channels are not in the calibration, and were left unchanged: {alone}")
         if corrected.left_in:
-            print(f"note: in the calibration, but not subtracted: {', '.join(corrected.left_in)}")
+            print(f"note: these errors are in the calibration, but were not subtracted: {', '.join(corrected.left_in)}")
         print(f"wrote {output}")
     return NOT_AS_WISHED if any(outside.values()) else DONE
 

@@ -173,7 +173,7 @@ def test_a_course_that_is_not_free_stays():
     [
         (turning, {"design": {"free": ["gradient"]}}, r"design.free\[0\].*can change only cycle and programme"),
         (turning, {"design": {"free": ["programme"]}, "plan.programme[0].used": True}, "of ramps with used data"),
-        (standing, {"design": {"free": ["cycle"]}}, "no part of the plan is free: the table is at rest"),
+        (standing, {"design": {"free": ["cycle"]}}, "optimise can change no part of this plan: the table is at rest"),
     ],
 )
 def test_what_cannot_be_free_is_refused(spec, changes, says):

@@ -171,7 +171,7 @@ class MissionRow(Section):
     file: str
     """File of the mission's table."""
     weight: Size
-    """Weight of the mission among the others."""
+    """Weight of the mission relative to the other missions."""
     after_s: Size
     """Time in the mission at which the heading error is taken (s)."""
     left: Size | None = None
@@ -218,7 +218,8 @@ class RequirementRow(Section):
     coverage: Size = 1.0
     """Number of standard deviations that must be within the target."""
     risk: Size | None = None
-    """Largest allowed probability that a sensor beyond the target passes; null: simple acceptance."""
+    """Largest allowed probability that a sensor passes although its error exceeds the target; null: simple
+    acceptance."""
     rule: str | None = None
     """Rule of the verdict, in words."""
     specific_risk: Size | None = None

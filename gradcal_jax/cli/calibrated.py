@@ -283,7 +283,8 @@ def _validation_text(row: "AxisValidation") -> str:
         lines.append(f"{what}: {before:.5g} deg/h rms without, {after:.4g} deg/h with the calibration")
     if row.gravity_ug is not None:
         before, after = row.gravity_ug
-        lines.append(f"norm of gravity at rest: {before:.5g} ug rms without, {after:.4g} ug with the calibration")
+        what = "error of the norm of gravity at rest"
+        lines.append(f"{what}: {before:.5g} ug rms without, {after:.4g} ug with the calibration")
     shown = [("temperature", "mean rate", "how many", "without", "with", "scatter", "")]
     for cell in row.cells:
         warm = cell.temperature_c

@@ -151,7 +151,8 @@ def _judged(result: Result, cell: Cell) -> Acceptance:
         rule = f"simple acceptance: the mean error within {target:g} {result.unit}"
     else:
         rule = (
-            f"guarded: an error beyond {target:g} {result.unit} with a probability of at most {100.0 * result.risk:g} %"
+            f"guarded acceptance: the probability of an error beyond {target:g} {result.unit} is at most "
+            f"{100.0 * result.risk:g} %"
         )
     verdict = "met" if met else "missed"
     risk = specific_risk(error, std, target)

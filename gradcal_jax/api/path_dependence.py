@@ -374,5 +374,5 @@ def _sentences(spec: Spec, differences: Sequence[BranchDifference], offers: Sequ
             )
             parts.append(f"{d.channel.replace('_', ' ')} {values} {unit}")
     words = "heating and cooling disagree: the errors depend on the path of temperature"
-    of_half = "; half of heating minus cooling: " + "; ".join(parts) if parts else ""
+    of_half = "; half the difference (heating minus cooling): " + "; ".join(parts) if parts else ""
     return [words + of_half, *offer_sentences(spec, offers)]

@@ -53,7 +53,7 @@ def test_a_loop_that_the_spec_lacks_is_named_and_a_play_is_offered():
     assert offer.words.startswith("a play of ")
     assert offer.after < 0.9 * offer.before
     said = " ".join(report.messages)
-    assert "the errors depend on the path of temperature; half of heating minus cooling: gyro" in said
+    assert "the errors depend on the path of temperature; half the difference (heating minus cooling): gyro" in said
     assert f"{offer.words} explains" in said
     assert "[sensor.gyro] hysteresis = [{ width = " in said
     rows = estimate_rows(EstimateReport((report,)))["units"][0]["path"]

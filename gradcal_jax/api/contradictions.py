@@ -149,7 +149,7 @@ def diagnosis_sentences(residual: np.ndarray, time_s: np.ndarray, moved: np.ndar
         )
     if seen.motion_tells:
         sentences.append(
-            f"the residuals after moves are {seen.moving:.3g} times the noise of the spec, and those at rest "
+            f"the residuals after moves are {seen.moving:.3g} times the noise of the spec, and the residuals at rest "
             f"{seen.resting:.3g} times: is there vibration during moves, wobble of the table, an error of the table's "
             "angle or timing, or a changing scale factor?"
         )

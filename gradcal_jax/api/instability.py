@@ -496,7 +496,7 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
     if fit.chance < identify.MISFIT:
         last = fit.fitted_time_s[-1]
         notes.append(
-            f"the fitted terms do not follow the curve, which deviates most near {fit.farthest_time_s:.3g} s "
+            f"the fitted terms do not follow the curve; the deviation is largest near {fit.farthest_time_s:.3g} s "
             f"(χ² {fit.chi_squared:.4g} with {fit.chi_squared_degrees} degrees of freedom; of records with such noise, "
             f"fewer than {identify.MISFIT:.0%} deviate as much): the record has other effects (a trend, an "
             "oscillation, a thermal effect); "

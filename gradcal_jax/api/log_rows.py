@@ -545,7 +545,7 @@ def _table_angles(built: BuiltImu, log: Log, chosen: str | None) -> tuple[np.nda
     count = len(log.time_s)
     if log.table_angle_rad is None and log.readings is None:
         names = ", ".join(axis.name for axis in built.spec.rig.table.axis)
-        raise LogError(f"the log has no table angles ({names}), and these are the reference")
+        raise LogError(f"the log has no table angles ({names}), but the table angles are the reference")
     places = _places_of(built, log, chosen)
     if log.readings is None:
         assert log.table_angle_rad is not None

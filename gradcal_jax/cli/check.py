@@ -57,7 +57,7 @@ def check(
     output
         The file that --upgrade writes; by default FILE is replaced, and its earlier contents are saved as FILE.old.
     files_only
-        Skip the computation of what the plan cannot observe, which takes a few seconds.
+        Skip the computation of what the plan cannot observe; this computation takes a few seconds.
     json
         Print as JSON: the times of the plan, the notes, and what the plan cannot observe; or the contents of a recipe.
         With --timeline, print gradcal-timeline/3: segments, readings and the models of all sensors, in SI units.

@@ -136,8 +136,8 @@ class CourseRow(Section):
     used: bool = True
     """False if the data are not part of the calibration."""
     temperature_start: Finite
-    """Temperature of the chamber at the start (°C); if it differs from that at the end of the previous segment, the
-    chamber steps."""
+    """Temperature of the chamber at the start (°C); if it differs from the temperature at the end of
+    the previous segment, the chamber steps."""
     temperature_end: Finite
     """Temperature of the chamber at the end (°C); in between, it is linear in time."""
     temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
@@ -225,7 +225,7 @@ class RequirementRow(Section):
     specific_risk: Size | None = None
     """Probability that the error exceeds the target at the worst temperature and rate of the requirement."""
     chance: Size | None = None
-    """Probability that the error of a sensor meets the target, by the requirement's statistic."""
+    """Probability that the requirement's statistic of the error of a sensor is within the target."""
     chance_everywhere: Size | None = None
     """Probability that the error of a sensor meets the target at every temperature and rate of the requirement."""
     check: CheckRow | None = None

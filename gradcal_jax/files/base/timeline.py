@@ -48,7 +48,7 @@ class TableAxisRow(Section):
     standstill_offset: rows.Size
     """Standard deviation of the error common to the readings of a standstill (rad)."""
     timing_error: rows.Size = 0.0
-    """Standard deviation of the time of a reading on the move (s)."""
+    """Standard deviation of the time of a reading during a move (s)."""
     read_every: rows.Size | None = None
     """Time between readings at rest (s); null: one reading in each standstill."""
     harmonics: tuple[rows.HarmonicRow, ...] = ()

@@ -434,7 +434,7 @@ class _Examination:
             )
             self.note_fault("constant temperature", "keep", 0, text)
             frozen[frozen.all(axis=1)] = False
-        words = "with a constant temperature, although it changes in the rest of the record"
+        words = "with a constant temperature, although the temperature changes in the rest of the record"
         self.mask(frozen, Reason.FROZEN_TEMPERATURE, policy.frozen_temperatures, words)
 
     def sizes(self, time: Floats, kept: Columns, starts: Whole) -> None:

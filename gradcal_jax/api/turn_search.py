@@ -448,7 +448,7 @@ class TurnSearch:
             if any(r.name == name and r.quantity in ("heading", "north") for r in spec.requirement):
                 hint = "add priors for the maps, or targets for other requirements: a mission alone is not enough"
             sentence = (
-                f"rounded to the controllers' steps, the plan does not observe all requirements: {hint}; {sentence}"
+                f"after rounding to the controllers' steps, some requirements are not observable: {hint}; {sentence}"
             )
         elif last.value > (1.0 + _DEAR) * optimum.value:
             more = 100.0 * (last.value / optimum.value - 1.0)

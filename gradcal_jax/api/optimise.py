@@ -271,7 +271,9 @@ def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimi
 
 # --- plans of several durations ---------------------------------------------------------------------------------------
 
-_BLIND: Final = "in every plan found for this duration, some requirements are not observable: try more moves in each visit"
+_BLIND: Final = (
+    "in every plan found for this duration, some requirements are not observable: try more moves in each visit"
+)
 
 
 class FrontierPoint(NamedTuple):

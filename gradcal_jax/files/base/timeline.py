@@ -226,7 +226,7 @@ class Timeline(Section):
     estimator: Literal["best linear", "least squares"] = "best linear"
     """Generalised least squares with all priors, or unweighted mean rate errors without priors."""
     points: Literal["independent", "one run"] | None = None
-    """Standard method: whether readings share the processes over the run, or have independent noise."""
+    """Standard method: whether all readings share the noise processes of one run, or each has independent noise."""
     frame: Literal["table axes", "case"]
     """Reference of the misalignments: the table's axes or the case."""
     site: SiteRow

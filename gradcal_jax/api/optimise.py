@@ -346,7 +346,7 @@ _ROUNDING = 1e-6
 _BRIEF_S = 1.0
 # The share of a turn at the table for which the axis rests in the first plan of a search.
 _STANDS = 0.2
-_GO_ON = "continue the run with its plan, gradcal run --resume"
+_GO_ON = "continue the run with its own plan (gradcal run --resume)"
 Span = tuple[float, float]
 """Start and end on a plan's clock (s)."""
 

@@ -575,7 +575,7 @@ def shadow_prices(of: Measure, coordinates: Coordinates, optimum: Optimum) -> tu
 
 # Limits by the index of `Coordinates.eased`: name, unit in which the limit is eased, and that unit in SI.
 PRICED: Final = (
-    ("ramp time, cycle and turns in proportion", "minute", 60.0),
+    ("ramp time (cycle and turns longer in proportion)", "minute", 60.0),
     ("largest rate", "deg/s", np.pi / 180.0),
     ("largest acceleration", "deg/s^2", np.pi / 180.0),
     ("travel", "turn", 2.0 * np.pi),

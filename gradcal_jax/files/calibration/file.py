@@ -342,7 +342,7 @@ class Calibration(TitledFile):
     def _problems(self) -> Iterator[Problem]:
         names = [channel.name for channel in self.channel]
         if len(set(names)) < len(names):
-            yield Problem(("channel",), "two channels are of one kind and axis")
+            yield Problem(("channel",), "two channels have the same kind and the same axis")
         axes = {"x", "y", "z", *(channel.axis for channel in self.channel)}
         known = {TEMPERATURE_RATE, *(f"{kind} {axis}" for kind in ("rate", "force") for axis in axes)}
         for i, channel in enumerate(self.channel):

@@ -6,7 +6,7 @@ from motion_and_recording import Motion, Recorded, readings, recording, turns
 
 from gradcal_jax.decoding.alignment import Alignment, AngleTrack, NoAlignment, align
 
-UNKNOWN = "from another run|agrees with the run at two times"
+UNKNOWN = "from another run|agrees with the run at more than one start time"
 
 
 def one(seed: int, cycles: int = 12) -> tuple[Alignment, Recorded]:

@@ -250,7 +250,10 @@ class Elements(NamedTuple):
         def functions(of: Map | SignalMap) -> np.ndarray:
             look = look_at(seen.windows, seen.course(of), _LONGEST_S)
             at = (look.begin[:, None] + (look.end - look.begin)[:, None] * nodes)[look.used]
-            return np.asarray(of.temperature(at.ravel())) * np.sqrt((look.duration[look.used, None] * weights).ravel())[:, None]
+            return (
+                np.asarray(of.temperature(at.ravel()))
+                * np.sqrt((look.duration[look.used, None] * weights).ravel())[:, None]
+            )
 
         own, mean = functions(self.term) / white, self.mean or 0.0
         rows = [own * np.sqrt(self.bound - mean**2), np.asarray(self.term.prior_rows())]

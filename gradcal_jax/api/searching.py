@@ -194,7 +194,7 @@ class _Best(NamedTuple):
     left: Residuals
     value: float
     point: Any = None
-    words: str = "the plan is unchanged"
+    words: str = "as it was"
 
 
 def search_plans(

@@ -295,7 +295,7 @@ def test_an_estimate_counts_what_its_spec_omits(recorded):
     assert found.covariance == bare_found.covariance
     assert found.unseen == ()
     assert {e.name for e in bare_found.unseen} >= {
-        "input axis beside the table's axis",
+        "misalignment of the input axis from the table's axis",
         "Earth's rate",
         "omitted noise",
     }

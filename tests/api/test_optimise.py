@@ -188,7 +188,7 @@ def test_rests_read_otherwise_than_one_another_are_refused_where_their_times_sta
         {"duration": "50 s", "peak_rate": "-150 deg/s", "shape": "cosine ramps"},
     ]
     uneven = changed(spec, {"plan.cycle.moves": moves, "design.free": ["peak_rate"], "design.moves": None})
-    with pytest.raises(ValueError, match="every 1 s and every 5 s: give all of them one read_every"):
+    with pytest.raises(ValueError, match="every 1 s and others every 5 s: give all rests the same read_every"):
         structures(uneven, [])
 
 

@@ -149,7 +149,7 @@ def diagnosis_sentences(residual: np.ndarray, time_s: np.ndarray, moved: np.ndar
         )
     if seen.motion_tells:
         sentences.append(
-            f"the residuals after moves are {seen.moving:.3g} times the noise of the spec, and those at rest "
+            f"the residuals after moves are {seen.moving:.3g} times the noise of the spec, and the residuals at rest "
             f"{seen.resting:.3g} times: is there vibration during moves, wobble of the table, an error of the table's "
             "angle or timing, or a changing scale factor?"
         )
@@ -333,8 +333,9 @@ def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) ->
         ):
             if abs(angle) > max(_NO_CHANCE * std, _MATTERS * known):
                 found[f"gyro {label} at the {end} of standstills"] = (
-                    f"gyro {label} turns {np.degrees(abs(angle)):.2g} deg {words}, averaged over all standstills: "
-                    "the samples are delayed or filtered, or standstills are marked while the table still moves"
+                    f"gyro {label} measures a turn of {np.degrees(abs(angle)):.2g} deg {words}, averaged over all "
+                    "standstills: the samples are delayed or filtered, or standstills are marked while the table still "
+                    "moves"
                 )
     return found
 

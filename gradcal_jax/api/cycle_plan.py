@@ -176,8 +176,8 @@ _SLACK = 1e-9
 # Shortest soak that a programme may begin with, s.
 _BRIEF = 1.0
 NO_COURSE = (
-    'design.free = ["programme"] needs a plan that has one mounting and no executed part, and that consists of at '
-    "most one soak without used data and of ramps with used data after it"
+    'design.free = ["programme"] needs a plan with one mounting and without an executed part; its temperature '
+    "programme must be ramps whose data are used, after at most one soak whose data are not used"
 )
 
 
@@ -269,7 +269,7 @@ class CyclePlan:
             own = self.free_course.coordinates.vector(*_own_course(self._schedule))
             self.start = self.start._replace(course=tuple(own.tolist()))
         elif not self.turns_free:
-            raise ValueError(f"no part of the plan is free: the table is at rest, and {NO_COURSE}")
+            raise ValueError(f"optimise can change no part of this plan: the table is at rest, and {NO_COURSE}")
         self.value = partial(_value, self.objective, self.slots, self.free_course)
         self.descent = _descent_of(self.value)
 

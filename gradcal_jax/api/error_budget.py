@@ -45,7 +45,7 @@ from gradcal_jax.model import (
 from gradcal_jax.trajectory import EARTH_RATE, Trajectory
 
 TURN_ON: Final = "turn-on bias"
-BESIDE_THE_AXIS: Final = "input axis beside the table's axis"
+BESIDE_THE_AXIS: Final = "misalignment of the input axis from the table's axis"
 UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
 # Temperatures at which the slope of a map is taken, and the step of the difference, K.
 _AT: Final = 64

@@ -381,7 +381,7 @@ def report_of(
     neighbours, alone = {}, ()
     if options.neighbours_k is not None:
         neighbours = estimation.neighbours_of(readings, solution, options.neighbours_k)
-        alone = () if neighbours else ("no move has a rest directly before and after it, so there are no neighbours",)
+        alone = () if neighbours else ("no move has a rest directly before and after it: no moves can be averaged",)
     counts = _counts(logs, name, done) if points is None else {"used": int(np.count_nonzero(~points.line.gap))}
     beside_tests = lag, path, smoothness, neighbours, counts, structure, bias_curves(readings, solution)
     report = SensorEstimate(

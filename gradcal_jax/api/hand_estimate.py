@@ -112,9 +112,9 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     time, usable, rates, force = filled.time, filled.usable, filled.values[:, :3], filled.values[:, 3:]
     if filled.number:
         messages.append(
-            f"{filled.number} rows in gaps of one or two rows are filled by cubic interpolation; over each gap, the "
-            f"angle differs by at most {filled.error[:3].max():.2g} rad from that with linear interpolation, which is "
-            "taken as its error"
+            f"{filled.number} rows in gaps of one or two rows are filled by cubic interpolation; with linear "
+            f"interpolation, the angle over a gap differs by at most {filled.error[:3].max():.2g} rad, and this "
+            "difference counts as the error of the angle"
         )
     try:
         standing = filled.standing
@@ -134,7 +134,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     fastest = float(np.radians(np.ceil(fastest)))
     tests = {
         "accelerometers: norm of gravity": force_fit.test,
-        "accelerometers: whiteness from position to position": estimation.whiteness(force_fit.left, force_fit.taken),
+        "accelerometers: whiteness of |f| - g over positions": estimation.whiteness(force_fit.left, force_fit.taken),
         "gyros: turns of gravity": rate_fit.test,
         "gyros: rates at rest": solution.at_rest,
     }
@@ -278,7 +278,7 @@ def _words(
             f"the gyros' rates at rest differ by {solution.unsteady * DEG_PER_H:.3g} deg/h more than noise and "
             "acceleration sensitivity explain, probably because of drift. The covariance includes this difference"
         )
-    if not (white := tests["accelerometers: whiteness from position to position"]).passed:
+    if not (white := tests["accelerometers: whiteness of |f| - g over positions"]).passed:
         yield (
             f"|f| - g is correlated from position to position (p-value {white.probability:.1g}): the IMU warms up "
             "or ages"

@@ -239,7 +239,7 @@ def at_rest(
         rate = rate - thermal.bias(np.interp(rows, rows[where], temperature[where]), even.sample_interval_s)
         if thermal.lag_time_s > 0.0 and lag == "auto":
             messages.append(
-                f"the bias follows the temperature {thermal.lag_time_s:.0f} s late: with this lag, the residual is "
+                f"the bias lags behind the temperature by {thermal.lag_time_s:.0f} s: with this lag, the residual is "
                 f"{thermal.residual_rms / at_once.residual_rms:.0%} of the residual of B(T) without a lag"
             )
         if lag in ("auto", "fit") and thermal.lag_time_s > 0.99 * _LONGEST_LAG_S:
@@ -496,7 +496,7 @@ def allan_notes(fit: identify.AllanFit) -> tuple[str, ...]:
     if fit.chance < identify.MISFIT:
         last = fit.fitted_time_s[-1]
         notes.append(
-            f"the fitted terms do not follow the curve, which deviates most near {fit.farthest_time_s:.3g} s "
+            f"the fitted terms do not follow the curve; the deviation is largest near {fit.farthest_time_s:.3g} s "
             f"(χ² {fit.chi_squared:.4g} with {fit.chi_squared_degrees} degrees of freedom; of records with such noise, "
             f"fewer than {identify.MISFIT:.0%} deviate as much): the record has other effects (a trend, an "
             "oscillation, a thermal effect); "

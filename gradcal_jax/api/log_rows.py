@@ -62,7 +62,7 @@ class Lag(NamedTuple):
         said: list[str] = []
         if self.seconds > 0.99 * LONGEST_LAG_S:
             said.append(
-                f"the lag reaches the longest allowed value, {self.seconds:.0f} s: the data do not determine it"
+                f"the lag reaches the longest allowed value, {self.seconds:.0f} s: the data do not determine the lag"
             )
         if self.seconds < 2.0 * self.std:
             said.append(
@@ -76,7 +76,7 @@ class Lag(NamedTuple):
         """What is said of a fitted lag."""
         if self.std is None or self.doubts:
             return self.doubts
-        return [f"the maps follow the temperature {self.seconds:.4g} s late (1σ {self.std:.2g} s)"]
+        return [f"the maps lag behind the measured temperature by {self.seconds:.4g} s (1σ {self.std:.2g} s)"]
 
 
 # A comparison of clocks that is no better than this, a ratio, is worth less than a quartz.
@@ -279,8 +279,8 @@ def with_earth(spec: Spec, earth_rate: float) -> Spec:
     along = "" if gyro is None or not spec.is_one_axis else str(getattr(hung, gyro.axes[0]))
     if along not in ("+z", "-z"):
         raise ValueError(
-            "--earth-rate and --latitude are only for one gyro along the only axis of a table, pointing up; for "
-            "other specs, state [rig.site] latitude"
+            "--earth-rate and --latitude are only for one gyro along the only axis of a table, if this axis is "
+            "vertical; for other specs, state [rig.site] latitude"
         )
     up = earth_rate if along == "+z" else -earth_rate
     latitude = math.asin(max(-1.0, min(up / EARTH_RATE, 1.0)))
@@ -545,7 +545,7 @@ def _table_angles(built: BuiltImu, log: Log, chosen: str | None) -> tuple[np.nda
     count = len(log.time_s)
     if log.table_angle_rad is None and log.readings is None:
         names = ", ".join(axis.name for axis in built.spec.rig.table.axis)
-        raise LogError(f"the log has no table angles ({names}), and these are the reference")
+        raise LogError(f"the log has no table angles ({names}), but the table angles are the reference")
     places = _places_of(built, log, chosen)
     if log.readings is None:
         assert log.table_angle_rad is not None

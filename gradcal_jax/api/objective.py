@@ -375,7 +375,10 @@ class ExactObjective:
             for r in spec.requirement
         )
         if timed and not any(aim.counted for aim in self.aims):
-            raise ValueError(f'"{name}" is minimised under targets: give a requirement a target')
+            raise ValueError(
+                f'minimise = "{name}" finds the shortest plan that meets the targets: give at least one requirement a '
+                "target"
+            )
         if notice is not None:
             self.aims += (Aim(MISSED, "", 1.0, "max", 1.0 - float(notice.power), timed, not timed),)
         if name in OPTIMALITIES:
@@ -429,7 +432,7 @@ class ExactObjective:
         """Name and unit of the objective for people, and how many of the unit are one of `value_of`, exponentiated."""
         counted = [aim for aim in self.aims if aim.counted]
         if self.worst or len(counted) > 1:
-            name = "residual over target" if self.worst else "residual over target, geometric mean"
+            name = "largest residual" if self.worst else "geometric mean of all residuals"
             rows = [r for r, aim in zip(self.spec.requirement, self.aims, strict=False) if aim.counted]
             return name, "of the target" if all(r.target is not None for r in rows) else "", 1.0
         (aim,) = counted

@@ -50,7 +50,7 @@ from gradcal_jax.trajectory import body_nodes
 _LOG = logging.getLogger(__name__)
 
 BY_HAND = (
-    'rig.table.drive is "hand": the search plans turns of a motor. Search the plan with drive = "motor" and '
+    'rig.table.drive is "hand": the search plans turns of a motor. Optimise the plan with drive = "motor" and '
     'moves without shape = "hand", then write its turns as turns by hand, with the durations that a person needs'
 )
 """Why no plan of turns by hand is searched."""
@@ -153,7 +153,10 @@ def minimise_time(
     """
     assert spec.design is not None
     if all(r.target is None for r in spec.requirement):
-        raise ValueError(f'"{spec.design.minimise}" is minimised under targets: give a requirement a target')
+        raise ValueError(
+            f'minimise = "{spec.design.minimise}" finds the shortest plan that meets the targets: give at least one '
+            "requirement a target"
+        )
     longest = motion_time(spec, spec.design)
     _refuse_what_no_plan_meets(spec, longest)
     short, long = _least(spec, longest), longest
@@ -268,7 +271,9 @@ def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimi
 
 # --- plans of several durations ---------------------------------------------------------------------------------------
 
-_BLIND: Final = "none of the plans found for this duration observes all requirements: try more moves in each visit"
+_BLIND: Final = (
+    "in every plan found for this duration, some requirements are not observable: try more moves in each visit"
+)
 
 
 class FrontierPoint(NamedTuple):
@@ -341,7 +346,7 @@ _ROUNDING = 1e-6
 _BRIEF_S = 1.0
 # The share of a turn at the table for which the axis rests in the first plan of a search.
 _STANDS = 0.2
-_GO_ON = "continue the run with its plan, gradcal run --resume"
+_GO_ON = "continue the run with its own plan (gradcal run --resume)"
 Span = tuple[float, float]
 """Start and end on a plan's clock (s)."""
 

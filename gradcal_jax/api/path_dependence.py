@@ -165,7 +165,7 @@ def _candidates(readings: ImuReadings, span_k: float, lasting_s: float) -> list[
         add("dT/dt", TEMPERATURE_GRADIENT, '{{ prior = "{}" }}', _PER_SLOPE, GradientOfBias, has_prior=True)
     for tau in _untried(_LAGS, longest, [other.lag for other in others if other.name != SECOND]):
         late = {"other": OtherTemperature.late(tau), "gain": -1.0 / tau, "signals": ()}
-        words, key = f"dT/dt late by {tau:g} s", "late_temperature_gradient"
+        words, key = f"dT/dt delayed by {tau:g} s", "late_temperature_gradient"
         add(words, key, _ENTRY.format(f"{tau:g}"), _PER_SLOPE, TemperatureDifference, **late)
     for tau in _untried(_TRANSIENTS, longest, transients):
         words, of = f"a transient from power-on of {tau:g} s", {"time_constant": np.asarray(tau), "signals": ()}
@@ -374,5 +374,5 @@ def _sentences(spec: Spec, differences: Sequence[BranchDifference], offers: Sequ
             )
             parts.append(f"{d.channel.replace('_', ' ')} {values} {unit}")
     words = "heating and cooling disagree: the errors depend on the path of temperature"
-    of_half = "; half of heating minus cooling: " + "; ".join(parts) if parts else ""
+    of_half = "; half the difference (heating minus cooling): " + "; ".join(parts) if parts else ""
     return [words + of_half, *offer_sentences(spec, offers)]

@@ -390,11 +390,11 @@ def _too_few(built: BuiltImu, axes: np.ndarray, channel: Channel) -> list[str]:
     begin, end = (e[~line.gap] for e in line.ends())
     if max(begin.max(), end.max()) - min(begin.min(), end.min()) < 1.0:
         if most > 1:
-            cures.append(f"one temperature for {in_words(most)} coefficients in temperature: go through a range")
+            cures.append(f"one temperature for {in_words(most)} coefficients in temperature: go through several")
     elif isinstance(schedule, StandardSchedule) and (visited := len(set(schedule.temperatures))) < most:
         cures.append(
             f"{in_words(visited)} temperatures for {in_words(most)} coefficients in temperature: add "
-            f"{in_words(most - visited)}"
+            f"{in_words(most - visited)} more"
         )
     return cures
 

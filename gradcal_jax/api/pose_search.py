@@ -49,7 +49,7 @@ def _limits_of(plan: CyclePlan) -> list[tuple[str, str, float, float]]:
     rests = turns * limits.shortest * any(t.rest > 0.0 for t in plan.start.turns)
     slope = float(plan.spec.rig.chamber.max_heating) if plan.free_course is not None else 0.0
     return [
-        ("time, every cycle in proportion", "minute", 60.0, plan.motion),
+        ("time (every cycle longer in proportion)", "minute", 60.0, plan.motion),
         *((f"largest rate of {n}", "deg/s", _DEGREE, turns * w) for n, w in zip(axes, limits.rates, strict=True)),
         *(
             (f"largest acceleration of {n}", "deg/s^2", _DEGREE, turns * a)

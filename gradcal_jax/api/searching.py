@@ -194,7 +194,7 @@ class _Best(NamedTuple):
     left: Residuals
     value: float
     point: Any = None
-    words: str = "as it was"
+    words: str = "the plan is unchanged"
 
 
 def search_plans(

@@ -414,8 +414,8 @@ def _unsuited(moves: Sequence[ResolvedMove]) -> str:
     )
     if len(spacings) > 1:
         return (
-            f"optimise reads all rests in the same way, but these are read {' and '.join(spacings)}: give all of "
-            "them one read_every"
+            f"optimise needs the same readings in all rests, but some rests of this plan are read {spacings[0]} and "
+            f"others {' or '.join(spacings[1:])}: give all rests the same read_every"
         )
     if any(m.other_axes for m in moves):
         return "optimise cannot change a rest with other_axes: add duration to design.free"

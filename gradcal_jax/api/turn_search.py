@@ -448,7 +448,7 @@ class TurnSearch:
             if any(r.name == name and r.quantity in ("heading", "north") for r in spec.requirement):
                 hint = "add priors for the maps, or targets for other requirements: a mission alone is not enough"
             sentence = (
-                f"rounded to the controllers' steps, the plan does not observe all requirements: {hint}; {sentence}"
+                f"after rounding to the controllers' steps, some requirements are not observable: {hint}; {sentence}"
             )
         elif last.value > (1.0 + _DEAR) * optimum.value:
             more = 100.0 * (last.value / optimum.value - 1.0)
@@ -575,7 +575,7 @@ def shadow_prices(of: Measure, coordinates: Coordinates, optimum: Optimum) -> tu
 
 # Limits by the index of `Coordinates.eased`: name, unit in which the limit is eased, and that unit in SI.
 PRICED: Final = (
-    ("ramp time, cycle and turns in proportion", "minute", 60.0),
+    ("ramp time (cycle and turns longer in proportion)", "minute", 60.0),
     ("largest rate", "deg/s", np.pi / 180.0),
     ("largest acceleration", "deg/s^2", np.pi / 180.0),
     ("travel", "turn", 2.0 * np.pi),

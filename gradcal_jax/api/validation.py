@@ -151,7 +151,8 @@ def _judged(result: Result, cell: Cell) -> Acceptance:
         rule = f"simple acceptance: the mean error within {target:g} {result.unit}"
     else:
         rule = (
-            f"guarded: an error beyond {target:g} {result.unit} with a probability of at most {100.0 * result.risk:g} %"
+            f"guarded acceptance: the probability of an error beyond {target:g} {result.unit} is at most "
+            f"{100.0 * result.risk:g} %"
         )
     verdict = "met" if met else "missed"
     risk = specific_risk(error, std, target)
@@ -180,7 +181,7 @@ def _axis(
     stops = [np.flatnonzero(reading[a:b]) + a for a, b in formulas.runs(standing | reading)]
     stops = [rows for rows in stops if len(rows)]
     if sum(map(len, stops)) < 2:
-        raise LogError("nothing can be estimated: in this log the table is never at rest for two readings")
+        raise LogError("nothing can be estimated: the log has fewer than two readings while the table is at rest")
     unusable, time = np.cumsum(~usable), log.time_s
 
     def whole(spans: Iterable[tuple[int, int]]) -> np.ndarray:

@@ -72,7 +72,10 @@ def decision_rule(requirement: Requirement) -> str:
     if requirement.risk is None:
         of = f"{requirement.coverage:g} × " if requirement.coverage != 1.0 else ""
         return f"simple acceptance: {of}{requirement.statistic} (1σ) within {requirement.target}"
-    return f"guarded: beyond {requirement.target} at the worst point with a probability of at most {requirement.risk}"
+    return (
+        f"guarded acceptance: the probability of an error beyond {requirement.target} at the worst point is at most "
+        f"{requirement.risk}"
+    )
 
 
 def verdict_of(

@@ -89,9 +89,10 @@ def apply(
                 "the state of the hysteresis: the middle of its possible range was used"
             )
         if corrected.left_alone:
-            print(f"note: left unchanged, since the calibration lacks them: {', '.join(corrected.left_alone)}")
+            alone = ", ".join(corrected.left_alone)
+            print(f"note: these channels are not in the calibration, and were left unchanged: {alone}")
         if corrected.left_in:
-            print(f"note: in the calibration, but not subtracted: {', '.join(corrected.left_in)}")
+            print(f"note: these errors are in the calibration, but were not subtracted: {', '.join(corrected.left_in)}")
         print(f"wrote {output}")
     return NOT_AS_WISHED if any(outside.values()) else DONE
 
@@ -282,7 +283,8 @@ def _validation_text(row: "AxisValidation") -> str:
         lines.append(f"{what}: {before:.5g} deg/h rms without, {after:.4g} deg/h with the calibration")
     if row.gravity_ug is not None:
         before, after = row.gravity_ug
-        lines.append(f"norm of gravity at rest: {before:.5g} ug rms without, {after:.4g} ug with the calibration")
+        what = "error of the norm of gravity at rest"
+        lines.append(f"{what}: {before:.5g} ug rms without, {after:.4g} ug with the calibration")
     shown = [("temperature", "mean rate", "how many", "without", "with", "scatter", "")]
     for cell in row.cells:
         warm = cell.temperature_c

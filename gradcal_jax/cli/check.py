@@ -57,7 +57,7 @@ def check(
     output
         The file that --upgrade writes; by default FILE is replaced, and its earlier contents are saved as FILE.old.
     files_only
-        Skip the computation of what the plan cannot observe, which takes a few seconds.
+        Skip the computation of what the plan cannot observe; this computation takes a few seconds.
     json
         Print as JSON: the times of the plan, the notes, and what the plan cannot observe; or the contents of a recipe.
         With --timeline, print gradcal-timeline/3: segments, readings and the models of all sensors, in SI units.
@@ -299,12 +299,12 @@ def _upgraded(text: str, document: dict[str, Any], file: Path) -> "tuple[Section
         if (old := document["format"]) not in OLD_FORMATS:
             return model, []
         channels = ", with a [[channel]] for each sensor axis" if old == OLD_FORMATS[0] else ""
-        return model, [f"{old} -> {model.format}{channels}; the scale factor multiplies misalignments"]
+        return model, [f"{old} -> {model.format}{channels}; misalignments are multiplied by the scale factor"]
     if is_recipe(document):
         model = parse_recipe(text, str(file))
         if not is_of_axis(document["spec"]):
             return model, []
-        names = 'motion: moves name the table\'s axis; parameters: "b00" -> "gyro_x.b00"'
+        names = 'motion: each move names the axis that it turns; names of parameters: "b00" -> "gyro_x.b00"'
         return model, [*_moved(document["spec"], "spec."), names]
     if document.get("format") != FORMAT:
         raise ValueError(f"{file}: expected a spec, a recipe or a calibration")
@@ -324,7 +324,7 @@ def _moved(spec: dict[str, Any], above: str) -> list[str]:
     if spec.get("requirement"):
         moved.append(f'[[{above}requirement]]: quantities begin with the sensor\'s name, such as "gyro_bias"')
     if spec.get("done"):
-        moved.append(f"[[{above}done]]: plans likewise")
+        moved.append(f"[[{above}done]]: the same changes in each plan")
     return moved
 
 

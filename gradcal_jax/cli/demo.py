@@ -297,7 +297,7 @@ class _Sitting:
 
     def calibration(self, seed: int, devices: str, title: str) -> dict[str, Any]:
         """Run the recipe on simulated devices, make the log and estimate the calibration."""
-        self.step(f"The run: simulated chamber, {devices}; its hours pass in virtual time")
+        self.step(f"The run in virtual time, on simulated devices: chamber, {devices}")
         self.run(run, _RECIPE, simulate=True, seed=seed, output=_RUN)
         self.step("The log of the run, from the raw bytes")
         self.run(log, _RUN)

@@ -117,7 +117,7 @@ def sweep(
     drawable(plot)
     job = read_sweep(file)
     if recipes is not None and job.file.do != "optimise":
-        raise ValueError(f'--recipes: {file} only predicts; recipes need do = "optimise" in it')
+        raise ValueError(f'--recipes: this sweep only predicts; to write recipes, set do = "optimise" in {file}')
     if recipes is not None and recipes.exists() and not recipes.is_dir():
         raise ValueError(f"{recipes} is a file; name a folder")
     from gradcal_jax.jobs import sweep as jobs

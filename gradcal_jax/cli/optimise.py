@@ -156,7 +156,7 @@ def optimise(
     if str(output) != "-":
         writable(output, force or resume)
     elif steps != 0 or json:
-        raise ValueError("-o - prints the recipe; it needs --steps 0, and --json cannot be used with it")
+        raise ValueError("-o - prints the recipe: use this option with --steps 0, and without --json")
     use_float64()
     if steps == 0:
         write_recipe(specification, output, stability, keep_shapes=keep_shapes, json=json)

@@ -108,7 +108,7 @@ def _rows(text: str) -> tuple[int, int | None]:
         raise ValueError(f'--rows {text!r}: expected rows counted from 0, such as "1000..250000" or "1000.."')
     first, last = int(ends[0] or 0), int(ends[1]) if ends[1] else None
     if last is not None and last <= first:
-        raise ValueError(f"--rows {text!r}: no row lies between them")
+        raise ValueError(f"--rows {text!r}: no row lies between these numbers")
     return first, last
 
 

@@ -136,8 +136,8 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
     if others and others[0].misfit < max(_AS_GOOD * best.misfit, 0.5 * _MISFIT):
         apart_s = abs(others[0].offset_s - best.offset_s)
         raise NoAlignment(
-            f"the recording agrees with the run at two times that are {apart_s:.1f} s apart (or more): the recording "
-            "must contain the first or the last turn of the run, or turns that differ from each other"
+            f"the recording agrees with the run at more than one start time; two of these are {apart_s:.1f} s apart: "
+            "the recording must contain the first or the last turn of the run, or turns that differ from each other"
         )
     alignment = _exactly(pairs, middle_s, best)
     if not alignment.offset_std_s < _MOST_UNSURE_S:

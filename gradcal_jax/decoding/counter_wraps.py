@@ -217,8 +217,8 @@ def _doubtful(window: _Window, number: int, behind_s: float, step: float, round_
     rounds = max(0, round(step))
     if abs(step - rounds) > _SURE:
         return (
-            f"relative to the sample counter, the quickest arrivals after this place are {step:.2f} counter periods "
-            "later than those before it"
+            f"relative to the sample counter, even the samples with the smallest delay arrive {step:.2f} counter "
+            "periods later after this place than before it"
         )
     if not _agree(window, number, behind_s + rounds * round_s, round_s):
         return (
@@ -226,7 +226,10 @@ def _doubtful(window: _Window, number: int, behind_s: float, step: float, round_
             "enough to confirm this number of lost counter periods"
         )
     if rounds and traces > 1:
-        return f"{traces} losses were read together, and the last one is assumed to be the long one"
+        return (
+            f"{traces} losses arrived in one reading of the port; the last of them is assumed to be the one that is "
+            "longer than a counter period"
+        )
     return ""
 
 

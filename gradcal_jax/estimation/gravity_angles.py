@@ -115,7 +115,7 @@ def _standstills(log: ImuRows) -> _Still:
         total = np.sum(np.where(known, log.rates[a:b], 0.0), axis=0)
         rates.append(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))
     if len(rows) < 2:
-        raise ValueError("the table is at rest less than twice in the log, so gravity gives no angle")
+        raise ValueError("the log has fewer than two standstills, so gravity gives no angle")
     where = np.array(rows)
     return _Still(where, np.array(rates), np.array(up), log.mounting[where[:, 0]])
 

@@ -109,7 +109,7 @@ def executed_imu(
     # Standstills of a run, whose readings are events, have margins already.
     spans = stands if log.at_a_stop.any() else [_inner(log.time_s, *stand) for stand in stands]
     if len(spans) < 2:
-        raise ValueError("the table is at rest less than twice in the log, so there is no pose to compare")
+        raise ValueError("the log has fewer than two standstills, so there are no poses to compare")
     if read_every < PIECE_S and log.at_a_stop.any():
         # Every reading is a reference: a standstill is that from its first to its last.
         read = [np.flatnonzero(log.at_a_stop[a : b + 1]) + a for a, b in stands]

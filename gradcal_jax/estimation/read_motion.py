@@ -35,7 +35,7 @@ def motion_by_readings(log: ImuRows, geometry: Geometry) -> ExecutedImu:
     groups = [np.flatnonzero(read[a:b]) + a for a, b in runs(log.standing | read)]
     groups = [rows for rows in groups if len(rows)]
     if sum(map(len, groups)) < 2:
-        raise ValueError("nothing can be estimated: in this log the table is never at rest for two readings")
+        raise ValueError("nothing can be estimated: the log has fewer than two readings while the table is at rest")
     worth = np.ones(len(read)) if log.worth is None else log.worth
     angles = np.zeros(len(read)) if unknown else log.angles[:, 0]
     stands = [float(np.average(angles[rows], weights=worth[rows])) for rows in groups]

@@ -208,7 +208,7 @@ class Exchange:
         if received:
             raise FramingError(
                 f"{self.device} at {self.transport.url} was sent {printable(request)!r} and answered "
-                f"{printable(received)!r}, but this is no complete reply of that protocol. Check that the port "
+                f"{printable(received)!r}, but this is not a complete reply of the protocol. Check that the port "
                 "belongs to this device, and check baud rate and terminator."
             )
         raise ReplyTimeout(

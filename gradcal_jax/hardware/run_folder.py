@@ -187,8 +187,8 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
             )
     if notes.get("version") != version("gradcal_jax"):
         raise RunFolderError(
-            f"The run was begun by gradcal {notes.get('version')}, but this is {version('gradcal_jax')}: resume it "
-            "with the version that began it."
+            f"The run was begun by gradcal {notes.get('version')}, but this is {version('gradcal_jax')}: resume the "
+            "run with the version that began it."
         )
     contents = folder.events()
     if exit_status(contents) == "success":

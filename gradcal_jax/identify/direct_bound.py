@@ -219,10 +219,10 @@ def fit_direct_bound(
             chosen_tau = float(np.exp(optimum.x))
     else:
         messages.append(
-            "the record does not determine the correlation time, because it is longer than the longest integration "
-            "time; only σ²/τ of the drift is bounded"
+            "the record does not determine the correlation time, because this time is longer than the longest "
+            "integration time; only σ²/τ of the drift is bounded"
             if best > 0
-            else "the record does not determine the correlation time, because it is shorter than the shortest "
+            else "the record does not determine the correlation time, because this time is shorter than the shortest "
             "integration time; only σ²τ of the drift is bounded"
         )
     chosen_std = float(boundary(np.array([chosen_tau]))[0][0])

@@ -519,7 +519,7 @@ def own_term(term: str, std: float, name: str) -> OwnTerm:
     if term not in _KNOWN:
         raise ValueError(
             f'gradcal_jax.model.OwnTerm has no subclass "{term}": define this class, or import its module, before '
-            "the spec is used. For commands and workers, an installed package must name its module in an entry "
-            f'point "{ENTRY_POINTS}"'
+            "the spec is used. If commands or the workers of a sweep use the class, an installed package must name the "
+            f'module of the class in an entry point of the group "{ENTRY_POINTS}"'
         )
     return _KNOWN[term](std=np.asarray(std), name=name)

@@ -55,7 +55,7 @@ def draw_gravity_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Ax
     left = report.solution.accelerometer.left / G * 1e6
     drawn = ax.scatter(np.arange(1, len(left) + 1), left, s=14, color=PALETTE[0])
     ax.axhline(0.0, color="black", linewidth=0.7)
-    title = f"the norm of gravity: {np.sqrt(np.mean(left**2)):.3g} µg rms"
+    title = f"error of the norm of gravity: {np.sqrt(np.mean(left**2)):.3g} µg rms"
     ax.set(xlabel="position", ylabel="|f| - g, µg", title=title)
     return ax, drawn
 
@@ -68,7 +68,8 @@ def draw_turns_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes
     drawn = [ax.scatter(number, left[:, k], s=14, marker="o^"[k], color=PALETTE[k + 1]) for k in range(2)]
     ax.axhline(0.0, color="black", linewidth=0.7)
     rms = np.sqrt(np.mean(left**2))
-    ax.set(xlabel="turn", ylabel="error of direction, mrad", title=f"gravity turned by the gyros: {rms:.3g} mrad rms")
+    title = f"error of gravity's direction after turns: {rms:.3g} mrad rms"
+    ax.set(xlabel="turn", ylabel="error of direction, mrad", title=title)
     return ax, drawn
 
 

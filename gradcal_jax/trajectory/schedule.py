@@ -287,7 +287,7 @@ def gradient_plan(
             fill(first, last, counts, standing(divide(left, times_read)))
     if moves and not fits:
         raise ValueError(
-            f"the moves take {own:.6g} s, longer than every used part of the temperature programme: shorten them"
+            f"the moves take {own:.6g} s, longer than every used part of the temperature programme: shorten the moves"
         )
     inner = [j for first, last in spans for j in range(first + 1, last)]
     inner += [j for a, b in pairwise(spans) for j in range(a[1] + 1, b[0])]

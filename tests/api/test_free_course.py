@@ -172,8 +172,8 @@ def test_a_course_that_is_not_free_stays():
     ("spec", "changes", "says"),
     [
         (turning, {"design": {"free": ["gradient"]}}, r"design.free\[0\].*can change only cycle and programme"),
-        (turning, {"design": {"free": ["programme"]}, "plan.programme[0].used": True}, "of ramps with used data"),
-        (standing, {"design": {"free": ["cycle"]}}, "no part of the plan is free: the table is at rest"),
+        (turning, {"design": {"free": ["programme"]}, "plan.programme[0].used": True}, "ramps whose data are used"),
+        (standing, {"design": {"free": ["cycle"]}}, "optimise can change no part of this plan: the table is at rest"),
     ],
 )
 def test_what_cannot_be_free_is_refused(spec, changes, says):

@@ -69,7 +69,7 @@ def logarithm(plan: CyclePlan, cycle: RepeatedCycle, z: np.ndarray | None = None
 
 
 EASED = {
-    "time, every cycle in proportion": {"plan.gradient": f"{100.0 / 101.0:.12g} K/min"},
+    "time (every cycle longer in proportion)": {"plan.gradient": f"{100.0 / 101.0:.12g} K/min"},
     "largest rate of spin": {"rig.table.axis[1].max_rate": "301 deg/s"},
     "largest acceleration of tilt": {"rig.table.axis[0].max_acceleration": "401 deg/s^2"},
     "travel of tilt, at each end": {"rig.table.axis[0].travel": "201 deg"},
@@ -89,7 +89,7 @@ def test_a_price_is_the_difference_of_the_objective_on_an_eased_rig():
         eased = CyclePlan(gj.changed(spec, changes))
         difference = logarithm(eased, plan.start, z) - start
         assert prices[name].change == pytest.approx(7.0 * min(difference, 0.0), rel=0.1, abs=1e-7), name
-    assert prices["time, every cycle in proportion"].change < 0.0
+    assert prices["time (every cycle longer in proportion)"].change < 0.0
     assert prices["largest rate of spin"].change < 0.0
     assert prices["largest rate of spin"].linear == 10.0
 
@@ -165,7 +165,7 @@ def test_the_command_finds_a_plan_that_notices_and_says_what_limits_are_worth(tm
     own, power = (r.power for p in plans for r in gj.predict(p, notices=True).notices if r.quantity == "scale_factor")
     assert own < 0.9 <= power
     prices = {p["limit"]: p["change"] for p in found["shadow_prices"]}
-    assert prices["time, every cycle in proportion"] < 0.0
+    assert prices["time (every cycle longer in proportion)"] < 0.0
     assert all(change <= 0.0 for change in prices.values())
     assert found["active_limits"][0] == "the time of the cycle"
 

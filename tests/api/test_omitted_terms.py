@@ -219,7 +219,7 @@ def test_a_limit_a_derivative_and_a_sensitivity_count_what_no_residual_shows():
     assert gj.differentiable(named)({})["M"] == pytest.approx(row.decisive, rel=1e-9)
     found = gj.sensitivity(named)
     assert found.residuals["M"][0] == pytest.approx(row.decisive, rel=1e-6)
-    (share,) = (r.percent for r in found.rows if r.requirement == "M" and r.figure.startswith("input axis"))
+    (share,) = (r.percent for r in found.rows if r.requirement == "M" and r.figure.startswith("misalignment of"))
     assert share == pytest.approx((floor / row.decisive) ** 2, rel=1e-3)
     (limit,) = (one for one in gj.limit(named) if one.name == "M")
     assert floor < limit.certified < limit.value == pytest.approx(row.decisive)
@@ -295,7 +295,7 @@ def test_an_estimate_counts_what_its_spec_omits(recorded):
     assert found.covariance == bare_found.covariance
     assert found.unseen == ()
     assert {e.name for e in bare_found.unseen} >= {
-        "input axis beside the table's axis",
+        "misalignment of the input axis from the table's axis",
         "Earth's rate",
         "omitted noise",
     }

@@ -199,10 +199,10 @@ def test_the_lag_of_a_whole_imu_is_fitted(tmp_path, capsys):
     command = ["estimate", str(tmp_path / "log.nc"), "--spec", str(tmp_path / "spec.toml"), "-o", str(out)]
     assert main([*command, "--lag", "fit"]) in (0, 1)
     said = capsys.readouterr().out
-    assert "the maps follow the temperature" in said
+    assert "the maps lag behind the measured temperature" in said
     # (Nothing smooths a thermometer that leads, but the estimate: the temperature jumps where the ramp begins and where
     # it turns. The fit does not hold there, and the lag is as uncertain as that.)
-    (std_s,) = re.findall(r"late \(1σ ([0-9.]+) s\)", said)
+    (std_s,) = re.findall(r"by [0-9.]+ s \(1σ ([0-9.]+) s\)", said)
     assert 0.1 < float(std_s) < 1.0
     lags = [float(channel.thermal_lag) for channel in read_calibration(out).channel]
     assert len(lags) == 6

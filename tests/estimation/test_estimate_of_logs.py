@@ -330,7 +330,7 @@ def test_what_a_log_lacks_is_a_sentence():
         estimated(spec, log, options=Options(temperature_c=23.4))
     with pytest.raises(LogError, match="no table axis q"):
         estimated(spec, log, options=Options(table_axis="q"))
-    with pytest.raises(ValueError, match="is never at rest"):
+    with pytest.raises(ValueError, match="fewer than two readings while the table is at rest"):
         estimated(spec, replace(log, standstill=np.full(len(log.time_s), -1)))
     with pytest.raises(LogError, match="no axis 'roll'"):
         estimated(spec, log, axis="roll")

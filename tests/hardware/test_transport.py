@@ -258,7 +258,7 @@ def test_driver_on_a_line_that_is_no_such_device_says_what_it_heard() -> None:
         chamber = lines.LinesChamber(lines.open_exchange(line, clock, config), config)
         with pytest.raises(Exception, match=r"TYPE\?") as caught:
             chamber.identify()
-        assert "Is it the right device?" in str(caught.value) or "no complete reply" in str(caught.value)
+        assert "Is it the right device?" in str(caught.value) or "not a complete reply" in str(caught.value)
     with served(Deaf(), clock, 9600) as (_, line):
         chamber = lines.LinesChamber(lines.open_exchange(line, clock, config), config)
         with pytest.raises(Exception, match=r"did not answer in 0.1 s.*echo back"):

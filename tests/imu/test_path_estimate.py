@@ -53,7 +53,7 @@ def test_a_loop_that_the_spec_lacks_is_named_and_a_play_is_offered():
     assert offer.words.startswith("a play of ")
     assert offer.after < 0.9 * offer.before
     said = " ".join(report.messages)
-    assert "the errors depend on the path of temperature; half of heating minus cooling: gyro" in said
+    assert "the errors depend on the path of temperature; half the difference (heating minus cooling): gyro" in said
     assert f"{offer.words} explains" in said
     assert "[sensor.gyro] hysteresis = [{ width = " in said
     rows = estimate_rows(EstimateReport((report,)))["units"][0]["path"]
@@ -296,7 +296,7 @@ def test_noise_is_stated_by_branch_and_by_bins(tmp_path, capsys):
         assert walk["value"] == pytest.approx(0.1, abs=0.01 + 3.0 * walk["standard_error"])
 
 
-@pytest.mark.parametrize("law", ["dT/dt late by", "a lag of the bias of", "a transient from power-on of"])
+@pytest.mark.parametrize("law", ["dT/dt delayed by", "a lag of the bias of", "a transient from power-on of"])
 def test_what_explains_a_difference_is_offered(law):
     """Of a unit without a loop, with one law put into its readings: its term comes first, and its key is of a spec
     that explains the record."""
@@ -306,7 +306,10 @@ def test_what_explains_a_difference_is_offered(law):
     assert log.temperature_c is not None
     at, time = log.temperature_c[0], log.time_s
     late = followed(at, time, np.array([0]), 300.0)
-    of_law = {"dT/dt late by": (at - late) / 5.0 * 20.0, "a transient from power-on of": 60.0 * np.exp(-time / 300.0)}
+    of_law = {
+        "dT/dt delayed by": (at - late) / 5.0 * 20.0,
+        "a transient from power-on of": 60.0 * np.exp(-time / 300.0),
+    }
     added = of_law.get(law, 0.0 * time)[None, :, None] * np.array([1.0, -0.5, 0.2]) * HOUR
     shifted = replace(log, rate_rad_per_s=log.rate_rad_per_s + added)
     (report,) = estimate_sensors(spec, [shifted])

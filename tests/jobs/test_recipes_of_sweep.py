@@ -99,7 +99,7 @@ def test_recipes_are_written_and_summed_up(tmp_path, capsys):
 def test_recipes_are_of_searches_alone(tmp_path, capsys):
     path = written(tmp_path, SWEEP.replace('"optimise"', '"predict"'))
     assert main(["sweep", str(path), "-o", str(tmp_path / "r.nc"), "--recipes", str(tmp_path / "r")]) == 2
-    assert 'recipes need do = "optimise"' in capsys.readouterr().err
+    assert 'set do = "optimise"' in capsys.readouterr().err
     with LocalPool(1, compiled_programs()) as pool:
         sweep(read_sweep(path), tmp_path / "r.nc", runner=pool)
     from gradcal_jax.jobs.dataset import read_dataset

@@ -136,8 +136,8 @@ class CourseRow(Section):
     used: bool = True
     """False if the data are not part of the calibration."""
     temperature_start: Finite
-    """Temperature of the chamber at the start (°C); if it differs from that at the end of the previous segment, the
-    chamber steps."""
+    """Temperature of the chamber at the start (°C); if it differs from the temperature at the end of
+    the previous segment, the chamber steps."""
     temperature_end: Finite
     """Temperature of the chamber at the end (°C); in between, it is linear in time."""
     temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
@@ -171,7 +171,7 @@ class MissionRow(Section):
     file: str
     """File of the mission's table."""
     weight: Size
-    """Weight of the mission among the others."""
+    """Weight of the mission relative to the other missions."""
     after_s: Size
     """Time in the mission at which the heading error is taken (s)."""
     left: Size | None = None
@@ -218,13 +218,14 @@ class RequirementRow(Section):
     coverage: Size = 1.0
     """Number of standard deviations that must be within the target."""
     risk: Size | None = None
-    """Largest allowed probability that a sensor beyond the target passes; null: simple acceptance."""
+    """Largest allowed probability that a sensor passes although its error exceeds the target; null: simple
+    acceptance."""
     rule: str | None = None
     """Rule of the verdict, in words."""
     specific_risk: Size | None = None
     """Probability that the error exceeds the target at the worst temperature and rate of the requirement."""
     chance: Size | None = None
-    """Probability that the error of a sensor meets the target, by the requirement's statistic."""
+    """Probability that the requirement's statistic of the error of a sensor is within the target."""
     chance_everywhere: Size | None = None
     """Probability that the error of a sensor meets the target at every temperature and rate of the requirement."""
     check: CheckRow | None = None

@@ -48,7 +48,7 @@ class TableAxisRow(Section):
     standstill_offset: rows.Size
     """Standard deviation of the error common to the readings of a standstill (rad)."""
     timing_error: rows.Size = 0.0
-    """Standard deviation of the time of a reading on the move (s)."""
+    """Standard deviation of the time of a reading during a move (s)."""
     read_every: rows.Size | None = None
     """Time between readings at rest (s); null: one reading in each standstill."""
     harmonics: tuple[rows.HarmonicRow, ...] = ()
@@ -226,7 +226,7 @@ class Timeline(Section):
     estimator: Literal["best linear", "least squares"] = "best linear"
     """Generalised least squares with all priors, or unweighted mean rate errors without priors."""
     points: Literal["independent", "one run"] | None = None
-    """Standard method: whether readings share the processes over the run, or have independent noise."""
+    """Standard method: whether all readings share the noise processes of one run, or each has independent noise."""
     frame: Literal["table axes", "case"]
     """Reference of the misalignments: the table's axes or the case."""
     site: SiteRow

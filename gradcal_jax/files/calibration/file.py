@@ -281,7 +281,8 @@ class Result(Section):
     coverage: q.Number | None = None
     """Number of standard deviations that must be within the target."""
     risk: Annotated[q.Number, Field(gt=0.0, le=0.5)] | None = None
-    """Largest allowed probability that a sensor beyond the target passes; absent: simple acceptance."""
+    """Largest allowed probability that a sensor passes although its error exceeds the target; absent: simple
+    acceptance."""
     rule: q.Text | None = None
     """Rule of the verdict, in words."""
 
@@ -341,7 +342,7 @@ class Calibration(TitledFile):
     def _problems(self) -> Iterator[Problem]:
         names = [channel.name for channel in self.channel]
         if len(set(names)) < len(names):
-            yield Problem(("channel",), "two channels are of one kind and axis")
+            yield Problem(("channel",), "two channels have the same kind and the same axis")
         axes = {"x", "y", "z", *(channel.axis for channel in self.channel)}
         known = {TEMPERATURE_RATE, *(f"{kind} {axis}" for kind in ("rate", "force") for axis in axes)}
         for i, channel in enumerate(self.channel):

@@ -169,18 +169,32 @@ _BITS: Final = ", ".join(f"{reason.value} {reason.words}" for reason in Reason)
 VARIABLES: Final[Mapping[str, LogVariable]] = {
     name: LogVariable(field, tuple(dimensions.split()), kind, unit, words)
     for name, field, dimensions, kind, unit, words in (
-        ("time", "time_s", "time", np.float64, "s", "stamp of the sensor's clock"),
+        ("time", "time_s", "time", np.float64, "s", "time stamp of the sensor's clock"),
         ("rate", "rate_rad_per_s", "unit time axis", np.float64, "rad s-1", "mean angular rate since the previous row"),
         ("specific_force", "specific_force_m_per_s2", "unit time force_axis", np.float64, "m s-2", "specific force"),
         ("temperature", "temperature_c", "unit time", np.float64, "degC", "temperature of the sensor"),
-        ("second_temperature", "second_temperature_c", "unit time", np.float64, "degC", "second thermometer"),
+        (
+            "second_temperature",
+            "second_temperature_c",
+            "unit time",
+            np.float64,
+            "degC",
+            "temperature of the second thermometer",
+        ),
         ("table_angle", "table_angle_rad", "time table_axis", np.float64, "rad", "angle of the table, not wrapped"),
-        ("table_course", "table_course_rad", "time table_axis", np.float64, "rad", "reconstruction between readings"),
+        (
+            "table_course",
+            "table_course_rad",
+            "time table_axis",
+            np.float64,
+            "rad",
+            "angle of the table, reconstructed between readings",
+        ),
         ("table_rate", "table_rate_rad_per_s", "time table_axis", np.float64, "rad s-1", "rate of the table"),
-        ("standstill", "standstill", "time", np.int64, "1", "number of the standstill, -1 while moving"),
+        ("standstill", "standstill", "time", np.int64, "1", "number of the standstill; -1: the table moves"),
         ("mounting", "mounting", "time", np.int64, "1", "number of the mounting, from 0"),
-        ("host_time", "host_time_s", "time", np.float64, "s", "stamp of the computer"),
-        ("status", "status", "unit time", np.uint16, "1", f"0 usable, otherwise bits: {_BITS}"),
+        ("host_time", "host_time_s", "time", np.float64, "s", "time stamp of the computer"),
+        ("status", "status", "unit time", np.uint16, "1", f"0: usable; otherwise bits: {_BITS}"),
         ("stretch_start", "stretch_starts", "stretch", np.int64, "1", "row at which a stretch begins"),
     )
 }
@@ -194,7 +208,7 @@ OF_READINGS: Final[Mapping[str, LogVariable]] = {
         ("axis", "axis", np.int64, "1", "number of the table axis, from 0"),
         ("angle", "angle_rad", np.float64, "rad", "angle read, not wrapped"),
         ("std", "standard_deviation_rad", np.float64, "rad", "standard deviation; NaN: the value in the spec"),
-        ("kind", "kind", np.int64, "1", _KINDS),
+        ("kind", "kind", np.int64, "1", f"kind of the reading: {_KINDS}"),
     )
 }
 

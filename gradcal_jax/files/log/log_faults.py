@@ -143,7 +143,7 @@ class Columns:
         count = self.rate_rad_per_s.shape[1]
         first, last = rows[0], count if rows[1] is None else min(rows[1], count)
         if last - first < 2:
-            raise LogError(f"the requested part, from row {first}, has fewer than two of the {count} rows")
+            raise LogError(f"the part from row {first} on has fewer than two rows; the log has {count} rows")
         return replace(self.of_rows(slice(first, last)), rows_before=first, rows_after=count - last)
 
     def of_rows(self, kept: slice | Bools | Whole) -> "Columns":
@@ -352,7 +352,7 @@ class _Examination:
         kept = readable & ~duplicate & ~unordered
         if np.count_nonzero(kept) < 2:
             raise LogError(
-                f"of {rows} rows, only {np.count_nonzero(kept)} have a later time stamp than all rows before them"
+                f"of {rows} rows, only {np.count_nonzero(kept)} have a later time stamp than all earlier rows"
             )
         return time[kept], order[kept]
 
@@ -434,7 +434,7 @@ class _Examination:
             )
             self.note_fault("constant temperature", "keep", 0, text)
             frozen[frozen.all(axis=1)] = False
-        words = "with a constant temperature, although it changes in the rest of the record"
+        words = "with a constant temperature, although the temperature changes in the rest of the record"
         self.mask(frozen, Reason.FROZEN_TEMPERATURE, policy.frozen_temperatures, words)
 
     def sizes(self, time: Floats, kept: Columns, starts: Whole) -> None:
@@ -463,9 +463,9 @@ class _Examination:
             decimal = round(float(np.clip(np.log10(ratio), -300, 300)))
             apart = f"the intervals of the time stamps are {ratio:.3g} times those of the stated rate"
             if decimal != 0 and abs(ratio / 10.0**decimal - 1) < 0.1:
-                self.wrong_unit(f"{apart}: are they in another unit?")
+                self.wrong_unit(f"{apart}: are the time stamps in another unit?")
             elif abs(mean_interval(time, intervals_within(time, starts)) * stated - 1) >= _OTHER_RATE:
-                self.wrong_unit(f"{apart}: are they clock ticks, or is only every n-th sample recorded?")
+                self.wrong_unit(f"{apart}: are the time stamps clock ticks, or is only every n-th sample recorded?")
         elif not (_INTERVALS[0] < interval < _INTERVALS[1] and time[-1] - time[0] < _LONGEST_S):
             longest, whole = float(np.max(np.diff(time))), f"{time[-1] - time[0]:.3g} s in all"
             if interval < _INTERVALS[1] and longest > 0.5 * (time[-1] - time[0]):
@@ -474,7 +474,7 @@ class _Examination:
                     "another clock, for example from the time since start to the time of day? Read the parts "
                     "with --rows"
                 )
-            self.wrong_unit(f"stamps are {interval:.3g} s apart, {whole}: are they in another unit?")
+            self.wrong_unit(f"time stamps are {interval:.3g} s apart, {whole}: are they in another unit?")
         for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
             walk = _least_walk(rate[unit, usable[unit], axis], interval)
             if walk > _NOISIEST:

@@ -42,7 +42,7 @@ class LogInBlocks:
     duration_s: float
     standstills: int
     masked: int
-    """Rows that the unit marked as bad."""
+    """Rows that the device marked as bad."""
 
     def checked(self) -> Iterator[tuple[int, Columns]]:
         """The blocks. Errors: `LogError` where the times do not increase from one to the next."""

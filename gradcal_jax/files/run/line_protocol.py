@@ -182,15 +182,15 @@ class Condition(Section):
     field: q.Text
     """Name of the field of a reply."""
     equals: Texts = ()
-    """In this state if the field equals one of these texts."""
+    """The device is in this state if the field equals one of these texts."""
     not_equals: Texts = ()
-    """In this state if the field equals none of these texts."""
+    """The device is in this state if the field equals none of these texts."""
     begins: Texts = ()
-    """In this state if the field begins with one of these texts."""
+    """The device is in this state if the field begins with one of these texts."""
     bit: q.Whole | None = None
-    """In this state if this bit of the field, counted from 0, is set."""
+    """The device is in this state if this bit of the field, counted from 0, is set."""
     below: q.Number | None = None
-    """In this state if the field is a number below this value."""
+    """The device is in this state if the field is a number below this value."""
 
     def _problems(self) -> Iterator[Problem]:
         tests = (self.equals, self.not_equals, self.begins, self.bit is not None, self.below is not None)
@@ -286,7 +286,7 @@ class LineProtocol(Section):
                 yield Problem((*key, "send"), message)
             if wrong := {value for value, _ in written} - set(known[name]):
                 allowed = ", ".join(f"{{{value}}}" for value in known[name])
-                only = f"it may contain only: {allowed}" if allowed else "it may contain no placeholder"
+                only = f"it may contain only: {allowed}" if allowed else "this command cannot contain a placeholder"
                 message = f"the placeholder {{{sorted(wrong)[0]}}} cannot be used in this command; {only}"
                 yield Problem((*key, "send"), message)
             if command.reply and len(command.reply) not in (1, len(command.send)):

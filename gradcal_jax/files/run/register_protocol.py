@@ -52,7 +52,7 @@ class Register(Section):
     count: Annotated[int, Field(strict=True, ge=1, le=60)] = 1
     """Number of registers that a text occupies."""
     input: Flag = False
-    """Whether it is an input register (function 4), which can only be read."""
+    """Whether the register is an input register (function 4), which can only be read."""
     codes: dict[str, Text] = Field(default_factory=dict[str, str])
     """Words for the numbers in the register, such as { 0 = "OFF", 1 = "RUN" }."""
     shown_in: Text | None = None

@@ -39,7 +39,7 @@ class Stability(Section):
     """Conditions under which a temperature counts as stable."""
 
     within: q.PositiveTemperatureDifference = q.Quantity(0.5, "0.5 K", "temperature difference")
-    """Largest deviation from the goal, and largest change, of a stable temperature."""
+    """A temperature is stable if it deviates from the goal, and changes, by no more than this tolerance."""
     for_at_least: q.Time = q.Quantity(300.0, "5 min", "time")
     """Time for which the temperature must stay within this tolerance."""
     first_timeout: q.Time = q.Quantity(14400.0, "4 h", "time")
@@ -77,7 +77,7 @@ class TrackMove(Section):
     start: q.SizeOfTime
     """Start of the move, counted from the start of the repetition."""
     do: Doing
-    """What the axis does; "wait": it is at rest because other axes turn, or because nothing is planned."""
+    """What the axis does; "wait": the axis is at rest because other axes turn, or because nothing is planned."""
     duration: q.Time
     """Duration of the move."""
     axis: Name = "x"

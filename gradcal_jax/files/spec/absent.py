@@ -204,7 +204,7 @@ def attitude_sentences(spec: Spec) -> list[str]:
     words = ", ".join(f"'{name}'" for name in names)
     return [
         f"{words}: the result holds for the attitudes of the calibration. In another attitude, g-sensitivity "
-        f"changes a gyro's bias by ±{size} for each g in this class; this error is not counted: add "
+        f"changes the bias of a gyro of this class by ±{size} for each g; this error is not counted: add "
         "[sensor.gyro.g_sensitivity] to estimate it"
     ]
 

@@ -36,7 +36,7 @@ _MOUNTINGS: Final[Mapping[str, Tables]] = {
     "z": {"x": "+x", "y": "+y", "z": "+z"},
 }
 _NO_SUCH_TABLE: Final = (
-    "turns sensor axes {} as if each had a separate table, which no gimbal has: use a table of two axes "
+    "turns sensor axes {} as if each had a separate table; no real table moves in this way: use a table of two axes "
     "(gradcal new two-axis-table)"
 )
 _SECONDS: Final = "s"

@@ -309,7 +309,7 @@ def _slope(slope: Quantity, heats: bool, chamber: Chamber, key: Key) -> Iterator
 def _site(spec: "Spec") -> Iterator[Problem]:
     """The latitude may be absent where the Earth's rate is the same all the time."""
     if (spec.rig.site.latitude is None or spec.rig.site.is_unknown) and not spec.is_one_axis:
-        message = "this key is missing: the Earth's rate and gravity at the table follow from it"
+        message = "this key is missing: the latitude determines the Earth's rate and gravity at the table"
         yield Problem(("rig", "site", "latitude"), message, kind="missing")
 
 

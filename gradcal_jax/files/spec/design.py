@@ -69,8 +69,9 @@ class Design(Section):
 
     minimise: q.Text = ALL
     """A requirement's name, "motion time" or "total time". For a single axis also "A-optimality", "D-optimality" or
-    "E-optimality"; for other IMUs also "all requirements" (geometric mean of residual over target) or "worst ratio".
-    If one requirement is minimised, the targets of the others are limits."""
+    "E-optimality"; for other IMUs also "all requirements" (geometric mean of the residuals, each divided by its target)
+    or "worst ratio" (largest of these ratios). If one requirement is minimised, the targets of the others are
+    limits."""
     free: Annotated[tuple[Free, ...], Field(min_length=1)] = ()
     """Which parts of the plan may change. For cycles of turns and poses: "cycle" and "programme"; absent: the cycle
     and, with a `hysteresis` in the spec, the programme."""

@@ -68,7 +68,7 @@ class Mission(Section):
     file: Text
     """CSV table of time, rate and temperature, with units in its header; the path is relative to the spec's folder."""
     weight: Annotated[Number, Field(gt=0.0, le=1e6)] = 1.0
-    """Weight of this mission among the others."""
+    """Weight of this mission relative to the other missions."""
     table: str = ""
     """Text of the table, filled in by the program."""
 

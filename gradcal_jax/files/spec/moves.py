@@ -100,7 +100,8 @@ class _Move(Section):
     read: Literal["end", "none"] | None = None
     """"end": one reading at the end of the move; "none": no reading."""
     read_every: Time | None = None
-    """Time between readings from the start of the move on; they replace the reading at its end."""
+    """Time between readings during the move, counted from its start; these readings replace the reading at the end of
+    the move."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.read is not None and self.read_every is not None:

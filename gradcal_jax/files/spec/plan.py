@@ -40,7 +40,7 @@ class SoakItem(Section):
     at: q.Temperature | None = None
     """Temperature of the stay; only for the first item."""
     used: q.Flag = False
-    """Whether the readings taken during the wait are part of the data."""
+    """Whether the readings taken during the stay are part of the data."""
 
 
 class RampItem(Section):
@@ -51,7 +51,7 @@ class RampItem(Section):
     rate: q.PositiveTemperatureSlope
     """Slope, as a positive number."""
     used: q.Flag = True
-    """Whether the readings taken during the wait are part of the data."""
+    """Whether the readings taken during the ramp are part of the data."""
 
 
 class StepItem(Section):
@@ -60,7 +60,7 @@ class StepItem(Section):
     step_to: q.Temperature
     """Temperature at the end of the step."""
     used: q.Flag = False
-    """Whether the readings taken during the wait are part of the data."""
+    """Whether the readings taken during the step are part of the data."""
 
 
 _ITEMS: dict[str, type[Section]] = {"soak": SoakItem, "ramp_to": RampItem, "step_to": StepItem}

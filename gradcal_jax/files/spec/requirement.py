@@ -37,8 +37,8 @@ class _OfElements(Section):
     coverage: Coverage = 1.0
     """Number of standard deviations that must be within the target."""
     risk: Risk | None = None
-    """Largest allowed probability that a sensor beyond the target passes; absent: a sensor passes if the number of
-    standard deviations in `coverage` is within the target (simple acceptance)."""
+    """Largest allowed probability that a sensor passes although its error exceeds the target; absent: a sensor passes
+    if the number of standard deviations in `coverage` is within the target (simple acceptance)."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.axis not in self.ELEMENTS:

@@ -522,8 +522,8 @@ class BodyFrame(Section):
     """`[sensor.frame]`: the frame to which the misalignments refer."""
 
     fixed_by: Literal["table axes", "case"] = "table axes"
-    """"table axes": the frame follows from the table's axes at zero and the nominal mounting; "case": it is that of the
-    IMU's case, which is known to within the error of the mounting."""
+    """"table axes": the frame follows from the table's axes at zero and the nominal mounting; "case": the frame of the
+    IMU's case, whose orientation is known to within the error of the mounting."""
 
 
 class Sensor(UncertainSection, _Instrument):

@@ -295,7 +295,7 @@ class Stim300Config:
 
     def __post_init__(self) -> None:
         if self.sample_rate_hz not in SAMPLE_RATE_CODES:
-            raise ValueError(f"sample_rate is {self.sample_rate_hz:g} Hz; the IMU has 125, 250, 500, 1000 and 2000.")
+            raise ValueError(f"sample_rate is {self.sample_rate_hz:g} Hz; expected 125, 250, 500, 1000 or 2000 Hz.")
         bits = 1 + 8 + (self.parity != "N") + self.stopbits
         needed = 1.1 * bits * LAYOUTS[CONTENTS[self.datagram][1]].length * self.sample_rate_hz
         if self.baudrate < needed:

@@ -104,7 +104,8 @@ class SwitchAxis(ExchangeDriver[SwitchConfig], MotionAxis):
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()
-        said = "confirmed" if self._config.answer else "sent; nothing shows that the axis is at rest: look at the axis"
+        unseen = "command sent; nothing shows that the axis is at rest: look at the axis"
+        said = "confirmed" if self._config.answer else unseen
         return SafeReport(policy.value, bool(self._config.answer), f'"{self._config.stop}" {said}')
 
     def _say(self, word: str) -> None:

@@ -319,7 +319,7 @@ class SimulatedImu(SampledSensor):
         start_s: float = 0.0,
     ) -> None:
         if len(axes) != len(table.axes):
-            raise ValueError(f"the table has {len(table.axes)} axes, but {len(axes)} are given; give as many.")
+            raise ValueError(f"the table has {len(table.axes)} axes, but {len(axes)} axes are given: give all axes.")
         self.truth, self.table, self.mounting = truth, table, mounting
         self.clock_error = truth.clock_error
         self._chamber, self._axes = chamber, tuple(axes)

@@ -131,7 +131,7 @@ def test_misalignments_of_version_2_are_divided_by_the_scale_factor(scale):
         ('quantity = "gyro"', 'quantity = "gyros"', "quantity"),
         ("a0 = ", "a9 = ", "expected at this position the coefficient that multiplies function"),
         ("b33 = ", "b44 = ", "expected at this position the coefficient that multiplies function"),
-        ('name = "y"', 'name = "x"', "two channels are of one kind and axis"),
+        ('name = "y"', 'name = "x"', "two channels have the same kind and the same axis"),
         ('["-30 degC", "70 degC"]', '["70 degC", "-30 degC"]', "must be larger than"),
         ("simulated = true", "simulated = 1", "simulated"),
         ("serial_number", "serialnumber", 'nearest: "serial_number"'),

@@ -171,7 +171,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
             [log],
             name,
             sources,
-            estimator=f"norm and turns of gravity, {gravity:.9g} m/s^2; {len(held.duration)} positions, "
+            estimator=f"norm of gravity ({gravity:.9g} m/s^2) and its direction after turns; {len(held.duration)} positions, "
             f"{solution.turns} turns",
         ),
     )

@@ -272,7 +272,7 @@ def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimi
 # --- plans of several durations ---------------------------------------------------------------------------------------
 
 _BLIND: Final = (
-    "in every plan found for this duration, some requirements are not observable: try more moves in each visit"
+    "in every plan found for this duration, some requirements are not observable: increase moves in [design]"
 )
 
 

@@ -308,7 +308,7 @@ def _cycles(
     else:
         choices = [(repetitions(time, own, own + other)[0], own, other)]
         if choices[0][0] == 0:
-            raise ValueError(f"one visit takes {own:.4g} s, and the ramp only {time:.4g} s: lengthen the ramp")
+            raise ValueError(f"the moves of a cycle take {own:.4g} s, but the ramp takes only {time:.4g} s: lengthen the ramp")
     candidates = []
     # Many short visits have more numbers than a search can tell apart: they begin with the same moves in each.
     many = choices[0][0] > _MOST_OWN and "cycles" not in design.model_fields_set

@@ -179,7 +179,7 @@ def minimise_time(
                     plan = event
                 else:
                     share = (tried + event.share) / _TRIES
-                    words = f"{event.best:.3g} of the target in {time / 60.0:.4g} min"
+                    words = f"{event.best:.3g} times the target in {time / 60.0:.4g} min"
                     yield event._replace(
                         name="motion time",
                         unit="min",

@@ -318,7 +318,7 @@ def _both_ways(built: BuiltImu) -> list[str]:
         if triad is not None and triad.gradient_sensitivity is None and triad.gradient_std:
             figure = triad.bias_temperature_gradient.text
             sentences.append(
-                f"the plan heats and cools, so a bias due to dT/dt of {figure} is not constant: an estimate will "
+                f"the plan heats and cools, so a bias of {figure} due to dT/dt is not constant: an estimate will "
                 "report that the data contradict the model; to estimate the sensitivity, write "
                 f"[sensor.{kind}] bias_temperature_gradient = "
                 f'{{ prior = "{figure}" }}'

@@ -443,7 +443,7 @@ class TurnSearch:
         if last.trouble:
             sentence = f"the optimum cannot be rounded to the controllers' steps: {last.trouble}"
         elif not np.isfinite(last.value):
-            hint = "give finer steps"
+            hint = "state finer steps in [rig.resolution]"
             name = design_of(spec).minimise
             if any(r.name == name and r.quantity in ("heading", "north") for r in spec.requirement):
                 hint = "add priors for the maps, or targets for other requirements: a mission alone is not enough"
@@ -454,7 +454,7 @@ class TurnSearch:
             more = 100.0 * (last.value / optimum.value - 1.0)
             sentence += (
                 f"; rounding to the controllers' steps and to whole readings increases the objective by {more:.2g} %: "
-                "give finer steps"
+                "if the controllers accept finer steps, state them in [rig.resolution]"
             )
         compiled = self._of.compiled(self._choices[self._best.structure].coordinates)
         ends = [exactly(compiled, end) for end in self._best.state.points]

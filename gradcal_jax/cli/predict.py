@@ -138,8 +138,8 @@ def _fixture(prediction: "Prediction") -> list[str]:
     (alone,) = (of.alone or {} for of in prediction.places if of.name == prediction.place)
     others = ", ".join(amount(alone[row.name], row.unit).strip() for row in prediction.requirements if alone)
     return [
-        f"{len(prediction.places)} IMUs at once: {prediction.minutes_per_imu:.3g} min for each, "
-        f"{prediction.imus_per_shift:.4g} in a shift",
+        f"{len(prediction.places)} IMUs at once: {prediction.minutes_per_imu:.3g} min per IMU, "
+        f"{prediction.imus_per_shift:.4g} IMUs in a shift",
         *([columns(rows, indent="", right=tuple(range(1, len(names) + 1))), units] if names else []),
         f"all figures below are for the worst place: {prediction.place}"
         + (f"; if its IMU is estimated without the others: {others}" if others else ""),

@@ -166,8 +166,8 @@ def _of_biases(calibration: Calibration, target: str) -> tuple[list[CalibratedCh
     channels = _in_triad(calibration).channel
     if without := [channel.label for channel in channels if channel.term_of("bias") is None]:
         raise ValueError(
-            f"{target} takes the bias over temperature, and this calibration has no bias of {', '.join(without)}: zeros "
-            "would look like a calibration. Estimate the bias with a spec that has it, or export to c-header or csv"
+            f"{target} takes the bias over temperature, and this calibration has no bias of {', '.join(without)}: "
+            "zeros would look like a calibration. Estimate the bias with a spec that has it, or export to c-header or csv"
         )
     gyros = [channel for channel in channels if channel.kind == "gyro"]
     return gyros, [channel for channel in channels if channel.kind == "accelerometer"]
@@ -253,7 +253,9 @@ def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     notes = [_range_note(c, low, high) for c in (*gyros, *forces)]
     notes.append("sensor's own axes, before the board's rotation; corrected = raw - P(T-35) + P(Tcal-35) - OFFS")
     if forces:
-        notes.append("accelerometers: the result is also multiplied by SCAL, computed for the middle of the temperature range")
+        notes.append(
+            "accelerometers: the result is also multiplied by SCAL, computed for the middle of the temperature range"
+        )
     text = "".join(f"{name} {_single(value)}\n" for name, value in parameters.items())
     return Export(text, tuple(losses), tuple(filter(None, notes)))
 
@@ -328,7 +330,9 @@ def _px4(calibration: Calibration, options: Mapping[str, Any]) -> Export:
             losses.append(Loss(channel.label, "bias between two updates, 1 °C apart", slope * factor, unit))
         if identity is None:
             name = f"TC_{letter}{number}_ID"
-            notes.append(f"{name} must be the sensor's device id, otherwise PX4 ignores these parameters: give --device-id")
+            notes.append(
+                f"{name} must be the sensor's device id, otherwise PX4 ignores these parameters: give --device-id"
+            )
         notes.append(
             f"{offsets} offsets must be zero; corrected = R (raw - offset), offset = X0 + X1 d + X2 d^2 + X3 d^3"
         )

@@ -277,8 +277,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         received = self._exchange.text(self._request("?"), *times_s, longest_s=10.0)
         if not received:
             raise ReplyTimeout(
-                f"The chamber at {self._exchange.transport.url} did not describe itself ($aa?). Check address, baud "
-                "rate and cable; if it has a fixed layout, write read_layout and write_layout in the rig file."
+                f"The chamber at {self._exchange.transport.url} did not answer the request for its description ($aa?). "
+                "Check address, baud rate and cable; if it has a fixed layout, write read_layout and write_layout in the rig file."
             )
         return parse_description(received.decode("ascii", "replace"), config.temperature_channel)
 

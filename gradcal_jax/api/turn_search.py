@@ -546,7 +546,7 @@ def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...
     cycle = coordinates.cycle(point)
     peaks = np.abs(cycle.peak_rates)[coordinates.turns]
     fastest = int(np.sum(peaks > float(coordinates.limits.max_rate) * (1.0 - _AT_LIMIT)))
-    binding = ["the time at the table"]
+    binding = ["the time for turns of this axis"]
     if fastest:
         binding.append(f"the maximum rate, in {fastest} of {len(peaks)} turns")
     if coordinates.travels:
@@ -557,7 +557,7 @@ def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...
         slopes = np.abs(cycle.steps) / coordinates.lasting()
         steep = int(np.sum(slopes > float(coordinates.limits.max_slope) * (1.0 - _AT_LIMIT)))
         if steep:
-            binding.append(f"the chamber's slope, in {steep} of {len(slopes)} stretches")
+            binding.append(f"the chamber's slope, in {steep} of {len(slopes)} parts of the ramp")
     return tuple(binding)
 
 

@@ -167,7 +167,8 @@ def _of_biases(calibration: Calibration, target: str) -> tuple[list[CalibratedCh
     if without := [channel.label for channel in channels if channel.term_of("bias") is None]:
         raise ValueError(
             f"{target} takes the bias over temperature, and this calibration has no bias of {', '.join(without)}: "
-            "zeros would look like a calibration. Estimate the bias with a spec that has it, or export to c-header or csv"
+            "zeros would look like a calibration. Estimate the bias with a spec that has it, or export to c-header or "
+            "csv"
         )
     gyros = [channel for channel in channels if channel.kind == "gyro"]
     return gyros, [channel for channel in channels if channel.kind == "accelerometer"]

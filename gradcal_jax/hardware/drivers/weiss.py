@@ -1,4 +1,4 @@
-"""Weiss / Vötsch chambers with SIMCON/32 or S!MPAC (VC, VT, VTS, WK …): the ASCII-2 protocol, no check sum.
+"""Weiss / Vötsch chambers with SIMCON/32 or S!MPAC (VC, VT, VTS, WK …): the ASCII-2 protocol, no checksum.
 
 Sources: several independent public drivers and their tests, two captured self-descriptions, and a chamber's help text.
 9600 8N1, address of two digits, CR. `$aaI` reads a fixed-width record whose layout differs from chamber to chamber;
@@ -278,7 +278,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         if not received:
             raise ReplyTimeout(
                 f"The chamber at {self._exchange.transport.url} did not answer the request for its description ($aa?). "
-                "Check address, baud rate and cable; if it has a fixed layout, write read_layout and write_layout in the rig file."
+                "Check address, baud rate and cable; if it has a fixed layout, write read_layout and write_layout in the "
+                "rig file."
             )
         return parse_description(received.decode("ascii", "replace"), config.temperature_channel)
 

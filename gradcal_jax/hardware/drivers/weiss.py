@@ -278,8 +278,8 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         if not received:
             raise ReplyTimeout(
                 f"The chamber at {self._exchange.transport.url} did not answer the request for its description ($aa?). "
-                "Check address, baud rate and cable; if it has a fixed layout, write read_layout and write_layout in the "
-                "rig file."
+                "Check address, baud rate and cable; if it has a fixed layout, write read_layout and write_layout in "
+                "the rig file."
             )
         return parse_description(received.decode("ascii", "replace"), config.temperature_channel)
 

@@ -390,7 +390,7 @@ def _too_few(built: BuiltImu, axes: np.ndarray, channel: Channel) -> list[str]:
     begin, end = (e[~line.gap] for e in line.ends())
     if max(begin.max(), end.max()) - min(begin.min(), end.min()) < 1.0:
         if most > 1:
-            cures.append(f"one temperature for {in_words(most)} coefficients in temperature: go through several")
+            cures.append(f"one temperature for {in_words(most)} coefficients in temperature: use several temperatures")
     elif isinstance(schedule, StandardSchedule) and (visited := len(set(schedule.temperatures))) < most:
         cures.append(
             f"{in_words(visited)} temperatures for {in_words(most)} coefficients in temperature: add "

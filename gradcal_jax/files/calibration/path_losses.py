@@ -11,7 +11,10 @@ from gradcal_jax.units import DEG_PER_H, PPM, G
 
 _PER_MINUTE = 1.0 / 60.0  # K/s
 # Of the [[path]] of a calibration: what a loss is called, what its unit is for, and the sentence.
-_HYSTERESIS = "hysteresis", "", "the mean of heating and cooling; hysteresis, up to {:.3g} {} on either branch, is lost"
+_HYSTERESIS = (
+    "hysteresis", "", "only the mean of heating and cooling is exported; the hysteresis, up to {:.3g} {} on either "
+    "branch, is lost",
+)  # fmt: skip
 _SECOND = (
     "follows the second thermometer", " for each K", "the part that depends on the second thermometer, {:.3g} {} for "
     "each K of its difference, is lost",

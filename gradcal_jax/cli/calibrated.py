@@ -323,8 +323,8 @@ def lot(
     The uncertainty of each calibration does not count in the spread. The map of an IMU is modelled as the mean map plus
     a few functions of temperature (shapes), each multiplied by a factor for this IMU; the command prints the smallest
     number of shapes that explains the maps of all IMUs (chi-squared test at 1 %). Further tests detect groups, and
-    outliers (at 1 % for the whole lot). The exit status is 1 if there are outliers or groups, or if priors are requested and no map
-    has such shapes.
+    outliers (at 1 % for the whole lot). The exit status is 1 if there are outliers or groups, or if priors are
+    requested and no map has such shapes.
 
     Parameters
     ----------

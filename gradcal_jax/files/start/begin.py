@@ -209,8 +209,8 @@ def _refuse_impossible(answers: Answers, known: Mapping[str, tuple[Any, ...]]) -
         raise ValueError(f"{asks} The range must be at least 10 K, and this one has {warm - cold:g} K")
     if math.isinf(known["angle"][0]) and kind != "imu":
         raise ValueError(
-            'without an encoder, the angles come from the accelerometers of an IMU: answer "imu" to the '
-            "question about the sensor, or state the error of the table's angle"
+            'without an encoder, the angles come from the accelerometers of an IMU: answer "imu" to "What '
+            "is calibrated\", or state the error of the table's angle"
         )
     if table == "switch" and not math.isinf(known["angle"][0]):
         raise ValueError(

@@ -219,7 +219,7 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
             except Rejected:
                 raise Rejected(
                     "The stage does not report its microsteps per revolution (limit.cycle.dist). Write "
-                    "microsteps_per_turn of its data sheet in the rig file."
+                    "the number from its data sheet as microsteps_per_turn in the rig file."
                 ) from None
         return self._steps_per_turn
 

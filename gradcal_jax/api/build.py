@@ -51,7 +51,7 @@ def assemble(spec: Spec) -> Assembled:
     if gyro is None or not spec.turns_one_gyro:
         raise ValueError(
             "expected a spec with a single gyro along the only axis of a level table, with readings at rest "
-            '([rig.table] standing = "read"), and without terms that depend on the path of temperature'
+            '([rig.table] standing = "read"), and without terms that depend on past temperatures'
         )
     parts = named_processes(gyro, clock=spec.sensor.clock_error, earth_is_unknown=site.is_unknown)
     processes, sources = processes_of(parts)

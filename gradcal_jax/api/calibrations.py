@@ -482,7 +482,7 @@ def _findings(of: LotMap, beyond: str | None) -> Iterator[str]:
             f"{what}: the shapes do not repeat (with {shapes} for {n} IMUs, {test}), so the lot predicts only the size "
             "of the next IMU's map; no prior is written"
             if of.shapes_in_words == "do not repeat"
-            else f"{what}: {n} IMUs are too few to say whether its shapes repeat (with {shapes}, {test})"
+            else f"{what}: {n} IMUs are too few to decide whether the shapes repeat (with {shapes}, {test})"
         )
     elif size == 1:
         alike = (

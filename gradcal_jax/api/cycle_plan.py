@@ -176,8 +176,8 @@ _SLACK = 1e-9
 # Shortest soak that a programme may begin with, s.
 _BRIEF = 1.0
 NO_COURSE = (
-    'design.free = ["programme"] needs a plan with one mounting and without an executed part; its temperature '
-    "programme must be ramps whose data are used, after at most one soak whose data are not used"
+    'design.free = ["programme"] needs a plan with one mounting that does not continue an interrupted run; its '
+    "temperature programme must be ramps whose data are used, after at most one soak whose data are not used"
 )
 
 

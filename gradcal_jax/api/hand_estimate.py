@@ -171,8 +171,8 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
             [log],
             name,
             sources,
-            estimator=f"norm and turns of gravity, {gravity:.9g} m/s^2; {len(held.duration)} positions, "
-            f"{solution.turns} turns",
+            estimator=f"norm of gravity ({gravity:.9g} m/s^2) and its direction after turns; "
+            f"{len(held.duration)} positions, {solution.turns} turns",
         ),
     )
     left = [float(np.sqrt(np.mean(fit.left**2))) for fit in (force_fit, rate_fit)]

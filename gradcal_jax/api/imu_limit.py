@@ -48,7 +48,7 @@ class PlanTurns:
         seen = ~np.asarray(line.gap)[at.last]
         turns = np.flatnonzero(np.any(moves, axis=1) & seen)
         if not len(turns) or np.any(np.sum(moves, axis=1) > 1):
-            raise ValueError("no limit for the turns of this plan: none, or of several axes at once")
+            raise ValueError("a limit for the turns of this plan needs a plan in which the axes turn one at a time")
         self.axis = np.argmax(moves[turns], axis=1)
         self.begin, self.end = start[turns], start[turns] + at.sums(np.asarray(line.duration))[turns]
         if not built.model.encoder.held:

@@ -206,7 +206,7 @@ def at_rest(
         valid &= (even.row >= 0) & (log.standstill[even.row] >= 0)
         moving = int(np.count_nonzero(even.valid & ~valid))
         if moving:
-            messages.append(f"{moving} rows in which the table moves are left out")
+            messages.append(f"{moving} rows during moves of the table are left out")
     time = np.where(even.row >= 0, log.time_s[even.row], np.nan)
     for first, last in without:
         out = valid & (time >= first) & (time <= last)

@@ -86,7 +86,7 @@ _ALONG = 1e-12
 _RELAXED = (
     "everything else is known exactly",
     "the IMU is read continuously, at rest and during moves, with the best distribution of turns and poses",
-    "the noise is white, except for the noise of biases",
+    "all noise is white, except for the drift of biases",
 )
 
 

@@ -183,7 +183,7 @@ def host_time(log: Log) -> tuple[np.ndarray, str]:
     """The sensor's time stamps in seconds of the host clock, and a sentence on the comparison of the clocks."""
     fit = clock_fit(log)
     time = log.time_s[0] + fit.slope * (log.time_s - log.time_s[0])
-    return time, f"{fit.sentence}; rates are integrated over the computer's clock"
+    return time, f"{fit.sentence}; rates are integrated over the time of the computer's clock"
 
 
 def default_clock(log: Log) -> Literal["sensor", "host"]:

@@ -179,7 +179,7 @@ def minimise_time(
                     plan = event
                 else:
                     share = (tried + event.share) / _TRIES
-                    words = f"{event.best:.3g} of the target in {time / 60.0:.4g} min"
+                    words = f"{event.best:.3g} times the target in {time / 60.0:.4g} min"
                     yield event._replace(
                         name="motion time",
                         unit="min",
@@ -272,7 +272,7 @@ def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimi
 # --- plans of several durations ---------------------------------------------------------------------------------------
 
 _BLIND: Final = (
-    "in every plan found for this duration, some requirements are not observable: try more moves in each visit"
+    "in every plan found for this duration, some requirements are not observable: increase moves in [design]"
 )
 
 

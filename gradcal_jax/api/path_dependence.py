@@ -373,6 +373,6 @@ def _sentences(spec: Spec, differences: Sequence[BranchDifference], offers: Sequ
                 f"{d.value[k] * factor:.3g} ± {d.std[k] * factor:.2g} at {d.temperature_c[k]:.3g} °C" for k in at
             )
             parts.append(f"{d.channel.replace('_', ' ')} {values} {unit}")
-    words = "heating and cooling disagree: the errors depend on the path of temperature"
+    words = "heating and cooling disagree: the errors depend on past temperatures"
     of_half = "; half the difference (heating minus cooling): " + "; ".join(parts) if parts else ""
     return [words + of_half, *offer_sentences(spec, offers)]

@@ -318,7 +318,7 @@ def _both_ways(built: BuiltImu) -> list[str]:
         if triad is not None and triad.gradient_sensitivity is None and triad.gradient_std:
             figure = triad.bias_temperature_gradient.text
             sentences.append(
-                f"the plan heats and cools, so a bias due to dT/dt of {figure} is not constant: an estimate will "
+                f"the plan heats and cools, so a bias of {figure} due to dT/dt is not constant: an estimate will "
                 "report that the data contradict the model; to estimate the sensitivity, write "
                 f"[sensor.{kind}] bias_temperature_gradient = "
                 f'{{ prior = "{figure}" }}'
@@ -390,7 +390,7 @@ def _too_few(built: BuiltImu, axes: np.ndarray, channel: Channel) -> list[str]:
     begin, end = (e[~line.gap] for e in line.ends())
     if max(begin.max(), end.max()) - min(begin.min(), end.min()) < 1.0:
         if most > 1:
-            cures.append(f"one temperature for {in_words(most)} coefficients in temperature: go through several")
+            cures.append(f"one temperature for {in_words(most)} coefficients in temperature: use several temperatures")
     elif isinstance(schedule, StandardSchedule) and (visited := len(set(schedule.temperatures))) < most:
         cures.append(
             f"{in_words(visited)} temperatures for {in_words(most)} coefficients in temperature: add "

@@ -153,9 +153,7 @@ class PoseSearch:
         plan, of = self._plan, {"evaluations": self.used}
         if point is not None and not self._stop():
             of |= {"active": active_limits(plan, point), "prices": shadow_prices(plan, point, best.now)}
-        better = (
-            "" if best.kept else f"better by a factor of {best.gain:.2f} in the geometric mean of all requirements, "
-        )
+        better = "" if best.kept else f"the geometric mean of all residuals is smaller by a factor of {best.gain:.2f}, "
         sentence = f"{better}after {self.used} gradients"
         if len(plan.spec.rig.table.place) > 1:
             sentence += f"; {self.objective.apart}" if self.objective.apart else "; all IMUs are estimated together"

@@ -232,8 +232,8 @@ def _standard(spec: Spec, scenarios: list[Spec], design: Design, motion: float |
         counts = [len(schedule.temperatures)]
     if not counts:
         raise ValueError(
-            f"{fewest} temperatures are needed, each with a soak of {soak / 60.0:.4g} min: the time of "
-            f"{time / 60.0:.4g} min leaves no time for the integration"
+            f"{fewest} temperatures are needed, each with a soak of {soak / 60.0:.4g} min: of {time / 60.0:.4g} min, "
+            "no time is left for the integration; allow more time, or shorten the soaks"
         )
     low, high = temperatures_of(spec, scenarios)
     numbers = [np.asarray(float(v)) for v in (soak, time, low, high, largest_rate(spec, scenarios))]
@@ -308,7 +308,9 @@ def _cycles(
     else:
         choices = [(repetitions(time, own, own + other)[0], own, other)]
         if choices[0][0] == 0:
-            raise ValueError(f"one visit takes {own:.4g} s, and the ramp only {time:.4g} s: lengthen the ramp")
+            raise ValueError(
+                f"the moves of a cycle take {own:.4g} s, but the ramp takes only {time:.4g} s: lengthen the ramp"
+            )
     candidates = []
     # Many short visits have more numbers than a search can tell apart: they begin with the same moves in each.
     many = choices[0][0] > _MOST_OWN and "cycles" not in design.model_fields_set

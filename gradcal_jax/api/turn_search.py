@@ -443,7 +443,7 @@ class TurnSearch:
         if last.trouble:
             sentence = f"the optimum cannot be rounded to the controllers' steps: {last.trouble}"
         elif not np.isfinite(last.value):
-            hint = "give finer steps"
+            hint = "state finer steps in [rig.resolution]"
             name = design_of(spec).minimise
             if any(r.name == name and r.quantity in ("heading", "north") for r in spec.requirement):
                 hint = "add priors for the maps, or targets for other requirements: a mission alone is not enough"
@@ -454,7 +454,7 @@ class TurnSearch:
             more = 100.0 * (last.value / optimum.value - 1.0)
             sentence += (
                 f"; rounding to the controllers' steps and to whole readings increases the objective by {more:.2g} %: "
-                "give finer steps"
+                "if the controllers accept finer steps, state them in [rig.resolution]"
             )
         compiled = self._of.compiled(self._choices[self._best.structure].coordinates)
         ends = [exactly(compiled, end) for end in self._best.state.points]
@@ -546,7 +546,7 @@ def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...
     cycle = coordinates.cycle(point)
     peaks = np.abs(cycle.peak_rates)[coordinates.turns]
     fastest = int(np.sum(peaks > float(coordinates.limits.max_rate) * (1.0 - _AT_LIMIT)))
-    binding = ["the time at the table"]
+    binding = ["the time for turns of this axis"]
     if fastest:
         binding.append(f"the maximum rate, in {fastest} of {len(peaks)} turns")
     if coordinates.travels:
@@ -557,7 +557,7 @@ def active_limits(coordinates: Coordinates, point: np.ndarray) -> tuple[str, ...
         slopes = np.abs(cycle.steps) / coordinates.lasting()
         steep = int(np.sum(slopes > float(coordinates.limits.max_slope) * (1.0 - _AT_LIMIT)))
         if steep:
-            binding.append(f"the chamber's slope, in {steep} of {len(slopes)} stretches")
+            binding.append(f"the chamber's slope, in {steep} of {len(slopes)} parts of the ramp")
     return tuple(binding)
 
 

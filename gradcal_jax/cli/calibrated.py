@@ -320,10 +320,11 @@ def lot(
 ) -> int:
     """From calibrations of several IMUs of one type, compute the mean of every map and its spread from IMU to IMU.
 
-    The uncertainty of each calibration does not count in the spread. The command also prints the smallest number of
-    functions of temperature (shapes) that, added to the mean map with a factor for each IMU, explain the maps of all
-    IMUs (chi-squared test at 1 %). Further tests detect groups, and outliers (at 1 % for the whole lot). The exit
-    status is 1 if there are outliers or groups, or if priors are requested and no map has such shapes.
+    The uncertainty of each calibration does not count in the spread. The map of an IMU is described as the mean map and
+    added functions of temperature (shapes), each with a factor for this IMU. The command prints the smallest number of
+    shapes that explains the maps of all IMUs (chi-squared test at 1 %). Further tests detect groups, and outliers (at
+    1 % for the whole lot). The exit status is 1 if there are outliers or groups, or if priors are requested and no map
+    has such shapes.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ def check(
         The spec file, or a recipe. The table of a recipe lists the steps of the chamber, the moves of the rate table,
         and the predicted errors.
     timeline
-        Instead, print every segment or every reading of the plan.
+        Print every segment or every reading of the plan instead of the description.
     csv
         Print the rows of the timeline as comma-separated values, in SI units.
     upgrade

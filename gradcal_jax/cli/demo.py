@@ -231,7 +231,7 @@ def _recorded_sensor(sitting: "_Sitting", recording: Path) -> dict[str, Any]:
             "design.moves": 6,
             "design.cycles": "alike",
         },
-        "The noise is that of the recording; everything else is from the paper, with a [design] section.",
+        "The noise is that of the recording; everything except the [design] section is from the paper.",
     )
     before = sitting.numbers(predict, (spec,))
     row, hours = before["requirements"][0], time_text(before["duration_s"])

@@ -330,7 +330,7 @@ def _head(report: "SensorEstimate | HandReport", counted: str) -> list[str]:
 
 
 def _tests(report: "SensorEstimate | HandReport") -> str:
-    rows = [("test", "statistic", "degrees", "chance")]
+    rows = [("test", "statistic", "degrees", "p-value")]
     for test in report.calibration.fit:
         name = test.name.replace("_", " ")
         rows.append((name, f"{test.statistic:.1f}", str(test.degrees), f"{test.chance:.2g}"))

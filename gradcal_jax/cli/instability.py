@@ -70,8 +70,8 @@ def instability(
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
-    """Estimate a Gauss-Markov drift (standard deviation and correlation time) with the smallest limit that no drift in
-    a record at rest exceeds (the Direct Bound of Z. Berman), and print this drift as a part of a spec.
+    """Bound the drift in a record at rest by a Gauss-Markov process (the Direct Bound of Z. Berman), and print the
+    standard deviation and correlation time of this process as a part of a spec.
 
     The exit status is 1 if the record shows no drift in addition to the angle random walk, or if the angle random walk
     is larger than that of any gyro.

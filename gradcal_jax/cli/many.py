@@ -101,7 +101,7 @@ def sweep(
     output
         The results to write (.nc).
     recipes
-        Write a recipe for each optimised plan, summary.csv and summary.md to this folder (created if necessary).
+        Write summary.csv, summary.md and a recipe for each optimised plan to this folder (created if necessary).
     dry_run
         Compute one chunk, print the size and the expected duration of the sweep, and write nothing.
     json

@@ -105,8 +105,8 @@ def optimise(
         If --motion is a range: the number of durations in it, including both ends, with logarithmic spacing; by default
         5.
     keep_shapes
-        Keep the shapes of the turns, for a table that can follow any shape; by default the recipe has trapezoids of the
-        rate.
+        Keep the shapes of the turns, for a table that can follow any shape; by default, every turn in the recipe is a
+        trapezoid.
     stable_within
         When a step of the recipe waits for a stable temperature, the temperature must stay within this tolerance of its
         goal, such as "0.5 K".

@@ -53,7 +53,7 @@ def predict(
         The seed of the simulated calibrations.
     sensitivity
         Print by how many per cent the predicted error changes if a figure of sensor, rig or plan increases by one per
-        cent. For an optimised recipe, the change would be the same if the plan were optimised again.
+        cent. For an optimised recipe, the changes are the same if the plan is optimised again for the new figure.
     """
     from gradcal_jax.files.run.recipe import spec_in
 
@@ -138,8 +138,8 @@ def _fixture(prediction: "Prediction") -> list[str]:
     (alone,) = (of.alone or {} for of in prediction.places if of.name == prediction.place)
     others = ", ".join(amount(alone[row.name], row.unit).strip() for row in prediction.requirements if alone)
     return [
-        f"{len(prediction.places)} IMUs at once: {prediction.minutes_per_imu:.3g} min for each, "
-        f"{prediction.imus_per_shift:.4g} in a shift",
+        f"{len(prediction.places)} IMUs at once: {prediction.minutes_per_imu:.3g} min per IMU, "
+        f"{prediction.imus_per_shift:.4g} IMUs in a shift",
         *([columns(rows, indent="", right=tuple(range(1, len(names) + 1))), units] if names else []),
         f"all figures below are for the worst place: {prediction.place}"
         + (f"; if its IMU is estimated without the others: {others}" if others else ""),
@@ -290,8 +290,8 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
 
     The proof ignores some limits of the rig; the command lists these limits. Therefore it is possible that no real plan
     reaches the lower limit; no plan can be below it. An efficiency of 67 % means that the error of every
-    plan is at least 0.67 times the error of this plan. Scale factors and misalignments of an IMU's gyros have a second
-    limit, for the plans in which the same axes turn at the same times.
+    plan is at least 0.67 times the error of this plan. For scale factors and misalignments of an IMU's gyros, the
+    command also proves a second limit, for all plans in which the same axes turn at the same times as in this plan.
 
     Parameters
     ----------
@@ -312,7 +312,7 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
         print(as_json([row._asdict() for row in rows]))
         return DONE
     turning = any(row.with_turns is not None for row in rows)
-    between = "none with these turns" if turning else "relaxed problem reaches"
+    between = "limit for these turns" if turning else "relaxed problem reaches"
     table = [("requirement", "no plan leaves less than", between, "this plan leaves", "efficiency")]
     for row in rows:
         share = "" if row.efficiency is None else f"{row.efficiency:.0%}"
@@ -323,8 +323,8 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     print(columns(table, indent=""))
     if turning:
         print(
-            "none with these turns: no plan in which the same axes turn at the same times as in this plan, by any "
-            "angle and at any rate; where there is such a limit, the efficiency counts from it"
+            "limit for these turns: no plan in which the same axes turn at the same times as in this plan, by any "
+            "angles and at any rates, leaves less; if a requirement has this limit, its efficiency refers to this limit"
         )
     for row in rows:
         if row.judged is not None and row.judged != row.value:

@@ -160,7 +160,10 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
     rows.append(f"takes {time_text(float(round(track.duration_s)))} plus waiting times")
     if rig.chamber is not None and temperatures:
         low, high = min(temperatures), max(temperatures)
-        rows.append(f"the chamber goes from {low:g} to {high:g} degC; does everything in the chamber tolerate it?")
+        rows.append(
+            f"the chamber goes from {low:g} to {high:g} degC; does everything in the chamber tolerate these "
+            "temperatures?"
+        )
     for axis in rig.axis:
         moves = [move for step in track.steps for move in step.moves if move.axis == axis.name]
         if moves:

@@ -64,7 +64,8 @@ def fit_arrivals(device: Column, host: Column, *, resolution_s: float = 0.0) -> 
     count = len(device)
     if count < 3 or not _increasing(device):
         raise ValueError(
-            f"The relation of two clocks needs at least three arrivals with increasing device time; there are {count}."
+            f"The relation of two clocks needs at least three samples whose device times increase; there are "
+            f"{count} samples."
         )
     firsts = range(0, count, _SPAN)
     middle = sum(float(device[first : first + _SPAN].sum()) for first in firsts) / count

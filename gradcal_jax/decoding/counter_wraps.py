@@ -227,8 +227,8 @@ def _doubtful(window: _Window, number: int, behind_s: float, step: float, round_
         )
     if rounds and traces > 1:
         return (
-            f"{traces} losses arrived in one reading of the port; the last of them is assumed to be the one that is "
-            "longer than a counter period"
+            f"one reading of the port contains {traces} losses of samples; the last of them is assumed to be the one "
+            "that is longer than a counter period"
         )
     return ""
 

@@ -91,8 +91,8 @@ def plateaus(
         last.append(int(b))
     if not first:
         raise ValueError(
-            f"the log has no rate at a stable temperature for {_LEAST_SHARE * integration_s:g} s or longer, and "
-            "none of the plan's points: state the integration time of the recording in the spec"
+            "the log has none of the plan's points, and no rate at a stable temperature for "
+            f"{_LEAST_SHARE * integration_s:g} s or longer: state the integration time of the recording in the spec"
         )
     present = {int(label[b]) for b in last}
     missing = tuple(

@@ -1,4 +1,4 @@
-"""The check sums of all supported protocols, as pure functions of bytes.
+"""The checksums of all supported protocols, as pure functions of bytes.
 
 Drivers and simulated devices share this module only, so that both cannot have the same mistake in a codec.
 """

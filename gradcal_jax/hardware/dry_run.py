@@ -238,7 +238,8 @@ def try_longest_moves(bench: Bench, track: Track, clock: Clock) -> list[Tried]:
                         break
                     clock.sleep(0.05)
                 took_s, off = clock.now() - began_s, reading.position_deg - goal
-                text = f"{longest.angle_deg:g} deg in {took_s:.1f} s of {longest.duration_s:.1f}, error {off:+.4f} deg"
+                planned = f"planned: {longest.duration_s:.1f} s"
+                text = f"{longest.angle_deg:g} deg in {took_s:.1f} s ({planned}), error {off:+.4f} deg"
                 good = not reading.moving and abs(off) < _OFF_GOAL_DEG and took_s < longest.duration_s + _LATE_S
                 trials.append(Tried(name, text, good))
                 if not good:

@@ -45,7 +45,7 @@ class FramingError(HardwareError):
 
 
 class ChecksumError(FramingError):
-    """The check sum of a message does not match its contents."""
+    """The checksum of a message does not match its contents."""
 
 
 class Rejected(HardwareError):

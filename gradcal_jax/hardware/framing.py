@@ -163,7 +163,7 @@ class Rtu:
         """Function and data of the reply to a frame. Raises for a wrong CRC and for an exception; ignores others'."""
         if len(frame) < 5 or crc16_modbus(frame[:-2]) != frame[-2:]:
             raise ChecksumError(
-                f"The reply {frame.hex(' ')} fails its CRC. Check the shielding and termination of the line."
+                f"The reply {frame.hex(' ')} has a wrong CRC. Check the shielding and termination of the line."
             )
         if frame[0] != sent[0] or frame[1] & 0x7F != sent[1]:
             raise NotThisReply

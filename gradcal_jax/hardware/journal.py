@@ -301,7 +301,7 @@ def _event(start: int, time_s: float, payload: bytes) -> Event:
     for field_name, kinds in _FIELDS.get(name, {}).items():
         value = content.get(field_name)
         if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-            raise _strange(start, f"the field {field_name!r} of an event {name!r} is {value!r}")
+            raise _strange(start, f"the field {field_name!r} of an event {name!r} has the impossible value {value!r}")
     return Event(time_s, name, content)
 
 

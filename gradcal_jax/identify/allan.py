@@ -231,7 +231,7 @@ def fit_allan(allan: AllanDeviation, *, terms: Sequence[str] = TERMS, confidence
         if len(rows) < chosen.sum() + 1:
             raise ValueError(
                 f"a low-pass filter averages the samples over about {end / 2 * interval:.3g} s, and the record has "
-                f"too few longer averaging times to determine {chosen.sum()} coefficients"
+                f"too few averaging times above this time to determine {chosen.sum()} coefficients"
             )
     fit = whole = _least_squares(steps[rows], variance[rows], runs, interval, chosen, low_passed)
     farthest = float(tau[rows[whole.farthest]])

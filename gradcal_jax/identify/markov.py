@@ -131,7 +131,8 @@ def coefficient_errors(
     steps = steps[octaves(steps, at_least=5)]
     if len(steps) < 5:
         raise ValueError(
-            f"{duration_s:g} s of data at {1 / sample_interval_s:g} Hz have too few samples for four coefficients"
+            f"{duration_s:g} s of data at {1 / sample_interval_s:g} Hz contain too few samples to estimate "
+            "four coefficients"
         )
     squares = np.array([0.0, walk, instability, rate_walk]) ** 2
     table = design_of_noise(steps * sample_interval_s)

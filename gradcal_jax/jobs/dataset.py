@@ -88,7 +88,11 @@ def dataset_of(
     for name, (field, what) in _TIMES.items():
         column = [np.nan if r.failure else getattr(r, field) for r in results]
         add(name, column, {"units": "s", "long_name": what})
-    add("failure", [r.failure for r in results], {"long_name": "why the point has no result; empty: it has one"})
+    add(
+        "failure",
+        [r.failure for r in results],
+        {"long_name": "reason why the point has no result; empty if it has a result"},
+    )
     if job.file.do == "optimise":
         add("convergence", [r.note for r in results], {"long_name": "report of the optimiser"})
         add("optimised_spec", [r.spec for r in results], {"long_name": "gradcal-spec/1 with the optimised plan"})

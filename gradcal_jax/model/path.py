@@ -74,7 +74,9 @@ class PathTerm(Term):
 def _shared(nodes: Nodes) -> list[SharedNodes]:
     """The groups of a body's nodes; only these know the path."""
     groups = [g for g in nodes.groups if isinstance(g, SharedNodes)]
-    assert len(groups) == len(nodes.groups), "terms of the path of temperature can only be used in the model of an IMU"
+    assert len(groups) == len(nodes.groups), (
+        "terms that depend on past temperatures can only be used in the model of an IMU"
+    )
     return groups
 
 

@@ -109,7 +109,7 @@ def _estimate(report: EstimateReport) -> Iterator[str | _Table]:
 
 def _tests(calibration: Calibration) -> _Table:
     rows = [(t.name, f"{t.statistic:.1f}", str(t.degrees), f"{t.chance:.2g}") for t in calibration.fit]
-    return _Table([("test", "statistic", "degrees", "chance"), *rows], (1, 2, 3))
+    return _Table([("test", "statistic", "degrees", "p-value"), *rows], (1, 2, 3))
 
 
 def _calibration(calibration: Calibration) -> Iterator[str | _Table]:

@@ -46,7 +46,7 @@ _MOST_MOVES: Final = 80
 def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     """The whole page as HTML, in one file: styles and figures inside, and no script but that of the `panel`."""
     if panel and sources.spec is None:
-        raise ValueError("the panel needs a plan, and the sources have none: leave out --panel")
+        raise ValueError("the panel needs a plan, and the named files contain none: leave out --panel")
     template = page_templates(figures=figures, sentence=sentence).get_template("page.html")
     spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
     targets = {r.name: r.target / r.coverage for r in data.requirements if r.target is not None}

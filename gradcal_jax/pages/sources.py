@@ -265,7 +265,7 @@ def _of_rig(rig: Rig) -> list[tuple[str, str]]:
             (of + "scale of the table's angle", angle.scale_error or None),
             (of + "angles between the table's axes", axis.orthogonality or None),
         ]
-        rows += [(f"{of}encoder's error by angle, {h.order} a turn", h.amplitude) for h in angle.harmonics]
+        rows += [(f"{of}encoder's error that repeats {h.order} times per turn", h.amplitude) for h in angle.harmonics]
     hung, name = table.mounting, "mounting" if several else BESIDE_THE_AXIS
     rows += [(name + f" {k + 1}" * (len(hung) > 1), m.accuracy or None) for k, m in enumerate(hung)]
     return _stated(rows)

@@ -294,7 +294,7 @@ def test_a_polished_programme_runs_along_the_chambers_limits_and_not_beyond():
     ("changes", "says"),
     [
         ({"design.free": ["temperatures"]}, "has no 'temperatures' to change"),
-        ({"design.max_motion": "50 s"}, "one visit takes 120 s, and the ramp only 50 s"),
+        ({"design.max_motion": "50 s"}, "the moves of a cycle take 120 s, but the ramp takes only 50 s"),
         ({"design.max_motion": "40 min"}, "the ramp needs a slope of 2.5 K/min, but the chamber reaches only 2 K/min"),
         ({"design.moves": 40}, "the moves need at least"),
         ({"design.minimise": "motion time"}, "give at least one requirement a target"),

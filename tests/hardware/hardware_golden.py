@@ -1,6 +1,6 @@
 """Golden messages of every protocol, from data sheets, vendors' sources and captures; both directions.
 
-The check sums in them were reckoned by the makers (or from published values of a real unit), not by this package.
+The checksums in them were reckoned by the makers (or from published values of a real unit), not by this package.
 """
 
 

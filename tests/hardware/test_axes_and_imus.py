@@ -232,7 +232,7 @@ def test_simulated_stage_satisfies_the_vendors_client() -> None:
 def test_stage_with_chatter_check_sums_and_settings_for_a_run() -> None:
     clock = LineClock()
     with zaber_bench(clock, ZaberOptions(chatter=True)) as (axis, device, port):
-        assert axis.identify().details["replies"] == "with check sum"
+        assert axis.identify().details["replies"] == "with checksum"
         assert axis.reply_checksum
         assert device.stages[0].settings["knob.enable"] == 0
         assert device.stages[0].settings["comm.alert"] == 0

@@ -30,7 +30,7 @@ from gradcal_jax.hardware.framing import (
 )
 from gradcal_jax.hardware.roles import ImuBatch
 
-# --- check sums -------------------------------------------------------------------------------------------------------
+# --- checksums -------------------------------------------------------------------------------------------------------
 
 
 def test_published_check_values() -> None:
@@ -377,7 +377,7 @@ def test_no_flipped_vectornav_packet_is_accepted(frame: bytes) -> None:
 
 
 def test_flipped_espec_replies_keep_their_form_or_are_refused() -> None:
-    """There is no check sum: what a flip can do is counted here, and plausibility and read-back must catch it."""
+    """There is no checksum: what a flip can do is counted here, and plausibility and read-back must catch it."""
     frame = golden.ESPEC["TEMP?"][1]
     taken = [x for bad in flips(frame) for x in accepted_text(LineFramer(b"\r\n"), espec_temperatures, bad)]
     assert 0 < len(taken) < 0.35 * 8 * len(frame)

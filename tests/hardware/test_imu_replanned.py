@@ -190,7 +190,7 @@ def test_a_run_goes_on_by_the_plan_of_its_rest(
     assert said["gain"] >= 1.0
     again = read_recipe(tmp_path / "rest.toml")
     assert isinstance(again.spec, Spec)
-    assert "in the geometric mean of all requirements" in again.status
+    assert "the geometric mean of all residuals is smaller" in again.status
     for row in said["requirements"]:
         # Before: the same cycle, on a ramp of the time that is left.
         assert row["before"] == pytest.approx(known[row["name"]]["at_end"], rel=0.3), row["name"]

@@ -249,7 +249,7 @@ def test_the_templates_gimbal_is_a_rig() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("gravity_loaded = false", "gravity_loaded = true"), "an axis that falls"),
+        (("gravity_loaded = false", "gravity_loaded = true"), "gravity turns this axis if nothing holds it"),
         (('driver = "operator"', 'driver = "zaber"'), '"terminal" is only for the driver "operator"'),
         (
             ("gravity_loaded = false", 'gravity_loaded = false\nencoder = { driver = "operator", port = "/dev/a" }'),

@@ -102,7 +102,7 @@ def test_a_wrong_rig_is_refused_with_its_key(change: tuple[str, str], expected: 
 def test_a_gravity_loaded_axis_is_never_unpowered() -> None:
     text = TEMPLATE.replace('safe           = "hold" ', 'safe           = "unpower" ')
     parse_rig(text)
-    with pytest.raises(SpecError, match="falls without power"):
+    with pytest.raises(SpecError, match="gravity turns this axis if its motor has no power"):
         parse_rig(text.replace("gravity_loaded = false", "gravity_loaded = true"))
     with pytest.raises(SpecError, match="no device"):
         parse_rig('format = "gradcal-rig/1"')

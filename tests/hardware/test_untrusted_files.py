@@ -103,7 +103,7 @@ def test_a_lock_that_is_a_link_is_refused_and_what_it_leads_to_is_left_alone(
 
 
 def record(payload: bytes, kind: int = 1, time_s: float = 1.0) -> bytes:
-    """A record whose check sum fits."""
+    """A record whose checksum fits."""
     body = struct.pack("<BBId", kind, 0, len(payload), time_s) + payload
     return b"\xa7\x4a" + body + zlib.crc32(body).to_bytes(4, "little")
 

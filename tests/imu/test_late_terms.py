@@ -269,8 +269,8 @@ def test_a_calibration_takes_off_what_follows_late(tmp_path):
         estimate_sensors(report.built.spec, [replace(log, second_temperature_c=None)])
     notes = " ".join(export(calibration, "px4").notes)
     for said in (
-        "the lag of the bias, 120 s, is not carried", "bias of gyro x: what follows the second thermometer, ",
-        "bias of gyro x: what follows dT/dt, ",
+        "the lag of the bias, 120 s, is lost", "bias of gyro x: the part that depends on the second thermometer, ",
+        "bias of gyro x: the part that depends on dT/dt, ",
     ):  # fmt: skip
         assert said in notes
 

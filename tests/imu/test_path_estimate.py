@@ -53,7 +53,7 @@ def test_a_loop_that_the_spec_lacks_is_named_and_a_play_is_offered():
     assert offer.words.startswith("a play of ")
     assert offer.after < 0.9 * offer.before
     said = " ".join(report.messages)
-    assert "the errors depend on the path of temperature; half the difference (heating minus cooling): gyro" in said
+    assert "the errors depend on past temperatures; half the difference (heating minus cooling): gyro" in said
     assert f"{offer.words} explains" in said
     assert "[sensor.gyro] hysteresis = [{ width = " in said
     rows = estimate_rows(EstimateReport((report,)))["units"][0]["path"]
@@ -74,7 +74,7 @@ def test_with_plays_the_fit_is_far_better_and_the_calibration_states_them(tmp_pa
     assert read_calibration(tmp_path / "calibration.toml").path == path
     for target in ("px4", "csv"):
         notes = " ".join(export(report.calibration, target).notes)
-        assert "bias of gyro x: the mean of heating and cooling; hysteresis, up to " in notes
+        assert "bias of gyro x: only the mean of heating and cooling is exported; the hysteresis, up to " in notes
     assert "gyro x hysteresis 10K" in text_of_estimate(report)
 
 

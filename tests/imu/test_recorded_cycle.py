@@ -156,7 +156,7 @@ def test_without_the_term_heating_and_cooling_disagree_and_a_play_is_offered():
     assert report.path is not None
     assert report.path.offers[0].after < 0.8 * report.path.offers[0].before
     (named,) = [m for m in report.messages if m.startswith("heating and cooling disagree")]
-    assert "the errors depend on the path of temperature; half the difference (heating minus cooling): gyro x" in named
+    assert "the errors depend on past temperatures; half the difference (heating minus cooling): gyro x" in named
     assert any(" K explains the difference: χ² over degrees of freedom 1." in m for m in report.messages)
 
 

@@ -27,4 +27,4 @@ def test_its_cells_run_and_the_play_predicts_the_other_record(monkeypatch):
     # The relays are no play, and the sensor drifts by 1 deg/h.
     assert names["rms"]["maps and play"] < 2.5
     assert names["rms"]["maps alone"] > 5.0
-    assert said.endswith("bias of gyro x: the mean of heating and cooling; hysteresis is lost\n")
+    assert said.endswith("bias of gyro x: only the mean of heating and cooling is exported; the hysteresis is lost\n")

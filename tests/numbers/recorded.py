@@ -126,7 +126,7 @@ def exported(of: Any, target: str) -> Tables:
     except ValueError as error:
         return {"refused": str(error)}
     # Exports said less when these were recorded: nothing of lags in losses and csv, nothing of losses in a C header.
-    lines = [line for line in done.text.splitlines(keepends=True) if not line.startswith(" * not carried: ")]
+    lines = [line for line in done.text.splitlines(keepends=True) if not line.startswith(" * lost: ")]
     if target == "csv":
         lines = [line if line.startswith("#") else line.rpartition(",")[0] + "\n" for line in lines]
     return {

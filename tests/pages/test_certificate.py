@@ -148,7 +148,7 @@ def test_the_serial_number_is_what_the_device_said(folder, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["heading"]["serial number"] == "N2558"
 
 
-@pytest.mark.parametrize(("verdict", "shown"), [("met", "is beyond the limit: < 0.01 %."), ("not covered", None)])
+@pytest.mark.parametrize(("verdict", "shown"), [("met", "exceeds the limit: < 0.01 %."), ("not covered", None)])
 def test_a_risk_is_a_bound_if_it_is_minute_and_is_stated_only_with_a_decision(verdict, shown, folder, tmp_path):
     kept = gj.read_calibration(folder / "cal.toml")
     row = kept.result[0].model_copy(update={"worst": 100.0, "verdict": verdict})

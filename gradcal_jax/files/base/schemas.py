@@ -60,6 +60,6 @@ def schema(name: str) -> dict[str, Any]:
         body = section.model_json_schema(mode="validation", schema_generator=_WithTexts)
         return {"$schema": _DIALECT, "$id": f"gradcal-{plain}/{_version(plain)}", **body}
     if plain in _MODELS:
-        raise ValueError(f'there is no schema of "{name}" in this version: it writes gradcal-{plain}/{_version(plain)}')
+        raise ValueError(f'this version has no schema "{name}": it writes gradcal-{plain}/{_version(plain)}')
     ending = hint(plain, _MODELS, f"; known: {', '.join(_MODELS)}")
     raise ValueError(f'there is no file or contract named "{name}"{ending}')

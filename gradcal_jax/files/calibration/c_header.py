@@ -41,9 +41,9 @@ def header(calibration: Calibration, left_out: Sequence[str], lost: Sequence[str
         rows.append(f"    {{{inputs.index(channel.input)}, {{{signals}}}, {numbers}, gradcal_c{k}}},")
     spans = {c.input: (*c.valid_temperature, *c.valid_rate) for c in calibration.channel}
     remarks = [f"{name}: {text}" for name, text in calibration.provenance.items()]
-    remarks += ["SIMULATED: made from simulated data, of no real sensor."] if calibration.simulated else []
-    remarks += [f"set to zero, since they did not pass: {', '.join(left_out)}"] if left_out else []
-    remarks += [f"not carried: {words}" for words in lost]
+    remarks += ["SIMULATED: made from simulated data, not from a real sensor."] if calibration.simulated else []
+    remarks += [f"set to zero, because they did not pass validation: {', '.join(left_out)}"] if left_out else []
+    remarks += [f"lost: {words}" for words in lost]
     rounding = float(np.max(np.abs(inverse) @ np.abs(raw)))  # of raw counts far off zero
     text = Template(presets.template("calibration.h")).substitute(
         serial_number=_comment(calibration.serial_number),

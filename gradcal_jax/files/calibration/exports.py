@@ -80,9 +80,9 @@ def export(
     notes = [*done.notes]
     if target != "csv":
         lags = {channel.thermal_lag: channel.label for channel in calibration.channel if channel.thermal_lag}
-        notes += [f"the thermal lag of {label}, {float(lag):.3g} s, is not carried" for lag, label in lags.items()]
+        notes += [f"the thermal lag of {label}, {float(lag):.3g} s, is lost" for lag, label in lags.items()]
         late = {(term.name, float(term.lag)) for channel in plain.channel for term in channel.term if term.lag}
-        notes += [f"the lag of the {name.replace('_', ' ')}, {lag:.3g} s, is not carried" for name, lag in sorted(late)]
+        notes += [f"the lag of the {name.replace('_', ' ')}, {lag:.3g} s, is lost" for name, lag in sorted(late)]
         if calibration.unobservable:
             notes.append(f"not observed by the data: {', '.join(calibration.unobservable)}")
     notes += [words for _, words in of_path]
@@ -166,8 +166,9 @@ def _of_biases(calibration: Calibration, target: str) -> tuple[list[CalibratedCh
     channels = _in_triad(calibration).channel
     if without := [channel.label for channel in channels if channel.term_of("bias") is None]:
         raise ValueError(
-            f"{target} takes the bias over temperature, and this calibration has none of {', '.join(without)}: zeros "
-            "would look like a calibration. Estimate it from a spec with this bias, or export to c-header or csv"
+            f"{target} takes the bias over temperature, and this calibration has no bias of {', '.join(without)}: "
+            "zeros would look like a calibration. Estimate the bias with a spec that has it, or export to c-header or "
+            "csv"
         )
     gyros = [channel for channel in channels if channel.kind == "gyro"]
     return gyros, [channel for channel in channels if channel.kind == "accelerometer"]
@@ -253,7 +254,9 @@ def _ardupilot(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     notes = [_range_note(c, low, high) for c in (*gyros, *forces)]
     notes.append("sensor's own axes, before the board's rotation; corrected = raw - P(T-35) + P(Tcal-35) - OFFS")
     if forces:
-        notes.append("accelerometers: the same times SCAL, that of the middle of the range")
+        notes.append(
+            "accelerometers: the result is also multiplied by SCAL, computed for the middle of the temperature range"
+        )
     text = "".join(f"{name} {_single(value)}\n" for name, value in parameters.items())
     return Export(text, tuple(losses), tuple(filter(None, notes)))
 
@@ -262,7 +265,7 @@ def _range_note(channel: CalibratedChannel, low: float, high: float) -> str:
     cold, warm = channel.valid_temperature
     if low <= cold + 1e-6 and high >= warm - 1e-6:
         return ""
-    return f"{channel.label}: the target's range is {low:g} … {high:g} °C; beyond it the edge holds"
+    return f"{channel.label}: the target's range is {low:g} … {high:g} °C; outside it, the value at its edge is used"
 
 
 def _ardupilot_biases(channels: Sequence[CalibratedChannel], number: int, at: float, kind: str) -> dict[str, float]:
@@ -328,7 +331,9 @@ def _px4(calibration: Calibration, options: Mapping[str, Any]) -> Export:
             losses.append(Loss(channel.label, "bias between two updates, 1 °C apart", slope * factor, unit))
         if identity is None:
             name = f"TC_{letter}{number}_ID"
-            notes.append(f"{name} must be the sensor's device id: with 0 PX4 ignores the set (give --device-id)")
+            notes.append(
+                f"{name} must be the sensor's device id, otherwise PX4 ignores these parameters: give --device-id"
+            )
         notes.append(
             f"{offsets} offsets must be zero; corrected = R (raw - offset), offset = X0 + X1 d + X2 d^2 + X3 d^3"
         )
@@ -430,7 +435,7 @@ def _at_one_temperature(
     known = {channel.label for channel in calibration.channel}
     labels = (f"{kind} {axis}" for kind in ("gyro", "accelerometer") for axis in _TRIAD)
     absent = [label for label in labels if label not in known]
-    notes = [f"not calibrated, and taken as without errors: {', '.join(absent)}"] if absent else []
+    notes = [f"not calibrated, so assumed to be without errors: {', '.join(absent)}"] if absent else []
     losses = [loss for loss in _losses(calibration.channel, lambda c, t: _held(c, t, float(at))) if loss.value > 0.0]
     return float(at), linear_at(calibration, float(at)), losses, notes
 
@@ -443,7 +448,7 @@ def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
         _file_comment(calibration, at),
         "# measured rate = M * C_gyro_i * rate + A * specific_force + bias + noise",
         "# measured force = M * specific_force + bias + noise",
-        "# in the frame in which the accelerometers' M is lower triangular, turned from the calibration's by",
+        "# frame: that in which the accelerometers' M is lower triangular; rotation from the calibration's frame:",
         f"# {_list_text(form.frame.ravel())}",
         "rostopic: /imu0",
     ]
@@ -456,8 +461,8 @@ def _kalibr(calibration: Calibration, options: Mapping[str, Any]) -> Export:
         if (value := getattr(calibration.noise, name, None)) is not None:
             lines.append(f"{key}: {float(value):.9g}  # {unit}")
     if calibration.noise is None:
-        notes.append("the calibration holds no noise: fill in the noise densities and random walks")
-    notes.append("the file wants an accelerometer_random_walk, which no calibration tells")
+        notes.append("the calibration states no noise: enter the noise densities and random walks")
+    notes.append("the file needs accelerometer_random_walk, which a calibration does not state: enter it")
     lines += ["model: scale-misalignment", "accelerometers:", *_matrix_lines("M", form.accelerometer)]
     lines += ["gyroscopes:", *_matrix_lines("M", form.gyro), *_matrix_lines("A", form.sensitivity)]
     lines += _matrix_lines("C_gyro_i", form.rotation)
@@ -554,7 +559,7 @@ def _template(calibration: Calibration, options: Mapping[str, Any]) -> Export:
         "noise": {name: float(value) for name, value in noise.items() if value is not None},
         "at": linear,
     }
-    losses, notes = [], ["what the template leaves out is not known, and not counted"]
+    losses, notes = [], ["terms that the template does not use are lost; they are not listed here"]
     if at is not None:
         at, _, losses, more = _at_one_temperature(calibration, options, "a template")
         known |= linear(at) | {"temperature": at}

@@ -39,10 +39,10 @@ from gradcal_jax.files.log.log import Floats
 from gradcal_jax.files.spec.bases import RateBasis, TemperatureBasis, increasing
 
 ORDER: Final = (
-    "measured = s + sum of map(T) * signals of the terms that are no misalignments, where s = input + sum of "
-    "misalignment(T) * inputs across it takes the place of the channel's own input as a signal; subtract the sums, "
-    "computed from the corrected values, and iterate until they converge (three iterations for errors of a per cent), "
-    "before any rotation"
+    "measured = s + sum of map(T) * signals, over all terms except misalignments; s = input + sum of misalignment(T) * "
+    "inputs across it, and s also replaces the channel's own input among the signals. To correct: compute the sums "
+    "from the corrected values, subtract them, and iterate until convergence (three iterations for errors of a per "
+    "cent), before any rotation"
 )
 TEMPERATURE_RATE: Final = "temperature rate"
 """Name of the signal dT/dt, K/s."""
@@ -461,8 +461,8 @@ _HEADER: Final = """\
 A calibration of gyros and accelerometers. Apply it with `gradcal apply`, check it with `gradcal validate`.
     measured = s + sum of map(T) * signals           rates in rad/s, specific force in m/s^2
     s = input + sum of misalignment(T) * inputs      of the other axes; s is the channel's own signal
-a{k}: times the k-th power of (T - centre)/scale, in a bias.
-b{j}{i}: times the j-th power of (rate - centre)/scale and the i-th of the temperature's, in a scale factor.
+A bias is a sum: a{k} multiplies the k-th power of (T - centre)/scale.
+A scale factor is a sum: b{j}{i} multiplies the j-th power of (rate - centre)/scale and the i-th of (T - centre)/scale.
 Numbers without a unit are SI: rad, s, m, degC."""
 _SIMULATED: Final = "\nSIMULATED: made from simulated data, not from a real sensor."
 

@@ -11,12 +11,15 @@ from gradcal_jax.units import DEG_PER_H, PPM, G
 
 _PER_MINUTE = 1.0 / 60.0  # K/s
 # Of the [[path]] of a calibration: what a loss is called, what its unit is for, and the sentence.
-_HYSTERESIS = "hysteresis", "", "the mean of heating and cooling; hysteresis, up to {:.3g} {} on either branch, is lost"
-_SECOND = (
-    "follows the second thermometer", " for each K", "what follows the second thermometer, {:.3g} {} for each K of its "
-    "difference, is lost",
+_HYSTERESIS = (
+    "hysteresis", "", "only the mean of heating and cooling is exported; the hysteresis, up to {:.3g} {} on either "
+    "branch, is lost",
 )  # fmt: skip
-_DT_DT = "follows dT/dt", " at 1 K/min", "what follows dT/dt, {:.3g} {} at 1 K/min, is lost"
+_SECOND = (
+    "follows the second thermometer", " for each K", "the part that depends on the second thermometer, {:.3g} {} for "
+    "each K of its difference, is lost",
+)  # fmt: skip
+_DT_DT = "follows dT/dt", " at 1 K/min", "the part that depends on dT/dt, {:.3g} {} at 1 K/min, is lost"
 _TRANSIENT = "turn-on transient", "", "the transient after power-on, {:.3g} {} at first, is lost"
 
 
@@ -37,7 +40,7 @@ def path_losses(calibration: Calibration) -> Iterator[tuple[Loss | None, str]]:
     for one in calibration.path:
         if one.own:
             channel = one.channel.replace("_", " ")
-            yield None, f"{one.name} of {channel}, {one.value:.3g} {one.unit}, of a class of your own, is lost"
+            yield None, f"{one.name} of {channel}, {one.value:.3g} {one.unit}, a term of your own, is lost"
             continue
         if one.width is not None:
             kind, size = _HYSTERESIS, float(one.width)

@@ -47,7 +47,7 @@ _SENTENCES: Final = {
     "$VNIMU": {"rate": (7, 8, 9), "force": (4, 5, 6), "temperature": (10,)},
 }
 _RAWIMUS: Final = """time = { column = 3, unit = "s" }
-# counts of angle and velocity increments; the factor of your IMU (rad and m/s per count) times its rate in Hz
+# counts of angle and velocity increments; scale: the IMU's factor (rad or m/s per count) times its sample rate in Hz
 rate.x = { column = 10, unit = "rad/s", scale = ??? }
 rate.y = { column = 9, unit = "rad/s", scale = -??? }
 rate.z = { column = 8, unit = "rad/s", scale = ??? }

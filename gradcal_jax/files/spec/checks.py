@@ -359,7 +359,7 @@ def _accelerometer(spec: "Spec") -> Iterator[Problem]:
     if slow and turning and min(turning) > slow:
         message = (
             f"has no effect, because even the slowest move reaches {math.degrees(min(turning)):.4g} deg/s: raise "
-            "this limit, or leave this key out (and the lever arm)"
+            "this limit, or leave out this key and the lever arm"
         )
         key = ("sensor", "accelerometer", "read_on_moves_below")
         yield Problem(key, message, str(accelerometer.read_on_moves_below))

@@ -118,7 +118,7 @@ class AxisDevice(Section):
         by_hand = self.driver == OPERATOR
         if by_hand and self.gravity_loaded:
             message = (
-                "an axis that falls by gravity must be held all the time, and a person cannot do this: expected "
+                "gravity turns this axis if nothing holds it, and a person cannot hold it all the time: expected "
                 "false, or another driver"
             )
             yield Problem(("gravity_loaded",), message, "true")
@@ -130,7 +130,7 @@ class AxisDevice(Section):
         if self.port == TERMINAL and not by_hand:
             yield Problem(("port",), f'"terminal" is only for the driver "{OPERATOR}"', self.port)
         if self.safe == "unpower" and self.gravity_loaded:
-            message = 'an axis that is loaded by gravity falls without power; expected "hold"'
+            message = 'gravity turns this axis if its motor has no power; expected "hold"'
             yield Problem(("safe",), message, self.safe)
 
 

@@ -125,10 +125,9 @@ class Spec(TitledFile):
         spaced = not any(once) or (all(once) and table.drive == "hand" and table.standing == "held")
         if not ((schedule := self.gradient_schedule).is_plain and spaced):
             raise ValueError(
-                "for an IMU, expected a plan whose cycle has none of the keys read, read_every, other_axes and "
-                "duration, and a time as read_every of every table axis; "
-                '"rest" is possible if the table has drive = "hand" and holds its angle. Other plans can be predicted, '
-                "but not executed yet"
+                "a run of an IMU needs a plan whose cycle has none of the keys read, read_every, other_axes and "
+                'duration; read_every of every table axis must be a time (or "rest", if the table has drive = '
+                '"hand" and holds its angle). Other plans can be predicted, but not executed yet'
             )
         return schedule
 

@@ -167,8 +167,8 @@ Transients = Annotated[tuple[PowerOnTransient, ...], Field(max_length=5)]
 
 
 class TemperaturePath(Section):
-    """Errors that depend on the path of temperature, and not only on its present value, and error terms of your own;
-    all are estimated."""
+    """Errors that depend on past temperatures, and not only on the present one, and error terms of your own; all are
+    estimated."""
 
     hysteresis: Plays = ()
     """Hysteresis of the bias, as a sum of plays."""

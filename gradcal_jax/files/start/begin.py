@@ -209,11 +209,14 @@ def _refuse_impossible(answers: Answers, known: Mapping[str, tuple[Any, ...]]) -
         raise ValueError(f"{asks} The range must be at least 10 K, and this one has {warm - cold:g} K")
     if math.isinf(known["angle"][0]) and kind != "imu":
         raise ValueError(
-            'without an encoder, the angles come from the accelerometers of an IMU: answer "imu" to what is '
-            "calibrated, or state the error of the table's angle"
+            'without an encoder, the angles come from the accelerometers of an IMU: answer "imu" to "What '
+            "is calibrated\", or state the error of the table's angle"
         )
     if table == "switch" and not math.isinf(known["angle"][0]):
-        raise ValueError('a motor that is only switched reports no angle: answer "none" to the error of its angle')
+        raise ValueError(
+            'a motor that is only switched on and off reports no angle: answer "none" to the question about the error '
+            "of the table's angle"
+        )
     if kind != "gyro" and axes == "2" and table not in ("zaber", "odrive"):
         presets_of = {"hand": "; for a gimbal that is turned by hand: gradcal new gimbal-by-hand"}
         raise ValueError(

@@ -105,8 +105,8 @@ def _terms(answers: Answers, known: Known, grade: str) -> dict[str, tuple[Any, s
         of_class = terms["temperature_error"][0]
         slopes = {"bias_slope": bias_slope, "scale_factor_slope": scale_slope}
         source = (
-            "slopes: your data-sheet answer; standard deviation and correlation time of the temperature error: typical "
-            "figures estimated for this class"
+            "slopes: your figures from the data sheet; standard deviation and correlation time of the temperature "
+            "error: typical figures estimated for this class"
         )
         terms["temperature_error"] = {**of_class, **slopes}, source
     if known["turn_on"]:

@@ -7,7 +7,7 @@ The description has the queries, commands and replies; this driver has their ord
 * an axis that moves is stopped before another command, unless commands can be read back; after the command of a move
   the driver verifies that the axis moves or has arrived.
 
-Damage can turn a line without a check sum into another valid line: a move is verified only by the axis's final angle,
+Damage can turn a line without a checksum into another valid line: a move is verified only by the axis's final angle,
 which the caller must compare (`hardware.axis_control` does).
 
 Unverified on real hardware: everything; each description says what its sources leave open.
@@ -85,7 +85,7 @@ class Codec:
             begins = frame.rfind(b"\x02")
             body = bytes(byte & 0x7F for byte in frame[begins + 1 :])
             if begins < 0 or len(body) < 2 or body[0] != self._protocol.line.address & 0x7F or xor8(body):
-                raise ChecksumError(f"{printable(frame)!r} fails its check. Check the line's shielding.")
+                raise ChecksumError(f"{printable(frame)!r} has a wrong checksum. Check the line's shielding.")
             frame = body[1:-1]
         text = frame.strip(b" \t\r\n\x11\x13").decode("latin-1")
         if not text.isprintable():

@@ -1,4 +1,4 @@
-"""ODrive motor controllers, firmware 0.5.x and 0.6.x: the ASCII protocol, with check sums.
+"""ODrive motor controllers, firmware 0.5.x and 0.6.x: the ASCII protocol, with checksums.
 
 Sources: ODrive's repository (documentation and firmware 0.5.6) and the enumerations of its 0.6.11 package. 115200 8N1.
 A request that ends in `*` and the decimal exclusive or of its characters is answered with one; a damaged request
@@ -86,10 +86,10 @@ def request(words: str) -> bytes:
 
 
 def parse_line(frame: bytes) -> str:
-    """Text of a reply with a right check sum. Raises `ChecksumError` also where there is none: it was requested."""
+    """Text of a reply with a right checksum. Raises `ChecksumError` also where there is none: it was requested."""
     body, star, check = frame.rpartition(b"*")
     if not star or check != str(xor8(body)).encode():
-        raise ChecksumError(f"The reply {printable(frame)!r} fails its check sum. Check the line's shielding.")
+        raise ChecksumError(f"The reply {printable(frame)!r} has a wrong checksum. Check the line's shielding.")
     text = body.decode("ascii", "replace").strip()
     if text.startswith(_REFUSALS):
         raise Rejected(f"The controller refuses: {text}.")

@@ -315,7 +315,7 @@ def parse_utility(frame: bytes) -> tuple[str, list[str]]:
     """Name and fields of a reply whose check fits; raises `Rejected` for a status other than 0 and 8."""
     body, comma, check = frame[frame.find(b"#") :].rpartition(b",")
     if not comma or check != str(crc8_stim300(body + comma)).encode():
-        raise ChecksumError(f"The reply {printable(frame)!r} fails its check. Check the line's shielding.")
+        raise ChecksumError(f"The reply {printable(frame)!r} has a wrong CRC. Check the line's shielding.")
     name, *fields = body.decode("ascii", "replace").removeprefix("#").split(",")
     if not fields or not fields[0].isdigit():
         raise FramingError(f"{printable(frame)!r} is not a reply of Utility Mode.")

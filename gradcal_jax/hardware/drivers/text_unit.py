@@ -185,6 +185,6 @@ class TextUnitStream(ImuDriver[TextUnitConfig]):
         shown = printable(other[-1]) if other else f"{good} lines"
         raise FramingError(
             f"{where} printed {shown!r} in {timeout_s:g} s, but the description expects {self._unit.line!r}"
-            + (" with a check sum" if self._unit.checksum != "none" else "")
+            + (" with a checksum" if self._unit.checksum != "none" else "")
             + ". Compare them character by character; unreadable text means a wrong baud rate."
         )

@@ -64,10 +64,10 @@ def request(words: str) -> bytes:
 
 
 def parse_line(frame: bytes) -> list[str]:
-    """Fields of an ASCII message with a right check sum. Raises `Rejected` for `$VNERR`."""
+    """Fields of an ASCII message with a right checksum. Raises `Rejected` for `$VNERR`."""
     body, star, check = frame[1:].rpartition(b"*")
     if frame[:1] != b"$" or not star or check != b"%02X" % xor8(body):
-        raise ChecksumError(f"The message {printable(frame)!r} fails its check sum. Check cable and baud rate.")
+        raise ChecksumError(f"The message {printable(frame)!r} has a wrong checksum. Check cable and baud rate.")
     fields = body.decode("ascii", "replace").split(",")
     if fields[0] == "VNERR":
         code = str(int(fields[1])) if len(fields) > 1 and fields[1].isdigit() else "?"

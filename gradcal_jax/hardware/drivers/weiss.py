@@ -1,4 +1,4 @@
-"""Weiss / Vötsch chambers with SIMCON/32 or S!MPAC (VC, VT, VTS, WK …): the ASCII-2 protocol, no check sum.
+"""Weiss / Vötsch chambers with SIMCON/32 or S!MPAC (VC, VT, VTS, WK …): the ASCII-2 protocol, no checksum.
 
 Sources: several independent public drivers and their tests, two captured self-descriptions, and a chamber's help text.
 9600 8N1, address of two digits, CR. `$aaI` reads a fixed-width record whose layout differs from chamber to chamber;
@@ -85,7 +85,7 @@ class Layout:
         if self.read.count(self.temperature) != 2 or self.temperature not in self.write:
             raise ValueError(
                 f"The temperature channel {self.temperature!r} must be twice in the read layout (nominal, actual) "
-                f"and once in the write layout; they are {' '.join(self.read)} and {' '.join(self.write)}."
+                f"and once in the write layout; the layouts are {' '.join(self.read)} and {' '.join(self.write)}."
             )
         if missing := [name for name in self.write if name not in self.read]:
             raise ValueError(f"Channels {' '.join(missing)} are written but never read; the layout cannot be correct.")
@@ -170,7 +170,7 @@ def parse_description(text: str, temperature_channel: str = "") -> Layout:
         if not rest:
             raise FramingError(
                 "The chamber's description has no E-String and I-String. Write read_layout and write_layout in the rig "
-                f"file; it reported {printable(text.encode('ascii', 'replace'), 400)!r}."
+                f"file; the chamber reported {printable(text.encode('ascii', 'replace'), 400)!r}."
             )
         template = re.split(rf"\0|\b{other}-?\s?string", rest[0], maxsplit=1, flags=re.I)[0]
         channels: list[str] = _CHANNEL.findall(re.sub(r"\s+", "", template))
@@ -277,8 +277,9 @@ class WeissChamber(ChamberDriver[WeissConfig]):
         received = self._exchange.text(self._request("?"), *times_s, longest_s=10.0)
         if not received:
             raise ReplyTimeout(
-                f"The chamber at {self._exchange.transport.url} did not describe itself ($aa?). Check address, baud "
-                "rate and cable; if it has a fixed layout, write read_layout and write_layout in the rig file."
+                f"The chamber at {self._exchange.transport.url} did not answer the request for its description ($aa?). "
+                "Check address, baud rate and cable; if it has a fixed layout, write read_layout and write_layout in "
+                "the rig file."
             )
         return parse_description(received.decode("ascii", "replace"), config.temperature_channel)
 

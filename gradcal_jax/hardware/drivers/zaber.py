@@ -1,4 +1,4 @@
-"""Zaber rotary stages: the ASCII protocol, with message ids and check sums on every command.
+"""Zaber rotary stages: the ASCII protocol, with message ids and checksums on every command.
 
 Source: the vendor's packages `zaber.serial` and `zaber-motion`. 115200 8N1. A device answers `@ device axis id OK|RJ
 BUSY|IDLE warning data`; infos (`#`) and alerts (`!`) may come at any time and are passed over. The check is the two's
@@ -9,7 +9,7 @@ for devices without that setting.
 
 Unverified on real hardware: `velocity_factor` and `acceleration_factor` (data value per microstep/s and microstep/s²;
 time a known move at commissioning); the exact effect of `set comm.checksum 1`: the driver sends it, and requires a
-check sum in every reply if it was accepted and the next reply has one (see `reply_checksum`).
+checksum in every reply if it was accepted and the next reply has one (see `reply_checksum`).
 Rates are not read from the device (see `base.AxisDriver`).
 
 Firmware 6 calls its identity `deviceid`, firmware 7 `device.id`. Settings outlive a session: they are set only where
@@ -82,9 +82,9 @@ def parse_reply(frame: bytes, *, demand_checksum: bool) -> Reply:
     body, colon, check = frame[1:].rpartition(b":")
     checked = bool(colon) and len(check) == 2
     if checked and check != b"%02X" % lrc_zaber(body):
-        raise ChecksumError(f"The reply {printable(frame)!r} fails its check sum. Check the line's shielding.")
+        raise ChecksumError(f"The reply {printable(frame)!r} has a wrong checksum. Check the line's shielding.")
     if demand_checksum and not checked:
-        raise ChecksumError(f"The reply {printable(frame)!r} has no check sum, although this device sends check sums.")
+        raise ChecksumError(f"The reply {printable(frame)!r} has no checksum, although this device sends checksums.")
     text = frame[:1] + (body if checked else frame[1:])
     match = _REPLY.fullmatch(text.decode("ascii", "replace"))
     if match is None:
@@ -121,7 +121,7 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
         self.reply_checksum = self._ask("get system.serial", axis=0).checked
         serial, firmware = self._setting("system.serial"), self._setting("version")
         details = {"microsteps a turn": f"{self._per_turn():g}"}
-        details["replies"] = "with check sum" if self.reply_checksum else "without check sum"
+        details["replies"] = "with checksum" if self.reply_checksum else "without checksum"
         return Identity("zaber", f"device {model}", serial, firmware, details)
 
     def limits(self) -> AxisLimits:
@@ -219,7 +219,7 @@ class ZaberAxis(AxisDriver[ZaberConfig]):
             except Rejected:
                 raise Rejected(
                     "The stage does not report its microsteps per revolution (limit.cycle.dist). Write "
-                    "microsteps_per_turn of its data sheet in the rig file."
+                    "the number from its data sheet as microsteps_per_turn in the rig file."
                 ) from None
         return self._steps_per_turn
 

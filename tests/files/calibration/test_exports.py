@@ -297,8 +297,8 @@ def test_the_c_header_states_and_counts_what_it_cannot_carry():
     for (channel, what), (value, unit) in (NOT_CARRIED | {("gyro x", "bias: lag of 120 s"): of_lag}).items():
         assert counted[channel, what].value == pytest.approx(value, rel=1e-2)
         assert counted[channel, what].unit == unit
-        assert f" * not carried: {channel}, {what}: {counted[channel, what].value:.3g} {unit}\n" in comment
-    assert "not carried" not in export(CALIBRATION, "c-header").text
+        assert f" * lost: {channel}, {what}: {counted[channel, what].value:.3g} {unit}\n" in comment
+    assert " * lost: " not in export(CALIBRATION, "c-header").text
 
 
 def test_every_target_counts_what_depends_on_the_path():
@@ -371,7 +371,7 @@ def test_a_bias_that_is_unknown_is_not_exported_as_zeros(target):
     head, rest = text.split('name = "y"', 1)
     begin, end = rest.index("[axis.bias]"), rest.index("[axis.scale_factor]")
     without = parse_calibration(f'{head}name = "y"{rest[:begin]}{rest[end:]}')
-    with pytest.raises(ValueError, match="none of gyro y: zeros would look like a calibration"):
+    with pytest.raises(ValueError, match="no bias of gyro y: zeros would look like a calibration"):
         export(without, target, instance=1, device_id=7)
     assert export(without, "csv").text
 

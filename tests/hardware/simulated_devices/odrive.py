@@ -1,6 +1,6 @@
 """A simulated ODrive with two motors: the peer of `drivers.odrive`, written from the firmware's source (0.5.6).
 
-Strict in what it says: a line with a wrong check sum vanishes without an answer; a reply has a check sum if the request
+Strict in what it says: a line with a wrong checksum vanishes without an answer; a reply has a checksum if the request
 had one and is cut at 64 bytes, a property of firmware 0.5 at ten characters; positions are float32, and read 0.0 while
 the encoder is not ready.
 

@@ -1,7 +1,7 @@
 """A simulated VectorNav VN-100: the peer of `drivers.vectornav`, written from the protocol.
 
 Registers over ASCII, samples as binary packets, replies between them. Errors as the unit reports
-them: wrong check sum 3, unknown command 4, missing and surplus parameters 5 and 6, invalid parameter 7, unknown
+them: wrong checksum 3, unknown command 4, missing and surplus parameters 5 and 6, invalid parameter 7, unknown
 register 8, an output that the baud rate cannot carry 12.
 """
 

@@ -1,6 +1,6 @@
 """Simulated Zaber rotary stages on one chain: the peer of `drivers.zaber`, written from the protocol.
 
-Strict: a command with a wrong check sum is ignored, a message id is returned when one was sent, check sums are added to
+Strict: a command with a wrong checksum is ignored, a message id is returned when one was sent, checksums are added to
 replies after `set comm.checksum 1`, absolute moves are refused with `WR` before homing, everything that moves is
 refused while `FF` or `FH` is up, and infos or alerts may come between (`chatter`).
 """

@@ -92,7 +92,7 @@ def _undone(number: int, table: Any, in_force: Callable[[str, Floats, float], Fl
     if orientation[0]:
         note += f" and the board's orientation ({int(orientation[0])})"
     known = temperature if np.isfinite(temperature).any() else None
-    note = f"IMU{number}: ArduPilot's {note} have been removed from the data, by the parameters in the log"
+    note = f"IMU{number}: ArduPilot's {note} have been removed from the data with the parameters in the log"
     return GyroStream(f"IMU{number}", time, rate, known, notes=(note,))
 
 

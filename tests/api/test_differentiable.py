@@ -137,6 +137,7 @@ def imu():
     return changed(spec, maps | {"sensor.gyro.axes": ["x"], "plan.cycle.moves": moves, "requirement": kept})
 
 
+@pytest.mark.long
 def test_an_imu_is_a_function_of_its_cycle(imu):
     """Its value is what `predict` says, also of other numbers, its gradient the difference, and `vmap` changes
     nothing."""

@@ -76,6 +76,7 @@ def objective(plan: CyclePlan, sharpness: float):
     return lambda z: plan.value(z, args), of
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("late", [pytest.param(False, marks=pytest.mark.evidence), True])
 def test_the_gradient_goes_through_turning_points_and_slopes(late):
     """Central differences at three steps: between the smaller ones the error falls with the square of the step, until
@@ -114,6 +115,7 @@ def test_the_objective_of_a_free_course_is_about_that_of_its_plan(back, late):
     assert left == pytest.approx(np.exp(plan.exact.value_of(plan.exact.residuals(found))), rel=0.2)
 
 
+@pytest.mark.long
 def test_the_objective_of_a_fixed_course_with_late_terms_is_about_that_of_its_plan():
     """There and back, so that lags of the first leg act on the second one."""
     plan = CyclePlan(gj.changed(turning(back=True, late=True), {"design": {"free": ["cycle"]}}))
@@ -139,6 +141,7 @@ def test_the_plan_of_the_file_is_a_start_and_others_keep_its_time():
     assert plan.in_words(plan.starts()[1]).endswith("the chamber goes -20 → 60 → -20 degC")
 
 
+@pytest.mark.long
 def test_the_command_finds_a_plan_of_two_ways_from_one_way(tmp_path, capsys):
     """And it is better than any one-way plan of the same time that the file's own stands for."""
     spec, path, made = standing(), tmp_path / "one-way.toml", tmp_path / "recipe.toml"

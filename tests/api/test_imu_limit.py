@@ -22,6 +22,7 @@ def rows(request, pytestconfig):
     return {row.name: row for row in found}
 
 
+@pytest.mark.long
 def test_no_plan_lies_below_its_limit_and_biases_stand_at_it(rows):
     assert len(rows) == 8
     for row in rows.values():
@@ -34,6 +35,7 @@ def test_no_plan_lies_below_its_limit_and_biases_stand_at_it(rows):
     assert rows["gyro bias"].efficiency > 0.9
 
 
+@pytest.mark.long
 def test_the_limits_of_the_known_plans(rows):
     """Of an independent prototype; the plan does not matter to them, only its time and temperatures."""
     assert f"{rows['gyro bias'].certified:.3f}" == "0.437"
@@ -130,6 +132,7 @@ def test_a_prior_counts_as_information():
         assert with_prior[name] == pytest.approx(value / np.sqrt(2.0), rel=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("thermal_lag", ["0 s", "200 s", "90 s"])
 def test_maps_that_lag_have_their_own_limits(pytestconfig, thermal_lag):
     """Against sums over masses that are stepped, in white noise; no plan of the file lies below."""
@@ -251,6 +254,7 @@ angle = {{ reading_noise = "0.05 deg", standstill_offset = "0.01 deg", read_ever
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("clock", "gyro"), [("", GYRO), ('sample_clock_error = "2 ppm"\n', GYRO + UNSTEADY)])
 def test_one_gyro_axis_has_one_limit_in_both_kinds_of_spec(clock, gyro):
     """The cycles leave 6 s of the ramp, which are data in both."""

@@ -77,6 +77,7 @@ EASED = {
 }
 
 
+@pytest.mark.long
 def test_a_price_is_the_difference_of_the_objective_on_an_eased_rig():
     """The same shares of a limit that is wider by one of its units, in a plan that is built anew."""
     spec = one_gyro()
@@ -94,6 +95,7 @@ def test_a_price_is_the_difference_of_the_objective_on_an_eased_rig():
     assert prices["largest rate of spin"].linear == 10.0
 
 
+@pytest.mark.long
 def test_a_chamber_that_is_searched_has_a_price():
     spec = one_gyro(chamber=True)
     plan = CyclePlan(spec)
@@ -121,6 +123,7 @@ def test_limits_that_bind_are_named():
     assert "the travel of tilt" in active_limits(plan, plan.start._replace(turns=tuple(turns)))
 
 
+@pytest.mark.long
 def test_the_objective_has_the_chance_that_predict_has():
     """Though it filters two cycles of each slope; what is minimised counts no hidden map."""
     spec = one_gyro(notice="5 ppm")
@@ -156,6 +159,7 @@ def test_the_columns_of_a_hidden_map_at_another_temperature_are_a_matrix_of_them
         assert values(t) @ own == pytest.approx(values(t + by), abs=1e-10)
 
 
+@pytest.mark.long
 def test_the_command_finds_a_plan_that_notices_and_says_what_limits_are_worth(tmp_path, capsys):
     must, goal = tmp_path / "must.toml", tmp_path / "better.toml"
     gj.write_toml(one_gyro(notice="5 ppm"), must)

@@ -132,6 +132,7 @@ def test_the_limit_of_the_bias_holds_for_a_plan_that_does_nothing_else(drift):
     assert row.efficiency > 0.6
 
 
+@pytest.mark.long
 def test_a_search_for_a_mission_beats_its_beginning_and_keeps_a_guard():
     guard = {"requirement[0].target": "20 ppm"}
     spec = changed(

@@ -66,6 +66,7 @@ def test_the_rate_of_the_status_scales_the_angle_random_walk(tmp_path):
     assert any("every 400th sample" in words for words in rest.messages)
 
 
+@pytest.mark.long
 def test_a_calibration_of_rows_far_apart_states_no_noise_but_that_of_the_sensor(tmp_path, capsys):
     for hz, words in ((None, "states no noise"), (400.0, "")):
         folder = tmp_path / str(hz)
@@ -161,6 +162,7 @@ def test_predicted_errors_of_coefficients_are_those_of_simulated_records(mixture
     assert observed == pytest.approx(predicted, rel=0.35)
 
 
+@pytest.mark.long
 def test_predicted_errors_of_a_drift_are_those_of_simulated_records():
     predicted, observed = errors_of_drift(40, 8 * 3600.0)
     assert observed == pytest.approx(predicted, rel=0.4)

@@ -211,6 +211,7 @@ def test_without_a_key_the_better_clock_counts():
     assert row.with_typical == pytest.approx(np.hypot(row.decisive, 30.0), rel=0.08)
 
 
+@pytest.mark.long
 def test_a_limit_a_derivative_and_a_sensitivity_count_what_no_residual_shows():
     """Half a degree of the input axis: 108 ppm, however long a plan goes on."""
     floor = 2**0.5 * np.radians(0.5) ** 2 * 1e6

@@ -51,6 +51,7 @@ def residual(spec: Spec) -> float:
     return value
 
 
+@pytest.mark.long
 def test_the_optimum_is_better_is_what_predict_says_and_lies_above_the_limit(spec, best):
     assert best.now < best.before == pytest.approx(residual(spec))
     assert best.now == pytest.approx(residual(best.spec), rel=1e-12)
@@ -167,6 +168,7 @@ def test_any_point_of_limited_travel_is_executed_as_it_is_written(spec, shape, c
     executed()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("travel", "cycles"),
     [(360.0, "alike"), *(pytest.param(*of, marks=pytest.mark.evidence) for of in ((90.0, "alike"), (2000.0, "own")))],

@@ -175,6 +175,7 @@ def joint(builts):
     return posteriors_together(plans, [1] * len(plans))
 
 
+@pytest.mark.long
 def test_a_search_serves_all_places_by_the_joint_estimate():
     """The value of a plan is the mean or the worst over places, each estimated with all others; and the objective that
     descends, for which encoders' errors are every IMU's own, is near it."""
@@ -199,6 +200,7 @@ def test_a_search_serves_all_places_by_the_joint_estimate():
     assert np.sum(np.abs(apart)) < 0.4 * np.sum(np.abs(apart_alone))
 
 
+@pytest.mark.long
 def test_the_command_finds_a_plan_that_is_better_for_all_together(tmp_path, capsys):
     source, goal = tmp_path / "fixture.toml", tmp_path / "better.toml"
     rests = {f"plan.cycle.moves[{k}].rest": f"{rest} s" for k, rest in enumerate((120, 16, 16, 16, 16, 16))}

@@ -66,6 +66,7 @@ def searched() -> tuple[gj.Spec, list[SearchStep], Optimised]:
     return spec, states, best
 
 
+@pytest.mark.long
 def test_the_optimum_is_what_its_plan_leaves(searched):
     spec, states, best = searched
     assert isinstance(best, Optimised)
@@ -192,6 +193,7 @@ def test_the_objective_is_that_of_every_preset(preset):
     assert left == pytest.approx([r.decisive for r in gj.predict(plan.spec_of(cycle)).requirements], rel=0.03)
 
 
+@pytest.mark.long
 def test_its_derivative_is_that_of_differences_in_every_coordinate():
     """Poses, rates and rests, near bounds too; central differences of two sizes, of which the smaller is nearer."""
     plan = CyclePlan(gj.parse_spec(turning()))
@@ -237,6 +239,7 @@ def test_uncertain_noise_of_a_unit_makes_a_range_that_holds_every_draw():
             assert low * (1 - 1e-9) <= row.judged <= high * (1 + 1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("robust", ["mean", "worst"])
 def test_the_value_of_a_cycle_is_the_mean_or_the_worst_over_what_noise_may_be(robust):
     plan = CyclePlan(small(**UNCERTAIN, **{"design.robust": robust, "design.minimise": "worst ratio"}))
@@ -273,6 +276,7 @@ def minimising(name: str, **targets: str) -> dict:
     return {"design.minimise": name, "requirement": limited}
 
 
+@pytest.mark.long
 def test_scenarios_count_by_their_weights():
     """The mean over two scenarios is that of the predictions of both, and the objective that descends agrees."""
     noise = {"accelerometer": {"velocity_random_walk": "0.3 m/s/sqrt(h)"}}
@@ -294,6 +298,7 @@ def test_scenarios_count_by_their_weights():
         CyclePlan(small(**{"design.scenario": [{}, {"sensor": {"accelerometer": {"axes": ["x", "y"]}}}]}))
 
 
+@pytest.mark.long
 def test_the_targets_of_other_requirements_limit_a_search():
     """A search for one requirement alone may exceed the other's target; with the target it is met, at some cost."""
     name, other = small().requirement[0].name, small().requirement[1]
@@ -487,6 +492,7 @@ def test_nor_are_turns_by_hand_of_a_single_axis_searched():
         gj.optimise(spec)
 
 
+@pytest.mark.long
 def test_an_axis_of_limited_travel_is_searched():
     """Within its travel, which turns that are inserted at its ends would leave."""
     spec = gj.changed(gj.parse_spec(turning()), {"rig.table.axis[0].travel": "520 deg"})

@@ -179,6 +179,7 @@ def test_coefficients_that_did_not_pass_are_left_out_of_an_export(folder, capsys
     assert "no coefficient q9" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_lag_of_a_whole_imu_is_fitted(tmp_path, capsys):
     document, lag_s, rng = tables_of(scene("two axes", 0.1)), 40.0, np.random.default_rng(4)
     for key in ("temperature", "gradient"):

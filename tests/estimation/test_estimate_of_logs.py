@@ -36,6 +36,7 @@ def many():
     return spec, simulate_log(spec, units=24, sample_rate_hz=20.0, seed=5, readings=True)
 
 
+@pytest.mark.long
 def test_raw_samples_of_many_units_err_as_they_say(many):
     """The table's own noise is small here, so that the units of one log are independent."""
     spec, made = many

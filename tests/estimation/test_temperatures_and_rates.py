@@ -25,6 +25,7 @@ FOLLOWED = (
 )
 
 
+@pytest.mark.long
 def test_a_coarse_thermometer_is_no_information_about_the_gradient():
     """Steps of 1/16 K: taken as they are, they made the errors six times what was said of them, and that 0.58 of what
     was predicted."""

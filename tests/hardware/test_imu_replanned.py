@@ -174,6 +174,7 @@ def test_what_cannot_be_planned_anew_is_a_sentence(spec: Spec) -> None:
         timeline(rest)
 
 
+@pytest.mark.long
 def test_a_run_goes_on_by_the_plan_of_its_rest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -120,6 +120,7 @@ def in_band(value: float, degrees: int, outside: float = 0.01) -> bool:
     return bool(chi2.ppf(outside / 2.0, degrees) < value < chi2.ppf(1.0 - outside / 2.0, degrees))
 
 
+@pytest.mark.long
 def test_a_killed_run_of_a_unit_is_made_safe_and_gone_on_with(tmp_path: Path) -> None:
     sums, recipe = Sums(), quick(2)
     log = killed_run(tmp_path / "one", recipe, 1, 2, sums)

@@ -48,6 +48,7 @@ def test_what_resumes_or_watches_a_run_takes_little_memory(run: Path) -> None:
         assert peak_mb(work) < 13.0
 
 
+@pytest.mark.long
 def test_a_log_is_written_in_little_memory_whatever_its_length(run: Path, tmp_path: Path) -> None:
     with log_in_blocks(run) as found:
         assert found.rows > 250_000
@@ -57,6 +58,7 @@ def test_a_log_is_written_in_little_memory_whatever_its_length(run: Path, tmp_pa
     assert (tmp_path / "other.nc").read_bytes() == (tmp_path / "log.nc").read_bytes()
 
 
+@pytest.mark.long
 def test_a_log_that_is_read_whole_takes_little_more_memory_than_its_rows(run: Path) -> None:
     logs = []
     peak = peak_mb(lambda: logs.append(log(run)))

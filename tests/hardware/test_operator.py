@@ -536,6 +536,7 @@ def laboratory(folder: Path) -> Iterator[tuple[SimulatedLab, Path, Path]]:
         yield lab, recipe, folder / "rig.toml"
 
 
+@pytest.mark.long
 def test_somebody_at_the_terminal_of_gradcal_run(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     with laboratory(tmp_path) as (lab, recipe, rig):

@@ -338,6 +338,7 @@ def check_aborts(folder: Path, count: int, seed: int) -> float:
     return longest
 
 
+@pytest.mark.long
 def test_whole_runs_aborted_at_random_end_safe(tmp_path: Path) -> None:
     assert check_aborts(tmp_path, 2, seed=1) < ALLOWED_S
 

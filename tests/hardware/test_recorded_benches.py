@@ -67,6 +67,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_a_bench_is_recorded_with_what_the_drivers_made_of_it(recorded: Path) -> None:
     text = recorded.read_text(encoding="ascii")
     assert " > TEMP?\\r\\n\n" in text
@@ -80,6 +81,7 @@ def test_a_recorded_bench_is_replayed_as_its_devices(recorded: Path) -> None:
     same(recorded)
 
 
+@pytest.mark.long
 def test_a_driver_that_differs_is_noticed(recorded: Path, tmp_path: Path) -> None:
     """One digit of what the chamber answered then."""
     path = tmp_path / "bench.txt"
@@ -93,6 +95,7 @@ def test_recordings_of_real_benches_are_replayed(path: Path) -> None:
     same(path)
 
 
+@pytest.mark.long
 def test_the_command_says_who_answers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with Rig(RealClock(), stage=True) as rig:
         write_toml(rig.rig, tmp_path / "rig.toml")

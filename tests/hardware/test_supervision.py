@@ -86,6 +86,7 @@ def test_what_is_said_of_a_slope_is_what_the_driver_makes_of_it() -> None:
             assert chamber.ramp(37.0, 1.26) == pytest.approx(rate_as_made(limits, 1.26), abs=1e-6)
 
 
+@pytest.mark.long
 def test_a_rig_is_tried_for_a_recipe_and_moves_only_where_it_is_said(made: Path, tmp_path: Path, capsys) -> None:
     clock = RealClock()
     with Rig(clock, stage=True) as lab:

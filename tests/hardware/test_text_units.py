@@ -148,6 +148,7 @@ def board(rig: Rig, clock: Any, **options: Any) -> SimulatedPort:
     return SimulatedPort(SimulatedTextUnit(sensor, clock, TextUnitOptions(**options)), clock)
 
 
+@pytest.mark.long
 def test_a_run_with_a_board_that_prints_text(tmp_path: Path) -> None:
     clock = LineClock()
     with Rig(clock, stage=True) as rig, board(rig, clock) as port:

@@ -34,6 +34,7 @@ def estimated(spec: Spec, seed: int, *, ideal: bool = False) -> tuple[SensorEsti
     return report, float(white @ white)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("plan", ["two axes", pytest.param("one axis, three mountings", marks=pytest.mark.evidence)])
 def test_a_unit_is_estimated_within_its_covariance_and_as_predicted(plan):
     spec = read_scene(plan)

@@ -113,6 +113,7 @@ def squared(report: SensorEstimate, truth: dict[str, float]) -> float:
     return float(white @ white)
 
 
+@pytest.mark.long
 def test_four_imus_are_within_their_joint_covariances():
     """Each has the truth within its covariance, which is smaller than alone, most of all that of the table."""
     reports, own, truths = together(5)
@@ -137,6 +138,7 @@ def predicted(counts: tuple[int, ...], names: str = "abcd") -> list[Posterior]:
     return posteriors_together(plans, counts)
 
 
+@pytest.mark.long
 def test_what_is_predicted_together_is_what_is_estimated_together():
     """Of every parameter's standard deviation by four IMUs, over that by one: the estimate of a simulated log, which is
     linear about its own values, against the plan's prediction, which has no log."""
@@ -174,6 +176,7 @@ def test_the_covariance_in_the_calibration_is_the_joint_one():
     assert np.min(pair[0] / pair[1]) < 0.95
 
 
+@pytest.mark.long
 def test_an_imu_that_sees_another_table_is_named():
     spec = scene("two axes", 1.0)
     log, _ = fixture_log(spec, 6, {"tilt_east": 0.004})

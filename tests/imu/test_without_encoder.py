@@ -188,6 +188,7 @@ def test_angles_that_do_not_stand_still_are_no_estimate(monkeypatch):
         estimate_sensors(spec, record(spec, truth, rng))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("plan", "spoilt"), [("two axes", 5.0), pytest.param("by hand", 20.0, marks=pytest.mark.evidence)]
 )
@@ -211,6 +212,7 @@ def test_angles_that_nobody_knows_are_estimated(plan, spoilt, monkeypatch):
     assert not report.calibration.contradicted
 
 
+@pytest.mark.long
 def test_an_azimuth_that_is_hardly_seen_does_not_run_away():
     """Of a unit whose first linearisations go past the least χ² in the azimuth, then away from it: to 4.8 rad."""
     spec = gj.changed(PRESET, {"sensor.thermal_lag": None, "sensor.gyro.bias_temperature_gradient": None})

@@ -117,6 +117,7 @@ def test_rows_and_the_state_after_them(shape):
         assert not np.any(np.asarray(rows)[count // 2])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shape", [*SHAPES[:-1], pytest.param(SHAPES[-1], marks=pytest.mark.evidence), None])
 def test_the_gradient_in_everything(shape, in_blocks):
     steps, columns = shared(19, 41) if shape is None else system(*shape)

@@ -39,6 +39,7 @@ def one_by_one(system):
     return filter_readings(zeros, steps.initial, steps, columns).rows
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("block", [2, 5, 17])
 def test_rows_do_not_depend_on_where_a_block_begins(system, one_by_one, block):
     steps, columns = system
@@ -46,6 +47,7 @@ def test_rows_do_not_depend_on_where_a_block_begins(system, one_by_one, block):
     assert apart(whiten(jax.tree.map(jnp.asarray, steps), jnp.asarray(columns), block=block), one_by_one) < 1e-12
 
 
+@pytest.mark.long
 def test_information_and_gradient_are_the_same_without_machine_code(system, monkeypatch):
     steps, columns = jax.tree.map(jnp.asarray, system)
     direction = np.random.default_rng(0).standard_normal(columns.shape[1])

@@ -39,6 +39,7 @@ def test_a_sweep_predicts_the_points_of_a_unit_and_says_which_cannot_be():
     assert "accelerometer_bias_mean_of_max" not in data
 
 
+@pytest.mark.long
 def test_plans_of_imus_are_optimised_in_sweeps(monkeypatch):
     monkeypatch.setattr("gradcal_jax.api.optimise.EVALUATIONS", 60)
     job = parse_sweep(FILE.replace("[[axis]]", 'do = "optimise"\n[[axis]]'))

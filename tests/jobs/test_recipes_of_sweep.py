@@ -75,6 +75,7 @@ def test_names_make_files():
     assert slug("30″ encoder, 0.05°") == "30-arcsec-encoder-0.05-deg"
 
 
+@pytest.mark.long
 def test_recipes_are_written_and_summed_up(tmp_path, capsys):
     path, output, folder = written(tmp_path), tmp_path / "results.nc", tmp_path / "recipes"
     with LocalPool(1, compiled_programs()) as pool:

@@ -15,6 +15,7 @@ def test_the_calibration_is_committed_as_executed():
     assert "simulated: True" in said
 
 
+@pytest.mark.long
 def test_its_cells_run_and_page_and_calibration_say_the_same(monkeypatch):
     names, said = run_cells(NAME, monkeypatch)
     told, verdict = names["told"], names["verdict"]

@@ -1,6 +1,7 @@
 """The notebook of a whole unit is committed as executed; its plans come out alike, its simulated unit within its σ."""
 
 import numpy as np
+import pytest
 from notebook_cells import check_as_executed, run_cells
 from scipy import stats
 
@@ -13,6 +14,7 @@ def test_it_is_committed_as_executed_with_small_pictures():
     assert "simulated: True" in said
 
 
+@pytest.mark.long
 def test_its_cells_run_and_find_the_hidden_unit(monkeypatch):
     names, said = run_cells(NAME, monkeypatch)
     before = check_as_executed(NAME, pictures=3)

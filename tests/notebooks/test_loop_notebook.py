@@ -1,6 +1,7 @@
 """The notebook of a ramp that goes both ways: its plans come out alike, its simulated unit within its σ."""
 
 import numpy as np
+import pytest
 from notebook_cells import check_as_executed, run_cells
 
 NAME = "the_ramp_goes_both_ways"
@@ -12,6 +13,7 @@ def test_it_is_committed_as_executed_with_small_pictures():
     assert "simulated: True" in said
 
 
+@pytest.mark.long
 def test_its_cells_run_and_the_play_predicts_the_other_record(monkeypatch):
     names, said = run_cells(NAME, monkeypatch)
     before = check_as_executed(NAME, pictures=1)

@@ -10,6 +10,7 @@ def test_it_is_committed_as_executed():
     assert "left in by apply: gyro_x.heating" in check_as_executed(NAME, pictures=1)
 
 
+@pytest.mark.long
 def test_its_cells_find_the_hysteresis_that_was_added(monkeypatch):
     names, said = run_cells(NAME, monkeypatch, ADDED=-30.0)
     assert names["value"] == pytest.approx(-30.0, abs=4.0 * names["deviation"])

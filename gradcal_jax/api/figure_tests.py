@@ -68,7 +68,7 @@ def backlash_sentences(
     known = solution.known.spread
     for number, axis in enumerate(built.spec.rig.table.axis):
         column = _by_backlash(number, readings)
-        if column is None or _is_known(components(solution.white, column), _LITTLE / 2.0):
+        if column is None or _is_known(_beside_scale(number, column, readings, solution), _LITTLE / 2.0):
             continue
         shift = Posterior(_LITTLE * known @ (known.T @ (solution.white.rows.T @ column)), np.zeros((len(known), 0)))
         changes = [imu_residual(built, shift, requirement).statistic() for requirement in built.spec.requirement]
@@ -85,6 +85,15 @@ def backlash_sentences(
 
 def _shows_angles(readings: ImuReadings) -> bool:
     return not (readings.done.motion.line.rates or readings.free or readings.sigma is not None)
+
+
+def _beside_scale(number: int, columns: np.ndarray, readings: ImuReadings, solution: ImuEstimate) -> Components:
+    """Components on the columns `(n, k)` of errors of an axis's angle, beside an unknown scale error of this angle,
+    which is no parameter: 1 ppm of it is 0.001 deg after three turns."""
+    angles = np.zeros((2, *readings.done.motion.angles()[0].shape, 1))
+    angles[:, :, number, 0] = np.stack(readings.done.motion.angles())[..., number]
+    both = np.concatenate([columns, readings.by_shown_angles(angles[0], angles[1])], axis=1)
+    return components(solution.white, both, np.arange(both.shape[1]) < columns.shape[1])
 
 
 def _is_known(of: Components, std: float) -> bool:
@@ -130,9 +139,9 @@ def _backlash(
     number: int, axis: str, readings: ImuReadings, solution: ImuEstimate, excess: float
 ) -> Iterator[FigureTest]:
     column = _by_backlash(number, readings)
-    if column is None or not _is_known(of := components(solution.white, column), _ANGLE):
+    if column is None or not _is_known(of := _beside_scale(number, column, readings, solution), _ANGLE):
         return
-    size, std = abs(float(column[:, 0] @ solution.estimate.residuals)) / of.gains[0], excess * of.gains[0] ** -0.5
+    size, std = abs(float(of.y[0, 0])) * of.gains[0] ** -0.5, excess * of.gains[0] ** -0.5
     yield FigureTest(
         f"backlash of the axis {axis}",
         chi_squared_test(chi_squared(of).statistic / excess**2, 1),
@@ -150,7 +159,7 @@ def _waves(
         error = np.zeros((*ends.shape, 2))
         angle = order * ends[..., number]
         error[:, :, number] = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        of = components(solution.white, readings.by_shown_angles(error[0], error[1]))
+        of = _beside_scale(number, readings.by_shown_angles(error[0], error[1]), readings, solution)
         if not _is_known(of, _ANGLE):
             continue
         seen = np.linalg.norm(of.y[:, 0] / np.sqrt(of.gains))

@@ -45,6 +45,8 @@ _MISALIGNED, _PRIORS = 0.3, 50.0
 _CONTRADICTED: Final = 4.0
 # Standard deviations of the spec's misalignments beyond which a rotation of all sensors together is reported.
 _TURNED = 4.0
+# How far from a whole turn the angles of an axis that wrap may end, rad.
+_NEARLY: Final = np.radians(20.0)
 _OTHER_UNITS: Final = (
     ("°F", lambda t: (t - 32.0) / 1.8),
     ("K", lambda t: t - 273.15),
@@ -208,6 +210,16 @@ def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray
             )
 
 
+def wrapped_sentence(angles: np.ndarray) -> str:
+    """What follows an error if an axis of the table (`angles` `(n, L)`, rad, NaN where not read) shows nearly all
+    angles of one turn and none beyond it; else empty."""
+    known = np.isfinite(angles)
+    span = np.max(angles, axis=0, initial=-np.inf, where=known) - np.min(angles, axis=0, initial=np.inf, where=known)
+    if not np.any(np.abs(span - 2.0 * np.pi) < _NEARLY):
+        return ""
+    return "; the table's angles stay within one turn: if they wrap at 360 deg, log angles that count whole turns"
+
+
 def refuse_misaligned(name: str, fits: Mapping[str, CoarseFit], channels: Sequence[Channel]) -> None:
     """Raise `LogError` where the coarse comparison with the table shows a wrong sign, axis or unit of a channel."""
     wrong: list[tuple[str, str]] = []
@@ -253,7 +265,7 @@ def _no_device(own: float, across: Mapping[str, float]) -> str:
         (1.0 / 9.80665, "is the column in g instead of m/s^2?"),
         (9.80665, "is the column in m/s^2 instead of g?"),
         (180.0 / np.pi, "is the column in deg/s instead of rad/s?"),
-        (np.pi / 180.0, "is the column in rad/s instead of deg/s?"),
+        (np.pi / 180.0, "is the column in rad/s instead of deg/s, or are the table's angles in degrees?"),
     ):
         if abs(abs(own) / ratio - 1.0) < 0.1:
             return f"{shown}: {words}"

@@ -4,6 +4,8 @@
     python experiments/designs/presets.py --case tactical-mems --seed 1        one, to experiments/designs/presets
     python experiments/designs/presets.py --report                             presets.md of what is there
 
+IMUs on a table of three axes, or with several mountings or plateaus, take the better part of an hour; `--steps` ends a
+search earlier (of `optimise`, of which the table has "all" otherwise).
 Of a preset without a [design] it is the one that `optimise` offers. Both values are of the plans as `predict` has them.
 """
 
@@ -32,12 +34,12 @@ def design(name: str) -> gj.Spec:
     return spec if spec.design is not None else gj.changed(spec, tomllib.loads(design_block(spec)))
 
 
-def write_share(name: str, seed: int, folder: Path) -> None:
+def write_share(name: str, seed: int, folder: Path, steps: int | None) -> None:
     """Search one preset's plan by one seed."""
     begun = time.process_time()
-    row: dict[str, object] = {"name": name, "seed": seed}
+    row: dict[str, object] = {"name": name, "seed": seed, "steps": steps}
     try:
-        *_, best = run_search(gj.changed(design(name), {"design.seed": seed}))
+        *_, best = run_search(gj.changed(design(name), {"design.seed": seed}), steps=steps)
     except ValueError as error:
         row |= {"refused": str(error).splitlines()[0]}
     else:
@@ -70,14 +72,14 @@ def report(folder: Path) -> None:
         f"By `python experiments/designs/presets.py`, {len({r['name'] for r in rows})} of {len(gj.presets.names())} "
         f"presets so far: {len(done)} searches, of which {len(worse)} ended worse than the file's own plan.",
         "",
-        "| preset | seed | objective | before | now | kept | processor time |",
-        "|---|---|---|---|---|---|---|",
+        "| preset | seed | objective | before | now | kept | steps | processor time |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for r in done:
         before = "not observable" if r["before"] is None else f"{r['before']:.5g}"
         lines.append(
             f"| {r['name']} | {r['seed']} | {r['objective']} | {before} | {r['now']:.5g} | "
-            f"{'yes' if r['kept'] else ''} | {r['processor_s']:.0f} s |"
+            f"{'yes' if r['kept'] else ''} | {r.get('steps') or 'all'} | {r['processor_s']:.0f} s |"
         )
     refused = {r["name"]: r["refused"] for r in rows if "refused" in r}
     lines += ["", *(f"* {name}: refused, {why}" for name, why in refused.items())]
@@ -89,12 +91,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--case", choices=gj.presets.names(), help="only this one, without the table")
     parser.add_argument("--seed", type=int, help="only this one")
+    parser.add_argument("--steps", type=int, help="of the search, as of `optimise`")
     parser.add_argument("--report", action="store_true", help="only the table, of the cases that are there")
     parser.add_argument("folder", type=Path, nargs="?", default=HERE / "presets", help="of the cases' files")
     asked = parser.parse_args()
     for name in () if asked.report else [asked.case] if asked.case else gj.presets.names():
         for seed in SEEDS if asked.seed is None else [asked.seed]:
-            write_share(name, seed, asked.folder)
+            write_share(name, seed, asked.folder, asked.steps)
     if not asked.case:
         report(asked.folder)
 

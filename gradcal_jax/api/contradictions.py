@@ -18,9 +18,6 @@ from gradcal_jax.estimation import (
     ImuEstimate,
     ImuReadings,
     StructureTest,
-    Test,
-    chi_squared,
-    components,
     diagnosis,
     size_of,
     structure_test,
@@ -48,8 +45,8 @@ _MISALIGNED, _PRIORS = 0.3, 50.0
 _CONTRADICTED: Final = 4.0
 # Standard deviations of the spec's misalignments beyond which a rotation of all sensors together is reported.
 _TURNED = 4.0
-# Standard deviation of the latitude, rad, above which readings say nothing about it.
-_LATITUDE: Final = 0.5
+# How far from a whole turn the angles of an axis that wrap may end, rad.
+_NEARLY: Final = np.radians(20.0)
 _OTHER_UNITS: Final = (
     ("°F", lambda t: (t - 32.0) / 1.8),
     ("K", lambda t: t - 273.15),
@@ -213,6 +210,16 @@ def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray
             )
 
 
+def wrapped_sentence(angles: np.ndarray) -> str:
+    """What follows an error if an axis of the table (`angles` `(n, L)`, rad, NaN where not read) shows nearly all
+    angles of one turn and none beyond it; else empty."""
+    known = np.isfinite(angles)
+    span = np.max(angles, axis=0, initial=-np.inf, where=known) - np.min(angles, axis=0, initial=np.inf, where=known)
+    if not np.any(np.abs(span - 2.0 * np.pi) < _NEARLY):
+        return ""
+    return "; the table's angles stay within one turn: if they wrap at 360 deg, log angles that count whole turns"
+
+
 def refuse_misaligned(name: str, fits: Mapping[str, CoarseFit], channels: Sequence[Channel]) -> None:
     """Raise `LogError` where the coarse comparison with the table shows a wrong sign, axis or unit of a channel."""
     wrong: list[tuple[str, str]] = []
@@ -258,7 +265,7 @@ def _no_device(own: float, across: Mapping[str, float]) -> str:
         (1.0 / 9.80665, "is the column in g instead of m/s^2?"),
         (9.80665, "is the column in m/s^2 instead of g?"),
         (180.0 / np.pi, "is the column in deg/s instead of rad/s?"),
-        (np.pi / 180.0, "is the column in rad/s instead of deg/s?"),
+        (np.pi / 180.0, "is the column in rad/s instead of deg/s, or are the table's angles in degrees?"),
     ):
         if abs(abs(own) / ratio - 1.0) < 0.1:
             return f"{shown}: {words}"
@@ -405,33 +412,6 @@ def structure_tests(spec: Spec, readings: ImuReadings, solution: ImuEstimate) ->
             test = structure_test(white, columns_of(number, term), term, level, stated)
             if test is not None:
                 yield channel.name, test
-
-
-class LatitudeTest(NamedTuple):
-    """Test of the site's latitude by the Earth's rate in the readings, with its name and the sentence of a failure."""
-
-    name: str
-    test: Test
-    sentence: str
-
-
-def latitude_tests(spec: Spec, readings: ImuReadings, solution: ImuEstimate) -> Iterator[LatitudeTest]:
-    """The latitude is no parameter: of a wrong one the vertical rate resembles a sensitivity to g, and only the
-    horizontal one contradicts it. Nothing where the readings hardly tell it from the parameters."""
-    if spec.rig.site.is_unknown:
-        return
-    column = readings.by_latitude(solution.parameters)
-    of = components(solution.white, column)
-    if not len(of.gains) or of.gains[0] < _LATITUDE**-2:
-        return
-    stated, std = np.degrees(spec.rig.site.latitude_rad), np.degrees(of.gains[0] ** -0.5)
-    seen = stated + np.degrees(float(column[:, 0] @ solution.estimate.residuals) / of.gains[0])
-    yield LatitudeTest(
-        "latitude of the site",
-        chi_squared(of),
-        f"the gyros observe the Earth's rate at a latitude of about {seen:.0f} ± {max(std, 1.0):.0f} deg, but the spec "
-        f"states {stated:.4g} deg: is [rig.site] latitude correct?",
-    )
 
 
 def structure_in_words(test: StructureTest) -> str:

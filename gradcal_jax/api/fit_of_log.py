@@ -12,7 +12,7 @@ from scipy import optimize
 
 from gradcal_jax import estimation, trajectory
 from gradcal_jax.api.build import move_of
-from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible, refuse_misaligned
+from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible, refuse_misaligned, wrapped_sentence
 from gradcal_jax.api.imu_build import BuiltImu, course_before
 from gradcal_jax.api.log_rows import LONGEST_LAG_S, Lag, Options, read_by_events
 from gradcal_jax.api.plan_sentences import prior_deviations, unobserved_parameters
@@ -309,6 +309,15 @@ class FittedRows(NamedTuple):
 
 def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
     """The fit of one sensor's rows."""
+    try:
+        return _fit_of(built, name, recorded, options)
+    except LogError as error:
+        if sentence := wrapped_sentence(recorded.rows.angles):
+            raise LogError(f"{error}{sentence}") from error
+        raise
+
+
+def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
     rows, messages, points = recorded
     temperature_of = lambda lag: followed(rows.temperature_c, rows.time_s, rows.stretch_starts, lag)  # noqa: E731
     stable = isinstance(built.spec.plan, StandardPlan)

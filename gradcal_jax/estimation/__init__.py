@@ -29,5 +29,5 @@ from gradcal_jax.estimation.several_imus import SeveralImus, posteriors_together
 from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
 from gradcal_jax.estimation.solve import Estimate, Whitened, solve
 from gradcal_jax.estimation.standstill import find_standstills, lost_in_moves, settling
-from gradcal_jax.estimation.structure import StructureTest, chi_squared, components, size_of, structure_test
+from gradcal_jax.estimation.structure import Components, StructureTest, chi_squared, components, size_of, structure_test
 from gradcal_jax.estimation.temperature import smoothed_temperature

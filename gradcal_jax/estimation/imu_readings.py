@@ -188,6 +188,14 @@ class ImuReadings(NamedTuple):
         rows = self._replace(done=self.done._replace(motion=moved)).expected(parameters) - self.expected(parameters)
         return self._whitened(self._system(self.nominal())[0], rows[:, None] / _SMALL_TURN)
 
+    def by_shown_angles(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """The whitened derivatives `(n, k)` of the rows used with respect to `k` errors of the angles that the table
+        shows, of which one rad makes errors of `before` and `after`, `(P, L, k)`, at the ends of every piece."""
+        motion, model, nodes = self.done.motion, self.model, self.nominal()
+        at, of_angles = segments_of(motion, model), encoder_rows(motion, model, nodes)
+        ends = np.stack([after[at.last], before[at.first]], axis=1)[at.row_segment]
+        return self._whitened(self._system(nodes)[0], np.einsum("rsl,rslk->rk", of_angles, ends))
+
     def _whitened(self, steps: NoiseSteps, rows: np.ndarray) -> np.ndarray:
         row = row_of_steps(self.done.motion, self.model)
         white = np.asarray(whiten(steps, np.where((row >= 0)[:, None], rows[row], 0.0)))

@@ -43,8 +43,8 @@ ROTATED = r"mount|misalign|rotat|turned by|orientation|not an? (gyro|acceleromet
 BEYOND_T = rf"{_BEYOND}.*(temperature|°C|degC)|(temperature|°C|degC).*{_BEYOND}"
 BEYOND_RATE = rf"{_BEYOND}.*(rate|deg/s)|(rates?|deg/s).*{_BEYOND}"
 RATE_UNIT = r"unit|deg/s.*rad|rad.*deg|not a gyro|scale.factor error"
-ANGLE_UNIT = r"unit|angle|not a gyro|scale.factor error"
-WRAPPED = r"wrap|turns|angle|not a gyro|scale.factor error"
+ANGLE_UNIT = r"table.s angles in degrees"
+WRAPPED = r"wrap at 360 deg"
 FILTER = r"filter|delay|bandwidth|latency|standstill"
 TURN_ON = r"turn.on|power.?(on|up)|switched on|another power"
 G_SENSITIVITY = r"g.sensitiv|acceleration.sensitiv|sensitivity to (the )?(acceleration|specific force)|attitude"
@@ -54,6 +54,7 @@ CUT = r"stopped|broke off|broken off|ended (early|before)|shorter than|incomplet
 INSTABILITY = r"instabilit|scale.factor.*(drift|unstable|varies)|χ²|chi-squared|noise|white|disagree|contradict"
 NOISE = r"noise|residuals are|χ²|chi-squared|white|drift"
 HARMONICS = r"harmonic|encoder|eccentric|repeats with the angle|angle error|table"
+BACKLASH = r"backlash of|have backlash"
 SITE = r"gravity|latitude|site"
 TABLE = r"tilt|level|table|base|orthogonal|azimuth|installation"
 STRUCTURE = r"structure|degree|does not fit|beyond the model|model"
@@ -581,6 +582,10 @@ FAULTS: tuple[Fault, ...] = (
     Fault("encoder steps of 0.1 deg", AXIS_FULL, NOISE, encoders(step=0.1 * DEG)),
     Fault("encoder steps of 0.1 deg", UNIT_FULL, NOISE, encoders(step=0.1 * DEG)),
     Fault("third harmonic of the encoder, 0.05 deg", UNIT_FULL, HARMONICS, encoders(waves={3: (0.03, 0.04)})),
+    Fault("second harmonic of the encoder, 0.005 deg", UNIT_FULL, HARMONICS, encoders(waves={2: (0.003, 0.004)})),
+    Fault("backlash of 0.02 deg", AXIS, BACKLASH, encoders(backlash=0.02)),
+    Fault("backlash of 0.02 deg", UNIT, BACKLASH, encoders(backlash=0.02)),
+    Fault("backlash of 0.02 deg", UNIT_FULL, BACKLASH, encoders(backlash=0.02)),
     # Maps that the spec's functions cannot follow.
     Fault("cubic of the rate, 300 ppm", AXIS_FULL, STRUCTURE, cubic),
     Fault("cubic of the rate, 300 ppm", UNIT_FULL, STRUCTURE, cubic),

@@ -163,11 +163,16 @@ class Encoder:
     """From when (s), by how much (deg)."""
     step: float = 0.0
     """Resolution, deg."""
+    backlash: float = 0.0
+    """By how much (deg) what is shown after turns to and fro differs."""
 
     def reads(self, t: Floats, angle: Floats, stands: Floats, rng: np.random.Generator) -> Floats:
         said = angle * (1.0 + self.scale)
         for order, (cosine, sine) in self.waves.items():
             said = said + DEG * (cosine * np.cos(order * angle) + sine * np.sin(order * angle))
+        way = np.sign(np.diff(angle, prepend=angle[:1]))
+        last = np.maximum.accumulate(np.where(way != 0.0, np.arange(len(way)), 0))
+        said = said + 0.5 * DEG * self.backlash * way[last]
         draws = self.offset * rng.standard_normal(int(stands.max()) + 2)
         said = said + DEG * np.where(stands >= 0, draws[stands], 0.0) + DEG * self.noise * rng.standard_normal(len(t))
         if self.slip is not None:

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fault_list import AXIS, AXIS_FULL, FAULTS, UNIT, UNIT_FULL, Fault, none
+from fault_list import AXIS, AXIS_FULL, BACKLASH, FAULTS, HARMONICS, UNIT, UNIT_FULL, Fault, encoders, none
 from fault_scenes import Judged, judge
 from scipy.stats import binom
 
@@ -150,6 +150,32 @@ def test_a_wrong_latitude_is_said_with_the_one_that_the_gyros_observe(tmp_path: 
     assert "not valid: latitude of the site: " in found.printed
     seen, std = map(float, re.findall(r"at a latitude of about (\d+) ± (\d+) deg", found.printed)[0])
     assert abs(seen - 38.0) < 3.0 * std < 10.0
+
+
+def test_backlash_and_waves_of_the_angle_are_measured(tmp_path: Path) -> None:
+    """Of an IMU, whose accelerometers see where the table stands. A wave of 0.005 deg alone makes a misalignment wrong
+    by twice its U, and no other test notices."""
+    lash = outcome(Fault("", UNIT_FULL, BACKLASH, encoders(backlash=0.02)), tmp_path)
+    assert "backlash of the axis spin" in lash.printed
+    size, std = map(float, re.findall(r"in one direction differ by (\S+) ± (\S+) deg", lash.printed)[0])
+    assert abs(size - 0.02) < 3.0 * std < 0.006
+    wave = outcome(Fault("", UNIT_FULL, HARMONICS, encoders(waves={2: (0.003, 0.004)})), tmp_path)
+    assert "waves of the angle of the axis spin, order 2" in wave.printed
+    (size,) = map(float, re.findall(r"about (\S+) deg that repeats 2 times", wave.printed))
+    assert abs(size - 0.005) < 0.001
+    assert max(one.error / one.u for one in wave.judged if one.u) > 1.5
+
+
+def test_a_log_that_cannot_show_backlash_says_what_it_would_change(tmp_path: Path) -> None:
+    """Turns to and fro with backlash are a scale-factor error: 0.02 deg of two turns of 1800 and of 720 deg."""
+    sound, lash = (outcome(Fault("", AXIS_FULL, BACKLASH, encoders(backlash=size)), tmp_path) for size in (0.0, 0.02))
+    (said,) = {float(x) for of in (sound, lash) for x in re.findall(r"would change 'M' by (\S+) ppm", of.printed)}
+    of_scale = next(one for one in lash.judged if one.name == "M")
+    assert of_scale.error == pytest.approx(2.0 * said, rel=0.2)
+    assert 0.02 / 1800 < 2e-6 * said < 0.02 / 720
+    assert not any(
+        "cannot show backlash" in line for line in outcome(Fault("", UNIT_FULL, "", none), tmp_path).sentences
+    )
 
 
 def test_a_sound_log_accuses_nobody(tmp_path: Path) -> None:

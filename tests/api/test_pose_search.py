@@ -325,6 +325,7 @@ def test_the_targets_of_other_requirements_limit_a_search():
     assert f"meets the target of {other.name}" in never.sentence
 
 
+@pytest.mark.long
 def test_the_result_is_never_worse_than_the_plan_as_it_was(searched):
     """A search from an optimum that may do nothing finds nothing, and says so."""
     _, _, best = searched

@@ -77,6 +77,7 @@ def test_cases_in_a_loop_are_the_cases_one_by_one(spec):
 HIDDEN = {"standard_deviation": "20 ppm", "temperature_degree": 3, "rate_degree": 3}
 
 
+@pytest.mark.long
 def test_a_search_finds_a_plan_that_notices_what_its_file_s_own_does_not(spec):
     (row,) = predict(changed(spec, {"design.notice": HIDDEN}), notices=True).notices
     notice = HIDDEN | {"standard_deviation": f"{0.5 * row.sure_from:.4g} ppm", "power": "90 %"}

@@ -68,6 +68,7 @@ def resumed(folder, interrupted):
     return json.loads(done.stdout)
 
 
+@pytest.mark.long
 def test_an_interrupted_search_keeps_the_best_and_goes_on(interrupted, resumed):
     assert "interrupted; the best plan so far" in interrupted["status"]
     assert resumed["now"] <= interrupted["now"] * 1.01
@@ -82,6 +83,7 @@ def test_it_ends_where_an_uninterrupted_one_does(folder, resumed):
     assert (folder / "part.toml").read_text() == (folder / "whole.toml").read_text()
 
 
+@pytest.mark.long
 def test_the_recipe_carries_what_is_said_and_predict_says_the_same(resumed, folder, capsys):
     recipe = str(folder / "part.toml")
     # The spec names little: with what it leaves out no plan is within 200 ppm.

@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+import pytest
 from imu_bench import made, short
 
 from gradcal_jax.cli import main
@@ -12,6 +13,7 @@ from gradcal_jax.files.base.writing import write_toml
 PLACES = [{"name": "left"}, {"name": "right", "x": "+x", "y": "-y", "z": "-z"}]
 
 
+@pytest.mark.long
 def test_logs_pages_and_certificates_of_all_imus(tmp_path: Path, capsys, monkeypatch):
     recipe, run = tmp_path / "recipe.toml", tmp_path / "run"
     # (A page has some forty pictures of all requirements, which tests/pages draw.)

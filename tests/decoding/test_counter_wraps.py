@@ -251,6 +251,7 @@ def datagram(index: int) -> bytes:
     return body + checksums.crc32_mpeg2(body + bytes(2)).to_bytes(4, "big")
 
 
+@pytest.mark.long
 @settings(max_examples=100, deadline=None)
 @given(streams(0.75, agreeing=3), st.sampled_from([3, 64, 1000]))
 def test_the_stream_is_read_in_blocks_of_any_size(pieces: list[Piece], rows: int) -> None:

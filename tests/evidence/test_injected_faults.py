@@ -152,6 +152,7 @@ def test_a_wrong_latitude_is_said_with_the_one_that_the_gyros_observe(tmp_path: 
     assert abs(seen - 38.0) < 3.0 * std < 10.0
 
 
+@pytest.mark.long
 def test_backlash_and_waves_of_the_angle_are_measured(tmp_path: Path) -> None:
     """Of an IMU, whose accelerometers see where the table stands. A wave of 0.005 deg alone makes a misalignment wrong
     by twice its U, and no other test notices."""
@@ -166,6 +167,7 @@ def test_backlash_and_waves_of_the_angle_are_measured(tmp_path: Path) -> None:
     assert max(one.error / one.u for one in wave.judged if one.u) > 1.5
 
 
+@pytest.mark.long
 def test_a_log_that_cannot_show_backlash_says_what_it_would_change(tmp_path: Path) -> None:
     """Turns to and fro with backlash are a scale-factor error: 0.02 deg of two turns of 1800 and of 720 deg."""
     sound, lash = (outcome(Fault("", AXIS_FULL, BACKLASH, encoders(backlash=size)), tmp_path) for size in (0.0, 0.02))

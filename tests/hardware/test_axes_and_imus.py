@@ -126,6 +126,7 @@ def test_every_axis_refuses_what_it_cannot_do(axis_bench) -> None:
         assert plant_of(device).state(0.0)[1] == 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", ["drop", "duplicate", "flip", "delay"])
 def test_every_command_of_an_axis_lost_doubled_damaged_or_late_once_is_noticed(axis_bench, fault) -> None:
     """Each line of a session in its turn: what returns without an exception has taken effect."""
@@ -159,6 +160,7 @@ def test_every_command_of_an_axis_lost_doubled_damaged_or_late_once_is_noticed(a
     assert refused <= (tried if fault == "flip" and axis_bench in UNCHECKED else tried // 4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("way", ["faults", "commands"])
 def test_no_axis_is_put_off_by_a_bad_line(axis_bench, way: str) -> None:
     """Replies or commands dropped, flipped, doubled, cut: what the driver says it did, it did."""

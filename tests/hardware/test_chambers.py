@@ -153,6 +153,7 @@ def test_every_chamber_refuses_what_lies_outside_its_own_limits(bench) -> None:
         assert chamber.read().setpoint_c == before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("way", ["faults", "commands"])
 def test_no_chamber_is_put_off_by_a_bad_line(bench, way: str) -> None:
     """Drops, noise, duplicates, truncated and split replies or commands: what takes effect is verified."""
@@ -206,6 +207,7 @@ def test_every_command_lost_doubled_damaged_or_late_once_is_noticed(bench, fault
         assert refused <= (12 if fault == "flip" else 4)  # a damaged line is refused by the chamber itself
 
 
+@pytest.mark.long
 def test_late_and_double_replies_are_not_taken_for_the_next_answer(bench) -> None:
     clock = LineClock()
     faults = Faults(delay_s=0.45)

@@ -351,6 +351,7 @@ def every_exception() -> list[BaseException]:
 SOME = (termios.error, OSError, TypeError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit, ExceptionGroup)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("where", ["open", "write", "read"])
 def test_the_guard_survives_every_exception_of_one_port(
     where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -205,6 +205,7 @@ def require_equal(found: list[StepData], wanted: list[StepData]) -> None:
 # -------------------------------------------------------------------------------------------------------- the proofs
 
 
+@pytest.mark.long
 def test_killed_runs_are_gone_on_with_and_lose_nothing(tmp_path: Path) -> None:
     tally = killed_runs(tmp_path, prepared(tmp_path, 2.0), 2, seed=3)
     assert tally.kills.total() == 2

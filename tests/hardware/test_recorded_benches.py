@@ -77,6 +77,7 @@ def test_a_bench_is_recorded_with_what_the_drivers_made_of_it(recorded: Path) ->
     assert rig_in(recorded)["chamber"]["driver"] == "espec"
 
 
+@pytest.mark.long
 def test_a_recorded_bench_is_replayed_as_its_devices(recorded: Path) -> None:
     same(recorded)
 

@@ -163,6 +163,7 @@ def test_standstills_that_no_log_marks_are_found_and_lost_rows_do_no_harm():
     assert 1e-4 < stats.chi2.sf(squared(report, values), len(values)) < 1.0 - 1e-4
 
 
+@pytest.mark.long
 def test_a_table_that_was_knocked_against_spoils_no_robust_estimate():
     """Shocks in three rests, of some hundred standard deviations of the rest's mean, too long for single rows to stand
     out; they are named, and little else counts for less."""

@@ -154,6 +154,7 @@ _FLAT = {"b": 1e-2, "s": 1e-2, "m": 1e-2, "g": 1e-3}
 _WHICH = np.array([8, 18, 19, 24, 25, 26, 27])
 
 
+@pytest.mark.long
 def test_gradients_in_every_kind_of_number_against_central_differences():
     which = _WHICH
     numbers = {k: jnp.asarray(v) for k, v in _NUMBERS.items()}

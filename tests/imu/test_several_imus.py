@@ -169,6 +169,7 @@ def test_the_prediction_of_a_fixture_is_of_the_joint_estimate():
     assert min(ratios) < 0.95
 
 
+@pytest.mark.long
 def test_the_covariance_in_the_calibration_is_the_joint_one():
     (report, *_), (one, *_), _ = together(5)
     pair = [np.sqrt(np.diag(np.array(r.calibration.covariance.matrix))) for r in (report, one)]

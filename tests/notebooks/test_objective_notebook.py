@@ -11,6 +11,7 @@ def test_it_is_committed_as_executed():
     assert "found: " in check_as_executed(NAME, pictures=1)
 
 
+@pytest.mark.long
 def test_its_cells_run_with_few_sensors_and_steps(monkeypatch):
     names, said = run_cells(NAME, monkeypatch, STEPS=30, DRAWS=20)
     assert "84.931" in said

@@ -38,7 +38,7 @@ from gradcal_jax.api.error_budget import (
     ramp_of_record,
     unseen_errors,
 )
-from gradcal_jax.api.figure_tests import backlash_sentences, figure_tests
+from gradcal_jax.api.figure_tests import angle_columns, backlash_sentences, figure_tests
 from gradcal_jax.api.fit_of_log import FittedRows, Recorded, calibration_of, fit_of, points_of, tests_by_name, together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.imu_residual import internal_misalignments
@@ -351,7 +351,9 @@ def report_of(
     budget = budget_of_estimate(estimated, known, run, noise)
     structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))
     beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.beyond for channel, t in structure}
-    figures = () if options.robust else tuple(figure_tests(built.spec, readings, solution, excess_of(tests)))
+    of_angles = angle_columns(built.spec, readings)
+    tested = built.spec, readings, solution, of_angles, excess_of(tests)
+    figures = () if options.robust else tuple(figure_tests(*tested))
     beyond_maps |= {one.name: one.test for one in figures}
     of_table = beyond_the_spec(model, model.to_reported @ solution.parameters, prior_deviations(built))
     failed = estimation.contradictions(tests_by_name(tests, channels) | beyond_maps)
@@ -392,7 +394,7 @@ def report_of(
     of_path = () if path is None else path.sentences
     of_path = *of_path, *one_way_sentences(built, solution.known, done.motion.line), *branch_sentences(built.spec)
     of_path = *of_path, *attitude_sentences(built.spec)
-    of_path = *of_path, *backlash_sentences(estimated, readings, solution, requirements)
+    of_path = *of_path, *backlash_sentences(estimated, solution, of_angles, requirements)
     beside = *of_path, *omitted_sentences(built.spec, temperature[record], lag.std is not None), *beyond
     looks = diagnosis_sentences(solution.estimate.residuals, of_segment[at.row_segment][used], moved)
     told = _words(report, solution, of_table.values()), looks if contradicted else []

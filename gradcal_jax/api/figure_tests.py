@@ -6,7 +6,7 @@ residuals, or does not. Where a plan's parameters take them up there is nothing 
 backlash are a scale-factor error.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -47,28 +47,77 @@ class FigureTest(NamedTuple):
     sentence: str
 
 
-def figure_tests(spec: Spec, readings: ImuReadings, solution: ImuEstimate, excess: float) -> Iterator[FigureTest]:
+class AngleColumns(NamedTuple):
+    """Whitened columns of the rows used with respect to errors of one axis's angles: `backlash` `(n, 1)` (None if the
+    axis turns in one direction only), `waves` `(n, 2)` by order, `scale` `(n, 1)`."""
+
+    axis: str
+    backlash: np.ndarray | None
+    waves: Mapping[int, np.ndarray]
+    scale: np.ndarray
+
+    def components(self, columns: np.ndarray, solution: ImuEstimate) -> Components:
+        """Components on some of the columns, beside an unknown scale error, which is no parameter: 1 ppm of it is
+        0.001 deg after three turns."""
+        both = np.concatenate([columns, self.scale], axis=1)
+        return components(solution.white, both, np.arange(both.shape[1]) < columns.shape[1])
+
+
+def angle_columns(spec: Spec, readings: ImuReadings) -> list[AngleColumns]:
+    """Of every axis of the table, without the waves that the spec has; none where no angle is read at rest."""
+    if readings.done.motion.line.rates or readings.free or readings.sigma is not None:
+        return []
+    ends = np.stack(readings.done.motion.angles())
+    errors, places = [], []
+    for number, axis in enumerate(spec.rig.table.axis):
+        angle, orders = ends[..., number], sorted(set(_ORDERS) - {wave.order for wave in axis.angle.harmonics})
+        waves = [wave(order * angle) for order in orders for wave in (np.cos, np.sin)]
+        sides = _sides(angle)
+        own = [angle, *waves, *(() if sides is None else (sides,))]
+        places.append((axis.name, orders, sides is not None, len(errors)))
+        for error in own:
+            errors.append(np.zeros(ends.shape))
+            errors[-1][..., number] = error
+    if not errors:
+        return []
+    before, after = np.stack(errors, axis=-1)
+    every, found = readings.by_shown_angles(before, after), list[AngleColumns]()
+    for name, orders, both_ways, at in places:
+        waves = {order: every[:, at + 1 + 2 * k : at + 3 + 2 * k] for k, order in enumerate(orders)}
+        last = at + 1 + 2 * len(orders)
+        found.append(AngleColumns(name, every[:, last : last + 1] if both_ways else None, waves, every[:, at : at + 1]))
+    return found
+
+
+def _sides(angle: np.ndarray) -> np.ndarray | None:
+    """The side, ±½, on which an axis stands by its last turn, before and after every piece, `(2, P)`, as its angles;
+    None if it turns in one direction only."""
+    way = angle[1] - angle[0]
+    sign = np.where(np.abs(way) > _TURN, np.sign(way), 0.0)
+    turned = np.maximum.accumulate(np.where(sign != 0.0, np.arange(1, len(sign) + 1), 0))
+    side = 0.5 * np.concatenate([[0.0], sign])[turned]
+    return np.stack([np.concatenate([[0.0], side[:-1]]), side]) if np.ptp(side) == 1.0 else None
+
+
+def figure_tests(
+    spec: Spec, readings: ImuReadings, solution: ImuEstimate, angles: Sequence[AngleColumns], excess: float
+) -> Iterator[FigureTest]:
     """All of them; `excess`: the factor by which the residuals exceed the spec's noise, which is not backlash."""
     yield from _latitude(spec, readings, solution)
-    if not _shows_angles(readings):
-        return
-    for number, axis in enumerate(spec.rig.table.axis):
-        yield from _backlash(number, axis.name, readings, solution, excess)
-        orders = sorted(set(_ORDERS) - {wave.order for wave in axis.angle.harmonics})
-        yield from _waves(number, axis.name, orders, readings, solution, excess)
+    for of_axis in angles:
+        yield from _backlash(of_axis, solution, excess)
+        yield from _waves(of_axis, solution, excess)
 
 
 def backlash_sentences(
-    built: BuiltImu, readings: ImuReadings, solution: ImuEstimate, rows: Sequence[RequirementRow]
+    built: BuiltImu, solution: ImuEstimate, angles: Sequence[AngleColumns], rows: Sequence[RequirementRow]
 ) -> Iterator[str]:
     """A sentence for each axis whose backlash the parameters take up, where a little of it would matter; `rows`: of the
     spec's requirements, judged."""
-    if not _shows_angles(readings):
-        return
     known = solution.known.spread
-    for number, axis in enumerate(built.spec.rig.table.axis):
-        column = _by_backlash(number, readings)
-        if column is None or _is_known(_beside_scale(number, column, readings, solution), _LITTLE / 2.0):
+    for of_axis in angles:
+        column = of_axis.backlash
+        if column is None or _is_known(of_axis.components(column, solution), _LITTLE / 2.0):
             continue
         shift = Posterior(_LITTLE * known @ (known.T @ (solution.white.rows.T @ column)), np.zeros((len(known), 0)))
         changes = [imu_residual(built, shift, requirement).statistic() for requirement in built.spec.requirement]
@@ -76,24 +125,11 @@ def backlash_sentences(
         worst = int(np.argmax(shares)) if shares else 0
         if shares and shares[worst] > _MATTERS:
             yield (
-                f"the log cannot show backlash of the axis {axis.name}, and the uncertainty does not include it: "
+                f"the log cannot show backlash of the axis {of_axis.axis}, and the uncertainty does not include it: "
                 f"{np.degrees(_LITTLE):.2g} deg of backlash would change '{rows[worst].name}' by {changes[worst]:.2g} "
                 f"{rows[worst].unit}. If the drive has backlash, read the angle at the axis itself, or approach every "
                 "stop from the same side"
             )
-
-
-def _shows_angles(readings: ImuReadings) -> bool:
-    return not (readings.done.motion.line.rates or readings.free or readings.sigma is not None)
-
-
-def _beside_scale(number: int, columns: np.ndarray, readings: ImuReadings, solution: ImuEstimate) -> Components:
-    """Components on the columns `(n, k)` of errors of an axis's angle, beside an unknown scale error of this angle,
-    which is no parameter: 1 ppm of it is 0.001 deg after three turns."""
-    angles = np.zeros((2, *readings.done.motion.angles()[0].shape, 1))
-    angles[:, :, number, 0] = np.stack(readings.done.motion.angles())[..., number]
-    both = np.concatenate([columns, readings.by_shown_angles(angles[0], angles[1])], axis=1)
-    return components(solution.white, both, np.arange(both.shape[1]) < columns.shape[1])
 
 
 def _is_known(of: Components, std: float) -> bool:
@@ -120,26 +156,9 @@ def _latitude(spec: Spec, readings: ImuReadings, solution: ImuEstimate) -> Itera
     )
 
 
-def _by_backlash(number: int, readings: ImuReadings) -> np.ndarray | None:
-    """The whitened column `(n, 1)` of the backlash of an axis, 1/rad; None if the axis turns in one direction only."""
-    before, after = readings.done.motion.angles()
-    way = after[:, number] - before[:, number]
-    sign = np.where(np.abs(way) > _TURN, np.sign(way), 0.0)
-    # The side at which the axis stands after each piece: of its last turn.
-    turned = np.maximum.accumulate(np.where(sign != 0.0, np.arange(1, len(sign) + 1), 0))
-    side = 0.5 * np.concatenate([[0.0], sign])[turned]
-    if np.ptp(side) < 1.0:
-        return None
-    error = np.zeros((2, *before.shape, 1))
-    error[:, :, number, 0] = np.concatenate([[0.0], side[:-1]]), side
-    return readings.by_shown_angles(error[0], error[1])
-
-
-def _backlash(
-    number: int, axis: str, readings: ImuReadings, solution: ImuEstimate, excess: float
-) -> Iterator[FigureTest]:
-    column = _by_backlash(number, readings)
-    if column is None or not _is_known(of := _beside_scale(number, column, readings, solution), _ANGLE):
+def _backlash(angles: AngleColumns, solution: ImuEstimate, excess: float) -> Iterator[FigureTest]:
+    column, axis = angles.backlash, angles.axis
+    if column is None or not _is_known(of := angles.components(column, solution), _ANGLE):
         return
     size, std = abs(float(of.y[0, 0])) * of.gains[0] ** -0.5, excess * of.gains[0] ** -0.5
     yield FigureTest(
@@ -151,22 +170,16 @@ def _backlash(
     )
 
 
-def _waves(
-    number: int, axis: str, orders: Sequence[int], readings: ImuReadings, solution: ImuEstimate, excess: float
-) -> Iterator[FigureTest]:
-    ends = np.stack(readings.done.motion.angles())
-    for order in orders:
-        error = np.zeros((*ends.shape, 2))
-        angle = order * ends[..., number]
-        error[:, :, number] = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        of = _beside_scale(number, readings.by_shown_angles(error[0], error[1]), readings, solution)
+def _waves(angles: AngleColumns, solution: ImuEstimate, excess: float) -> Iterator[FigureTest]:
+    for order, columns in angles.waves.items():
+        of = angles.components(columns, solution)
         if not _is_known(of, _ANGLE):
             continue
-        seen = np.linalg.norm(of.y[:, 0] / np.sqrt(of.gains))
+        size = np.linalg.norm(of.y[:, 0] / np.sqrt(of.gains))
         yield FigureTest(
-            f"waves of the angle of the axis {axis}, order {order}",
+            f"waves of the angle of the axis {angles.axis}, order {order}",
             chi_squared_test(chi_squared(of).statistic / excess**2, len(of.gains)),
-            f"axis {axis}: the table's angle has an error of about {np.degrees(seen):.2g} deg that repeats {order} "
-            f"times per turn, but the spec states no such error: add harmonics of order {order} to the angle of "
-            "this axis in [rig.table]",
+            f"axis {angles.axis}: the table's angle has an error of about {np.degrees(size):.2g} deg that repeats "
+            f"{order} times per turn, but the spec states no such error: add harmonics of order {order} to the angle "
+            "of this axis in [rig.table]",
         )

@@ -1,11 +1,11 @@
 """Is the result of `optimise` ever worse than the plan of the file? Every preset, seed by seed.
 
-    python experiments/designs/presets.py                                      all: an hour of processor time
+    python experiments/designs/presets.py                                      all: several hours of processor time
     python experiments/designs/presets.py --case tactical-mems --seed 1        one, to experiments/designs/presets
     python experiments/designs/presets.py --report                             presets.md of what is there
 
-IMUs on a table of three axes, or with several mountings or plateaus, take the better part of an hour; `--steps` ends a
-search earlier (of `optimise`, of which the table has "all" otherwise).
+Some IMUs (three axes, several mountings or plateaus) take the better part of an hour; `--steps` ends each
+search earlier. In the table, "all" stands for the number of steps that `optimise` takes by itself.
 Of a preset without a [design] it is the one that `optimise` offers. Both values are of the plans as `predict` has them.
 """
 

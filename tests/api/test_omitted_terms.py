@@ -10,7 +10,7 @@ from simulated_log import simulate_log
 
 import gradcal_jax as gj
 from gradcal_jax.api.calibrations import calibration_map
-from gradcal_jax.api.contradictions import omitted_sentences
+from gradcal_jax.api.contradictions import omitted_sentences, wrapped_sentence
 from gradcal_jax.api.estimate import estimate_log, estimate_sensors
 from gradcal_jax.api.log_rows import Options
 from gradcal_jax.cli import main
@@ -439,6 +439,14 @@ def test_a_channel_that_no_device_has_is_refused_by_name_and_cause(unit_log, cha
     rates, forces = change(logs[0].rate_rad_per_s, logs[0].specific_force_m_per_s2)
     with pytest.raises(LogError, match=said):
         estimate_sensors(spec, [replace(logs[0], rate_rad_per_s=rates, specific_force_m_per_s2=forces)])
+
+
+def test_angles_that_wrap_are_asked_about():
+    turns = np.linspace(0.0, 10.0 * np.pi, 999)[:, None]
+    unread = np.where(np.arange(999) % 3 == 0, turns[:, 0], np.nan)[:, None]
+    assert "wrap at 360 deg" in wrapped_sentence(np.mod(unread, 2.0 * np.pi))
+    for sound in (turns, unread, 0.5 * np.mod(turns, 2.0 * np.pi), np.full((9, 1), np.nan)):
+        assert wrapped_sentence(sound) == ""
 
 
 def test_a_unit_s_estimate_counts_what_its_spec_omits(unit_log):

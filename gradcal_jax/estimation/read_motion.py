@@ -33,7 +33,9 @@ def motion_by_readings(log: ImuRows, geometry: Geometry) -> ExecutedImu:
     unknown = not np.isfinite(log.angles[:, 0]).any()
     read = log.at_a_stop & (np.isfinite(log.angles[:, 0]) | unknown)
     groups = [np.flatnonzero(read[a:b]) + a for a, b in runs(log.standing | read)]
-    groups = [rows for rows in groups if len(rows)]
+    # A table stands at the end of one mounting and at the beginning of the next, at other angles.
+    groups = [np.split(rows, np.flatnonzero(np.diff(log.mounting[rows])) + 1) for rows in groups if len(rows)]
+    groups = list(itertools.chain.from_iterable(groups))
     if sum(map(len, groups)) < 2:
         raise ValueError("nothing can be estimated: the log has fewer than two readings while the table is at rest")
     worth = np.ones(len(read)) if log.worth is None else log.worth

@@ -175,8 +175,10 @@ def column_readings(
         polls = np.flatnonzero(polled)
         between = np.isfinite(read_every)
         goals = np.arange(time[0] + read_every, time[-1] - 0.5 * read_every, read_every) if between else np.zeros(0)
-        after = np.searchsorted(time[polls], goals - 1e-9)
-        result[first + polls[np.concatenate([[0], after[after < len(polls)], [len(polls) - 1]])]] = True
+        # The nearest poll, not the next one: a table that is polled as often as asked would lose one in two.
+        next_one = np.searchsorted(time[polls], goals).clip(1, len(polls) - 1) if len(polls) > 1 else np.zeros(0, int)
+        nearer = goals - time[polls[next_one - 1]] < time[polls[next_one]] - goals if len(next_one) else False
+        result[first + polls[np.concatenate([[0], next_one - nearer, [len(polls) - 1]])]] = True
     return result
 
 

@@ -95,3 +95,32 @@ def test_an_angle_that_never_changes_is_read_as_often_as_the_spec_says():
     # One value that stays is one poll, where others show the table's noise.
     polled = np.where(time < 50.0, 0.0, 1e-5)
     assert column_readings(time, polled, still, 10.0).sum() == 4
+
+
+def test_a_table_that_is_polled_as_often_as_asked_loses_no_reading():
+    """Its first row at rest comes some milliseconds after the poll."""
+    time = np.round(np.arange(0.0, 6.0, 0.02), 2)
+    angle = np.floor(time + 0.01) * 1e-5
+    polls = np.flatnonzero(np.diff(angle, prepend=np.nan) != 0.0)
+    still = time > 0.03
+    np.testing.assert_array_equal(np.flatnonzero(column_readings(time, angle, still, 1.0)), [2, *polls[1:]])
+
+
+def test_a_standstill_ends_with_its_mounting():
+    """The table stands at another angle when the IMU has been mounted anew, without a row between."""
+    rows, once = log(), len(log().time_s)
+    again = rows._replace(
+        time_s=rows.time_s + rows.time_s[-1] + 3600.0,
+        usable=np.arange(once) > 0,
+        mounting=rows.mounting + 1,
+        angles=rows.angles + 1.0,
+    )
+    both = ImuRows(*(None if a is None else np.concatenate([a, b]) for a, b in zip(rows, again, strict=True)))
+    twice = Geometry(np.array([[0.0, 0.0, 1.0]]), np.eye(3), np.stack([np.eye(3)] * 2), np.zeros(()), np.array(9.8))
+    line = motion_by_readings(both, twice).motion
+    alone = motion_by_readings(rows, geometry()).motion
+    count = len(alone.line.duration)
+    begin, end = (of[:count] for of in line.angles())
+    np.testing.assert_allclose((begin, end), alone.angles(), atol=1e-12)
+    assert line.line.gap[count]
+    assert not alone.line.gap[-1]

@@ -153,11 +153,14 @@ def record(
     names: tuple[str, ...] = (),
     number: int = 1,
     table_rng: np.random.Generator | None = None,
+    punctual: bool = False,
 ) -> Recorded:
     """A recording of one unit whose errors are `truth`, by the names of the calibration's coefficients (SI).
 
     `temperature_of(t)` °C. `names`: of the axes, for the installation's errors; `number`: of the mounting.
-    `table_rng` draws the encoders' errors, in the place of `rng`: for several IMUs on one table.
+    `table_rng` draws the encoders' errors, in the place of `rng`: for several IMUs on one table. `punctual`: encoders
+    are read when they are due, at both ends of a standstill too; otherwise in equal parts of it, the last of which ends
+    with it.
     """
     whole = sum(leg.duration for leg in legs)
     count = int(whole * rate_hz)
@@ -165,7 +168,7 @@ def record(
     dt = 1.0 / rate_hz
     nodes = (time[:-1, None] + dt * _X).ravel()
     angles, rates, leg_of = commanded(legs, start, nodes)
-    draws, readings = _encoders(bench, legs, start, time, (table_rng or rng) if noisy else None)
+    draws, readings = _encoders(bench, legs, start, time, (table_rng or rng) if noisy else None, punctual=punctual)
     # An axis stands beyond its encoder's angle by what repeats, and by the draw of its standstill.
     true, pace = angles.copy(), rates.copy()
     for l in range(len(bench.axes)):
@@ -287,7 +290,7 @@ def _spans(legs: list[Leg], axis: int) -> list[tuple[float, float]]:
     return list(zip([0.0, *edges[[k + 1 for k in own]]], [*edges[own], edges[-1]], strict=True))
 
 
-def _encoders(bench: Bench, legs, start, time, rng):
+def _encoders(bench: Bench, legs, start, time, rng, *, punctual: bool):
     """Of every axis: how far beyond its mean reading it stands in each standstill; and the readings at each sample."""
     angles, _, _ = commanded(legs, start, time[1:])
     draws = []
@@ -301,7 +304,9 @@ def _encoders(bench: Bench, legs, start, time, rng):
             if rng is not None and rows.stop > rows.start:
                 # One reading each `every`, held until the next, as slow encoders are logged.
                 noise = bench.reading[l] * rng.standard_normal(count)
-                held = np.floor((time[1:][rows] - begin) / (end - begin) * count).astype(int)
+                part = bench.every[l] if punctual else (end - begin) / count
+                held = np.floor((time[1:][rows] - begin) / part + 1e-9).astype(int)
+                held[-1] = count - 1 if punctual else held[-1]
                 angles[rows, l] += noise[np.clip(held, 0, count - 1)]
         draws.append(own)
     return draws, angles

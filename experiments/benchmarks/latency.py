@@ -22,17 +22,20 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 SPEC = ROOT / "experiments" / "designs" / "headline.toml"
 SWEEP = ROOT / "experiments" / "benchmarks" / "sweep.toml"
+IMU = ROOT / "experiments" / "imu" / "hand2.toml"
 RECIPE = ROOT / "experiments" / "recipes" / "headline.toml"
 GRADCAL = (sys.executable, "-c", "import sys; from gradcal_jax.cli import main; sys.exit(main(sys.argv[1:]))")
 
 
 class Case(NamedTuple):
-    """A command; `{s}` stands for the spec, `{o}` for a file to write. `until`: what ends it, seen in its output."""
+    """A command; `{s}` stands for the spec, `{o}` for a file to write. `until`: what ends it, seen so `often` in its
+    output: an axis's first line says where random starts stand, the second one where the first descent ended."""
 
     name: str
     command: tuple[str, ...]
     spec: str = "same"
     until: str | None = None
+    often: int = 2
 
 
 CASES = (
@@ -43,6 +46,7 @@ CASES = (
     Case("predict, new numbers", (*GRADCAL, "predict", "{s}"), "numbers"),
     Case("predict, new sizes", (*GRADCAL, "predict", "{s}"), "sizes"),
     Case("optimise, first step", (*GRADCAL, "optimise", "{s}", "-o", "{o}", "--force"), until="ppm"),
+    Case("optimise an IMU, first step", (*GRADCAL, "optimise", str(IMU), "-o", "{o}", "--force"), until="->", often=1),
     Case("optimise --quick", (*GRADCAL, "optimise", "{s}", "-o", "{o}", "--force", "--quick")),
     Case("optimise", (*GRADCAL, "optimise", "{s}", "-o", "{o}", "--force")),
     Case("limit", (*GRADCAL, "limit", "{s}")),
@@ -87,15 +91,14 @@ def timed(case: Case, package: Path, cache: Path, folder: Path) -> Times | None:
     assert process.stderr is not None
     seen = 0
     for line in process.stderr:
-        # The first line says where random starts stand, the second where the first descent ended.
         seen += case.until is not None and case.until in line
-        if seen == 2:
+        if seen == case.often:
             process.kill()
             break
     process.stderr.close()
     status, wall = process.wait(), time.perf_counter() - begin
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    ends = seen == 2 if case.until else status in (0, 1)
+    ends = seen == case.often if case.until else status in (0, 1)
     processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return Times(processor, wall) if ends else None
 

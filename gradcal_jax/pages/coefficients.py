@@ -13,7 +13,7 @@ from gradcal_jax.files.calibration import Calibration, Covariance
 from gradcal_jax.files.run.recipe import Predicted
 from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.model import TEMPERATURE_GRADIENT
-from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.numbers import figures, with_uncertainty
 
 # Of more channels a table has a column for each axis.
 _MOST_CHANNELS: Final = 3
@@ -112,7 +112,7 @@ def _by_axis(facts: Sequence[ParameterFact]) -> list[tuple[str, ...]]:
     for row in facts:
         text = "not observable" if row.predicted_std is None else figures(row.predicted_std)
         if row.value is not None:
-            text = "not observed" if row.std is None else f"{figures(row.value, 5)} ± {figures(row.std, 2)}"
+            text = "not observed" if row.std is None else with_uncertainty(row.value, row.std)
             text += "" if row.off_by_sigma is None else f" ({figures(row.off_by_sigma, 2)}σ)"
         table.setdefault((row.kind, row.name, row.unit), {})[row.axis] = text
     first = "parameter ± 1σ" if any(row.value is not None for row in facts) else "parameter, 1σ"

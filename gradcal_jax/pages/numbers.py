@@ -32,11 +32,6 @@ def with_uncertainty(value: float, deviation: float) -> str:
     return " ± ".join(shown).replace("-", "−")
 
 
-def count_text(number: int, noun: str) -> str:
-    """ "1 step", "17 steps"."""
-    return f"{number} {noun}" + "s" * (number != 1)
-
-
 def unbroken_options(command: str) -> Markup:
     """A command whose options ("--format") a browser keeps on one line."""
     words = (escape(word) for word in command.split(" "))

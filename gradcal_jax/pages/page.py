@@ -32,12 +32,12 @@ from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, symbols
 from gradcal_jax.pages.figures import calibration_pictures, map_pictures, pose_picture, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
-from gradcal_jax.pages.numbers import count_text, figures, one_sign, unbroken_options
+from gradcal_jax.pages.numbers import figures, one_sign, unbroken_options
 from gradcal_jax.pages.report_data import ReportData, report_data_of
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources, read_sources
 from gradcal_jax.pages.templates import page_file, page_templates
-from gradcal_jax.units import DEG_PER_S, time_text, times_text
+from gradcal_jax.units import DEG_PER_S, count_text, time_text, times_text
 
 # Moves of a cycle that a page shows.
 _MOST_MOVES: Final = 80

@@ -196,7 +196,7 @@ def typical_terms(answers: Answers) -> list[str]:
     if not _turns(answers) or answers["angle"].strip() == NO_ENCODER:
         return []
     rows = started_spec.not_asked(answers, _known(answers))
-    return columns(rows, indent="", width=118).splitlines()
+    return columns(rows, indent="", width=110).splitlines()
 
 
 def _known(answers: Answers) -> dict[str, tuple[Any, ...]]:

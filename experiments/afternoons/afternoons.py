@@ -103,7 +103,8 @@ def afternoon(folder: Path, preset: str, own: bool) -> Iterator[str]:
     minutes = (words + pages) / WORDS_A_MINUTE
     yield (
         f"\nAll commands together took {spent / 60.0:.1f} min. Reading takes {minutes:.0f} min at {WORDS_A_MINUTE}\n"
-        f"words a minute: [My IMU, tomorrow](../tutorial.md) has {pages} words, and the commands print\n{words} words in full.\n"
+        f"words a minute: [My IMU, tomorrow](../tutorial.md) has {pages} words, and the commands print\n"
+        f"{words} words in full.\n"
     )
 
 

@@ -33,11 +33,9 @@ def with_uncertainty(value: float, deviation: float) -> str:
 
 
 def unbroken_options(command: str) -> Markup:
-    """A command whose options ("--format") a browser keeps on one line."""
-    words = (escape(word) for word in command.split(" "))
-    return Markup(" ").join(
-        Markup('<span class="option">{}</span>').format(word) if word.startswith("--") else word for word in words
-    )
+    """A command whose options, with their values ("--format csv"), a browser keeps on one line."""
+    html = re.sub(r"--[a-z-]+(?: [^\s-]\S*)?", r'<span class="option">\g<0></span>', str(escape(command)))
+    return Markup(html)
 
 
 def percent(chance: float, least: float = 1e-4) -> str:

@@ -31,7 +31,8 @@ HEAD = """# {title}
 This page was made by `experiments/afternoons/afternoons.py`. It shows every command, with its output, from an empty
 folder to the C header for the firmware. **All devices are simulated**: for a real run, write `--rig mine/rig.toml`
 instead of `--simulate`. The middle of long outputs is left out and marked `[…]`. The durations were measured on a busy
-computer with two cores; the hours of the simulated chamber pass in virtual time. {installed}
+computer with two cores; the hours of the simulated chamber pass in virtual time.
+{installed}
 """
 COMMANDS = """\
 gradcal start --preset {preset} -o mine

@@ -29,7 +29,7 @@ from gradcal_jax.files.spec.changes import changed
 from gradcal_jax.files.spec.motion_plan import MotionPlan
 from gradcal_jax.files.spec.schedule import StandardSchedule
 from gradcal_jax.files.spec.spec_sections import Spec
-from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, symbols
+from gradcal_jax.pages.coefficients import OF_THE_CASE, coefficient_table, hidden_values, symbols
 from gradcal_jax.pages.figures import calibration_pictures, map_pictures, pose_picture, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures, one_sign, unbroken_options
@@ -99,6 +99,7 @@ def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
         "chamber": [] if recipe is None else chamber_words(recipe),
         "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
         "optimised": [] if recipe is None else _optimised(recipe),
+        "mounted": calibration is not None and calibration.frame == OF_THE_CASE,
         "converged": recipe is None or (recipe.optimisation or {}).get("converged", True),
         "done": _done(data),
         "waited": [

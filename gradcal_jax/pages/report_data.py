@@ -200,7 +200,7 @@ def _of_calibration(calibration: Calibration, name: str, hidden: Mapping[str, fl
         "unobservable": calibration.unobservable,
         "contradicted": calibration.contradicted,
         "fit": tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in calibration.fit),
-        "agreement": agreement(calibration.values(), calibration.covariance, hidden),
+        "agreement": agreement(calibration, hidden),
         "examples": tuple(examples_of(calibration)),
         "exports": tuple(exports_of(calibration, name)),
     }

@@ -4,6 +4,7 @@ python experiments/afternoons/afternoons.py [PRESET …], in some fifteen minute
 what is printed is what a terminal shows, and the minutes are those of the machine that ran it.
 """
 
+import os
 import re
 import shlex
 import subprocess
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+import gradcal_jax
 from gradcal_jax.decoding.sessions import sessions_of
 from gradcal_jax.decoding.spool import SampleSpool
 from gradcal_jax.hardware.journal import records_of
@@ -28,9 +30,9 @@ HEAD = """# {title}
 
 This page was made by `experiments/afternoons/afternoons.py`. It shows every command, with its output, from an empty
 folder to the C header for the firmware. **All devices are simulated**: for a real run, write `--rig mine/rig.toml`
-instead of
-`--simulate`. The middle of long outputs is left out and marked `[…]`. The durations were measured on a busy computer
-with two cores; the hours of the simulated chamber pass in virtual time.
+instead of `--simulate`. The middle of long outputs is left out and marked `[…]`. The durations were measured on a busy
+computer with two cores; the hours of the simulated chamber pass in virtual time.
+{installed}
 """
 COMMANDS = """\
 gradcal start --preset {preset} -o mine
@@ -45,6 +47,8 @@ gradcal report mine/run --certificate --number K-1 -o mine/certificate.html
 gradcal export mine/run/calibration.toml --format c-header -o mine/calibration.h
 """
 MOST_LINES = 24
+WORDS_A_MINUTE = 200
+TUTORIAL = PAGES.parent / "tutorial.md"
 
 
 def main(names: list[str]) -> None:
@@ -53,15 +57,25 @@ def main(names: list[str]) -> None:
         if names and preset not in names:
             continue
         with tempfile.TemporaryDirectory() as folder:
-            parts = [HEAD.format(title=title, words=words), *afternoon(Path(folder), preset, own)]
+            parts = [
+                HEAD.format(title=title, words=words, installed=installed()),
+                *afternoon(Path(folder), preset, own),
+            ]
         (PAGES / f"{preset}.md").write_text("".join(parts), encoding="utf-8")
         print(f"{title}: done", file=sys.stderr)
+
+
+def installed() -> str:
+    """How the program that runs was installed, in a sentence."""
+    where = Path(gradcal_jax.__file__)
+    how = "was installed with pip in an environment of its own" if "site-packages" in where.parts else "is a checkout"
+    return f"gradcal {gradcal_jax.__version__} {how}."
 
 
 def afternoon(folder: Path, preset: str, own: bool) -> Iterator[str]:
     """The commands of one device, and what they print."""
     recording = " --recording imu.csv --columns mine/columns.toml" * own
-    spent = 0.0
+    spent, words = 0.0, 0
     for line in COMMANDS.format(preset=preset, recording=recording).splitlines():
         if own and line.startswith("gradcal log"):
             recorded_by_itself(folder / "mine/run", folder / "imu.csv")
@@ -76,16 +90,23 @@ def afternoon(folder: Path, preset: str, own: bool) -> Iterator[str]:
             )
         begun = time.monotonic()
         done = subprocess.run(
-            [sys.executable, "-m", "gradcal_jax", *shlex.split(line)[1:]],
-            cwd=folder, capture_output=True, text=True, check=False,
+            [sys.executable, "-m", "gradcal_jax", *shlex.split(line)[1:]], cwd=folder, text=True, check=False,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=os.environ | {"PYTHONUNBUFFERED": "1"},
         )  # fmt: skip
         took = time.monotonic() - begun
         spent += took
-        shown = shortened((done.stdout + done.stderr).rstrip().splitlines())
+        words += len(done.stdout.split())
+        shown = shortened(done.stdout.rstrip().splitlines())
         status = "" if done.returncode == 0 else f", status {done.returncode}"
         yield f"\n    $ {line}\n" + "".join(f"    {text}\n" if text else "\n" for text in shown)
         yield f"\n*{took:.0f} s{status}*\n"
-    yield f"\nAll commands together took {spent / 60.0:.1f} min.\n"
+    pages = len(TUTORIAL.read_text(encoding="utf-8").split())
+    minutes = (words + pages) / WORDS_A_MINUTE
+    yield (
+        f"\nAll commands together took {spent / 60.0:.1f} min. Reading takes {minutes:.0f} min at {WORDS_A_MINUTE}\n"
+        f"words a minute: [My IMU, tomorrow](../tutorial.md) has {pages} words, and the commands print\n"
+        f"{words} words in full.\n"
+    )
 
 
 def shortened(lines: list[str]) -> list[str]:

@@ -384,7 +384,9 @@ def text_of_estimate(report: "SensorEstimate") -> str:
         of_table: list[tuple[str, ...]] = [("error of the table", "value", "1σ", "known to", "")]
         for error in calibration.table:
             unit, factor = UNITS_OF_TERMS.get(error.unit, (error.unit, 1.0))
-            numbers = (f"{v * factor:.4g}" for v in (error.value, error.standard_deviation, error.prior))
+            sizes = (v * factor for v in (error.value, error.standard_deviation, error.prior))
+            # Four digits, without a power of ten.
+            numbers = (f"{float(f'{size:.4g}'):.9g}" for size in sizes)
             of_table.append((error.name.replace("_", " "), *numbers, unit))
         lines += [table(of_table, right=(1, 2, 3))]
     tests = report.consistency

@@ -99,10 +99,12 @@ def log(
         Print the contents of the log as JSON.
     """
     from gradcal_jax.decoding.run_log import units_in
+    from gradcal_jax.hardware.run_folder import RunFolder
 
     if columns is not None and recording is None:
         raise ValueError("--columns states the column map of a --recording, but --recording is missing")
     recorded = None if recording is None else load(recording, Recording(columns=columns), unit=unit)
+    RunFolder(run).notes()
     target = output or run / "log.nc"
     names = [unit] if unit is not None or recorded is not None else units_in(run)
     several = len(names) > 1

@@ -26,7 +26,7 @@ from gradcal_jax.cli.output import (
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import Bars
 from gradcal_jax.display import amount, columns
-from gradcal_jax.units import time_text
+from gradcal_jax.units import count_text, time_text
 
 if TYPE_CHECKING:
     import xarray
@@ -177,11 +177,12 @@ def _estimate(size: "SweepEstimate") -> dict[str, Any]:
 
 
 def _estimated(size: "SweepEstimate", job: "Sweep") -> str:
-    fails = f"; error of the first failed point: {size.first_failure}" if size.failing else ""
+    fails = f"; the reason at the first of them: {size.first_failure}" if size.failing else ""
     lines = [
         strong(job.file.title or "the sweep"),
-        f"{size.points} points in {size.chunks} chunks on {size.workers} workers",
-        f"{size.failing} points of the first chunk fail{fails}",
+        f"{count_text(size.points, 'point')} in {count_text(size.chunks, 'chunk')} on "
+        f"{count_text(size.workers, 'worker')}",
+        f"in the first chunk, {count_text(size.failing, 'point')} cannot be computed{fails}",
         f"the first chunk takes {time_text(size.first_chunk_s)}, each further one {time_text(size.next_chunk_s)}",
         f"expected duration: {time_text(max(size.seconds, 1.0))}",
     ]

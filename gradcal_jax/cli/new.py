@@ -100,6 +100,11 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
 
     if output.exists() and not output.is_dir():
         raise ValueError(f"{output} is a file; name a directory")
+    if preset is None:
+        # Before the questions: answers are not asked for in vain.
+        for name in ("spec.toml", "rig.toml", "columns.toml"):
+            if (output / name).exists():
+                writable(output / name, force)
     answers = _asked() if preset is None else begin.preset(preset)
     texts = begin.files_of(answers)
     if "spec.toml" in texts:
@@ -162,8 +167,13 @@ def _asked() -> dict[str, str]:
             continue
         usual = answers.get(question.name, "")
         print(f"{len(done) + 1}. {asked(question)}" + f" [{usual}] " * bool(usual), end=" " * (not usual), flush=True)
-        line = sys.stdin.readline()
+        try:
+            line = sys.stdin.readline()
+        except KeyboardInterrupt:
+            print()
+            raise
         if not line:
+            print()
             raise ValueError(f"the answers ended at question {len(done) + 1}: {asked(question)}")
         answer = line.strip() or usual
         if answer == "<":

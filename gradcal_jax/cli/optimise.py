@@ -210,7 +210,8 @@ def _read(path: Path) -> "Spec":
         complain(
             f"{error}\n"
             "The search starts from a plan in which these moves were changed to fit: turns go in the other direction, "
-            "or only as far as the travel allows, and a last turn goes back to the start angle."
+            "or only as far as the travel allows; a start angle beyond the travel is moved to its end; and a last turn "
+            "goes back to the start angle."
         )
         return mended
 

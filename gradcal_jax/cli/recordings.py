@@ -52,6 +52,12 @@ def load(path: Path, source: Recording = WHOLE, *, unit: str | None = None) -> "
 
     `unit` is needed for a flight log with several IMUs on different clocks. Raises `ValueError`.
     """
+    if not path.exists():
+        raise ValueError(f"{path} does not exist")
+    if (path / "run.json").exists():
+        raise ValueError(f"{path} is the folder of a run: name its log, {path}/log.nc (gradcal log {path} writes it)")
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder: name a recording")
     return _stated(_load(path, source, unit), source)
 
 

@@ -301,6 +301,10 @@ class _Watcher:
 
     def _ask(self, why: str) -> None:
         if not sys.stdin.isatty():
+            complain(
+                f"paused: {why}; another Ctrl-C makes all devices safe and ends the run, which gradcal run --resume "
+                "can continue"
+            )
             return
         if self._terminal is not None and self._terminal.heard:
             self._terminal.next_line_goes_to(self._go_on)

@@ -24,7 +24,7 @@ from gradcal_jax.files.log.log import SERIAL_NUMBER
 from gradcal_jax.files.spec.absent import with_typical
 from gradcal_jax.files.spec.rig import Laboratory, RigFile
 from gradcal_jax.information.conformity import specific_risk
-from gradcal_jax.pages.numbers import figures, one_sign, percent
+from gradcal_jax.pages.numbers import figures, one_sign, percent, with_uncertainty
 from gradcal_jax.pages.requirements import SUMMED
 from gradcal_jax.pages.sources import Sources, stated_figures
 from gradcal_jax.pages.templates import page_file, page_templates
@@ -303,8 +303,13 @@ def _shown(value: float | None, digits: int = 4, unit: str = "") -> str:
     return "–" if value is None else f"{figures(value, digits)} {unit}".rstrip()
 
 
+def _corrected(value: float, expanded: float | None) -> str:
+    """A correction; without an uncertainty if none is valid."""
+    return figures(value, 5) if expanded is None else with_uncertainty(value, expanded)
+
+
 def write_certificate(certificate: Certificate, output: str | Path) -> None:
     """The two parts as one HTML file. Errors: `OSError` where it cannot be written."""
-    template = page_templates(figures=_shown, percent=percent).get_template("certificate.html")
+    template = page_templates(figures=_shown, percent=percent, corrected=_corrected).get_template("certificate.html")
     program = f"gradcal {gradcal_jax.__version__}"
     write_whole(output, one_sign(template.render(c=certificate, css=page_file("style.css"), program=program)))

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -9,12 +10,14 @@ import numpy as np
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.api.verdicts import coefficient_rows
 from gradcal_jax.files.base.contracts import Prediction
-from gradcal_jax.files.calibration import Calibration, Covariance
+from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.run.recipe import Predicted
 from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.model import TEMPERATURE_GRADIENT
-from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.numbers import figures, with_uncertainty
 
+# The frame of an estimate that the mounting limits, in the words of the calibration file.
+OF_THE_CASE: Final = "the case, as accurately as its mounting is known"
 # Of more channels a table has a column for each axis.
 _MOST_CHANNELS: Final = 3
 _SYMBOLS: Final = (
@@ -112,7 +115,7 @@ def _by_axis(facts: Sequence[ParameterFact]) -> list[tuple[str, ...]]:
     for row in facts:
         text = "not observable" if row.predicted_std is None else figures(row.predicted_std)
         if row.value is not None:
-            text = "not observed" if row.std is None else f"{figures(row.value, 5)} ± {figures(row.std, 2)}"
+            text = "not observed" if row.std is None else with_uncertainty(row.value, row.std)
             text += "" if row.off_by_sigma is None else f" ({figures(row.off_by_sigma, 2)}σ)"
         table.setdefault((row.kind, row.name, row.unit), {})[row.axis] = text
     first = "parameter ± 1σ" if any(row.value is not None for row in facts) else "parameter, 1σ"
@@ -175,17 +178,57 @@ def _power(symbol: str, exponent: str) -> str:
     return "" if exponent == "0" else symbol if exponent == "1" else symbol + exponent.translate(_SUPERSCRIPTS)
 
 
-def agreement(
-    values: Mapping[str, float], known: Covariance | None, hidden: Mapping[str, float]
-) -> tuple[float, int, float] | None:
-    """χ² of the errors of all coefficients by the estimate's covariance, its degrees of freedom, and the probability of
-    a larger one; None where a true value is not known."""
+def agreement(calibration: Calibration, hidden: Mapping[str, float]) -> tuple[float, int, float] | None:
+    """χ² of the errors of all coefficients, its degrees of freedom, and the probability of a larger one; None where a
+    true value is not known. The covariance is that of the estimate with the errors that no residual shows. If the frame
+    of the estimate is known only as accurately as the mounting, the true values are rotated into it: by the rotation
+    with the smallest χ², which takes three degrees of freedom."""
+    known = calibration.covariance
     if known is None or not all(name in hidden for name in known.names):
         return None
+    from scipy.optimize import least_squares
     from scipy.special import chdtrc
 
-    error, covariance = np.array([values[name] - hidden[name] for name in known.names]), np.array(known.matrix)
+    unseen = np.array([[e.coefficients.get(n, 0.0) for n in known.names] for e in calibration.unseen])
+    covariance = np.array(known.matrix) + (unseen.T @ unseen if len(unseen) else 0.0)
     size = np.sqrt(np.diag(covariance))
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance / np.outer(size, size)), error / size)
-    chi_squared = float(whitened @ whitened)
-    return chi_squared, len(error), float(chdtrc(len(error), chi_squared))
+    root = np.linalg.cholesky(covariance / np.outer(size, size))
+    values = calibration.values()
+
+    def whitened(rotation: np.ndarray) -> np.ndarray:
+        truth = _rotated(hidden, rotation)
+        return np.linalg.solve(root, np.array([values[n] - truth[n] for n in known.names]) / size)
+
+    degrees, best = len(known.names), np.zeros(3)
+    if calibration.frame == OF_THE_CASE and all(f"gyro_{axis}" in " ".join(known.names) for axis in "xyz"):
+        # (In steps of a milliradian.)
+        best, degrees = least_squares(lambda turn: whitened(1e-3 * turn), best).x * 1e-3, degrees - 3
+    chi_squared = float(np.sum(whitened(best) ** 2))
+    return chi_squared, degrees, float(chdtrc(degrees, chi_squared))
+
+
+def _rotated(truth: Mapping[str, float], rotation: np.ndarray) -> dict[str, float]:
+    """True values in a frame that is rotated by a vector (rad): misalignments, sensitivities to g, and the scale
+    factors, each multiplied by the component along its own axis. (Parts that vary over temperature are small, and a
+    small rotation changes them by nothing that could be seen.)"""
+    if not np.any(rotation):
+        return dict(truth)
+    from scipy.spatial.transform import Rotation
+
+    matrix, found = Rotation.from_rotvec(rotation).as_matrix(), dict(truth)
+    for kind, i in product(("gyro", "accelerometer"), range(3)):
+        channel = f"{kind}_{'xyz'[i]}"
+        across = [_constant(truth, f"{channel}.m_{axis}") for axis in "xyz"]
+        along = np.array([1.0 if k == i else truth.get(name, 0.0) for k, name in enumerate(across)]) @ matrix
+        found |= {name: along[k] / along[i] for k, name in enumerate(across) if k != i and name in truth}
+        for name in (f"{channel}.b00", f"{channel}.s0"):
+            found |= {name: (1.0 + truth[name]) * along[i] - 1.0} if name in truth else {}
+        names = [_constant(truth, f"{channel}.g_{axis}") for axis in "xyz"]
+        by_force = np.array([truth.get(name, 0.0) for name in names]) @ matrix
+        found |= {name: value for name, value in zip(names, by_force, strict=True) if name in truth}
+    return found
+
+
+def _constant(truth: Mapping[str, float], name: str) -> str:
+    """The coefficient of a term that does not vary over temperature, or the first one of a term that does."""
+    return f"{name}0" if f"{name}0" in truth else name

@@ -19,7 +19,7 @@ from gradcal_jax.api.calibrations import Box
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.run.recipe import Recipe
 from gradcal_jax.files.spec.spec_sections import Spec
-from gradcal_jax.pages.numbers import figures
+from gradcal_jax.pages.numbers import figures, typographic_units
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.pages.run_history import RunHistory
 from gradcal_jax.plots.calibration_maps import (
@@ -286,7 +286,19 @@ def _curves(boxes: Sequence[tuple[str, Box]], key: str, where: str, target: floa
     caption = f"{where}: residual {stage}".rstrip() + f", {words}, one standard deviation."
     if not all(np.all(np.isfinite(box.values)) for _, box in boxes):
         caption += " If a curve is missing, its quantity is not observable."
-    return picture(key, caption, lambda ax: plots.draw_curves(boxes, target, ax=ax)[0].set_title(stage), _HIGH)
+
+    def draw(ax: Axes) -> None:
+        plots.draw_curves(boxes, target, ax=ax)
+        ax.set_title(stage, loc="left")
+        # Above the frame, where it hides no curve.
+        handles, names = ax.get_legend_handles_labels()
+        short: Any = {"handlelength": 1.6, "handletextpad": 0.5, "columnspacing": 1.0, "borderpad": 0.1}
+        ax.legend(
+            handles, names, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(len(names), 4),
+            frameon=False, **short,
+        )  # fmt: skip
+
+    return picture(key, caption, draw, _HIGH)
 
 
 def picture_key(name: str) -> str:
@@ -312,6 +324,7 @@ def svg_of(figure: Figure, key: str) -> str:
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
+    text = re.sub(r"(?<=>)[^<>\n]+(?=</text>)", lambda label: typographic_units(label[0]), text)
     head, rest = text.split(">", 1)
     head = re.sub(r' (width|height)="[^"]*"', "", head)
     text = f'{head} role="img" aria-labelledby="{key}-caption">{rest}'

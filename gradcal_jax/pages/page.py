@@ -29,15 +29,15 @@ from gradcal_jax.files.spec.changes import changed
 from gradcal_jax.files.spec.motion_plan import MotionPlan
 from gradcal_jax.files.spec.schedule import StandardSchedule
 from gradcal_jax.files.spec.spec_sections import Spec
-from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, symbols
+from gradcal_jax.pages.coefficients import OF_THE_CASE, coefficient_table, hidden_values, symbols
 from gradcal_jax.pages.figures import calibration_pictures, map_pictures, pose_picture, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
-from gradcal_jax.pages.numbers import figures, one_sign
+from gradcal_jax.pages.numbers import figures, one_sign, unbroken_options
 from gradcal_jax.pages.report_data import ReportData, report_data_of
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources, read_sources
 from gradcal_jax.pages.templates import page_file, page_templates
-from gradcal_jax.units import DEG_PER_S, time_text, times_text
+from gradcal_jax.units import DEG_PER_S, count_text, time_text, times_text
 
 # Moves of a cycle that a page shows.
 _MOST_MOVES: Final = 80
@@ -47,7 +47,7 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     """The whole page as HTML, in one file: styles and figures inside, and no script but that of the `panel`."""
     if panel and sources.spec is None:
         raise ValueError("the panel needs a plan, and the named files contain none: leave out --panel")
-    template = page_templates(figures=figures, sentence=sentence).get_template("page.html")
+    template = page_templates(figures=figures, sentence=sentence, options=unbroken_options).get_template("page.html")
     spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
     targets = {r.name: r.target / r.coverage for r in data.requirements if r.target is not None}
     tracks = [] if spec is None or spec.is_one_axis else [pose_picture(spec)]
@@ -58,6 +58,7 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
         "recipe": recipe,
         "calibration_name": sources.calibration_name,
         "css": page_file("style.css"),
+        "heading": _heading(data, sources),
         "words": _words(data, sources),
         "map_groups": map_pictures(data.maps, targets),
         "tracks": tracks,
@@ -72,12 +73,20 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
         for term, words in OF_THE_FIELD.items()
         if term.lower() in text and re.search(rf"\b{re.escape(term.lower())}s?\b", text)
     ]
-    return one_sign(template.render(**context, glossary=used))
+    return one_sign(template.render(**context, glossary=sorted(used, key=lambda term: term[0].lower())))
 
 
 def sentence(text: str) -> str:
     """Text that begins with a capital and ends with a full stop."""
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
+
+
+def _heading(data: ReportData, sources: Sources) -> str:
+    """The title of the page, with sensor and date if there is a calibration."""
+    if sources.calibration is None:
+        return data.title
+    begun = "" if data.history is None else str(data.history.begun)[:10]
+    return ", ".join(filter(None, (f"Calibration report: {sources.calibration.serial_number}", begun)))
 
 
 def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
@@ -90,6 +99,7 @@ def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
         "chamber": [] if recipe is None else chamber_words(recipe),
         "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
         "optimised": [] if recipe is None else _optimised(recipe),
+        "mounted": calibration is not None and calibration.frame == OF_THE_CASE,
         "converged": recipe is None or (recipe.optimisation or {}).get("converged", True),
         "done": _done(data),
         "waited": [
@@ -104,12 +114,17 @@ def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
             ]
             for axis in data.axes
         ],
-        "fit": [(name, figures(value), str(degrees), figures(chance, 2)) for name, value, degrees, chance in data.fit],
+        "fit": [
+            (name, figures(value), str(degrees), figures(chance, 2))
+            if degrees
+            else (name, "–", "0", "too few readings")
+            for name, value, degrees, chance in data.fit
+        ],
         "table": _table_errors(sources),
         "order": "" if calibration is None else calibration.order,
         "basis": symbols(spec, calibration)
         + ("" if data.axes else " Uncertainty of each coefficient after this plan."),
-        "exports": [(row.target, row.command, "; ".join(row.losses) or "nothing") for row in data.exports],
+        "exports": [(row.target, row.command, "; ".join(row.largest) or "nothing") for row in data.exports],
         "provenance": [*data.provenance, ("page made", _time_and_version())],
         "parameters": {"head": head, "rows": cells, "numbers": numbers},
         **_requirements(data),
@@ -125,7 +140,7 @@ def _plan(spec: Spec) -> dict[str, Any]:
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     hung = len(spec.rig.table.mounting)
     left = len(schedule.steps) - _MOST_MOVES
-    lasts += f". A cycle of {time_text(schedule.period)}, repeated {cycles} times" if cycles else ""
+    lasts += f". A cycle of {time_text(schedule.period)}, repeated {count_text(cycles, 'time')}" if cycles else ""
     return {
         "times": lasts + (f", in {hung} mountings." if hung > 1 else "."),
         "moves": [
@@ -253,7 +268,7 @@ def _done(data: ReportData) -> list[str]:
     parts = "in one part" if history.sessions == 1 else f"in {history.sessions} parts"
     waited = sum(row.waited_s for row in history.waited)
     lines = [
-        f"Run begun {history.begun}, {parts}: {history.status}, {history.steps} steps, "
+        f"Run begun {history.begun}, {parts}: {history.status}, {count_text(history.steps, 'step')}, "
         f"{time_text(history.duration_s)} in total, including {time_text(waited)} of waiting for stable "
         "temperatures.",
         "Every device was verified to be safe at the end."
@@ -261,7 +276,7 @@ def _done(data: ReportData) -> list[str]:
         else "NOT every device was verified to be safe at the end.",
     ]
     if history.seams:
-        lines.append(f"The run was paused or resumed {history.seams} times.")
+        lines.append(f"The run was paused or resumed {count_text(history.seams, 'time')}.")
     if history.damaged_bytes:
         lines.append(f"{history.damaged_bytes} bytes of the journal belong to no valid record.")
     return lines
@@ -298,7 +313,7 @@ def panel_of(spec: Spec) -> dict[str, Any]:
     return {
         "choices": [
             {"name": "chamber slope", "labels": [f"{figures(f * minute, 3)} K/min" for f in SLOPES], "own": 2},
-            {"name": "time", "labels": [f"{n} ramp{'s' * (n > 1)}" for n in RAMPS], "own": 0},
+            {"name": "time", "labels": [count_text(n, "ramp") for n in RAMPS], "own": 0},
             {"name": "encoder", "labels": [_angle_label(spec, factor) for factor in ANGLES], "own": 2},
         ],
         "hours": [None if p is None else p[0] for p in points],

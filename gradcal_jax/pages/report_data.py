@@ -1,7 +1,8 @@
 """All numbers of a page, from recipe, run and calibration, by the functions behind the commands; and how a calibration
 is applied."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -12,7 +13,9 @@ from gradcal_jax.files.base.contracts import notice_sentences
 from gradcal_jax.files.calibration import Calibration
 from gradcal_jax.files.calibration.correction import correct
 from gradcal_jax.files.calibration.exports import FORMATS, export
+from gradcal_jax.files.calibration.path_losses import Loss
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_values, parameters
+from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact, RequirementFact, requirements_of
 from gradcal_jax.pages.run_history import RunHistory, history_of
 from gradcal_jax.pages.sources import Sources, assumptions, provenance_rows
@@ -40,11 +43,13 @@ class ExampleFact(NamedTuple):
 
 
 class ExportFact(NamedTuple):
-    """The export to another program: command and losses."""
+    """The export to another program: command and losses. `largest`: of each kind of loss that of the channel with the
+    largest one."""
 
     target: str
     command: str
     losses: tuple[str, ...]
+    largest: tuple[str, ...] = ()
 
 
 def examples_of(calibration: Calibration) -> list[ExampleFact]:
@@ -73,11 +78,24 @@ def exports_of(calibration: Calibration, name: str) -> list[ExportFact]:
         try:
             done = export(calibration, target, temperature_c=at if option else None)
         except ValueError as error:
-            facts.append(ExportFact(target, "", (f"not for this calibration: {error}",)))
+            refused = (f"not for this calibration: {error}",)
+            facts.append(ExportFact(target, "", refused, refused))
             continue
-        losses = tuple(f"{x.channel}: {x.what}, up to {x.value:.4g} {x.unit}" for x in done.losses if x.value > 0.0)
-        facts.append(ExportFact(target, command, losses))
+        lost = [loss for loss in done.losses if loss.value > 0.0]
+        texts = tuple(f"{x.channel}: {x.what}, up to {x.value:.4g} {x.unit}" for x in lost)
+        facts.append(ExportFact(target, command, texts, tuple(_largest(lost))))
     return facts
+
+
+def _largest(losses: Sequence[Loss]) -> Iterator[str]:
+    """The largest loss of each kind, over the channels of a sensor and the axes of a misalignment or sensitivity."""
+    kinds: dict[tuple[str, str, str], Loss] = {}
+    for loss in losses:
+        what = re.sub(r"(misalignment|g sensitivity) [xyz]\b", r"\1", loss.what)
+        key = (loss.channel.split()[0], what, loss.unit)
+        kinds[key] = max(kinds.get(key, loss), loss, key=lambda one: one.value)
+    for (_, what, unit), loss in kinds.items():
+        yield f"{what}, up to {figures(loss.value)} {unit} ({loss.channel})"
 
 
 def _room(calibration: Calibration) -> float:
@@ -182,7 +200,7 @@ def _of_calibration(calibration: Calibration, name: str, hidden: Mapping[str, fl
         "unobservable": calibration.unobservable,
         "contradicted": calibration.contradicted,
         "fit": tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in calibration.fit),
-        "agreement": agreement(calibration.values(), calibration.covariance, hidden),
+        "agreement": agreement(calibration, hidden),
         "examples": tuple(examples_of(calibration)),
         "exports": tuple(exports_of(calibration, name)),
     }

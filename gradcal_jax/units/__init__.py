@@ -27,9 +27,20 @@ the shortest text that `parse` reads back as the same float.
 
 from gradcal_jax.units.dimensions import DIMENSIONS, Dimension
 from gradcal_jax.units.quantities import UnitError, convert, dimension_of, format_quantity, parse, to_unit, unit_of
-from gradcal_jax.units.shown import ARCSEC, DEG_PER_H, DEG_PER_S, DEG_PER_SQRT_H, PPM, G, time_text, times_text
+from gradcal_jax.units.shown import (
+    ARCSEC,
+    DEG_PER_H,
+    DEG_PER_S,
+    DEG_PER_SQRT_H,
+    PPM,
+    G,
+    count_text,
+    time_text,
+    times_text,
+)
 
 __all__ = [
     "ARCSEC", "DEG_PER_H", "DEG_PER_S", "DEG_PER_SQRT_H", "DIMENSIONS", "PPM", "Dimension", "G", "UnitError",
-    "convert", "dimension_of", "format_quantity", "parse", "time_text", "times_text", "to_unit", "unit_of",
+    "convert", "count_text", "dimension_of", "format_quantity", "parse", "time_text", "times_text", "to_unit",
+    "unit_of",
 ]  # fmt: skip

@@ -26,6 +26,11 @@ def time_text(seconds: float) -> str:
     return " ".join(parts) if parts else "0 s"
 
 
+def count_text(number: int, noun: str) -> str:
+    """A number of things: '1 step', '17 steps'."""
+    return f"{number} {noun}" + "s" * (number != 1)
+
+
 def times_text(duration_s: float, soak_s: float, motion_s: float, motion: str = "motion") -> str:
     """Durations of a plan, its soaks and its motion."""
     return f"{time_text(duration_s)} in all: soak {time_text(soak_s)}, {motion} {time_text(motion_s)}"

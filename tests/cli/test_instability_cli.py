@@ -226,11 +226,14 @@ def test_text_named_h5_is_told_from_damage(tmp_path, capsys):
         (("allan", "LOG", "--confidence", "2"), "confidence"),
         (("allan", "missing.nc"), "does not exist"),
         (("allan", "table.csv"), "--columns"),
+        (("allan", "missing.csv"), "missing.csv does not exist"),
         (("allan", "LOG", "--columns", "map.toml"), "needs no --columns"),
         (("allan", "LOG", "--plot", "picture.docx"), "must end in .png, .svg or .pdf"),
     ],
 )
-def test_wrong_input_is_a_sentence(record, arguments, sentence, capsys):
+def test_wrong_input_is_a_sentence(record, arguments, sentence, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "table.csv").write_text("t,gx\n0,1\n1,2\n", encoding="utf-8")
     status, told = printed(capsys, *(record if a == "LOG" else a for a in arguments))
     assert status == 2
     assert sentence in told.err

@@ -238,3 +238,34 @@ def test_memory_that_ends_in_the_work_is_a_sentence(folder, capsys, monkeypatch)
 
 def test_there_are_a_hundred_and_thirty():
     assert len(CASES) + 2 * len(BYTES) + 6 + 1 + 4 + 4 + 3 + 1 >= 130
+
+
+@pytest.mark.parametrize("name", ["missing", "good.toml", "folder.toml"])
+def test_log_asks_for_the_folder_of_a_run(name, folder, capsys):
+    assert main(["log", name]) == 2
+    assert capsys.readouterr().err == (
+        f"gradcal: {name} is not the folder of a run: there is no run.json that can be read.\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("missing", "missing does not exist"),
+        ("folder.toml", "folder.toml is a folder: name a recording"),
+        ("folder.nc", "folder.nc is a folder: name a recording"),
+    ],
+)
+def test_a_recording_is_a_file(name, said, folder, capsys):
+    Path("folder.nc").mkdir()
+    assert main(["allan", name]) == 2
+    assert capsys.readouterr().err.startswith(f"gradcal: {said}")
+
+
+def test_of_the_folder_of_a_run_the_log_is_asked_for(folder, capsys):
+    Path("run").mkdir()
+    Path("run/run.json").write_text("{}", encoding="utf-8")
+    assert main(["allan", "run"]) == 2
+    assert capsys.readouterr().err == (
+        "gradcal: run is the folder of a run: name its log, run/log.nc (gradcal log run writes it)\n"
+    )

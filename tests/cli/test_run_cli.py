@@ -137,6 +137,10 @@ def test_ctrl_c_pauses_and_again_makes_safe_and_ends(tmp_path):
     out, err = process.communicate(timeout=90.0)
     assert process.returncode == 130, err
     assert "; paused: Ctrl-C; " in out
+    assert err.startswith(
+        "gradcal: paused: Ctrl-C; another Ctrl-C makes all devices safe and ends the run, which gradcal run --resume "
+        "can continue\n"
+    )
     assert "chamber: safe" in out
     assert f"gradcal run --resume {run}" in err
     states = [event.data["state"] for event in read_journal(run / "journal").events if event.name == "state"]

@@ -201,3 +201,44 @@ def test_a_missing_design_is_said_with_one_to_paste():
     assert tomllib.loads(pasted)["design"]["minimise"] == "scale factor"
     assert design_block(spec) == pasted
     assert design_of(gj.parse_spec(gj.presets.text("tactical-mems") + pasted)).starts == 8
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("x\n\n\n\n", "expected an answer such as '0.1 deg/sqrt(h)'"),
+        (SENSOR.format("x", "imu") + "\n", "expected 3 answers, separated by commas, such as '0.1 m/s/sqrt(h), "),
+    ],
+)
+def test_an_empty_answer_is_answered_with_an_example(given, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", io.StringIO(given))
+    assert main(["start", "-o", str(tmp_path / "mine")]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_files_that_would_be_overwritten_are_named_before_the_first_question(tmp_path, monkeypatch, capsys):
+    (tmp_path / "spec.toml").write_text("mine", encoding="utf-8")
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    assert main(["start", "-o", str(tmp_path)]) == 2
+    asked, said = capsys.readouterr()
+    assert asked == ""
+    assert "spec.toml exists" in said
+
+
+def test_a_message_begins_a_line_after_an_open_question(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", io.StringIO("x\n"))
+    assert main(["start", "-o", str(tmp_path / "mine")]) == 2
+    assert capsys.readouterr().out.endswith("? [imu] \n")
+
+    class Interrupted(io.StringIO):
+        def readline(self, *_):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("sys.stdin", Interrupted())
+    assert main(["start", "-o", str(tmp_path / "mine")]) == 130
+    assert capsys.readouterr().out.endswith("? \n")
+
+
+@pytest.mark.parametrize("travel", ["±170 deg", "± 170 deg", "+-170 deg", "+/-170 deg"])
+def test_a_travel_may_have_both_signs(travel):
+    assert files_of({**PRESETS["bmi088"], "travel": travel}) == files_of({**PRESETS["bmi088"], "travel": "170 deg"})

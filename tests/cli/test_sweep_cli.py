@@ -80,6 +80,15 @@ def test_the_picture_shows_every_curve(done, folder):
         draw_sweep(results, "nothing")
 
 
+def test_an_estimate_counts_in_words(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    assert main(["sweep", "sweep.toml", "--dry-run", "--workers", "1"]) == 0
+    out = capsys.readouterr().out
+    assert "6 points in 1 chunk on 1 worker\n" in out
+    assert "in the first chunk, 3 points cannot be computed; the reason at the first of them: " in out
+    assert "expected duration: " in out
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -71,4 +71,7 @@ def test_nothing_is_green_or_met_that_failed_and_it_fits(pages, name):
     assert name == "page" or "0123456789abcdef" * 4 in text
     if name == "certificate":
         assert "– ppm" not in text
+        assert "± –" not in text
+        # At the head of both parts, and in the paragraph on validity.
+        assert text.count("NOT VALID: the data contradict") == (3 if verdict == "not valid" else 0)
         assert ("Not stated: nothing is certified." in text) == (verdict == "not valid")

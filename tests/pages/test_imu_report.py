@@ -3,11 +3,13 @@
 import json
 import re
 from html import unescape
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from imu_bench import short
 from report_samples import calibration_of_plan
+from scipy.spatial.transform import Rotation
 
 import gradcal_jax as gj
 from gradcal_jax.api.calibrations import calibrated_posterior
@@ -19,7 +21,7 @@ from gradcal_jax.files.base.contracts import notice_sentences
 from gradcal_jax.files.calibration import Covariance, UnseenError
 from gradcal_jax.information import posterior
 from gradcal_jax.information.posterior import square_root
-from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, parameters
+from gradcal_jax.pages.coefficients import OF_THE_CASE, agreement, coefficient_table, hidden_values, parameters
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.page import ANGLES, RAMPS, SLOPES, panel_of
 from gradcal_jax.pages.sources import stated_figures
@@ -214,3 +216,39 @@ def test_the_prior_alone_hides_what_has_none():
     by_name = {r.quantity: imu_residual(built, prior, r) for r in flat.requirement}
     assert np.isinf(by_name["g_sensitivity"].values).all()
     assert np.isfinite(by_name["gyro_bias"].values).all()
+
+
+@pytest.mark.parametrize("mounted", [True, False])
+def test_true_values_are_compared_in_the_frame_of_the_estimate(mounted):
+    """A mounting that is a degree from the nominal one changes misalignments and scale factors to the second order."""
+    rng = np.random.default_rng(5)
+    names = [f"{kind}_{a}.m_{b}" for kind in ("gyro", "accelerometer") for a in "xyz" for b in "xyz" if a != b]
+    truth = dict(zip(names, rng.normal(0.0, 0.02, 12), strict=True))
+    truth |= {f"gyro_{a}.b00": 1e-3 for a in "xyz"} | {f"accelerometer_{a}.s0": -2e-3 for a in "xyz"}
+
+    def seen(rotation):
+        """What a sensor measures of vectors along the axes of a case that is turned."""
+        turned, values = Rotation.from_rotvec(rotation).as_matrix(), {}
+        for kind, size in (("gyro", "b00"), ("accelerometer", "s0")):
+            for i, a in enumerate("xyz"):
+                row = np.array([truth.get(f"{kind}_{a}.m_{b}", 1.0) for b in "xyz"]) @ turned
+                values |= {f"{kind}_{a}.m_{b}": row[k] / row[i] for k, b in enumerate("xyz") if k != i}
+                values[f"{kind}_{a}.{size}"] = (1.0 + truth[f"{kind}_{a}.{size}"]) * row[i] - 1.0
+        return values
+
+    values = seen([0.017, -0.012, 0.02])
+    # The orientation of the case is known to a degree, and all else to 20 µrad.
+    small = [seen(turn) for turn in 1e-6 * np.eye(3)]
+    columns = [{n: 1.7e4 * (one[n] - truth[n]) for n in values} for one in small]
+    unseen = [SimpleNamespace(coefficients=column) for column in columns]
+    frame = OF_THE_CASE if mounted else "the table's axes"
+    covariance = SimpleNamespace(names=tuple(values), matrix=(2e-5**2 * np.eye(len(values))).tolist())
+    made = SimpleNamespace(covariance=covariance, unseen=unseen, values=lambda: values, frame=frame)
+    chi_squared, degrees, chance = agreement(made, truth)
+    if mounted:
+        assert (degrees, chance) == (len(values) - 3, pytest.approx(1.0))
+        assert chi_squared < 1e-3
+    else:
+        # The second order alone is many standard deviations.
+        assert degrees == len(values)
+        assert chi_squared > 100.0

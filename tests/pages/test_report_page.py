@@ -20,7 +20,7 @@ from gradcal_jax.files.calibration import write_calibration
 from gradcal_jax.files.calibration.correction import channel_error
 from gradcal_jax.information import statistic
 from gradcal_jax.pages.figures import map_pictures
-from gradcal_jax.pages.numbers import figures, one_sign
+from gradcal_jax.pages.numbers import figures, one_sign, with_uncertainty
 from gradcal_jax.pages.page import page
 from gradcal_jax.pages.report_data import as_tables, report_data_of
 from gradcal_jax.pages.run_history import history_of, rates_of
@@ -330,6 +330,38 @@ def test_prose_has_one_minus_and_one_degree_sign(whole):
     html = '<p title="-1 degC">at -25 degC, 2026-11-22, K-1</p><pre>--to "-5 degC"</pre><code>-1</code><p>1e-5</p>'
     kept = html.replace("at -25 degC", "at −25 °C")
     assert one_sign(html) == kept
+
+
+def test_prose_has_the_units_of_print_and_no_powers_of_ten():
+    html = "<p>1.065e+04 ppm, 5 ug/g^2, 2 urad, 0.15 deg/sqrt(h), 20 to 26 degC</p><code>5 ug</code>"
+    assert one_sign(html) == "<p>10650 ppm, 5 µg/g², 2 µrad, 0.15 deg/√h, 20 to 26 °C</p><code>5 ug</code>"
+
+
+@pytest.mark.parametrize(
+    ("value", "deviation", "shown"),
+    [
+        (319.59, 171.0, "320 ± 170"),
+        (-0.025374, 3.2, "0.0 ± 3.2"),
+        (-1.2345, 0.0996, "−1.23 ± 0.10"),
+        (9.99e-5, 2e-6, "0.0000999 ± 0.0000020"),
+        (5.0, 0.0, "5 ± 0"),
+    ],
+)
+def test_a_value_ends_where_its_uncertainty_does(value, deviation, shown):
+    assert with_uncertainty(value, deviation) == shown
+
+
+def test_the_title_names_sensor_and_date(whole):
+    title = re.search(r"<h1>(.*)</h1>", whole[2])[1]
+    assert re.fullmatch(r"Calibration report: .+, \d{4}-\d\d-\d\d", title)
+    assert f"<title>{title}</title>" in whole[2]
+
+
+def test_what_is_lost_is_the_largest_of_its_kind(whole):
+    rows = {row.target: row for row in whole[0].exports}
+    assert rows["csv"].largest == ()
+    assert len(rows["kalibr"].largest) == len({loss.split(": ")[1].split(",")[0] for loss in rows["kalibr"].losses})
+    assert all(loss.endswith("(gyro x)") for loss in rows["kalibr"].largest)
 
 
 def test_what_is_not_converged_has_the_colour_of_a_verdict(made):

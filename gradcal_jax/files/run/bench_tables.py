@@ -64,7 +64,7 @@ def block_heading(block: MotionBlock) -> str:
         text += f"; initial angles: {', '.join(f'{name} {angle}' for name, angle in block.start.items())}"
     if block.standing_after > 0.0:
         read = "not read" if block.read_every_after is None else f"read every {block.read_every_after}"
-        text += f"; then rest for {block.standing_after} ({read})"
+        text += f"; then rest for {time_text(float(block.standing_after))} ({read})"
     return text
 
 

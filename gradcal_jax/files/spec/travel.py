@@ -21,8 +21,8 @@ def lies_in_travel(error: SpecError) -> bool:
 
 def within_travel(document: Mapping[str, Any]) -> dict[str, Any]:
     """The tables of a spec whose moves stay within the travel of every axis: a turn that does not fit goes the other
-    way or, where that does not fit either, to the farther end; a pose to the same direction or the nearer end; a last
-    turn goes back to where the cycle began. Every turn is as fast as it was."""
+    way or, where that does not fit either, to the farther end; a pose or the start to the same direction or the nearer
+    end; a last turn goes back to where the cycle began. Every turn is as fast as it was."""
     tables: dict[str, Any] = copy.deepcopy(dict(document))
     axes = [TableAxis.model_validate(axis) for axis in tables["rig"]["table"]["axis"]]
     free = copy.deepcopy(tables)
@@ -32,7 +32,9 @@ def within_travel(document: Mapping[str, Any]) -> dict[str, Any]:
     schedule = spec_of(free).schedule
     assert isinstance(schedule, PlanSchedule)
     ends = [(math.ceil(_tenths(low)) / 10.0, math.floor(_tenths(high)) / 10.0) for low, high in (a.reach for a in axes)]
-    start = [to_unit(angle, "deg") for angle in schedule.start]
+    start = [_towards(to_unit(angle, "deg"), *reach) for angle, reach in zip(schedule.start, ends, strict=True)]
+    if any(start) or "start" in tables["plan"]["cycle"]:
+        tables["plan"]["cycle"]["start"] = {a.name: f"{at:.6g} deg" for a, at in zip(axes, start, strict=True)}
     here, way, fastest = list(start), [1.0] * len(axes), [""] * len(axes)
     moves: list[dict[str, Any]] = []
     for number, move in enumerate(tables["plan"]["cycle"]["moves"]):

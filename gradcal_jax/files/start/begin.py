@@ -6,6 +6,7 @@ of one axis is hung three times. Questions and presets are data, `start.toml`.
 """
 
 import math
+import re
 import tomllib
 from collections.abc import Callable, Mapping
 from importlib import resources
@@ -133,13 +134,27 @@ def understood(question: Question, answer: str) -> tuple[float | str, ...]:
         return ()
     parts = [part.strip() for part in answer.split(",")] if len(question.kinds) > 1 else [answer.strip()]
     if len(parts) != len(question.kinds):
-        raise ValueError(f"expected {len(question.kinds)} answers, separated by commas, got {len(parts)}")
+        such = ", ".join(_example(kind) for kind in question.kinds)
+        raise ValueError(
+            f"expected {len(question.kinds)} answers, separated by commas, such as '{such}'; got {len(parts)}"
+        )
     return tuple(_one(kind, part) for kind, part in zip(question.kinds, parts, strict=True))
+
+
+def _size(travel: str) -> str:
+    """A travel without its signs: of "±170 deg" the "170 deg"."""
+    return re.sub(r"^\s*(±|\+/?-)\s*", "", travel)
+
+
+def _example(kind: str) -> str:
+    """An answer of the right form."""
+    return units.DIMENSIONS[kind].example
 
 
 def _one(kind: str, text: str) -> float | str:
     if not text:
-        raise ValueError("expected an answer")
+        such = f" such as '{_example(kind)}'" if kind in units.DIMENSIONS else ""
+        raise ValueError(f"expected an answer{such}")
     if kind == "text":
         if not text.isprintable() or '"' in text or "\\" in text or len(text) > 100:
             raise ValueError("expected a name of at most 100 letters, without quotes or backslashes")
@@ -150,7 +165,7 @@ def _one(kind: str, text: str) -> float | str:
         return text
     if (kind, text) in (("offset", NO_ENCODER), ("travel", "unlimited")):
         return math.inf
-    value = units.parse(text, "angle" if kind in ("offset", "travel") else kind)
+    value = units.parse(_size(text) if kind == "travel" else text, "angle" if kind in ("offset", "travel") else kind)
     if kind not in ("temperature", "angle") and value <= 0.0:
         raise ValueError(f"expected more than zero, got {text}")
     return value
@@ -161,6 +176,7 @@ def files_of(answers: Answers) -> dict[str, str]:
     that names the question."""
     known = _known(answers)
     _refuse_impossible(answers, known)
+    answers = {**answers, "travel": _size(answers["travel"])} if "travel" in answers else answers
     full_scale = f'full_scale = "{math.degrees(known["full_scale"][0]):.6g} deg/s" '
     map_text = EXAMPLE.replace('# full_scale = "500 deg/s" ', full_scale)
     if answers["kind"] == "imu":
@@ -180,7 +196,7 @@ def typical_terms(answers: Answers) -> list[str]:
     if not _turns(answers) or answers["angle"].strip() == NO_ENCODER:
         return []
     rows = started_spec.not_asked(answers, _known(answers))
-    return columns(rows, indent="", width=118).splitlines()
+    return columns(rows, indent="", width=110).splitlines()
 
 
 def _known(answers: Answers) -> dict[str, tuple[Any, ...]]:

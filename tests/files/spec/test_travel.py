@@ -8,6 +8,7 @@ import gradcal_jax as gj
 from gradcal_jax.cli.optimise import _read
 from gradcal_jax.files.base.writing import tables_to_toml
 from gradcal_jax.files.spec.travel import lies_in_travel, within_travel
+from gradcal_jax.files.start.begin import PRESETS, files_of
 
 
 def tables(preset, travel, **more):
@@ -58,3 +59,12 @@ def test_optimise_reads_a_plan_that_does_not_fit(tmp_path, capsys):
     spec = _read(path)
     assert max(abs(s.move.angle) for s in spec.schedule.steps) == pytest.approx(340.0 * 0.017453292519943295)
     assert "The search starts from a plan in which these moves were changed to fit" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("travel", ["60 deg", "100 deg"])
+def test_a_start_beyond_the_travel_is_moved_into_it(travel):
+    document = tomllib.loads(files_of(PRESETS["bmi088"])["spec.toml"])
+    (axis,) = document["rig"]["table"]["axis"]
+    axis["travel"] = travel
+    spec = gj.parse_spec(tables_to_toml(within_travel(document)))
+    assert spec.schedule.start[0] == pytest.approx(-float(spec.rig.table.axis[0].travel))

@@ -72,10 +72,10 @@ class ByData(NamedTuple):
     nees: float
 
 
-def by_data(fit: Fit, truth: dict[str, float], covariance: np.ndarray) -> ByData:
-    """χ² of the true coefficients (by name, SI); `covariance` of the model's first coefficients, in its order.
+def by_data(fit: Fit, truth: dict[str, float], names: Sequence[str], covariance: np.ndarray) -> ByData:
+    """χ² of the true coefficients (SI) of some `names`, with their `covariance`.
 
-    What is no part of a calibration (the table's own errors) is fitted anew at the truth. Where a plan tells products
+    Of what is not named (the table's own errors, what depends on past temperatures) all is fitted anew at the truth. Where a plan tells products
     of coefficients better than each (a second-order term times a misalignment, a misalignment times the table's
     azimuth), errors in a linear covariance are no χ², however right both are. So the difference of what the model
     expects, whitened, `d`, is taken in their place: `bᵀPb` with `b = Aᵀd`, A being the estimate's own whitened columns.
@@ -83,7 +83,9 @@ def by_data(fit: Fit, truth: dict[str, float], covariance: np.ndarray) -> ByData
     """
     readings, estimate = fit.readings, fit.solution.parameters
     model = readings.model
-    priors, calibrated = np.asarray(model.prior_rows()), model.calibrated
+    priors, of_all = np.asarray(model.prior_rows()), list(model.names())
+    named = np.array([of_all.index(name) for name in names])
+    others = np.setdiff1d(np.arange(model.size), named)
     steps, _ = readings.linear(estimate)
     used = segments_of(readings.done.motion, model).used
     of_steps = readings.by_steps(np.asarray(used))
@@ -100,17 +102,18 @@ def by_data(fit: Fit, truth: dict[str, float], covariance: np.ndarray) -> ByData
 
     reported = np.asarray(model.to_reported)
     values = reported @ estimate
-    values[:calibrated] = [truth[name] for name in model.names()[:calibrated]]
-    here = np.linalg.solve(reported, values)
-    for _ in range(_STEPS if calibrated < model.size else 0):
-        table = columns(here)[:, calibrated:]
-        size = np.sqrt(np.sum(table**2, axis=0))
-        here[calibrated:] += np.linalg.lstsq(table / size, left(here), rcond=None)[0] / size
-    at_truth, at_estimate = left(here), left(estimate)
-    slopes = columns(estimate) @ np.linalg.inv(reported)
-    own = slopes[:, :calibrated]
-    if calibrated < model.size:  # less what the table's errors can take
-        basis = np.linalg.qr(slopes[:, calibrated:])[0]
+    values[named] = [truth[name] for name in names]
+    to_engine = np.linalg.inv(reported)
+    for _ in range(_STEPS if len(others) else 0):
+        here = to_engine @ values
+        free = (columns(here) @ to_engine)[:, others]
+        size = np.sqrt(np.sum(free**2, axis=0))
+        values[others] += np.linalg.lstsq(free / size, left(here), rcond=None)[0] / size
+    at_truth, at_estimate = left(to_engine @ values), left(estimate)
+    slopes = columns(estimate) @ to_engine
+    own = slopes[:, named]
+    if len(others):  # less what the others can take
+        basis = np.linalg.qr(slopes[:, others])[0]
         own = own - basis @ (basis.T @ own)
     size = np.sqrt(np.diag(covariance))
     along = (own * size).T @ (at_truth - at_estimate)

@@ -163,11 +163,9 @@ def _by_data(
     if len(built.model.channels) == 1:
         return None
     rows, _ = imu_rows(built, read, read[0].units[0], options)
-    own = built.model.names()[: built.model.calibrated]
-    assert set(own) == set(names)
-    order = [names.index(name) for name in own]
+    assert set(names) <= set(built.model.names())
     fit = fitted_twice(built, read[0].units[0], rows, rows.temperature_c)
-    return by_data(fit, hidden, covariance[np.ix_(order, order)])
+    return by_data(fit, hidden, names, covariance)
 
 
 def _ratio(achieved: dict[str, Any], predicted: dict[str, Any]) -> float:

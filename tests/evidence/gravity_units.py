@@ -52,7 +52,7 @@ def outcome(spec: Spec, seed: int, spoilt: float) -> dict[str, Any]:
     reported, own = model.to_reported, slice(model.calibrated)
     true = np.array([truth[name] for name in model.names()])
     covariance = fit.solution.known.covariance(reported)
-    by = by_data(fit, truth, covariance[own, own])
+    by = by_data(fit, truth, model.names()[own], covariance[own, own])
     errors, slopes = along_after_correction(model, found, np.linalg.solve(reported, true), ENDS_C)
     known = slopes @ fit.solution.known.covariance(np.eye(model.size)) @ slopes.T
     sigma = np.sqrt(np.diag(known))

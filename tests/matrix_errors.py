@@ -75,11 +75,11 @@ class ByData(NamedTuple):
 def by_data(fit: Fit, truth: dict[str, float], names: Sequence[str], covariance: np.ndarray) -> ByData:
     """χ² of the true coefficients (SI) of some `names`, with their `covariance`.
 
-    Of what is not named (the table's own errors, what depends on past temperatures) all is fitted anew at the truth. Where a plan tells products
-    of coefficients better than each (a second-order term times a misalignment, a misalignment times the table's
-    azimuth), errors in a linear covariance are no χ², however right both are. So the difference of what the model
-    expects, whitened, `d`, is taken in their place: `bᵀPb` with `b = Aᵀd`, A being the estimate's own whitened columns.
-    Where the model is linear `b = P⁻¹e`, and this is `eᵀP⁻¹e`.
+    Of what is not named (the table's own errors, what depends on past temperatures) all is fitted anew at the truth.
+    Where a plan tells products of coefficients better than each (a second-order term times a misalignment, a
+    misalignment times the table's azimuth), errors in a linear covariance are no χ², however right both are. So the
+    difference of what the model expects, whitened, `d`, is taken in their place: `bᵀPb` with `b = Aᵀd`, A being the
+    estimate's own whitened columns. Where the model is linear `b = P⁻¹e`, and this is `eᵀP⁻¹e`.
     """
     readings, estimate = fit.readings, fit.solution.parameters
     model = readings.model

@@ -39,7 +39,7 @@ from gradcal_jax.information.posterior import (
     square_root,
 )
 from gradcal_jax.information.whitening import whiten
-from gradcal_jax.model import BodyGroup, BodyNodes, EncoderNoise, ImuModel
+from gradcal_jax.model import AXIS_NAMES, BodyGroup, BodyNodes, EncoderNoise, ImuModel
 from gradcal_jax.trajectory import TableMotion
 
 # Columns below this share of the largest one of the same unit are rounding.
@@ -201,11 +201,12 @@ def _joint_steps(
     covariance: list[tuple] = []
     initial: list[tuple] = []
     # The direction about which each piece turns.
-    along = xp.sum(xp.where(motion.turns[..., None], nodes.axes_before[nodes.kind], 0.0), axis=1)
-    # What a gain multiplies: the rate along a gyro, the mean force along an accelerometer.
+    axes = nodes.axes_before if nodes.across_axes is None else nodes.axes_before + nodes.across_axes
+    along = xp.sum(xp.where(motion.turns[..., None], axes[nodes.kind], 0.0), axis=1)
+    # What a gain multiplies: the rate that a gyro senses, the mean force that an accelerometer does.
     drives = {"gyro": along * line.end_rate()[:, None]}
     if by_pieces and any(c.kind == "accelerometer" for c in model.channels):
-        drives["accelerometer"] = nodes.integrals(lambda g: xp.mean(g.force, axis=1), (3,))[nodes.kind]
+        drives["accelerometer"] = nodes.integrals(_mean_force, (3,))[nodes.kind]
     state = channels
     for i, c in enumerate(model.channels):
         p = c.model.processes
@@ -254,6 +255,11 @@ def _joint_steps(
     used = at.used[row] & (row >= 0)
     whole = placed((n, n), *initial)
     return NoiseSteps(through, noise, observed, xp.zeros(len(row)), used, whole, stays), row
+
+
+def _mean_force(group: BodyGroup) -> Float[AnyArray, "U 3"]:
+    force = group.force if group.across is None else group.force + group.across[..., len(AXIS_NAMES) :]
+    return namespace(force).mean(force, axis=1)
 
 
 def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -165,15 +165,18 @@ class ImuModel(PytreeModule):
         their misalignments at the mean temperature of each piece."""
         if not (terms := list(self.misalignments())):
             return nodes
-        groups: list[BodyGroup] = []
+        groups, across_axes = list[BodyGroup](), np.zeros(np.shape(nodes.axes_before))
         for group in nodes.groups:
             across, shared = np.zeros((*group.weight.shape, 2 * len(AXIS_NAMES))), group.shared()
             for number, term, places in terms:
                 functions = np.mean(term.temperature(shared.temperature_at(term.late)), axis=1)
-                size = (functions @ parameters[places])[:, None]
-                across[..., self.channels[number].index] += size * shared.signal(term.signals[0])
+                size, channel = (functions @ parameters[places])[:, None], self.channels[number]
+                across[..., channel.index] += size * shared.signal(term.signals[0])
+                if channel.kind == "gyro":
+                    other = AXIS_NAMES.index(term.signals[0][-1])
+                    across_axes[group.kinds, :, channel.axis] += size * nodes.axes_before[group.kinds, :, other]
             groups.append(replace(group, across=across))
-        return replace(nodes, groups=tuple(groups))
+        return replace(nodes, groups=tuple(groups), across_axes=across_axes)
 
     def columns(self, nodes: BodyNodes) -> tuple[list[AnyArray], Float[AnyArray, "K 6 i"]]:
         """Contribution of each parameter's unit, rad or m/s: for each channel `(P, own)` over every piece (zero over

@@ -222,7 +222,8 @@ class BodyGroup(PytreeModule):
 class BodyNodes(PytreeModule):
     """All nodes of `P` pieces of `K` kinds. For each kind: joint angles `angle_before` (rad) and directions
     `axes_before` at the begin of its pieces, `angle_after` at their end, the `axis` that turns (−1: none) and the
-    `mounting`. `kind`: of every piece. `temperature_before`, `history`: see `Nodes`.
+    `mounting`. `kind`: of every piece. `temperature_before`, `history`: see `Nodes`. `across_axes`: what the gyros
+    sense of these directions by their misalignments; None: nothing.
     """
 
     groups: tuple[BodyGroup, ...]
@@ -235,6 +236,7 @@ class BodyNodes(PytreeModule):
     mounting: Int[np.ndarray, " K"]
     temperature_before: Float[AnyArray, " P"] | None = None
     history: Float[AnyArray, " H"] | None = None
+    across_axes: Float[AnyArray, "K L 3"] | None = None
 
     def integrals(self, of_group, shape: tuple[int, ...]) -> Float[AnyArray, " K *shape"]:
         """`of_group(group) -> (U, *shape)` of every group at its kinds."""

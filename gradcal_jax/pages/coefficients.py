@@ -178,19 +178,26 @@ def _power(symbol: str, exponent: str) -> str:
     return "" if exponent == "0" else symbol if exponent == "1" else symbol + exponent.translate(_SUPERSCRIPTS)
 
 
-def agreement(calibration: Calibration, hidden: Mapping[str, float]) -> tuple[float, int, float] | None:
+def agreement(
+    calibration: Calibration, hidden: Mapping[str, float], walked: float = 0.0
+) -> tuple[float, int, float] | None:
     """χ² of the errors of all coefficients, its degrees of freedom, and the probability of a larger one; None where a
-    true value is not known. The covariance is that of the estimate with the errors that no residual shows. If the frame
-    of the estimate is known only as accurately as the mounting, the true values are rotated into it: by the rotation
-    with the smallest χ², which takes three degrees of freedom."""
+    true value is not known. The covariance is that of the estimate with the errors that no residual shows, and with the
+    standard deviation (rad/s) by which the gyros have `walked` before the data: a true bias is that of power-on. If the
+    frame of the estimate is known only as accurately as the mounting, the true values are rotated into it: by the
+    rotation with the smallest χ², which takes three degrees of freedom."""
     known = calibration.covariance
     if known is None or not all(name in hidden for name in known.names):
         return None
     from scipy.optimize import least_squares
     from scipy.special import chdtrc
 
-    unseen = np.array([[e.coefficients.get(n, 0.0) for n in known.names] for e in calibration.unseen])
-    covariance = np.array(known.matrix) + (unseen.T @ unseen if len(unseen) else 0.0)
+    columns = [[e.coefficients.get(n, 0.0) for n in known.names] for e in calibration.unseen]
+    for axis in "xyz":
+        bias = re.compile(rf"gyro_{axis}\.a(0|_(bin|spline)\d+)?")
+        columns.append([walked * (bias.fullmatch(n) is not None) for n in known.names])
+    unseen = np.array(columns)
+    covariance = np.array(known.matrix) + unseen.T @ unseen
     size = np.sqrt(np.diag(covariance))
     root = np.linalg.cholesky(covariance / np.outer(size, size))
     values = calibration.values()

@@ -99,6 +99,7 @@ def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
         "chamber": [] if recipe is None else chamber_words(recipe),
         "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
         "optimised": [] if recipe is None else _optimised(recipe),
+        "walks": spec is not None and spec.sensor.gyro is not None and bool(spec.sensor.gyro.rate_random_walk),
         "mounted": calibration is not None and calibration.frame == OF_THE_CASE,
         "converged": recipe is None or (recipe.optimisation or {}).get("converged", True),
         "done": _done(data),

@@ -165,7 +165,7 @@ def report_data_of(sources: Sources) -> ReportData:
             f"{', '.join(left.differing)}"
         )
     hidden = hidden_values(sources.hidden_truth, calibration)
-    own: dict[str, Any] = {} if calibration is None else _of_calibration(calibration, sources.calibration_name, hidden)
+    own: dict[str, Any] = {} if calibration is None else _of_calibration(calibration, sources, hidden, history)
     if calibration is not None:
         notes += [] if calibration.lacks is None else [calibration.lacks]
         notes += [f"the data do not observe: {', '.join(calibration.unobservable)}"] * bool(calibration.unobservable)
@@ -185,7 +185,20 @@ def report_data_of(sources: Sources) -> ReportData:
     )
 
 
-def _of_calibration(calibration: Calibration, name: str, hidden: Mapping[str, float]) -> dict[str, Any]:
+def _walked_before(sources: Sources, history: RunHistory | None) -> float:
+    """Standard deviation (rad/s) of the gyros' random walk between power-on and the first data of a run."""
+    spec = sources.spec
+    gyro = None if spec is None else spec.sensor.gyro
+    if history is None or spec is None or gyro is None or gyro.rate_random_walk is None:
+        return 0.0
+    begins = (segment.start for segment in getattr(spec.schedule, "segments", ()) if segment.used)
+    before = next(begins, 0.0) + sum(step.waited_s for step in history.waited[:1])
+    return float(gyro.rate_random_walk) * before**0.5
+
+
+def _of_calibration(
+    calibration: Calibration, sources: Sources, hidden: Mapping[str, float], history: RunHistory | None
+) -> dict[str, Any]:
     """The fields that are of a calibration alone."""
     return {
         "axes": tuple(
@@ -200,9 +213,9 @@ def _of_calibration(calibration: Calibration, name: str, hidden: Mapping[str, fl
         "unobservable": calibration.unobservable,
         "contradicted": calibration.contradicted,
         "fit": tuple((t.name.replace("_", " "), t.statistic, t.degrees, t.chance) for t in calibration.fit),
-        "agreement": agreement(calibration, hidden),
+        "agreement": agreement(calibration, hidden, _walked_before(sources, history)),
         "examples": tuple(examples_of(calibration)),
-        "exports": tuple(exports_of(calibration, name)),
+        "exports": tuple(exports_of(calibration, sources.calibration_name)),
     }
 
 

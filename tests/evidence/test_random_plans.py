@@ -230,7 +230,9 @@ def report(kind: str, number: int, done: Chain, ideal: Chain | None) -> None:
     cells = (f"{len(ratios)}", f"{min(ratios):.3f} … {max(ratios):.3f}", beyond_words, f"{done.fit[0]:.0f}")
     rows[f"| {kind} {number:02d}"] = f"| {kind} {number:02d} | {' | '.join(cells)} | {done.fit[1]} |"
     good, more = (sum(of in row for row in rows.values()) for of in (" | – | ", "hardly misaligned"))
-    foot = f"\n{good} of {len(rows)} within 5 % in every parameter, {more} more if their sensors are hardly misaligned; "
+    foot = (
+        f"\n{good} of {len(rows)} within 5 % in every parameter, {more} more if their sensors are hardly misaligned; "
+    )
     foot += f"{time.strftime('%Y-%m-%d')}.\n"
     REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n" + foot, encoding="utf-8")
 

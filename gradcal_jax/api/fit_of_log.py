@@ -32,6 +32,7 @@ from gradcal_jax.files.base.contracts import RequirementRow
 from gradcal_jax.files.base.quantity import Quantity
 from gradcal_jax.files.calibration import (
     FORMAT,
+    FRAME_OF_CASE,
     ORDER,
     CalibratedChannel,
     CalibratedTerm,
@@ -410,9 +411,7 @@ def calibration_of(
         "title": spec.title or spec.sensor.name or f"calibration of {name}",
         "serial_number": name,
         "simulated": any(one.simulated for one in logs),
-        "frame": "the case, as accurately as its mounting is known"
-        if case
-        else "the table's axes at zero angles, rotated by the nominal mounting",
+        "frame": FRAME_OF_CASE if case else "the table's axes at zero angles, rotated by the nominal mounting",
         "order": ORDER,
         "channel": tuple(held),
         "path": tuple(_path_coefficients(built, values, deviations)),

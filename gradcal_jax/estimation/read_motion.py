@@ -34,8 +34,9 @@ def motion_by_readings(log: ImuRows, geometry: Geometry) -> ExecutedImu:
     read = log.at_a_stop & (np.isfinite(log.angles[:, 0]) | unknown)
     groups = [np.flatnonzero(read[a:b]) + a for a, b in runs(log.standing | read)]
     # A table stands at the end of one mounting and at the beginning of the next, at other angles.
-    groups = [np.split(rows, np.flatnonzero(np.diff(log.mounting[rows])) + 1) for rows in groups if len(rows)]
-    groups = list(itertools.chain.from_iterable(groups))
+    groups = [
+        part for rows in groups if len(rows) for part in np.split(rows, np.flatnonzero(np.diff(log.mounting[rows])) + 1)
+    ]
     if sum(map(len, groups)) < 2:
         raise ValueError("nothing can be estimated: the log has fewer than two readings while the table is at rest")
     worth = np.ones(len(read)) if log.worth is None else log.worth
@@ -175,10 +176,9 @@ def column_readings(
         polls = np.flatnonzero(polled)
         between = np.isfinite(read_every)
         goals = np.arange(time[0] + read_every, time[-1] - 0.5 * read_every, read_every) if between else np.zeros(0)
-        # The nearest poll, not the next one: a table that is polled as often as asked would lose one in two.
-        next_one = np.searchsorted(time[polls], goals).clip(1, len(polls) - 1) if len(polls) > 1 else np.zeros(0, int)
-        nearer = goals - time[polls[next_one - 1]] < time[polls[next_one]] - goals if len(next_one) else False
-        result[first + polls[np.concatenate([[0], next_one - nearer, [len(polls) - 1]])]] = True
+        # The nearest poll, not the next one: one that came just before its goal would be lost.
+        nearest = np.searchsorted((time[polls[1:]] + time[polls[:-1]]) / 2.0, goals)
+        result[first + polls[np.concatenate([[0], nearest, [len(polls) - 1]])]] = True
     return result
 
 

@@ -10,14 +10,12 @@ import numpy as np
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.api.verdicts import coefficient_rows
 from gradcal_jax.files.base.contracts import Prediction
-from gradcal_jax.files.calibration import Calibration
+from gradcal_jax.files.calibration import FRAME_OF_CASE, Calibration
 from gradcal_jax.files.run.recipe import Predicted
 from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.model import TEMPERATURE_GRADIENT
 from gradcal_jax.pages.numbers import figures, with_uncertainty
 
-# The frame of an estimate that the mounting limits, in the words of the calibration file.
-OF_THE_CASE: Final = "the case, as accurately as its mounting is known"
 # Of more channels a table has a column for each axis.
 _MOST_CHANNELS: Final = 3
 _SYMBOLS: Final = (
@@ -207,7 +205,7 @@ def agreement(
         return np.linalg.solve(root, np.array([values[n] - truth[n] for n in known.names]) / size)
 
     degrees, best = len(known.names), np.zeros(3)
-    if calibration.frame == OF_THE_CASE and all(f"gyro_{axis}" in " ".join(known.names) for axis in "xyz"):
+    if calibration.frame == FRAME_OF_CASE and all(f"gyro_{axis}" in " ".join(known.names) for axis in "xyz"):
         # (In steps of a milliradian.)
         best, degrees = least_squares(lambda turn: whitened(1e-3 * turn), best).x * 1e-3, degrees - 3
     chi_squared = float(np.sum(whitened(best) ** 2))

@@ -22,6 +22,7 @@ from gradcal_jax.files.base.contracts import RequirementRow
 from gradcal_jax.files.base.problems import SpecError
 from gradcal_jax.files.base.quantity import Quantity
 from gradcal_jax.files.base.writing import write_whole
+from gradcal_jax.files.calibration import FRAME_OF_CASE
 from gradcal_jax.files.run.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
 from gradcal_jax.files.run.recipe import Recipe
 from gradcal_jax.files.spec.bench import AxisEncoder
@@ -29,7 +30,7 @@ from gradcal_jax.files.spec.changes import changed
 from gradcal_jax.files.spec.motion_plan import MotionPlan
 from gradcal_jax.files.spec.schedule import StandardSchedule
 from gradcal_jax.files.spec.spec_sections import Spec
-from gradcal_jax.pages.coefficients import OF_THE_CASE, coefficient_table, hidden_values, symbols
+from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, symbols
 from gradcal_jax.pages.figures import calibration_pictures, map_pictures, pose_picture, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures, one_sign, unbroken_options
@@ -100,7 +101,7 @@ def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
         "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
         "optimised": [] if recipe is None else _optimised(recipe),
         "walks": spec is not None and spec.sensor.gyro is not None and bool(spec.sensor.gyro.rate_random_walk),
-        "mounted": calibration is not None and calibration.frame == OF_THE_CASE,
+        "mounted": calibration is not None and calibration.frame == FRAME_OF_CASE,
         "converged": recipe is None or (recipe.optimisation or {}).get("converged", True),
         "done": _done(data),
         "waited": [

@@ -18,10 +18,10 @@ from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.cli import main
 from gradcal_jax.files import presets
 from gradcal_jax.files.base.contracts import notice_sentences
-from gradcal_jax.files.calibration import Covariance, UnseenError
+from gradcal_jax.files.calibration import FRAME_OF_CASE, Covariance, UnseenError
 from gradcal_jax.information import posterior
 from gradcal_jax.information.posterior import square_root
-from gradcal_jax.pages.coefficients import OF_THE_CASE, agreement, coefficient_table, hidden_values, parameters
+from gradcal_jax.pages.coefficients import agreement, coefficient_table, hidden_values, parameters
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.page import ANGLES, RAMPS, SLOPES, panel_of
 from gradcal_jax.pages.sources import stated_figures
@@ -241,7 +241,7 @@ def test_true_values_are_compared_in_the_frame_of_the_estimate(mounted):
     small = [seen(turn) for turn in 1e-6 * np.eye(3)]
     columns = [{n: 1.7e4 * (one[n] - truth[n]) for n in values} for one in small]
     unseen = [SimpleNamespace(coefficients=column) for column in columns]
-    frame = OF_THE_CASE if mounted else "the table's axes"
+    frame = FRAME_OF_CASE if mounted else "the table's axes"
     covariance = SimpleNamespace(names=tuple(values), matrix=(2e-5**2 * np.eye(len(values))).tolist())
     made = SimpleNamespace(covariance=covariance, unseen=unseen, values=lambda: values, frame=frame)
     chi_squared, degrees, chance = agreement(made, truth)
@@ -252,3 +252,14 @@ def test_true_values_are_compared_in_the_frame_of_the_estimate(mounted):
         # The second order alone is many standard deviations.
         assert degrees == len(values)
         assert chi_squared > 100.0
+
+
+def test_the_walk_of_a_bias_before_the_data_is_no_error_of_the_estimate():
+    """The true bias is that of power-on: by the walk's variance on its diagonal."""
+    names = ("gyro_x.a0", "gyro_x.a1")
+    covariance = SimpleNamespace(names=names, matrix=[[1.0, 0.0], [0.0, 1.0]])
+    made = SimpleNamespace(covariance=covariance, unseen=(), values=lambda: dict(zip(names, (5.0, 2.0), strict=True)))
+    made.frame = "the table's axes"
+    truth = dict.fromkeys(names, 0.0)
+    assert agreement(made, truth)[0] == pytest.approx(25.0 + 4.0)
+    assert agreement(made, truth, walked=2.0)[0] == pytest.approx(25.0 / 5.0 + 4.0)

@@ -5,6 +5,7 @@ The kinds of channel are alike: a gyro axis is a calibration with one channel.
 
 from gradcal_jax.files.calibration.file import (
     FORMAT,
+    FRAME_OF_CASE,
     LOG_HASH,
     ORDER,
     TEMPERATURE_RATE,
@@ -29,6 +30,7 @@ from gradcal_jax.files.calibration.file import (
 
 __all__ = [
     "FORMAT",
+    "FRAME_OF_CASE",
     "LOG_HASH",
     "ORDER",
     "TEMPERATURE_RATE",

@@ -44,6 +44,8 @@ ORDER: Final = (
     "from the corrected values, subtract them, and iterate until convergence (three iterations for errors of a per "
     "cent), before any rotation"
 )
+FRAME_OF_CASE: Final = "the case, as accurately as its mounting is known"
+"""Frame of an estimate that the mounting limits."""
 TEMPERATURE_RATE: Final = "temperature rate"
 """Name of the signal dT/dt, K/s."""
 LOG_HASH: Final = "log_sha256"

@@ -42,9 +42,10 @@ from gradcal_jax.model import (
     Map,
     SignalMap,
 )
-from gradcal_jax.trajectory import EARTH_RATE, Trajectory
+from gradcal_jax.trajectory import EARTH_RATE, Trajectory, Turns, turns_of
 
 TURN_ON: Final = "turn-on bias"
+BACKLASH: Final = "backlash of the table's drive"
 BESIDE_THE_AXIS: Final = "misalignment of the input axis from the table's axis"
 UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
 # Temperatures at which the slope of a map is taken, and the step of the difference, K.
@@ -55,7 +56,7 @@ _MINUTES: Final = 300.0
 # Last parts of the keys of omitted terms that are no noise: columns of `columns_of`, or terms with parameters.
 _NO_NOISE: Final = frozenset({
     "thermal_lag", "bias_temperature_gradient", "temperature_offset", "temperature_lag", "mounting_accuracy",
-    "scale_error", "turn_on_bias", "hysteresis", "scale_factor_hysteresis", "lever_arm",
+    "scale_error", "backlash", "turn_on_bias", "hysteresis", "scale_factor_hysteresis", "lever_arm",
 })  # fmt: skip
 
 
@@ -68,13 +69,14 @@ class ChannelTerms(NamedTuple):
 
 class SystematicFigures(NamedTuple):
     """Standard deviations of the errors that no residual shows, SI: relative of the scale factor, by name, of the
-    gyros; the offset (K) and lag (s) of the thermometer; of biases, by kind: constant, per K/s, and new at every
-    power-on. `slopes`: typical ones of bias and scale factor over temperature, by kind. `hysteresis`: by kind and name
-    of the map, half of what heating and cooling differ by."""
+    gyros; the offset (K) and lag (s) of the thermometer; the backlash of the table (rad); of biases, by kind: constant,
+    per K/s, and new at every power-on. `slopes`: typical ones of bias and scale factor over temperature, by kind.
+    `hysteresis`: by kind and name of the map, half of what heating and cooling differ by."""
 
     scale: Mapping[str, float]
     offset: float
     lag: float
+    backlash: float
     bias: Mapping[str, float]
     gradient: Mapping[str, float]
     turn_on: Mapping[str, float]
@@ -98,6 +100,7 @@ def systematic_figures(spec: Spec) -> SystematicFigures:
     sensor = spec.sensor
     common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
     gyro, table = spec.sensor.gyro, spec.rig.table
+    common["backlash"] = max(float(axis.angle.backlash or 0.0) for axis in table.axis)
     scales = [float(axis.angle.scale_error or 0.0) for axis in table.axis]
     triads = {"gyro": gyro, "accelerometer": spec.sensor.accelerometer}
     # A table of several axes sees the directions of the input axes.
@@ -125,9 +128,11 @@ def columns_of(
     size: int,
     ramp: float,
     done: EstimatedRun | None = None,
+    turns: Turns | None = None,
 ) -> dict[str, np.ndarray]:
     """Columns `(p, k)` of the spread by the name of their error, for `size` parameters and a `ramp` of that many K/s
-    (root mean square). In a plan a map has its class's slopes, in an estimate its own."""
+    (root mean square). In a plan a map has its class's slopes, in an estimate its own. `turns`: without them backlash
+    does not count."""
     columns: dict[str, list[np.ndarray]] = {}
 
     def add(name: str, column: np.ndarray) -> None:
@@ -140,6 +145,8 @@ def columns_of(
                 add(name, std * _constants(terms, size, SCALE_FACTOR))
             for name, std in figures.bias.items():
                 add(name, std * _constants(terms, size, BIAS))
+            if figures.backlash and turns is not None:
+                add(BACKLASH, figures.backlash * _by_backlash(terms, size, turns))
         for (own, name), size_of_it in figures.hysteresis.items():
             # A map from one branch is off by twice as much on the other as one from both.
             if own == kind and done is not None:
@@ -173,6 +180,16 @@ def _constants(terms, size: int, name: str) -> np.ndarray:
     for where, term in terms:
         if term.name == name:
             column[where] = term.constant if isinstance(term, Map) else term.temperature.constant
+    return column
+
+
+def _by_backlash(terms, size: int, turns: Turns) -> np.ndarray:
+    """Parameters `(p,)` of the scale factor by which turns seem larger than they are, each weighted with its size."""
+    column = np.zeros(size)
+    for where, term in terms:
+        if term.name == SCALE_FACTOR and isinstance(term, Map):
+            functions = np.asarray(term.values(turns.temperature_c, turns.rate)) * turns.size[:, None]
+            column[where] = np.linalg.lstsq(functions, turns.lost * turns.size, rcond=1e-6)[0]
     return column
 
 
@@ -265,7 +282,8 @@ def columns_of_imu(built: BuiltImu) -> dict[str, np.ndarray]:
     """Columns of what no residual of a plan's run shows, as far as the spec names it."""
     ramp = ramp_of([built.motion.line])
     figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
-    return columns_of(figures, terms_of_imu(built), built.model.size, ramp)
+    turns = turns_of(built.motion) if figures.backlash else None
+    return columns_of(figures, terms_of_imu(built), built.model.size, ramp, turns=turns)
 
 
 def _without_fitted(figures: SystematicFigures, fitted: Container[Any]) -> SystematicFigures:
@@ -292,7 +310,8 @@ def budget_of_estimate(
         _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
     )
     size, terms = built.model.size, terms_of_imu(built)
-    own, whole = (columns_of(figures, terms, size, done.ramp, done) for figures in (named, complete))
+    turns = turns_of(built.motion) if complete.backlash else None
+    own, whole = (columns_of(figures, terms, size, done.ramp, done, turns) for figures in (named, complete))
     turn_on = another_run(complete, terms, size)
     left = widened(known, own)
     columns = {**whole, **noise}
@@ -316,7 +335,9 @@ def floor_of_plan(spec: Spec) -> tuple[BuiltImu, Posterior]:
     """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
     built = build_imu(spec)
     nothing = np.zeros((built.model.size, 0))
-    return built, widened(Posterior(nothing, nothing), columns_of_imu(built))
+    # Longer turns lose less to backlash.
+    columns = {name: column for name, column in columns_of_imu(built).items() if name != BACKLASH}
+    return built, widened(Posterior(nothing, nothing), columns)
 
 
 def shares_of_variance(

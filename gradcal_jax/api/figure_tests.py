@@ -23,6 +23,7 @@ from gradcal_jax.estimation import (
     components,
 )
 from gradcal_jax.files.base.contracts import RequirementRow
+from gradcal_jax.files.spec.absent import with_typical
 from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import Posterior
 
@@ -112,12 +113,14 @@ def figure_tests(
 def backlash_sentences(
     built: BuiltImu, solution: ImuEstimate, angles: Sequence[AngleColumns], rows: Sequence[RequirementRow]
 ) -> Iterator[str]:
-    """A sentence for each axis whose backlash the parameters take up, where a little of it would matter; `rows`: of the
-    spec's requirements, judged."""
+    """A sentence for each axis whose backlash the parameters take up, where a little of it would matter and the spec
+    does not state it; `rows`: of the spec's requirements, judged."""
     known = solution.known.spread
-    for of_axis in angles:
+    for number, of_axis in enumerate(angles):
         column = of_axis.backlash
-        if column is None or _is_known(of_axis.components(column, solution), _LITTLE / 2.0):
+        if built.spec.rig.table.axis[number].angle.backlash is not None or column is None:
+            continue
+        if _is_known(of_axis.components(column, solution), _LITTLE / 2.0):
             continue
         shift = Posterior(_LITTLE * known @ (known.T @ (solution.white.rows.T @ column)), np.zeros((len(known), 0)))
         changes = [imu_residual(built, shift, requirement).statistic() for requirement in built.spec.requirement]
@@ -125,11 +128,21 @@ def backlash_sentences(
         worst = int(np.argmax(shares)) if shares else 0
         if shares and shares[worst] > _MATTERS:
             yield (
-                f"the log cannot show backlash of the axis {of_axis.axis}, and the uncertainty does not include it: "
-                f"{np.degrees(_LITTLE):.2g} deg of backlash would change '{rows[worst].name}' by {changes[worst]:.2g} "
-                f"{rows[worst].unit}. If the drive has backlash, read the angle at the axis itself, or approach every "
-                "stop from the same side"
+                f"the log cannot show backlash of the axis {of_axis.axis}: {np.degrees(_LITTLE):.2g} deg of it would "
+                f"change '{rows[worst].name}' by {changes[worst]:.2g} {rows[worst].unit}, and "
+                f"{_counted_backlash(built.spec, number)}. State the backlash of the drive (angle.backlash), read the "
+                "angle at the axis itself, or approach every stop from the same side"
             )
+
+
+def _counted_backlash(spec: Spec, number: int) -> str:
+    """What an uncertainty includes of the backlash of an axis that the spec does not state."""
+    own, typical = spec.rig.table.axis[number].angle, with_typical(spec).rig.table.axis[number].angle
+    if typical.backlash:
+        return f"the uncertainty includes {typical.backlash} (1σ), typical of the class"
+    if own.scale_error is None and typical.scale_error:
+        return f"the uncertainty includes the scale error of gears with their backlash, {typical.scale_error}"
+    return "the uncertainty does not include it"
 
 
 def _is_known(of: Components, std: float) -> bool:

@@ -23,6 +23,8 @@ _SYMBOLS: Final = (
     "axis; g: bias caused by a specific force along an axis; k2: second order. Digits at the end are powers of "
     "temperature."
 )
+# Over the range of a calibration, for a change of its maps.
+_TEMPERATURES: Final = 64
 _SUPERSCRIPTS: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -181,16 +183,19 @@ def agreement(
 ) -> tuple[float, int, float] | None:
     """χ² of the errors of all coefficients, its degrees of freedom, and the probability of a larger one; None where a
     true value is not known. The covariance is that of the estimate with the errors that no residual shows, and with the
-    standard deviation (rad/s) by which the gyros have `walked` before the data: a true bias is that of power-on. If the
-    frame of the estimate is known only as accurately as the mounting, the true values are rotated into it: by the
-    rotation with the smallest χ², which takes three degrees of freedom."""
+    standard deviation (rad/s) by which the gyros have `walked` before the data: a true bias is that of power-on. The
+    offset of a simulated thermometer is known: true values are those at the temperature that it shows, since of some
+    kelvins the curvature of the maps counts. If the frame of the estimate is known only as accurately as the mounting,
+    the true values are rotated into it: by the rotation with the smallest χ², which takes three degrees of freedom."""
     known = calibration.covariance
     if known is None or not all(name in hidden for name in known.names):
         return None
     from scipy.optimize import least_squares
     from scipy.special import chdtrc
 
-    columns = [[e.coefficients.get(n, 0.0) for n in known.names] for e in calibration.unseen]
+    shown = _at_shown_temperatures(calibration, hidden)
+    counted = [e for e in calibration.unseen if shown is hidden or e.name != "offset of the temperature"]
+    columns = [[e.coefficients.get(n, 0.0) for n in known.names] for e in counted]
     for axis in "xyz":
         bias = re.compile(rf"gyro_{axis}\.a(0|_(bin|spline)\d+)?")
         columns.append([walked * (bias.fullmatch(n) is not None) for n in known.names])
@@ -201,7 +206,7 @@ def agreement(
     values = calibration.values()
 
     def whitened(rotation: np.ndarray) -> np.ndarray:
-        truth = _rotated(hidden, rotation)
+        truth = _rotated(shown, rotation)
         return np.linalg.solve(root, np.array([values[n] - truth[n] for n in known.names]) / size)
 
     degrees, best = len(known.names), np.zeros(3)
@@ -210,6 +215,23 @@ def agreement(
         best, degrees = least_squares(lambda turn: whitened(1e-3 * turn), best).x * 1e-3, degrees - 3
     chi_squared = float(np.sum(whitened(best) ** 2))
     return chi_squared, degrees, float(chdtrc(degrees, chi_squared))
+
+
+def _at_shown_temperatures(calibration: Calibration, hidden: Mapping[str, float]) -> Mapping[str, float]:
+    """True values as functions of the temperature that the simulated thermometer shows, off by a constant."""
+    if not (offset := hidden.get("temperature_offset", 0.0)):
+        return hidden
+    found = dict(hidden)
+    for channel in calibration.channel:
+        at = np.linspace(*map(float, channel.valid_temperature), _TEMPERATURES)
+        for term in channel.term:
+            names = [f"{channel.kind}_{channel.axis}.{name}" for name in term.coefficients]
+            if term.temperature is not None and all(name in hidden for name in names):
+                functions, true = term.temperature.values(at), term.temperature.values(at - offset)
+                # A map over rate is written temperature by temperature.
+                of = np.array([hidden[name] for name in names]).reshape(functions.shape[1], -1)
+                found |= zip(names, np.linalg.lstsq(functions, true @ of, rcond=None)[0].ravel().tolist(), strict=True)
+    return found
 
 
 def _rotated(truth: Mapping[str, float], rotation: np.ndarray) -> dict[str, float]:

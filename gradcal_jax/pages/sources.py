@@ -263,6 +263,7 @@ def _of_rig(rig: Rig) -> list[tuple[str, str]]:
             (of + "standstill offset", angle.standstill_offset or None),
             (of + "timing error", angle.timing_error or None),
             (of + "scale of the table's angle", angle.scale_error or None),
+            (of + "backlash", angle.backlash or None),
             (of + "angles between the table's axes", axis.orthogonality or None),
         ]
         rows += [(f"{of}encoder's error that repeats {h.order} times per turn", h.amplitude) for h in angle.harmonics]

@@ -8,6 +8,7 @@ from gradcal_jax.trajectory.table_motion import (
     EARTH_RATE,
     Geometry,
     TableMotion,
+    Turns,
     body_group,
     body_nodes,
     divided_motion,
@@ -16,5 +17,6 @@ from gradcal_jax.trajectory.table_motion import (
     motion_divided_by_plays,
     rotation,
     table_motion,
+    turns_of,
 )
 from gradcal_jax.trajectory.trajectory import Past, TablePart, Trajectory, held, quadrature

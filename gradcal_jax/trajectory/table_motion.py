@@ -108,6 +108,8 @@ _HALVINGS = 45
 _ROUNDING = 1e-14
 # Divisions by plays nearer than this to an end of a piece, as a share of it, divide nothing: a play is continuous.
 _PLAY_EDGE = 1e-9
+# rad
+_SMALLEST_TURN = np.radians(0.1)
 
 
 class TableMotion(PytreeModule):
@@ -145,6 +147,34 @@ class TableMotion(PytreeModule):
     def turns(self) -> np.ndarray:
         """`(P, L)`: which axis every piece turns."""
         return self.axis[:, None] == np.arange(self.geometry.axis_count)[None, :]
+
+
+class Turns(NamedTuple):
+    """Turns of a table's only axis: temperature (°C), rate and size (rad/s, rad), and the part of each that a radian of
+    backlash takes away; `(n,)` each."""
+
+    temperature_c: np.ndarray
+    rate: np.ndarray
+    size: np.ndarray
+    lost: np.ndarray
+
+
+def turns_of(motion: TableMotion) -> Turns | None:
+    """The turns of the only axis of a table; None: it has several axes, or does not turn, or only rates are read."""
+    line = motion.line
+    if motion.geometry.axis_count != 1 or line.rates:
+        return None
+    before, after = (np.asarray(angles)[:, 0] for angles in motion.angles())
+    sign = np.sign(np.where(np.abs(after - before) > _SMALLEST_TURN, after - before, 0.0))
+    # Pieces of one turn follow each other in one direction.
+    begins = np.flatnonzero((sign != 0.0) & (np.concatenate([[0.0], sign[:-1]]) != sign))
+    if not len(begins):
+        return None
+    ends = np.concatenate([begins[1:], [len(sign)]])
+    moving = np.where(sign != 0.0, np.asarray(line.duration), 0.0)
+    lasting = np.array([np.sum(moving[b:e]) for b, e in zip(begins, ends, strict=True)])
+    way, back = after[ends - 1] - before[begins], np.concatenate([[0.0], sign[begins[:-1]]]) == -sign[begins]
+    return Turns(np.asarray(line.level)[begins], way / lasting, np.abs(way), back / np.abs(way))
 
 
 def nodes_of_turn(turned: Float[np.ndarray, " K"], waves: int) -> Int[np.ndarray, " K"]:

@@ -17,6 +17,7 @@ from gradcal_jax.cli import main
 from gradcal_jax.files.log.log import LogError
 from gradcal_jax.files.log.log_file import write_log
 from gradcal_jax.files.spec.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.files.spec.changes import tables_of
 from gradcal_jax.files.spec.spec import parse_spec
 
 SPEC = """
@@ -162,6 +163,25 @@ def test_a_named_figure_counts_as_itself():
     assert row.decisive == pytest.approx(
         np.hypot(left(EXACT, "M").decisive, 2**0.5 * np.radians(1.0) ** 2 * 1e6), rel=0.02
     )
+
+
+def test_backlash_counts_as_the_turns_that_it_shortens():
+    """Every turn of 1440 deg but the first reverses the one before. Where a spec states the scale error of a gear and
+    not its backlash, a typical one counts; the typical scale error of a gear is that of its backlash, too."""
+    exact, turn = left(EXACT, "M").decisive, 1440.0
+    named = left(gj.changed(EXACT, {"rig.table.axis[0].angle.backlash": "0.05 deg"}), "M")
+    assert named.decisive == pytest.approx(np.hypot(exact, 0.05 / turn * 1e6), rel=0.05)
+    assert named.with_typical is None
+    geared = gj.changed(EXACT, {"rig.table.axis[0].angle.scale_error": "1 ppm"})
+    assert [term.key for term in absent_terms(geared)] == ["rig.table.axis[0].angle.backlash"]
+    assert left(geared, "M").with_typical == pytest.approx(np.hypot(exact, 0.01 / turn * 1e6), rel=0.05)
+    assert not [t for t in absent_terms(without("rig.table.angle.scale_error")) if "backlash" in t.key]
+    assert absent_terms(with_typical(without("rig.table.angle.scale_error"))) == []
+    moves = [
+        move for move in tables_of(geared)["plan"]["cycle"]["moves"] if not str(move.get("turn", "")).startswith("-")
+    ]
+    one_way = gj.changed(geared, {"plan.cycle.moves": moves})
+    assert left(one_way, "M").with_typical == pytest.approx(left(one_way, "M").decisive, rel=1e-3)
 
 
 def test_another_power_on_is_a_line_of_its_own_and_decides():

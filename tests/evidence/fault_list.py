@@ -584,6 +584,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("third harmonic of the encoder, 0.05 deg", UNIT_FULL, HARMONICS, encoders(waves={3: (0.03, 0.04)})),
     Fault("second harmonic of the encoder, 0.005 deg", UNIT_FULL, HARMONICS, encoders(waves={2: (0.003, 0.004)})),
     Fault("backlash of 0.02 deg", AXIS, BACKLASH, encoders(backlash=0.02)),
+    Fault("backlash of 0.02 deg", AXIS_FULL, BACKLASH, encoders(backlash=0.02)),
     Fault("backlash of 0.02 deg", UNIT, BACKLASH, encoders(backlash=0.02)),
     Fault("backlash of 0.02 deg", UNIT_FULL, BACKLASH, encoders(backlash=0.02)),
     # Maps that the spec's functions cannot follow.

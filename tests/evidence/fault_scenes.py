@@ -413,7 +413,15 @@ def unit_scene(full: bool, seed: int = 1, both_ways: bool | None = None) -> Scen
 
 # --- what is wrong with a calibration ---------------------------------------------------------------------------------
 
-_UNITS = {"ppm": PPM, "deg/h": DEG_H, "µrad": 1e-6, "urad": 1e-6, "µg": 1e-6 * G, "ug": 1e-6 * G, "deg/h/g": DEG_H / G}
+UNIT_SIZES = {
+    "ppm": PPM,
+    "deg/h": DEG_H,
+    "µrad": 1e-6,
+    "urad": 1e-6,
+    "µg": 1e-6 * G,
+    "ug": 1e-6 * G,
+    "deg/h/g": DEG_H / G,
+}
 
 
 @dataclass(frozen=True)
@@ -440,7 +448,7 @@ def _basis(of: dict[str, Any], x: np.ndarray) -> np.ndarray:
     return ((x - centre) / scale)[None] ** np.arange(of["degree"] + 1)[:, None]
 
 
-def _term(term: dict[str, Any], t: np.ndarray, x: np.ndarray) -> np.ndarray:
+def term_values(term: dict[str, Any], t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """A term's values at temperatures and rates, from its file."""
     values = np.array(list(term["coefficients"].values()), float)
     one = np.ones((1, len(t)))
@@ -454,7 +462,7 @@ def _numbers(pair: list[str]) -> tuple[float, float]:
     return low, high
 
 
-def _summed(error: np.ndarray, statistic: str, shape: tuple[int, ...]) -> float:
+def summed(error: np.ndarray, statistic: str, shape: tuple[int, ...]) -> float:
     """A statistic of |error|, as the spec's key names it, on a box `[temperature, rate]`."""
     size = np.abs(error).reshape(shape)
     if statistic.startswith("mean of max"):
@@ -482,13 +490,13 @@ def judge(scene: Scene, folder: Path) -> list[Judged]:
         errors = _axis_errors if scene.kind == "axis" else _unit_errors
         error = errors(scene, made, want["quantity"], t.ravel(), x.ravel())
         unit = row["unit"]
-        size = _summed(error, row["statistic"], shape) / _UNITS[unit]
+        size = summed(error, row["statistic"], shape) / UNIT_SIZES[unit]
         value = row.get("value")
         found.append(Judged(row["name"], size, None if value is None else 2.0 * value, row.get("verdict") or "", unit))
     return found
 
 
-def _held(made: dict[str, Any], t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def held(made: dict[str, Any], t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Beyond what the data covered a calibration holds its values at the edge."""
     (low, high), (slow, fast) = _numbers(made["valid_temperature"]), _numbers(made.get("valid_rate", ["0", "0"]))
     return np.clip(t, low, high), np.clip(x, slow * DEG, fast * DEG)
@@ -496,11 +504,11 @@ def _held(made: dict[str, Any], t: np.ndarray, x: np.ndarray) -> tuple[np.ndarra
 
 def _axis_errors(scene: Scene, made: dict[str, Any], quantity: str, t: np.ndarray, x: np.ndarray) -> np.ndarray:
     (channel,), (gyro,) = made["channel"], scene.channels
-    at, terms = _held(channel, t, x), {term["name"]: term for term in channel["term"]}
+    at, terms = held(channel, t, x), {term["name"]: term for term in channel["term"]}
     if quantity == "bias":
-        return _term(terms["bias"], *at) - gyro.bias(t)
+        return term_values(terms["bias"], *at) - gyro.bias(t)
     # b{rate power}{temperature power}, written temperature by temperature.
-    return _term(terms["scale_factor"], *at) - gyro.scale(t, x)
+    return term_values(terms["scale_factor"], *at) - gyro.scale(t, x)
 
 
 def _unit_errors(scene: Scene, made: dict[str, Any], quantity: str, t: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -510,7 +518,7 @@ def _unit_errors(scene: Scene, made: dict[str, Any], quantity: str, t: np.ndarra
     squares: list[np.ndarray] = []
     for channel, truth in zip([c for c in made["channel"] if c["kind"] == kind],
                               [c for c in scene.channels if c.kind == kind], strict=True):  # fmt: skip
-        at, own = _held(channel, t, x), "xyz".index(channel["axis"])
+        at, own = held(channel, t, x), "xyz".index(channel["axis"])
         signal = "rate" if kind == "gyro" else "force"
         for j in range(3):
             if (name == "misalignment") == (j == own) and name != "g_sensitivity":
@@ -527,6 +535,6 @@ def _unit_errors(scene: Scene, made: dict[str, Any], quantity: str, t: np.ndarra
             own_terms = [term for term in channel["term"] if term["name"].startswith(name)]
             if pointing:
                 own_terms = [term for term in own_terms if term["signals"] == [f"{signal} {'xyz'[j]}"]]
-            said = sum((_term(term, *at) for term in own_terms), np.zeros(len(t)))
+            said = sum((term_values(term, *at) for term in own_terms), np.zeros(len(t)))
             squares.append((said - true) ** 2)
     return np.sqrt(np.mean(squares, axis=0))

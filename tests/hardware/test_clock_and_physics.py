@@ -219,6 +219,27 @@ def test_encoder_errors_are_of_the_kind_that_was_asked_for() -> None:
     assert np.std(read) == pytest.approx(100.0 * 0.002, rel=0.15)
 
 
+def test_an_axis_behind_a_gear_turns_by_less_than_its_motor_counts() -> None:
+    """By the scale error always, and after each reversal by the backlash, too."""
+    plant = AxisPlant(AxisTruth(scale_error=1e-3, backlash_deg=0.2))
+    plant.move_to(0.0, 90.0, 50.0, 100.0)
+    assert plant.reading(10.0) == pytest.approx(90.0)
+    begins = plant.position(np.array([10.0]))[0]
+    plant.move_to(11.0, 180.0, 50.0, 100.0)
+    middle = plant.position(np.array([20.0]))[0]
+    plant.move_to(21.0, 90.0, 50.0, 100.0)
+    ends = plant.position(np.array([21.05, 30.0]))
+    assert middle - begins == pytest.approx(90.0 * 0.999)
+    assert ends[0] == middle  # the motor has turned back by 0.125 deg
+    assert middle - ends[1] == pytest.approx((90.0 - 0.2) * 0.999)
+    # A reversal without a standstill: one phase of constant acceleration, in and after which the axis stands a while.
+    plant.spin(40.0, 20.0, 100.0)
+    plant.spin(42.0, -20.0, 100.0)
+    motor = [plant.state(t)[0] for t in (42.2, 42.25, 43.0)]
+    axis = plant.position(np.array([42.2, 42.25, 43.0])) / 0.999
+    np.testing.assert_allclose(axis, [motor[0] - 0.1, motor[0] - 0.1, motor[2] + 0.1])
+
+
 # --- sensor -----------------------------------------------------------------------------------------------------------
 
 

@@ -3,6 +3,7 @@
 import json
 import re
 from html import unescape
+from math import comb
 from types import SimpleNamespace
 
 import numpy as np
@@ -263,3 +264,24 @@ def test_the_walk_of_a_bias_before_the_data_is_no_error_of_the_estimate():
     truth = dict.fromkeys(names, 0.0)
     assert agreement(made, truth)[0] == pytest.approx(25.0 + 4.0)
     assert agreement(made, truth, walked=2.0)[0] == pytest.approx(25.0 / 5.0 + 4.0)
+
+
+def test_a_simulated_thermometer_that_is_off_shifts_the_maps_whole():
+    """Of an offset of some kelvins the curvature counts: a cubic at the shown temperature is a cubic exactly."""
+    names = tuple(f"gyro_x.a{k}" for k in range(4))
+    truth = dict(zip(names, (1.0, 2.0, 3.0, 4.0), strict=True))
+    # a(T' - 0.1), by the binomial.
+    matrix = np.array([[comb(k, j) * (-0.1) ** (k - j) if k >= j else 0.0 for k in range(4)] for j in range(4)])
+    values = dict(zip(names, (matrix @ list(truth.values())).tolist(), strict=True))
+    basis = gj.parse_spec(presets.text("gradient-three-axes")).sensor.gyro.bias.temperature
+    off = 0.1 * float(basis.scale)
+    term = SimpleNamespace(temperature=basis, coefficients={f"a{k}": 0.0 for k in range(4)})
+    channel = SimpleNamespace(kind="gyro", axis="x", valid_temperature=("-20", "60"), term=(term,))
+    slope = UnseenError(name="offset of the temperature", coefficients={"gyro_x.a0": 1.0})
+    made = SimpleNamespace(
+        covariance=SimpleNamespace(names=names, matrix=(1e-6 * np.eye(4)).tolist()), unseen=(slope,),
+        values=lambda: values, frame="the table's axes", channel=(channel,),
+    )  # fmt: skip
+    assert agreement(made, truth | {"temperature_offset": off})[0] < 1e-6
+    # Else it is an error, of which the first order is counted.
+    assert agreement(made, truth)[0] > 1e3

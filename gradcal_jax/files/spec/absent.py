@@ -232,8 +232,11 @@ def _unnamed(section: Section, prefix: str, terms: list[AbsentTerm]) -> Iterator
 
 def with_typical(spec: Spec) -> Spec:
     """The spec with every absent term at its typical value. Errors: `SpecError` where the two contradict each other."""
-    absent = absent_terms(spec)
-    return changed(spec, {term.key: term.value for term in absent}) if absent else spec
+    typical = {term.key: term.value for term in absent_terms(spec)}
+    # The typical scale error of gears is that of their backlash, too.
+    ends = ".angle.scale_error"
+    none = {key.replace(ends, ".angle.backlash"): "0 deg" for key in typical if key.endswith(ends)}
+    return changed(spec, none | typical) if typical else spec
 
 
 def sensor_grade(sensor: Sensor) -> Grade:
@@ -322,7 +325,9 @@ def _keys_of_axis(spec: Spec) -> set[str]:
         # A standing axis is read at one angle: only errors that change between readings have an effect.
         return keys | {"angle.reading_noise"}
     keys |= {"angle.reading_noise", "angle.standstill_offset", "angle.harmonics", *mounting}
-    keys |= {"angle.scale_error"} if mounting else set()
+    # A typical scale error is that of gears with their play, and where there is none, there is no gear.
+    of_gears = spec.rig.table.axis[0].angle.scale_error
+    keys |= {"angle.scale_error", *(("angle.backlash",) if of_gears else ())} if mounting else set()
     on_the_move = any(move.read_every is not None and not move.is_rest for move in moves)
     return keys | ({"angle.timing_error"} if on_the_move else set())
 
@@ -333,7 +338,7 @@ def _keys_of_imu(spec: Spec) -> set[str]:
     keys = {"temperature_offset", "temperature_lag", "drift", "rate_random_walk", "turn_on_bias"}
     keys |= {"bias_temperature_gradient", "tilt", "azimuth"}
     keys |= {t.key for t in terms_of("table", _table()["table"][0]["grade"]) if t.key.startswith("angle.")}
-    keys -= {"angle.timing_error"}
+    keys -= {"angle.timing_error", "angle.backlash"}
     if gyro is not None and gyro.scale_factor is not None:
         keys |= {"scale_factor_instability", "sample_clock_error"}
     else:

@@ -251,7 +251,11 @@ def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> Im
         unmeasured = of_gyros if sensor.accelerometer is None else apart
         draws.values |= _rotation(draws.values, unmeasured, sensor.gyro.axes)
     levers = tuple(lever.tolist()), tuple(of_gyros.tolist())
-    return ImuTruth(triads, *levers, clock, draws.values, second_lag_s)
+    thermometer = np.random.default_rng([seed, number, 20268])
+    late_s = float(sensor.temperature_lag or 0.0) * abs(float(thermometer.standard_normal()))
+    offset_k = float(sensor.temperature_offset or 0.0) * float(thermometer.standard_normal())
+    draws.values |= {"temperature_offset": offset_k} if offset_k else {}
+    return ImuTruth(triads, *levers, clock, draws.values, second_lag_s, late_s, offset_k)
 
 
 def _rotation(values: dict[str, float], lever: Vectors, axes: Sequence[str]) -> dict[str, float]:
@@ -284,6 +288,7 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
     leans = tuple(
         draw(float(a.orthogonality), f"orthogonality_{a.name}_{b.name}") for a, b in itertools.pairwise(table.axis)
     )
+    unshown = np.random.default_rng([seed, 20269])
     encoders: list[AxisTruth] = []
     for number, axis in enumerate(table.axis, start=1):
         waves: list[tuple[int, float, float]] = []
@@ -295,16 +300,22 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
             waves.append((order, -float(np.degrees(cosine)), -float(np.degrees(sine))))
         noise_deg = float(np.degrees(axis.angle.standstill_offset)), float(np.degrees(axis.angle.reading_noise))
         errors = *noise_deg, float(axis.angle.timing_error), float(table.rate_accuracy or 0.0)
-        encoders.append(AxisTruth(tuple(waves), *errors, seed=16 * seed + number))
+        scale = float(axis.angle.scale_error or 0.0) * float(unshown.standard_normal())
+        lash = abs(float(np.degrees(axis.angle.backlash or 0.0)) * float(unshown.standard_normal()))
+        encoders.append(AxisTruth(tuple(waves), *errors, scale, lash, seed=16 * seed + number))
     in_case = _in_case(spec)
     mountings: list[Vectors] = []
     for number, mounting in enumerate(table.mounting, start=1):
         size = float(mounting.accuracy) if in_case else 0.0
         off = [draw(size, f"mounting{number}_{axis}") for axis in _XYZ]
+        if spec.is_one_axis and not in_case:  # which one gyro does not show
+            off = (float(mounting.accuracy) * unshown.standard_normal(3)).tolist()
         mountings.append(rotation_of(mounting) @ turn_by(off))
     gravity = site.gravity_m_per_s2 + draw(float(site.gravity_accuracy), "gravity")
     axes = tuple(axis.unit_vector for axis in table.axis)
-    truth = TableTruth(axes, site.latitude_rad, gravity, (*base, azimuth), leans, tuple(mountings))
+    # The Earth's rate along one axis of unknown direction is rectangular.
+    latitude = float(np.arcsin(unshown.uniform(-1.0, 1.0))) if site.is_unknown else site.latitude_rad
+    truth = TableTruth(axes, latitude, gravity, (*base, azimuth), leans, tuple(mountings))
     return truth, encoders, named
 
 

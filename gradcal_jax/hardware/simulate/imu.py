@@ -293,7 +293,8 @@ class TableTruth:
 class ImuTruth:
     """A unit's errors. `lever`, `gyro_lever`: of the accelerometers and gyros from the intersection of the axes, m, in
     the body. `names`: the hidden parameters, by their names in a calibration. `second_lag_s`: of the mass that the
-    second thermometer measures; 0: none."""
+    second thermometer measures; 0: none. The thermometer shows the temperature `thermometer_lag_s` late, and is
+    `thermometer_offset` K off."""
 
     triads: Mapping[Kind, TriadTruth]
     lever: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -301,6 +302,8 @@ class ImuTruth:
     clock_error: float = 0.0
     names: dict[str, float] = field(default_factory=dict[str, float])
     second_lag_s: float = 0.0
+    thermometer_lag_s: float = 0.0
+    thermometer_offset: float = 0.0
 
 
 class SimulatedImu(SampledSensor):
@@ -328,7 +331,7 @@ class SimulatedImu(SampledSensor):
         self._drifts = {kind: Drifts(triad.drifts, self._random) for kind, triad in truth.triads.items()}
         self._loops: dict[Kind, list[tuple[LoopTruth, Loop]]] = {}
         self._lags_s = {error.lag_s for triad in truth.triads.values() for error in triad.errors}
-        self._lags_s = (self._lags_s | {truth.second_lag_s}) - {0.0}
+        self._lags_s = (self._lags_s | {truth.second_lag_s, truth.thermometer_lag_s}) - {0.0}
         self._masses: dict[float, Mass] = {}
         self._power_on_s = start_s
         self.restart(start_s, sample_rate_hz)
@@ -361,10 +364,13 @@ class SimulatedImu(SampledSensor):
                 change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
                 output[kind] = output[kind] + change[:, None] * np.array(triad.gradient)
             output[kind] = output[kind] + self._of_path(kind, triad, middles, mean, ends[1:] - 0.5 * self.true_period_s)
-        lag_s = self.truth.second_lag_s
-        second = late[lag_s].reshape(count, _PARTS).mean(axis=1) if lag_s else None
+        second, behind = (
+            late[lag_s].reshape(count, _PARTS).mean(axis=1) if lag_s else None
+            for lag_s in (self.truth.second_lag_s, self.truth.thermometer_lag_s)
+        )
+        shown = (middles if behind is None else behind) + self.truth.thermometer_offset
         outputs = np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY
-        return SensorSamples(ends[1:], *outputs, middles, second)
+        return SensorSamples(ends[1:], *outputs, shown, second)
 
     def _mass(self, lag_s: float, temperature_c: Vectors) -> Vectors:
         """The temperatures of a mass at all parts of the samples."""

@@ -111,6 +111,9 @@ class AxisTruth:
     offset drawn at every standstill plus white noise; the time of each reading is off by `timing_error_s`, one sigma. A
     constant rate has a relative error of `rate_accuracy`, drawn for each command, which the encoder does not see: it
     counts at the commanded rate, and keeps the difference in angle until the axis is homed.
+
+    Encoder and controller are at the motor: the axis itself turns by less than they count, by a relative `scale_error`,
+    and after each reversal it stands until the `backlash_deg` of its gear is taken up.
     """
 
     harmonics: tuple[tuple[int, float, float], ...] = ()
@@ -118,6 +121,8 @@ class AxisTruth:
     reading_noise_deg: float = 0.0
     timing_error_s: float = 0.0
     rate_accuracy: float = 0.0
+    scale_error: float = 0.0
+    backlash_deg: float = 0.0
     seed: int = 0
 
 
@@ -126,6 +131,8 @@ class _Phase(NamedTuple):
     position_deg: float
     rate_dps: float
     acceleration_dps2: float
+    axis_deg: float = math.nan
+    """Where the axis itself stands at the start, within half of its backlash."""
 
 
 class UncontrolledRoom:
@@ -156,7 +163,7 @@ class AxisPlant:
     def __init__(self, truth: AxisTruth | None = None, start_s: float = 0.0) -> None:
         self.truth = truth or AxisTruth()
         self._random = np.random.default_rng(self.truth.seed)
-        self._phases = [_Phase(start_s, 0.0, 0.0, 0.0)]
+        self._phases = [_Phase(start_s, 0.0, 0.0, 0.0, 0.0)]
         self._table: NDArray[np.float64] | None = None
         self._offset_deg = 0.0
         # The last spin: its start, the excess angle by then, and the fraction of excess.
@@ -165,23 +172,33 @@ class AxisPlant:
         self._lock = threading.RLock()
 
     def position(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """True angle, deg, unwrapped: `(n,) -> (n,)`."""
+        """True angle of the axis itself, deg, unwrapped: `(n,) -> (n,)`."""
         with self._lock:
             self._known_until_s = max(self._known_until_s, float(times_s[-1]))
-            return self._at(times_s)[0]
+            return self._at(times_s)[2] * (1.0 - self.truth.scale_error)
 
     def state(self, now_s: float) -> tuple[float, float]:
-        position, rate = self._at(np.array([now_s]))
+        position, rate, _ = self._at(np.array([now_s]))
         return float(position[0]), float(rate[0])
 
-    def _at(self, times_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _at(self, times_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        """Angle and rate of the motor, and angle of the axis behind its backlash."""
         with self._lock:
             if self._table is None:
                 self._table = np.array(self._phases)
             table = self._table
         row = table[np.clip(np.searchsorted(table[:, 0], times_s, side="right") - 1, 0, None)]
         after = np.maximum(times_s - row[:, 0], 0.0)
-        return row[:, 1] + row[:, 2] * after + 0.5 * row[:, 3] * after**2, row[:, 2] + row[:, 3] * after
+        motor = row[:, 1] + row[:, 2] * after + 0.5 * row[:, 3] * after**2
+        if not self.truth.backlash_deg:
+            return motor, row[:, 2] + row[:, 3] * after, motor
+        # A phase may reverse once, where its rate is zero.
+        until = -row[:, 2] / np.where(row[:, 3] == 0.0, np.inf, row[:, 3])
+        farthest = np.where((until > 0.0) & (until < after), row[:, 1] + 0.5 * row[:, 2] * until, motor)
+        axis, half = row[:, 4], 0.5 * self.truth.backlash_deg
+        for reached in (farthest, motor):
+            axis = np.clip(axis, reached - half, reached + half)
+        return motor, row[:, 2] + row[:, 3] * after, axis
 
     def moving(self, now_s: float) -> bool:
         return now_s < self._phases[-1].start_s or self._phases[-1].rate_dps != 0.0
@@ -201,7 +218,7 @@ class AxisPlant:
     def set_zero(self, now_s: float, position_deg: float = 0.0) -> None:
         """Stand still at `position_deg` from now on (the end of homing)."""
         with self._lock:
-            self._phases = [_Phase(now_s, position_deg, 0.0, 0.0)]
+            self._phases = [_Phase(now_s, position_deg, 0.0, 0.0, position_deg)]
             self._table = None
             self._spun = (0.0, 0.0, 0.0)
 
@@ -283,6 +300,10 @@ class AxisPlant:
 
     def _replace(self, now_s: float, phases: list[_Phase]) -> None:
         self._offset_deg = self.truth.standstill_offset_deg * float(self._random.standard_normal())
-        kept = [phase for phase in self._phases if phase.start_s < now_s][-100:]
-        self._phases = kept + phases
-        self._table = None
+        stands = float(self._at(np.array([now_s]))[2][0])
+        self._phases = [phase for phase in self._phases if phase.start_s < now_s][-100:]
+        for number, phase in enumerate(phases):
+            if number:
+                stands = float(self._at(np.array([phase.start_s]))[2][0])
+            self._phases.append(phase._replace(axis_deg=stands))
+            self._table = None

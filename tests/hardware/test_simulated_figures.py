@@ -1,0 +1,76 @@
+"""Simulated devices have the errors that a spec states and that no residual of a run shows."""
+
+import numpy as np
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.files import presets
+from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
+from gradcal_jax.hardware.simulate.imu import SimulatedImu
+from gradcal_jax.hardware.simulate.plants import AxisPlant
+
+SPEC = gj.parse_spec(presets.text("paper-dynamic-gradient"))
+STATED = {
+    "sensor.temperature_offset": "2 K",
+    "sensor.temperature_lag": "40 s",
+    "rig.table.mounting[0].accuracy": "1 deg",
+    "rig.table.axis[0].angle.scale_error": "100 ppm",
+    "rig.table.axis[0].angle.backlash": "0.02 deg",
+    "rig.site.latitude": "unknown",
+}
+SEEDS = 300
+
+
+class Warming:
+    """A load that warms by 0.02 K/s."""
+
+    def load_at(self, times_s):
+        return 20.0 + 0.02 * times_s
+
+
+def test_they_have_the_sizes_that_the_spec_states():
+    spec = gj.changed(SPEC, STATED)
+    sensors = [draw_truth(spec, seed, 1) for seed in range(SEEDS)]
+    tables = [draw_table(spec, seed)[:2] for seed in range(SEEDS)]
+    assert np.std([s.thermometer_offset for s in sensors]) == pytest.approx(2.0, rel=0.15)
+    assert all(s.names["temperature_offset"] == s.thermometer_offset for s in sensors)
+    late = np.array([s.thermometer_lag_s for s in sensors])
+    assert late.min() >= 0.0
+    assert np.sqrt(np.mean(late**2)) == pytest.approx(40.0, rel=0.15)
+    (encoders,) = zip(*(axes for _, axes in tables), strict=True)
+    assert np.std([e.scale_error for e in encoders]) == pytest.approx(1e-4, rel=0.15)
+    lash = np.array([e.backlash_deg for e in encoders])
+    assert lash.min() >= 0.0
+    assert np.sqrt(np.mean(lash**2)) == pytest.approx(0.02, rel=0.15)
+    hung = SPEC.rig.table.mounting[0]
+    along = spec.rig.table.axis[0].unit_vector.index(1.0), "xyz".index(hung.z[1])
+    tilts = [np.arccos(abs(table.mountings[0]).max(axis=0)[along[1]]) for table, _ in tables]
+    # Of two angles, each of one degree.
+    assert np.sqrt(np.mean(np.square(tilts))) == pytest.approx(np.radians(2.0**0.5), rel=0.15)
+    # The Earth's rate along the axis is rectangular.
+    share = np.sin([table.latitude for table, _ in tables])
+    assert np.std(share) == pytest.approx(3.0**-0.5, rel=0.1)
+
+
+def test_what_a_spec_does_not_state_they_do_not_have():
+    sensor, (table, axes, _) = draw_truth(SPEC, 5, 1), draw_table(SPEC, 5)
+    assert (sensor.thermometer_offset, sensor.thermometer_lag_s) == (0.0, 0.0)
+    assert (axes[0].scale_error, axes[0].backlash_deg) == (0.0, 0.0)
+    assert "temperature_offset" not in sensor.names
+    assert np.array_equal(np.abs(table.mountings[0]), np.round(np.abs(table.mountings[0])))
+    # Other draws are the same.
+    stated = gj.changed(SPEC, STATED)
+    other = draw_truth(stated, 5, 1).names
+    assert {name: other[name] for name in sensor.names} == sensor.names
+
+
+def test_a_thermometer_that_is_late_and_off_shows_that():
+    spec = gj.changed(SPEC, STATED)
+    truth, (table, _, _) = draw_truth(spec, 7, 1), draw_table(spec, 7)
+    imu = SimulatedImu(truth, table, Warming(), [AxisPlant()], sample_rate_hz=1.0, seed=7)
+    imu.take(1000)
+    shown = imu.take(10)
+    of_die = Warming().load_at(shown.time_s - 0.5)
+    behind = 0.02 * truth.thermometer_lag_s
+    assert min(abs(truth.thermometer_offset), behind) > 0.1
+    np.testing.assert_allclose(shown.temperature_c, of_die + truth.thermometer_offset - behind, atol=1e-2)

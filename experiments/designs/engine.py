@@ -4,7 +4,8 @@
     python experiments/designs/engine.py --case "skew, seed 0"    one case, to experiments/designs/engine
     python experiments/designs/engine.py --report                 the table of the cases there; it keeps all others
 
-Writes engine.json and engine.md beside this file, from one file for each case in a folder. Of one search `evaluations`
+Writes engine.json and engine.md beside this file, from one file for each case in the folder `engine`, which keeps the
+plans; `tests/evidence/test_searched_plans.py` runs their recipes. Of one search `evaluations`
 are of the objective with its gradient, and processor time counts everything, compilation too. "better" is the
 geometric mean over the requirements of the plan by hand (`experiments/imu/hand2.toml`) over the plan in question, or of
 the case's own file where it is another.
@@ -15,7 +16,6 @@ import json
 import math
 import platform
 import re
-import shutil
 import time
 from pathlib import Path
 
@@ -59,13 +59,18 @@ def cases() -> dict[str, tuple[gj.Spec, Path, int]]:
     return rows
 
 
+def residuals(plan: Path) -> list[float]:
+    """What a plan leaves of each requirement."""
+    return [row.decisive or math.nan for row in gj.predict(gj.read_spec(plan)).requirements]
+
+
 def searched(start: gj.Spec, reference: Path, seed: int) -> tuple[dict[str, object], Optimised]:
     """One row of the table, and the optimum."""
     began, wall = time.process_time(), time.monotonic()
     *_, best = run_search(gj.changed(start, {"design.seed": seed}))
     assert isinstance(best, Optimised)
     took, wall = time.process_time() - began, time.monotonic() - wall
-    before = [row.decisive or math.nan for row in gj.predict(gj.read_spec(reference)).requirements]
+    before = residuals(reference)
     now = [row[3] or math.nan for row in best.rows]
     better = [
         math.exp(np.mean(np.log(before) - np.log([x or math.nan for x in of])))
@@ -119,12 +124,12 @@ def write_share(name: str, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / re.sub(r"\W+", "-", name)
     file.with_suffix(".json").write_text(json.dumps({name: row}, indent=1) + "\n")
-    found = gj.changed(best.spec, {"title": "The plan by hand on two axes after its descent"})
+    found = gj.changed(best.spec, {"title": f"The optimum of a search: {name}"})
     write_toml(found, file.with_suffix(".toml"), header="Found by experiments/designs/engine.py.")
 
 
 def report(folder: Path) -> None:
-    """The rows of a folder into the table, and the best plan from the one by hand beside that."""
+    """The rows of a folder into the table. The best plan from the one by hand is `descended`, if that is not better."""
     known = HERE / "engine.json"
     results = json.loads(known.read_text()) if known.exists() else {}
     for file in folder.glob("*.json"):
@@ -133,9 +138,10 @@ def report(folder: Path) -> None:
     known.write_text(json.dumps(results, indent=1) + "\n")
     (HERE / "engine.md").write_text(table(results))
     by_hand = max((name for name in results if name.startswith("by hand")), key=lambda name: results[name]["better"])
-    plan = (folder / re.sub(r"\W+", "-", by_hand)).with_suffix(".toml")
-    if plan.exists():
-        shutil.copy(plan, IMU / "descended.toml")
+    plan, known = (folder / re.sub(r"\W+", "-", by_hand)).with_suffix(".toml"), IMU / "descended.toml"
+    if plan.exists() and np.prod(residuals(plan)) < np.prod(residuals(known)):
+        found = gj.changed(gj.read_spec(plan), {"title": "The plan by hand on two axes after its descent"})
+        write_toml(found, known, header="Found by experiments/designs/engine.py.")
 
 
 def main() -> None:

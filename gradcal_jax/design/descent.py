@@ -19,10 +19,12 @@ _TOLERANCE = 1e-6
 
 
 class Reached(NamedTuple):
-    """A point of a descent, its value, the evaluations made so far, and whether the descent has ended by itself."""
+    """A point of a descent, its value and gradient, the evaluations made so far, and whether the descent has ended by
+    itself."""
 
     point: np.ndarray
     value: float
+    gradient: np.ndarray
     evaluations: int
     ended: bool
 
@@ -39,19 +41,21 @@ class Descent:
         self._advance = jax.jit(self._advanced, static_argnums=0, compiler_options=compiler_options())
         every = jax.vmap(self._advanced, in_axes=(None, 0, None, 0, None))
         self._advance_all = jax.jit(every, static_argnums=0, compiler_options=compiler_options())
+        # (One by one its operations would compile a dozen programs.)
+        self._begun = eqx.filter_jit(self._begin)
         # Of points of each size.
         self._static: dict[tuple[int, ...], _Static] = {}
 
-    def _begun(self, y, args) -> Any:
-        """A solver's state at a point `y`."""
+    def _begin(self, y) -> Any:
+        """A solver's state at a point `y`; the arguments count from the first step on."""
         value = jax.ShapeDtypeStruct((), y.dtype)
-        return self._solver.init(self._function, y, args, {}, value, None, frozenset())
+        return self._solver.init(self._function, y, None, {}, value, None, frozenset())
 
-    def _static_of(self, y, args) -> "_Static":
+    def _static_of(self, y) -> "_Static":
         """What is no array in it."""
         if y.shape not in self._static:
             # Of several threads that come here at once, all take the same one.
-            self._static.setdefault(y.shape, _Static(eqx.filter(self._begun(y, args), eqx.is_array, inverse=True)))
+            self._static.setdefault(y.shape, _Static(eqx.filter(self._begun(y), eqx.is_array, inverse=True)))
         return self._static[y.shape]
 
     def _advanced(self, static: "_Static", y, args, dynamic, count):
@@ -73,7 +77,7 @@ class Descent:
     ) -> Iterator[Reached]:
         """Descend from a point; yields after every `together` evaluations, at most until `evaluations` are made."""
         y = jnp.asarray(point, dtype=float)
-        static, dynamic = self._static_of(y, args), eqx.filter(self._begun(y, args), eqx.is_array)
+        static, dynamic = self._static_of(y), eqx.filter(self._begun(y), eqx.is_array)
         done = 0
         while done < evaluations:
             count = min(together, evaluations - done)
@@ -81,7 +85,7 @@ class Descent:
             done += int(made)
             state = eqx.combine(dynamic, static.state)
             ended = int(made) < count or bool(state.terminate)
-            yield Reached(np.asarray(y), float(state.f_info.f), done, ended)
+            yield Reached(np.asarray(y), float(state.f_info.f), np.asarray(state.f_info.grad), done, ended)
             if ended:
                 return
 
@@ -97,8 +101,8 @@ class Descent:
         """The ends of descents from many points with the same `args`, by one program in which all of them take their
         steps at once: for a GPU. After every `together` evaluations, `stop()` ends all."""
         y = jnp.asarray(points, dtype=float)
-        static = self._static_of(y[0], args)
-        dynamic = jax.vmap(lambda one: eqx.filter(self._begun(one, args), eqx.is_array))(y)
+        static = self._static_of(y[0])
+        dynamic = jax.vmap(lambda one: eqx.filter(self._begun(one), eqx.is_array))(y)
         for done in range(0, evaluations, together):
             count = min(together, evaluations - done)
             made, y, dynamic = self._advance_all(static, y, args, dynamic, count)

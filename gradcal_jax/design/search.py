@@ -1,7 +1,8 @@
 """The search: random starts that descend while a soft maximum hardens, hops from the best, and a polish.
 
-One compiled program gives the value, the excess over limits and all gradients for every descent. Starts are independent
-of one another and share the cores; the better half of them continues in each harder stage.
+One compiled program makes every descent and gives its starts and ends their values; the polish and the prices need
+another one, with all gradients. Starts are independent of one another and share the cores; the better half of them
+continues in each harder stage.
 """
 
 import os
@@ -110,7 +111,7 @@ def _descent(structure) -> Descent:
 
 
 class Compiled:
-    """An objective as a function of vectors of `size`, through the program of its class.
+    """An objective as a function of vectors of `size`, through the programs of its class.
 
     `places`: which entries of the objective's own `whole` vectors count, where those are padded.
     """
@@ -132,14 +133,26 @@ class Compiled:
         logs, of_z = (np.asarray(x) for x in self._program(self._leaves, whole, sharpness))
         return Slopes(logs, of_z[:, self._places])
 
+    def merit(self, z: Float[np.ndarray, " n"]) -> float:
+        """The exact merit (`Slopes.merit`) at a point, by the program of the descents: until its polish a search
+        compiles no other one."""
+        reached = next(self._descent(*self._whole_of(z, np.inf), evaluations=1))
+        gradient = reached.gradient[self._places]
+        return reached.value if np.isfinite(reached.value) and np.all(np.isfinite(gradient)) else _NOWHERE
+
+    def _whole_of(self, z: np.ndarray, sharpness: float) -> tuple[np.ndarray, tuple[Any, ...]]:
+        """A point, or several ones, and the other arguments of the descent's program."""
+        whole, mask = np.zeros((*z.shape[:-1], self._whole)), np.zeros(self._whole)
+        whole[..., self._places], mask[self._places] = z, 1.0
+        return whole, (self._leaves, mask, np.asarray(sharpness))
+
     def descend(
         self, z: Float[np.ndarray, " n"], sharpness: float, evaluations: int, stop: Callable[[], bool] = lambda: False
     ) -> Float[np.ndarray, " n"]:
         """The end of a descent of the merit (`Slopes.merit`) from a point, after at most so many evaluations or, once
         `stop()` is true, its present point."""
-        whole, mask = np.zeros((2, self._whole))
-        whole[self._places], mask[self._places] = z, 1.0
-        for reached in self._descent(whole, (self._leaves, mask, np.asarray(sharpness)), evaluations=evaluations):
+        whole, args = self._whole_of(z, sharpness)
+        for reached in self._descent(whole, args, evaluations=evaluations):
             whole = reached.point
             if stop():
                 break
@@ -149,9 +162,7 @@ class Compiled:
         self, points: Float[np.ndarray, "m n"], sharpness: float, evaluations: int, stop: Callable[[], bool]
     ) -> Float[np.ndarray, "m n"]:
         """`descend` from many points by one program."""
-        whole, mask = np.zeros((len(points), self._whole)), np.zeros(self._whole)
-        whole[:, self._places], mask[self._places] = points, 1.0
-        args = self._leaves, mask, np.asarray(sharpness)
+        whole, args = self._whole_of(points, sharpness)
         return self._descent.side_by_side(whole, args, evaluations=evaluations, stop=stop)[:, self._places]
 
 
@@ -226,7 +237,7 @@ def search(
         points = np.random.default_rng(seed).standard_normal((plan[0].descents, compiled.size))
         if begin is not None:
             points[-1] = begin
-        merits = np.array([compiled(z).merit()[0] for z in points])
+        merits = np.array([compiled.merit(z) for z in points])
         values = np.exp(np.minimum(merits, _LARGEST))
         if not np.min(merits) < _NOWHERE:
             raise ValueError(
@@ -255,7 +266,7 @@ def search(
         left = range(state.step - first, count)
         for k, reached in _descents(compiled, [begins[i] for i in left], level.sharpness, level.steps, stop):
             at = int(order[left[k]])
-            value = float(np.exp(min(compiled(reached).merit()[0], _LARGEST)))
+            value = float(np.exp(min(compiled.merit(reached), _LARGEST)))
             best, best_point = state.best, state.best_point
             if value < best:
                 best, best_point = value, reached

@@ -29,7 +29,7 @@ from gradcal_jax.design import (
     scale_factor_floor,
     search,
 )
-from gradcal_jax.design.search import _program
+from gradcal_jax.design.search import _NOWHERE, _program
 from gradcal_jax.information import information, posterior, residual, statistic
 from gradcal_jax.model import Polynomial, SensorModel, angle_reference, constant, gauss_markov, gyro_model, make_map
 from gradcal_jax.trajectory import rule_of
@@ -117,6 +117,18 @@ def test_one_program_serves_every_plan_of_its_class():
         at(POINT, 8.0), at(POINT, np.inf)
     assert two._program is one._program
     assert (_program.cache_info().currsize, one._program._cache_size()) == before
+
+
+def test_a_search_compiles_its_descents_alone_and_their_program_has_the_exact_merit():
+    """The program of the slopes, which takes as long to compile, waits for the polish."""
+    at = Compiled(UnderALimit(np.asarray(2.0)), 3, np.array([0, 2]))
+    before = at._program._cache_size()
+    *_, last = search(at, starts=2, seed=0, steps=80, hops=0)
+    assert at._program._cache_size() == before
+    for z in (last.state.best_point, np.array([0.3, 0.4]), np.array([-2.0, 5.0])):
+        assert at.merit(z) == pytest.approx(at(z).merit()[0], rel=1e-12)
+    for z in (np.array([np.nan, 0.0]), np.array([1e200, 0.0])):
+        assert at.merit(z) == at(z).merit()[0] == _NOWHERE
 
 
 def limit_of(criterion_, constant_in_t: SensorModel, seconds: float):

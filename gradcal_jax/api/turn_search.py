@@ -315,6 +315,7 @@ def _c(temperature: float) -> str:
 
 
 STEPS: Final = 240
+_UNPOLISHED: Final = "not converged: the last descent, from the best plan, was left out"
 # A point is proposed once it is better than the last one by this factor: its plan takes longer to judge than a value.
 _NEWS: Final = 0.95
 # A turn within this share of its limit counts as limited.
@@ -402,6 +403,10 @@ class TurnSearch:
                 break
         assert self._best is not None
         point, quick = self._point(self._best), self._options["quick"]
+        if stop():
+            # A polish, with the program that it may have to compile, takes seconds.
+            yield 1.0, point
+            return
         coordinates, optimum = self._optimum = polished(self._of, *point[:2], design.seed, stop, quick=quick)
         yield 1.0, TurnPoint(*_pruned(self._of, coordinates, optimum.point), point.words)
 
@@ -437,7 +442,8 @@ class TurnSearch:
     def record(self, best: Optimised, point: TurnPoint | None, last: PlanOutcome) -> dict[str, Any]:
         """The optimum before rounding, and what rounding made of it."""
         if self._optimum is None or self._best is None:
-            return {"converged": True}
+            stopped = self._options["stop"]()
+            return {"sentence": _UNPOLISHED if stopped else "", "converged": not stopped}
         coordinates, optimum = self._optimum
         spec, sentence = self.objective.spec, optimum.sentence
         if last.trouble:

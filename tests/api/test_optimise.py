@@ -210,6 +210,15 @@ def test_a_quick_search_is_near_and_compiles_no_more_than_its_one_program(spec, 
     assert _program.cache_info().currsize == before
 
 
+def test_a_stopped_search_ends_with_the_best_plan_so_far_and_no_polish(spec):
+    *steps, best = run_search(spec, stop=lambda: True)
+    assert isinstance(best, Optimised)
+    assert best.now == steps[-1].best <= steps[0].best
+    assert not best.converged
+    assert "the last descent, from the best plan, was left out" in best.sentence
+    assert best.prices == ()
+
+
 def test_steps_of_a_search_are_logged(spec, caplog):
     steps = []
     with caplog.at_level("INFO", "gradcal_jax"):

@@ -1,9 +1,9 @@
 """What `gradcal start` writes, from its answers to a calibration, over twenty seeds of each preset: the errors of the
 calibration against the hidden truth, and of each requirement against the uncertainty that is stated.
 
-The simulated devices have what the specs state and no residual shows: a thermometer that is late and off, an axis that
-turns by less than its encoder counts, an input axis beside the table's, the Earth's rate at any latitude. A plan of a
-few hours is run whole, as a user runs it.
+The simulated devices have what the specs state and no residual shows: dies that are late behind a thermometer that is
+off, an axis that turns by less than its encoder counts, an input axis beside the table's, the Earth's rate at any
+latitude. A plan of a few hours is run whole, as a user runs it.
 """
 
 import json
@@ -26,10 +26,10 @@ from gradcal_jax.files.start import begin
 
 REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "started_truths.md"
 SEEDS = int(os.environ.get("GRADCAL_SEEDS", "20"))
-# What a case changes in the spec. The lag of a thermometer counts as on a ramp without an end, but it is smaller in the
+# What a case changes in the spec. The lag of the dies counts as on a ramp without an end, but it is smaller in the
 # first minutes of a ramp. The χ² of all coefficients of a tactical sensor notices that, and no requirement.
 CASES: dict[str, tuple[str, dict[str, str]]] = {name: (name, {}) for name in begin.PRESETS} | {
-    f"{name}, thermometer not late": (name, {"temperature_lag": "0 s"}) for name in ("tactical-imu", "tactical-gyro")
+    f"{name}, dies not late": (name, {"temperature_lag": "0 s"}) for name in ("tactical-imu", "tactical-gyro")
 }
 LATE = ("tactical-imu", "tactical-gyro")
 
@@ -37,13 +37,14 @@ _HEAD = """# The calibrations of what `gradcal start` writes, against the hidden
 
 Made by `pytest -m evidence tests/evidence/test_started_truths.py`: spec of a preset, plan by `optimise --until-met`,
 run on simulated devices, log, estimate, page. The devices have all that the spec states, also what no residual shows: a
-thermometer that is off and late, an axis that turns by less than its encoder counts, an input axis beside the table's.
+thermometer that is off, dies that are late behind it, an axis that turns by less than its encoder counts, an input axis
+beside the table's.
 
 "within U": requirements of all runs whose true error, by the requirement's own statistic, is at most U (k = 2), and
 the largest over its U; a run whose tests of the fit fail states no U. "χ² of the truth" is that of the page: errors of
 all coefficients, with what no residual shows and the random walk of the bias before the data; its 99 % band; and how
-many pages state a chance below 1 %; likewise tests of the fit. The χ² of a tactical sensor with a thermometer that is
-late is not judged: the lag counts as on a ramp without an end, and is smaller in the first minutes of a ramp.
+many pages state a chance below 1 %; likewise tests of the fit. The χ² of a tactical sensor with dies that are late
+is not judged: the lag counts as on a ramp without an end, and is smaller in the first minutes of a ramp.
 
 | preset | runs | within U | largest | χ² of the truth | of | band | each | pages < 1 % | fits < 1 % | not valid |
 |---|---|---|---|---|---|---|---|---|---|---|

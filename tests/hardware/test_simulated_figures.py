@@ -1,5 +1,7 @@
 """Simulated devices have the errors that a spec states and that no residual of a run shows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,8 @@ STATED = {
     "rig.table.axis[0].angle.backlash": "0.02 deg",
     "rig.site.latitude": "unknown",
 }
+LINE = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"}
+QUIET = {"sensor.gyro.angle_random_walk": "1e-9 deg/sqrt(h)", "sensor.gyro.drift": []}
 SEEDS = 300
 
 
@@ -34,7 +38,7 @@ def test_they_have_the_sizes_that_the_spec_states():
     tables = [draw_table(spec, seed)[:2] for seed in range(SEEDS)]
     assert np.std([s.thermometer_offset for s in sensors]) == pytest.approx(2.0, rel=0.15)
     assert all(s.names["temperature_offset"] == s.thermometer_offset for s in sensors)
-    late = np.array([s.thermometer_lag_s for s in sensors])
+    late = np.array([s.die_lag_s for s in sensors])
     assert late.min() >= 0.0
     assert np.sqrt(np.mean(late**2)) == pytest.approx(40.0, rel=0.15)
     (encoders,) = zip(*(axes for _, axes in tables), strict=True)
@@ -54,7 +58,7 @@ def test_they_have_the_sizes_that_the_spec_states():
 
 def test_what_a_spec_does_not_state_they_do_not_have():
     sensor, (table, axes, _) = draw_truth(SPEC, 5, 1), draw_table(SPEC, 5)
-    assert (sensor.thermometer_offset, sensor.thermometer_lag_s) == (0.0, 0.0)
+    assert (sensor.thermometer_offset, sensor.die_lag_s) == (0.0, 0.0)
     assert (axes[0].scale_error, axes[0].backlash_deg) == (0.0, 0.0)
     assert "temperature_offset" not in sensor.names
     assert np.array_equal(np.abs(table.mountings[0]), np.round(np.abs(table.mountings[0])))
@@ -64,13 +68,18 @@ def test_what_a_spec_does_not_state_they_do_not_have():
     assert {name: other[name] for name in sensor.names} == sensor.names
 
 
-def test_a_thermometer_that_is_late_and_off_shows_that():
-    spec = gj.changed(SPEC, STATED)
-    truth, (table, _, _) = draw_truth(spec, 7, 1), draw_table(spec, 7)
+def test_dies_follow_a_thermometer_that_is_off():
+    """The bias is that of the dies, and the thermometer shows what they will have."""
+    spec = gj.changed(SPEC, STATED | {"sensor.gyro.bias": {"temperature": LINE, "prior": "1 deg/s"}, **QUIET})
+    truth, (table, _, _) = draw_truth(spec, 7, 1), draw_table(gj.changed(spec, {"rig.site.latitude": "0 deg"}), 7)
+    table = replace(table, earth_rate=0.0)
     imu = SimulatedImu(truth, table, Warming(), [AxisPlant()], sample_rate_hz=1.0, seed=7)
     imu.take(1000)
     shown = imu.take(10)
-    of_die = Warming().load_at(shown.time_s - 0.5)
-    behind = 0.02 * truth.thermometer_lag_s
-    assert min(abs(truth.thermometer_offset), behind) > 0.1
-    np.testing.assert_allclose(shown.temperature_c, of_die + truth.thermometer_offset - behind, atol=1e-2)
+    load = Warming().load_at(shown.time_s - 0.5)
+    np.testing.assert_allclose(shown.temperature_c, load + truth.thermometer_offset, atol=1e-9)
+    assert abs(truth.thermometer_offset) > 0.1
+    slope, behind = truth.names["gyro_x.a1"] / 50.0, 0.02 * truth.die_lag_s
+    assert abs(slope * behind) > 1e-4
+    expected = truth.names["gyro_x.a0"] + slope * (load - behind - 20.0)
+    np.testing.assert_allclose(np.radians(shown.rate_dps[:, 0]), expected, atol=1e-3 * abs(slope * behind))

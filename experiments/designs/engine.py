@@ -134,7 +134,7 @@ def write_share(name: str, folder: Path) -> None:
 
 
 def report(folder: Path) -> None:
-    """The rows of a folder into the table. The best plan from the one by hand becomes `descended` if it is clearly better."""
+    """The rows of a folder into the table. The best from the one by hand is `descended` if it is clearly better."""
     known = HERE / "engine.json"
     results = json.loads(known.read_text()) if known.exists() else {}
     for file in folder.glob("*.json"):

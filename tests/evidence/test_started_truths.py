@@ -126,7 +126,9 @@ def faults(case: str, pages: list[dict[str, Any]]) -> list[str]:
         # Of twenty pages one may; more than two are beyond chance.
         wrong += [f"{few} pages below 1 %"] * (few > 2)
     # U is to cover 95 %.
-    return wrong + [f"{beyond} of {of_all} errors beyond U"] * (binom.sf(beyond - 1, of_all, 0.05) < 0.01)
+    if binom.sf(beyond - 1, of_all, 0.05) < 0.01:
+        wrong.append(f"{beyond} of {of_all} errors beyond U")
+    return wrong
 
 
 def report(case: str, pages: list[dict[str, Any]]) -> None:

@@ -223,7 +223,8 @@ def _at_shown_temperatures(calibration: Calibration, hidden: Mapping[str, float]
         return hidden
     found = dict(hidden)
     for channel in calibration.channel:
-        at = np.linspace(*map(float, channel.valid_temperature), _TEMPERATURES)
+        low, high = map(float, channel.valid_temperature)
+        at = np.linspace(low, high, _TEMPERATURES)
         for term in channel.term:
             names = [f"{channel.kind}_{channel.axis}.{name}" for name in term.coefficients]
             if term.temperature is not None and all(name in hidden for name in names):

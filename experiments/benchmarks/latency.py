@@ -20,16 +20,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
-SPEC = ROOT / "experiments" / "designs" / "headline.toml"
+# Relative to a checkout: an older one reads its own files.
+SPEC = Path("experiments") / "designs" / "headline.toml"
+IMU = Path("experiments") / "imu" / "hand2.toml"
 SWEEP = ROOT / "experiments" / "benchmarks" / "sweep.toml"
-IMU = ROOT / "experiments" / "imu" / "hand2.toml"
 RECIPE = ROOT / "experiments" / "recipes" / "headline.toml"
 GRADCAL = (sys.executable, "-c", "import sys; from gradcal_jax.cli import main; sys.exit(main(sys.argv[1:]))")
 
 
 class Case(NamedTuple):
-    """A command; `{s}` stands for the spec, `{o}` for a file to write. `until`: what ends it, seen so `often` in its
-    output: an axis's first line says where random starts stand, the second one where the first descent ended."""
+    """A command; `{s}` stands for the spec, `{imu}` for that of an IMU, `{o}` for a file to write. `until`: what
+    ends it, seen so `often` in its output: an axis's first line says where random starts stand, the second one where
+    the first descent ended."""
 
     name: str
     command: tuple[str, ...]
@@ -46,7 +48,7 @@ CASES = (
     Case("predict, new numbers", (*GRADCAL, "predict", "{s}"), "numbers"),
     Case("predict, new sizes", (*GRADCAL, "predict", "{s}"), "sizes"),
     Case("optimise, first step", (*GRADCAL, "optimise", "{s}", "-o", "{o}", "--force"), until="ppm"),
-    Case("optimise an IMU, first step", (*GRADCAL, "optimise", str(IMU), "-o", "{o}", "--force"), until="->", often=1),
+    Case("optimise an IMU, first step", (*GRADCAL, "optimise", "{imu}", "-o", "{o}", "--force"), until="->", often=1),
     Case("optimise --quick", (*GRADCAL, "optimise", "{s}", "-o", "{o}", "--force", "--quick")),
     Case("optimise", (*GRADCAL, "optimise", "{s}", "-o", "{o}", "--force")),
     Case("limit", (*GRADCAL, "limit", "{s}")),
@@ -63,9 +65,9 @@ class Times(NamedTuple):
     wall: float
 
 
-def spec_of(case: Case, folder: Path) -> Path:
-    """The headline's spec, or one that differs from it as the case says."""
-    text = SPEC.read_text(encoding="utf-8")
+def spec_of(case: Case, package: Path, folder: Path) -> Path:
+    """The headline's spec of a checkout, or one that differs from it as the case says."""
+    text = (package / SPEC).read_text(encoding="utf-8")
     if case.spec != "same":
         text = text.replace('"1 deg/h"', '"1.3 deg/h"').replace('"0.1 deg/sqrt(h)"', '"0.13 deg/sqrt(h)"')
     if case.spec == "sizes":
@@ -79,10 +81,13 @@ def spec_of(case: Case, folder: Path) -> Path:
 
 def timed(case: Case, package: Path, cache: Path, folder: Path) -> Times | None:
     """One run in a process of its own; None where it fails."""
-    spec, output = spec_of(case, folder), folder / ("out.nc" if case.name == "sweep" else "out.toml")
+    spec, output = spec_of(case, package, folder), folder / ("out.nc" if case.name == "sweep" else "out.toml")
     output = output.with_suffix(".html") if case.name == "report" else output
     output.unlink(missing_ok=True)
-    command = [part.replace("{s}", str(spec)).replace("{o}", str(output)) for part in case.command]
+    command = [
+        part.replace("{s}", str(spec)).replace("{imu}", str(package / IMU)).replace("{o}", str(output))
+        for part in case.command
+    ]
     environment = {**os.environ, "PYTHONPATH": str(package), "XDG_CACHE_HOME": str(cache), "JAX_PLATFORMS": "cpu"}
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     process = subprocess.Popen(

@@ -287,9 +287,13 @@ def table_grade(spec: Spec) -> Grade:
     return _grade("table", size, "angle", "angle", "its angle errors")
 
 
+# A prediction asks for the class a dozen times, of the same few texts.
+_parsed = cache(units.parse)
+
+
 def _grade(kind: str, size: float, key: str, dimension: str, reason: str) -> Grade:
     """The first class, beginning with the worst, whose lower limit is at or below a size; the last limit is zero."""
-    row = next(row for row in _table()[kind] if size >= units.parse(row[key], dimension))
+    row = next(row for row in _table()[kind] if size >= _parsed(row[key], dimension))
     return Grade(row["grade"], row["like"], reason)
 
 

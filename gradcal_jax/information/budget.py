@@ -1,4 +1,4 @@
-"""The error budget: the share of each source of error in a residual.
+"""For the error budget: the derivatives of a residual with respect to the size of each source of noise.
 
 A statistic r of the residual depends on the noise through `G = ΦᵀV⁻¹Φ` alone, and V is a sum over sources, each
 proportional to its variance σ². Since `∂G/∂ln σ = −2 ΦᵀV⁻¹V_σV⁻¹Φ`, one matrix for each source gives `∂ln r/∂ln σ` of

@@ -1,4 +1,4 @@
-"""C++ code that the machine's own compiler compiles at first use, and that the user's cache folder keeps.
+"""C++ code for programs of JAX: the machine's own compiler compiles it at first use; the user's cache folder keeps it.
 
 The compiler runs in parallel to the caller: the code is awaited when a program is lowered, not when it is traced.
 

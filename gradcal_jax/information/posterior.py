@@ -1,4 +1,4 @@
-"""Square-root information of the parameters, and the posterior covariance.
+"""Square-root information of the parameters, from the regressors of a plan, and the posterior covariance.
 
 `rows` are whitened regressors stacked over whitened priors. Their columns are scaled to unit length before one
 triangular factor is taken, so that nothing depends on the units of the parameters:

@@ -1,4 +1,5 @@
-"""The page: data and figures in a template, without computation here and without external resources.
+"""The HTML page of a plan, a run or a calibration: numbers and figures in a template, and the panel, which predicts.
+The page needs no external resources.
 
 **The panel** has predictions of a plan for other times, encoders and slopes. The grid has factors on the chamber's
 slope, numbers of ramps (there, back, there …, which is the time), and factors on every figure of the angles of all

@@ -1,4 +1,4 @@
-"""gradcal-log/1: what was recorded, as labelled arrays with units. NumPy inside, netCDF at the boundary.
+"""gradcal-log/1: what was recorded, as labelled NumPy arrays with units; `log_file` keeps them in netCDF files.
 
     unit      the sensors on one table, by serial number or name          [unit]
     time      one clock for all of them, strictly increasing, s           [time]

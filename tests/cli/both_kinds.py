@@ -14,7 +14,7 @@ KINDS = ("axis", "IMU")
 class Feature:
     """A line of the table: `commands`, the same for both kinds; what the test looks at, in words; what it needs.
 
-    `after`: features whose files it reads. `long`: kinds whose search takes more than five seconds. `missing`: kinds
+    `after`: features whose files it reads. `long`: kinds that take more than five seconds. `missing`: kinds
     without this feature, with the reason.
     """
 
@@ -79,6 +79,7 @@ FEATURES = (
         "sensitivity",
         ("predict spec.toml --sensitivity --json",),
         "the effect of more angle random walk, compared with a prediction for more of it",
+        long=("IMU",),
     ),
     Feature("ranges of noise figures", ("predict uncertain.toml --json",), "a smallest and a largest residual"),
     Feature("lower limit of all plans", ("limit spec.toml --json",), "a limit below the residual of this plan"),
@@ -92,7 +93,12 @@ FEATURES = (
         ("predict spec.toml --monte-carlo 400 --json",),
         "residuals of simulated calibrations, within 15 % of the predicted ones",
     ),
-    Feature("plots", ("predict spec.toml --plot plan.png",), "a picture with more than a few colours"),
+    Feature(
+        "plots",
+        ("predict spec.toml --plot plan.png",),
+        "a picture with more than a few colours",
+        long=("IMU",),
+    ),
     Feature(
         "hidden structure (discrepancy)",
         ("predict hidden.toml",),
@@ -219,6 +225,7 @@ FEATURES = (
         ),
         "the errors of another run of the same sensor are more than ten times smaller with the calibration",
         after=("estimate",),
+        long=("IMU",),
     ),
     Feature(
         "correction of a log",
@@ -246,6 +253,7 @@ FEATURES = (
         ("report recipe.toml -o plan.html --json", "report run -o page.html --json"),
         "the page of the plan and that of the calibration, with its numbers",
         after=("estimate",),
+        long=("IMU",),
     ),
     Feature(
         "certificate and DCC",
@@ -293,6 +301,7 @@ FEATURES = (
             "allan rest.nc --format ins -o noise.txt",
         ),
         "the white noise of every gyro and accelerometer of the record; a picture",
+        long=("IMU",),
     ),
     # --- begin
     Feature(

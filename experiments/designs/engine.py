@@ -59,6 +59,11 @@ def cases() -> dict[str, tuple[gj.Spec, Path, int]]:
     return rows
 
 
+def file_name(case: str) -> str:
+    """The name of a case's files, without their endings."""
+    return re.sub(r"\W+", "-", case).strip("-")
+
+
 def residuals(plan: Path) -> list[float]:
     """What a plan leaves of each requirement."""
     return [row.decisive or math.nan for row in gj.predict(gj.read_spec(plan)).requirements]
@@ -127,7 +132,7 @@ def write_share(name: str, folder: Path) -> None:
     row, best = searched(*cases()[name])
     print(f"{name}: {row['better']:.3f} times better, {row['processor_s']:.0f} s", flush=True)
     folder.mkdir(parents=True, exist_ok=True)
-    file = folder / re.sub(r"\W+", "-", name)
+    file = folder / file_name(name)
     file.with_suffix(".json").write_text(json.dumps({name: row}, indent=1) + "\n")
     found = gj.changed(best.spec, {"title": f"The optimum of a search: {name}"})
     write_toml(found, file.with_suffix(".toml"), header="Found by experiments/designs/engine.py.")
@@ -143,7 +148,7 @@ def report(folder: Path) -> None:
     known.write_text(json.dumps(results, indent=1) + "\n")
     (HERE / "engine.md").write_text(table(results))
     by_hand = max((name for name in results if name.startswith("by hand")), key=lambda name: results[name]["better"])
-    plan, known = (folder / re.sub(r"\W+", "-", by_hand)).with_suffix(".toml"), IMU / "descended.toml"
+    plan, known = (folder / file_name(by_hand)).with_suffix(".toml"), IMU / "descended.toml"
     if plan.exists() and better_than(plan, known) > 1.001:
         found = gj.changed(gj.read_spec(plan), {"title": "The plan by hand on two axes after its descent"})
         write_toml(found, known, header="Found by experiments/designs/engine.py.")

@@ -45,6 +45,7 @@ from gradcal_jax.model import (
 from gradcal_jax.trajectory import EARTH_RATE, Trajectory, Turns, turns_of
 
 TURN_ON: Final = "turn-on bias"
+OFF_THERMOMETER: Final = "offset of the temperature"
 BACKLASH: Final = "backlash of the table's drive"
 BESIDE_THE_AXIS: Final = "misalignment of the input axis from the table's axis"
 UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
@@ -98,9 +99,12 @@ class EstimatedRun(NamedTuple):
 def systematic_figures(spec: Spec) -> SystematicFigures:
     """The figures that a spec names; what it does not name is zero."""
     sensor = spec.sensor
-    common = {"offset": float(sensor.temperature_offset or 0.0), "lag": float(sensor.temperature_lag or 0.0)}
     gyro, table = spec.sensor.gyro, spec.rig.table
-    common["backlash"] = max(float(axis.angle.backlash or 0.0) for axis in table.axis)
+    common = {
+        "offset": float(sensor.temperature_offset or 0.0),
+        "lag": float(sensor.temperature_lag or 0.0),
+        "backlash": max(float(axis.angle.backlash or 0.0) for axis in table.axis),
+    }
     scales = [float(axis.angle.scale_error or 0.0) for axis in table.axis]
     triads = {"gyro": gyro, "accelerometer": spec.sensor.accelerometer}
     # A table of several axes sees the directions of the input axes.
@@ -158,7 +162,7 @@ def columns_of(
         else:
             slope = _slopes(terms, size, done)
         lag = figures.lag if done is None or done.lag_std is None else done.lag_std
-        add("offset of the temperature", figures.offset * slope)
+        add(OFF_THERMOMETER, figures.offset * slope)
         add("lag of the temperature", lag * ramp * slope)
     return {name: np.stack(several, axis=1) for name, several in columns.items()}
 

@@ -7,6 +7,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from gradcal_jax.api.error_budget import OFF_THERMOMETER
 from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.api.verdicts import coefficient_rows
 from gradcal_jax.files.base.contracts import Prediction
@@ -194,7 +195,7 @@ def agreement(
     from scipy.special import chdtrc
 
     shown = _at_shown_temperatures(calibration, hidden)
-    counted = [e for e in calibration.unseen if shown is hidden or e.name != "offset of the temperature"]
+    counted = [e for e in calibration.unseen if shown is hidden or e.name != OFF_THERMOMETER]
     columns = [[e.coefficients.get(n, 0.0) for n in known.names] for e in counted]
     for axis in "xyz":
         bias = re.compile(rf"gyro_{axis}\.a(0|_(bin|spline)\d+)?")

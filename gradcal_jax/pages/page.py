@@ -102,6 +102,7 @@ def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
         "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
         "optimised": [] if recipe is None else _optimised(recipe),
         "walks": spec is not None and spec.sensor.gyro is not None and bool(spec.sensor.gyro.rate_random_walk),
+        "thermometer_off": "temperature_offset" in hidden_values(sources.hidden_truth, calibration),
         "mounted": calibration is not None and calibration.frame == FRAME_OF_CASE,
         "converged": recipe is None or (recipe.optimisation or {}).get("converged", True),
         "done": _done(data),

@@ -108,8 +108,6 @@ _HALVINGS = 45
 _ROUNDING = 1e-14
 # Divisions by plays nearer than this to an end of a piece, as a share of it, divide nothing: a play is continuous.
 _PLAY_EDGE = 1e-9
-# rad
-_SMALLEST_TURN = np.radians(0.1)
 
 
 class TableMotion(PytreeModule):
@@ -165,7 +163,7 @@ def turns_of(motion: TableMotion) -> Turns | None:
     if motion.geometry.axis_count != 1 or line.rates:
         return None
     before, after = (np.asarray(angles)[:, 0] for angles in motion.angles())
-    sign = np.sign(np.where(np.abs(after - before) > _SMALLEST_TURN, after - before, 0.0))
+    sign = np.sign(after - before)
     # Pieces of one turn follow each other in one direction.
     begins = np.flatnonzero((sign != 0.0) & (np.concatenate([[0.0], sign[:-1]]) != sign))
     if not len(begins):

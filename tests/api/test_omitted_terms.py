@@ -12,6 +12,7 @@ import gradcal_jax as gj
 from gradcal_jax.api.calibrations import calibration_map
 from gradcal_jax.api.contradictions import omitted_sentences, wrapped_sentence
 from gradcal_jax.api.estimate import estimate_log, estimate_sensors
+from gradcal_jax.api.imu_build import build_imu
 from gradcal_jax.api.log_rows import Options
 from gradcal_jax.cli import main
 from gradcal_jax.files.log.log import LogError
@@ -19,6 +20,7 @@ from gradcal_jax.files.log.log_file import write_log
 from gradcal_jax.files.spec.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.files.spec.changes import tables_of
 from gradcal_jax.files.spec.spec import parse_spec
+from gradcal_jax.trajectory import turns_of
 
 SPEC = """
 format = "gradcal-spec/1"
@@ -177,6 +179,11 @@ def test_backlash_counts_as_the_turns_that_it_shortens():
     assert left(geared, "M").with_typical == pytest.approx(np.hypot(exact, 0.01 / turn * 1e6), rel=0.05)
     assert not [t for t in absent_terms(without("rig.table.angle.scale_error")) if "backlash" in t.key]
     assert absent_terms(with_typical(without("rig.table.angle.scale_error"))) == []
+    # A turn that is read on the move is many pieces, the first of them small.
+    read = gj.changed(geared, {f"plan.cycle.moves[{k}].read_every": "0.01 s" for k in (1, 3)})
+    turns = turns_of(build_imu(read).motion)
+    np.testing.assert_allclose(np.degrees(turns.size), turn)
+    np.testing.assert_allclose(turns.lost * turns.size, np.arange(len(turns.size)) > 0)
     moves = [
         move for move in tables_of(geared)["plan"]["cycle"]["moves"] if not str(move.get("turn", "")).startswith("-")
     ]

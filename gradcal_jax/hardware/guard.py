@@ -45,6 +45,7 @@ BEAT_S = 1.0
 _SILENT_S = 20.0
 _TO_START_S = 30.0
 _TO_OPEN_S = 3.0
+_TO_BEGIN_S = 1.0
 _KEEP_TRYING_S = 3600.0
 _LONGEST_PAUSE_S = 30.0
 _RETRY_PAUSE_S = 0.2
@@ -71,6 +72,8 @@ def make_safe(
     def attempt(outcome: SafeOutcome) -> None:
         line, act = bench.lines.get(outcome.name), acts[outcome.name][1]
         with clock.party():
+            with suppress(threading.BrokenBarrierError):
+                begun.wait(_TO_BEGIN_S)
             while True:
                 outcome.tries += 1
                 try:
@@ -86,13 +89,18 @@ def make_safe(
                             line.reopen()
                 if outcome.verified or time.monotonic() >= began_s + deadline_s:
                     outcome.took_s = time.monotonic() - began_s
+                    outcome.at_s = clock.now() if outcome.verified else None
                     return
                 with clock.aside():
                     time.sleep(_RETRY_PAUSE_S)
 
+    # A virtual time stands still until every thread is a party of it.
+    begun = threading.Barrier(len(outcomes) + 1)
     threads = [threading.Thread(target=attempt, args=(outcome,), daemon=True) for outcome in outcomes]
     for thread in threads:
         thread.start()
+    with suppress(threading.BrokenBarrierError):
+        begun.wait(_TO_BEGIN_S)
     with clock.aside():
         for thread in threads:
             thread.join(max(0.0, began_s + deadline_s - time.monotonic()))

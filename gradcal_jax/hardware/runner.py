@@ -562,7 +562,8 @@ class Runner:
         self._event("ending", at_once=False, exit_status=status, reason=reason)
         outcomes = tuple(make_safe(self.bench, self.clock, deadline_s=self.safe_deadline_s, busy=self._is_busy))
         for outcome in outcomes:
-            self._event("made safe", **event_fields(outcome))
+            fields = event_fields(outcome)
+            self._event("made safe", fields.pop("at_s"), **fields)
         good = all(outcome.verified for outcome in outcomes)
         self._enter(RunState.SAFE if good else RunState.FAILED)
         return outcomes
@@ -577,6 +578,6 @@ class Runner:
         self._shown_s = -math.inf
         self._event("state", at_once=at_once, state=state.value)
 
-    def _event(self, name: str, /, *, at_once: bool = True, **data: Any) -> None:
+    def _event(self, name: str, at_s: float | None = None, /, *, at_once: bool = True, **data: Any) -> None:
         self.ticked_s = time.monotonic()
-        self.journal.event(self.clock.now(), name, at_once=at_once, **data)
+        self.journal.event(self.clock.now() if at_s is None else at_s, name, at_once=at_once, **data)

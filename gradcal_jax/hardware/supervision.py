@@ -24,7 +24,8 @@ from .roles import AxisReading, ChamberReading
 
 @dataclass
 class SafeOutcome:
-    """The outcome of one device. `evidence` is the read-back, or the last problem; `took_s` real seconds.
+    """The outcome of one device. `evidence` is the read-back, or the last problem; `took_s` real seconds; `at_s` of the
+    run's clock, when it was verified (none: it was not).
 
     Its thread fills it; the waiting thread takes a copy, with the state so far of a thread that hangs.
     """
@@ -35,6 +36,7 @@ class SafeOutcome:
     evidence: str = "has not answered yet"
     tries: int = 0
     took_s: float = 0.0
+    at_s: float | None = None
 
 
 class RunState(Enum):

@@ -19,7 +19,7 @@ def made():
 
 
 def test_the_committed_pages_are_what_the_generator_makes(made):
-    assert {page.stem for page in FOLDER.glob("*.md")} == {*made, "commands"}
+    assert {page.stem for page in FOLDER.glob("*.md")} == {*made, "commands", "features"}
     for name, text in made.items():
         again = f"gradcal schema {name} --markdown > docs/reference/{name}.md"
         assert (FOLDER / f"{name}.md").read_text(encoding="utf-8") == text, again

@@ -119,9 +119,9 @@ def omitted_sentences(spec: Spec, temperature: np.ndarray, lag_is_fitted: bool =
         sentences.append(EARTH_IS_UNKNOWN)
     if lagging and _goes_one_way(temperature):
         sentences.append(
-            "the temperature changes in one direction only, so the lag of the dies behind the measured "
-            "temperature is not observable: the estimate assumes zero lag (or the lag stated with --lag), and the "
-            "uncertainty includes the possible lag"
+            "the temperature changes in one direction only, which hardly shows the lag of the dies behind the measured "
+            "temperature: the estimate assumes zero lag (or the lag stated with --lag), and the uncertainty includes "
+            "the possible lag"
         )
     return sentences
 

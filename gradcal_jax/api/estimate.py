@@ -42,7 +42,8 @@ from gradcal_jax.api.figure_tests import angle_columns, backlash_sentences, figu
 from gradcal_jax.api.fit_of_log import FittedRows, Recorded, calibration_of, fit_of, points_of, tests_by_name, together
 from gradcal_jax.api.imu_build import BuiltImu, build_imu
 from gradcal_jax.api.imu_residual import internal_misalignments
-from gradcal_jax.api.log_rows import Lag, Options, count_rows, imu_rows, with_earth, with_options
+from gradcal_jax.api.lag_of_maps import Lag
+from gradcal_jax.api.log_rows import Options, count_rows, imu_rows, with_earth, with_options
 from gradcal_jax.api.path_dependence import (
     HEATING_AGAINST_COOLING,
     BiasCurve,

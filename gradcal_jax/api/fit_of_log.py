@@ -3,25 +3,24 @@
 The motion is read from the log; the rates within a move are first the gyros' own, then corrected by the first estimate.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import optimize
 
 from gradcal_jax import estimation, trajectory
 from gradcal_jax.api.build import move_of
 from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible, refuse_misaligned, wrapped_sentence
 from gradcal_jax.api.imu_build import BuiltImu, course_before
-from gradcal_jax.api.log_rows import LONGEST_LAG_S, Lag, Options, read_by_events
+from gradcal_jax.api.lag_of_maps import Fit, Lag, fit_with_lag
+from gradcal_jax.api.log_rows import Options, read_by_events
 from gradcal_jax.api.plan_sentences import prior_deviations, unobserved_parameters
 from gradcal_jax.api.verdicts import fit_rows, provenance_of, random_walks, result_of_requirement, section_of
 from gradcal_jax.estimation import (
     Consistency,
     ExecutedImu,
     ImuEstimate,
-    ImuReadings,
     ImuRows,
     PlannedMove,
     Smoothness,
@@ -66,31 +65,6 @@ from gradcal_jax.model import (
     TemperatureDifference,
 )
 
-
-def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None) -> Lag:
-    """The lag (s) of least χ², and its standard deviation from the curvature of χ². With `degrees` of freedom that is
-    widened where the fit with that lag does not hold, by the root of χ² for each of them."""
-    known: dict[float, float] = {}
-
-    def value(lag: float) -> float:
-        if lag not in known:
-            known[lag] = chi_squared(lag)
-        return known[lag]
-
-    grid = [0.0, *np.geomspace(5.0, LONGEST_LAG_S, 12).tolist()]
-    values = [value(lag) for lag in grid]
-    best = int(np.argmin(values))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    minimum: Any = optimize.minimize_scalar(value, bounds=(low, high), method="bounded", options={"xatol": 0.01})
-    lag = float(minimum.x) if minimum.fun < values[best] else grid[best]
-    # Three different lags, also where the minimum is at zero.
-    width = max(0.05 * lag, 1.0)
-    around = max(lag - width, 0.0) + width * np.arange(3.0)
-    bend = np.polyfit(around, [value(x) for x in around], 2)[0]
-    misfit = max(value(lag) / degrees, 1.0) if degrees else 1.0
-    return Lag(lag, float(np.sqrt(misfit / bend)) if bend > 0.0 else float("inf"))
-
-
 # Standard deviations by which a coefficient must be beyond what a device has.
 _SURE = 3.0
 # Residuals of this many times the noise come from a wrong table, order of axes, or sign.
@@ -103,15 +77,6 @@ _STANDS, _LINEARISED = 2e-6, 24
 _HALF_FROM = 6
 # Parts of a planned move's time at which its angle is tabulated.
 _PROFILE = 512
-
-
-class Fit(NamedTuple):
-    """The executed motion, the readings of it, and the estimate. `rates` `(n, 3)`: the gyros', corrected, rad/s."""
-
-    executed: ExecutedImu
-    readings: ImuReadings
-    solution: ImuEstimate
-    rates: np.ndarray
 
 
 def _refuse_the_implausible(built: BuiltImu, name: str, solution: ImuEstimate) -> None:
@@ -127,15 +92,12 @@ def _refuse_the_implausible(built: BuiltImu, name: str, solution: ImuEstimate) -
         refuse_implausible(f"{name}, {c.name.replace('_', ' ')}", c.model.names(), values[own], priors[own])
 
 
-def lag_of_maps(built: BuiltImu, name: str, rows: ImuRows, temperature_of: Callable[[float], np.ndarray]) -> Lag:
-    """The lag of the maps of all channels, at the motion that is found without one."""
-    _, readings, solution, _ = fitted_twice(built, name, rows, temperature_of(0.0), checked=False)
-
-    def chi_squared(lag: float) -> float:
-        of = readings._replace(temperature_c=temperature_of(lag))
-        return float(estimation.solve_imu(of, solution.parameters).estimate.chi_squared)
-
-    return fitted_lag(chi_squared, solution.estimate.degrees)
+def _may_lag(built: BuiltImu) -> bool:
+    """Whether the spec leaves a lag of the maps to the data: it does not state that there is none, and no term of the
+    model has another temperature of its own."""
+    sensor, terms = built.spec.sensor, built.model.terms
+    others = any(isinstance(t, TemperatureDifference) or getattr(t, "late", None) for t in terms)
+    return not (others or sensor.second_thermometer is not None or sensor.temperature_lag == 0.0)
 
 
 def fitted_twice(
@@ -230,8 +192,13 @@ def _read(
         rows, seen = rows._replace(angles=angles), seen._replace(angles=angles)
         about = solution.parameters if about is None else about + share * (solution.parameters - about)
         number += 1
-    if not checked:
-        return Fit(done, readings, solution, seen.rates)
+    fit = Fit(done, readings, solution, seen.rates)
+    return _likely(built, name, fit) if checked else fit
+
+
+def _likely(built: BuiltImu, name: str, fit: Fit) -> Fit:
+    """The same fit. Errors: `LogError` for readings of another IMU or table."""
+    solution = fit.solution
     _refuse_the_implausible(built, name, solution)
     scale = float(np.sqrt(solution.estimate.chi_squared / max(solution.estimate.degrees, 1)))
     if scale > _ABSURD:
@@ -239,7 +206,7 @@ def _read(
             f"{name}: the readings of the IMU differ from those of the table by {scale:.3g} times the noise: do "
             "the mounting, the axes and signs of the IMU and the table's angles agree with the spec?"
         )
-    return Fit(done, readings, solution, seen.rates)
+    return fit
 
 
 def _executed(built: BuiltImu, seen: ImuRows, points: TablePoints | None) -> ExecutedImu:
@@ -321,19 +288,22 @@ def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> 
 def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
     rows, messages, points = recorded
     temperature_of = lambda lag: followed(rows.temperature_c, rows.time_s, rows.stretch_starts, lag)  # noqa: E731
-    stable = isinstance(built.spec.plan, StandardPlan)
-    model = built.model
-    refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), model.channels)
+    refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), built.model.channels)
     threshold = options.threshold if options.robust else None
-    if options.lag != "fit":
-        lag = Lag(float(options.lag))
-    elif stable:
-        lag = Lag(0.0)
+    lag, stable = Lag(0.0 if isinstance(options.lag, str) else options.lag), isinstance(built.spec.plan, StandardPlan)
+    fit, smoothness = None, None
+    if options.lag == "fit" and stable:
         messages = *messages, "a lag cannot be estimated at constant temperatures: zero lag is assumed"
-    else:
-        lag = lag_of_maps(built, name, rows, temperature_of)
+    elif isinstance(options.lag, str) and not stable and (options.lag == "fit" or _may_lag(built)):
+        # A lag may make readings of another IMU of the right ones.
+        fit_at = lambda lag: fitted_twice(built, name, rows, temperature_of(lag), checked=False)  # noqa: E731
+        lag, fit, said = fit_with_lag(fit_at, temperature_of, wanted=options.lag == "fit")
+        messages = *messages, *said
     temperature = temperature_of(lag.seconds)
-    fit, smoothness = fitted_twice(built, name, rows, temperature, threshold, points), None
+    if fit is not None and threshold is None:
+        fit = _likely(built, name, fit)
+    else:
+        fit = fitted_twice(built, name, rows, temperature, threshold, points)
     if options.smoothness == "auto":
         built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
     return FittedRows(built, recorded._replace(messages=messages), temperature, fit, smoothness, lag)

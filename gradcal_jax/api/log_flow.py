@@ -131,7 +131,7 @@ def estimate(
     units: Sequence[str] = (),
     earth_rate: float | None = None,
     robust: bool = False,
-    lag: float | Literal["fit"] = 0.0,
+    lag: float | Literal["auto", "fit"] = "auto",
     smoothness: Literal["spec", "auto"] = "spec",
     clock: Literal["sensor", "host"] | None = None,
     read_every: float | None = None,
@@ -144,7 +144,8 @@ def estimate(
     Noise, table and terms are the spec's; the executed motion is read from the log. With several mountings, one log for
     each. `axis`: the recorded one, where the spec has one gyro on a table of one axis. `units`: default all.
     `earth_rate` rad/s along that axis is subtracted (default: the spec's). `robust`: Huber weights for outliers. `lag`
-    s of the maps behind the measured temperature, or "fit". `smoothness` "auto": that of bins and B-splines at maximum
+    s of the maps behind the measured temperature, "fit", or "auto": fitted, and used if the data show one (and the spec
+    does not state that there is none). `smoothness` "auto": that of bins and B-splines at maximum
     marginal likelihood. `clock`: the clock over whose time rates are integrated (default: the spec's, or else the
     computer's where the log has both). `read_every` s: spacing of readings at rest (default: the spec's). `table_axis`:
     the log's name of the table's only axis. `neighbours_k`: also group moves of one rate within this temperature

@@ -23,8 +23,6 @@ from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.model import SECOND
 
-LONGEST_LAG_S = 1800.0
-
 
 @dataclass(frozen=True)
 class Options:
@@ -34,8 +32,9 @@ class Options:
     """Earth rate along the sensor's axis, rad/s; it is subtracted. None: the spec's rate, if stated."""
     robust: bool = False
     threshold: float = HUBER
-    lag: float | Literal["fit"] = 0.0
-    """Lag of the maps behind the measured temperature, s; "fit": estimated."""
+    lag: float | Literal["auto", "fit"] = "auto"
+    """Lag of the maps behind the measured temperature, s; "fit": estimated; "auto": estimated, and used if the data
+    show one."""
     smoothness: Literal["spec", "auto"] = "spec"
     clock: Literal["sensor", "host"] | None = None
     """None: the spec's clock; if the spec states none and the log has both clocks, the computer's clock."""
@@ -46,37 +45,6 @@ class Options:
     """If stated: also compute scale factors without a map, from moves of one rate within this temperature range, K."""
     temperature_c: float | None = None
     """Temperature of a log without a thermometer, °C."""
-
-
-class Lag(NamedTuple):
-    """The lag of the maps, s; `std`: its standard deviation where it was fitted."""
-
-    seconds: float
-    std: float | None = None
-
-    @property
-    def doubts(self) -> list[str]:
-        """What speaks against a fitted lag, in sentences."""
-        if self.std is None:
-            return []
-        said: list[str] = []
-        if self.seconds > 0.99 * LONGEST_LAG_S:
-            said.append(
-                f"the lag reaches the longest allowed value, {self.seconds:.0f} s: the data do not determine the lag"
-            )
-        if self.seconds < 2.0 * self.std:
-            said.append(
-                f"the lag of the maps is not significant: the estimate is {self.seconds:.2g} s, its uncertainty "
-                f"(1σ) {self.std:.2g} s"
-            )
-        return said
-
-    @property
-    def sentences(self) -> list[str]:
-        """What is said of a fitted lag."""
-        if self.std is None or self.doubts:
-            return self.doubts
-        return [f"the maps lag behind the measured temperature by {self.seconds:.4g} s (1σ {self.std:.2g} s)"]
 
 
 # A comparison of clocks that is no better than this, a ratio, is worth less than a quartz.

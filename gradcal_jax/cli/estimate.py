@@ -55,7 +55,7 @@ def estimate(
     table_axis: str | None = None,
     earth_rate: str | None = None,
     latitude: str | None = None,
-    lag: str = "none",
+    lag: str = "auto",
     smoothness: str = "spec",
     robust: Flag = False,
     clock: str | None = None,
@@ -103,7 +103,8 @@ def estimate(
         If the sensor's axis points straight up: the latitude of the site, from which the Earth's rate is computed
         (instead of --earth-rate).
     lag
-        The lag of the maps behind the measured temperature: a time, or "fit" to estimate it.
+        The lag of the maps behind the measured temperature: a time, "none", "fit" to estimate it, or "auto" to estimate
+        it and to use it if the data show a lag.
     smoothness
         The smoothness of bins and B-splines: "spec" for that in the spec, or "auto" for the smoothness with which the
         data are most probable.
@@ -135,7 +136,7 @@ def estimate(
     """
     in_use: dict[str, object] = {"--spec": spec, "--recipe": recipe, "--axis": axis, "--table-axis": table_axis}
     in_use |= {"--earth-rate": earth_rate, "--latitude": latitude, "--smoothness": smoothness != "spec"}
-    in_use |= {"--robust": robust, "--lag": lag != "none", "--read-every": read_every}
+    in_use |= {"--robust": robust, "--lag": lag != "auto", "--read-every": read_every}
     in_use |= {"--neighbours": neighbours, "--parameters": parameters, "--points": points, "a second log": more}
     if gravity is not None:
         _refuse(in_use, ("--latitude",), "not for an IMU that was turned by hand (--gravity)")
@@ -271,8 +272,8 @@ def _options(
         earth = quantity(earth_rate, "angular rate", "--earth-rate")
     elif latitude is not None:
         earth = _EARTH_RATE_RAD_PER_S * math.sin(quantity(latitude, "angle", "--latitude"))
-    lag_s = "fit" if lag == "fit" else 0.0 if lag == "none" else quantity(lag, "time", "--lag")
-    if lag_s != "fit" and lag_s < 0.0:
+    lag_s = lag if lag in ("auto", "fit") else 0.0 if lag == "none" else quantity(lag, "time", "--lag")
+    if not isinstance(lag_s, str) and lag_s < 0.0:
         raise ValueError(f"--lag {lag!r}: must not be negative")
     if smoothness not in ("spec", "auto"):
         raise ValueError(f'--smoothness {smoothness!r}: expected "spec" or "auto"')

@@ -188,6 +188,16 @@ class ImuReadings(NamedTuple):
         rows = self._replace(done=self.done._replace(motion=moved)).expected(parameters) - self.expected(parameters)
         return self._whitened(self._system(self.nominal())[0], rows[:, None] / _SMALL_TURN)
 
+    def by_temperature(self, parameters: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """The whitened change `(n,)` of the rows used if the maps had other temperatures (°C, of every row)."""
+        steps, here = self._system(self.nominal())[0], self.expected(parameters)
+
+        def change(temperature_c: np.ndarray) -> np.ndarray:
+            rows = self._replace(temperature_c=temperature_c).expected(parameters) - here
+            return self._whitened(steps, rows[:, None])[:, 0]
+
+        return change
+
     def by_shown_angles(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """The whitened derivatives `(n, k)` of the rows used with respect to `k` errors of the angles that the table
         shows, of which one rad makes errors of `before` and `after`, `(P, L, k)`, at the ends of every piece."""

@@ -11,7 +11,7 @@ from simulated_log import simulate_log
 
 from gradcal_jax.api import assemble
 from gradcal_jax.api.estimate import estimate_log
-from gradcal_jax.api.fit_of_log import fitted_lag
+from gradcal_jax.api.lag_of_maps import fitted_lag
 from gradcal_jax.api.log_rows import Options, host_time
 from gradcal_jax.files import changed, parse_spec, presets
 from gradcal_jax.files.calibration.correction import term_values
@@ -179,7 +179,9 @@ def test_a_lag_of_the_temperature_is_found():
     (channel,) = estimated(spec, replace(log, temperature_c=ahead[None]), options=Options(lag="fit"))
     assert channel.lag.seconds == pytest.approx(lag, abs=max(5 * channel.lag.std, 2.0))
     assert channel.lag.std < 5.0
-    (without,) = estimated(spec, replace(log, temperature_c=ahead[None]))
+    (by_itself,) = estimated(spec, replace(log, temperature_c=ahead[None]))
+    assert by_itself.lag == channel.lag
+    (without,) = estimated(spec, replace(log, temperature_c=ahead[None]), options=Options(lag=0.0))
     assert without.consistency.fit.statistic > channel.consistency.fit.statistic + 100.0
     split = next(s for s in without.consistency.splits if s.name == "heating against cooling")
     assert not split.agreement.passed

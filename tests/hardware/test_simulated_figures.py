@@ -14,6 +14,7 @@ from gradcal_jax.hardware.simulate.plants import AxisPlant
 SPEC = gj.parse_spec(presets.text("paper-dynamic-gradient"))
 STATED = {
     "sensor.temperature_offset": "2 K",
+    "sensor.temperature_lag": "40 s",
     "rig.table.mounting[0].accuracy": "1 deg",
     "rig.table.axis[0].angle.scale_error": "100 ppm",
     "rig.table.axis[0].angle.backlash": "0.02 deg",
@@ -37,6 +38,9 @@ def test_they_have_the_sizes_that_the_spec_states():
     tables = [draw_table(spec, seed)[:2] for seed in range(SEEDS)]
     assert np.std([s.thermometer_offset for s in sensors]) == pytest.approx(2.0, rel=0.15)
     assert all(s.names["temperature_offset"] == s.thermometer_offset for s in sensors)
+    late = np.array([s.die_lag_s for s in sensors])
+    assert late.min() >= 0.0
+    assert np.sqrt(np.mean(late**2)) == pytest.approx(40.0, rel=0.15)
     (encoders,) = zip(*(axes for _, axes in tables), strict=True)
     assert np.std([e.scale_error for e in encoders]) == pytest.approx(1e-4, rel=0.15)
     lash = np.array([e.backlash_deg for e in encoders])
@@ -54,7 +58,7 @@ def test_they_have_the_sizes_that_the_spec_states():
 
 def test_what_a_spec_does_not_state_they_do_not_have():
     sensor, (table, axes, _) = draw_truth(SPEC, 5, 1), draw_table(SPEC, 5)
-    assert sensor.thermometer_offset == 0.0
+    assert (sensor.thermometer_offset, sensor.die_lag_s) == (0.0, 0.0)
     assert (axes[0].scale_error, axes[0].backlash_deg) == (0.0, 0.0)
     assert "temperature_offset" not in sensor.names
     assert np.array_equal(np.abs(table.mountings[0]), np.round(np.abs(table.mountings[0])))
@@ -64,14 +68,18 @@ def test_what_a_spec_does_not_state_they_do_not_have():
     assert {name: other[name] for name in sensor.names} == sensor.names
 
 
-def test_a_thermometer_that_is_off_shows_that():
-    """The bias is that of the true temperature."""
+def test_dies_follow_a_thermometer_that_is_off():
+    """The bias is that of the dies, and the thermometer shows what they will have."""
     spec = gj.changed(SPEC, STATED | {"sensor.gyro.bias": {"temperature": LINE, "prior": "1 deg/s"}, **QUIET})
-    truth, table = draw_truth(spec, 7, 1), replace(draw_table(spec, 7)[0], earth_rate=0.0)
-    shown = SimulatedImu(truth, table, Warming(), [AxisPlant()], sample_rate_hz=1.0, seed=7).take(10)
+    truth, (table, _, _) = draw_truth(spec, 7, 1), draw_table(gj.changed(spec, {"rig.site.latitude": "0 deg"}), 7)
+    table = replace(table, earth_rate=0.0)
+    imu = SimulatedImu(truth, table, Warming(), [AxisPlant()], sample_rate_hz=1.0, seed=7)
+    imu.take(1000)
+    shown = imu.take(10)
     load = Warming().load_at(shown.time_s - 0.5)
     np.testing.assert_allclose(shown.temperature_c, load + truth.thermometer_offset, atol=1e-9)
-    slope = truth.names["gyro_x.a1"] / 50.0
-    assert abs(slope * truth.thermometer_offset) > 1e-4
-    expected = truth.names["gyro_x.a0"] + slope * (load - 20.0)
-    np.testing.assert_allclose(np.radians(shown.rate_dps[:, 0]), expected, atol=1e-7)
+    assert abs(truth.thermometer_offset) > 0.1
+    slope, behind = truth.names["gyro_x.a1"] / 50.0, 0.02 * truth.die_lag_s
+    assert abs(slope * behind) > 1e-4
+    expected = truth.names["gyro_x.a0"] + slope * (load - behind - 20.0)
+    np.testing.assert_allclose(np.radians(shown.rate_dps[:, 0]), expected, atol=1e-3 * abs(slope * behind))

@@ -252,9 +252,10 @@ def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> Im
         draws.values |= _rotation(draws.values, unmeasured, sensor.gyro.axes)
     levers = tuple(lever.tolist()), tuple(of_gyros.tolist())
     thermometer = np.random.default_rng([seed, number, 20268])
+    late_s = float(sensor.temperature_lag or 0.0) * abs(float(thermometer.standard_normal()))
     offset_k = float(sensor.temperature_offset or 0.0) * float(thermometer.standard_normal())
     draws.values |= {"temperature_offset": offset_k} if offset_k else {}
-    return ImuTruth(triads, *levers, clock, draws.values, second_lag_s, offset_k)
+    return ImuTruth(triads, *levers, clock, draws.values, second_lag_s, late_s, offset_k)
 
 
 def _rotation(values: dict[str, float], lever: Vectors, axes: Sequence[str]) -> dict[str, float]:

@@ -293,7 +293,8 @@ class TableTruth:
 class ImuTruth:
     """A unit's errors. `lever`, `gyro_lever`: of the accelerometers and gyros from the intersection of the axes, m, in
     the body. `names`: the hidden parameters, by their names in a calibration. `second_lag_s`: of the mass that the
-    second thermometer measures; 0: none. The thermometer is `thermometer_offset` K off."""
+    second thermometer measures; 0: none. The dies follow what the thermometer measures `die_lag_s` late, and it is
+    `thermometer_offset` K off."""
 
     triads: Mapping[Kind, TriadTruth]
     lever: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -301,6 +302,7 @@ class ImuTruth:
     clock_error: float = 0.0
     names: dict[str, float] = field(default_factory=dict[str, float])
     second_lag_s: float = 0.0
+    die_lag_s: float = 0.0
     thermometer_offset: float = 0.0
 
 
@@ -331,6 +333,7 @@ class SimulatedImu(SampledSensor):
         self._lags_s = {error.lag_s for triad in truth.triads.values() for error in triad.errors}
         self._lags_s = (self._lags_s | {truth.second_lag_s}) - {0.0}
         self._masses: dict[float, Mass] = {}
+        self._die: Mass | None = None
         self._power_on_s = start_s
         self.restart(start_s, sample_rate_hz)
 
@@ -343,7 +346,13 @@ class SimulatedImu(SampledSensor):
         edges = np.interp(shares, np.arange(count + 1.0), ends)
         rate, force = self._motion(edges)
         temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
-        middles = self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0)
+        middles = shown = self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0)
+        change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
+        if lag_s := self.truth.die_lag_s:
+            self._die = self._die or Mass(float(temperature[0]), lag_s)
+            temperature = self._die.take(temperature, self.true_period_s / _PARTS)
+            middles = temperature.reshape(count, _PARTS).mean(axis=1)
+            change = (shown - middles) / lag_s
         late = {0.0: temperature} | {lag: self._mass(lag, temperature) for lag in sorted(self._lags_s)}
         output: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
         for kind, triad in self.truth.triads.items():
@@ -359,13 +368,12 @@ class SimulatedImu(SampledSensor):
             mean = along.reshape(count, _PARTS, 3).mean(axis=1)
             output[kind] = said.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
             if any(triad.gradient):
-                change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
                 output[kind] = output[kind] + change[:, None] * np.array(triad.gradient)
             output[kind] = output[kind] + self._of_path(kind, triad, middles, mean, ends[1:] - 0.5 * self.true_period_s)
         lag_s = self.truth.second_lag_s
         second = late[lag_s].reshape(count, _PARTS).mean(axis=1) if lag_s else None
         outputs = np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY
-        return SensorSamples(ends[1:], *outputs, middles + self.truth.thermometer_offset, second)
+        return SensorSamples(ends[1:], *outputs, shown + self.truth.thermometer_offset, second)
 
     def _mass(self, lag_s: float, temperature_c: Vectors) -> Vectors:
         """The temperatures of a mass at all parts of the samples."""

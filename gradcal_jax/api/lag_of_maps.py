@@ -1,0 +1,159 @@
+"""The lag of a sensor's maps behind the measured temperature: whether a log shows one, and how long it is."""
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy import optimize
+
+from gradcal_jax.estimation import ExecutedImu, ImuEstimate, ImuReadings, chi_squared_test
+from gradcal_jax.information.noticing import not_negligible
+from gradcal_jax.information.posterior import OBSERVABLE
+
+_LONGEST_S: Final = 1800.0
+# The reduction of χ² from which on a lag is used without being asked for. Minima of χ² far from zero may be deep.
+_SURE: Final = 25.0
+# Linearisations, until the lag changes by less than this share of its standard deviation.
+_ROUNDS, _STANDS = 6, 0.1
+# A fit with a lag holds from this chance of χ² on, or if it leaves at most this share of the excess of χ².
+_HOLDS, _LEFT = 0.001, 0.1
+# Lags (s) that are tried in the residuals, and the chance of such residuals without one.
+_TRIED_S, _BY_CHANCE = (15.0, 60.0, 240.0), 0.01
+
+
+class Fit(NamedTuple):
+    """The executed motion, the readings of it, and the estimate. `rates` `(n, 3)`: the gyros', corrected, rad/s."""
+
+    executed: ExecutedImu
+    readings: ImuReadings
+    solution: ImuEstimate
+    rates: np.ndarray
+
+
+class Lag(NamedTuple):
+    """The lag of the maps, s; `std`: its standard deviation where it was fitted."""
+
+    seconds: float
+    std: float | None = None
+
+    @property
+    def doubts(self) -> list[str]:
+        """What speaks against a fitted lag, in sentences."""
+        if self.std is None:
+            return []
+        said: list[str] = []
+        if self.seconds > 0.99 * _LONGEST_S:
+            said.append(
+                f"the lag reaches the longest allowed value, {self.seconds:.0f} s: the data do not determine the lag"
+            )
+        if self.seconds < 2.0 * self.std:
+            said.append(
+                f"the lag of the maps is not significant: the estimate is {self.seconds:.2g} s, its uncertainty "
+                f"(1σ) {self.std:.2g} s"
+            )
+        return said
+
+    @property
+    def sentences(self) -> list[str]:
+        """What is said of a fitted lag."""
+        if self.std is None or self.doubts:
+            return self.doubts
+        return [f"the maps lag behind the measured temperature by {self.seconds:.4g} s (1σ {self.std:.2g} s)"]
+
+
+def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None) -> tuple[float, float]:
+    """The lag (s) of least χ², and its standard deviation from the curvature of χ². With `degrees` of freedom that is
+    widened where the fit with that lag does not hold, by the root of χ² for each of them."""
+    known: dict[float, float] = {}
+
+    def value(lag: float) -> float:
+        if lag not in known:
+            known[lag] = chi_squared(lag)
+        return known[lag]
+
+    grid = [0.0, *np.geomspace(5.0, _LONGEST_S, 12).tolist()]
+    values = [value(lag) for lag in grid]
+    best = int(np.argmin(values))
+    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    minimum: Any = optimize.minimize_scalar(value, bounds=(low, high), method="bounded", options={"xatol": 0.01})
+    lag = float(minimum.x) if minimum.fun < values[best] else grid[best]
+    # Three different lags, also where the minimum is at zero.
+    width = max(0.05 * lag, 1.0)
+    around = max(lag - width, 0.0) + width * np.arange(3.0)
+    bend = np.polyfit(around, [value(x) for x in around], 2)[0]
+    misfit = max(value(lag) / degrees, 1.0) if degrees else 1.0
+    return lag, float(np.sqrt(misfit / bend)) if bend > 0.0 else float("inf")
+
+
+def fit_with_lag(
+    fit_at: Callable[[float], Fit], temperature_of: Callable[[float], np.ndarray], *, wanted: bool
+) -> tuple[Lag, Fit, tuple[str, ...]]:
+    """The lag of the maps of all channels, the fit with it, and messages. If it is `wanted`, that of least χ²,
+    otherwise only one that the data show, or none. `fit_at` and `temperature_of` (°C, of all rows): with a lag (s)."""
+    prompt = fit = fit_at(0.0)
+    of = _Linearised(prompt, temperature_of)
+    if not (wanted or of.shows_lag):
+        return Lag(0.0), prompt, ()
+    lag, std = of.fitted()
+    for _ in range(_ROUNDS):
+        fit = fit_at(lag)
+        again, std = _Linearised(fit, temperature_of).fitted()
+        if abs(again - lag) <= _STANDS * std:
+            break
+        lag = again
+    else:
+        fit = fit_at(lag)
+    found, estimate = Lag(lag, std), fit.solution.estimate
+    before, after = float(prompt.solution.estimate.chi_squared), float(estimate.chi_squared)
+    if wanted:
+        return found, fit, ()
+    if before - after <= _SURE * _excess(fit.solution) or found.doubts:
+        return Lag(0.0), prompt, ()
+    holds = chi_squared_test(after, estimate.degrees).probability > _HOLDS
+    if not holds and after - estimate.degrees > _LEFT * (before - estimate.degrees):
+        # What contradicts the model is something else, which a lag may resemble.
+        return Lag(0.0), prompt, (
+            f"a lag of the maps of {lag:.3g} s would reduce χ² from {before:.0f} to {after:.0f} of {estimate.degrees}, "
+            "but not explain it: zero lag is assumed; --lag fit estimates it",
+        )  # fmt: skip
+    return found, fit, ()
+
+
+def _excess(solution: ImuEstimate) -> float:
+    """χ² over degrees of freedom where it is above 1."""
+    return max(float(solution.estimate.chi_squared) / max(solution.estimate.degrees, 1), 1.0)
+
+
+class _Linearised:
+    """Residuals as a function of the lag, with the motion and the derivatives of a fit with another one."""
+
+    def __init__(self, fit: Fit, temperature_of: Callable[[float], np.ndarray]) -> None:
+        self.solution = solution = fit.solution
+        self._change, self._temperature_of = fit.readings.by_temperature(solution.parameters), temperature_of
+        rows = np.concatenate([solution.white.rows, solution.white.prior])
+        length = np.linalg.norm(rows, axis=0)
+        left, singular, _ = np.linalg.svd(rows / np.where(length > 0.0, length, 1.0), full_matrices=False)
+        self._taken = left[:, singular > OBSERVABLE * np.max(singular, initial=0.0)]
+        self._left = np.concatenate([solution.estimate.residuals, -solution.white.prior @ solution.parameters])
+
+    def _residuals(self, lag: float) -> np.ndarray:
+        """What no parameters explain of the residuals with that lag (s)."""
+        change = self._change(self._temperature_of(lag))
+        left = self._left - np.pad(change, (0, len(self._left) - len(change)))
+        # Projected twice, since the remainder is small beside the removed part.
+        left = left - self._taken @ (self._taken.T @ left)
+        return left - self._taken @ (self._taken.T @ left)
+
+    @property
+    def shows_lag(self) -> bool:
+        """Whether lags explain a part of the residuals beyond chance."""
+        without = self._residuals(0.0)
+        columns = np.stack([without - self._residuals(lag) for lag in _TRIED_S], axis=1)
+        directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        known = directions[:, not_negligible(sizes**2)].T @ without
+        statistic = float(known @ known) / _excess(self.solution)
+        return chi_squared_test(statistic, len(known)).probability < _BY_CHANCE
+
+    def fitted(self) -> tuple[float, float]:
+        """The lag of least χ² and its standard deviation, s."""
+        return fitted_lag(lambda lag: float(np.sum(self._residuals(lag) ** 2)), self.solution.estimate.degrees)

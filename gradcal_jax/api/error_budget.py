@@ -46,6 +46,7 @@ from gradcal_jax.trajectory import EARTH_RATE, Trajectory, Turns, turns_of
 
 TURN_ON: Final = "turn-on bias"
 OFF_THERMOMETER: Final = "offset of the temperature"
+SCALE_OF_ANGLE: Final = "scale of the table's angle"
 BACKLASH: Final = "backlash of the table's drive"
 BESIDE_THE_AXIS: Final = "misalignment of the input axis from the table's axis"
 UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
@@ -87,13 +88,15 @@ class SystematicFigures(NamedTuple):
 
 class EstimatedRun(NamedTuple):
     """An estimate in the place of a plan: its parameters `(p,)`, the range of temperature of its data (°C), and the
-    standard deviation of its lag (s), if that was fitted. `one_way`: the temperature never returns."""
+    standard deviation of its lag (s), if that was fitted. `one_way`: the temperature never returns; `gears`: errors of
+    gears are in the noise of its readings."""
 
     parameters: np.ndarray
     temperature_c: tuple[float, float]
     ramp: float
     lag_std: float | None = None
     one_way: bool = False
+    gears: bool = False
 
 
 def systematic_figures(spec: Spec) -> SystematicFigures:
@@ -111,7 +114,7 @@ def systematic_figures(spec: Spec) -> SystematicFigures:
     seen = len(table.axis) > 1 or (gyro is not None and gyro.misalignment is not None)
     mounting = 0.0 if seen else float(table.mounting[0].accuracy)
     return SystematicFigures(
-        scale={BESIDE_THE_AXIS: 2.0**0.5 * mounting**2, "scale of the table's angle": max(scales)},
+        scale={BESIDE_THE_AXIS: 2.0**0.5 * mounting**2, SCALE_OF_ANGLE: max(scales)},
         bias={"Earth's rate": UNKNOWN_EARTH_RATE if spec.rig.site.is_unknown else 0.0},
         gradient={kind: triad.gradient_std for kind, triad in triads.items() if triad is not None},
         turn_on={kind: float(triad.turn_on_bias or 0.0) for kind, triad in triads.items() if triad is not None},
@@ -310,9 +313,12 @@ def budget_of_estimate(
     built: BuiltImu, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
 ) -> CountedPosteriors:
     """The posteriors of an estimate. `noise`: of `omitted_noise_of_imu`."""
-    named, complete = (
+    both = [
         _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
-    )
+    ]
+    if done.gears:
+        both = [of._replace(scale={**of.scale, SCALE_OF_ANGLE: 0.0}, backlash=0.0) for of in both]
+    named, complete = both
     size, terms = built.model.size, terms_of_imu(built)
     turns = turns_of(built.motion) if complete.backlash else None
     own, whole = (columns_of(figures, terms, size, done.ramp, done, turns) for figures in (named, complete))

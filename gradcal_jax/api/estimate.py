@@ -76,7 +76,7 @@ from gradcal_jax.files.spec.places import places_of, specs_at_places
 from gradcal_jax.files.spec.plan import StandardPlan
 from gradcal_jax.files.spec.spec import expect_spec
 from gradcal_jax.files.spec.spec_sections import Spec
-from gradcal_jax.information import Posterior, segments_of
+from gradcal_jax.information import segments_of
 from gradcal_jax.model import AXIS_NAMES, KINDS
 from gradcal_jax.units import DEG_PER_S, PPM
 
@@ -336,18 +336,18 @@ def report_of(
         subsets["odd moves against even ones"] = moves % 2 == 1
     few = {key: value for key, value in subsets.items() if 0.1 < np.mean(value) < 0.9}
     tests = estimation.consistency(solution.estimate, solution.white, few, model.to_reported, solution.taken)
-    channels: dict[str, tuple[Test, Test]] = {}
+    channels = dict[str, tuple[Test, Test]]()
     for i, c in enumerate(model.channels):
         left, taken = solution.residuals_of(i), solution.taken[solution.channel == i]
         free = round(len(left) - float(np.sum(taken**2)))
         channels[c.name] = estimation.chi_squared_test(float(left @ left), free), estimation.whiteness(left, taken)
-    known = Posterior(solution.known.spread * excess_of(tests), solution.known.hidden)
+    known = solution.known._replace(spread=solution.known.spread * excess_of(tests))
     covered = _covered(done, rates, temperature)
     record = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
     # At stable temperatures nothing lags, and between them no data are used.
     ramp = 0.0 if stable else ramp_of_record(rows.time_s[record], temperature[record])
-    one_way = abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record])
-    run = EstimatedRun(solution.parameters, covered[0], ramp, lag.std, one_way=bool(one_way))
+    one_way = bool(abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record]))
+    run = EstimatedRun(solution.parameters, covered[0], ramp, lag.std, one_way, gears=readings.common is not None)
     estimated = built._replace(about=solution.parameters)
     budget = budget_of_estimate(estimated, known, run, noise)
     structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))

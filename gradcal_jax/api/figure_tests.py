@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from gradcal_jax.api.gears import sides_of
 from gradcal_jax.api.imu_build import BuiltImu
 from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.estimation import (
@@ -31,8 +32,6 @@ from gradcal_jax.information import Posterior
 _LATITUDE: Final = 0.5
 # Waves over a turn that encoders and discs off their centres have.
 _ORDERS: Final = (1, 2)
-# The smallest turn that has a direction, rad.
-_TURN: Final = np.radians(0.1)
 # Standard deviation of an error of the table's angles, rad, above which it is not tested.
 _ANGLE: Final = np.radians(0.2)
 # Backlash, rad, that good gears may have; and the share of a requirement's error from which on it is reported.
@@ -73,7 +72,7 @@ def angle_columns(spec: Spec, readings: ImuReadings) -> list[AngleColumns]:
     for number, axis in enumerate(spec.rig.table.axis):
         angle, orders = ends[..., number], sorted(set(_ORDERS) - {wave.order for wave in axis.angle.harmonics})
         waves = [wave(order * angle) for order in orders for wave in (np.cos, np.sin)]
-        sides = _sides(angle)
+        sides = sides_of(angle)
         own = [angle, *waves, *(() if sides is None else (sides,))]
         places.append((axis.name, orders, sides is not None, len(errors)))
         for error in own:
@@ -88,16 +87,6 @@ def angle_columns(spec: Spec, readings: ImuReadings) -> list[AngleColumns]:
         last = at + 1 + 2 * len(orders)
         found.append(AngleColumns(name, every[:, last : last + 1] if both_ways else None, waves, every[:, at : at + 1]))
     return found
-
-
-def _sides(angle: np.ndarray) -> np.ndarray | None:
-    """The side, ±½, on which an axis stands by its last turn, before and after every piece, `(2, P)`, as its angles;
-    None if it turns in one direction only."""
-    way = angle[1] - angle[0]
-    sign = np.where(np.abs(way) > _TURN, np.sign(way), 0.0)
-    turned = np.maximum.accumulate(np.where(sign != 0.0, np.arange(1, len(sign) + 1), 0))
-    side = 0.5 * np.concatenate([[0.0], sign])[turned]
-    return np.stack([np.concatenate([[0.0], side[:-1]]), side]) if np.ptp(side) == 1.0 else None
 
 
 def figure_tests(

@@ -12,6 +12,7 @@ import numpy as np
 from gradcal_jax import estimation, trajectory
 from gradcal_jax.api.build import move_of
 from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible, refuse_misaligned, wrapped_sentence
+from gradcal_jax.api.gears import errors_of_gears
 from gradcal_jax.api.imu_build import BuiltImu, course_before
 from gradcal_jax.api.lag_of_maps import Fit, Lag, fit_with_lag
 from gradcal_jax.api.log_rows import Options, read_by_events
@@ -170,6 +171,7 @@ def _read(
         )
         if own is not None:
             readings = readings._replace(sigma=own * done.motion.line.duration)
+        readings = readings._replace(common=errors_of_gears(built.spec, readings))
         if isinstance(plan, StandardPlan) and plan.estimator == "least squares" and own is None:
             solution = estimation.estimate_unweighted(readings)
         else:

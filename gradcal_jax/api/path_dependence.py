@@ -20,7 +20,7 @@ from gradcal_jax.display import summary
 from gradcal_jax.estimation import Estimate, ImuEstimate, ImuReadings, Whitened, solve, split
 from gradcal_jax.files.spec.absent import path_terms_of
 from gradcal_jax.files.spec.spec_sections import Spec
-from gradcal_jax.information import segments_of, whiten
+from gradcal_jax.information import segments_of
 from gradcal_jax.model import (
     BIAS,
     SECOND,
@@ -135,7 +135,7 @@ def with_terms(
     steps, columns = readings._replace(model=extended, points=0).linear(None)
     known, rows = np.concatenate(former), np.zeros((int(np.count_nonzero(solution.used)), extended.size))
     new = np.setdiff1d(np.arange(extended.size), known)
-    rows[:, new] = np.asarray(whiten(steps, columns[:, new]))[readings.by_steps(solution.used)]
+    rows[:, new] = readings.whitened(steps, columns[:, new])
     rows[:, known] = solution.white.rows
     return Whitened(rows, solution.white.data, extended.prior_rows()), extended
 

@@ -123,7 +123,8 @@ class ImuReadings(NamedTuple):
     """A unit's readings, for comparison with any table: `observed` `(R,)`, integrals in rad and m/s; `added` `(P, 3)`,
     the mean specific force beyond gravity over every piece, in the frame of the innermost axis, m/s², if known; `sigma`
     `(R,)`: standard deviations, in the place of the model's noise of the channels (None: the model's); `free`: no
-    encoder tells the angles of standstills, whose wide noise then absorbs a reading each.
+    encoder tells the angles of standstills, whose wide noise then absorbs a reading each; `common` `(R, k)`: changes
+    of the readings by one standard deviation of each error that is neither a parameter nor a state of the noise.
     """
 
     model: ImuModel
@@ -135,6 +136,7 @@ class ImuReadings(NamedTuple):
     added: np.ndarray | None
     sigma: np.ndarray | None = None
     free: bool = False
+    common: np.ndarray | None = None
 
     def expected(self, parameters: np.ndarray, error_of: AngleError | None = None) -> np.ndarray:
         """`h(β)` `(R,)` of the parameters in the engine's coordinates; `error_of`: of the axes' angles, in the place of
@@ -162,7 +164,18 @@ class ImuReadings(NamedTuple):
     def by_steps(self, values: np.ndarray) -> np.ndarray:
         """Values of the rows in the order of the noise steps; zero for steps within a segment, which have no row."""
         row = row_of_steps(self.done.motion, self.model)
-        return np.where(row >= 0, values[row], np.zeros((), values.dtype))
+        return np.where((row >= 0).reshape(-1, *(1,) * (values.ndim - 1)), values[row], np.zeros((), values.dtype))
+
+    def whitened(self, steps: NoiseSteps, values: np.ndarray) -> np.ndarray:
+        """Values `(N, k)` of the noise steps as rows of variance one, `(n, k)`, of the rows that are used."""
+        used, count = self.by_steps(np.asarray(segments_of(self.done.motion, self.model).used)), values.shape[1]
+        if self.common is None:
+            return np.asarray(whiten(steps, values))[used]
+        white = np.asarray(whiten(steps, np.concatenate([values, self.by_steps(self.common)], axis=1)))[used]
+        # The root of the inverse of I + C Cᵀ.
+        along, sizes, _ = np.linalg.svd(white[:, count:], full_matrices=False)
+        white, less = white[:, :count], 1.0 - 1.0 / np.hypot(1.0, sizes)
+        return white - along @ (less[:, None] * (along.T @ white))
 
     def whitened_terms(self) -> Callable[[int, Term], np.ndarray]:
         """Of a channel's number and a term: the whitened columns `(n, k)`, of the rows used, if the channel had it."""
@@ -201,15 +214,17 @@ class ImuReadings(NamedTuple):
     def by_shown_angles(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """The whitened derivatives `(n, k)` of the rows used with respect to `k` errors of the angles that the table
         shows, of which one rad makes errors of `before` and `after`, `(P, L, k)`, at the ends of every piece."""
-        motion, model, nodes = self.done.motion, self.model, self.nominal()
-        at, of_angles = segments_of(motion, model), encoder_rows(motion, model, nodes)
+        return self._whitened(self._system(self.nominal())[0], self.of_shown_angles(before, after))
+
+    def of_shown_angles(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """The same derivatives `(R, k)` of all rows, rad or m/s."""
+        motion, model = self.done.motion, self.model
+        at, of_angles = segments_of(motion, model), encoder_rows(motion, model, self.nominal())
         ends = np.stack([after[at.last], before[at.first]], axis=1)[at.row_segment]
-        return self._whitened(self._system(nodes)[0], np.einsum("rsl,rslk->rk", of_angles, ends))
+        return np.einsum("rsl,rslk->rk", of_angles, ends)
 
     def _whitened(self, steps: NoiseSteps, rows: np.ndarray) -> np.ndarray:
-        row = row_of_steps(self.done.motion, self.model)
-        white = np.asarray(whiten(steps, np.where((row >= 0)[:, None], rows[row], 0.0)))
-        return white[self.by_steps(np.asarray(segments_of(self.done.motion, self.model).used))]
+        return self.whitened(steps, self.by_steps(rows))
 
     def with_noise(self, steps: NoiseSteps, variance: np.ndarray) -> NoiseSteps:
         """The steps with more noise of their readings, `(N,)`: where the only axis of a table is read, of its encoder,

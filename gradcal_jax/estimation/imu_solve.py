@@ -34,7 +34,6 @@ from gradcal_jax.information import (
     imu_unweighted,
     row_of_steps,
     segments_of,
-    whiten,
 )
 
 _ROUNDS = 12
@@ -226,7 +225,7 @@ def _solved(
     """The estimate with these noise steps and derivatives `columns`, iterated from the parameters `about`."""
     model = readings.model
     kept = readings.by_steps(used)
-    jacobian, prior = np.asarray(whiten(steps, columns))[kept], model.prior_rows()
+    jacobian, prior = readings.whitened(steps, columns), model.prior_rows()
     design = np.concatenate([jacobian, prior])
     of = factored(design)
     known = of.known
@@ -236,7 +235,7 @@ def _solved(
 
     def left_over(beta: np.ndarray) -> tuple[np.ndarray, float]:
         apart = readings.by_steps(np.where(used, readings.observed - readings.expected(beta), 0.0))
-        rest = np.asarray(whiten(steps, apart[:, None]))[kept, 0]
+        rest = readings.whitened(steps, apart[:, None])[:, 0]
         return rest, float(rest @ rest + np.sum((prior @ beta) ** 2))
 
     rest, squares = left_over(beta)

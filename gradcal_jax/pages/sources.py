@@ -243,7 +243,7 @@ def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
 
 
 def _of_rig(rig: Rig) -> list[tuple[str, str]]:
-    from gradcal_jax.api.error_budget import BESIDE_THE_AXIS
+    from gradcal_jax.api.error_budget import BESIDE_THE_AXIS, SCALE_OF_ANGLE
 
     """The figures of site and table; if there are several axes, those of each axis."""
     table = rig.table
@@ -262,7 +262,7 @@ def _of_rig(rig: Rig) -> list[tuple[str, str]]:
             (of + "reading noise", angle.reading_noise or None),
             (of + "standstill offset", angle.standstill_offset or None),
             (of + "timing error", angle.timing_error or None),
-            (of + "scale of the table's angle", angle.scale_error or None),
+            (of + SCALE_OF_ANGLE, angle.scale_error or None),
             (of + "backlash", angle.backlash or None),
             (of + "angles between the table's axes", axis.orthogonality or None),
         ]

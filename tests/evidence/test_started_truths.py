@@ -1,9 +1,9 @@
 """What `gradcal start` writes, from its answers to a calibration, over twenty seeds of each preset: the errors of the
 calibration against the hidden truth, and of each requirement against the uncertainty that is stated.
 
-The simulated devices have what the specs state and no residual shows: a thermometer that is off, an axis that turns by
-less than its encoder counts, an input axis beside the table's, the Earth's rate at any latitude. (Not the lag of the
-dies.) A plan of a few hours is run whole, as a user runs it.
+The simulated devices have what the specs state and no residual shows: dies that are late behind a thermometer that is
+off, an axis that turns by less than its encoder counts, an input axis beside the table's, the Earth's rate at any
+latitude. A plan of a few hours is run whole, as a user runs it.
 """
 
 import json
@@ -28,8 +28,8 @@ SEEDS = int(os.environ.get("GRADCAL_SEEDS", "20"))
 _HEAD = """# The calibrations of what `gradcal start` writes, against the hidden truth
 
 Made by `pytest -m evidence tests/evidence/test_started_truths.py`: spec of a preset, plan by `optimise --until-met`,
-run on simulated devices, log, estimate, page. The devices have what the spec states and no residual shows, but for the
-lag of the dies: a thermometer that is off, an axis that turns by less than its encoder counts, an input axis beside the
+run on simulated devices, log, estimate, page. The devices have what the spec states and no residual shows: dies that
+are late behind a thermometer that is off, an axis that turns by less than its encoder counts, an input axis beside the
 table's.
 
 "within U": requirements of all runs whose true error, by the requirement's own statistic, is at most U (k = 2), and

@@ -40,7 +40,7 @@ class AngleReference(Section):
     """Standard deviation of the relative scale error of the angle (gear ratio, counts per revolution)."""
     backlash: q.SizeOfAngle | None = None
     """Standard deviation of the backlash of a drive whose angle is read at the motor: by so much the axis stands apart
-    after turns in the two directions. 0 for an encoder on the axis. It counts for a table of one axis."""
+    after turns in the two directions. 0 for an encoder on the axis."""
     harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
     """Errors that are periodic in the angle."""
 

@@ -300,10 +300,8 @@ def draw_table(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict
             waves.append((order, -float(np.degrees(cosine)), -float(np.degrees(sine))))
         noise_deg = float(np.degrees(axis.angle.standstill_offset)), float(np.degrees(axis.angle.reading_noise))
         errors = *noise_deg, float(axis.angle.timing_error), float(table.rate_accuracy or 0.0)
-        # (Accelerometers and further axes show a gear, which no model of an IMU has.)
-        size = (axis.angle.scale_error or 0.0, axis.angle.backlash or 0.0) if spec.is_one_axis else (0.0, 0.0)
-        scale = float(size[0]) * float(unshown.standard_normal())
-        lash = abs(float(np.degrees(size[1])) * float(unshown.standard_normal()))
+        scale = float(axis.angle.scale_error or 0.0) * float(unshown.standard_normal())
+        lash = abs(float(np.degrees(axis.angle.backlash or 0.0)) * float(unshown.standard_normal()))
         encoders.append(AxisTruth(tuple(waves), *errors, scale, lash, seed=16 * seed + number))
     in_case = _in_case(spec)
     mountings: list[Vectors] = []

@@ -1,0 +1,91 @@
+"""Tables whose angle is read at the motor, before a gear: an IMU on them, from the twin of quaternions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimate_scenes import draw_truth, record, scene
+from scipy import stats
+
+from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
+from gradcal_jax.api.fit_of_log import fitted_twice
+from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.api.log_rows import Options, imu_rows
+from gradcal_jax.files import changed
+from gradcal_jax.files.log.log import Log
+from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.information import segments_of
+
+SIZES = {"scale_error": "300 ppm", "backlash": "0.02 deg"}
+
+
+def geared(log: Log, ratios: np.ndarray, play_deg: np.ndarray) -> Log:
+    """What motors count: more than the axes turn, by these ratios, and half of the play past them as they turn."""
+    angle, way = log.table_angle_rad, np.zeros(log.table_angle_rad.shape)
+    turned = np.diff(angle, axis=0)
+    for k in range(angle.shape[1]):
+        moves = np.flatnonzero(np.abs(turned[:, k]) > np.radians(0.05))
+        last = np.searchsorted(moves, np.arange(len(angle)), side="left") - 1
+        way[:, k] = np.where(last >= 0, np.sign(turned[moves[last], k]), 0.0)
+    return replace(log, table_angle_rad=angle * (1.0 + ratios) + 0.5 * np.radians(play_deg) * way)
+
+
+def stated(spec: Spec, sizes: dict[str, str]) -> Spec:
+    axes = range(len(spec.rig.table.axis))
+    return changed(spec, {f"rig.table.axis[{k}].angle.{name}": size for k in axes for name, size in sizes.items()})
+
+
+def estimated(seed: int, ratios: tuple[float, float], play_deg: tuple[float, float], sizes: dict[str, str]):
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(seed)
+    truth = draw_truth(spec, rng)
+    logs = [geared(log, np.array(ratios), np.array(play_deg)) for log in record(spec, truth, rng)]
+    (report,) = estimate_sensors(stated(spec, sizes), logs)
+    return report, np.array(list(truth.values()))
+
+
+def squared(report: SensorEstimate, truth: np.ndarray) -> float:
+    white = np.linalg.solve(
+        report.solution.known.spread,
+        report.solution.parameters - np.linalg.solve(report.built.model.to_reported, truth),
+    )
+    return float(white @ white)
+
+
+@pytest.mark.parametrize(
+    ("ratios", "play_deg"), [((2e-4, -4e-4), (0.0, 0.0)), ((0.0, 0.0), (0.03, 0.02)), ((-3e-4, 3e-4), (0.02, -0.01))]
+)
+def test_a_gear_that_is_stated_contradicts_nothing_and_counts(ratios, play_deg):
+    plain, truth = estimated(4, ratios, play_deg, dict.fromkeys(SIZES, "0 deg") | {"scale_error": "0 ppm"})
+    assert plain.calibration.contradicted
+    report, _ = estimated(4, ratios, play_deg, SIZES)
+    assert not report.calibration.contradicted
+    assert report.consistency.fit.probability > 1e-3
+    assert squared(plain, truth) > 3.0 * len(truth)
+    assert 1e-3 < stats.chi2.sf(squared(report, truth), len(truth)) < 1.0 - 1e-3
+
+
+def test_the_rows_are_those_of_a_fit_with_the_errors_as_parameters():
+    spec, rng = stated(scene("two axes", 0.1), SIZES), np.random.default_rng(4)
+    (log,) = (geared(one, np.array([2e-4, -4e-4]), np.zeros(2)) for one in record(spec, draw_truth(spec, rng), rng))
+    built = build_imu(spec)
+    rows, _ = imu_rows(built, [log], "SN7", Options())
+    fit = fitted_twice(built, "SN7", rows, rows.temperature_c)
+    about, plain = fit.solution.parameters, fit.readings._replace(common=None)
+    assert fit.readings.common.shape[1] == 4
+    steps, columns = plain.linear(about)
+    apart = plain.observed - plain.expected(about)
+    used = np.asarray(segments_of(plain.done.motion, built.model).used)
+    both = np.column_stack([np.where(used, apart, 0.0), fit.readings.common])
+    white = plain.whitened(steps, np.column_stack([columns, plain.by_steps(both)]))
+    p, prior = built.model.size, built.model.prior_rows()
+    whole = np.concatenate([
+        np.column_stack([white[:, :p], white[:, p + 1 :]]), np.pad(prior, ((0, 0), (0, 4))), np.eye(4, p + 4, p)
+    ])  # fmt: skip
+    data = np.concatenate([white[:, p], -prior @ about, np.zeros(4)])
+    information = whole.T @ whole
+    step = np.linalg.solve(information, whole.T @ data)
+    deviation = np.sqrt(np.diag(np.linalg.inv(information)))[:p]
+    assert np.max(np.abs(step[:p]) / deviation) < 1e-2
+    np.testing.assert_allclose(fit.solution.known.deviations(np.eye(p)), deviation, rtol=5e-3)
+    left = data - whole @ step
+    assert fit.solution.estimate.chi_squared == pytest.approx(left @ left, rel=1e-3)

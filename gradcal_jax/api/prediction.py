@@ -30,6 +30,7 @@ from gradcal_jax.api.verdicts import (
     UNIT_OF,
     decision_rule,
     finite,
+    limit_of,
     mission_weights,
     run_of,
     target_of,
@@ -190,6 +191,20 @@ def requirement_rows(spec: Spec, until_s: float = np.inf) -> list[RequirementRow
     built = build_imu(expect_spec(spec), until_s)
     budget = counted_posteriors(built, imu_posterior(built))
     return [requirement_row(built, budget, requirement) for requirement in built.spec.requirement]
+
+
+def missed_targets(spec: Spec, margin: float) -> list[str]:
+    """The requirements whose targets a plan does not meet with a margin (a share of the target), with all that their
+    verdicts count; of a fixture at any of its places."""
+    missed = dict[str, None]()
+    for at, _ in hung_alike(spec):
+        built = build_imu(at)
+        budget = counted_posteriors(built, imu_posterior(built))
+        for requirement in at.requirement:
+            if (aim := limit_of(requirement)) is not None:
+                left = _judged(budget, requirement)[0].finite_statistic(aim[0])
+                missed |= {} if left <= (1.0 - margin) * aim[1] else {requirement.name: None}
+    return list(missed)
 
 
 def counted_posteriors(built: BuiltImu, known: Posterior) -> CountedPosteriors:

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given as given_any
 from hypothesis import settings
 from hypothesis import strategies as st
+from nothing_omitted import with_nothing_omitted
 from search_problem import SPEC, exact, keeps_limits, targets_met
 
 import gradcal_jax as gj
@@ -359,7 +360,7 @@ def with_targets(spec, own: str, bias: str = "") -> Spec:
 
 
 def test_until_met_searches_nothing_where_the_plan_meets_its_targets_with_margin(spec):
-    before = residual(spec)
+    before, omits, spec = residual(spec), spec, with_nothing_omitted(spec)
     (found,) = run_search(with_targets(spec, f"{before / 0.88} ppm"), until_met=True)
     assert isinstance(found, Optimised)
     assert "without a search" in found.sentence
@@ -369,13 +370,20 @@ def test_until_met_searches_nothing_where_the_plan_meets_its_targets_with_margin
     assert targets_met(with_targets(spec, f"{before / 0.88} ppm"))
     assert not targets_met(with_targets(spec, f"{before / 0.95} ppm"))
     assert not targets_met(with_targets(spec, f"{before / 0.88} ppm", "0.001 ppm"))
+    # What the spec omits counts as in the verdict of `predict`, here 100 ppm of the table's angle alone.
+    aimed = with_targets(omits, f"{before / 0.88} ppm")
+    *steps, found = run_search(aimed, steps=2, until_met=True)
+    assert steps
+    assert not found.converged
+    assert "meets the target of full range with the typical figures of the terms that the spec omits" in found.sentence
+    assert predict(found.spec).requirements[0].verdict == "missed"
 
 
 def test_until_met_stops_at_a_plan_that_meets_every_target_with_margin(spec, best):
     """And far sooner than the search that goes on."""
     target = best.now / 0.6
     assert target < residual(spec)
-    *steps, found = run_search(with_targets(spec, f"{target} ppm"), steps=80, until_met=True)
+    *steps, found = run_search(with_targets(with_nothing_omitted(spec), f"{target} ppm"), steps=80, until_met=True)
     assert isinstance(found, Optimised)
     assert "stopped early: every target is met with a margin of 10%" in found.sentence
     rows = {row.name: row for row in predict(found.spec).requirements}

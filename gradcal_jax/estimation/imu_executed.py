@@ -17,6 +17,7 @@ import equinox as eqx
 import numpy as np
 
 from gradcal_jax.estimation.planned_moves import SLOW_S, PlannedMove, TimedMove, timed_moves
+from gradcal_jax.estimation.standstill import begun_earlier
 from gradcal_jax.formulas import followed, runs
 from gradcal_jax.model import SECOND, OtherTemperature
 from gradcal_jax.trajectory import Geometry, TableMotion, Trajectory, frames, held
@@ -110,6 +111,8 @@ def executed_imu(
     spans = stands if log.at_a_stop.any() else [_inner(log.time_s, *stand) for stand in stands]
     if len(spans) < 2:
         raise ValueError("the log has fewer than two standstills, so there are no poses to compare")
+    if log.at_a_stop.any():
+        spans = begun_earlier(log.time_s, log.rates, log.usable, spans, np.array(mean_angles(log, spans)))
     if read_every < PIECE_S and log.at_a_stop.any():
         # Every reading is a reference: a standstill is that from its first to its last.
         read = [np.flatnonzero(log.at_a_stop[a : b + 1]) + a for a, b in stands]

@@ -18,6 +18,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from gradcal_jax.api.gears import has_gears
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, unweighted_estimator
 from gradcal_jax.api.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.api.verdicts import mission_weights
@@ -88,15 +89,14 @@ class SystematicFigures(NamedTuple):
 
 class EstimatedRun(NamedTuple):
     """An estimate in the place of a plan: its parameters `(p,)`, the range of temperature of its data (°C), and the
-    standard deviation of its lag (s), if that was fitted. `one_way`: the temperature never returns; `gears`: errors of
-    gears are in the noise of its readings."""
+    standard deviation of its lag (s) beyond what the covariance contains (None: the spec's). `one_way`: the temperature
+    never returns."""
 
     parameters: np.ndarray
     temperature_c: tuple[float, float]
     ramp: float
     lag_std: float | None = None
     one_way: bool = False
-    gears: bool = False
 
 
 def systematic_figures(spec: Spec) -> SystematicFigures:
@@ -316,7 +316,7 @@ def budget_of_estimate(
     both = [
         _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
     ]
-    if done.gears:
+    if has_gears(built.spec):
         both = [of._replace(scale={**of.scale, SCALE_OF_ANGLE: 0.0}, backlash=0.0) for of in both]
     named, complete = both
     size, terms = built.model.size, terms_of_imu(built)

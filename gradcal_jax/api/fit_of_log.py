@@ -171,7 +171,7 @@ def _read(
         )
         if own is not None:
             readings = readings._replace(sigma=own * done.motion.line.duration)
-        readings = readings._replace(common=errors_of_gears(built.spec, readings))
+        readings = readings.with_common(errors_of_gears(built.spec, readings))
         if isinstance(plan, StandardPlan) and plan.estimator == "least squares" and own is None:
             solution = estimation.estimate_unweighted(readings)
         else:
@@ -299,16 +299,30 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
     elif isinstance(options.lag, str) and not stable and (options.lag == "fit" or _may_lag(built)):
         # A lag may make readings of another IMU of the right ones.
         fit_at = lambda lag: fitted_twice(built, name, rows, temperature_of(lag), checked=False)  # noqa: E731
-        lag, fit, said = fit_with_lag(fit_at, temperature_of, wanted=options.lag == "fit")
+        size = built.spec.sensor.temperature_lag
+        lag, fit, said = fit_with_lag(fit_at, temperature_of, size, wanted=options.lag == "fit")
         messages = *messages, *said
     temperature = temperature_of(lag.seconds)
     if fit is not None and threshold is None:
         fit = _likely(built, name, fit)
     else:
         fit = fitted_twice(built, name, rows, temperature, threshold, points)
+    possible = float(built.spec.sensor.temperature_lag or 0.0) if options.lag == "auto" and _may_lag(built) else 0.0
+    if possible and not (stable or lag.seconds):
+        # A small lag cannot be fitted, but tests of the fit would notice it.
+        fit, lag = _with_possible_lag(fit, temperature_of(possible), threshold), Lag(0.0, in_rows=True)
     if options.smoothness == "auto":
         built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
     return FittedRows(built, recorded._replace(messages=messages), temperature, fit, smoothness, lag)
+
+
+def _with_possible_lag(fit: Fit, late_c: np.ndarray, threshold: float | None) -> Fit:
+    """The fit with a lag of the maps as an error common to all its rows; `late_c` (°C): temperatures that are late by
+    one standard deviation."""
+    readings, parameters = fit.readings, fit.solution.parameters
+    change = readings.at(late_c, parameters) - readings.expected(parameters)
+    readings = readings.with_common(change[:, None])
+    return fit._replace(readings=readings, solution=estimation.solve_imu(readings, parameters, threshold=threshold))
 
 
 def together(spec: Spec, fits: Mapping[str, FittedRows]) -> dict[str, FittedRows]:

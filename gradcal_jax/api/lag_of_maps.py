@@ -11,8 +11,9 @@ from gradcal_jax.information.noticing import not_negligible
 from gradcal_jax.information.posterior import OBSERVABLE
 
 _LONGEST_S: Final = 1800.0
-# The reduction of χ² from which on a lag is used without being asked for. Minima of χ² far from zero may be deep.
-_SURE: Final = 25.0
+# The reduction of χ² from which on a lag is used without being asked for: of one whose size the spec states, χ² with
+# that of the lag itself; otherwise minima far from zero may be deep.
+_SURE, _EXPECTED = 25.0, 9.0
 # Linearisations, until the lag changes by less than this share of its standard deviation.
 _ROUNDS, _STANDS = 6, 0.1
 # A fit with a lag holds from this chance of χ² on, or if it leaves at most this share of the excess of χ².
@@ -31,10 +32,17 @@ class Fit(NamedTuple):
 
 
 class Lag(NamedTuple):
-    """The lag of the maps, s; `std`: its standard deviation where it was fitted."""
+    """The lag of the maps, s; `std`: its standard deviation where it was fitted; `in_rows`: a possible lag is an error
+    that all rows have in common."""
 
     seconds: float
     std: float | None = None
+    in_rows: bool = False
+
+    @property
+    def uncounted(self) -> float | None:
+        """The standard deviation that the covariance of the parameters does not contain; None: that of the spec."""
+        return 0.0 if self.in_rows else self.std
 
     @property
     def doubts(self) -> list[str]:
@@ -86,10 +94,15 @@ def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None
 
 
 def fit_with_lag(
-    fit_at: Callable[[float], Fit], temperature_of: Callable[[float], np.ndarray], *, wanted: bool
+    fit_at: Callable[[float], Fit],
+    temperature_of: Callable[[float], np.ndarray],
+    size_s: float | None = None,
+    *,
+    wanted: bool,
 ) -> tuple[Lag, Fit, tuple[str, ...]]:
     """The lag of the maps of all channels, the fit with it, and messages. If it is `wanted`, that of least χ²,
-    otherwise only one that the data show, or none. `fit_at` and `temperature_of` (°C, of all rows): with a lag (s)."""
+    otherwise only one that the data show, or none. `fit_at` and `temperature_of` (°C, of all rows): with a lag (s);
+    `size_s`: its standard deviation by the spec."""
     prompt = fit = fit_at(0.0)
     of = _Linearised(prompt, temperature_of)
     if not (wanted or of.shows_lag):
@@ -107,7 +120,8 @@ def fit_with_lag(
     before, after = float(prompt.solution.estimate.chi_squared), float(estimate.chi_squared)
     if wanted:
         return found, fit, ()
-    if before - after <= _SURE * _excess(fit.solution) or found.doubts:
+    least = _EXPECTED + (lag / size_s) ** 2 if size_s else _SURE
+    if before - after <= least * _excess(fit.solution) or found.doubts:
         return Lag(0.0), prompt, ()
     holds = chi_squared_test(after, estimate.degrees).probability > _HOLDS
     if not holds and after - estimate.degrees > _LEFT * (before - estimate.degrees):

@@ -204,12 +204,17 @@ class ImuReadings(NamedTuple):
     def by_temperature(self, parameters: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """The whitened change `(n,)` of the rows used if the maps had other temperatures (°C, of every row)."""
         steps, here = self._system(self.nominal())[0], self.expected(parameters)
+        return lambda temperature_c: self._whitened(steps, (self.at(temperature_c, parameters) - here)[:, None])[:, 0]
 
-        def change(temperature_c: np.ndarray) -> np.ndarray:
-            rows = self._replace(temperature_c=temperature_c).expected(parameters) - here
-            return self._whitened(steps, rows[:, None])[:, 0]
+    def at(self, temperature_c: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """`h(β)` `(R,)` if the maps had other temperatures."""
+        return self._replace(temperature_c=temperature_c).expected(parameters)
 
-        return change
+    def with_common(self, errors: np.ndarray | None) -> "ImuReadings":
+        """The same with further `common` errors `(R, k)`."""
+        if errors is None:
+            return self
+        return self._replace(common=errors if self.common is None else np.concatenate([self.common, errors], axis=1))
 
     def by_shown_angles(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """The whitened derivatives `(n, k)` of the rows used with respect to `k` errors of the angles that the table

@@ -197,6 +197,30 @@ def test_a_lag_does_not_run_across_what_was_not_recorded():
     np.testing.assert_allclose(late[len(hour) :], down + behind, atol=1e-9)
 
 
+@pytest.mark.long
+def test_a_small_lag_that_the_spec_states_is_fitted_or_in_the_covariance():
+    """Some of the lags are larger than what a single log determines, some are not. Either way the errors of twelve units
+    are as large in their standard deviations as without any lag."""
+    units, size_s = 12, 5.0
+    spec = spec_of(**{'temperature = ["0 degC", "40 degC"]\ngradient = "4 K/min"': PROGRAMME})
+    spec = changed(spec, {"sensor.temperature_lag": f"{size_s} s"})
+    made = simulate_log(spec, units=units, sample_rate_hz=10.0, seed=8)
+    true, lags = made.log.temperature_c[0], size_s * np.abs(np.random.default_rng(1).standard_normal(units))
+    late = replace(made.log, temperature_c=true + lags[:, None] * np.gradient(true, made.log.time_s))
+    squares = {}
+    for name, log, lag in (("no lag", made.log, 0.0), ("auto", late, "auto"), ("none", late, 0.0)):
+        channels = estimated(spec, log, options=Options(lag=lag))
+        found = [errors(c, t)[1] for c, t in zip(channels, made.truth["x"], strict=True)]
+        squares[name] = np.mean(found) / made.truth["x"].shape[1]
+        if lag == "auto":
+            fitted = [(c.lag, s) for c, s in zip(channels, lags, strict=True) if not c.lag.in_rows]
+            assert 0 < len(fitted) < units
+            assert max(abs(of.seconds - s) / of.std for of, s in fitted) < 4.0
+            assert all(of.uncounted == of.std for of, _ in fitted)
+    assert squares["auto"] == pytest.approx(squares["no lag"], abs=0.03)
+    assert squares["none"] > squares["no lag"] + 0.15
+
+
 def test_a_lag_goes_on_over_samples_that_were_lost():
     time = np.arange(0.0, 3600.0, 0.1)
     warm = 20.0 + time / 60.0

@@ -18,7 +18,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.api.gears import has_gears
+from gradcal_jax.api.gears import gears_of
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, unweighted_estimator
 from gradcal_jax.api.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.api.verdicts import mission_weights
@@ -316,8 +316,11 @@ def budget_of_estimate(
     both = [
         _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
     ]
-    if has_gears(built.spec):
-        both = [of._replace(scale={**of.scale, SCALE_OF_ANGLE: 0.0}, backlash=0.0) for of in both]
+    if gears := gears_of(built.spec):
+        # What the covariance contains does not count again.
+        scale = {} if built.spec.is_one_axis else {SCALE_OF_ANGLE: 0.0}
+        lash = {"backlash": 0.0} if any(size for _, size in gears) else {}
+        both = [of._replace(scale={**of.scale, **scale}, **lash) for of in both]
     named, complete = both
     size, terms = built.model.size, terms_of_imu(built)
     turns = turns_of(built.motion) if complete.backlash else None

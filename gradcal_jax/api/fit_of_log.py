@@ -14,7 +14,7 @@ from gradcal_jax.api.build import move_of
 from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible, refuse_misaligned, wrapped_sentence
 from gradcal_jax.api.gears import errors_of_gears
 from gradcal_jax.api.imu_build import BuiltImu, course_before
-from gradcal_jax.api.lag_of_maps import Fit, Lag, fit_with_lag
+from gradcal_jax.api.lag_of_maps import Fit, Lag, fit_with_lag, late_temperatures
 from gradcal_jax.api.log_rows import Options, read_by_events
 from gradcal_jax.api.plan_sentences import prior_deviations, unobserved_parameters
 from gradcal_jax.api.verdicts import fit_rows, provenance_of, random_walks, result_of_requirement, section_of
@@ -50,7 +50,6 @@ from gradcal_jax.files.log.log import Log, LogError
 from gradcal_jax.files.spec.plan import StandardPlan
 from gradcal_jax.files.spec.schedule import StandardSchedule
 from gradcal_jax.files.spec.spec_sections import Spec
-from gradcal_jax.formulas import followed
 from gradcal_jax.model import (
     AXIS_NAMES,
     SECOND,
@@ -289,7 +288,7 @@ def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> 
 
 def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
     rows, messages, points = recorded
-    temperature_of = lambda lag: followed(rows.temperature_c, rows.time_s, rows.stretch_starts, lag)  # noqa: E731
+    temperature_of = late_temperatures(rows)
     refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), built.model.channels)
     threshold = options.threshold if options.robust else None
     lag, stable = Lag(0.0 if isinstance(options.lag, str) else options.lag), isinstance(built.spec.plan, StandardPlan)

@@ -10,27 +10,29 @@ from gradcal_jax.files.spec.spec_sections import Spec
 _TURN = np.radians(0.1)
 
 
-def has_gears(spec: Spec) -> bool:
-    """Whether the readings of an IMU have errors of gears that the spec states. Readings along the only axis of a table
-    take a scale error for one of the gyro's: there it counts instead."""
-    angles, table = [axis.angle for axis in spec.rig.table.axis], spec.rig.table
-    if spec.is_one_axis or table.by_gravity or table.place or isinstance(spec.plan, StandardPlan):
-        return False
-    known = all(angle.scale_error is not None for angle in angles)
-    return known and any(angle.scale_error or angle.backlash for angle in angles)
+def gears_of(spec: Spec) -> list[tuple[float, float]]:
+    """Standard deviations of scale error and backlash (rad) of every axis, as far as the covariance of readings is to
+    contain them; empty: none. Readings along the only axis of a table take a scale error for one of the gyro's: there
+    it counts instead."""
+    table = spec.rig.table
+    if table.by_gravity or table.place or isinstance(spec.plan, StandardPlan):
+        return []
+    angles = [axis.angle for axis in table.axis]
+    if any(angle.scale_error is None for angle in angles):
+        return []
+    sizes = [(float(a.scale_error or 0.0) * (not spec.is_one_axis), float(a.backlash or 0.0)) for a in angles]
+    return sizes if np.any(sizes) else []
 
 
 def errors_of_gears(spec: Spec, readings: ImuReadings) -> np.ndarray | None:
     """Changes of the readings `(R, k)` by one standard deviation of each; None without any."""
-    if not has_gears(spec) or readings.done.motion.line.rates or readings.sigma is not None:
-        return None
     ends, errors = np.stack(readings.done.motion.angles()), list[np.ndarray]()
-    for number, axis in enumerate(spec.rig.table.axis):
-        angle, sides = ends[..., number], sides_of(ends[..., number])
-        for size, error in ((axis.angle.scale_error, angle), (axis.angle.backlash, sides)):
+    for number, sizes in enumerate(gears_of(spec)):
+        angle = ends[..., number]
+        for size, error in zip(sizes, (angle, sides_of(angle)), strict=True):
             if size and error is not None:
                 errors.append(np.zeros(ends.shape))
-                errors[-1][..., number] = float(size) * error
+                errors[-1][..., number] = size * error
     return readings.of_shown_angles(*np.stack(errors, axis=-1)) if errors else None
 
 

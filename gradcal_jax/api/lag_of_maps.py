@@ -1,12 +1,14 @@
 """The lag of a sensor's maps behind the measured temperature: whether a log shows one, and how long it is."""
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy import optimize
 
-from gradcal_jax.estimation import ExecutedImu, ImuEstimate, ImuReadings, chi_squared_test
+from gradcal_jax.estimation import ExecutedImu, ImuEstimate, ImuReadings, ImuRows, chi_squared_test
+from gradcal_jax.formulas import followed
 from gradcal_jax.information.noticing import not_negligible
 from gradcal_jax.information.posterior import OBSERVABLE
 
@@ -16,6 +18,9 @@ _LONGEST_S: Final = 1800.0
 _SURE, _EXPECTED = 25.0, 9.0
 # Linearisations, until the lag changes by less than this share of its standard deviation.
 _ROUNDS, _STANDS = 6, 0.1
+# The time (s) at a record's begin from which its slope is taken, the rows that it needs, and the square of the slope in
+# standard deviations from which on it counts.
+_BEGINS_S, _FEWEST_ROWS, _NO_CHANCE = 20.0, 8, 16.0
 # A fit with a lag holds from this chance of χ² on, or if it leaves at most this share of the excess of χ².
 _HOLDS, _LEFT = 0.001, 0.1
 # Lags (s) that are tried in the residuals, and the chance of such residuals without one.
@@ -91,6 +96,35 @@ def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None
     bend = np.polyfit(around, [value(x) for x in around], 2)[0]
     misfit = max(value(lag) / degrees, 1.0) if degrees else 1.0
     return lag, float(np.sqrt(misfit / bend)) if bend > 0.0 else float("inf")
+
+
+def late_temperatures(rows: ImuRows) -> Callable[[float], np.ndarray]:
+    """The temperature (°C) of all rows as a function of a lag (s). Where a record begins while the temperature changes,
+    the dies are late by as much as after a long time of that change."""
+    time, measured, starts = rows.time_s, rows.temperature_c, rows.stretch_starts
+    begins = [k for k in starts.tolist() if not k or time[k] - time[k - 1] > _BEGINS_S]
+    slopes = [_first_slope(time[a:b], measured[a:b]) for a, b in pairwise([*begins, len(time)])]
+
+    def late(lag: float) -> np.ndarray:
+        result = followed(measured, time, starts, lag)
+        for (a, b), slope in zip(pairwise([*begins, len(time)]), slopes, strict=True):
+            if lag and slope:
+                result[a:b] -= lag * slope * np.exp(-(time[a:b] - time[a]) / lag)
+        return result
+
+    return late
+
+
+def _first_slope(time_s: np.ndarray, temperature_c: np.ndarray) -> float:
+    """dT/dt (K/s) of a record's first seconds, if it is not chance."""
+    count = int(np.searchsorted(time_s, time_s[0] + _BEGINS_S))
+    if count < _FEWEST_ROWS:
+        return 0.0
+    time, temperature = time_s[:count] - np.mean(time_s[:count]), temperature_c[:count]
+    spread = float(time @ time)
+    slope = float(time @ temperature) / spread
+    left = temperature - np.mean(temperature) - slope * time
+    return slope if slope**2 * spread > _NO_CHANCE * float(left @ left) / (count - 2) else 0.0
 
 
 def fit_with_lag(

@@ -199,8 +199,8 @@ def test_a_lag_does_not_run_across_what_was_not_recorded():
 
 @pytest.mark.long
 def test_a_small_lag_that_the_spec_states_is_fitted_or_in_the_covariance():
-    """Some of the lags are larger than what a single log determines, some are not. Either way the errors of twelve units
-    are as large in their standard deviations as without any lag."""
+    """Some of the lags are larger than what a single log determines, some are not. Either way the errors of twelve
+    units are as large in their standard deviations as without any lag."""
     units, size_s = 12, 5.0
     spec = spec_of(**{'temperature = ["0 degC", "40 degC"]\ngradient = "4 K/min"': PROGRAMME})
     spec = changed(spec, {"sensor.temperature_lag": f"{size_s} s"})

@@ -22,7 +22,7 @@ EARTH_RATE = 7.292115e-5
 """rad/s, of the Earth against the stars (WGS 84)."""
 # Over a shorter break of a log the temperature is continuous; after a longer one a run begins with a stable chamber,
 # and the lag has decayed.
-_BRIDGED_S = 60.0
+BRIDGED_S = 60.0
 
 # --- bases ------------------------------------------------------------------------------------------------------------
 
@@ -286,7 +286,7 @@ def followed(temperature_c: Array, time_s: Array, starts: Array, lag_s: float) -
     result = 0.0 * temperature_c
     for first, end in pairwise([*starts.tolist(), len(temperature_c)]):
         result[first] = temperature_c[first]
-        if first and (gap := float(time_s[first] - time_s[first - 1])) <= _BRIDGED_S:
+        if first and (gap := float(time_s[first] - time_s[first - 1])) <= BRIDGED_S:
             (now, before), (_, kept) = lag_filter(gap, lag_s)
             result[first] = now * temperature_c[first] + before * temperature_c[first - 1] - kept * result[first - 1]
         if end - first > 1:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import optimize
 
 from gradcal_jax.estimation import ExecutedImu, ImuEstimate, ImuReadings, ImuRows, chi_squared_test
-from gradcal_jax.formulas import followed
+from gradcal_jax.formulas import BRIDGED_S, followed
 from gradcal_jax.information.noticing import not_negligible
 from gradcal_jax.information.posterior import OBSERVABLE
 
@@ -102,7 +102,7 @@ def late_temperatures(rows: ImuRows) -> Callable[[float], np.ndarray]:
     """The temperature (°C) of all rows as a function of a lag (s). Where a record begins while the temperature changes,
     the dies are late by as much as after a long time of that change."""
     time, measured, starts = rows.time_s, rows.temperature_c, rows.stretch_starts
-    begins = [k for k in starts.tolist() if not k or time[k] - time[k - 1] > _BEGINS_S]
+    begins = [k for k in starts.tolist() if not k or time[k] - time[k - 1] > BRIDGED_S]
     slopes = [_first_slope(time[a:b], measured[a:b]) for a, b in pairwise([*begins, len(time)])]
 
     def late(lag: float) -> np.ndarray:

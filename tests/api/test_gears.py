@@ -64,14 +64,17 @@ def test_a_gear_that_is_stated_contradicts_nothing_and_counts(ratios, play_deg):
     assert 1e-3 < stats.chi2.sf(squared(report, truth), len(truth)) < 1.0 - 1e-3
 
 
-def test_the_rows_are_those_of_a_fit_with_the_errors_as_parameters():
-    spec, rng = stated(scene("two axes", 0.1), SIZES), np.random.default_rng(4)
-    (log,) = (geared(one, np.array([2e-4, -4e-4]), np.zeros(2)) for one in record(spec, draw_truth(spec, rng), rng))
+@pytest.mark.parametrize("sizes", [SIZES, {"scale_error": "4 ppm", "backlash": "0.0004 deg"}])
+def test_the_rows_are_those_of_a_fit_with_the_errors_as_parameters(sizes):
+    """Also where the errors are as small as what the readings tell of them."""
+    spec, rng = stated(scene("two axes", 0.1), sizes), np.random.default_rng(4)
+    (log,) = (geared(one, np.array([2e-7, -4e-7]), np.zeros(2)) for one in record(spec, draw_truth(spec, rng), rng))
     built = build_imu(spec)
     rows, _ = imu_rows(built, [log], "SN7", Options())
     fit = fitted_twice(built, "SN7", rows, rows.temperature_c)
     about, plain = fit.solution.parameters, fit.readings._replace(common=None)
     assert fit.readings.common.shape[1] == 4
+    without = fitted_twice(build_imu(scene("two axes", 0.1)), "SN7", rows, rows.temperature_c).solution
     steps, columns = plain.linear(about)
     apart = plain.observed - plain.expected(about)
     used = np.asarray(segments_of(plain.done.motion, built.model).used)
@@ -87,5 +90,7 @@ def test_the_rows_are_those_of_a_fit_with_the_errors_as_parameters():
     deviation = np.sqrt(np.diag(np.linalg.inv(information)))[:p]
     assert np.max(np.abs(step[:p]) / deviation) < 1e-2
     np.testing.assert_allclose(fit.solution.known.deviations(np.eye(p)), deviation, rtol=5e-3)
+    # They matter.
+    assert np.max(deviation / without.known.deviations(np.eye(p))) > 1.05
     left = data - whole @ step
     assert fit.solution.estimate.chi_squared == pytest.approx(left @ left, rel=1e-3)

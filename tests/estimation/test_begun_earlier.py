@@ -23,8 +23,8 @@ def record(moves: int, *, filtered_hz: float = 0.0, slow_every: int = 0, noise: 
         sign = 1.0 if k % 4 < 2 else -1.0
         turn[: len(move), k % 2] = sign * move
         if slow_every and k % slow_every == 0:
-            # The drive creeps to its place.
-            turn[len(move) - 1 : len(move) + 8, k % 2] = sign * 0.01
+            # The drive creeps to its place, from either side.
+            turn[len(move) - 1 : len(move) + 8, k % 2] = sign * (0.01, -0.01)[k // slow_every % 2]
         begin = sum(map(len, parts))
         spans.append((begin + len(move) + MARGIN, begin + len(turn) - 1))
         angles.append(angles[-1] + np.eye(2)[k % 2] * sign * np.sum(move) * INTERVAL_S)

@@ -52,6 +52,7 @@ def events(folder: Path, name: str) -> list[Event]:
 def air_when_safe_c(folder: Path, rig: Rig) -> float:
     """Temperature of the air when the run had made the chamber safe: the clock, and a welded heater, run on after."""
     (safe,) = [event for event in events(folder, "made safe") if event.data["device"] == "chamber"]
+    assert safe.time_s >= events(folder, "ending")[-1].time_s > 0.0
     return float(rig.chamber.plant.load_at(np.array([safe.time_s]))[0])
 
 

@@ -229,11 +229,15 @@ def begun_earlier(
     the table has settled already: of rests of two seconds it is some per cent.
 
     `rates` `(n, 3)` rad/s; `angles` `(k, L)` rad, of the standstills. After all moves of each axis what the gyros sense
-    along the move must be zero to within its standard deviation, which many moves make small. Errors: none.
+    along the move must add up to no angle, to within its standard deviation, which many moves make small. Errors: none.
     """
-    kept = most = int(np.floor(_SETTLED_S / float(np.median(np.diff(time_s))) + 1e-6))
+    most = int(np.floor(_SETTLED_S / float(np.median(np.diff(time_s))) + 1e-6))
+    settled = np.ones(most, bool)
     turned = np.abs(np.diff(angles, axis=0))
-    for axis in np.flatnonzero(np.any(turned > _TURNED, axis=0)):
+    axes = np.flatnonzero(np.any(turned > _TURNED, axis=0))
+    if not (most and len(axes)):
+        return spans
+    for axis in axes:
         after: list[np.ndarray] = []
         still: list[np.ndarray] = []
         for k in np.flatnonzero((np.argmax(turned, axis=1) == axis) & (turned[:, axis] > _TURNED)).tolist():
@@ -251,9 +255,10 @@ def begun_earlier(
             return spans
         moved, rest = (np.cumsum(of, axis=1) for of in (after, still))
         scatter = rest.std(axis=0)
-        needed = np.abs(moved.mean(axis=0)) * len(moved) ** 0.5 > _SEEN * scatter
-        rows = np.flatnonzero(needed | (moved.std(axis=0) > _SCATTER * scatter))
-        kept = min(kept, int(rows[0]) if len(rows) else most)
+        settled &= np.abs(moved.mean(axis=0)) * len(moved) ** 0.5 < _SEEN * scatter
+        settled &= moved.std(axis=0) < _SCATTER * scatter
+    # The angles of so many rows: chance does not last, and what is left of a move is largest near it.
+    kept = int(np.max(np.flatnonzero(settled) + 1, initial=0))
     begun = [spans[0]]
     for first, last in spans[1:]:
         whole = first - kept > begun[-1][1] and usable[first - kept + 1 : first + 1].all()

@@ -170,7 +170,9 @@ def _read(
         )
         if own is not None:
             readings = readings._replace(sigma=own * done.motion.line.duration)
-        readings = readings.with_common(errors_of_gears(built.spec, readings))
+        readings = readings.with_common(
+            errors_of_gears(built.spec, readings, None if first is None else first.parameters)
+        )
         if isinstance(plan, StandardPlan) and plan.estimator == "least squares" and own is None:
             solution = estimation.estimate_unweighted(readings)
         else:

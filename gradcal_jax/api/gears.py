@@ -24,8 +24,9 @@ def gears_of(spec: Spec) -> list[tuple[float, float]]:
     return sizes if np.any(sizes) else []
 
 
-def errors_of_gears(spec: Spec, readings: ImuReadings) -> np.ndarray | None:
-    """Changes of the readings `(R, k)` by one standard deviation of each; None without any."""
+def errors_of_gears(spec: Spec, readings: ImuReadings, about: np.ndarray | None) -> np.ndarray | None:
+    """Changes of the readings `(R, k)` by one standard deviation of each, of sensors with the parameters `about` (None:
+    ideal ones); None without any. (An angle of a milliradian shows misalignments of per cents.)"""
     ends, errors = np.stack(readings.done.motion.angles()), list[np.ndarray]()
     for number, sizes in enumerate(gears_of(spec)):
         angle = ends[..., number]
@@ -33,7 +34,10 @@ def errors_of_gears(spec: Spec, readings: ImuReadings) -> np.ndarray | None:
             if size and error is not None:
                 errors.append(np.zeros(ends.shape))
                 errors[-1][..., number] = size * error
-    return readings.of_shown_angles(*np.stack(errors, axis=-1)) if errors else None
+    if not errors:
+        return None
+    before, after = np.stack(errors, axis=-1)
+    return readings.of_shown_angles(before, after, about)
 
 
 def sides_of(angle: np.ndarray) -> np.ndarray | None:

@@ -114,6 +114,17 @@ def installed(geometry: Geometry, model: ImuModel, values: np.ndarray) -> Instal
     return Installed(changed, error_of if waves else None, clock)
 
 
+def _sum_of(first: AngleError | None, second: AngleError | None) -> AngleError | None:
+    if first is None or second is None:
+        return first or second
+
+    def error_of(axis: int, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        (one, slope), (other, more) = first(axis, angle), second(axis, angle)
+        return one + other, slope + more
+
+    return error_of
+
+
 def _small(vector: np.ndarray) -> np.ndarray:
     size = float(np.linalg.norm(vector))
     return np.eye(3) if size == 0.0 else rotation(vector / size, np.asarray(size))
@@ -139,11 +150,11 @@ class ImuReadings(NamedTuple):
     common: np.ndarray | None = None
 
     def expected(self, parameters: np.ndarray, error_of: AngleError | None = None) -> np.ndarray:
-        """`h(β)` `(R,)` of the parameters in the engine's coordinates; `error_of`: of the axes' angles, in the place of
-        the installation's."""
+        """`h(β)` `(R,)` of the parameters in the engine's coordinates; `error_of`: of the axes' angles, beside the
+        installation's."""
         model = self.model
         table = installed(self.done.motion.geometry, model, parameters[model.calibrated :])
-        nodes = self._nodes(table.geometry, error_of or table.error_of, parameters)
+        nodes = self._nodes(table.geometry, _sum_of(table.error_of, error_of), parameters)
         at = segments_of(self.done.motion, model)
         ideal = nodes.integrals(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
         result, begin = np.zeros(len(at.row_segment)), 0
@@ -221,10 +232,12 @@ class ImuReadings(NamedTuple):
         shows, of which one rad makes errors of `before` and `after`, `(P, L, k)`, at the ends of every piece."""
         return self._whitened(self._system(self.nominal())[0], self.of_shown_angles(before, after))
 
-    def of_shown_angles(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """The same derivatives `(R, k)` of all rows, rad or m/s."""
+    def of_shown_angles(self, before: np.ndarray, after: np.ndarray, about: np.ndarray | None = None) -> np.ndarray:
+        """The same derivatives `(R, k)` of all rows, rad or m/s; at the parameters `about` (None: of ideal sensors on
+        an ideal table)."""
         motion, model = self.done.motion, self.model
-        at, of_angles = segments_of(motion, model), encoder_rows(motion, model, self.nominal())
+        at = segments_of(motion, model)
+        of_angles = encoder_rows(motion, model, self.nominal()) if about is None else self.by_angles(about)
         ends = np.stack([after[at.last], before[at.first]], axis=1)[at.row_segment]
         return np.einsum("rsl,rslk->rk", of_angles, ends)
 
@@ -320,10 +333,23 @@ class ImuReadings(NamedTuple):
         kinds = np.array([c.kind == "gyro" for c in self.model.channels])
         gyros = self.by_steps(kinds[at.row_channel] & rotated)
         forces = self.by_steps(~kinds[at.row_channel] & tilted)
-        before, after = motion.angles()
+        by_angles, axes = self.by_angles(about, here), motion.geometry.axis_count
         observation = np.array(steps.observation)
+        for place, own in enumerate(by_angles.reshape(len(by_angles), 2 * axes).T):
+            state = self.angle_states.start + place
+            nominal = observation[:, state]
+            needed = self.free | (gyros & (np.abs(nominal) < _ALONG)) | forces
+            observation[:, state] = np.where(needed, self.by_steps(own), nominal)
+        return steps._replace(observation=observation)
+
+    def by_angles(self, about: np.ndarray, here: np.ndarray | None = None) -> np.ndarray:
+        """The derivatives `(R, 2, L)` of the rows with respect to errors of the axes' angles at the end and at the
+        begin of their segments, at these parameters. `here`: what is expected there, if it is known."""
+        motion, at = self.done.motion, segments_of(self.done.motion, self.model)
+        before, after = motion.angles()
+        here = self.expected(about) if here is None else here
+        found: list[np.ndarray] = []
         for k in range(motion.geometry.axis_count):
-            now = self.angle_states.start + k
             by: list[np.ndarray] = []
             for slope in (0.0, 1.0):
 
@@ -337,12 +363,8 @@ class ImuReadings(NamedTuple):
             turns = np.abs(way) > _TURNS
             whole = np.where(turns, way, 1.0)
             of_end = np.where(turns, (by[1] - begin * by[0]) / whole, by[0])
-            of_begin = np.where(turns, (end * by[0] - by[1]) / whole, 0.0)
-            for state, own in ((now, of_end), (now + motion.geometry.axis_count, of_begin)):
-                nominal = observation[:, state]
-                needed = self.free | (gyros & (np.abs(nominal) < _ALONG)) | forces
-                observation[:, state] = np.where(needed, self.by_steps(own), nominal)
-        return steps._replace(observation=observation)
+            found.append(np.stack([of_end, np.where(turns, (end * by[0] - by[1]) / whole, 0.0)], axis=1))
+        return np.stack(found, axis=2)
 
     def _system(self, nodes: BodyNodes) -> tuple[NoiseSteps, np.ndarray]:
         steps, columns = imu_system(self.done.motion, self.model, nodes)

@@ -35,8 +35,13 @@ def stated(spec: Spec, sizes: dict[str, str]) -> Spec:
     return changed(spec, {f"rig.table.axis[{k}].angle.{name}": size for k in axes for name, size in sizes.items()})
 
 
-def estimated(seed: int, ratios: tuple[float, float], play_deg: tuple[float, float], sizes: dict[str, str]):
+def estimated(
+    seed: int, ratios: tuple[float, float], play_deg: tuple[float, float], sizes: dict[str, str], crooked: float = 0.0
+):
+    """`crooked`: misalignments of all accelerometers (rad)."""
     spec, rng = scene("two axes", 0.1), np.random.default_rng(seed)
+    if crooked:
+        spec = changed(spec, {"sensor.accelerometer.misalignment.prior": f"{crooked} rad"})
     truth = draw_truth(spec, rng)
     logs = [geared(log, np.array(ratios), np.array(play_deg)) for log in record(spec, truth, rng)]
     (report,) = estimate_sensors(stated(spec, sizes), logs)
@@ -61,6 +66,13 @@ def test_a_gear_that_is_stated_contradicts_nothing_and_counts(ratios, play_deg):
     assert not report.calibration.contradicted
     assert report.consistency.fit.probability > 1e-3
     assert squared(plain, truth) > 3.0 * len(truth)
+    assert 1e-3 < stats.chi2.sf(squared(report, truth), len(truth)) < 1.0 - 1e-3
+
+
+def test_an_angle_that_is_off_shows_what_is_crooked():
+    """A milliradian of the angle, and misalignments of per cents: their product is ten times the noise of a rest."""
+    report, truth = estimated(4, (4e-4, -4e-4), (0.0, 0.0), SIZES, crooked=0.05)
+    assert not report.calibration.contradicted
     assert 1e-3 < stats.chi2.sf(squared(report, truth), len(truth)) < 1.0 - 1e-3
 
 

@@ -326,8 +326,17 @@ def _with_possible_lag(fit: Fit, late_c: np.ndarray, threshold: float | None) ->
     return fit._replace(readings=readings, solution=estimation.solve_imu(readings, parameters, threshold=threshold))
 
 
+def _without_possible_lag(of: FittedRows) -> FittedRows:
+    """The fit with the errors of the table alone as those that rows have in common: a lag is an IMU's own."""
+    if not of.lag.in_rows or (common := of.fit.readings.common) is None:
+        return of
+    readings = of.fit.readings._replace(common=common[:, :-1] if common.shape[1] > 1 else None)
+    return of._replace(fit=of.fit._replace(readings=readings), lag=Lag(0.0))
+
+
 def together(spec: Spec, fits: Mapping[str, FittedRows]) -> dict[str, FittedRows]:
     """The fits of the IMUs of a fixture, with what all of them say of the table, and messages on it."""
+    fits = {name: _without_possible_lag(of) for name, of in fits.items()}
     try:
         joint = estimation.solve_together(
             [of.fit.readings for of in fits.values()],

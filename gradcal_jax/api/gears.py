@@ -15,7 +15,7 @@ def gears_of(spec: Spec) -> list[tuple[float, float]]:
     contain them; empty: none. Readings along the only axis of a table take a scale error for one of the gyro's: there
     it counts instead."""
     table = spec.rig.table
-    if table.by_gravity or table.place or isinstance(spec.plan, StandardPlan):
+    if table.by_gravity or isinstance(spec.plan, StandardPlan):
         return []
     angles = [axis.angle for axis in table.axis]
     if any(angle.scale_error is None for angle in angles):

@@ -139,7 +139,8 @@ def _reduced(readings: ImuReadings, solution: ImuEstimate, shared: np.ndarray) -
     steps, columns = readings.linear(solution.parameters)
     used = np.asarray(segments_of(motion, model).used)
     apart = np.where(used, readings.observed - readings.expected(solution.parameters), 0.0)
-    return _without_own(model, steps, columns, shared, readings.by_steps(apart), solution.parameters)
+    common = None if readings.common is None else readings.by_steps(readings.common)
+    return _without_own(model, steps, columns, shared, readings.by_steps(apart), solution.parameters, common)
 
 
 def _without_own(
@@ -149,9 +150,12 @@ def _without_own(
     shared: np.ndarray,
     apart: np.ndarray,
     about: np.ndarray,
+    common: np.ndarray | None = None,
 ) -> _Reduced:
-    """The rows of an IMU, `apart` from what is expected `about` its parameters, in the order of the noise steps."""
+    """The rows of an IMU, `apart` from what is expected `about` its parameters, in the order of the noise steps;
+    `common`: further errors of the table, of variance one."""
     errors = _encoder_columns(model, steps)
+    errors = errors if common is None else np.concatenate([errors, common], axis=1)
     # The filter of the IMU's own noise: the encoder's states neither move nor are seen.
     own = slice(model.own_states, None)
     covariance, initial, observed = (np.array(x) for x in (steps.covariance, steps.initial, steps.observation))

@@ -14,6 +14,7 @@ from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.api.prediction import predict
 from gradcal_jax.estimation import posteriors_together, solve_imu, solve_together
+from gradcal_jax.files import changed
 from gradcal_jax.files.log.log import Log, LogError
 from gradcal_jax.files.spec.bench import Place
 from gradcal_jax.files.spec.places import specs_at_places
@@ -62,8 +63,12 @@ def fixture_log(
 
 
 @lru_cache
-def alone(plan: str) -> Fit:
+def alone(plan: str, gears: bool = False) -> Fit:
     spec = scene(plan, 1.0)
+    if gears:
+        sizes = {"scale_error": "20 ppm", "backlash": "0.002 deg"}
+        axes = range(len(spec.rig.table.axis))
+        spec = changed(spec, {f"rig.table.axis[{k}].angle.{key}": size for k in axes for key, size in sizes.items()})
     rng = np.random.default_rng(3)
     logs = record(spec, draw_truth(spec, rng), rng)
     built = build_imu(spec)
@@ -71,10 +76,11 @@ def alone(plan: str) -> Fit:
     return fitted_twice(built, "SN7", rows, rows.temperature_c)
 
 
-@pytest.mark.parametrize("plan", ["two axes", "by hand"])
-def test_one_imu_alone_has_its_own_estimate(plan):
-    """The encoder's errors as parameters are the states of the filter."""
-    fit = alone(plan)
+@pytest.mark.parametrize(("plan", "gears"), [("two axes", False), ("two axes", True), ("by hand", False)])
+def test_one_imu_alone_has_its_own_estimate(plan, gears):
+    """The encoder's errors as parameters are the states of the filter, and those of gears are in its rows."""
+    fit = alone(plan, gears)
+    assert (fit.readings.common is not None) == gears
     # Estimates together are linearised about those of one.
     own = solve_imu(fit.readings, fit.solution.parameters)
     (joint,) = solve_together([fit.readings], [own]).solutions

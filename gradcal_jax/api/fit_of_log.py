@@ -47,6 +47,7 @@ from gradcal_jax.files.calibration import (
 )
 from gradcal_jax.files.calibration.correction import correct_triads
 from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.files.spec.absent import with_typical
 from gradcal_jax.files.spec.plan import StandardPlan
 from gradcal_jax.files.spec.schedule import StandardSchedule
 from gradcal_jax.files.spec.spec_sections import Spec
@@ -290,7 +291,7 @@ def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> 
 
 def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
     rows, messages, points = recorded
-    temperature_of = late_temperatures(rows)
+    temperature_of = late_temperatures(rows, _wander(built.spec))
     refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), built.model.channels)
     threshold = options.threshold if options.robust else None
     lag, stable = Lag(0.0 if isinstance(options.lag, str) else options.lag), isinstance(built.spec.plan, StandardPlan)
@@ -315,6 +316,15 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
     if options.smoothness == "auto":
         built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
     return FittedRows(built, recorded._replace(messages=messages), temperature, fit, smoothness, lag)
+
+
+def _wander(spec: Spec) -> float:
+    """The rate (K²/s) at which the variance of the thermometer's error grows in short times, or a typical one's."""
+    sensor = with_typical(spec).sensor
+    errors = [triad.temperature_error for triad in (sensor.gyro, sensor.accelerometer) if triad is not None]
+    known = [(float(e.standard_deviation), float(e.correlation_time)) for e in errors if e and e.correlation_time]
+    rates = [2.0 * size**2 / time for size, time in known]
+    return max(rates, default=0.0)
 
 
 def _with_possible_lag(fit: Fit, late_c: np.ndarray, threshold: float | None) -> Fit:

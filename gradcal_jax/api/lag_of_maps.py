@@ -98,12 +98,13 @@ def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None
     return lag, float(np.sqrt(misfit / bend)) if bend > 0.0 else float("inf")
 
 
-def late_temperatures(rows: ImuRows) -> Callable[[float], np.ndarray]:
+def late_temperatures(rows: ImuRows, wander: float = 0.0) -> Callable[[float], np.ndarray]:
     """The temperature (°C) of all rows as a function of a lag (s). Where a record begins while the temperature changes,
-    the dies are late by as much as after a long time of that change."""
+    the dies are late by as much as after a long time of that change. `wander` (K²/s): the rate at which the variance of
+    the thermometer's error grows in short times."""
     time, measured, starts = rows.time_s, rows.temperature_c, rows.stretch_starts
     begins = [k for k in starts.tolist() if not k or time[k] - time[k - 1] > BRIDGED_S]
-    slopes = [_first_slope(time[a:b], measured[a:b]) for a, b in pairwise([*begins, len(time)])]
+    slopes = [_first_slope(time[a:b], measured[a:b], wander) for a, b in pairwise([*begins, len(time)])]
 
     def late(lag: float) -> np.ndarray:
         result = followed(measured, time, starts, lag)
@@ -115,16 +116,18 @@ def late_temperatures(rows: ImuRows) -> Callable[[float], np.ndarray]:
     return late
 
 
-def _first_slope(time_s: np.ndarray, temperature_c: np.ndarray) -> float:
-    """dT/dt (K/s) of a record's first seconds, if it is not chance."""
+def _first_slope(time_s: np.ndarray, temperature_c: np.ndarray, wander: float) -> float:
+    """dT/dt (K/s) of a record's first row, if it is not chance: of a parabola, as a ramp begins slowly."""
     count = int(np.searchsorted(time_s, time_s[0] + _BEGINS_S))
     if count < _FEWEST_ROWS:
         return 0.0
-    time, temperature = time_s[:count] - np.mean(time_s[:count]), temperature_c[:count]
-    spread = float(time @ time)
-    slope = float(time @ temperature) / spread
-    left = temperature - np.mean(temperature) - slope * time
-    return slope if slope**2 * spread > _NO_CHANCE * float(left @ left) / (count - 2) else 0.0
+    powers = np.vander((time_s[:count] - time_s[0]) / _BEGINS_S, 3)
+    inverse = np.linalg.inv(powers.T @ powers)
+    parabola = inverse @ (powers.T @ temperature_c[:count])
+    left = temperature_c[:count] - powers @ parabola
+    # A parabola's slope at its end has four times the variance of a line's.
+    variance = inverse[1, 1] * float(left @ left) / (count - 3) + 4.0 * wander * _BEGINS_S
+    return float(parabola[1]) / _BEGINS_S if parabola[1] ** 2 > _NO_CHANCE * variance else 0.0
 
 
 def fit_with_lag(

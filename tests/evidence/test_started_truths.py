@@ -47,7 +47,9 @@ def started(preset: str, folder: Path) -> Path:
     status, printed = say("start", "--preset", preset, "-o", folder / "mine")
     assert status == 0, printed
     spec = folder / "mine" / "spec.toml"
-    status, printed = say("optimise", spec, "--until-met", "-o", folder / "recipe.toml")
+    # A search is for motors.
+    how = ("--steps", 0) if 'drive = "hand"' in spec.read_text(encoding="utf-8") else ("--until-met",)
+    status, printed = say("optimise", spec, *how, "-o", folder / "recipe.toml")
     assert status == 0, printed
     return folder / "recipe.toml"
 

@@ -48,7 +48,8 @@ def started(preset: str, folder: Path) -> Path:
     assert status == 0, printed
     spec = folder / "mine" / "spec.toml"
     # A search is for motors.
-    how = ("--steps", 0) if 'drive = "hand"' in spec.read_text(encoding="utf-8") else ("--until-met",)
+    by_hand = tomllib.loads(spec.read_text(encoding="utf-8"))["rig"]["table"].get("drive") == "hand"
+    how = ("--steps", 0) if by_hand else ("--until-met",)
     status, printed = say("optimise", spec, *how, "-o", folder / "recipe.toml")
     assert status == 0, printed
     return folder / "recipe.toml"

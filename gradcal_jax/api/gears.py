@@ -1,10 +1,14 @@
 """Errors of a drive whose angle is read at the motor, scale error and backlash, in the readings of an IMU."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from gradcal_jax.estimation import ImuReadings
 from gradcal_jax.files.spec.plan import StandardPlan
 from gradcal_jax.files.spec.spec_sections import Spec
+
+if TYPE_CHECKING:
+    from gradcal_jax.estimation import ImuReadings
 
 # The smallest turn that has a direction, rad.
 _TURN = np.radians(0.1)
@@ -24,7 +28,7 @@ def gears_of(spec: Spec) -> list[tuple[float, float]]:
     return sizes if np.any(sizes) else []
 
 
-def errors_of_gears(spec: Spec, readings: ImuReadings, about: np.ndarray | None) -> np.ndarray | None:
+def errors_of_gears(spec: Spec, readings: "ImuReadings", about: np.ndarray | None) -> np.ndarray | None:
     """Changes of the readings `(R, k)` by one standard deviation of each, of sensors with the parameters `about` (None:
     ideal ones); None without any. (An angle of a milliradian shows misalignments of per cents.)"""
     ends, errors = np.stack(readings.done.motion.angles()), list[np.ndarray]()

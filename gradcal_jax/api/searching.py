@@ -9,7 +9,6 @@ import math
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Final, NamedTuple, Protocol
@@ -210,19 +209,15 @@ def search_plans(
     start = finite(objective.shown(before))
     best = _Best(spec, before, objective.value_of(before) if own else math.inf)
 
-    @lru_cache(maxsize=1)
-    def counted_met(plan: int) -> bool:
-        return not missed_targets(best.plan, MARGIN)
-
-    def is_met() -> bool:
+    def is_met(plan: Spec, left: Residuals) -> bool:
         """By the terms that the spec names, as the search minimises them, and by all that a verdict counts."""
-        return objective.met(best.left) and counted_met(id(best.plan))
+        return until_met and objective.met(left) and not missed_targets(plan, MARGIN)
 
-    searched = not (until_met and is_met())
-    met = not searched
+    met = is_met(spec, before)
+    searched = not met
 
     def improve(point: Any) -> None:
-        nonlocal best, last
+        nonlocal best, last, met
         try:
             found, words = search.plan_of(point)
             plan = rounded(found).spec
@@ -232,7 +227,7 @@ def search_plans(
         left = objective.residuals(plan)
         last, value = PlanOutcome(objective.shown(left)), objective.value_of(left)
         if value < best.value:
-            best = _Best(plan, left, value, point, words)
+            best, met = _Best(plan, left, value, point, words), is_met(plan, left)
 
     if searched and checkpoint is not None and (reached := search.resume(checkpoint)) is not None:
         improve(reached)
@@ -246,7 +241,7 @@ def search_plans(
             words = ", ".join(f"{n} is {math.exp(by):.3g} times its limit" for n, by in missed)
             now = objective.shown(best.left)
             yield SearchStep(name, unit, start, now, share, best.words, words, search.state(best.point))
-            if met := until_met and is_met():
+            if met:
                 break
     plan, left, kept = best.plan, best.left, best.point is None
     if kept:

@@ -243,9 +243,9 @@ def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
 
 
 def _of_rig(rig: Rig) -> list[tuple[str, str]]:
+    """The figures of site and table; if there are several axes, those of each axis."""
     from gradcal_jax.api.error_budget import BESIDE_THE_AXIS, SCALE_OF_ANGLE
 
-    """The figures of site and table; if there are several axes, those of each axis."""
     table = rig.table
     rows: list[tuple[str, Any]] = [
         ("rate accuracy", table.rate_accuracy),

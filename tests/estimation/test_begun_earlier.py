@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from gradcal_jax.decoding.table_angles import SETTLED_S
 from gradcal_jax.estimation.standstill import begun_earlier
 
 INTERVAL_S = 0.008
-# Rows of a margin of a tenth of a second.
-MARGIN = 12
+# Rows of the margin that a log has.
+MARGIN = int(SETTLED_S / INTERVAL_S)
 NOISE = 3e-4
 
 

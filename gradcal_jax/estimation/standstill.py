@@ -33,8 +33,8 @@ _FEWEST_ROWS, _FEW_ROWS = 4, 10
 # Spread of a quantised sensor that changes between two values half of the time or less, in counts.
 _FLICKER = 0.3
 # The margin (s) at the begin of a run's standstills (of `decoding`, which is not known here); the fewest moves of an
-# axis that tell whether it is needed; and what speaks for it: a mean of what is sensed after the moves beyond so many of
-# its standard deviations, or a scatter of so many times that of rest.
+# axis that tell whether it is needed; and what speaks for it: a mean of what is sensed after the moves beyond so many
+# of its standard deviations, or a scatter of so many times that of rest.
 _SETTLED_S, _FEWEST_MOVES, _SEEN, _SCATTER = 0.1, 20, 2.0, 1.3
 # The smallest turn (rad) that counts as a move.
 _TURNED = np.radians(1.0)

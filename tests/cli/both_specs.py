@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import tomlkit
+from nothing_omitted import zeros_of_omitted
 from scipy.signal import lfilter
 
 import gradcal_jax as gj
@@ -148,7 +149,7 @@ def _variants(kind: str, spec: gj.Spec) -> dict[str, dict[str, Any]]:
         rows = [row | {"axis": "z"} for row in _requirements(spec)]
         held |= {"rig.table.axis": [spin], "requirement": rows}
     return {
-        "better.toml": {"requirement[0].target": "10 ppm" if kind == "IMU" else "3 ppm"},
+        "better.toml": zeros_of_omitted(spec) | {"requirement[0].target": "10 ppm" if kind == "IMU" else "3 ppm"},
         "strict.toml": {"requirement[1].target": "3 deg/h"},
         "judged.toml": {"requirement": [bias | {"coverage": 2, "risk": "2 %"}], "design": None},
         "noisier.toml": {"sensor.gyro.angle_random_walk": "3 deg/sqrt(h)"},

@@ -179,6 +179,12 @@ def test_coefficients_that_did_not_pass_are_left_out_of_an_export(folder, capsys
     assert "no coefficient q9" in capsys.readouterr().err
 
 
+def chi_squared_of(said: str) -> tuple[float, float]:
+    """χ² of an estimate that was printed, and its degrees of freedom."""
+    ((chi_squared, degrees),) = re.findall(r"chi-squared of the fit +([0-9.]+) +([0-9]+)", said)
+    return float(chi_squared), float(degrees)
+
+
 @pytest.mark.long
 def test_the_lag_of_a_whole_imu_is_fitted(tmp_path, capsys):
     document, lag_s, rng = tables_of(scene("two axes", 0.1)), 40.0, np.random.default_rng(4)
@@ -203,8 +209,16 @@ def test_the_lag_of_a_whole_imu_is_fitted(tmp_path, capsys):
     assert "the maps lag behind the measured temperature" in said
     # (Nothing smooths a thermometer that leads, but the estimate: the temperature jumps where the ramp begins and where
     # it turns. The fit does not hold there, and the lag is as uncertain as that.)
-    (std_s,) = re.findall(r"by [0-9.]+ s \(1σ ([0-9.]+) s\)", said)
-    assert 0.1 < float(std_s) < 1.0
+    ((lag, std_s),) = [map(float, found) for found in re.findall(r"by ([0-9.]+) s \(1σ ([0-9.]+) s\)", said)]
+    chi_squared, degrees = chi_squared_of(said)
+    assert chi_squared > 3.0 * degrees
+    around = []
+    for given in (lag - 0.5, lag + 0.5):
+        assert main([*command, "--lag", f"{given} s", "--force"]) in (0, 1)
+        around.append(chi_squared_of(capsys.readouterr().out)[0])
+    bend = (sum(around) - 2.0 * chi_squared) / (2.0 * 0.5**2)
+    assert std_s == pytest.approx((chi_squared / degrees / bend) ** 0.5, rel=0.1)
+    assert main([*command, "--lag", "fit", "--force"]) in (0, 1)
     lags = [float(channel.thermal_lag) for channel in read_calibration(out).channel]
     assert len(lags) == 6
-    assert lags == pytest.approx([lag_s] * 6, abs=2.0 * float(std_s))
+    assert lags == pytest.approx([lag_s] * 6, abs=2.0 * std_s)

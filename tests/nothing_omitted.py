@@ -13,7 +13,9 @@ def zeros_of_omitted(spec: Spec) -> dict[str, Any]:
     def zero(value: Any) -> Any:
         if isinstance(value, str):
             return f"0 {value.split(' ', 1)[1]}"
-        return [] if isinstance(value, list) else value | {"standard_deviation": "0 K"}
+        if isinstance(value, list):
+            return []
+        return value | {key: zero(value[key]) for key in ("prior", "standard_deviation") if key in value}
 
     return {term.key: zero(term.value) for term in absent_terms(spec) if term.value != "unknown"}
 

@@ -314,7 +314,7 @@ def report_of(
     shown: RecordFaults,
 ) -> SensorEstimate:
     """The estimate of one sensor from the fit of its rows."""
-    built, (rows, messages, points), temperature, fit, smoothness, lag = fitted
+    built, (rows, messages, points), temperature, fit, smoothness, lag, _ = fitted
     stable, model = isinstance(built.spec.plan, StandardPlan), built.model
     done, readings, solution, rates = fit
     if stable and points is None:

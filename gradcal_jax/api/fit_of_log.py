@@ -14,7 +14,7 @@ from gradcal_jax.api.build import move_of
 from gradcal_jax.api.contradictions import SCALE_FACTOR_ERROR, refuse_implausible, refuse_misaligned, wrapped_sentence
 from gradcal_jax.api.gears import errors_of_gears
 from gradcal_jax.api.imu_build import BuiltImu, course_before
-from gradcal_jax.api.lag_of_maps import Fit, Lag, fit_with_lag, late_temperatures
+from gradcal_jax.api.lag_of_maps import Fit, Lag, LateTemperatures, fit_with_lag
 from gradcal_jax.api.log_rows import Options, read_by_events
 from gradcal_jax.api.plan_sentences import prior_deviations, unobserved_parameters
 from gradcal_jax.api.verdicts import fit_rows, provenance_of, random_walks, result_of_requirement, section_of
@@ -269,7 +269,8 @@ class Recorded(NamedTuple):
 
 
 class FittedRows(NamedTuple):
-    """The fit of one sensor's rows, the temperature of its maps (°C) and their lag."""
+    """The fit of one sensor's rows, the temperature of its maps (°C) and their lag; `own_errors`: how many errors that
+    rows have in common are not those of the table."""
 
     built: BuiltImu
     recorded: Recorded
@@ -277,6 +278,7 @@ class FittedRows(NamedTuple):
     fit: Fit
     smoothness: Smoothness | None
     lag: Lag
+    own_errors: int
 
 
 def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
@@ -291,7 +293,7 @@ def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> 
 
 def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
     rows, messages, points = recorded
-    temperature_of = late_temperatures(rows, _wander(built.spec))
+    temperature_of = LateTemperatures(rows, _wander(built.spec))
     refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), built.model.channels)
     threshold = options.threshold if options.robust else None
     lag, stable = Lag(0.0 if isinstance(options.lag, str) else options.lag), isinstance(built.spec.plan, StandardPlan)
@@ -299,23 +301,30 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
     if options.lag == "fit" and stable:
         messages = *messages, "a lag cannot be estimated at constant temperatures: zero lag is assumed"
     elif isinstance(options.lag, str) and not stable and (options.lag == "fit" or _may_lag(built)):
-        # A lag may make readings of another IMU of the right ones.
-        fit_at = lambda lag: fitted_twice(built, name, rows, temperature_of(lag), checked=False)  # noqa: E731
+
+        def fit_at(lag: float) -> Fit:
+            # A lag may make readings of another IMU of the right ones.
+            late = temperature_of(lag)
+            prompt = fitted_twice(built, name, rows, late, checked=False)
+            return _with_errors(prompt, [late + half for half in temperature_of.halves(lag)], None)
+
         size = built.spec.sensor.temperature_lag
         lag, fit, said = fit_with_lag(fit_at, temperature_of, size, wanted=options.lag == "fit")
         messages = *messages, *said
-    temperature = temperature_of(lag.seconds)
+    temperature, halves = temperature_of(lag.seconds), temperature_of.halves(lag.seconds)
     if fit is not None and threshold is None:
         fit = _likely(built, name, fit)
     else:
         fit = fitted_twice(built, name, rows, temperature, threshold, points)
+        fit = _with_errors(fit, [temperature + half for half in halves], threshold)
     possible = float(built.spec.sensor.temperature_lag or 0.0) if options.lag == "auto" and _may_lag(built) else 0.0
     if possible and not (stable or lag.seconds):
         # A small lag cannot be fitted, but tests of the fit would notice it.
-        fit, lag = _with_possible_lag(fit, temperature_of(possible), threshold), Lag(0.0, in_rows=True)
+        fit, lag = _with_errors(fit, [temperature_of(possible)], threshold), Lag(0.0, in_rows=True)
     if options.smoothness == "auto":
         built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
-    return FittedRows(built, recorded._replace(messages=messages), temperature, fit, smoothness, lag)
+    own = len(halves) + lag.in_rows
+    return FittedRows(built, recorded._replace(messages=messages), temperature, fit, smoothness, lag, own)
 
 
 def _wander(spec: Spec) -> float:
@@ -327,26 +336,29 @@ def _wander(spec: Spec) -> float:
     return max(rates, default=0.0)
 
 
-def _with_possible_lag(fit: Fit, late_c: np.ndarray, threshold: float | None) -> Fit:
-    """The fit with a lag of the maps as an error common to all its rows; `late_c` (°C): temperatures that are late by
-    one standard deviation."""
+def _with_errors(fit: Fit, others_c: Sequence[np.ndarray], threshold: float | None) -> Fit:
+    """The fit with errors of the maps' temperature common to all its rows; `others_c` (°C): temperatures that each is
+    off by one standard deviation."""
+    if not others_c:
+        return fit
     readings, parameters = fit.readings, fit.solution.parameters
-    change = readings.at(late_c, parameters) - readings.expected(parameters)
-    readings = readings.with_common(change[:, None])
+    changes = [readings.at(other_c, parameters) - readings.expected(parameters) for other_c in others_c]
+    readings = readings.with_common(np.stack(changes, axis=1))
     return fit._replace(readings=readings, solution=estimation.solve_imu(readings, parameters, threshold=threshold))
 
 
-def _without_possible_lag(of: FittedRows) -> FittedRows:
+def _without_own_errors(of: FittedRows) -> FittedRows:
     """The fit with the errors of the table alone as those that rows have in common: a lag is an IMU's own."""
-    if not of.lag.in_rows or (common := of.fit.readings.common) is None:
+    if not of.own_errors or (common := of.fit.readings.common) is None:
         return of
-    readings = of.fit.readings._replace(common=common[:, :-1] if common.shape[1] > 1 else None)
-    return of._replace(fit=of.fit._replace(readings=readings), lag=Lag(0.0))
+    table = common[:, : -of.own_errors]
+    readings = of.fit.readings._replace(common=table if table.shape[1] else None)
+    return of._replace(fit=of.fit._replace(readings=readings), lag=Lag(0.0) if of.lag.in_rows else of.lag)
 
 
 def together(spec: Spec, fits: Mapping[str, FittedRows]) -> dict[str, FittedRows]:
     """The fits of the IMUs of a fixture, with what all of them say of the table, and messages on it."""
-    fits = {name: _without_possible_lag(of) for name, of in fits.items()}
+    fits = {name: _without_own_errors(of) for name, of in fits.items()}
     try:
         joint = estimation.solve_together(
             [of.fit.readings for of in fits.values()],

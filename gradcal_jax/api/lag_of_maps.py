@@ -98,22 +98,32 @@ def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None
     return lag, float(np.sqrt(misfit / bend)) if bend > 0.0 else float("inf")
 
 
-def late_temperatures(rows: ImuRows, wander: float = 0.0) -> Callable[[float], np.ndarray]:
+class LateTemperatures:
     """The temperature (°C) of all rows as a function of a lag (s). Where a record begins while the temperature changes,
-    the dies are late by as much as after a long time of that change. `wander` (K²/s): the rate at which the variance of
-    the thermometer's error grows in short times."""
-    time, measured, starts = rows.time_s, rows.temperature_c, rows.stretch_starts
-    begins = [k for k in starts.tolist() if not k or time[k] - time[k - 1] > BRIDGED_S]
-    slopes = [_first_slope(time[a:b], measured[a:b], wander) for a, b in pairwise([*begins, len(time)])]
+    the dies may have rested before, or have been late for long: they are taken as half as late, give or take as much.
 
-    def late(lag: float) -> np.ndarray:
-        result = followed(measured, time, starts, lag)
-        for (a, b), slope in zip(pairwise([*begins, len(time)]), slopes, strict=True):
-            if lag and slope:
-                result[a:b] -= lag * slope * np.exp(-(time[a:b] - time[a]) / lag)
-        return result
+    `wander` (K²/s): the rate at which the variance of the thermometer's error grows in short times.
+    """
 
-    return late
+    def __init__(self, rows: ImuRows, wander: float = 0.0) -> None:
+        time, measured, starts = rows.time_s, rows.temperature_c, rows.stretch_starts
+        self._of, begins = rows, [k for k in starts.tolist() if not k or time[k] - time[k - 1] > BRIDGED_S]
+        records = [slice(*ends) for ends in pairwise([*begins, len(time)])]
+        slopes = [(part, _first_slope(time[part], measured[part], wander)) for part in records]
+        self._slopes = [(part, slope) for part, slope in slopes if slope]
+
+    def __call__(self, lag: float) -> np.ndarray:
+        rows = self._of
+        return sum(self.halves(lag), followed(rows.temperature_c, rows.time_s, rows.stretch_starts, lag))
+
+    def halves(self, lag: float) -> list[np.ndarray]:
+        """Of each such record, the change (K) of all rows by one standard deviation of that."""
+        if not lag:
+            return []
+        changes, time = [np.zeros(len(self._of.time_s)) for _ in self._slopes], self._of.time_s
+        for change, (part, slope) in zip(changes, self._slopes, strict=True):
+            change[part] = -0.5 * lag * slope * np.exp(-(time[part] - time[part.start]) / lag)
+        return changes
 
 
 def _first_slope(time_s: np.ndarray, temperature_c: np.ndarray, wander: float) -> float:

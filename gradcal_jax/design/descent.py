@@ -8,7 +8,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
 from jaxtyping import Float
 
 from gradcal_jax.design.compiling import compiler_options
@@ -36,6 +35,8 @@ class Descent:
     """
 
     def __init__(self, function: Callable[[Any, Any], Any], tolerance: float = _TOLERANCE) -> None:
+        import optimistix  # Slow to import: a prediction does without.
+
         self._solver: Any = optimistix.BFGS(rtol=tolerance, atol=tolerance)
         self._function = lambda y, args: (function(y, args), None)
         self._advance = jax.jit(self._advanced, static_argnums=0, compiler_options=compiler_options())

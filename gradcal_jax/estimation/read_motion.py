@@ -33,16 +33,14 @@ def motion_by_readings(log: ImuRows, geometry: Geometry) -> ExecutedImu:
     unknown = not np.isfinite(log.angles[:, 0]).any()
     read = log.at_a_stop & (np.isfinite(log.angles[:, 0]) | unknown)
     groups = [np.flatnonzero(read[a:b]) + a for a, b in runs(log.standing | read)]
-    # A table stands at the end of one mounting and at the beginning of the next, at other angles.
-    groups = [
-        part for rows in groups if len(rows) for part in np.split(rows, np.flatnonzero(np.diff(log.mounting[rows])) + 1)
-    ]
+    unusable = np.cumsum(~log.usable)
+    groups = [part for rows in groups if len(rows) for part in _divided(log, rows, unusable)]
     if sum(map(len, groups)) < 2:
         raise ValueError("nothing can be estimated: the log has fewer than two readings while the table is at rest")
     worth = np.ones(len(read)) if log.worth is None else log.worth
     angles = np.zeros(len(read)) if unknown else log.angles[:, 0]
     stands = [float(np.average(angles[rows], weights=worth[rows])) for rows in groups]
-    speed, unusable = _speed(log, geometry), np.cumsum(~log.usable)
+    speed = _speed(log, geometry)
     rows, axes, flags, ways = [int(groups[0][0])], list[int](), list[tuple[bool, bool]](), list[np.ndarray | None]()
 
     def add(row: int, way: np.ndarray | None = None, *, reads: bool = False, lost: bool = False) -> None:
@@ -85,6 +83,14 @@ def motion_by_readings(log: ImuRows, geometry: Geometry) -> ExecutedImu:
     line = mean_motion(log, at, turned, np.array(axes) >= 0, reads, lost)
     line = eqx.tree_at(lambda x: x.share, line, worth[at[1:]])
     return _executed(line, log, geometry, at, np.array(axes), np.array([stands[0]]), tuple(ways))
+
+
+def _divided(log: ImuRows, rows: np.ndarray, unusable: np.ndarray) -> list[np.ndarray]:
+    """Readings of the only axis at rest, by standstills: it may stand elsewhere where another mounting begins, or
+    after a part of a run that was not recorded."""
+    turned = np.abs(np.diff(log.angles[rows, 0])) > _SAME_STANDSTILL
+    other = (np.diff(log.mounting[rows]) != 0) | ((np.diff(unusable[rows]) > 0) & turned)
+    return np.split(rows, np.flatnonzero(other) + 1)
 
 
 def motion_at_points(points: TablePoints, log: ImuRows, geometry: Geometry) -> ExecutedImu:

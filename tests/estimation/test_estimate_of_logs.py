@@ -11,7 +11,7 @@ from simulated_log import simulate_log
 
 from gradcal_jax.api import assemble
 from gradcal_jax.api.estimate import estimate_log
-from gradcal_jax.api.lag_of_maps import fitted_lag, late_temperatures
+from gradcal_jax.api.lag_of_maps import LateTemperatures, fitted_lag
 from gradcal_jax.api.log_rows import Options, host_time
 from gradcal_jax.estimation import ImuRows
 from gradcal_jax.files import changed, parse_spec, presets
@@ -390,7 +390,7 @@ def test_a_log_that_determines_no_coefficient_has_a_calibration_without_covarian
     assert not report.as_wished
 
 
-def test_dies_are_late_from_the_begin_of_a_record_on_a_ramp():
+def test_dies_may_be_late_from_the_begin_of_a_record_on_a_ramp():
     """Against the sum of the differential equation from long before the record, over a short break, too."""
     lag, time = 80.0, np.arange(0.0, 3000.0, 0.1)
     air = 20.0 + 0.03 * np.maximum(time - 50.0, 0.0) - 0.01 * np.maximum(time - 2000.0, 0.0)
@@ -404,9 +404,15 @@ def test_dies_are_late_from_the_begin_of_a_record_on_a_ramp():
     usable[np.flatnonzero(np.diff(time[kept]) > 1.0) + 1] = False
     noisy = air[kept] + 0.02 * np.random.default_rng(2).standard_normal(int(kept.sum()))
     rows = rows._replace(time_s=time[kept], temperature_c=noisy, usable=usable)
-    np.testing.assert_allclose(late_temperatures(rows)(lag), die[kept], atol=0.03)
+    late = LateTemperatures(rows)
+    (half,) = late.halves(lag)
+    np.testing.assert_allclose(late(lag) + half, die[kept], atol=0.03)
+    # As uncertain the other way: had they rested until the record began, they would be later by nothing.
+    rested = followed(noisy, time[kept], rows.stretch_starts, lag)
+    np.testing.assert_allclose(late(lag) - half, rested, atol=1e-9)
+    assert half[0] == pytest.approx(-0.5 * lag * 0.03, abs=0.02)
     # A soak has no slope, and a thermometer of whole degrees shows none.
     still = rows._replace(temperature_c=np.rint(noisy / 100.0))
-    np.testing.assert_array_equal(
-        late_temperatures(still)(lag), followed(still.temperature_c, still.time_s, still.stretch_starts, lag)
-    )
+    late, settled = LateTemperatures(still), followed(still.temperature_c, still.time_s, still.stretch_starts, lag)
+    np.testing.assert_array_equal(late(lag), settled)
+    assert late.halves(lag) == []

@@ -71,6 +71,22 @@ def test_a_standing_axis_is_at_the_mean_of_its_readings_weighted_by_what_they_ar
     np.testing.assert_array_equal(done.motion.line.share[done.motion.line.read], worth[read[1:]])
 
 
+def test_an_axis_that_stands_elsewhere_after_a_break_has_another_standstill():
+    """Where the first row after the break is a reading, too; and what a reading is off does not divide a standstill."""
+    rows = log()
+    kept = (rows.time_s <= 22.0 + 1e-9) | (rows.time_s >= 26.0 - 1e-9)
+    taken = ImuRows(*(None if column is None else column[kept] for column in rows))
+    begin = int(np.searchsorted(taken.time_s, 26.0 - 1e-9))
+    taken.usable[begin] = taken.standing[begin] = False
+    for turned, ends in ((180.0, [240.0, 420.0]), (0.3, [240.15, 240.15])):
+        angles = taken.angles.copy()
+        angles[begin:] += np.radians(turned)
+        motion = motion_by_readings(taken._replace(angles=angles), geometry()).motion
+        _, after = motion.angles()
+        np.testing.assert_allclose(np.degrees(after[-2:, 0]), ends, atol=1e-9)
+        assert motion.line.gap[-1]
+
+
 def test_missing_rows_make_a_gap_with_a_new_origin_behind_it():
     rows = log()
     usable = rows.usable.copy()

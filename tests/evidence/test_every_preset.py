@@ -122,14 +122,25 @@ requirement and seed, without what the estimate widens for its fit.
 """
 
 
-def report(seeds: Seeds) -> None:
-    """Write or replace the row of a recipe, and the mean over all."""
+def report(name: str, seeds: Seeds | None = None) -> None:
+    """Write or replace the row of a recipe, without its runs remove it; and the mean over all."""
     rows: dict[str, str] = {}
     if REPORT.exists():
         for line in REPORT.read_text(encoding="utf-8").splitlines():
             cells = [cell.strip() for cell in line.strip("|").split(" | ")]
             if len(cells) == 7 and cells[0] not in ("what", "---"):
                 rows[cells[0]] = line
+    rows.pop(f"`{name}`", None)
+    if seeds is not None:
+        rows[f"`{name}`"] = row_of(seeds)
+    means = [float(row.split("mean ")[1].split(" ")[0]) for row in rows.values() if "mean " in row]
+    foot = f"\nMean of {len(means)} means: {np.mean(means):.3f}; {time.strftime('%Y-%m-%d')}.\n" if means else ""
+    if missing := [f"`{name}`" for name in ALL if f"`{name}`" not in rows]:
+        foot += f"\n{len(missing)} of {len(ALL)} are not run yet: {', '.join(missing)}.\n"
+    REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n" + foot, encoding="utf-8")
+
+
+def row_of(seeds: Seeds) -> str:
     nees, degrees = seeds.chance
     low, high = chi2.ppf([0.005, 0.995], degrees)
     ratios = seeds.ratios
@@ -139,12 +150,7 @@ def report(seeds: Seeds) -> None:
     if seeds.squares is not None:
         squares += f"; by the data {seeds.squares:.1f}; elements {seeds.elements:.1f}"
     cells = (f"{len(seeds.chains)}", squares, f"{degrees}", f"{low:.0f} … {high:.0f}", within, words[:200])
-    rows[f"`{seeds.name}`"] = f"| `{seeds.name}` | {' | '.join(cells)} |"
-    means = [float(row.split("mean ")[1].split(" ")[0]) for row in rows.values() if "mean " in row]
-    foot = f"\nMean of {len(means)} means: {np.mean(means):.3f}; {time.strftime('%Y-%m-%d')}.\n" if means else ""
-    if missing := [f"`{name}`" for name in ALL if f"`{name}`" not in rows]:
-        foot += f"\n{len(missing)} of {len(ALL)} are not run yet: {', '.join(missing)}.\n"
-    REPORT.write_text(_HEAD + "\n".join(rows[name] for name in sorted(rows)) + "\n" + foot, encoding="utf-8")
+    return f"| `{seeds.name}` | {' | '.join(cells)} |"
 
 
 def written(name: str, folder: Path, changes: dict[str, object] | None = None) -> Path:
@@ -182,8 +188,9 @@ def seeds_of(name: str, folder: Path, count: int, changes: dict[str, object] | N
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", ALL)
 def test_what_is_promised_is_reached(name: str, tmp_path: Path) -> None:
+    report(name)
     seeds = seeds_of(name, tmp_path, 3)
-    report(seeds)
+    report(name, seeds)
     assert not seeds.faults()
     assert len(seeds.ratios) == 0 or abs(seeds.ratios.mean() - 1.0) < 0.10
 

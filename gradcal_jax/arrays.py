@@ -61,7 +61,7 @@ def put(into: Any, where: Any, values: Any) -> Any:
 
 def placed(shape: tuple[int, ...], *parts: tuple[Any, Any]) -> Any:
     """Zeros with `[where] = values` for each part in order, without repetitions in one; NumPy writes in place."""
-    if namespace([values for _, values in parts]) is jnp:
+    if namespace(*(values for _, values in parts)) is jnp:
         result = jnp.zeros(shape)
         for where, values in parts:
             result = result.at[where].set(values, mode="drop", unique_indices=True)

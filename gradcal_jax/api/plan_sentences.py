@@ -48,7 +48,7 @@ _UPRIGHT, _TILT_DEG = 0.995, 30.0
 _FLAT = 0.05
 
 
-def unobserved_parameters(built: BuiltImu, known: Posterior) -> list[str]:
+def unobserved_parameters(built: BuiltImu, known: Posterior, prior: Posterior | None = None) -> list[str]:
     """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure and of the
     state at the beginning left out."""
     hidden = {
@@ -59,14 +59,15 @@ def unobserved_parameters(built: BuiltImu, known: Posterior) -> list[str]:
         for name in (t.nuisances if isinstance(t, PathTerm) else t.names())
     }
     own = slice(built.model.calibrated)
-    after, before = known.deviations(built.model.to_reported[own]), prior_deviations(built)[own]
+    after, before = known.deviations(built.model.to_reported[own]), prior_deviations(built, prior)[own]
     observed = np.isfinite(after) & ((after <= NOT_OBSERVED * before) | ~np.isfinite(before))
     return [name for name, seen in zip(built.model.names(), observed, strict=False) if not seen and name not in hidden]
 
 
-def prior_deviations(built: BuiltImu) -> np.ndarray:
-    """Prior standard deviation of every reported parameter; `inf` where flat."""
-    return _prior(built).deviations(built.model.to_reported)
+def prior_deviations(built: BuiltImu, prior: Posterior | None = None) -> np.ndarray:
+    """Prior standard deviation of every reported parameter; `inf` where flat. `prior`: what is known before any
+    reading, if at hand."""
+    return (prior or _prior(built)).deviations(built.model.to_reported)
 
 
 def _prior(built: BuiltImu) -> Posterior:
@@ -99,8 +100,8 @@ def _axes_of(built: BuiltImu) -> np.ndarray:
 def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
     """A sentence for each thing that the plan cannot observe, remedies first; and for requirements beyond the plan's
     temperatures and rates."""
-    axes, combinations = _axes_of(built), _combinations(built, known)
-    every = [name for name in unobserved_parameters(built, known) if not any(name in c for c in combinations)]
+    axes, combinations, prior = _axes_of(built), _combinations(built, known), _prior(built)
+    every = [name for name in unobserved_parameters(built, known, prior) if not any(name in c for c in combinations)]
     of_path = one_way_sentences(built, known)
     # A hysteresis that is not observed has its own sentence.
     names = [name for name in every if not of_path or HYSTERESIS.partition("{")[0] not in name]
@@ -114,7 +115,7 @@ def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
     sentences += [f"not observable: {channel}: {', '.join(symbols)}" for channel, symbols in groups.items()]
     sentences += of_path or _one_way_of_class(built)
     sentences += _unseen_by_gravity(built)
-    sentences += _limited_by_priors(built, known) + _as_before(built, known)
+    sentences += _limited_by_priors(built, known, prior) + _as_before(built, known, prior)
     fastest = _fastest(built, axes)
     sentences += _saturated(built, fastest) + _beyond(built) + _beyond_rates(built, fastest)
     return sentences + _of_this_run(built) + _both_ways(built)
@@ -206,7 +207,7 @@ _FAMILIES = {
 }
 
 
-def _limited_by_priors(built: BuiltImu, known: Posterior) -> list[str]:
+def _limited_by_priors(built: BuiltImu, known: Posterior, prior: Posterior) -> list[str]:
     """Errors of the installation that the plan does not observe and that dominate the error of a parameter of the unit:
     any plan, or this one, cannot separate the two (a gauge freedom of the measurement)."""
     model, names = built.model, built.model.names()
@@ -214,7 +215,7 @@ def _limited_by_priors(built: BuiltImu, known: Posterior) -> list[str]:
     spread = own @ known.spread
     size = np.sqrt(np.sum(spread**2, axis=1))
     reasons: dict[tuple[str, str, float, float, str], list[str]] = {}
-    priors = prior_deviations(built)
+    priors = prior_deviations(built, prior)
     for i in range(model.calibrated, model.size):
         freedom = _FREEDOMS.get("mounting" if names[i].startswith("mounting") else names[i])
         std = np.sqrt(np.sum(known.spread[i] ** 2))
@@ -236,9 +237,9 @@ def _limited_by_priors(built: BuiltImu, known: Posterior) -> list[str]:
     ]
 
 
-def _as_before(built: BuiltImu, known: Posterior) -> list[str]:
+def _as_before(built: BuiltImu, known: Posterior, before: Posterior) -> list[str]:
     """Sentences on requirements whose residual the plan hardly reduces."""
-    before, sentences = _prior(built), []
+    sentences: list[str] = []
     for requirement in built.spec.requirement:
         quantity = quantity_of(built, requirement, _FEW)
         then, now = (quantity.residual(k).statistic() for k in (before, known))
@@ -265,7 +266,7 @@ def _saturated(built: BuiltImu, fastest: np.ndarray) -> list[str]:
 def _fastest(built: BuiltImu, axes: np.ndarray) -> np.ndarray:
     """The fastest turn along each of the body's axes, rad/s."""
     motion = built.motion
-    moves = np.flatnonzero((motion.axis >= 0) & ~motion.line.gap)
+    moves = motion.example[np.unique(motion.kind[(motion.axis >= 0) & ~motion.line.gap])]
     places = np.broadcast_to(np.linspace(0.0, 1.0, _PLACES), (len(moves), _PLACES))
     fastest = np.max(np.abs(motion.line.rate(places, moves)), axis=1, initial=0.0)
     return np.max(np.abs(axes[moves, motion.axis[moves]]) * fastest[:, None], axis=0, initial=0.0)

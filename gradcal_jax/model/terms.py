@@ -9,13 +9,13 @@ import importlib
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib.metadata import entry_points
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, PytreeModule, namespace
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
 from gradcal_jax.linalg import triangular_factor
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
 from gradcal_jax.model.nodes import NodeGroup, Nodes, OtherTemperature, SharedNodes
@@ -271,13 +271,12 @@ def _prior_of_shapes(reported: np.ndarray, constant: np.ndarray, shapes, common_
 
 def block_diagonal(blocks: Sequence[AnyArray]) -> AnyArray:
     """Blocks `(q_i, p_i)` along the diagonal of `(Σq, Σp)`, which is zero elsewhere."""
-    xp, begin, rows, width = namespace(blocks), 0, [], sum(block.shape[1] for block in blocks)
+    parts, row, column = list[tuple[Any, AnyArray]](), 0, 0
     for block in blocks:
-        end = begin + block.shape[1]
-        zeros = xp.zeros((block.shape[0], begin)), xp.zeros((block.shape[0], width - end))
-        rows.append(xp.concatenate([zeros[0], block, zeros[1]], axis=1))
-        begin = end
-    return xp.concatenate(rows)
+        below, right = row + block.shape[0], column + block.shape[1]
+        parts.append(((slice(row, below), slice(column, right)), block))
+        row, column = below, right
+    return placed((row, column), *parts)
 
 
 def _continued(own: Basis | None, higher: HigherPolynomials | None) -> bool:

@@ -306,24 +306,26 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
             # A lag may make readings of another IMU of the right ones.
             late = temperature_of(lag)
             prompt = fitted_twice(built, name, rows, late, checked=False)
-            return _with_errors(prompt, [late + half for half in temperature_of.halves(lag)], None)
+            return _with_errors(prompt, [late + doubt for doubt in temperature_of.doubts(lag)], None)
 
         size = built.spec.sensor.temperature_lag
         lag, fit, said = fit_with_lag(fit_at, temperature_of, size, wanted=options.lag == "fit")
         messages = *messages, *said
-    temperature, halves = temperature_of(lag.seconds), temperature_of.halves(lag.seconds)
+    temperature, doubts = temperature_of(lag.seconds), temperature_of.doubts(lag.seconds)
     if fit is not None and threshold is None:
         fit = _likely(built, name, fit)
     else:
         fit = fitted_twice(built, name, rows, temperature, threshold, points)
-        fit = _with_errors(fit, [temperature + half for half in halves], threshold)
+        fit = _with_errors(fit, [temperature + doubt for doubt in doubts], threshold)
     possible = float(built.spec.sensor.temperature_lag or 0.0) if options.lag == "auto" and _may_lag(built) else 0.0
     if possible and not (stable or lag.seconds):
         # A small lag cannot be fitted, but tests of the fit would notice it.
-        fit, lag = _with_errors(fit, [temperature_of(possible)], threshold), Lag(0.0, in_rows=True)
+        doubts = temperature_of.doubts(possible)
+        others = [temperature_of(possible), *(temperature + doubt for doubt in doubts)]
+        fit, lag = _with_errors(fit, others, threshold), Lag(0.0, in_rows=True)
     if options.smoothness == "auto":
         built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
-    own = len(halves) + lag.in_rows
+    own = len(doubts) + lag.in_rows
     return FittedRows(built, recorded._replace(messages=messages), temperature, fit, smoothness, lag, own)
 
 

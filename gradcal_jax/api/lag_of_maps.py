@@ -21,6 +21,8 @@ _ROUNDS, _STANDS = 6, 0.1
 # The time (s) at a record's begin from which its slope is taken, the rows that it needs, and the square of the slope in
 # standard deviations from which on it counts.
 _BEGINS_S, _FEWEST_ROWS, _NO_CHANCE = 20.0, 8, 16.0
+# How late the dies are at such a begin is uncertain by so many times what they are late after a long time.
+_ANY_BEGIN = 10.0
 # A fit with a lag holds from this chance of χ² on, or if it leaves at most this share of the excess of χ².
 _HOLDS, _LEFT = 0.001, 0.1
 # Lags (s) that are tried in the residuals, and the chance of such residuals without one.
@@ -100,7 +102,8 @@ def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None
 
 class LateTemperatures:
     """The temperature (°C) of all rows as a function of a lag (s). Where a record begins while the temperature changes,
-    the dies may have rested before, or have been late for long: they are taken as half as late, give or take as much.
+    the dies are late, as after a long time of that change; but they may have rested until then, or settle more slowly
+    than the thermometer, which is near its end already: the data tell by how much.
 
     `wander` (K²/s): the rate at which the variance of the thermometer's error grows in short times.
     """
@@ -114,15 +117,16 @@ class LateTemperatures:
 
     def __call__(self, lag: float) -> np.ndarray:
         rows = self._of
-        return sum(self.halves(lag), followed(rows.temperature_c, rows.time_s, rows.stretch_starts, lag))
+        settled = followed(rows.temperature_c, rows.time_s, rows.stretch_starts, lag)
+        return sum((doubt / _ANY_BEGIN for doubt in self.doubts(lag)), settled)
 
-    def halves(self, lag: float) -> list[np.ndarray]:
-        """Of each such record, the change (K) of all rows by one standard deviation of that."""
+    def doubts(self, lag: float) -> list[np.ndarray]:
+        """Of each such record, the change (K) of all rows by one standard deviation of how late its dies are."""
         if not lag:
             return []
         changes, time = [np.zeros(len(self._of.time_s)) for _ in self._slopes], self._of.time_s
         for change, (part, slope) in zip(changes, self._slopes, strict=True):
-            change[part] = -0.5 * lag * slope * np.exp(-(time[part] - time[part.start]) / lag)
+            change[part] = -_ANY_BEGIN * lag * slope * np.exp(-(time[part] - time[part.start]) / lag)
         return changes
 
 

@@ -1,6 +1,7 @@
 """How a log is estimated, what it says of its rows, and the rows as an estimate takes them: readings of the table,
 clocks, temperatures and their branches, and which rows may be used."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -51,6 +52,11 @@ class Options:
 _POOR_CLOCK = 2e-5
 # A clock without a stated error, a ratio, and the number of standard deviations by which two clocks contradict.
 _QUARTZ, _APART = 2e-5, 2.0
+# From this number on the difference counts as the uncertainty of either clock: nothing tells which of them is wrong.
+_DOUBTED = 3.0
+# Parts of a log in each of which the ratio of two clocks is compared with its mean: the shortest, s, the fewest rows,
+# the most of them, and the number of standard deviations from which on a ratio differs.
+_PART_S, _PART_ROWS, _PARTS, _BENT = 120.0, 50, 16, 5.0
 # A comparison this near to the computer's own error adds nothing to it.
 _AS_COUNTED = 1.1
 # Stamps this near to each other are one, s.
@@ -126,11 +132,13 @@ def usable_rows(log: Log, unit: int) -> np.ndarray:
 
 class ClockFit(NamedTuple):
     """A log's two clocks: a second of the sensor is `slope` seconds of the computer, to `std` (a ratio; None: the log
-    does not say). `since`: how that is known, in words."""
+    does not say). `since`: how that is known, in words; `bend`: how far the ratio in a part of the log is from its
+    mean, at most, if beyond chance."""
 
     slope: float
     std: float | None
     since: str
+    bend: float = 0.0
 
     @property
     def sentence(self) -> str:
@@ -188,10 +196,29 @@ def clock_fit(log: Log) -> ClockFit:
         exact = spread <= np.spacing(max(np.abs(log.time_s).max(), np.abs(log.host_time_s).max()))
         if exact:
             return ClockFit(slope, None, "")
-        return ClockFit(slope, spread / float(levers.sum()) ** 0.5, " from the scatter of the time stamps")
+        std, bend = spread / float(levers.sum()) ** 0.5, _bend(sensor, host - slope * sensor, starts)
+        return ClockFit(slope, std, " from the scatter of the time stamps", bend)
     slopes = np.add.reduceat(sensor * host, starts) / levers
     slope = float(np.average(slopes, weights=stds**-2.0))
     return ClockFit(slope, float(np.sum(stds**-2.0)) ** -0.5, " from the arrival times of its samples")
+
+
+def _bend(time: np.ndarray, late: np.ndarray, starts: np.ndarray) -> float:
+    """The largest slope, beyond chance, between parts of each stretch of what a clock is late (s) behind a straight
+    line; a ratio."""
+    largest = 0.0
+    for first, end in itertools.pairwise([*starts.tolist(), len(time)]):
+        count = min(int((time[end - 1] - time[first]) / _PART_S), (end - first) // _PART_ROWS, _PARTS)
+        if count < 2:
+            continue
+        edges = np.linspace(first, end, count + 1).astype(int)
+        rows = np.diff(edges)
+        at, mean = (np.add.reduceat(of[first:end], edges[:-1] - first) / rows for of in (time, late))
+        # Of differences of neighbours, which a bend does not change.
+        square = np.add.reduceat(np.diff(late[first:end], append=late[end - 1]) ** 2, edges[:-1] - first) / (2.0 * rows)
+        slope, std = np.diff(mean) / np.diff(at), np.sqrt((square / rows)[1:] + (square / rows)[:-1]) / np.diff(at)
+        largest = max(largest, float(np.max(np.abs(slope), initial=0.0, where=np.abs(slope) > _BENT * std)))
+    return largest
 
 
 def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spec, Options, list[str]]:
@@ -215,14 +242,18 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
                 f"the log does not compare the sensor's clock with the computer's: the estimate assumes a clock error "
                 f"of {error}, but a prediction from the spec assumes {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
             )
+    doubted = [fit for fit in apart if abs(fit.slope - 1.0) > _DOUBTED * _clocks_differ_by(fit, error)]
+    doubt = max([fit.bend for fit in fits] + [abs(fit.slope - 1.0) for fit in doubted], default=0.0)
     # Every log has a slope of its own to the host's clock; the error that they share is at most the largest.
-    std = max((float(np.hypot(fit.std or 0.0, HOST_CLOCK)) for fit in fits), default=np.inf)
+    std = max((float(np.hypot(np.hypot(fit.std or 0.0, HOST_CLOCK), doubt)) for fit in fits), default=np.inf)
     omitted = spec.sensor.clock is None and error is None
     if not (omitted and clock == "host" and std < _AS_COUNTED * HOST_CLOCK):
         # Otherwise the computer's clock counts as in a prediction: as a term that the spec omits.
         counted: dict[str, object] = {"clock": "sensor"}
         if clock == "host":
             counted["sample_clock_error"] = Quantity.of(std, "ppm")
+        elif doubt:
+            counted["sample_clock_error"] = Quantity.of(float(np.hypot(float(error or _QUARTZ), doubt)), "ppm")
         spec = spec.model_copy(update={"sensor": spec.sensor.model_copy(update=counted)})
     for fit in apart:
         ending = "" if clock == "host" else "; --clock host uses the computer's clock"
@@ -230,6 +261,17 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
             f"the log's two clocks contradict each other: they differ by {abs(fit.slope - 1.0) * 1e6:.4g} ppm, more "
             f"than {_APART:g} times the uncertainty of the sensor's clock; the "
             f"{'computer' if clock == 'host' else 'sensor'}'s clock is used{ending}"
+        )
+    if doubted:
+        said.append(
+            "this difference of the clocks counts as uncertainty of the clock, since the computer's clock may be the "
+            "wrong one: if the sensor's is as poor, state this as sample_clock_error"
+        )
+    if (bend := max((fit.bend for fit in fits), default=0.0)) > 0.0:
+        said.append(
+            f"the log's two clocks do not keep one ratio: in parts of the log it differs by up to {bend * 1e6:.3g} ppm "
+            "from its mean, which counts as uncertainty of the clock: was the computer's clock set during the log, or "
+            "does the sensor's depend on temperature?"
         )
     if (arm := absent_lever_arm(spec)) is not None:
         spec = changed(spec, {arm.key: arm.value})

@@ -405,14 +405,14 @@ def test_dies_may_be_late_from_the_begin_of_a_record_on_a_ramp():
     noisy = air[kept] + 0.02 * np.random.default_rng(2).standard_normal(int(kept.sum()))
     rows = rows._replace(time_s=time[kept], temperature_c=noisy, usable=usable)
     late = LateTemperatures(rows)
-    (half,) = late.halves(lag)
-    np.testing.assert_allclose(late(lag) + half, die[kept], atol=0.03)
-    # As uncertain the other way: had they rested until the record began, they would be later by nothing.
+    (doubt,) = late.doubts(lag)
+    np.testing.assert_allclose(late(lag), die[kept], atol=0.03)
+    # Had they rested until the record began, they would be later by nothing; that is well within the doubt.
     rested = followed(noisy, time[kept], rows.stretch_starts, lag)
-    np.testing.assert_allclose(late(lag) - half, rested, atol=1e-9)
-    assert half[0] == pytest.approx(-0.5 * lag * 0.03, abs=0.02)
+    np.testing.assert_allclose(late(lag) - 0.1 * doubt, rested, atol=1e-9)
+    assert doubt[0] == pytest.approx(-10.0 * lag * 0.03, abs=0.3)
     # A soak has no slope, and a thermometer of whole degrees shows none.
     still = rows._replace(temperature_c=np.rint(noisy / 100.0))
     late, settled = LateTemperatures(still), followed(still.temperature_c, still.time_s, still.stretch_starts, lag)
     np.testing.assert_array_equal(late(lag), settled)
-    assert late.halves(lag) == []
+    assert late.doubts(lag) == []

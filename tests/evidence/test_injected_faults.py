@@ -27,6 +27,7 @@ from typing import Any
 import pytest
 from fault_list import AXIS, AXIS_FULL, BACKLASH, FAULTS, HARMONICS, UNIT, UNIT_FULL, Fault, encoders, none
 from fault_scenes import Judged, judge
+from further_faults import FURTHER
 from scipy.stats import binom
 
 from gradcal_jax.cli import main
@@ -129,8 +130,9 @@ def report(fault: Fault, found: Outcome, good: bool) -> None:
 
 
 def test_there_are_enough_faults_of_both_kinds() -> None:
-    kinds = [fault.scene.partition(",")[0] for fault in FAULTS]
-    assert len({str(fault) for fault in FAULTS}) == len(FAULTS) >= 40
+    faults = (*FAULTS, *FURTHER)
+    kinds = [fault.scene.partition(",")[0] for fault in faults]
+    assert len({str(fault) for fault in faults}) == len(faults) >= 40
     assert kinds.count("axis") >= 20
     assert kinds.count("unit") >= 20
 
@@ -190,7 +192,7 @@ def test_a_sound_log_accuses_nobody(tmp_path: Path) -> None:
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize("fault", FAULTS, ids=str)
+@pytest.mark.parametrize("fault", [*FAULTS, *FURTHER], ids=str)
 def test_a_fault_is_covered_or_named(fault: Fault, tmp_path: Path) -> None:
     found = outcome(fault, tmp_path)
     good = handled(fault, found)

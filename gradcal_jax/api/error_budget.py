@@ -49,6 +49,7 @@ TURN_ON: Final = "turn-on bias"
 OFF_THERMOMETER: Final = "offset of the temperature"
 SCALE_OF_ANGLE: Final = "scale of the table's angle"
 BACKLASH: Final = "backlash of the table's drive"
+CLOCKS: Final = "clocks that contradict each other"
 BESIDE_THE_AXIS: Final = "misalignment of the input axis from the table's axis"
 UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
 # Temperatures at which the slope of a map is taken, and the step of the difference, K.
@@ -90,13 +91,14 @@ class SystematicFigures(NamedTuple):
 class EstimatedRun(NamedTuple):
     """An estimate in the place of a plan: its parameters `(p,)`, the range of temperature of its data (°C), and the
     standard deviation of its lag (s) beyond what the covariance contains (None: the spec's). `one_way`: the temperature
-    never returns."""
+    never returns; `clock_doubt`: a ratio by which the log's clocks are apart."""
 
     parameters: np.ndarray
     temperature_c: tuple[float, float]
     ramp: float
     lag_std: float | None = None
     one_way: bool = False
+    clock_doubt: float = 0.0
 
 
 def systematic_figures(spec: Spec) -> SystematicFigures:
@@ -321,7 +323,7 @@ def budget_of_estimate(
         scale = {} if built.spec.is_one_axis else {SCALE_OF_ANGLE: 0.0}
         lash = {"backlash": 0.0} if any(size for _, size in gears) else {}
         both = [of._replace(scale={**of.scale, **scale}, **lash) for of in both]
-    named, complete = both
+    named, complete = (of._replace(scale={**of.scale, CLOCKS: done.clock_doubt}) for of in both)
     size, terms = built.model.size, terms_of_imu(built)
     turns = turns_of(built.motion) if complete.backlash else None
     own, whole = (columns_of(figures, terms, size, done.ramp, done, turns) for figures in (named, complete))

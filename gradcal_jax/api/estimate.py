@@ -347,7 +347,7 @@ def report_of(
     # At stable temperatures nothing lags, and between them no data are used.
     ramp = 0.0 if stable else ramp_of_record(rows.time_s[record], temperature[record])
     one_way = bool(abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record]))
-    run = EstimatedRun(solution.parameters, covered[0], ramp, lag.uncounted, one_way)
+    run = EstimatedRun(solution.parameters, covered[0], ramp, lag.uncounted, one_way, options.clock_doubt)
     estimated = built._replace(about=solution.parameters)
     budget = budget_of_estimate(estimated, known, run, noise)
     structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))

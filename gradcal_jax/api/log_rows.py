@@ -39,6 +39,8 @@ class Options:
     smoothness: Literal["spec", "auto"] = "spec"
     clock: Literal["sensor", "host"] | None = None
     """None: the spec's clock; if the spec states none and the log has both clocks, the computer's clock."""
+    clock_doubt: float = 0.0
+    """A further uncertainty of the clock, a ratio; what the log's clocks are apart is added to it."""
     read_every: float | None = None
     """Time between readings (s) of a log with the angle in every row; None: that of the spec, otherwise 1 s."""
     table_axis: str | None = None
@@ -242,18 +244,18 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
                 f"the log does not compare the sensor's clock with the computer's: the estimate assumes a clock error "
                 f"of {error}, but a prediction from the spec assumes {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
             )
-    doubted = [fit for fit in apart if abs(fit.slope - 1.0) > _DOUBTED * _clocks_differ_by(fit, error)]
-    doubt = max([fit.bend for fit in fits] + [abs(fit.slope - 1.0) for fit in doubted], default=0.0)
+    # Who states which clock counts answers for it.
+    chosen = options.clock or spec.sensor.clock
+    doubted = [] if chosen else [f for f in apart if abs(f.slope - 1.0) > _DOUBTED * _clocks_differ_by(f, error)]
+    doubts = [options.clock_doubt, *(fit.bend for fit in fits), *(abs(fit.slope - 1.0) for fit in doubted)]
     # Every log has a slope of its own to the host's clock; the error that they share is at most the largest.
-    std = max((float(np.hypot(np.hypot(fit.std or 0.0, HOST_CLOCK), doubt)) for fit in fits), default=np.inf)
+    std = max((float(np.hypot(fit.std or 0.0, HOST_CLOCK)) for fit in fits), default=np.inf)
     omitted = spec.sensor.clock is None and error is None
     if not (omitted and clock == "host" and std < _AS_COUNTED * HOST_CLOCK):
         # Otherwise the computer's clock counts as in a prediction: as a term that the spec omits.
         counted: dict[str, object] = {"clock": "sensor"}
         if clock == "host":
             counted["sample_clock_error"] = Quantity.of(std, "ppm")
-        elif doubt:
-            counted["sample_clock_error"] = Quantity.of(float(np.hypot(float(error or _QUARTZ), doubt)), "ppm")
         spec = spec.model_copy(update={"sensor": spec.sensor.model_copy(update=counted)})
     for fit in apart:
         ending = "" if clock == "host" else "; --clock host uses the computer's clock"
@@ -264,14 +266,14 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
         )
     if doubted:
         said.append(
-            "this difference of the clocks counts as uncertainty of the clock, since the computer's clock may be the "
-            "wrong one: if the sensor's is as poor, state this as sample_clock_error"
+            "this difference of the clocks counts as uncertainty of the scale factors, since the computer's clock may "
+            "be the wrong one: if the sensor's is as poor, state this as sample_clock_error, or state the clock"
         )
     if (bend := max((fit.bend for fit in fits), default=0.0)) > 0.0:
         said.append(
             f"the log's two clocks do not keep one ratio: in parts of the log it differs by up to {bend * 1e6:.3g} ppm "
-            "from its mean, which counts as uncertainty of the clock: was the computer's clock set during the log, or "
-            "does the sensor's depend on temperature?"
+            "from its mean, which counts as uncertainty of the scale factors: was the computer's clock set during the "
+            "log, or does the sensor's depend on temperature?"
         )
     if (arm := absent_lever_arm(spec)) is not None:
         spec = changed(spec, {arm.key: arm.value})
@@ -279,7 +281,7 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
             f"rotation causes a specific force that the g-sensitivity of the gyros turns into a bias; the spec states "
             f"no lever arm, so it is estimated with the prior {arm.key} = {arm.value} (1σ; {arm.source})"
         )
-    return spec, replace(options, clock=clock), said
+    return spec, replace(options, clock=clock, clock_doubt=max(doubts)), said
 
 
 def with_earth(spec: Spec, earth_rate: float) -> Spec:

@@ -403,6 +403,33 @@ def test_two_clocks_that_contradict_each_other_are_said_and_the_computers_is_use
     assert any("contradict" in m and "--clock host" in m for m in unit["messages"])
 
 
+def test_clocks_that_are_apart_count_until_someone_says_which_is_right(recorded):
+    """The computer's may be the wrong one. So may one that was set, or a sensor's that depends on temperature."""
+    log, _ = recorded
+    time, jitter = log.time_s, 1e-4 * np.abs(np.random.default_rng(1).standard_normal(len(log.time_s)))
+    middle = 0.5 * (time[0] + time[-1])
+
+    def left_of(host, **options):
+        report, rows = estimated(EXACT, replace(log, host_time_s=host + jitter), **options)
+        return rows["M"].judged, [m for m in report.messages[log.units[0]] if "counts as uncertainty of the scale" in m]
+
+    plain, said = left_of(time)
+    assert not said
+    apart, (said,) = left_of(1.0002 * time)
+    assert apart == pytest.approx(np.hypot(plain, 200.0), rel=0.02)
+    assert "state this as sample_clock_error" in said
+    # (A part per million is the computer's own.)
+    assert left_of(1.0002 * time, clock="host") == (pytest.approx(np.hypot(plain, 1.0), rel=1e-3), [])
+    # Two thousandths of a part of two minutes or more.
+    was_set, (*_, said) = left_of(time + 0.5 * (time > middle))
+    assert was_set > 1000.0
+    assert "do not keep one ratio" in said
+    bent, (said,) = left_of(time + 50e-6 * (time - middle) ** 2 / (time[-1] - time[0]))
+    assert 30.0 < bent < 55.0
+    assert "depend on temperature" in said
+    assert left_of(time + 50e-6 * (time - middle) ** 2 / (time[-1] - time[0]), clock="host")[0] == pytest.approx(bent, rel=1e-3)
+
+
 # --- contradictions ---------------------------------------------------------------------------------------------------
 
 

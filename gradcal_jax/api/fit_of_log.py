@@ -202,14 +202,19 @@ def _read(
 
 def _likely(built: BuiltImu, name: str, fit: Fit) -> Fit:
     """The same fit. Errors: `LogError` for readings of another IMU or table."""
-    solution = fit.solution
-    _refuse_the_implausible(built, name, solution)
-    scale = float(np.sqrt(solution.estimate.chi_squared / max(solution.estimate.degrees, 1)))
+    estimate = fit.solution.estimate
+    scale = float(np.sqrt(estimate.chi_squared / max(estimate.degrees, 1)))
+    absurd = (
+        f"the readings of the IMU differ from those of the table by {scale:.3g} times the noise: do the mounting, the "
+        "axes and signs of the IMU and the table's angles agree with the spec?"
+    )
+    try:
+        _refuse_the_implausible(built, name, fit.solution)
+    except LogError as error:
+        # What is implausible may only follow from readings of the table that are wrong.
+        raise (LogError(f"{error} And {absurd}") if scale > _ABSURD else error) from None
     if scale > _ABSURD:
-        raise LogError(
-            f"{name}: the readings of the IMU differ from those of the table by {scale:.3g} times the noise: do "
-            "the mounting, the axes and signs of the IMU and the table's angles agree with the spec?"
-        )
+        raise LogError(f"{name}: {absurd}")
     return fit
 
 

@@ -316,7 +316,8 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
         size = built.spec.sensor.temperature_lag
         lag, fit, said = fit_with_lag(fit_at, temperature_of, size, wanted=options.lag == "fit")
         messages = *messages, *said
-    temperature, doubts = temperature_of(lag.seconds), temperature_of.doubts(lag.seconds)
+    temperature = temperature_of(lag.seconds)
+    doubts = [] if stable else temperature_of.doubts(lag.seconds)
     if fit is not None and threshold is None:
         fit = _likely(built, name, fit)
     else:

@@ -40,7 +40,7 @@ class Options:
     clock: Literal["sensor", "host"] | None = None
     """None: the spec's clock; if the spec states none and the log has both clocks, the computer's clock."""
     clock_doubt: float = 0.0
-    """A further uncertainty of the clock, a ratio; what the log's clocks are apart is added to it."""
+    """A further uncertainty of the clock, a ratio; at least what the log's clocks are apart, unless someone chose."""
     read_every: float | None = None
     """Time between readings (s) of a log with the angle in every row; None: that of the spec, otherwise 1 s."""
     table_axis: str | None = None
@@ -134,13 +134,11 @@ def usable_rows(log: Log, unit: int) -> np.ndarray:
 
 class ClockFit(NamedTuple):
     """A log's two clocks: a second of the sensor is `slope` seconds of the computer, to `std` (a ratio; None: the log
-    does not say). `since`: how that is known, in words; `bend`: how far the ratio in a part of the log is from its
-    mean, at most, if beyond chance."""
+    does not say). `since`: how that is known, in words."""
 
     slope: float
     std: float | None
     since: str
-    bend: float = 0.0
 
     @property
     def sentence(self) -> str:
@@ -198,17 +196,20 @@ def clock_fit(log: Log) -> ClockFit:
         exact = spread <= np.spacing(max(np.abs(log.time_s).max(), np.abs(log.host_time_s).max()))
         if exact:
             return ClockFit(slope, None, "")
-        std, bend = spread / float(levers.sum()) ** 0.5, _bend(sensor, host - slope * sensor, starts)
-        return ClockFit(slope, std, " from the scatter of the time stamps", bend)
+        return ClockFit(slope, spread / float(levers.sum()) ** 0.5, " from the scatter of the time stamps")
     slopes = np.add.reduceat(sensor * host, starts) / levers
     slope = float(np.average(slopes, weights=stds**-2.0))
     return ClockFit(slope, float(np.sum(stds**-2.0)) ** -0.5, " from the arrival times of its samples")
 
 
-def _bend(time: np.ndarray, late: np.ndarray, starts: np.ndarray) -> float:
-    """The largest slope, beyond chance, between parts of each stretch of what a clock is late (s) behind a straight
-    line; a ratio."""
-    largest = 0.0
+def _bend(log: Log, fit: ClockFit) -> float:
+    """How far the ratio of the clocks between parts of a log is from its mean, at most, beyond chance and beyond the
+    computer's own error. (The log of a run has a line in the place of the computer's stamps.)"""
+    starts, stds = _clock_fits(log)
+    if log.host_time_s is None or stds is not None or fit.std is None:
+        return 0.0
+    time, largest = _centred(log.time_s, starts), HOST_CLOCK
+    late = _centred(log.host_time_s, starts) - fit.slope * time
     for first, end in itertools.pairwise([*starts.tolist(), len(time)]):
         count = min(int((time[end - 1] - time[first]) / _PART_S), (end - first) // _PART_ROWS, _PARTS)
         if count < 2:
@@ -220,7 +221,7 @@ def _bend(time: np.ndarray, late: np.ndarray, starts: np.ndarray) -> float:
         square = np.add.reduceat(np.diff(late[first:end], append=late[end - 1]) ** 2, edges[:-1] - first) / (2.0 * rows)
         slope, std = np.diff(mean) / np.diff(at), np.sqrt((square / rows)[1:] + (square / rows)[:-1]) / np.diff(at)
         largest = max(largest, float(np.max(np.abs(slope), initial=0.0, where=np.abs(slope) > _BENT * std)))
-    return largest
+    return largest if largest > HOST_CLOCK else 0.0
 
 
 def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spec, Options, list[str]]:
@@ -233,7 +234,8 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
     clock, error, said = options.clock or spec.sensor.clock, spec.sensor.sample_clock_error, list[str]()
     both = clock is None and all(default_clock(log) == "host" for log in logs)
     compared = both or clock == "host"
-    fits = [clock_fit(log) for log in logs if compared or (log.host_time_s is not None and len(log.time_s) > 1)]
+    stamped = [log for log in logs if compared or (log.host_time_s is not None and len(log.time_s) > 1)]
+    fits = [clock_fit(log) for log in stamped]
     apart = [fit for fit in fits if abs(fit.slope - 1.0) > _APART * _clocks_differ_by(fit, error)]
     if clock is None:
         # The better of the two, unless the sensor's is contradicted.
@@ -247,7 +249,8 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
     # Who states which clock counts answers for it.
     chosen = options.clock or spec.sensor.clock
     doubted = [] if chosen else [f for f in apart if abs(f.slope - 1.0) > _DOUBTED * _clocks_differ_by(f, error)]
-    doubts = [options.clock_doubt, *(fit.bend for fit in fits), *(abs(fit.slope - 1.0) for fit in doubted)]
+    bend = max(map(_bend, stamped, fits), default=0.0)
+    doubt = max([options.clock_doubt, bend, *(abs(fit.slope - 1.0) for fit in doubted)])
     # Every log has a slope of its own to the host's clock; the error that they share is at most the largest.
     std = max((float(np.hypot(fit.std or 0.0, HOST_CLOCK)) for fit in fits), default=np.inf)
     omitted = spec.sensor.clock is None and error is None
@@ -269,7 +272,7 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
             "this difference of the clocks counts as uncertainty of the scale factors, since the computer's clock may "
             "be the wrong one: if the sensor's is as poor, state this as sample_clock_error, or state the clock"
         )
-    if (bend := max((fit.bend for fit in fits), default=0.0)) > 0.0:
+    if bend:
         said.append(
             f"the log's two clocks do not keep one ratio: in parts of the log it differs by up to {bend * 1e6:.3g} ppm "
             "from its mean, which counts as uncertainty of the scale factors: was the computer's clock set during the "
@@ -281,7 +284,7 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
             f"rotation causes a specific force that the g-sensitivity of the gyros turns into a bias; the spec states "
             f"no lever arm, so it is estimated with the prior {arm.key} = {arm.value} (1σ; {arm.source})"
         )
-    return spec, replace(options, clock=clock, clock_doubt=max(doubts)), said
+    return spec, replace(options, clock=clock, clock_doubt=doubt), said
 
 
 def with_earth(spec: Spec, earth_rate: float) -> Spec:

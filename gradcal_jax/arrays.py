@@ -6,6 +6,7 @@ differ between the two libraries.
 """
 
 from collections.abc import Callable
+from functools import wraps
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
@@ -37,6 +38,24 @@ class PytreeModule(eqx.Module):
     __getattribute__ = object.__getattribute__
 
     __repr__ = summary
+
+
+def once(method: Callable[[Any], Carry]) -> Callable[[Any], Carry]:
+    """A method without arguments whose result is kept with its object; a tracer's is not, which must not outlive its
+    trace."""
+
+    name = f"_{method.__name__}"
+
+    @wraps(method)
+    def kept(self):
+        known = self.__dict__.get(name)
+        if known is None:
+            known = method(self)
+            if namespace(known) is np:
+                self.__dict__[name] = known
+        return known
+
+    return kept
 
 
 def namespace(*trees: Any) -> Any:

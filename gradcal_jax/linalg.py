@@ -144,6 +144,6 @@ def solve_transposed(factor: Float[AnyArray, "p p"], right: Float[AnyArray, "p m
 def column_norms(rows: Float[AnyArray, "n p"]) -> Float[AnyArray, " p"]:
     """Euclidean norm of each column, 1 where a column is zero; its derivative is zero there, not NaN."""
     xp = namespace(rows)
-    square = xp.sum(rows * rows, axis=0)
+    square = xp.einsum("ij,ij->j", rows, rows)
     alive = square > 0.0
     return xp.where(alive, xp.sqrt(xp.where(alive, square, 1.0)), 1.0)

@@ -277,7 +277,7 @@ def budget_of_imu(
         fit = known if complete is built else imu_posterior(complete)
     turn_on = another_run(systematic_figures(complete.spec), terms_of_imu(complete), complete.model.size)
     every = columns_of_imu(complete)
-    own = own_of_imu(built, known)
+    own = widened(known, every) if complete is built else own_of_imu(built, known)
     whole = own if fit is known else widened(fit, every)
     return CountedPosteriors(own, whole, widened(whole, turn_on), complete, fit, every | turn_on)
 

@@ -242,8 +242,10 @@ def _as_before(built: BuiltImu, known: Posterior, before: Posterior) -> list[str
     sentences: list[str] = []
     for requirement in built.spec.requirement:
         quantity = quantity_of(built, requirement, _FEW)
-        then, now = (quantity.residual(k).statistic() for k in (before, known))
-        if then is not None and now is not None and now > NOT_OBSERVED * then:
+        if (then := quantity.residual(before).statistic()) is None:
+            continue
+        now = quantity.residual(known).statistic()
+        if now is not None and now > NOT_OBSERVED * then:
             sentences.append(
                 f"requirement '{requirement.name}' depends only on the priors: the plan does not observe it"
             )
@@ -266,7 +268,8 @@ def _saturated(built: BuiltImu, fastest: np.ndarray) -> list[str]:
 def _fastest(built: BuiltImu, axes: np.ndarray) -> np.ndarray:
     """The fastest turn along each of the body's axes, rad/s."""
     motion = built.motion
-    moves = motion.example[np.unique(motion.kind[(motion.axis >= 0) & ~motion.line.gap])]
+    turned = np.bincount(motion.kind[(motion.axis >= 0) & ~motion.line.gap], minlength=len(motion.example))
+    moves = motion.example[np.flatnonzero(turned)]
     places = np.broadcast_to(np.linspace(0.0, 1.0, _PLACES), (len(moves), _PLACES))
     fastest = np.max(np.abs(motion.line.rate(places, moves)), axis=1, initial=0.0)
     return np.max(np.abs(axes[moves, motion.axis[moves]]) * fastest[:, None], axis=0, initial=0.0)

@@ -257,7 +257,7 @@ def _carried(model: ImuModel) -> np.ndarray:
 def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Requirement) -> RequirementRow:
     """The residual and the verdict of one requirement."""
     left = imu_residual(built, budget.own, requirement)
-    judged, more = _judged(budget, requirement)
+    judged, more = _judged(budget, requirement, left)
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
     flown = requirement if isinstance(requirement, MissionHeadingRequirement) else None
     worst, own = judged.worst_axis(), own_noise_of(built, requirement)
@@ -281,10 +281,16 @@ def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Req
     )
 
 
-def _judged(budget: CountedPosteriors, requirement: Requirement) -> tuple[ImuResidual, dict[str, Any]]:
-    """The residual that the verdict judges, and its fields in the row: with omitted terms, and with another run."""
+def _judged(
+    budget: CountedPosteriors, requirement: Requirement, own: ImuResidual | None = None
+) -> tuple[ImuResidual, dict[str, Any]]:
+    """The residual that the verdict judges, and its fields in the row: with omitted terms, and with another run. `own`:
+    the residual with what the spec names, if it is known."""
     fields: dict[str, Any] = {}
-    judged = imu_residual(budget.built, budget.whole, requirement)
+    if budget.whole is budget.own and own is not None:
+        judged = own
+    else:
+        judged = imu_residual(budget.built, budget.whole, requirement)
     if budget.whole is not budget.own:
         fields["with_typical"] = judged.statistic()
     if run_of(requirement) == "any run" and budget.any_run is not budget.whole:

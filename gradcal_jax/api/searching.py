@@ -270,9 +270,9 @@ def search_plans(
 _CHECKPOINT = "gradcal-search/1"
 
 
-def write_checkpoint(path: Path, spec: Spec, checkpoint: Mapping[str, np.ndarray]) -> None:
-    """Write a checkpoint, atomically."""
-    arrays = {**checkpoint, "format": np.array(_CHECKPOINT), "spec": np.array(_fingerprint(spec))}
+def write_checkpoint(path: Path, spec: str, checkpoint: Mapping[str, np.ndarray]) -> None:
+    """Write a checkpoint, atomically, for the spec with this fingerprint."""
+    arrays = {**checkpoint, "format": np.array(_CHECKPOINT), "spec": np.array(spec)}
     with whole(path) as passing, passing.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
 
@@ -286,7 +286,7 @@ def read_checkpoint(path: Path, spec: Spec) -> dict[str, np.ndarray]:
             arrays = {name: file[name] for name in file.files}
         if str(arrays["format"]) != _CHECKPOINT:
             raise ValueError(f"{path} is not a search saved by optimise")
-        if str(arrays["spec"]) != _fingerprint(spec):
+        if str(arrays["spec"]) != fingerprint(spec):
             raise ValueError(f"{path} was saved for another spec: start again, without --resume")
         return arrays
     except (OSError, KeyError, zipfile.BadZipFile, EOFError) as error:
@@ -295,5 +295,6 @@ def read_checkpoint(path: Path, spec: Spec) -> dict[str, np.ndarray]:
         ) from error
 
 
-def _fingerprint(spec: Spec) -> str:
+def fingerprint(spec: Spec) -> str:
+    """What tells a spec from others."""
     return hashlib.sha256(to_toml(spec).encode()).hexdigest()

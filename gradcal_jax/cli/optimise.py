@@ -232,6 +232,7 @@ def search_and_watch(
     from gradcal_jax.api.searching import Optimised
 
     best: Optimised | None = None
+    of_spec = "" if kept is None else searching.fingerprint(spec)
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
         if not spec.turns_one_gyro:
             line.show("compiling the objective and its gradient: 10 to 30 s")
@@ -240,7 +241,7 @@ def search_and_watch(
                 best = event
                 continue
             if kept is not None and event.checkpoint:
-                searching.write_checkpoint(kept, spec, event.checkpoint)
+                searching.write_checkpoint(kept, of_spec, event.checkpoint)
             line.show(progress_of(event), event.share, number=amount(event.best, event.unit))
     assert best is not None
     return best, interrupt.asked

@@ -73,6 +73,11 @@ class Objective(eqx.Module):
         template = getattr(self.coordinates, "template", None)
         return len(self.cases) * (0 if template is None else template.piece_count)
 
+    @property
+    def limited(self) -> bool:
+        """Whether there are limits."""
+        return bool(self.targets.shape[0])
+
     def value(self, z: Float[AnyArray, " n"], sharpness):
         """Value and excess of a vector's plan."""
         assert self.coordinates is not None

@@ -35,6 +35,8 @@ _CHEAP, _FEWEST_DEAR = 1024, 2
 # than this share.
 _HOPS = (0.3, 1.0)
 _HOP_GAIN = 1e-3
+# A descent of the search ends where twenty evaluations gain less than this share: a polish follows.
+_DESCENT_GAIN = 2e-4
 # The merit of a point without a finite value.
 _NOWHERE = 1e3
 _LARGEST = 700.0
@@ -57,11 +59,14 @@ class Minimised(Protocol):
     """An objective: a pytree, so that its numbers are arguments of the compiled program.
 
     `value(z, sharpness)`: the positive value and the log excess (k,) over limits. `cost`: noise steps of one
-    evaluation.
+    evaluation; `limited`: whether there are limits.
     """
 
     @property
     def cost(self) -> int: ...
+
+    @property
+    def limited(self) -> bool: ...
 
     def value(self, z, sharpness) -> tuple[Any, Any]: ...
 
@@ -123,11 +128,14 @@ class Compiled:
         self._program, self._descent = _program(structure), _descent(structure)
         self._whole = whole
         self._places = np.arange(whole) if places is None else places
-        self.cost = objective.cost
+        self.cost, self.limited = objective.cost, objective.limited
         self.size = len(self._places)
 
     def __call__(self, z: Float[np.ndarray, " n"], sharpness: float = np.inf) -> Slopes:
-        """Value and slopes at a point; an infinite sharpness is exact."""
+        """Value and slopes at a point; an infinite sharpness is exact. Without limits by the program of the descents,
+        so that no other one is compiled."""
+        if not self.limited:
+            return self._of_merit(z, sharpness)
         whole = np.zeros(self._whole)
         whole[self._places] = z
         logs, of_z = (np.asarray(x) for x in self._program(self._leaves, whole, sharpness))
@@ -136,9 +144,12 @@ class Compiled:
     def merit(self, z: Float[np.ndarray, " n"]) -> float:
         """The exact merit (`Slopes.merit`) at a point, by the program of the descents: until its polish a search
         compiles no other one."""
-        reached = next(self._descent(*self._whole_of(z, np.inf), evaluations=1))
-        gradient = reached.gradient[self._places]
-        return reached.value if np.isfinite(reached.value) and np.all(np.isfinite(gradient)) else _NOWHERE
+        return self._of_merit(z, np.inf).merit()[0]
+
+    def _of_merit(self, z: Float[np.ndarray, " n"], sharpness: float) -> Slopes:
+        """The merit and its slopes at a point, as of an objective without limits."""
+        reached = next(self._descent(*self._whole_of(np.asarray(z), sharpness), evaluations=1))
+        return Slopes(np.array([reached.value]), reached.gradient[None, self._places])
 
     def _whole_of(self, z: np.ndarray, sharpness: float) -> tuple[np.ndarray, tuple[Any, ...]]:
         """A point, or several ones, and the other arguments of the descent's program."""
@@ -147,14 +158,19 @@ class Compiled:
         return whole, (self._leaves, mask, np.asarray(sharpness))
 
     def descend(
-        self, z: Float[np.ndarray, " n"], sharpness: float, evaluations: int, stop: Callable[[], bool] = lambda: False
+        self,
+        z: Float[np.ndarray, " n"],
+        sharpness: float,
+        evaluations: int,
+        stop: Callable[[], bool] = lambda: False,
+        gain: float = 0.0,
     ) -> Float[np.ndarray, " n"]:
-        """The end of a descent of the merit (`Slopes.merit`) from a point, after at most so many evaluations or, once
-        `stop()` is true, its present point."""
-        whole, args = self._whole_of(z, sharpness)
+        """The end of a descent of the merit (`Slopes.merit`) from a point, after at most so many evaluations, where a
+        block of them gains less than `gain` or, once `stop()` is true, its present point."""
+        (whole, args), before = self._whole_of(z, sharpness), np.inf
         for reached in self._descent(whole, args, evaluations=evaluations):
-            whole = reached.point
-            if stop():
+            whole, gained, before = reached.point, before - reached.value, reached.value
+            if stop() or gained < gain:
                 break
         return whole[self._places]
 
@@ -307,7 +323,7 @@ def _descents(
     evaluations = _BEGINNING + _EVALUATIONS * steps
 
     def descend(z: np.ndarray) -> np.ndarray:
-        return compiled.descend(z, sharpness, evaluations, stop)
+        return compiled.descend(z, sharpness, evaluations, stop, _DESCENT_GAIN)
 
     if jax.default_backend() != "cpu":
         # Of one size, which is compiled once: the last ones descend several times.
@@ -344,15 +360,15 @@ def polish(
         return seen[key]
 
     limits = []
-    if len(at(point)[0]) > 1:
+    if compiled.limited:
         limits.append({"type": "ineq", "fun": lambda z: -at(z)[0][1:], "jac": lambda z: -at(z)[1][1:]})
-    from scipy.optimize import minimize
-
     options = {"maxiter": steps, "ftol": 1e-12}
     value, excess = exactly(compiled, point)
     norm = np.inf
     for _ in range(rounds):
         if limits:
+            from scipy.optimize import minimize
+
             fun = lambda z: (float(at(z)[0][0]), at(z)[1][0].copy())  # noqa: E731 (SLSQP overwrites its argument.)
             reached = minimize(fun, point, jac=True, method="SLSQP", constraints=limits, options=options).x
         else:
@@ -396,6 +412,8 @@ def exactly(compiled: Compiled, point: np.ndarray) -> tuple[float, np.ndarray]:
 
 def multipliers(compiled: Compiled, point: np.ndarray) -> Float[np.ndarray, " k"]:
     """At an optimum: price of each compiled limit, d log value / d log excess; 0 where it does not bind."""
+    if not compiled.limited:
+        return np.zeros(0)
     from scipy.optimize import nnls
 
     values, rows = compiled(np.asarray(point), SHARPNESS[-1])

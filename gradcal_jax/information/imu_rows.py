@@ -21,7 +21,7 @@ of both. Where the reference is a held rate, every segment's error is one draw o
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -159,10 +159,12 @@ def _columns(model: ImuModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray,
     shared = at.sums(shared[nodes.kind])
     parts, begin, calibrated = [], 0, model.calibrated
     for i, (c, block) in enumerate(zip(model.channels, own, strict=True)):
-        rows = np.flatnonzero(at.row_channel == i)
-        segment, end = at.row_segment[rows], begin + c.model.size
+        rows, end = np.flatnonzero(at.row_channel == i), begin + c.model.size
+        # (All segments are most often rows of an only channel.)
+        segment = slice(None) if len(rows) == len(at.row_channel) == len(at.first) else at.row_segment[rows]
         parts.append(((rows, slice(begin, end)), at.sums(block)[segment]))
-        parts.append(((rows, slice(calibrated, None)), shared[segment, c.index]))
+        if model.installation:
+            parts.append(((rows, slice(calibrated, None)), shared[segment, c.index]))
         begin = end
     return _without_rounding(placed((len(at.row_channel), model.size), *parts), model.units())
 
@@ -233,9 +235,10 @@ def _joint_steps(
             ((everything, states, states), q_self),
         ]
         initial.append(((states, states), p.initial_std**2))
-    end_of_segment = at.last if by_pieces else np.arange(len(at.first))
     states = np.arange(channels + m, n)
-    pairs = (end_of_segment[:, None, None], states[:, None], states[None])
+    pairs: tuple[Any, ...] = (everything, slice(channels + m, n), slice(channels + m, n))
+    if by_pieces:
+        pairs = (at.last[:, None, None], states[:, None], states[None])
     # Between the ends of segments the errors stay as they are.
     transition += [((everything, states, states), 1.0), (pairs, errors.transition)]
     covariance.append((pairs, errors.covariance))
@@ -391,7 +394,7 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Im
     xp, axes = namespace(nodes.axes_before, motion.line.duration), motion.geometry.axis_count
     before, after = motion.angles()
     # For an example of each kind: begin and total angle of its segment.
-    segment = np.repeat(np.arange(len(at.first)), at.last - at.first + 1)[motion.example]
+    segment = np.searchsorted(at.first, motion.example, side="right") - 1
     began, whole = before[at.first[segment]], (after[at.last] - before[at.first])[segment]
 
     def of_group(g: BodyGroup):
@@ -403,22 +406,22 @@ def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: Im
         gone = xp.clip((g.angle - begin) / xp.where(away, span, 1.0), 0.0, 1.0)
         share = xp.where(turns, xp.where(away, gone, 0.5), stands)
         shares = xp.stack([share, 1.0 - share], axis=-1) * g.weight[..., None, None]
-        parts = [xp.swapaxes(shares[:, :, k], -1, -2) @ g.turned(k) for k in range(axes)]
-        return xp.stack(parts, axis=2)
+        parts = [xp.swapaxes(shares[:, :, k], -1, -2) @ g.turned(k)[..., sensed] for k in range(axes)]
+        return xp.concatenate([xp.stack(parts, axis=2), of_sensed(g.integral(g.axes))[:, None]], axis=1)
 
-    slow = at.sums(nodes.integrals(of_group, (2, axes, 6))[nodes.kind])
+    # Of the rates and forces along the body's axes those that a channel senses.
+    sensed = np.array([c.index for c in model.channels])
+    of_sensed = lambda rates: xp.concatenate([rates, xp.zeros(rates.shape)], axis=-1)[..., sensed]  # noqa: E731
+    sums = at.sums(nodes.integrals(of_group, (3, axes, len(sensed)))[nodes.kind])
     if model.encoder.held and not motion.line.rates:
         own = at.axis[:, None] == np.arange(axes)[None, :]
-        along = xp.where(own[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0)
+        along = of_sensed(xp.where(own[..., None], nodes.axes_before[nodes.kind[at.first]], 0.0))
     else:
-        directed = at.sums(nodes.integrals(lambda g: g.integral(g.axes), (axes, 3))[nodes.kind])
         lasting = at.sums(motion.line.duration)[:, None, None]
-        along = directed / xp.where(lasting > 0.0, lasting, 1.0)
-    along = xp.concatenate([along, xp.zeros(along.shape)], axis=-1)
-    slow = slow + xp.stack([along, -along], axis=1)
-    index = np.array([c.index for c in model.channels])[at.row_channel]
-    of_encoder = slow[at.row_segment, :, :, index]
-    count = len(index)
+        along = sums[:, 2] / xp.where(lasting > 0.0, lasting, 1.0)
+    slow = sums[:, :2] + xp.stack([along, -along], axis=1)
+    of_encoder = slow[at.row_segment, :, :, at.row_channel]
+    count = len(at.row_channel)
     parts = [
         ((slice(None), np.arange(begin, begin + axes)), of_encoder[:, k])
         for k, begin in enumerate(range(encoders, min(n, encoders + 2 * axes), axes))

@@ -21,8 +21,9 @@ from gradcal_jax.information.compiled import CompiledSource, NotCompiled, call, 
 from gradcal_jax.information.noise_steps import NoiseSteps
 
 _SOURCE = Path(__file__).with_name("filter.cc")
-# Number of readings that NumPy filters in about half the compiler's time.
-_WORTH = 40_000
+# Number of readings that NumPy filters in about half the compiler's time; and from which on the compiler runs beside,
+# for this process and all later ones.
+_WORTH, _BESIDE = 40_000, 6_000
 _asked: Counter[int] = Counter()
 
 
@@ -75,14 +76,16 @@ class Native(NamedTuple):
 def plain(states: int, readings: int) -> Callable[..., list[np.ndarray]] | None:
     """The filter for NumPy's doubles: from state, steps and columns to the rows and the state after the last reading.
 
-    None without a compiler, and until enough readings were filtered for compilation to pay.
+    None without a compiler, and until enough readings were filtered for compilation to pay, or it is done.
     """
     _asked[states] += readings
-    if not states or (_asked[states] <= _WORTH and not is_at_hand(_SOURCE, *_definitions(states))):
+    if not states or (_asked[states] <= _BESIDE and not is_at_hand(_SOURCE, *_definitions(states))):
         return None
     try:
         work = begin_filter(states)
-        loaded = None if work is None else work.wait().loaded
+        if work is None or not (_asked[states] > _WORTH or is_at_hand(_SOURCE, *_definitions(states))):
+            return None
+        loaded = work.wait().loaded
     except NotCompiled:
         return None
     return None if loaded is None else partial(_plainly, loaded.gradcal_filter_plain)

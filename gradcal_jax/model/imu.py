@@ -213,7 +213,10 @@ class ImuModel(PytreeModule):
             for (basis, late), terms in known.items():
                 drive = namespace(group.weight).concatenate([d for _, d in terms], axis=-1)
                 places = np.concatenate([at for at, _ in terms], axis=1).ravel()
-                parts.append(((group.pieces[:, None], places), shared.sums(basis(shared.temperature_at(late)), drive)))
+                where: tuple = group.pieces[:, None], places
+                if np.all(np.diff(places) == 1):  # (half the time)
+                    where = group.pieces, slice(places[0], places[-1] + 1)
+                parts.append((where, shared.sums(basis(shared.temperature_at(late)), drive)))
         columns = placed((len(nodes.kind), begin), *parts)
         return [columns[:, a:b] for a, b in pairwise([0, *ends])]
 

@@ -107,7 +107,7 @@ def joined(blocks: list[PieceTable]) -> PieceTable:
     begins = np.cumsum([0, *(len(block.read) for block in distinct)])
     places = [np.arange(begin, end) for begin, end in pairwise(begins)]
     rows = np.concatenate([places[number[id(block)]] for block in blocks])
-    return PieceTable._make(np.concatenate(field)[rows] for field in zip(*distinct, strict=True))
+    return PieceTable._make(np.concatenate(field).take(rows, axis=0) for field in zip(*distinct, strict=True))
 
 
 @lru_cache(maxsize=4096)

@@ -14,14 +14,14 @@ the rate outside that stage: the Earth's plus that of the outer axes.
 """
 
 from dataclasses import replace
-from functools import cached_property
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
-from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, size_class
+from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, once, size_class
 from gradcal_jax.formulas import EARTH_RATE, play_states
 from gradcal_jax.model import BodyGroup, BodyNodes, OtherTemperature
 from gradcal_jax.trajectory.gauss import EDGE, temperature_crossings
@@ -131,12 +131,9 @@ class TableMotion(PytreeModule):
     others: tuple[OtherTemperature, ...] = eqx.field(static=True, default=())
     behind: Float[AnyArray, " O"] | None = None
 
+    @once
     def angles(self) -> tuple[Float[AnyArray, "P L"], Float[AnyArray, "P L"]]:
         """Angles of all axes (rad) as each piece begins and as it ends."""
-        return self._angles
-
-    @cached_property
-    def _angles(self) -> tuple[Float[AnyArray, "P L"], Float[AnyArray, "P L"]]:
         xp = namespace(self.line.duration, self.line.terms, self.start_angles)
         after = xp.cumsum(xp.where(self.turns, self.line.turned()[:, None], 0.0), axis=0) + self.start_angles[None]
         return xp.concatenate([self.start_angles[None], after[:-1]]), after
@@ -200,18 +197,18 @@ def table_motion(
     before, after = TableMotion(line, axis, mounting, geometry, start_angles, each, each, each).angles()
     pose = np.round(np.mod(before, 2.0 * np.pi) / _SAME_POSE) % np.round(2.0 * np.pi / _SAME_POSE)
     # Standing pieces are alike wherever they lie in their rest.
-    within = np.where(np.any(line.terms, axis=1), [line.u_start, line.u_end], 0.0).T
-    terms = line.terms[:, np.any(line.terms, axis=0)]
-    of_motion = np.round(np.column_stack([line.duration, within, terms]) / _SAME_POSE)
+    within = np.where(line.turning(), [line.u_start, line.u_end], 0.0)
+    terms = line.terms.T[np.any(line.terms, axis=0)]
+    of_motion = np.round(np.stack([line.duration, *within, *terms]) / _SAME_POSE)
     # The encoder's error is interpolated between standstills over the whole move of a piece.
     first = np.flatnonzero(np.diff(line.segment, prepend=line.segment[0] - 1))
     segment = np.repeat(np.arange(len(first)), np.diff(first, append=line.piece_count))
     ends = np.append(first[1:], line.piece_count) - 1
     of_move = np.round(
-        np.column_stack([before - before[first][segment], (after[ends] - before[first])[segment]]) / _SAME_POSE
+        np.concatenate([(before - before[first][segment]).T, (after[ends] - before[first])[segment].T]) / _SAME_POSE
     )
-    of_angles = [] if waves is None else [pose, of_move]
-    key = np.column_stack([axis, mounting, line.moving, of_motion, *of_angles])
+    of_angles = [] if waves is None else [pose.T, of_move]
+    key = np.concatenate([np.stack([axis, mounting, line.moving]), of_motion, *of_angles])
     example, kind = _alike(key)
     turned = np.abs(line.turned()[example])
     nodes = nodes_of_turn(turned, waves or 0)
@@ -221,17 +218,26 @@ def table_motion(
     return TableMotion(line, axis, mounting, geometry, start_angles, kind, example, nodes)
 
 
-def _alike(key: Float[np.ndarray, "P c"]) -> tuple[np.ndarray, np.ndarray]:
-    """The first row of each kind of equal rows, and the kind of every row. (Sorting rows of floats takes ten times as
-    long as sorting a number for each; unequal rows with equal numbers would be seen.)"""
-    bits = np.ascontiguousarray(key + 0.0).view(np.uint64)
-    odd = np.random.default_rng(0).integers(2**63, size=key.shape[1], dtype=np.uint64) * np.uint64(2) + np.uint64(1)
-    mixed = (bits ^ (bits >> np.uint64(31))) * odd
-    number = np.bitwise_xor.reduce(mixed ^ (mixed >> np.uint64(29)), axis=1)
+@lru_cache(maxsize=64)
+def _odd_numbers(count: int) -> np.ndarray:
+    """`(count, 1)`: one for each row of a key."""
+    return 2 * np.random.default_rng(0).integers(2**63, size=(count, 1), dtype=np.uint64) + np.uint64(1)
+
+
+def _alike(key: Float[np.ndarray, "c P"]) -> tuple[np.ndarray, np.ndarray]:
+    """The first column of each kind of equal columns, and the kind of every column. (Sorting columns of floats takes
+    ten times as long as sorting a number for each; unequal columns with equal numbers would be seen.)"""
+    # Most follow one that is equal.
+    begins = np.append(True, np.any(key[:, 1:] != key[:, :-1], axis=0))
+    at = np.flatnonzero(begins)
+    key = key[:, at] + 0.0
+    bits = key.view(np.uint64)
+    mixed = (bits ^ (bits >> np.uint64(31))) * _odd_numbers(len(key))
+    number = np.bitwise_xor.reduce(mixed ^ (mixed >> np.uint64(29)), axis=0)
     _, example, kind = np.unique(number, return_index=True, return_inverse=True)
-    if np.any(key[example][kind] != key):
-        _, example, kind = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    return example, np.reshape(kind, -1)
+    if np.any(key[:, example][:, kind] != key):
+        _, example, kind = np.unique(key, axis=1, return_index=True, return_inverse=True)
+    return at[example], np.reshape(kind, -1)[np.cumsum(begins) - 1]
 
 
 def divided_motion(
@@ -246,6 +252,8 @@ def divided_motion(
     `temperature_breaks` °C; `rate_breaks` rad/s of the gyro along each of the body's axes, against the stars: the
     Earth's rate belongs to what it measures. `waves`, `least`: as for `table_motion`. Numbers must be known.
     """
+    if not temperature_breaks and not rate_breaks:
+        return motion
     pieces, at = temperature_crossings(motion.line, temperature_breaks)
     kinds, of_kinds = _rate_crossings(motion, rate_breaks)
     for kind in np.unique(kinds):
@@ -373,10 +381,12 @@ def _posed(motion: TableMotion, kinds: np.ndarray, before, v):
     """Angles (rad), rates (rad/s) of all axes and the mounting at fractions `v` `(n, q)` of examples of `kinds`."""
     xp, example = namespace(before, motion.line.duration), motion.example[kinds]
     own = motion.turns[example][:, None, :]
+    began, mounting = before[example][:, None, :], xp.broadcast_to(motion.mounting[example][:, None], v.shape)
+    if xp is np and not np.any(own):
+        still = np.broadcast_to(began, (*v.shape, own.shape[-1]))
+        return still, np.zeros(still.shape), mounting
     since, rate = motion.line.angle(v, example), motion.line.rate(v, example)
-    angle = before[example][:, None, :] + xp.where(own, since[..., None], 0.0)
-    joint = xp.where(own, rate[..., None], 0.0)
-    return angle, joint, xp.broadcast_to(motion.mounting[example][:, None], v.shape)
+    return began + xp.where(own, since[..., None], 0.0), xp.where(own, rate[..., None], 0.0), mounting
 
 
 def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
@@ -403,19 +413,21 @@ def _group(motion: TableMotion, kinds: np.ndarray, count: int, points: int, befo
     x, w = quadrature(count)
     v = xp.broadcast_to(xp.asarray(x), (len(kinds), count))
     angle, joint, mounting = _posed(motion, kinds, before, v)
-    pieces = np.flatnonzero(np.isin(motion.kind, kinds))
+    number = np.full(len(motion.example), -1)
+    number[kinds] = np.arange(len(kinds))
+    kind = number[motion.kind]
+    pieces = np.flatnonzero(kind >= 0)
     at, of_points = quadrature(points)
     places = xp.broadcast_to(xp.asarray(at), (len(pieces), points))
     temperatures = line.temperature(places, pieces)
     # A single node stands for what is constant along the piece.
     share = of_points[None] if count == 1 else lagrange(at, x)
-    kind = np.searchsorted(kinds, motion.kind[pieces])
     weight = xp.asarray(w)[None] * line.duration[example][:, None]
-    group = body_group(geometry, (kinds, pieces, kind), temperatures, share, weight, angle, joint, mounting)
     since = places * line.duration[pieces][:, None]
     others = {of.name: line.lagging(places, of.lag, behind, pieces) for of, behind in late}
-    path = {"slope": line.temperature_slope(since, pieces), "others": others or None}
-    return replace(group, time=line.start[pieces][:, None] + since, **path)
+    path = line.start[pieces][:, None] + since, line.temperature_slope(since, pieces), others or None
+    numbers = kinds, pieces, kind[pieces]
+    return body_group(geometry, numbers, temperatures, share, weight, angle, joint, mounting, path)
 
 
 def body_group(
@@ -427,10 +439,12 @@ def body_group(
     angle: Float[AnyArray, "U q L"],
     joint: Float[AnyArray, "U q L"],
     mounting: Int[AnyArray, "U q"],
+    path: tuple[Any, Any, Any] = (None, None, None),
 ) -> BodyGroup:
     """A group of nodes at which the table's axes stand at `angle` (rad) and turn at `joint` (rad/s).
 
-    `pieces`: numbers of the kinds, of the pieces, and of each piece's kind among the former. The rest: see `BodyGroup`.
+    `pieces`: numbers of the kinds, of the pieces, and of each piece's kind among the former; `path`: time, slope and
+    others. The rest: see `BodyGroup`.
     """
     xp = namespace(geometry, angle, joint)
     stages = frames(geometry, angle, mounting)
@@ -439,7 +453,9 @@ def body_group(
     below = xp.cumsum(turning, axis=-2)
     rate, outer = earth + below[..., -1, :], earth[..., None, :] + below - turning
     seen = rate, geometry.gravity * up, earth, up, stages.attitude, stages.axes, stages.crosses
-    return BodyGroup(*pieces, temperature, share, weight, *seen, outer, joint, angle)
+    time, slope, others = path
+    seen = *seen, outer, joint, angle
+    return BodyGroup(*pieces, temperature, share, weight, *seen, time=time, slope=slope, others=others)
 
 
 def lagrange(points: np.ndarray, at: np.ndarray) -> np.ndarray:

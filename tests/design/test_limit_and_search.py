@@ -323,6 +323,10 @@ class UnderALimit(eqx.Module):
     def cost(self) -> int:
         return 0
 
+    @property
+    def limited(self) -> bool:
+        return True
+
     def value(self, z, sharpness):
         del sharpness
         return self.offset + z @ z, jnp.log(2.0 / jnp.maximum(jnp.sum(z) + 10.0, 0.1) * 6.0)[None]

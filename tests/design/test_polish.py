@@ -18,6 +18,10 @@ class Objective(eqx.Module):
     def cost(self) -> int:
         return 0
 
+    @property
+    def limited(self) -> bool:
+        return False
+
 
 class Well(Objective):
     """A well with a flat plain about it: the gradient vanishes at its bottom, and far away at the largest value."""
@@ -63,3 +67,28 @@ def test_entries_that_pad_a_point_change_nothing():
 
     padded = polish(Compiled(Padded(LOWEST), 3, np.array([1, 2])), LOWEST + 0.6)
     np.testing.assert_allclose(padded.point, alone.point, rtol=1e-9)
+
+
+def test_without_limits_the_program_of_all_slopes_is_not_compiled(monkeypatch):
+    at = Compiled(Well(LOWEST), 2)
+    begin = LOWEST + 0.6
+    merit, _ = at(begin).merit()
+    values, slopes = (np.asarray(x) for x in at._program(at._leaves, begin, np.inf))
+    np.testing.assert_allclose([merit, *at(begin).of_z[0]], [*values, *slopes[0]], rtol=1e-12)
+
+    def refuse(*_):
+        raise AssertionError("the second program was called")
+
+    monkeypatch.setattr(at, "_program", refuse)
+    assert polish(at, begin).converged
+
+
+def test_a_descent_that_gains_little_ends_early():
+    at = Compiled(Valley(np.logspace(-2.5, 0.5, 8)[:, None] * np.eye(8)), 8)
+    value = lambda z: float(at(z, 1000.0).logs[0])  # noqa: E731
+    begin = np.zeros(8)
+    whole, brief = (at.descend(begin, 1000.0, 400, gain=gain) for gain in (0.0, 1e-2))
+    # (Blocks of twenty evaluations: the first one never ends a descent.)
+    first = at.descend(begin, 1000.0, 20, gain=1.0)
+    assert value(whole) < value(brief) <= value(first) < value(begin)
+    assert value(brief) - value(whole) < 0.1

@@ -283,9 +283,10 @@ def test_a_rig_without_an_axis_of_the_spec_is_refused() -> None:
 # ------------------------------------------------------------------------------------------------------- long proofs
 
 
-def in_band(value: float, degrees: int) -> bool:
-    """Whether a sum of squares lies within its 99 % band."""
-    return bool(chi2.ppf(0.005, degrees) < value < chi2.ppf(0.995, degrees))
+def in_band(value: float, degrees: int, among: int = 1) -> bool:
+    """Whether a sum of squares lies within its 99 % band, or all of so many within theirs with a chance of 99 %."""
+    tail = 0.005 / among
+    return bool(chi2.ppf(tail, degrees) < value < chi2.ppf(1.0 - tail, degrees))
 
 
 def show_in_bands(proof: str, said: tuple[float, int, float, int]) -> None:
@@ -297,13 +298,20 @@ def show_in_bands(proof: str, said: tuple[float, int, float, int]) -> None:
 
 @pytest.mark.evidence
 def test_three_units_on_a_two_axis_table(tmp_path: Path) -> None:
-    """Three cycles of `hand2` with three units on the table: all within their bands."""
-    recipe = made(hand(14.5))
-    assert execute.run(recipe, tmp_path / "run", simulate=True, seed=5, units=3).exit_status == "success"
-    hidden = json.loads((tmp_path / "run" / "hidden_truth.json").read_text(encoding="utf-8"))
-    for name, own in hidden["units"].items():
-        log = run_log.log(tmp_path / "run", name)
-        show_in_bands(f"a two-axis table, {name} of three", estimated(log, recipe.spec, own | hidden["installation"]))
+    """Three cycles of `hand2` with three units on the table, five times: together within the bands, and each within
+    that of one of fifteen."""
+    recipe, said = made(hand(14.5)), list[tuple[float, int, float, int]]()
+    for seed in range(5, 10):
+        run = tmp_path / f"run{seed}"
+        assert execute.run(recipe, run, simulate=True, seed=seed, units=3).exit_status == "success"
+        hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
+        for name, own in hidden["units"].items():
+            said.append(estimated(run_log.log(run, name), recipe.spec, own | hidden["installation"]))
+    for squares, degrees, nees, count in said:
+        assert in_band(squares, degrees, among=len(said)), said
+        assert in_band(nees, count, among=len(said)), said
+    squares, degrees, nees, count = (sum(of) for of in zip(*said, strict=True))
+    show_in_bands(f"a two-axis table, {len(said)} units, three at once", (squares, int(degrees), nees, int(count)))
 
 
 @pytest.mark.evidence

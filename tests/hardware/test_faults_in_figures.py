@@ -60,7 +60,7 @@ ASKED_F4 = Rtu(1).message(read_body(100))
 def believed(protocol: str, stream: bytes) -> list[object]:
     if protocol == "STIM300":
         return [None] * len(Stim300Decoder().push(stream + bytes(80), 0.0))
-    if protocol == "VectorNav binary":
+    if protocol.startswith("VectorNav binary"):
         return list(vectornav.VectorNavFramer().push(stream + bytes(600)))
     ways: dict[str, tuple[Any, Callable[[bytes], object]]] = {
         "ESPEC": (LineFramer(b"\r\n"), espec_temperatures),
@@ -86,7 +86,9 @@ FRAMES: dict[str, list[bytes]] = {
     "ODrive": [frame + b"\r\n" for frame in golden.ODRIVE_REPLIES],
     "STIM300": list(golden.STIM300_FRAMES),
     "STIM300 Utility Mode": [text.encode() + b"\r" for text in golden.STIM300_UTILITY_REPLIES],
-    "VectorNav binary": list(golden.VECTORNAV_PACKETS),
+    "VectorNav binary": [golden.VECTORNAV_IMU],
+    # Outputs that the driver does not switch on are noise to it.
+    "VectorNav binary, others": [golden.VECTORNAV_YPR_TIME, golden.VECTORNAV_YPR],
     "VectorNav ASCII": [line.encode() + b"\r\n" for line in golden.VECTORNAV_LINES],
 }
 WITHOUT_CHECK = ("ESPEC", "Weiss")
@@ -103,7 +105,7 @@ def test_every_bit_of_every_golden_frame() -> None:
         flipped = wrong = 0
         for frame in frames:
             right = believed(protocol, frame)
-            assert right, (protocol, frame)
+            assert bool(right) == (not protocol.endswith("others")), (protocol, frame)
             for bad in flips(frame):
                 flipped += 1
                 got = believed(protocol, bad)

@@ -117,15 +117,16 @@ def run(folder: Path, seconds: float) -> None:
 
 def streamed(folder: Path, seconds: float) -> dict[str, Any]:
     """Run for so long; what the run said of itself, what the devices lost, and of each unit its samples and gaps."""
-    program = [sys.executable, __file__]
+    program, env = [sys.executable, __file__], os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen(
-        [*program, "serve", str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [*program, "serve", str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env
     ) as devices:
         assert devices.stdin is not None
         assert devices.stdout is not None
         assert devices.stdout.readline() == "ready\n"
         done = subprocess.run(
             [*program, "run", str(folder), str(seconds)],
+            env=env,
             capture_output=True,
             text=True,
             check=True,

@@ -10,7 +10,7 @@ column of the posterior's spread: the covariance is `C + Σ v vᵀ`, for predict
 rectangular within ±15.04 deg/h (GUM, 4.3.7).
 """
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -18,7 +18,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.api.gears import gears_of
+from gradcal_jax.api.gears import BACKLASH, SCALE_OF_ANGLE, apart_from_gears
 from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, unweighted_estimator
 from gradcal_jax.api.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.api.verdicts import mission_weights
@@ -47,8 +47,6 @@ from gradcal_jax.trajectory import EARTH_RATE, Trajectory, Turns, turns_of
 
 TURN_ON: Final = "turn-on bias"
 OFF_THERMOMETER: Final = "offset of the temperature"
-SCALE_OF_ANGLE: Final = "scale of the table's angle"
-BACKLASH: Final = "backlash of the table's drive"
 CLOCKS: Final = "clocks that contradict each other"
 BESIDE_THE_AXIS: Final = "misalignment of the input axis from the table's axis"
 UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
@@ -290,16 +288,20 @@ def own_of_imu(built: BuiltImu, known: Posterior) -> Posterior:
 def columns_of_imu(built: BuiltImu) -> dict[str, np.ndarray]:
     """Columns of what no residual of a plan's run shows, as far as the spec names it."""
     ramp = ramp_of([built.motion.line])
-    figures = _without_fitted(systematic_figures(built.spec), _fitted(built.model))
+    figures = _without_fitted(systematic_figures(built.spec), built)
     turns = turns_of(built.motion) if figures.backlash else None
     return columns_of(figures, terms_of_imu(built), built.model.size, ramp, turns=turns)
 
 
-def _without_fitted(figures: SystematicFigures, fitted: Container[Any]) -> SystematicFigures:
-    """A sensitivity to dT/dt or a hysteresis that the model estimates is in its covariance."""
+def _without_fitted(figures: SystematicFigures, built: BuiltImu) -> SystematicFigures:
+    """A sensitivity to dT/dt or a hysteresis that the model estimates is in its covariance, and so are the errors of
+    gears."""
+    fitted, (scales, lashes) = _fitted(built.model), np.reshape(built.gears, (-1, 2)).T
+    scale = dict(figures.scale) | ({SCALE_OF_ANGLE: 0.0} if np.any(scales) else {})
+    backlash = 0.0 if np.any(lashes) else figures.backlash
     gradient = {kind: 0.0 if kind in fitted else std for kind, std in figures.gradient.items()}
     hysteresis = {of: 0.0 if of in fitted else std for of, std in figures.hysteresis.items()}
-    return figures._replace(gradient=gradient, hysteresis=hysteresis)
+    return figures._replace(scale=scale, backlash=backlash, gradient=gradient, hysteresis=hysteresis)
 
 
 def _fitted(of: ImuModel) -> set[Any]:
@@ -315,14 +317,7 @@ def budget_of_estimate(
     built: BuiltImu, known: Posterior, done: EstimatedRun, noise: Mapping[str, np.ndarray]
 ) -> CountedPosteriors:
     """The posteriors of an estimate. `noise`: of `omitted_noise_of_imu`."""
-    both = [
-        _without_fitted(systematic_figures(s), _fitted(built.model)) for s in (built.spec, with_typical(built.spec))
-    ]
-    if gears := gears_of(built.spec):
-        # What the covariance contains does not count again.
-        scale = {} if built.spec.is_one_axis else {SCALE_OF_ANGLE: 0.0}
-        lash = {"backlash": 0.0} if any(size for _, size in gears) else {}
-        both = [of._replace(scale={**of.scale, **scale}, **lash) for of in both]
+    both = [_without_fitted(systematic_figures(s), built) for s in (built.spec, with_typical(built.spec))]
     named, complete = (of._replace(scale={**of.scale, CLOCKS: done.clock_doubt}) for of in both)
     size, terms = built.model.size, terms_of_imu(built)
     turns = turns_of(built.motion) if complete.backlash else None
@@ -342,7 +337,8 @@ def counted_criterion(criterion: Criterion, built: BuiltImu) -> Criterion:
     """The criterion of a single gyro's parameters with what no residual shows and the spec names: no plan removes it,
     so that it is a part of the variance from the beginning."""
     rows, maps = np.asarray(criterion.rows), slice(sum(t.size for t in built.model.terms if isinstance(t, Map)))
-    more = sum(np.sum((rows[:, maps] @ c[maps]) ** 2, axis=1) for c in columns_of_imu(built).values())
+    columns = columns_of_imu(built._replace(gears=())).values()
+    more = sum(np.sum((rows[:, maps] @ c[maps]) ** 2, axis=1) for c in columns)
     return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
 
 
@@ -457,6 +453,10 @@ class ErrorBudget:
             for k, name in enumerate(names[own:]):
                 self._add(_source_of(name), np.outer(shared[:, k], shared[:, k]))
             return
+        if built.gears:
+            columns, of_gears = apart_from_gears(motion, model, nodes, built.gears)
+            for name, row in of_gears:
+                self._add(name, np.outer(row, row))
         self._sources |= information_lost(steps, np.asarray(columns), parts)
         for k, name in enumerate(names[own:], own):
             of_prior = np.zeros((model.size, model.size))

@@ -18,6 +18,7 @@ from gradcal_jax.api.build import (
     shapes_of,
     table_schedule,
 )
+from gradcal_jax.api.gears import gears_of, rows_of_gears
 from gradcal_jax.files.spec import sensor as sensor_file
 from gradcal_jax.files.spec.bench import Rig
 from gradcal_jax.files.spec.memory import too_large
@@ -28,7 +29,14 @@ from gradcal_jax.files.spec.schedule import StandardSchedule
 from gradcal_jax.files.spec.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.files.spec.temperature_path import PlayOfBias
-from gradcal_jax.information import Posterior, imu_information, imu_unweighted, posterior, segments_of
+from gradcal_jax.information import (
+    Posterior,
+    SquareRootInformation,
+    imu_information,
+    imu_unweighted,
+    posterior,
+    segments_of,
+)
 from gradcal_jax.model import (
     AXIS_NAMES,
     SECOND,
@@ -89,7 +97,7 @@ class BuiltImu(NamedTuple):
     quadrature points along a piece for functions of temperature, which are smooth there (`rough`: not along the pieces
     of a log). `sources`: for each kind of channel the indices of its noise processes by the name of their error source.
     `until_s`: where the plan is broken off, on its clock. `about` `(p,)`: the parameters of an estimate, by which its
-    errors act; None: an ideal sensor's."""
+    errors act; None: an ideal sensor's. `gears`: see `gears.gears_of`, of what the spec itself names."""
 
     spec: Spec
     model: ImuModel
@@ -99,6 +107,7 @@ class BuiltImu(NamedTuple):
     sources: Mapping[ChannelKind, Mapping[str, tuple[int, ...]]]
     until_s: float = np.inf
     about: np.ndarray | None = None
+    gears: Sequence[tuple[float, float]] = ()
 
     def body_nodes(self) -> BodyNodes:
         """The nodes on which the terms are integrated."""
@@ -134,7 +143,7 @@ def build_imu(
     points = max(degree + 1, _LAGGED if exponential else 2 if model_.knows_path else 1)
     rough = model_.knows_path or any(b.breaks for b in bases)
     if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
-        return BuiltImu(spec, model_, like.motion, points, rough, sources, until_s)
+        return BuiltImu(spec, model_, like.motion, points, rough, sources, until_s, gears=like.gears)
     parts = executed_parts(spec)
     plan = _part(spec.schedule, spec, change)
     if until_s < np.inf:
@@ -143,7 +152,8 @@ def build_imu(
             raise ValueError(f"no part of the plan was executed before {until_s:.6g} s")
         plan = broken
     parts = [*parts, *([] if plan is None else [(plan, 0.0)])]
-    return BuiltImu(spec, model_, _motion(parts, spec, model_), points, rough, sources, until_s)
+    gears = gears_of(spec) if like is None else like.gears
+    return BuiltImu(spec, model_, _motion(parts, spec, model_), points, rough, sources, until_s, gears=gears)
 
 
 def executed_parts(spec: Spec) -> list[tuple[TablePart, float]]:
@@ -182,7 +192,15 @@ def imu_posterior(built: BuiltImu) -> Posterior:
     """The posterior of a unit after its plan and the motions before it, by the estimator that the spec names."""
     if unweighted_estimator(built.spec):
         return imu_unweighted(built.motion, built.model, built.body_nodes())
-    return posterior(imu_information([(built.motion, built.body_nodes())], built.model))
+    return posterior(information_of([(built.motion, built.body_nodes())], built.model, built.gears))
+
+
+def information_of(
+    motions: Sequence[tuple[TableMotion, BodyNodes]], of: ImuModel, gears: Sequence[tuple[float, float]]
+) -> SquareRootInformation:
+    """The information of motions of one table, whose gears' errors are unknown."""
+    common = [rows_of_gears(motion, of, nodes, gears)[1] for motion, nodes in motions] if gears else ()
+    return imu_information(motions, of, common)
 
 
 def unweighted_estimator(spec: Spec) -> bool:
@@ -553,6 +571,8 @@ def known_together(
     the plan has more readings than can be held so, those of each `alone`, with a sentence."""
     if sum(counts) == 1:
         return list(alone), ""
+    if builts[0].gears:
+        return list(alone), "the errors of the table's gears count for each place as for an IMU alone"
     # Imported where it is used: estimates import SciPy's larger rooms.
     from gradcal_jax.estimation import posteriors_together
 

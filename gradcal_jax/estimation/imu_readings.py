@@ -22,6 +22,7 @@ from gradcal_jax.information import (
     imu_system,
     readings_of_standstills,
     row_of_steps,
+    rows_of_angles,
     segments_of,
     whiten,
 )
@@ -236,10 +237,8 @@ class ImuReadings(NamedTuple):
         """The same derivatives `(R, k)` of all rows, rad or m/s; at the parameters `about` (None: of ideal sensors on
         an ideal table)."""
         motion, model = self.done.motion, self.model
-        at = segments_of(motion, model)
         of_angles = encoder_rows(motion, model, self.nominal()) if about is None else self.by_angles(about)
-        ends = np.stack([after[at.last], before[at.first]], axis=1)[at.row_segment]
-        return np.einsum("rsl,rslk->rk", of_angles, ends)
+        return rows_of_angles(segments_of(motion, model), of_angles, before, after)
 
     def _whitened(self, steps: NoiseSteps, rows: np.ndarray) -> np.ndarray:
         return self.whitened(steps, self.by_steps(rows))

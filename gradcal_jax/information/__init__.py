@@ -11,6 +11,7 @@ from gradcal_jax.information.imu_rows import (
     noise_parts,
     readings_of_standstills,
     row_of_steps,
+    rows_of_angles,
     segments_of,
 )
 from gradcal_jax.information.montecarlo import (

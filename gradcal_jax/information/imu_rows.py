@@ -40,6 +40,7 @@ from gradcal_jax.information.posterior import (
 )
 from gradcal_jax.information.whitening import whiten
 from gradcal_jax.model import AXIS_NAMES, BodyGroup, BodyNodes, EncoderNoise, ImuModel
+from gradcal_jax.model.terms import block_diagonal
 from gradcal_jax.trajectory import TableMotion
 
 # Columns below this share of the largest one of the same unit are rounding.
@@ -96,11 +97,21 @@ def _fastest(motion: TableMotion, first: np.ndarray, model: ImuModel) -> np.ndar
     return np.maximum.reduceat(fastest, first)
 
 
-def imu_information(motions: Sequence[tuple[TableMotion, BodyNodes]], model: ImuModel) -> SquareRootInformation:
+def imu_information(
+    motions: Sequence[tuple[TableMotion, BodyNodes]], model: ImuModel, common: Sequence[AnyArray] = ()
+) -> SquareRootInformation:
     """The information of the rows of one or several motions, with independent drifts, and of the priors about the
-    parameters of the unit and its installation."""
-    rows = [whiten(*imu_system(motion, model, nodes)) for motion, nodes in motions]
-    return square_root(np.concatenate([*rows, model.prior_rows()]))
+    parameters of the unit and its installation. `common` `(R, k)`: of each motion, by how much unknown errors of one
+    standard deviation change its rows."""
+    errors = common or [None] * len(motions)
+    rows = [
+        whiten(*imu_system(motion, model, nodes, common=of))
+        for (motion, nodes), of in zip(motions, errors, strict=True)
+    ]
+    # The errors stand first, so that what is left of the factor is the information without them.
+    count = common[0].shape[1] if common else 0
+    whole = square_root(np.concatenate([*rows, block_diagonal([np.eye(count), model.prior_rows()])]))
+    return SquareRootInformation(whole.factor[count:, count:], whole.scale[count:])
 
 
 def imu_unweighted(motion: TableMotion, model: ImuModel, nodes: BodyNodes) -> Posterior:
@@ -125,13 +136,20 @@ def estimator_of_means(
 
 
 def imu_system(
-    motion: TableMotion, model: ImuModel, nodes: BodyNodes, at: Segments | None = None
+    motion: TableMotion,
+    model: ImuModel,
+    nodes: BodyNodes,
+    at: Segments | None = None,
+    common: Float[AnyArray, "rows k"] | None = None,
 ) -> tuple[NoiseSteps, Float[AnyArray, "R p"]]:
-    """Noise steps and regressors of all rows. `at`: the segments, where the axes or the used rows are traced."""
+    """Noise steps and regressors of all rows, those of `common` errors first. `at`: the segments, where the axes or the
+    used rows are traced."""
     at = segments_of(motion, model) if at is None else at
     steps, row = _joint_steps(motion, model, nodes, at)
     columns = _columns(model, nodes, at)
     xp = namespace(columns)
+    if common is not None:
+        columns = xp.concatenate([common, columns], axis=1)
     return steps, columns if len(row) == len(columns) else xp.where((row >= 0)[:, None], columns[row], 0.0)
 
 
@@ -387,6 +405,18 @@ def encoder_rows(motion: TableMotion, model: ImuModel, nodes: BodyNodes) -> Floa
     axes, at = motion.geometry.axis_count, segments_of(motion, model)
     of_errors = _observations(motion, nodes, at, model, len(model.channels) + 2 * axes, len(model.channels))
     return of_errors[:, len(model.channels) :].reshape(-1, 2, axes)
+
+
+def rows_of_angles(
+    at: Segments,
+    of_errors: Float[AnyArray, "R 2 L"],
+    before: Float[np.ndarray, "P L k"],
+    after: Float[np.ndarray, "P L k"],
+) -> Float[AnyArray, "R k"]:
+    """What errors of the shown angles (rad), before and after every piece, add to the rows; `of_errors`: see
+    `encoder_rows`."""
+    ends = np.stack([after[at.last], before[at.first]], axis=1)[at.row_segment]
+    return np.einsum("rsl,rslk->rk", of_errors, ends)
 
 
 def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: ImuModel, n: int, encoders: int):

@@ -7,9 +7,12 @@ import pytest
 from estimate_scenes import draw_truth, record, scene
 from scipy import stats
 
+from gradcal_jax.api.error_budget import ErrorBudget
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.fit_of_log import fitted_twice
-from gradcal_jax.api.imu_build import build_imu
+from gradcal_jax.api.gears import BACKLASH, SCALE_OF_ANGLE
+from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.files import changed
 from gradcal_jax.files.log.log import Log
@@ -19,14 +22,15 @@ from gradcal_jax.information import segments_of
 SIZES = {"scale_error": "300 ppm", "backlash": "0.02 deg"}
 
 
-def geared(log: Log, ratios: np.ndarray, play_deg: np.ndarray) -> Log:
-    """What motors count: more than the axes turn, by these ratios, and half of the play past them as they turn."""
+def geared(log: Log, ratios: np.ndarray, play_deg: np.ndarray, begins: float = 0.0) -> Log:
+    """What motors count: more than the axes turn, by these ratios, and half of the play past them as they turn.
+    `begins`: where in its play (−1 to 1) each axis stands before its first turn."""
     angle, way = log.table_angle_rad, np.zeros(log.table_angle_rad.shape)
     turned = np.diff(angle, axis=0)
     for k in range(angle.shape[1]):
         moves = np.flatnonzero(np.abs(turned[:, k]) > np.radians(0.05))
         last = np.searchsorted(moves, np.arange(len(angle)), side="left") - 1
-        way[:, k] = np.where(last >= 0, np.sign(turned[moves[last], k]), 0.0)
+        way[:, k] = np.where(last >= 0, np.sign(turned[moves[last], k]), begins)
     return replace(log, table_angle_rad=angle * (1.0 + ratios) + 0.5 * np.radians(play_deg) * way)
 
 
@@ -36,14 +40,19 @@ def stated(spec: Spec, sizes: dict[str, str]) -> Spec:
 
 
 def estimated(
-    seed: int, ratios: tuple[float, float], play_deg: tuple[float, float], sizes: dict[str, str], crooked: float = 0.0
+    seed: int,
+    ratios: tuple[float, float],
+    play_deg: tuple[float, float],
+    sizes: dict[str, str],
+    crooked: float = 0.0,
+    begins: float = 0.0,
 ):
-    """`crooked`: misalignments of all accelerometers (rad)."""
+    """`crooked`: misalignments of all accelerometers (rad). `begins`: see `geared`."""
     spec, rng = scene("two axes", 0.1), np.random.default_rng(seed)
     if crooked:
         spec = changed(spec, {"sensor.accelerometer.misalignment.prior": f"{crooked} rad"})
     truth = draw_truth(spec, rng)
-    logs = [geared(log, np.array(ratios), np.array(play_deg)) for log in record(spec, truth, rng)]
+    logs = [geared(log, np.array(ratios), np.array(play_deg), begins) for log in record(spec, truth, rng)]
     (report,) = estimate_sensors(stated(spec, sizes), logs)
     return report, np.array(list(truth.values()))
 
@@ -57,12 +66,20 @@ def squared(report: SensorEstimate, truth: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(
-    ("ratios", "play_deg"), [((2e-4, -4e-4), (0.0, 0.0)), ((0.0, 0.0), (0.03, 0.02)), ((-3e-4, 3e-4), (0.02, -0.01))]
+    ("ratios", "play_deg", "begins"),
+    [
+        ((2e-4, -4e-4), (0.0, 0.0), 0.0),
+        ((0.0, 0.0), (0.03, 0.02), 0.0),
+        ((-3e-4, 3e-4), (0.02, -0.01), 0.0),
+        ((0.0, 0.0), (0.03, 0.02), -1.0),
+        ((0.0, 0.0), (0.03, 0.02), 1.0),
+    ],
 )
-def test_a_gear_that_is_stated_contradicts_nothing_and_counts(ratios, play_deg):
-    plain, truth = estimated(4, ratios, play_deg, dict.fromkeys(SIZES, "0 deg") | {"scale_error": "0 ppm"})
+def test_a_gear_that_is_stated_contradicts_nothing_and_counts(ratios, play_deg, begins):
+    none = dict.fromkeys(SIZES, "0 deg") | {"scale_error": "0 ppm"}
+    plain, truth = estimated(4, ratios, play_deg, none, begins=begins)
     assert plain.calibration.contradicted
-    report, _ = estimated(4, ratios, play_deg, SIZES)
+    report, _ = estimated(4, ratios, play_deg, SIZES, begins=begins)
     assert not report.calibration.contradicted
     assert report.consistency.fit.probability > 1e-3
     assert squared(plain, truth) > 3.0 * len(truth)
@@ -85,7 +102,9 @@ def test_the_rows_are_those_of_a_fit_with_the_errors_as_parameters(sizes):
     rows, _ = imu_rows(built, [log], "SN7", Options())
     fit = fitted_twice(built, "SN7", rows, rows.temperature_c)
     about, plain = fit.solution.parameters, fit.readings._replace(common=None)
-    assert fit.readings.common.shape[1] == 4
+    count = fit.readings.common.shape[1]
+    # Of each axis the scale, the backlash, and where it stands before its first turn.
+    assert count == 6
     without = fitted_twice(build_imu(scene("two axes", 0.1)), "SN7", rows, rows.temperature_c).solution
     steps, columns = plain.linear(about)
     apart = plain.observed - plain.expected(about)
@@ -94,9 +113,10 @@ def test_the_rows_are_those_of_a_fit_with_the_errors_as_parameters(sizes):
     white = plain.whitened(steps, np.column_stack([columns, plain.by_steps(both)]))
     p, prior = built.model.size, built.model.prior_rows()
     whole = np.concatenate([
-        np.column_stack([white[:, :p], white[:, p + 1 :]]), np.pad(prior, ((0, 0), (0, 4))), np.eye(4, p + 4, p)
+        np.column_stack([white[:, :p], white[:, p + 1 :]]), np.pad(prior, ((0, 0), (0, count))),
+        np.eye(count, p + count, p),
     ])  # fmt: skip
-    data = np.concatenate([white[:, p], -prior @ about, np.zeros(4)])
+    data = np.concatenate([white[:, p], -prior @ about, np.zeros(count)])
     information = whole.T @ whole
     step = np.linalg.solve(information, whole.T @ data)
     deviation = np.sqrt(np.diag(np.linalg.inv(information)))[:p]
@@ -106,3 +126,42 @@ def test_the_rows_are_those_of_a_fit_with_the_errors_as_parameters(sizes):
     assert np.max(deviation / without.known.deviations(np.eye(p))) > 1.05
     left = data - whole @ step
     assert fit.solution.estimate.chi_squared == pytest.approx(left @ left, rel=1e-3)
+
+
+@pytest.mark.parametrize("sizes", [{"scale_error": "300 ppm"}, {"backlash": "0.05 deg"}, SIZES])
+def test_a_plan_is_predicted_as_its_log_is_estimated(sizes):
+    """Of one and the same table, errors of its angles count alike before and after the run: in scale factors hardly,
+    which gravity tells from the table's, in misalignments by up to twice."""
+    plain, rng = scene("two axes", 0.1), np.random.default_rng(4)
+    # A prediction is of ideal sensors; and the log loses a little of each rest, whatever the table.
+    logs = record(plain, dict.fromkeys(draw_truth(plain, rng), 0.0), rng)
+
+    def deviations(spec: Spec) -> tuple[np.ndarray, np.ndarray]:
+        built = build_imu(spec)
+        rows, _ = imu_rows(built, logs, "SN7", Options())
+        known = fitted_twice(built, "SN7", rows, rows.temperature_c).solution.known
+        own = np.eye(built.model.size)[: built.model.calibrated]
+        return imu_posterior(built).deviations(own), known.deviations(own)
+
+    predicted, reached = np.divide(deviations(stated(plain, sizes)), deviations(plain))
+    np.testing.assert_allclose(reached, predicted, rtol=0.02)
+    assert np.max(predicted) > 1.1
+
+
+def test_the_budget_of_a_plan_with_gears_has_their_share():
+    """By differences: what a standard deviation that is a per cent larger adds to a residual."""
+    spec, most = stated(scene("two axes", 0.1), {"scale_error": "300 ppm", "backlash": "0.05 deg"}), 0.0
+    for requirement in (r for r in spec.requirement if "misalignment" in r.name):
+        shares = ErrorBudget(built := build_imu(spec), imu_posterior(built)).shares(requirement)
+        assert sum(shares.values()) == pytest.approx(1.0, abs=1e-6)
+
+        def left(more: float, sizes: tuple[float, float], requirement=requirement, built=built) -> float:
+            by = [(s * more ** sizes[0], b * more ** sizes[1]) for s, b in built.gears]
+            changed_one = built._replace(gears=by)
+            return np.log(imu_residual(changed_one, imu_posterior(changed_one), requirement).statistic())
+
+        for sizes, named in (((1, 0), [SCALE_OF_ANGLE]), ((0, 1), [BACKLASH, BACKLASH + ", at the begin"])):
+            slope = (left(1.01, sizes) - left(1.0 / 1.01, sizes)) / (2.0 * np.log(1.01))
+            assert sum(shares.get(name, 0.0) for name in named) == pytest.approx(slope, rel=0.01, abs=1e-5)
+            most = max(most, slope)
+    assert most > 0.03

@@ -274,7 +274,13 @@ def test_a_unit_counts_what_it_omits_too_and_judges_by_coverage_and_risk():
     assert next(r for r in prediction.requirements if r.name == "accelerometer bias").another_run > 700.0
     full = with_typical(spec)
     assert absent_terms(full) == []
-    assert of_unit(full, "gyro scale factor").decisive == pytest.approx(row.with_typical, rel=1e-12)
+    # An estimate that knows of the table's scale error weighs the readings by it: it errs a little less.
+    assert 0.99 * row.with_typical < of_unit(full, "gyro scale factor").decisive < row.with_typical
+    scaled = [t.key for t in prediction.omitted if t.key.endswith("scale_error")]
+    assert scaled
+    exact = gj.changed(spec, dict.fromkeys(scaled, "0 ppm"))
+    known = of_unit(gj.changed(full, dict.fromkeys(scaled, "0 ppm")), "gyro scale factor").decisive
+    assert known == pytest.approx(of_unit(exact, "gyro scale factor").with_typical, rel=1e-12)
     target = f"{1.5 * row.judged:.6f} ppm"
     assert of_unit(gj.changed(spec, {"requirement[0].target": target}), row.name).verdict == "met"
     twice = gj.changed(spec, {"requirement[0].target": target, "requirement[0].coverage": 2})

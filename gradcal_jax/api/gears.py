@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 BACKLASH: Final = "backlash of the table's drive"
 SCALE_OF_ANGLE: Final = "scale of the table's angle"
-_BEGIN = "backlash of the table's drive, at the begin"
 # Until its first turn an axis stands anywhere within its backlash. With a standard deviation of this many backlashes,
 # several times the true one, the first turn tells hardly anything of their size: it would, if that were certain.
 _UNTOLD = 2.0
@@ -42,22 +41,22 @@ def errors_of_gears(spec: Spec, readings: "ImuReadings", about: np.ndarray | Non
     ideal ones); None without any. (An angle of a milliradian shows misalignments of per cents.)"""
     if not (errors := errors_of_angles(readings.done.motion, gears_of(spec))):
         return None
-    before, after = np.stack(list(errors.values()), axis=-1)
+    before, after = np.stack([error for _, error in errors], axis=-1)
     return readings.of_shown_angles(before, after, about)
 
 
-def errors_of_angles(motion: TableMotion, gears: Sequence[tuple[float, float]]) -> dict[tuple[str, int], np.ndarray]:
+def errors_of_angles(motion: TableMotion, gears: Sequence[tuple[float, float]]) -> list[tuple[str, np.ndarray]]:
     """What one standard deviation of each error changes in the angles (rad) before and after every piece, `(2, P, L)`,
-    by what it is and the number of its axis."""
-    ends, errors = np.stack(motion.angles()), dict[tuple[str, int], np.ndarray]()
+    with the name of its source."""
+    ends, errors = np.stack(motion.angles()), list[tuple[str, np.ndarray]]()
     for number, (scale, lash) in enumerate(gears):
         angle = ends[..., number]
         side = _sides(angle)
-        of_axis = {SCALE_OF_ANGLE: scale * angle, BACKLASH: lash * side, _BEGIN: _UNTOLD * lash * (side == 0.0)}
-        for name, error in of_axis.items():
+        of_axis = (SCALE_OF_ANGLE, scale * angle), (BACKLASH, lash * side), (BACKLASH, _UNTOLD * lash * (side == 0.0))
+        for name, error in of_axis:
             if np.ptp(error) > 0.0:
-                errors[name, number] = np.zeros(ends.shape)
-                errors[name, number][..., number] = error
+                errors.append((name, np.zeros(ends.shape)))
+                errors[-1][1][..., number] = error
     return errors
 
 
@@ -68,7 +67,7 @@ def rows_of_gears(
     errors, at = errors_of_angles(motion, gears), segments_of(motion, model)
     if not errors:
         return [], np.zeros((len(at.row_segment), 0))
-    before, after = np.stack(list(errors.values()), axis=-1)
+    before, after = np.stack([error for _, error in errors], axis=-1)
     return [name for name, _ in errors], rows_of_angles(at, encoder_rows(motion, model, nodes), before, after)
 
 

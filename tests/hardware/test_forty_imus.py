@@ -49,7 +49,7 @@ def test_forty_units_err_as_predicted(tmp_path: Path, axes: str, spec: Spec) -> 
     square, expected, nees, chi, degrees, own = [], [], 0.0, 0.0, 0, 0
 
     def power(quantity: Any, values: np.ndarray) -> float:
-        each = [element.rows @ values[element.where] for element in quantity.elements]
+        each = [np.asarray(e.contrasts().rows) @ values[e.where] for e in quantity.elements]
         return float(np.mean([np.sum(e**2) / len(e) for e in each]))
 
     for seed in range(RUNS):

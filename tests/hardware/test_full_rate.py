@@ -22,8 +22,6 @@ import pytest
 from hardware_bench import chunks_of, sensor_on_table
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
-from imu_bench import estimated, made, short
-from scipy.stats import chi2
 from simulated_devices.espec import SimulatedEspec
 from simulated_devices.odrive import SimulatedODrive
 from simulated_devices.port import SimulatedPort
@@ -117,16 +115,15 @@ def run(folder: Path, seconds: float) -> None:
 
 def streamed(folder: Path, seconds: float) -> dict[str, Any]:
     """Run for so long; what the run said of itself, what the devices lost, and of each unit its samples and gaps."""
-    program, env = [sys.executable, __file__], os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    program = [sys.executable, __file__]
     with subprocess.Popen(
-        [*program, "serve", str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env
+        [*program, "serve", str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as devices:
         assert devices.stdin is not None
         assert devices.stdout is not None
         assert devices.stdout.readline() == "ready\n"
         done = subprocess.run(
             [*program, "run", str(folder), str(seconds)],
-            env=env,
             capture_output=True,
             text=True,
             check=True,
@@ -191,6 +188,10 @@ def test_three_units_at_full_rate_for_ten_minutes_lose_nothing(tmp_path: Path) -
 @pytest.mark.evidence
 def test_three_units_of_gyros_and_accelerometers_at_full_rate(tmp_path: Path) -> None:
     """The recipe of a whole unit on two axes, in real time, with its guard: journal, logs, estimates of all three."""
+    # Imported here: the programs above have the memory of a run alone.
+    from imu_bench import estimated, made, short
+    from scipy.stats import chi2
+
     recipe, run = made(short()), tmp_path / "run"
     write_toml(recipe, tmp_path / "recipe.toml")
     with laboratory(tmp_path, 1.0, 4, units=len(UNITS), sample_rate_hz=RATE_HZ):

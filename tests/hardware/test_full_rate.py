@@ -188,9 +188,7 @@ def test_three_units_at_full_rate_for_ten_minutes_lose_nothing(tmp_path: Path) -
 @pytest.mark.evidence
 def test_three_units_of_gyros_and_accelerometers_at_full_rate(tmp_path: Path) -> None:
     """The recipe of a whole unit on two axes, in real time, with its guard: journal, logs, estimates of all three."""
-    # Imported here: the programs above have the memory of a run alone.
-    from imu_bench import estimated, made, short
-    from scipy.stats import chi2
+    from imu_bench import made, short  # here: the programs above have the memory of a run alone
 
     recipe, run = made(short()), tmp_path / "run"
     write_toml(recipe, tmp_path / "recipe.toml")
@@ -207,6 +205,9 @@ def test_three_units_of_gyros_and_accelerometers_at_full_rate(tmp_path: Path) ->
 
 def whole(run: Path, recipe: Recipe, hidden: dict[str, Any]) -> str:
     """Shows that journal and logs of all units are complete and their estimates as sure as they say; the figures."""
+    from imu_bench import estimated
+    from scipy.stats import chi2
+
     folder = RunFolder(run)
     contents, (step,) = folder.contents(), track_of(recipe, ["tilt", "spin"]).steps
     assert contents.damaged_bytes == 0

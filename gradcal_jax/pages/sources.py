@@ -244,7 +244,8 @@ def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
 
 def _of_rig(rig: Rig) -> list[tuple[str, str]]:
     """The figures of site and table; if there are several axes, those of each axis."""
-    from gradcal_jax.api.error_budget import BESIDE_THE_AXIS, SCALE_OF_ANGLE
+    from gradcal_jax.api.error_budget import BESIDE_THE_AXIS
+    from gradcal_jax.api.gears import SCALE_OF_ANGLE
 
     table = rig.table
     rows: list[tuple[str, Any]] = [

@@ -7,6 +7,7 @@ import numpy as np
 
 import gradcal_jax
 from gradcal_jax.api.error_budget import CountedPosteriors, ErrorBudget, budget_of_imu, limited_by, shares_of_variance
+from gradcal_jax.api.gears import rows_of_gears
 from gradcal_jax.api.imu_build import (
     BuiltImu,
     build_imu,
@@ -59,6 +60,7 @@ from gradcal_jax.information import (
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
 from gradcal_jax.information.residual import Statistic, statistic_of_each
 from gradcal_jax.model import Discrepancy, ImuModel
+from gradcal_jax.model.terms import block_diagonal
 
 if TYPE_CHECKING:
     from gradcal_jax.api.searching import Optimised
@@ -399,13 +401,16 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], di
     built = build_imu(spec)
     model, motion, nodes = built.model, built.motion, built.body_nodes()
     _enough(runs, model.size)
-    steps, columns = imu_system(motion, model, nodes)
-    carried = np.pad(_carried(model), (0, model.size - model.calibrated), constant_values=True)
+    # The errors of the table's gears are drawn, too, and estimated beside the parameters.
+    named, common = rows_of_gears(motion, model, nodes, built.gears)
+    steps, columns = imu_system(motion, model, nodes, common=common)
+    beside, prior = len(named), block_diagonal([np.eye(len(named)), model.prior_rows()])
+    carried = np.pad(_carried(model), (beside, model.size - model.calibrated), constant_values=True)
     known, plain = imu_posterior(built), None
     if unweighted_estimator(spec):
         plain = estimator_of_means(motion, model, steps, columns), known
-    twin = simulated_errors(steps, np.asarray(columns), model.prior_rows(), carried, runs, seed, plain=plain)
-    found = Posterior(twin.left.T / np.sqrt(len(twin.left)), np.zeros((model.size, 0)))
+    twin = simulated_errors(steps, np.asarray(columns), prior, carried, runs, seed, plain=plain)
+    found = Posterior(twin.left.T[beside:] / np.sqrt(len(twin.left)), np.zeros((model.size, 0)))
     rows: list[TwinRow] = []
     for requirement in spec.requirement:
         quantity = quantity_of(built, requirement)
@@ -413,8 +418,8 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], di
         values = (of.finite_statistic() for of in (one, other))
         rows.append(TwinRow(requirement.name, requirement.axis, one.unit, *values))
     own = model.calibrated if plain is not None else model.size
-    believed = Posterior(twin.predicted.spread[:own], twin.predicted.hidden[:own])
-    return rows, {"all": wishart_test(twin.errors[:, :own], believed)}
+    believed = Posterior(known.spread[:own], known.hidden[:own])
+    return rows, {"all": wishart_test(twin.errors[:, beside : beside + own], believed)}
 
 
 def _enough(runs: int, parameters: int) -> None:

@@ -5,14 +5,18 @@ import sys
 import pytest
 
 from gradcal_jax.api import monte_carlo
-from gradcal_jax.files import presets
+from gradcal_jax.files import changed, presets
 from gradcal_jax.files.spec.spec import parse_spec
 from gradcal_jax.information import Posterior, wishart_test
 
 
-@pytest.mark.parametrize("name", ["ferraris", "paper-static-standard", "two-axis-table"])
+@pytest.mark.parametrize("name", ["ferraris", "paper-static-standard", "two-axis-table", "two-axis-table, geared"])
 def test_simulated_calibrations_of_an_imu_are_as_predicted(name: str) -> None:
-    spec = parse_spec(presets.text(name))
+    preset, _, geared = name.partition(", ")
+    spec = parse_spec(presets.text(preset))
+    if geared:
+        sizes = {"scale_error": "200 ppm", "backlash": "0.02 deg"}
+        spec = changed(spec, {f"rig.table.axis[{k}].angle.{of}": size for k in (0, 1) for of, size in sizes.items()})
     rows, tests = monte_carlo(spec, 400, seed=1)
     assert [row.name for row in rows] == [requirement.name for requirement in spec.requirement]
     for row in rows:

@@ -5,6 +5,7 @@ import difflib
 import math
 import re
 from decimal import Context, Decimal, localcontext
+from functools import lru_cache
 from typing import Final
 
 from gradcal_jax.units.dimensions import DIMENSIONS, Dimension
@@ -126,6 +127,7 @@ def _hint(text: str) -> str:
     return "the text must begin with a number"
 
 
+@lru_cache(maxsize=4096)
 def _read(text: str, dimension: Dimension) -> float:
     plain = text.strip(" ").translate(_SAME)
     if len(plain) > _LONGEST:

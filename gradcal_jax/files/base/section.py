@@ -17,6 +17,12 @@ from gradcal_jax.files.base.problems import Problem, SpecError, from_validation,
 _NAMES_OF_PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("_"))
 
 
+@cache
+def _checks(kind: type[BaseModel]) -> list[Callable[[Any], Iterable[Problem]]]:
+    """What a class and its bases ask of the keys of a table, bases first."""
+    return [vars(of)["_problems"] for of in reversed(kind.__mro__) if "_problems" in vars(of)]
+
+
 class Section(BaseModel):
     """A table of a file. Unknown keys are refused with the nearest right spelling."""
 
@@ -39,8 +45,7 @@ class Section(BaseModel):
             section = handler(value)
         except ValidationError as error:
             raise SpecError(with_spelling(from_validation(error), cls, value)) from None
-        checks: list[Any] = [vars(kind).get("_problems") for kind in reversed(type(section).__mro__)]
-        refuse(*(problem for check in filter(None, checks) for problem in check(section)))
+        refuse(*(problem for check in _checks(cast("type[BaseModel]", type(section))) for problem in check(section)))
         return section
 
     def _problems(self) -> Iterable[Problem]:

@@ -37,11 +37,8 @@ def compiled(folder: Path, name: str, spec: str) -> list[str]:
 
 def test_a_first_search_compiles_its_objective_and_nothing_else(tmp_path):
     programs = compiled(tmp_path, "first", SPEC)
-    # The objective with its slopes, and the descent; what prepares a descent takes milliseconds each.
-    assert sorted(name for name in programs if name in ("jit(slopes)", "jit(_advanced)")) == [
-        "jit(_advanced)",
-        "jit(slopes)",
-    ]
+    # The descent, which also gives the slopes where there are no limits; what prepares it takes milliseconds each.
+    assert [name for name in programs if name in ("jit(slopes)", "jit(_advanced)")] == ["jit(_advanced)"]
     assert len(programs) <= 20
 
 

@@ -155,13 +155,19 @@ def test_the_budget_of_a_plan_with_gears_has_their_share():
         shares = ErrorBudget(built := build_imu(spec), imu_posterior(built)).shares(requirement)
         assert sum(shares.values()) == pytest.approx(1.0, abs=1e-6)
 
-        def left(more: float, sizes: tuple[float, float], requirement=requirement, built=built) -> float:
-            by = [(s * more ** sizes[0], b * more ** sizes[1]) for s, b in built.gears]
-            changed_one = built._replace(gears=by)
-            return np.log(imu_residual(changed_one, imu_posterior(changed_one), requirement).statistic())
+        def left(scale: float = 1.0, lash: float = 1.0, noise: float = 1.0, requirement=requirement, built=built):
+            channels = tuple(
+                replace(c, model=replace(c.model, angle_random_walk=noise * c.model.angle_random_walk))
+                if c.kind == "gyro"
+                else c
+                for c in built.model.channels
+            )
+            by = [(scale * s, lash * b) for s, b in built.gears]
+            one = built._replace(gears=by, model=replace(built.model, channels=channels))
+            return np.log(imu_residual(one, imu_posterior(one), requirement).statistic())
 
-        for sizes, named in (((1, 0), SCALE_OF_ANGLE), ((0, 1), BACKLASH)):
-            slope = (left(1.01, sizes) - left(1.0 / 1.01, sizes)) / (2.0 * np.log(1.01))
+        for error, named in (("scale", SCALE_OF_ANGLE), ("lash", BACKLASH), ("noise", "angle random walk")):
+            slope = (left(**{error: 1.01}) - left(**{error: 1.0 / 1.01})) / (2.0 * np.log(1.01))
             assert shares[named] == pytest.approx(slope, rel=0.01, abs=1e-5)
-            most = max(most, slope)
+            most = max(most, slope * (error != "noise"))
     assert most > 0.03

@@ -71,8 +71,8 @@ def squared(report: SensorEstimate, truth: np.ndarray) -> float:
         ((2e-4, -4e-4), (0.0, 0.0), 0.0),
         ((0.0, 0.0), (0.03, 0.02), 0.0),
         ((-3e-4, 3e-4), (0.02, -0.01), 0.0),
-        ((0.0, 0.0), (0.03, 0.02), -1.0),
-        ((0.0, 0.0), (0.03, 0.02), 1.0),
+        pytest.param((0.0, 0.0), (0.03, 0.02), -1.0, marks=pytest.mark.long),
+        pytest.param((0.0, 0.0), (0.03, 0.02), 1.0, marks=pytest.mark.long),
     ],
 )
 def test_a_gear_that_is_stated_contradicts_nothing_and_counts(ratios, play_deg, begins):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax import model, trajectory
+from gradcal_jax.api.gears import gears_of
 from gradcal_jax.files.base.section import Section
 from gradcal_jax.files.spec.bases import PolynomialKeys, SplineKeys
 from gradcal_jax.files.spec.motion_plan import PlanSchedule, plan_schedule
@@ -63,7 +64,9 @@ def assemble(spec: Spec) -> Assembled:
         float(table.rate_accuracy or 0.0),
     )
     harmonics = {h.order: float(h.amplitude) for h in angle.harmonics}
-    channel, lag = gyro_channel(gyro, gyro.axes[0], processes, reference, harmonics=harmonics), spec.sensor.lag
+    backlash = sum(lash for _, lash in gears_of(spec))
+    channel = gyro_channel(gyro, gyro.axes[0], processes, reference, harmonics=harmonics, backlash=backlash)
+    lag = spec.sensor.lag
     schedule = table_schedule(spec.schedule, spec)
     past: Past | None = None
     for part in spec.done:
@@ -143,6 +146,7 @@ def gyro_channel(
     reference: Reference | None = None,
     *,
     harmonics: dict[int, float] | None = None,
+    backlash: float = 0.0,
     signals: Sequence[SignalMap] = (),
     path: Sequence[PathTerm | OwnTerm] = (),
 ) -> SensorModel:
@@ -157,6 +161,7 @@ def gyro_channel(
         reference,
         temperature_gradient_std=None if gradient is None else or_infinite(gradient.prior),
         harmonics=harmonics,
+        backlash=backlash,
         signals=signals,
         path=path,
     )

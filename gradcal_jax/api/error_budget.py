@@ -337,8 +337,7 @@ def counted_criterion(criterion: Criterion, built: BuiltImu) -> Criterion:
     """The criterion of a single gyro's parameters with what no residual shows and the spec names: no plan removes it,
     so that it is a part of the variance from the beginning."""
     rows, maps = np.asarray(criterion.rows), slice(sum(t.size for t in built.model.terms if isinstance(t, Map)))
-    columns = columns_of_imu(built._replace(gears=())).values()
-    more = sum(np.sum((rows[:, maps] @ c[maps]) ** 2, axis=1) for c in columns)
+    more = sum(np.sum((rows[:, maps] @ c[maps]) ** 2, axis=1) for c in columns_of_imu(built).values())
     return eqx.tree_at(lambda c: c.beyond, criterion, criterion.beyond + more)
 
 

@@ -9,6 +9,7 @@ from gradcal_jax.files.spec.plan import StandardPlan
 from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import encoder_rows, imu_system, rows_of_angles, segments_of, whiten
 from gradcal_jax.model import BodyNodes, ImuModel
+from gradcal_jax.model.terms import UNTOLD_BEGIN, sides
 from gradcal_jax.trajectory import TableMotion
 
 if TYPE_CHECKING:
@@ -16,11 +17,6 @@ if TYPE_CHECKING:
 
 BACKLASH: Final = "backlash of the table's drive"
 SCALE_OF_ANGLE: Final = "scale of the table's angle"
-# Until its first turn an axis stands anywhere within its backlash. With a standard deviation of this many backlashes,
-# several times the true one, the first turn tells hardly anything of their size: it would, if that were certain.
-_UNTOLD = 2.0
-# The smallest turn that has a direction, rad.
-_TURN = np.radians(0.1)
 
 
 def gears_of(spec: Spec) -> list[tuple[float, float]]:
@@ -51,8 +47,12 @@ def errors_of_angles(motion: TableMotion, gears: Sequence[tuple[float, float]]) 
     ends, errors = np.stack(motion.angles()), list[tuple[str, np.ndarray]]()
     for number, (scale, lash) in enumerate(gears):
         angle = ends[..., number]
-        side = _sides(angle)
-        of_axis = (SCALE_OF_ANGLE, scale * angle), (BACKLASH, lash * side), (BACKLASH, _UNTOLD * lash * (side == 0.0))
+        side = np.stack(sides(*angle))
+        of_axis = (
+            (SCALE_OF_ANGLE, scale * angle),
+            (BACKLASH, lash * side),
+            (BACKLASH, UNTOLD_BEGIN * lash * (side == 0.0)),
+        )
         for name, error in of_axis:
             if np.ptp(error) > 0.0:
                 errors.append((name, np.zeros(ends.shape)))
@@ -88,14 +88,5 @@ def apart_from_gears(
 def sides_of(angle: np.ndarray) -> np.ndarray | None:
     """The side, ±½, on which an axis stands by its last turn, before and after every piece, `(2, P)`, as its angles;
     None if it turns in one direction only."""
-    side = _sides(angle)
+    side = np.stack(sides(*angle))
     return side if np.ptp(side) == 1.0 else None
-
-
-def _sides(angle: np.ndarray) -> np.ndarray:
-    """The same of any axis; zero before the first turn."""
-    way = angle[1] - angle[0]
-    sign = np.where(np.abs(way) > _TURN, np.sign(way), 0.0)
-    turned = np.maximum.accumulate(np.where(sign != 0.0, np.arange(1, len(sign) + 1), 0))
-    side = 0.5 * np.concatenate([[0.0], sign])[turned]
-    return np.stack([np.concatenate([[0.0], side[:-1]]), side])

@@ -330,9 +330,8 @@ class DifferentiableCycle(eqx.Module):
 def differentiable(spec: Spec) -> Differentiable | DifferentiableCycle:
     """A spec's requirements as a pure function of figures. Of one gyro along the only axis of a table those of the
     sensor, the rig and the plan: at the spec's own `quantities` it equals `predict`, in ppm or deg/h, by the quadrature
-    rule of the spec's plan. Of any other IMU those of its cycle, within about a per cent of `predict`. Errors of the
-    table's gears are an exception: of one gyro, backlash counts as what each turn loses, whatever the readings tell of
-    it; of another IMU they do not count.
+    rule of the spec's plan. Of any other IMU those of its cycle, within about a per cent of `predict`, but without
+    errors of the table's gears.
 
     Needs float64 (`jax_enable_x64`). Errors: `ValueError` for a spec without requirements, and for an IMU whose table
     stands.

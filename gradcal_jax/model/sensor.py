@@ -34,6 +34,7 @@ from gradcal_jax.model.nodes import Nodes
 from gradcal_jax.model.terms import (
     BIAS,
     SCALE_FACTOR,
+    Backlash,
     EncoderHarmonics,
     GradientOfBias,
     Map,
@@ -196,6 +197,7 @@ def gyro_model(
     *,
     temperature_gradient_std: float | None = None,
     harmonics: dict[int, float] | None = None,
+    backlash: float = 0.0,
     signals: Sequence[SignalMap] = (),
     path: Sequence[Term] = (),
 ) -> SensorModel:
@@ -203,8 +205,9 @@ def gyro_model(
     maps' discrepancies as the last terms.
 
     `temperature_gradient_std` (rad/s)/(K/s): the prior of dB/dṪ, `inf` flat, None without that term. `harmonics`: the
-    amplitudes (rad) of the encoder's error by order. The turn-on bias, which cannot be separated from B, is B's
-    `common_std`; where B is known it is a process. Errors: `ValueError` where there is nothing to estimate.
+    amplitudes (rad) of the encoder's error by order; `backlash` rad, of the drive. The turn-on bias, which cannot be
+    separated from B, is B's `common_std`; where B is known it is a process. Errors: `ValueError` where there is nothing
+    to estimate.
     """
     maps = [m for m in (bias, scale) if m is not None]
     terms: list[Term] = [*maps, *signals]
@@ -216,6 +219,8 @@ def gyro_model(
         terms.append(
             EncoderHarmonics(amplitudes=np.array(list(harmonics.values()), dtype=float), orders=tuple(harmonics))
         )
+    if backlash:
+        terms.append(Backlash(std=np.asarray(backlash, dtype=float)))
     terms += [m.beyond for m in maps if m.beyond is not None]
     return SensorModel(
         tuple(terms),

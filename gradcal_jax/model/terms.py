@@ -12,6 +12,7 @@ from importlib.metadata import entry_points
 from typing import Any, ClassVar, Final
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -24,6 +25,11 @@ BIAS: Final = "bias"
 SCALE_FACTOR: Final = "scale_factor"
 TEMPERATURE_GRADIENT: Final = "bias_temperature_gradient"
 HARMONICS: Final = "harmonics"
+# Until its first turn an axis stands anywhere within its backlash. With a standard deviation of this many backlashes,
+# several times the true one, the first turn tells hardly anything of their size: it would, if that were certain.
+UNTOLD_BEGIN: Final = 2.0
+# The smallest turn that has a direction, rad.
+_SMALLEST_TURN = np.radians(0.1)
 DISCREPANCY: Final = "{}_discrepancy"
 
 
@@ -407,6 +413,46 @@ class EncoderHarmonics(Term):
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
         return waves(nodes.angle_before, self.orders) - waves(nodes.angle_after, self.orders)
+
+
+class Backlash(Term):
+    """The backlash of a drive whose angle is read at the motor, with standard deviation `std` (rad): the side on which
+    the axis stands by its last turn, and where it stands before its first one."""
+
+    std: Float[AnyArray, ""]
+    name: str = eqx.field(static=True, default="backlash")
+
+    @property
+    def unit(self) -> str:
+        return "rad"
+
+    @property
+    def size(self) -> int:
+        return 2
+
+    def names(self) -> list[str]:
+        return ["backlash", "backlash_at_begin"]
+
+    def prior_rows(self) -> Float[AnyArray, "q size"]:
+        xp = namespace(self.std)
+        return xp.diag(1.0 / xp.stack([self.std, UNTOLD_BEGIN * self.std]))
+
+    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
+        before, after = sides(nodes.angle_before, nodes.angle_after)
+        xp = namespace(before)
+        begins = [xp.where(of == 0.0, 1.0, 0.0) for of in (before, after)]
+        return xp.stack([before - after, begins[0] - begins[1]], axis=-1)
+
+
+def sides(before: Float[AnyArray, " P"], after: Float[AnyArray, " P"]) -> tuple[AnyArray, AnyArray]:
+    """The side of its backlash, ±½, on which an axis stands by its last turn, before and after every piece; zero before
+    the first turn."""
+    xp, way = namespace(before, after), after - before
+    sign = xp.where(abs(way) > _SMALLEST_TURN, xp.sign(way), 0.0)
+    number = xp.where(sign != 0.0, np.arange(1, len(sign) + 1), 0)
+    latest = np.maximum.accumulate(number) if xp is np else jax.lax.cummax(number)
+    side = 0.5 * xp.concatenate([xp.zeros(1), sign])[latest]
+    return xp.concatenate([xp.zeros(1), side[:-1]]), side
 
 
 def waves(angle: Float[AnyArray, "*s"], orders: tuple[int, ...]) -> Float[AnyArray, "*s m"]:

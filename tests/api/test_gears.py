@@ -7,6 +7,7 @@ import pytest
 from estimate_scenes import draw_truth, record, scene
 from scipy import stats
 
+import gradcal_jax as gj
 from gradcal_jax.api.error_budget import ErrorBudget
 from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.api.fit_of_log import fitted_twice
@@ -14,7 +15,7 @@ from gradcal_jax.api.gears import BACKLASH, SCALE_OF_ANGLE
 from gradcal_jax.api.imu_build import build_imu, imu_posterior
 from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.api.log_rows import Options, imu_rows
-from gradcal_jax.files import changed
+from gradcal_jax.files import changed, presets
 from gradcal_jax.files.log.log import Log
 from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.information import segments_of
@@ -171,3 +172,17 @@ def test_the_budget_of_a_plan_with_gears_has_their_share():
             assert shares[named] == pytest.approx(slope, rel=0.01, abs=1e-5)
             most = max(most, slope * (error != "noise"))
     assert most > 0.03
+
+
+@pytest.mark.parametrize(
+    ("preset", "backlash"), [("tactical-mems", "0.02 deg"), ("paper-dynamic-gradient", "0.01 deg")]
+)
+def test_the_search_of_turns_counts_backlash_as_a_prediction_does(preset, backlash):
+    """By two ways: errors that all readings have in common, and parameters of the channel."""
+    spec = changed(gj.parse_spec(presets.text(preset)), {"rig.table.axis[0].angle.backlash": backlash})
+    counted = {row.name: row.mean_of_max or row.mean for row in gj.predict(spec).requirements}
+    assert gj.differentiable(spec)({}) == pytest.approx(counted, rel=1e-11)
+    plain = {
+        row.name: row.mean_of_max or row.mean for row in gj.predict(gj.parse_spec(presets.text(preset))).requirements
+    }
+    assert max(counted[name] / plain[name] for name in plain) > 1.02

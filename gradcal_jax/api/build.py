@@ -64,7 +64,7 @@ def assemble(spec: Spec) -> Assembled:
         float(table.rate_accuracy or 0.0),
     )
     harmonics = {h.order: float(h.amplitude) for h in angle.harmonics}
-    backlash = sum(lash for _, lash in gears_of(spec))
+    backlash = float(sum(lash for _, lash in gears_of(spec)))
     channel = gyro_channel(gyro, gyro.axes[0], processes, reference, harmonics=harmonics, backlash=backlash)
     lag = spec.sensor.lag
     schedule = table_schedule(spec.schedule, spec)

@@ -192,10 +192,10 @@ def imu_posterior(built: BuiltImu) -> Posterior:
     """The posterior of a unit after its plan and the motions before it, by the estimator that the spec names."""
     if unweighted_estimator(built.spec):
         return imu_unweighted(built.motion, built.model, built.body_nodes())
-    return posterior(information_of([(built.motion, built.body_nodes())], built.model, built.gears))
+    return posterior(information_with_gears([(built.motion, built.body_nodes())], built.model, built.gears))
 
 
-def information_of(
+def information_with_gears(
     motions: Sequence[tuple[TableMotion, BodyNodes]], of: ImuModel, gears: Sequence[tuple[float, float]]
 ) -> SquareRootInformation:
     """The information of motions of one table, whose gears' errors are unknown."""

@@ -18,7 +18,14 @@ import numpy as np
 
 from gradcal_jax.api.build import basis
 from gradcal_jax.api.error_budget import own_of_imu
-from gradcal_jax.api.imu_build import BuiltImu, build_imu, hung_alike, imu_posterior, information_of, known_together
+from gradcal_jax.api.imu_build import (
+    BuiltImu,
+    build_imu,
+    hung_alike,
+    imu_posterior,
+    information_with_gears,
+    known_together,
+)
 from gradcal_jax.api.imu_residual import ImuResidual, imu_residual, quantity_of
 from gradcal_jax.api.verdicts import UNIT_OF, limit_of
 from gradcal_jax.design import KEPT, Missed, Optimality
@@ -234,7 +241,7 @@ def noticing(unit: BuiltImu) -> tuple[NoticeRow, ...]:
             of = eqx.tree_at(lambda m, k=place: m.terms[k].std, of, np.asarray(NOTIONAL[quantity]))
         channels[number] = replace(channel, model=of)
     model = ImuModel(tuple(channels), unit.model.installation, unit.model.encoder)
-    info = information_of([(unit.motion, unit.body_nodes())], model, unit.gears)
+    info = information_with_gears([(unit.motion, unit.body_nodes())], model, unit.gears)
     where = lambda axis, quantity: model.where("gyro", axis, DISCREPANCY.format(quantity))  # noqa: E731
     rows: list[NoticeRow] = []
     for channel in gyros:

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from gradcal_jax.api.cycle_plan import CyclePlan
-from gradcal_jax.api.imu_build import build_imu, executed_motion, information_of
+from gradcal_jax.api.imu_build import build_imu, executed_motion, information_with_gears
 from gradcal_jax.api.imu_residual import imu_residual
 from gradcal_jax.api.limit import limit
 from gradcal_jax.api.pose_search import EVALUATIONS, QUICK_EVALUATIONS, PoseSearch
@@ -381,7 +381,7 @@ def known_so_far(spec: Spec, done: Sequence[Span], goes_on_s: float) -> list[Kno
         built = build_imu(with_done(spec, spans))
         motion = executed_motion(built)
         motions = [] if motion is None else [(motion, body_nodes(motion, built.points))]
-        known = posterior(information_of(motions, built.model, built.gears))
+        known = posterior(information_with_gears(motions, built.model, built.gears))
         rows.append([imu_residual(built, known, requirement) for requirement in spec.requirement])
     return [
         KnownRow(now.requirement.name, now.requirement.axis, now.unit, now.statistic(), end.statistic())

@@ -289,10 +289,8 @@ def _judged(
     """The residual that the verdict judges, and its fields in the row: with omitted terms, and with another run. `own`:
     the residual with what the spec names, if it is known."""
     fields: dict[str, Any] = {}
-    if budget.whole is budget.own and own is not None:
-        judged = own
-    else:
-        judged = imu_residual(budget.built, budget.whole, requirement)
+    judged = own if budget.whole is budget.own else None
+    judged = imu_residual(budget.built, budget.whole, requirement) if judged is None else judged
     if budget.whole is not budget.own:
         fields["with_typical"] = judged.statistic()
     if run_of(requirement) == "any run" and budget.any_run is not budget.whole:

@@ -270,9 +270,9 @@ def search_plans(
 _CHECKPOINT = "gradcal-search/1"
 
 
-def write_checkpoint(path: Path, spec: str, checkpoint: Mapping[str, np.ndarray]) -> None:
-    """Write a checkpoint, atomically, for the spec with this fingerprint."""
-    arrays = {**checkpoint, "format": np.array(_CHECKPOINT), "spec": np.array(spec)}
+def write_checkpoint(path: Path, of_spec: str, checkpoint: Mapping[str, np.ndarray]) -> None:
+    """Write a checkpoint, atomically; `of_spec`: the fingerprint of its spec."""
+    arrays = {**checkpoint, "format": np.array(_CHECKPOINT), "spec": np.array(of_spec)}
     with whole(path) as passing, passing.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
 

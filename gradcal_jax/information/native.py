@@ -85,10 +85,9 @@ def plain(states: int, readings: int) -> Callable[..., list[np.ndarray]] | None:
         work = begin_filter(states)
         if work is None or not (_asked[states] > _WORTH or is_at_hand(_SOURCE, *_definitions(states))):
             return None
-        loaded = work.wait().loaded
+        return partial(_plainly, work.wait().loaded.gradcal_filter_plain)
     except NotCompiled:
         return None
-    return None if loaded is None else partial(_plainly, loaded.gradcal_filter_plain)
 
 
 def _plainly(

@@ -14,7 +14,6 @@ Quantities are SI (°C for temperatures) unless the name ends in another unit; r
 import ast
 import importlib
 import logging
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -34,42 +33,12 @@ _HOME_OF_NAME: dict[str, str] = {
 
 __all__ = list(_HOME_OF_NAME)
 
-# For one release: names of the time when an axis and an IMU had specs and calibrations of their own.
-_OLD_NAMES: dict[str, str] = {
-    "UnitSpec": "Spec",
-    "read_unit_spec": "read_spec",
-    "parse_unit_spec": "parse_spec",
-    "estimate_units": "estimate",
-    "UnitCalibration": "Calibration",
-    "read_any_calibration": "read_calibration",
-    "write_unit_calibration": "write_calibration",
-    "apply_unit": "apply",
-    "export_unit": "export",
-}
-
-
-# For one release: what takes the place of names that are gone.
-_GONE: dict[str, str] = {
-    "compare": "predict(spec, limits=True) of each spec",
-    "recipes": "sweep, with write_recipes of gradcal_jax.jobs.recipes_of_sweep",
-    "read_catalogue": "read_sweep, whose axes take sections of other specs",
-    "unobservable": "check",
-    "show": "print(recipe)",
-    "tables_of": "gradcal_jax.files.tables_of",
-    "parse_column_map": "import_log, which takes the map as text or the name of its file",
-}
-
 
 def __getattr__(name: str) -> Any:
-    if name in _OLD_NAMES:
-        sentence = f"gradcal_jax.{name} is now gradcal_jax.{_OLD_NAMES[name]}; the next release removes the old name"
-        warnings.warn(sentence, DeprecationWarning, stacklevel=2)
-        return __getattr__(_OLD_NAMES[name])
     if name == "plots":
         return importlib.import_module("gradcal_jax.plots")
     if name not in _HOME_OF_NAME:
-        hint = f": in its place {_GONE[name]}" if name in _GONE else ""
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF_NAME[name]}"), name)
     globals()[name] = value
     return value

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gradcal_jax.display import summary
+from gradcal_jax.tables.display import summary
 
 # An array of either library, for annotations: `Float[AnyArray, "n p"]`. A type checker cannot follow operations
 # that are common to both; the tests check shapes and dtypes.

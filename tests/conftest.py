@@ -45,26 +45,58 @@ def _typed_once(fn, *, typechecker, jaxtyped=jaxtyping.jaxtyped):
     return fn if local and jaxtyping.config.jaxtyping_disable else jaxtyped(fn, typechecker=typechecker)
 
 
+# What takes a whole spec; the core's other modules take arrays.
+_OF_SPECS = {
+    "build",
+    "imu_build",
+    "prediction",
+    "error_budget",
+    "imu_residual",
+    "gears",
+    "sensitivity",
+    "verdicts",
+    "timeline",
+    "plan_sentences",
+    "cycle_plan",
+    "turn_plan",
+    "turn_search",
+    "pose_search",
+    "optimise",
+    "searching",
+    "plan_objective",
+    "plan_limit",
+    "imu_limit",
+    "instability",
+}
+
 if not os.environ.get("GRADCAL_UNCHECKED"):
-    core = [f"gradcal_jax.{room}" for room in ("design", "identify", "information", "linalg", "model", "trajectory")]
+    package = Path(__file__).parents[1] / "gradcal_jax"
+    core = ["gradcal_jax.linalg", "gradcal_jax.motion"] + [
+        f"gradcal_jax.{room}.{path.stem}"
+        for room in ("design", "identify", "information", "model")
+        for path in (package / room).glob("*.py")
+        if path.stem not in _OF_SPECS and path.stem != "__init__"
+    ]
     jaxtyping.jaxtyped = lambda *, typechecker: partial(_typed_once, typechecker=typechecker)
     jaxtyping.install_import_hook(core, "beartype.beartype")
 
 
 _SURE = (
-    "api",
+    "calibration",
     "cli",
-    "decoding",
     "estimation",
     "evidence",
     "experiments",
-    "files",
     "hardware",
-    "jobs",
     "notebooks",
     "pages",
     "plots",
+    "recipe",
     "recompute",
+    "records",
+    "spec",
+    "sweeps",
+    "tables",
     "test_display.py",
     "test_docs.py",
 )
@@ -84,7 +116,7 @@ def _annotations(request):
 def without_prices():
     """What limits are worth is a program of its own after every search, of which test_limits_of_cycles.py is."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gradcal_jax.api.pose_search.shadow_prices", lambda *_: ())
+        patch.setattr("gradcal_jax.design.pose_search.shadow_prices", lambda *_: ())
         yield
 
 

@@ -18,7 +18,7 @@ from scipy.interpolate import BSpline as ScipyBSpline
 from scipy.optimize import brentq
 
 from gradcal_jax import model as models
-from gradcal_jax import trajectory
+from gradcal_jax import motion as trajectory
 from gradcal_jax.information import (
     NoiseSteps,
     Posterior,

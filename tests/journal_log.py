@@ -2,11 +2,11 @@
 
 import contextlib
 
-from gradcal_jax.decoding.run_log import _of_unit
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.run.recipe import Recipe
-from gradcal_jax.files.spec.rig import RigFile
 from gradcal_jax.hardware.journal import JournalContents
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.records.log import Log
+from gradcal_jax.records.run_log import _of_unit
+from gradcal_jax.spec.rig import RigFile
 
 
 def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:

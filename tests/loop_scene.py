@@ -5,15 +5,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from gradcal_jax.api.estimate import SensorEstimate
-from gradcal_jax.api.imu_residual import quantity_of
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.spec import spec as specs
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.estimate import SensorEstimate
 from gradcal_jax.formulas import legendre
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth, SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
+from gradcal_jax.information.imu_residual import quantity_of
+from gradcal_jax.records.log import Log
+from gradcal_jax.spec import spec as specs
+from gradcal_jax.spec.spec_sections import Spec
 
 COLD, WARM, LASTING_S = -20.0, 60.0, 4800.0
 SIZE, WIDTHS = 10.0, (3.0, 10.0, 30.0)

@@ -6,7 +6,7 @@ but the class of the calibration file. Numbers are deg/h and K about 20 °C over
 
 import numpy as np
 
-from gradcal_jax.files.calibration import CalibratedChannel, CalibratedTerm, Calibration, Covariance
+from gradcal_jax.calibration import CalibratedChannel, CalibratedTerm, Calibration, Covariance
 
 HOUR = np.pi / 180.0 / 3600.0
 CENTRE, SCALE = 20.0, 50.0

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.fit_of_log import Fit
-from gradcal_jax.api.imu_build import MISALIGNMENT
+from gradcal_jax.estimation.fit_of_log import Fit
 from gradcal_jax.information import segments_of, whiten
 from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, ImuModel, SignalMap
+from gradcal_jax.model.imu_build import MISALIGNMENT
 
 # Steps of Gauss and Newton for what is no part of a calibration: the second one changes χ² by 1e-3.
 _STEPS = 3

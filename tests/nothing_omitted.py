@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from gradcal_jax.files import changed
-from gradcal_jax.files.spec.absent import absent_terms
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.spec.absent import absent_terms
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec_sections import Spec
 
 
 def zeros_of_omitted(spec: Spec) -> dict[str, Any]:

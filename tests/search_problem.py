@@ -1,7 +1,7 @@
 """A small problem for the search: two turns a visit, four coefficients, one ramp of 50 minutes."""
 
-from gradcal_jax.api.objective import ExactObjective
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.design.plan_objective import ExactObjective
+from gradcal_jax.spec.spec_sections import Spec
 
 
 def exact(spec: Spec) -> float:

@@ -10,13 +10,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from gradcal_jax import formulas
-from gradcal_jax.api.build import Assembled, assemble
-from gradcal_jax.api.turn_plan import gyro_of
-from gradcal_jax.files import Spec
-from gradcal_jax.files.log.log import AngleReadings, Log, ReadingKind
-from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.design.turn_plan import gyro_of
 from gradcal_jax.model import BIAS, HARMONICS, SCALE_FACTOR, TEMPERATURE_GRADIENT, SensorModel
-from gradcal_jax.trajectory import Trajectory
+from gradcal_jax.model.build import Assembled, assemble
+from gradcal_jax.motion import Trajectory
+from gradcal_jax.records.log import AngleReadings, Log, ReadingKind
+from gradcal_jax.spec.schedule import StandardSchedule
+from gradcal_jax.spec.spec import Spec
 
 # Of coefficients without a prior: typical of MEMS gyros.
 _USUAL_SCALE_FACTOR = 1e-3

@@ -6,15 +6,17 @@ import jax
 import numpy as np
 import pytest
 
-from gradcal_jax import api, files
+from gradcal_jax.information import prediction as predictions
+from gradcal_jax.spec import presets
+from gradcal_jax.spec import spec as spec_file
 
 
 def predict(name: str, *changes: tuple[str, str]):
-    text = files.presets.text(name)
+    text = presets.text(name)
     for old, new in changes:
         assert text.count(old) == 1, (name, old)
         text = text.replace(old, new)
-    return api.predict(files.parse_spec(text))
+    return predictions.predict(spec_file.parse_spec(text))
 
 
 def by_name(prediction):
@@ -33,8 +35,8 @@ def test_the_dynamic_standard_plan_best_and_unweighted():
     best = by_name(predict("paper-dynamic-standard"))
     assert best["full range"].mean_of_max == pytest.approx(103.3, rel=0.01)
     assert best["reduced range"].mean_of_max == pytest.approx(81.5, rel=0.01)
-    text = files.presets.text("paper-dynamic-standard").replace('"best linear"', '"least squares"', 1)
-    plain = by_name(api.predict(files.parse_spec(text)))
+    text = presets.text("paper-dynamic-standard").replace('"best linear"', '"least squares"', 1)
+    plain = by_name(predictions.predict(spec_file.parse_spec(text)))
     assert plain["full range"].mean_of_max == pytest.approx(127.4, rel=0.01)
     assert plain["reduced range"].mean_of_max == pytest.approx(100.5, rel=0.01)
 
@@ -62,10 +64,10 @@ def test_the_static_gradient_plan(old, new, mean, largest):
 
 def test_simulated_runs_are_estimated_as_the_spec_says():
     """By least squares where it asks for that: the numbers predicted beside the simulated ones are the prediction's."""
-    text = files.presets.text("paper-dynamic-standard").replace('"best linear"', '"least squares"', 1)
-    spec = files.parse_spec(text)
-    rows, tests = api.monte_carlo(spec, 4000)
-    said = by_name(api.predict(spec))
+    text = presets.text("paper-dynamic-standard").replace('"best linear"', '"least squares"', 1)
+    spec = spec_file.parse_spec(text)
+    rows, tests = predictions.monte_carlo(spec, 4000)
+    said = by_name(predictions.predict(spec))
     for row in rows:
         assert row.predicted == pytest.approx(said[row.name].mean_of_max, rel=1e-9)
         assert row.simulated == pytest.approx(row.predicted, rel=0.05)
@@ -79,7 +81,7 @@ def test_a_prediction_compiles_nothing(name):
     listen = lambda event, *_, **__: compiled.append(event) if "backend_compile" in event else None  # noqa: E731
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
-        api.predict(files.parse_spec(files.presets.text(name)), limits=True)
+        predictions.predict(spec_file.parse_spec(presets.text(name)), limits=True)
         assert compiled == []
         jax.jit(lambda x: x + len(name))(1.0)
         assert compiled != []
@@ -89,11 +91,11 @@ def test_a_prediction_compiles_nothing(name):
 
 def test_what_a_plan_cannot_observe_is_null_with_a_sentence():
     """Four parameters in rate from two rates: the prediction is JSON without nan, and names the combinations."""
-    text = files.presets.text("paper-dynamic-standard")
+    text = presets.text("paper-dynamic-standard")
     start = text.index("rates", text.index("[plan]"))
     line = text[start : text.index("\n", start)]
     text = text.replace(line, 'rates = ["-100 deg/s", "100 deg/s"]')
-    prediction = api.predict(files.parse_spec(text))
+    prediction = predictions.predict(spec_file.parse_spec(text))
     assert all(row.mean_of_max is None and row.verdict == "unobservable" for row in prediction.requirements)
     sentences = [w for w in prediction.warnings if "cannot observe" in w]
     assert len(sentences) == 8  # Two of four powers of rate, at each of four powers of temperature.

@@ -16,10 +16,14 @@ import xarray
 from simulated_log import simulate_log
 
 import gradcal_jax as gj
-from gradcal_jax import display, identify
-from gradcal_jax.api import estimate, instability, limit, optimise
-from gradcal_jax.files.base.contracts import requirement_table
-from gradcal_jax.files.calibration.file import upgraded
+from gradcal_jax import identify
+from gradcal_jax.calibration.file import upgraded
+from gradcal_jax.design import optimise
+from gradcal_jax.design import plan_limit as limit
+from gradcal_jax.estimation import estimate
+from gradcal_jax.identify import instability
+from gradcal_jax.tables import display
+from gradcal_jax.tables.contracts import requirement_table
 
 LINES, WIDTH = 15, 80
 # A `repr` runs at most some fifty thousand lines of Python.

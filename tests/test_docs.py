@@ -23,8 +23,8 @@ from gradcal_jax import plots
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import build
 from gradcal_jax.cli.lookup import commands_page
-from gradcal_jax.files.base import schemas
-from gradcal_jax.files.run.recipe import read_recipe
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.tables import schemas
 
 ROOT = Path(__file__).parents[1]
 GENERATED = {f"docs/reference/{name}.md" for name in (*schemas.schema_names(), "commands")}
@@ -229,9 +229,11 @@ ELSEWHERE = {
     "optimise run1 -o rest.toml": "tests/hardware/test_imu_replanned.py",
     "run rest.toml --resume run1": "tests/hardware/test_imu_replanned.py",
     "allan bench.csv --columns columns.toml": "tests/cli/test_instability_cli.py",
-    "allan rest.csv --columns columns.toml --format kalibr --output imu.yaml": "tests/api/test_noise_of_records.py",
+    "allan rest.csv --columns columns.toml --format kalibr --output imu.yaml": (
+        "tests/identify/test_noise_of_records.py"
+    ),
     "estimate warm-up.ulg -o cal.toml --parameters tc.params": "tests/estimation/test_warm_up.py",
-    "optimise imu.toml -o better.toml": "tests/api/test_pose_search.py",
+    "optimise imu.toml -o better.toml": "tests/design/test_pose_search.py",
     'estimate recording.npz --columns columns.toml --gravity "9.81744 m/s^2" --temperature "23 degC" -o imu.toml': (
         "tests/imu/test_hand_recording.py"
     ),

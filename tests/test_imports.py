@@ -27,7 +27,15 @@ def in_a_fresh_process(script):
 
 @pytest.mark.parametrize(
     ("room", "least"),
-    [("gradcal_jax.hardware", 20), ("gradcal_jax.files", 15), ("gradcal_jax.cli", 7), ("gradcal_jax.units", 1)],
+    [
+        ("gradcal_jax.hardware", 20),
+        ("gradcal_jax.spec", 15),
+        ("gradcal_jax.records", 15),
+        ("gradcal_jax.calibration", 5),
+        ("gradcal_jax.recipe", 3),
+        ("gradcal_jax.cli", 7),
+        ("gradcal_jax.units", 1),
+    ],
 )
 def test_every_module_of_a_room_at_the_bench_loads_without_jax(room, least):
     names, loaded = in_a_fresh_process(EVERY_MODULE.format(room=room))
@@ -43,7 +51,7 @@ def test_the_formulas_load_without_any_array_library():
 def test_what_is_logged_is_printed_by_no_handler_of_ours():
     script = """
 import gradcal_jax, logging
-logging.getLogger("gradcal_jax.files").warning("a fault")
+logging.getLogger("gradcal_jax.records").warning("a fault")
 print([type(handler).__name__ for handler in logging.getLogger("gradcal_jax").handlers], logging.getLogger().handlers)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)

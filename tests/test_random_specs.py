@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from random_specs import BASES, FAMILIES, MOST_READINGS, SHAPES, random_spec
 
-from gradcal_jax.files import spec_of
-from gradcal_jax.files.spec.axis_as_imu import convert, turned_axes
-from gradcal_jax.files.spec.motion_plan import row_count
-from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.spec.axis_as_imu import convert, turned_axes
+from gradcal_jax.spec.motion_plan import row_count
+from gradcal_jax.spec.schedule import StandardSchedule
+from gradcal_jax.spec.spec import spec_of
 
 
 def as_read(tables):

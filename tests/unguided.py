@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SimulatedImu
+from gradcal_jax.records.log import Log
+from gradcal_jax.spec.spec_sections import Spec
 
 RATE_HZ = 50.0
 # Parts of a turn by which its uneven course is integrated.

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 import gradcal_jax
-from gradcal_jax.decoding.sessions import sessions_of
-from gradcal_jax.decoding.spool import SampleSpool
 from gradcal_jax.hardware.journal import records_of
 from gradcal_jax.hardware.run_folder import RunFolder
+from gradcal_jax.records.sessions import sessions_of
+from gradcal_jax.records.spool import SampleSpool
 
 PAGES = Path(__file__).parents[2] / "docs" / "afternoons"
 HEAD = """# {title}

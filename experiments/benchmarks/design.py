@@ -40,8 +40,9 @@ def problem():
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from gradcal_jax.api.turn_plan import measure, structures
-    from gradcal_jax.files import changed, read_spec
+    from gradcal_jax.design.turn_plan import measure, structures
+    from gradcal_jax.spec.changes import changed
+    from gradcal_jax.spec.spec import read_spec
 
     spec = changed(read_spec(SPEC), {"design.cycles": "alike", "design.moves": 4, "design.starts": STARTS})
     return spec, structures(spec, [])[0].coordinates, measure(spec)
@@ -81,11 +82,11 @@ def slsqp(seconds: float) -> dict:
     from filterpy.kalman import KalmanFilter
     from scipy.optimize import minimize
 
-    from gradcal_jax.api import assemble
-    from gradcal_jax.api.imu_residual import box
     from gradcal_jax.design import coordinates as room
     from gradcal_jax.design import criterion
     from gradcal_jax.information import at_readings, noise_steps
+    from gradcal_jax.information.imu_residual import box
+    from gradcal_jax.model.build import assemble
 
     room._PIECES_A_REST, room._PIECES_OF_OTHERS = READINGS
     spec, coordinates, _ = problem()
@@ -151,8 +152,9 @@ def pydex(seconds: float) -> dict:
     import numpy as np
     from pydex.core.designer import Designer
 
-    from gradcal_jax.api import predict
-    from gradcal_jax.files import changed, read_spec
+    from gradcal_jax.information.prediction import predict
+    from gradcal_jax.spec.changes import changed
+    from gradcal_jax.spec.spec import read_spec
 
     spec = read_spec(SPEC)
     visits = 17

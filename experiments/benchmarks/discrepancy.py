@@ -22,14 +22,15 @@ SHARPNESS, STEPS = 40.0, 15
 
 def objectives():
     """The compiled objective without and with a discrepancy, and the sizes of their vectors, which are the same."""
-    from gradcal_jax.api.turn_plan import measure, structures
+    from gradcal_jax.design.turn_plan import measure, structures
 
     return [measure(one).compiled(structures(one, [])[0].coordinates) for one in specs()]
 
 
 def specs():
     """The headline without and with a discrepancy."""
-    from gradcal_jax.files import changed, read_spec
+    from gradcal_jax.spec.changes import changed
+    from gradcal_jax.spec.spec import read_spec
 
     spec = read_spec(SPEC)
     return [spec, changed(spec, {"sensor.gyro.scale_factor.discrepancy": HIDDEN})]
@@ -52,8 +53,8 @@ def descent(objective, start: np.ndarray) -> tuple[float, int]:
 
 def whole_search(spec, seed: int) -> float:
     """Processor time (s) of `optimise` from a seed, to its end."""
-    from gradcal_jax.api.optimise import run_search
-    from gradcal_jax.files import changed
+    from gradcal_jax.design.optimise import run_search
+    from gradcal_jax.spec.changes import changed
 
     begun = time.process_time()
     for _ in run_search(changed(spec, {"design.seed": seed})):

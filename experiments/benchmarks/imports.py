@@ -45,7 +45,7 @@ def make(ending: str, folder: Path) -> Path:
 
 def read(path: str) -> None:
     """Prints seconds (wall, processor) and MB."""
-    from gradcal_jax.files.log.vehicle import read_vehicle_log
+    from gradcal_jax.records.vehicle import read_vehicle_log
 
     began, busy = time.perf_counter(), time.process_time()
     log = read_vehicle_log(path)

@@ -32,10 +32,10 @@ def made(folder: Path, hours: float) -> Path:
     """A folder of a run that was killed a minute before its end."""
     from hardware_bench import short_recipe
 
-    from gradcal_jax.files.spec.rig import TEMPLATE, parse_rig
     from gradcal_jax.hardware.journal import Journal
     from gradcal_jax.hardware.run_folder import begin_session, new_folder
     from gradcal_jax.hardware.track import track_of
+    from gradcal_jax.spec.rig import TEMPLATE, parse_rig
 
     ramp_k = min(100.0, 60.0 * hours)
     changes = {

@@ -154,7 +154,7 @@ def allan_allantools(rate: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 def calibration_log(samples: int):
     """Ramping up and down between -30 and 70 °C at 1 K/min, as long as it takes; b00 is `TRUTH`, all else zero."""
-    from gradcal_jax.files.log.log import Log
+    from gradcal_jax.records.log import Log
 
     time_s = INTERVAL * np.arange(samples)
     cycle, into = np.divmod(time_s, 2.0 * (REST + TURN))
@@ -187,8 +187,8 @@ def estimate_ours(log, times: np.ndarray) -> np.ndarray:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from gradcal_jax.api.estimate import estimate_log
-    from gradcal_jax.files import parse_spec
+    from gradcal_jax.estimation.estimate import estimate_log
+    from gradcal_jax.spec.spec import parse_spec
 
     (one,) = estimate_log(parse_spec(SPEC), [log]).sensors
     return 1.0 + _scale_factors(one.solution.parameters, one.built.model.channels[0].model)

@@ -56,7 +56,7 @@ def write(folder: Path, more: str, change: Callable[[int, str], str]) -> Path:
 def read(path: str) -> None:
     """Read the table alone."""
     from gradcal_jax import import_log
-    from gradcal_jax.files.log.importers import parse_column_map
+    from gradcal_jax.records.importers import parse_column_map
 
     text = (Path(path).parent / "map.toml").read_text(encoding="utf-8")
     assert len(import_log(path, parse_column_map(text)).time_s) == ROWS

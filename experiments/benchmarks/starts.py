@@ -30,11 +30,11 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 import gradcal_jax as gj  # noqa: E402
-from gradcal_jax.api.cycle_plan import CyclePlan  # noqa: E402
-from gradcal_jax.api.turn_plan import measure, structures  # noqa: E402
 from gradcal_jax.design.compiling import compiler_options  # noqa: E402
 from gradcal_jax.design.cycle_moves import Neighbourhood  # noqa: E402
+from gradcal_jax.design.cycle_plan import CyclePlan  # noqa: E402
 from gradcal_jax.design.descent import Descent  # noqa: E402
+from gradcal_jax.design.turn_plan import measure, structures  # noqa: E402
 
 EXPERIMENTS = Path(__file__).resolve().parent.parent
 EVALUATIONS = 40

@@ -32,10 +32,10 @@ def loop(points: list[dict]) -> None:
     import numpy as np
     from filterpy.kalman import KalmanFilter
 
-    from gradcal_jax.api import assemble
-    from gradcal_jax.files import changed
-    from gradcal_jax.files.run.sweep import read_sweep
     from gradcal_jax.information import at_readings, contrasts, noise_steps
+    from gradcal_jax.model.build import assemble
+    from gradcal_jax.spec.changes import changed
+    from gradcal_jax.sweeps.sweep_file import read_sweep
 
     base = read_sweep(HERE / "sweep.toml").base
     found = []
@@ -101,9 +101,9 @@ def main() -> None:
         return
     import numpy as np
 
-    from gradcal_jax.files.run.sweep import read_sweep
-    from gradcal_jax.jobs.dataset import read_dataset
-    from gradcal_jax.jobs.points import Points
+    from gradcal_jax.sweeps.dataset import read_dataset
+    from gradcal_jax.sweeps.points import Points
+    from gradcal_jax.sweeps.sweep_file import read_sweep
 
     points = Points(read_sweep(HERE / "sweep.toml"))
     chosen = np.sort(np.random.default_rng(0).choice(len(points), asked.sample, replace=False))

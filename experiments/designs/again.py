@@ -17,12 +17,12 @@ import jax
 import numpy as np
 from variants import MOVING, STATIC, spec_of
 
-from gradcal_jax.api.objective import scenario_specs
-from gradcal_jax.api.optimise import run_search
-from gradcal_jax.api.searching import SearchStep
-from gradcal_jax.api.turn_plan import Measure, measure, structures
-from gradcal_jax.api.turn_search import PRICED, polished, shadow_prices
 from gradcal_jax.design import Coordinates, Optimum, polish
+from gradcal_jax.design.optimise import run_search
+from gradcal_jax.design.plan_objective import scenario_specs
+from gradcal_jax.design.searching import SearchStep
+from gradcal_jax.design.turn_plan import Measure, measure, structures
+from gradcal_jax.design.turn_search import PRICED, polished, shadow_prices
 
 HERE = Path(__file__).parent
 STEPS = (0.05, 0.1, 0.2, 0.4, 0.8)

@@ -26,12 +26,12 @@ use_float64()
 import numpy as np  # noqa: E402
 
 import gradcal_jax as gj  # noqa: E402
-from gradcal_jax.api.cycle_plan import CyclePlan  # noqa: E402
-from gradcal_jax.api.optimise import run_search  # noqa: E402
-from gradcal_jax.api.pose_search import EVALUATIONS  # noqa: E402
-from gradcal_jax.api.searching import Optimised  # noqa: E402
 from gradcal_jax.design.cycle_moves import Neighbourhood  # noqa: E402
-from gradcal_jax.files import write_toml  # noqa: E402
+from gradcal_jax.design.cycle_plan import CyclePlan  # noqa: E402
+from gradcal_jax.design.optimise import run_search  # noqa: E402
+from gradcal_jax.design.pose_search import EVALUATIONS  # noqa: E402
+from gradcal_jax.design.searching import Optimised  # noqa: E402
+from gradcal_jax.tables.writing import write_toml  # noqa: E402
 
 HERE = Path(__file__).parent
 IMU = HERE.parent / "imu"

@@ -20,9 +20,9 @@ from gradcal_jax.cli.precision import use_float64
 use_float64()
 
 import gradcal_jax as gj  # noqa: E402
-from gradcal_jax.api.optimise import run_search  # noqa: E402
-from gradcal_jax.api.searching import Optimised  # noqa: E402
-from gradcal_jax.api.turn_plan import design_block  # noqa: E402
+from gradcal_jax.design.optimise import run_search  # noqa: E402
+from gradcal_jax.design.searching import Optimised  # noqa: E402
+from gradcal_jax.design.turn_plan import design_block  # noqa: E402
 
 HERE = Path(__file__).parent
 SEEDS = range(3)

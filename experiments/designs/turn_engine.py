@@ -21,13 +21,10 @@ from scipy.optimize import minimize
 jax.config.update("jax_enable_x64", True)
 
 import gradcal_jax as gj  # noqa: E402
-from gradcal_jax.api.objective import scenario_specs  # noqa: E402
-from gradcal_jax.api.turn_plan import (  # noqa: E402
-    measure,
-    structures,
-)
+from gradcal_jax.design.plan_objective import scenario_specs  # noqa: E402
 from gradcal_jax.design.search import SHARPNESS, Compiled  # noqa: E402
-from gradcal_jax.files.run.recipe import spec_in  # noqa: E402
+from gradcal_jax.design.turn_plan import measure, structures  # noqa: E402
+from gradcal_jax.recipe.recipe import spec_in  # noqa: E402
 
 HERE = Path(__file__).parent
 CASES = {

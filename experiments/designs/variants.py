@@ -13,7 +13,9 @@ import time
 from pathlib import Path
 
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.files import Spec, changed, read_spec, to_toml
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import Spec, read_spec
+from gradcal_jax.tables.writing import to_toml
 
 HERE = Path(__file__).parent
 RECIPES = HERE.parent / "recipes"
@@ -68,16 +70,16 @@ def spec_of(name: str) -> Spec:
 
 def run(name: str) -> dict[str, object]:
     """Optimise a variant, write its recipe, and say what is to be said of it."""
-    from gradcal_jax import api
-    from gradcal_jax.api.optimise import optimise
-    from gradcal_jax.api.searching import record_of
+    from gradcal_jax.design.optimise import optimise
+    from gradcal_jax.design.searching import record_of
+    from gradcal_jax.information import prediction
 
     spec = spec_of(name)
     begun = time.perf_counter()
     assert spec.design is not None
     best = optimise(spec)
     took = time.perf_counter() - begun
-    made = api.recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))
+    made = prediction.recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))
     place = path_of(name)
     place.parent.mkdir(exist_ok=True)
     place.write_text(to_toml(made), encoding="utf-8")
@@ -91,9 +93,9 @@ def path_of(name: str) -> Path:
 
 def compared(name: str) -> dict[str, object]:
     """What the kept recipe leaves, and the limit, where there is a proof."""
-    from gradcal_jax.api import predict
-    from gradcal_jax.api.limit import limit
-    from gradcal_jax.files.run.recipe import read_recipe
+    from gradcal_jax.design.plan_limit import limit
+    from gradcal_jax.information.prediction import predict
+    from gradcal_jax.recipe.recipe import read_recipe
 
     spec = read_recipe(path_of(name)).spec
     if name not in MOVING:

@@ -63,7 +63,7 @@ def step(spec: Any) -> float:
     try:
         from gradcal_jax.api.unit_optimise import optimise_unit
     except ImportError:
-        from gradcal_jax.api.optimise import run_search
+        from gradcal_jax.design.optimise import run_search
 
         # The last block of evaluations is the longest one.
         begin, count, longest = time.process_time(), 0, (0, 0.0)

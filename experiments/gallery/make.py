@@ -25,12 +25,12 @@ jax.config.update("jax_enable_x64", True)
 
 import gradcal_jax as gj  # noqa: E402
 from gradcal_jax import plots  # noqa: E402
-from gradcal_jax.api.estimate import EstimateReport  # noqa: E402
-from gradcal_jax.api.hand_estimate import HandReport  # noqa: E402
-from gradcal_jax.api.imu_build import build_imu, imu_posterior  # noqa: E402
-from gradcal_jax.api.imu_residual import ImuResidual, imu_residual  # noqa: E402
-from gradcal_jax.files.run.recipe import Recipe  # noqa: E402
+from gradcal_jax.estimation.estimate import EstimateReport  # noqa: E402
+from gradcal_jax.estimation.hand_estimate import HandReport  # noqa: E402
+from gradcal_jax.information.imu_residual import ImuResidual, imu_residual  # noqa: E402
+from gradcal_jax.model.imu_build import build_imu, imu_posterior  # noqa: E402
 from gradcal_jax.plots.residual import boxes_of  # noqa: E402
+from gradcal_jax.recipe.recipe import Recipe  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
 PICTURES = ROOT / "docs" / "gallery"

@@ -93,8 +93,10 @@ def write_tables() -> None:
 
 def searched(name: str) -> dict[str, object]:
     """Search a plan and keep its spec in `plans/`. What the search said, and its time of processor (s)."""
-    from gradcal_jax.api.optimise import optimise
-    from gradcal_jax.files import changed, read_spec, write_toml
+    from gradcal_jax.design.optimise import optimise
+    from gradcal_jax.spec.changes import changed
+    from gradcal_jax.spec.spec import read_spec
+    from gradcal_jax.tables.writing import write_toml
 
     spec = read_spec(HERE / f"{name.removeprefix('guarded ')}.toml")
     if name.startswith("guarded"):
@@ -115,10 +117,10 @@ def plan_of(name: str) -> Path:
 
 def compared(name: str) -> dict[str, object]:
     """What the plan for ppm, and the mission's own, leave of the mission, and the limit for both."""
-    from gradcal_jax.api import predict
-    from gradcal_jax.api.limit import limit
-    from gradcal_jax.files import read_spec, tables_of
-    from gradcal_jax.files.spec.spec import spec_of
+    from gradcal_jax.design.plan_limit import limit
+    from gradcal_jax.information.prediction import predict
+    from gradcal_jax.spec.changes import tables_of
+    from gradcal_jax.spec.spec import read_spec, spec_of
 
     own, for_ppm = read_spec(plan_of(name)), read_spec(plan_of("ppm"))
     both = [predict(one).requirements for one in (own, spec_of(tables_of(own) | {"plan": tables_of(for_ppm)["plan"]}))]

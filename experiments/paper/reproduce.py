@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 import gradcal_jax as gj
 from gradcal_jax import plots
-from gradcal_jax.files import tables_of
+from gradcal_jax.spec.changes import tables_of
 
 HERE = Path(__file__).parent
 DEG = np.pi / 180.0

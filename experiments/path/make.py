@@ -11,13 +11,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.spec.spec import spec_of
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.plots import save
 from gradcal_jax.plots.calibration import draw_loop
 from gradcal_jax.plots.style import new_panels
+from gradcal_jax.records.log import Log
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.spec.spec_sections import Spec
 
 HERE = Path(__file__).parent
 WIDTHS = (3, 10, 30)

@@ -23,13 +23,13 @@ from gradcal_jax.cli.output import (
 )
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity
-from gradcal_jax.display import columns
-from gradcal_jax.display import columns as table
+from gradcal_jax.tables.display import columns
+from gradcal_jax.tables.display import columns as table
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.calibrations import Lot
-    from gradcal_jax.api.validation import Acceptance, AxisValidation
-    from gradcal_jax.files.calibration.exports import Export
+    from gradcal_jax.calibration.exports import Export
+    from gradcal_jax.estimation.calibrations import Lot
+    from gradcal_jax.estimation.validation import Acceptance, AxisValidation
 
 Calibrated = Annotated[Path, Parameter(help="The calibration file.")]
 
@@ -60,9 +60,9 @@ def apply(
     json
         Print the name of the corrected log, and the number of rows outside the range of the calibration, as JSON.
     """
-    from gradcal_jax.files.calibration import read_calibration
-    from gradcal_jax.files.calibration.correction import apply as correct
-    from gradcal_jax.files.log.log_file import write_log
+    from gradcal_jax.calibration import read_calibration
+    from gradcal_jax.calibration.correction import apply as correct
+    from gradcal_jax.records.log_file import write_log
 
     content = read_calibration(calibration)
     writable(output, force)
@@ -135,7 +135,7 @@ def validate(
     branches
         Print the errors of heating and of cooling separately.
     """
-    from gradcal_jax.files.calibration import read_calibration
+    from gradcal_jax.calibration import read_calibration
 
     if parts < 1:
         raise ValueError(f"--parts must be 1 or more, not {parts}")
@@ -147,7 +147,7 @@ def validate(
     content = read_calibration(calibration)
     recorded = load(log, source, unit=unit)
     use_float64()
-    from gradcal_jax.api import validation as work
+    from gradcal_jax.estimation import validation as work
 
     name = _unit(recorded, content.serial_number, unit)
     rows = work.validate(
@@ -214,9 +214,9 @@ def export(
     json
         Print the text, the losses and the notes as JSON.
     """
-    from gradcal_jax.files.base.document import read_text
-    from gradcal_jax.files.base.writing import write_whole
-    from gradcal_jax.files.calibration import exports, read_calibration
+    from gradcal_jax.calibration import exports, read_calibration
+    from gradcal_jax.tables.document import read_text
+    from gradcal_jax.tables.writing import write_whole
 
     at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
     content = read_calibration(calibration)
@@ -335,13 +335,13 @@ def lot(
     plot
         Draw the maps of all IMUs, the mean map and the shapes that repeat into this file (.png, .svg, .pdf).
     """
-    from gradcal_jax.files.calibration import read_calibration
+    from gradcal_jax.calibration import read_calibration
 
     if output is not None:
         writable(output, force)
     drawable(plot)
     read = [read_calibration(path) for path in calibrations]
-    from gradcal_jax.api import calibrations as work
+    from gradcal_jax.estimation import calibrations as work
 
     found = work.lot(read)
     print(as_json(work.lot_tables(found)) if json else lot_text(found))
@@ -354,7 +354,7 @@ def lot(
 
         complain(f"no priors were written to {output}: no map has a shape that repeats in this lot")
         return NOT_AS_WISHED
-    from gradcal_jax.files.base.writing import write_whole
+    from gradcal_jax.tables.writing import write_whole
 
     write_whole(output, work.lot_priors(found))
     if not json:

@@ -11,19 +11,19 @@ from cyclopts import Parameter
 from gradcal_jax.cli.output import DONE, NOT_AS_WISHED, Flag, Force, Json, OptionalOutput, as_json, strong, writable
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.predict import omitted_lines
-from gradcal_jax.display import columns
+from gradcal_jax.tables.display import columns
 from gradcal_jax.units import time_text, times_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from gradcal_jax.files import Timeline
-    from gradcal_jax.files.base.section import Section
-    from gradcal_jax.files.spec.motion_plan import PlanSchedule
-    from gradcal_jax.files.spec.moves import ResolvedMove
-    from gradcal_jax.files.spec.requirement import Requirement
-    from gradcal_jax.files.spec.schedule import StandardSchedule
-    from gradcal_jax.files.spec.spec_sections import Spec
+    from gradcal_jax.spec.motion_plan import PlanSchedule
+    from gradcal_jax.spec.moves import ResolvedMove
+    from gradcal_jax.spec.requirement import Requirement
+    from gradcal_jax.spec.schedule import StandardSchedule
+    from gradcal_jax.spec.spec_sections import Spec
+    from gradcal_jax.tables.section import Section
+    from gradcal_jax.tables.timeline import Timeline
 
 _MOST_ROWS, _MOST_MOVES = 24, 60
 
@@ -62,8 +62,8 @@ def check(
         Print as JSON: the times of the plan, the notes, and what the plan cannot observe; or the contents of a recipe.
         With --timeline, print gradcal-timeline/3: segments, readings and the models of all sensors, in SI units.
     """
-    from gradcal_jax.files.run.recipe import Recipe, spec_or_recipe
-    from gradcal_jax.files.spec.memory import needed_bytes, too_large
+    from gradcal_jax.recipe.recipe import Recipe, spec_or_recipe
+    from gradcal_jax.spec.memory import needed_bytes, too_large
 
     if upgrade:
         return upgrade_file(file, output, force=force)
@@ -104,14 +104,14 @@ def check(
 def blind_of(spec: "Spec") -> list[str]:
     """All warnings of `check`: what the plan cannot observe, and requirements beyond its range."""
     use_float64()
-    from gradcal_jax.api.plan_sentences import check as check_of
+    from gradcal_jax.information.plan_sentences import check as check_of
 
     return check_of(spec)
 
 
 def numbers(spec: "Spec") -> dict[str, Any]:
     """A summary of the plan for other programs; times in s."""
-    from gradcal_jax.files.spec.absent import absent_terms
+    from gradcal_jax.spec.absent import absent_terms
 
     record: dict[str, Any] = {"title": spec.title, "method": spec.plan.method}
     record |= {f"{name}_s": getattr(spec.schedule, name) for name in ("duration", "soak", "motion")}
@@ -122,7 +122,7 @@ def numbers(spec: "Spec") -> dict[str, Any]:
 
 def summary(spec: "Spec") -> str:
     """A summary of the plan as plain text, from the file alone."""
-    from gradcal_jax.files.spec.schedule import StandardSchedule
+    from gradcal_jax.spec.schedule import StandardSchedule
 
     schedule, table = spec.schedule, spec.rig.table
     lines = [*_sensors(spec), *map(_required, spec.requirement)]
@@ -136,7 +136,7 @@ def summary(spec: "Spec") -> str:
 
 
 def _sensors(spec: "Spec") -> "Iterator[str]":
-    from gradcal_jax.files.base.section import Section
+    from gradcal_jax.tables.section import Section
 
     skipped = {"axes", "drift", "scale_factor_instability", "temperature_error"}
     for name, triad in (("gyro", spec.sensor.gyro), ("accelerometer", spec.sensor.accelerometer)):
@@ -176,7 +176,7 @@ def _standard(schedule: "StandardSchedule") -> list[str]:
 
 
 def _gradient(spec: "Spec", schedule: "PlanSchedule") -> list[str]:
-    from gradcal_jax.files.spec.motion_plan import duration_of, row_count
+    from gradcal_jax.spec.motion_plan import duration_of, row_count
 
     total = times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
     table = spec.rig.table
@@ -237,7 +237,7 @@ def _turn(move: "ResolvedMove", axis: str) -> tuple[str, ...]:
 
 def notes(spec: "Spec") -> list[str]:
     """Notes on a sound spec: unused time, and requirements beyond the temperatures of the plan."""
-    from gradcal_jax.files.spec.schedule import StandardSchedule
+    from gradcal_jax.spec.schedule import StandardSchedule
 
     sentences: list[str] = []
     schedule = spec.schedule
@@ -264,8 +264,8 @@ def notes(spec: "Spec") -> list[str]:
 def upgrade_file(file: Path, output: Path | None, *, force: bool) -> int:
     """Write a spec, recipe or calibration in the current format to `output`; by default it replaces the file, which is
     saved as FILE.old."""
-    from gradcal_jax.files.base.document import read_text, read_toml
-    from gradcal_jax.files.base.writing import write_toml, write_whole
+    from gradcal_jax.tables.document import read_text, read_toml
+    from gradcal_jax.tables.writing import write_toml, write_whole
 
     text = read_text(file)
     model, done = _upgraded(text, read_toml(text, str(file)), file)
@@ -288,11 +288,11 @@ def upgrade_file(file: Path, output: Path | None, *, force: bool) -> int:
 def _upgraded(text: str, document: dict[str, Any], file: Path) -> "tuple[Section, list[str]]":
     """The file's contents, and what of its form is an earlier version's. Raises `SpecError`, and `ValueError` for files
     of other kinds."""
-    from gradcal_jax.files.calibration.file import OLD_FORMATS, is_calibration, parse_calibration
-    from gradcal_jax.files.run.recipe import is_recipe, parse_recipe
-    from gradcal_jax.files.spec.axis_as_imu import is_of_axis
-    from gradcal_jax.files.spec.mission import missions_from
-    from gradcal_jax.files.spec.spec import FORMAT, parse_spec
+    from gradcal_jax.calibration.file import OLD_FORMATS, is_calibration, parse_calibration
+    from gradcal_jax.recipe.recipe import is_recipe, parse_recipe
+    from gradcal_jax.spec.axis_as_imu import is_of_axis
+    from gradcal_jax.spec.mission import missions_from
+    from gradcal_jax.spec.spec import FORMAT, parse_spec
 
     if is_calibration(document):
         model = parse_calibration(text, str(file))
@@ -336,9 +336,9 @@ def print_timeline(spec: "Spec", rows: str, *, csv: bool, json: bool) -> None:
     if json and csv:
         raise ValueError("--json and --csv: use only one of them")
     use_float64()
-    from gradcal_jax import api
+    from gradcal_jax.information import timeline
 
-    contents = api.timeline(spec)
+    contents = timeline.timeline(spec)
     if json:
         print(contents.model_dump_json(indent=2, exclude_none=True))
     elif csv:

@@ -22,7 +22,7 @@ from gradcal_jax.cli.predict import limit, predict
 from gradcal_jax.cli.recordings import Recording
 from gradcal_jax.cli.report import report
 from gradcal_jax.cli.run import run
-from gradcal_jax.display import amount
+from gradcal_jax.tables.display import amount
 from gradcal_jax.units import time_text
 
 RECORDING: Final = "tofupilot_imu_thermal_cycle.npz"
@@ -205,7 +205,7 @@ def _whole_imu(sitting: "_Sitting", seed: int) -> dict[str, Any]:
 
 
 def _recorded_sensor(sitting: "_Sitting", recording: Path) -> dict[str, Any]:
-    from gradcal_jax.files.base.writing import write_whole
+    from gradcal_jax.tables.writing import write_whole
 
     sitting.step("A MEMS gyro at rest through one thermal cycle: its drift, by the paper's Direct Bound")
     columns, spec = Path("columns.toml"), Path("sensor.toml")
@@ -280,7 +280,7 @@ class _Sitting:
 
     def optimise(self, spec: Path, steps: int = _STEPS) -> tuple[dict[str, Any], dict[str, Any]]:
         """Search a plan for a spec: the search's own record, and the requirement that the recipe was designed for."""
-        from gradcal_jax.files.run.recipe import read_recipe
+        from gradcal_jax.recipe.recipe import read_recipe
 
         record = self.numbers(optimise, spec, output=_RECIPE, steps=steps)
         plan = read_recipe(self.folder / _RECIPE)
@@ -306,9 +306,10 @@ class _Sitting:
 
     def design(self, file: Path, changes: Mapping[str, object], header: str) -> None:
         """Write the paper's spec, changed, into the folder."""
-        from gradcal_jax.files import changed, presets, to_toml
-        from gradcal_jax.files.base.writing import write_whole
-        from gradcal_jax.files.spec.spec import parse_spec
+        from gradcal_jax.spec import presets
+        from gradcal_jax.spec.changes import changed
+        from gradcal_jax.spec.spec import parse_spec
+        from gradcal_jax.tables.writing import to_toml, write_whole
 
         spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), changes)
         write_whole(self.folder / file, to_toml(spec, header=header))

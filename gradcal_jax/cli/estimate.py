@@ -24,18 +24,18 @@ from gradcal_jax.cli.output import (
 )
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, load_all, quantity
-from gradcal_jax.display import columns as table
+from gradcal_jax.tables.display import columns as table
 from gradcal_jax.units import PPM, G
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.contradictions import MeasuredDiscrepancy
-    from gradcal_jax.api.estimate import SensorEstimate
-    from gradcal_jax.api.hand_estimate import HandReport
+    from gradcal_jax.calibration import Calibration
     from gradcal_jax.estimation import Group
-    from gradcal_jax.files.base.contracts import RequirementRow
-    from gradcal_jax.files.calibration import Calibration
-    from gradcal_jax.files.log.log import Log
-    from gradcal_jax.files.spec.spec_sections import Spec
+    from gradcal_jax.estimation.contradictions import MeasuredDiscrepancy
+    from gradcal_jax.estimation.estimate import SensorEstimate
+    from gradcal_jax.estimation.hand_estimate import HandReport
+    from gradcal_jax.records.log import Log
+    from gradcal_jax.spec.spec_sections import Spec
+    from gradcal_jax.tables.contracts import RequirementRow
 
 _EARTH_RATE_RAD_PER_S: Final = 7.292115e-5
 Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
@@ -152,7 +152,7 @@ def estimate(
         raise ValueError("a table with one axis turns only one axis of an IMU: give --axis only once")
     table_of_points, logs = None, list["Log"]()
     if points is not None:
-        from gradcal_jax.files.log.points import read_points
+        from gradcal_jax.records.points import read_points
 
         if model is None or source != WHOLE or axis or unit or more or temperature is not None:
             raise ValueError(
@@ -178,9 +178,9 @@ def estimate(
         writable(parameters, force)
     files = _files(output, names, force)
     use_float64()
-    from gradcal_jax.api.estimate import EstimateReport, estimate_log, estimate_rows
-    from gradcal_jax.api.log_flow import estimate_points, estimate_warm_up
-    from gradcal_jax.api.log_rows import Options
+    from gradcal_jax.estimation.estimate import EstimateReport, estimate_log, estimate_rows
+    from gradcal_jax.estimation.log_flow import estimate_points, estimate_warm_up
+    from gradcal_jax.estimation.log_rows import Options
 
     sources = {"log": ", ".join(path.name for path in (log, *more)), "spec": (spec or recipe or Path()).name}
     chosen = Options(**options, table_axis=table_axis, robust=robust)
@@ -201,8 +201,8 @@ def estimate(
         print("\n".join(line for row in report.discrepancies for line in discrepancy_lines(row)))
     _write(report.calibrations, files, json)
     if parameters is not None and firmware is not None:
-        from gradcal_jax.files.base.writing import write_whole
-        from gradcal_jax.files.calibration.exports import export_sensors
+        from gradcal_jax.calibration.exports import export_sensors
+        from gradcal_jax.tables.writing import write_whole
 
         done = export_sensors(report.calibrations, firmware)
         write_whole(parameters, done.text)
@@ -223,8 +223,8 @@ def _by_hand(
     json: bool,
 ) -> int:
     """The estimate of IMUs that were laid down in many positions, without a table."""
-    from gradcal_jax.api.hand_estimate import estimate_by_hand, hand_estimate_rows
-    from gradcal_jax.api.log_rows import Options
+    from gradcal_jax.estimation.hand_estimate import estimate_by_hand, hand_estimate_rows
+    from gradcal_jax.estimation.log_rows import Options
 
     reports = estimate_by_hand(recorded, gravity, units=units, options=Options(**options), sources={"log": path.name})
     if json:
@@ -238,7 +238,7 @@ def _by_hand(
 
 def _write(calibrations: "Sequence[Calibration]", files: Mapping[str, Path], json: bool) -> None:
     """Write the calibrations of those sensors that have a file."""
-    from gradcal_jax.files.calibration import write_calibration
+    from gradcal_jax.calibration import write_calibration
 
     for one in calibrations:
         if (path := files.get(one.serial_number)) is not None:
@@ -293,7 +293,7 @@ def _options(
 def _spec(spec: Path | None, recipe: Path | None) -> "Spec":
     if (spec is None) == (recipe is None):
         raise ValueError("give either the spec (--spec) or the recipe that was run (--recipe)")
-    from gradcal_jax.files.run.recipe import read_recipe, spec_in
+    from gradcal_jax.recipe.recipe import read_recipe, spec_in
 
     if spec is not None:
         return spec_in(spec)
@@ -341,14 +341,14 @@ def _tests(report: "SensorEstimate | HandReport") -> str:
 def requirement_lines(rows: "Sequence[RequirementRow]") -> list[str]:
     """The requirements as an estimate meets them, and the rules of their verdicts."""
     names = [f"{row.name}, {row.limited_by or f'axis {row.axis}'}" for row in rows]
-    from gradcal_jax.files.base.contracts import requirement_table
+    from gradcal_jax.tables.contracts import requirement_table
 
     shown = requirement_table(rows, names)
     return ["", table(shown, indent=""), *(f"{n}: {row.rule}" for n, row in zip(names, rows, strict=True) if row.rule)]
 
 
 def text_of_estimate(report: "SensorEstimate") -> str:
-    from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
+    from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
     from gradcal_jax.model import SCALE_FACTOR
     from gradcal_jax.pages.coefficients import estimated_coefficients
 
@@ -430,8 +430,8 @@ def _sizes(report: "SensorEstimate") -> list[tuple[str, ...]]:
     # Imported where they are used: the help of all commands imports this.
     import numpy as np
 
-    from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
-    from gradcal_jax.files.calibration.correction import term_values
+    from gradcal_jax.calibration.correction import term_values
+    from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
 
     calibration = report.calibration
     low, high = (float(t) for t in calibration.valid_temperature)
@@ -449,8 +449,8 @@ def _sizes(report: "SensorEstimate") -> list[tuple[str, ...]]:
 
 
 def text_of_held(report: "HandReport") -> str:
-    from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
-    from gradcal_jax.api.verdicts import deviations_of
+    from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
+    from gradcal_jax.information.verdicts import deviations_of
 
     calibration = report.calibration
     lines = _head(report, f"{len(report.solution.positions.duration)} positions, {report.solution.turns} turns")

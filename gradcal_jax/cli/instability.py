@@ -24,11 +24,11 @@ from gradcal_jax.cli.output import (
 )
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import LOG_HELP, WHOLE, LogFile, Recording, described, load, quantity, span
-from gradcal_jax.display import columns
+from gradcal_jax.tables.display import columns
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.instability import Instability, RestRecord
     from gradcal_jax.identify import AllanFit
+    from gradcal_jax.identify.instability import Instability, RestRecord
 
     # A range of temperature, a branch (None: all), and the instability there or why there is none.
     _Piece = tuple[tuple[float, float] | None, str | None, Instability | str]
@@ -117,7 +117,7 @@ def instability(
     left_out = [span(text, "--without") for text in without]
     recorded = load(log, source, unit=unit)
     use_float64()
-    from gradcal_jax.api import instability as work
+    from gradcal_jax.identify import instability as work
 
     look = partial(
         work.instability, averaging_time_s=delta_s, shortest_s=shortest_s, longest_s=longest_s, margin=margin
@@ -169,8 +169,8 @@ def _write_noise(
     writable(output, force)
     recorded = load(log, source, unit=unit)
     use_float64()
-    from gradcal_jax.api.instability import noise_file, noise_of_imu
-    from gradcal_jax.files.base.writing import write_whole
+    from gradcal_jax.identify.instability import noise_file, noise_of_imu
+    from gradcal_jax.tables.writing import write_whole
 
     channels = noise_of_imu(recorded, 0 if unit is None else unit, lag=_lag(lag))
     name = f"{log.name}{' (simulated)' * recorded.simulated}"
@@ -190,7 +190,7 @@ def _parts(
     rest: "RestRecord", ranges: int, width: float | None, branches: bool
 ) -> list[tuple[tuple[float, float] | None, str | None]]:
     """Ranges of temperature (None: all) and branches (None: both) besides the whole record."""
-    from gradcal_jax.api import instability as work
+    from gradcal_jax.identify import instability as work
 
     divided = work.temperature_ranges(rest, ranges, width) if ranges > 1 or width else []
     ways = ("heating", "cooling")
@@ -202,7 +202,7 @@ def _lag(text: str) -> float | str:
 
 
 def _instability_text(result: "Instability", parts: "list[_Piece]") -> str:
-    from gradcal_jax.api import instability as work
+    from gradcal_jax.identify import instability as work
     from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
 
     bound = result.bound
@@ -366,7 +366,7 @@ def allan(
     left_out = [span(text, "--without") for text in without]
     recorded = load(log, source, unit=unit)
     use_float64()
-    from gradcal_jax.api import instability as work
+    from gradcal_jax.identify import instability as work
 
     drawn, problems = [], list[str]()
     for name in work.axes_asked_for(recorded, axis):

@@ -11,7 +11,7 @@ from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, load, quantity
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.files.log.log import Log
+    from gradcal_jax.records.log import Log
 
 log_app = App(name="log", help="Write the log of a run, or of turns that were made by hand.")
 
@@ -51,9 +51,9 @@ def turns(
     writable(output, force)
     recorded = load(log, source, unit=unit)
     use_float64()
-    from gradcal_jax.api.log_flow import with_turns
-    from gradcal_jax.display import columns
-    from gradcal_jax.files.log.log_file import write_log
+    from gradcal_jax.estimation.log_flow import with_turns
+    from gradcal_jax.records.log_file import write_log
+    from gradcal_jax.tables.display import columns
 
     marked, matched = with_turns(recorded, angles, axis=axis or 0, unit=unit or 0)
     write_log(marked, output)
@@ -98,8 +98,8 @@ def log(
     json
         Print the contents of the log as JSON.
     """
-    from gradcal_jax.decoding.run_log import units_in
     from gradcal_jax.hardware.run_folder import RunFolder
+    from gradcal_jax.records.run_log import units_in
 
     if columns is not None and recording is None:
         raise ValueError("--columns states the column map of a --recording, but --recording is missing")
@@ -119,8 +119,8 @@ def log(
 
 def _written(run: Path, unit: str | None, recorded: "Log | None", target: Path, *, quiet: bool) -> dict[str, Any]:
     """Write the log of an IMU; what `--json` prints of it."""
-    from gradcal_jax.decoding.run_log import log_in_blocks
-    from gradcal_jax.files.log.log_file import write_log
+    from gradcal_jax.records.log_file import write_log
+    from gradcal_jax.records.run_log import log_in_blocks
 
     # A day's samples lie on the disk that the log will be on.
     with log_in_blocks(run, unit, recording=recorded, spool=target.parent) as result:

@@ -6,7 +6,7 @@ from typing import Annotated, Final
 from cyclopts import Parameter
 
 from gradcal_jax.cli.output import DONE, Flag, as_json
-from gradcal_jax.display import columns
+from gradcal_jax.tables.display import columns
 
 _COMMANDS_END: Final = """\
 Exit statuses: 0 done; 1 done, but the result is unsatisfactory (for example, a target is missed); 2 wrong input; 3 a
@@ -37,7 +37,7 @@ def schema(
         Print a page in Markdown instead: every key with its value, default and meaning; or, for the name "commands",
         the help of every command.
     """
-    from gradcal_jax.files.base import schemas
+    from gradcal_jax.tables import schemas
 
     if listing:
         print("\n".join(schemas.schema_names()))

@@ -25,15 +25,15 @@ from gradcal_jax.cli.output import (
 )
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import Bars
-from gradcal_jax.display import amount, columns
+from gradcal_jax.tables.display import amount, columns
 from gradcal_jax.units import count_text, time_text
 
 if TYPE_CHECKING:
     import xarray
 
-    from gradcal_jax.files.run.sweep import Sweep
-    from gradcal_jax.jobs.pool import Cluster, LocalPool
-    from gradcal_jax.jobs.sweep import SweepEstimate
+    from gradcal_jax.sweeps.pool import Cluster, LocalPool
+    from gradcal_jax.sweeps.sweep import SweepEstimate
+    from gradcal_jax.sweeps.sweep_file import Sweep
 
 _VERDICTS = ("met", "missed", "unobservable")
 
@@ -64,11 +64,11 @@ class Workers:
     def runner(self) -> "LocalPool | Cluster":
         """Worker processes of this machine, with the compilation cache of the other commands, or of a cluster."""
         if self.scheduler is not None:
-            from gradcal_jax.jobs.pool import Cluster
+            from gradcal_jax.sweeps.pool import Cluster
 
             return Cluster(self.scheduler)
         from gradcal_jax.cache import cache_folder
-        from gradcal_jax.jobs.pool import LocalPool
+        from gradcal_jax.sweeps.pool import LocalPool
 
         folder = cache_folder()
         return LocalPool(self.workers, None if folder is None else str(folder))
@@ -109,7 +109,7 @@ def sweep(
     plot
         Draw the results into this file (.png, .svg, .pdf).
     """
-    from gradcal_jax.files.run.sweep import read_sweep
+    from gradcal_jax.sweeps.sweep_file import read_sweep
 
     if output is None and not dry_run:
         raise ValueError("name the file for the results, such as -o results.nc, or use --dry-run")
@@ -120,7 +120,7 @@ def sweep(
         raise ValueError(f'--recipes: this sweep only predicts; to write recipes, set do = "optimise" in {file}')
     if recipes is not None and recipes.exists() and not recipes.is_dir():
         raise ValueError(f"{recipes} is a file; name a folder")
-    from gradcal_jax.jobs import sweep as jobs
+    from gradcal_jax.sweeps import sweep as jobs
 
     if dry_run:
         with by.runner() as runner, Bars() as bars:
@@ -147,14 +147,14 @@ def sweep(
                 "continues from there"
             )
             return INTERRUPTED
-    from gradcal_jax.jobs.dataset import read_dataset
+    from gradcal_jax.sweeps.dataset import read_dataset
 
     results = read_dataset(output)
     summary = summary_of(results)
     print(as_json({"output": str(output), **summary}) if json else sweep_text(summary, job, str(output)))
     if recipes is not None:
         use_float64()
-        from gradcal_jax.jobs.recipes_of_sweep import write_recipes
+        from gradcal_jax.sweeps.recipes_of_sweep import write_recipes
 
         count = sum(bool(row["recipe"]) for row in write_recipes(results, recipes))
         if not json:

@@ -7,7 +7,7 @@ from typing import Annotated, Final
 from cyclopts import Parameter
 
 from gradcal_jax.cli.output import DONE, Flag, Force, Output, writable
-from gradcal_jax.display import columns
+from gradcal_jax.tables.display import columns
 
 _COLUMN_MAP: Final = "column-map"
 _POINT_MAP: Final = "point-map"
@@ -38,8 +38,8 @@ def new(
     listing
         List all examples.
     """
-    from gradcal_jax.files import presets
-    from gradcal_jax.files.log import column_guess, points
+    from gradcal_jax.records import column_guess, points
+    from gradcal_jax.spec import presets
 
     if listing:
         rows = [(name, presets.title(name)) for name in presets.names()]
@@ -59,13 +59,13 @@ def new(
             )
         sys.stdout.write(text)
         return DONE
-    from gradcal_jax.files.base.writing import write_whole
+    from gradcal_jax.tables.writing import write_whole
 
     writable(Path(output), force)
     write_whole(output, text)
     if preset not in examples:
         from gradcal_jax.cli.predict import omitted_lines
-        from gradcal_jax.files.run.recipe import spec_in
+        from gradcal_jax.recipe.recipe import spec_in
 
         if omitted := omitted_lines(spec_in(Path(output))):
             print("\n".join(omitted))
@@ -94,9 +94,9 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
     force
         Overwrite existing files.
     """
-    from gradcal_jax.files import parse_spec
-    from gradcal_jax.files.base.writing import write_whole
-    from gradcal_jax.files.start import begin
+    from gradcal_jax.spec import begin
+    from gradcal_jax.spec.spec import parse_spec
+    from gradcal_jax.tables.writing import write_whole
 
     if output.exists() and not output.is_dir():
         raise ValueError(f"{output} is a file; name a directory")
@@ -129,7 +129,7 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
 
 def _next(answers: dict[str, str], folder: str) -> list[str]:
     """The commands from here to the firmware's header."""
-    from gradcal_jax.files.start.begin import NO_ENCODER
+    from gradcal_jax.spec.begin import NO_ENCODER
 
     if answers["table"] == "none":
         return [
@@ -155,7 +155,7 @@ def _next(answers: dict[str, str], folder: str) -> list[str]:
 
 def _asked() -> dict[str, str]:
     """Read the answers, one a line; an empty line takes the default. On a terminal, a wrong answer is asked again."""
-    from gradcal_jax.files.start.begin import DEFAULTS, QUESTIONS, asked, understood
+    from gradcal_jax.spec.begin import DEFAULTS, QUESTIONS, asked, understood
 
     answers: dict[str, str] = dict(DEFAULTS)
     done: list[int] = []

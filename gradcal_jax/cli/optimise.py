@@ -28,14 +28,14 @@ from gradcal_jax.cli.output import (
 )
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.display import amount, columns
+from gradcal_jax.tables.display import amount, columns
 from gradcal_jax.units import parse, time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.optimise import FrontierPoint
-    from gradcal_jax.api.searching import Optimised, SearchStep
-    from gradcal_jax.files.run.tracks import Stability
-    from gradcal_jax.files.spec.spec_sections import Spec
+    from gradcal_jax.design.optimise import FrontierPoint
+    from gradcal_jax.design.searching import Optimised, SearchStep
+    from gradcal_jax.recipe.tracks import Stability
+    from gradcal_jax.spec.spec_sections import Spec
 
 
 def optimise(
@@ -161,10 +161,10 @@ def optimise(
     if steps == 0:
         write_recipe(specification, output, stability, keep_shapes=keep_shapes, json=json)
         return DONE
-    from gradcal_jax import api
-    from gradcal_jax.api import searching
-    from gradcal_jax.api.searching import record_of
-    from gradcal_jax.files import write_toml
+    from gradcal_jax.design import searching
+    from gradcal_jax.design.searching import record_of
+    from gradcal_jax.information import prediction
+    from gradcal_jax.tables.writing import write_toml
 
     kept = output.with_name(output.name + ".search.npz")
     checkpoint = searching.read_checkpoint(kept, specification) if resume else None
@@ -172,7 +172,7 @@ def optimise(
         specification, kept, steps=steps, quick=quick, until_met=until_met, checkpoint=checkpoint
     )
     status = best.sentence if not interrupted else f"interrupted; the best plan so far: {best.sentence}"
-    result = api.recipe(best, status=status, stability=stability, keep_shapes=keep_shapes)
+    result = prediction.recipe(best, status=status, stability=stability, keep_shapes=keep_shapes)
     write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
     if not interrupted:
         kept.unlink(missing_ok=True)
@@ -194,11 +194,11 @@ def _read(path: Path) -> "Spec":
     """The spec in a file or recipe; moves beyond the table's travel are made to fit."""
     import tomllib
 
-    from gradcal_jax.files import SpecError
-    from gradcal_jax.files.run.recipe import spec_in
-    from gradcal_jax.files.spec.mission import missions_from
-    from gradcal_jax.files.spec.spec import spec_of
-    from gradcal_jax.files.spec.travel import lies_in_travel, within_travel
+    from gradcal_jax.recipe.recipe import spec_in
+    from gradcal_jax.spec.mission import missions_from
+    from gradcal_jax.spec.spec import spec_of
+    from gradcal_jax.spec.travel import lies_in_travel, within_travel
+    from gradcal_jax.tables.problems import SpecError
 
     try:
         return spec_in(path)
@@ -226,10 +226,10 @@ def search_and_watch(
     spec: "Spec", kept: Path | None = None, *, quick: bool = False, **options: Any
 ) -> tuple["Optimised", bool]:
     """The best plan, with a line of progress; and whether Ctrl-C ended the search. `kept`: file of its checkpoints;
-    `options`: of `api.optimise.run_search`."""
-    from gradcal_jax.api import searching
-    from gradcal_jax.api.optimise import run_search
-    from gradcal_jax.api.searching import Optimised
+    `options`: of `optimise.optimise.run_search`."""
+    from gradcal_jax.design import searching
+    from gradcal_jax.design.optimise import run_search
+    from gradcal_jax.design.searching import Optimised
 
     best: Optimised | None = None
     of_spec = "" if kept is None else searching.fingerprint(spec)
@@ -249,7 +249,7 @@ def search_and_watch(
 
 def optimum_text(best: "Optimised") -> str:
     """An optimised plan as text."""
-    from gradcal_jax.api.turn_search import belief_of
+    from gradcal_jax.design.turn_search import belief_of
 
     before = "not observable with the plan in the spec" if best.before is None else amount(best.before, best.unit)
     lines = [
@@ -312,8 +312,8 @@ class _Interrupt:
 def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quick: bool, json: bool) -> int:
     """Search for the best plan of the rest of an interrupted run, and write it as a recipe. The part that was done by
     the journal counts in every prediction. `time`, `pause`: options of the command."""
-    from gradcal_jax.files import write_toml
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume, stretches_of
+    from gradcal_jax.tables.writing import write_toml
 
     folder = RunFolder(run)
     left_s, pause_s = None if time is None else parse(time, "time"), parse(pause, "time")
@@ -321,9 +321,9 @@ def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quic
     recipe = folder.recipe()
     done = stretches_of(folder)
     use_float64()
-    from gradcal_jax import api
-    from gradcal_jax.api.optimise import rest_of
-    from gradcal_jax.api.searching import record_of
+    from gradcal_jax.design.optimise import rest_of
+    from gradcal_jax.design.searching import record_of
+    from gradcal_jax.information import prediction
 
     spans = [(part.start_s, part.end_s) for part in done]
     rest = rest_of(recipe.spec, spans, left_s=left_s, pause_s=pause_s)
@@ -333,7 +333,7 @@ def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quic
     seconds = sum(end - begin for begin, end in spans)
     remark = f"after {time_text(float(round(seconds)))} with data; the prediction includes these data"
     notes = (f"a plan for the remaining part of a run, {remark}",)
-    result = api.recipe(best, stability=recipe.stability, status=status, notes=notes)
+    result = prediction.recipe(best, stability=recipe.stability, status=status, notes=notes)
     write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
     if json:
         print(as_json(record_of(best) | {"done": spans, "recipe": str(output)}))
@@ -353,8 +353,8 @@ _HEADER: Final = (
 
 def stability_of(wishes: Mapping[str, tuple[str, str | None]]) -> "Stability":
     """When a temperature counts as stable: for each key the kind of quantity, and its text or None."""
-    from gradcal_jax.files import Quantity
-    from gradcal_jax.files.run.tracks import Stability
+    from gradcal_jax.recipe.tracks import Stability
+    from gradcal_jax.tables.quantity import Quantity
 
     given = {name: Quantity.read(text, kind) for name, (kind, text) in wishes.items() if text is not None}
     return Stability.model_validate(given)
@@ -362,15 +362,15 @@ def stability_of(wishes: Mapping[str, tuple[str, str | None]]) -> "Stability":
 
 def write_recipe(spec: "Spec", output: Path, stability: "Stability", *, keep_shapes: bool, json: bool) -> None:
     """Write the recipe of a spec's own plan, or print it for the name "-"."""
-    from gradcal_jax import api
-    from gradcal_jax.files import to_toml
+    from gradcal_jax.information import prediction
+    from gradcal_jax.tables.writing import to_toml
 
-    result = api.recipe(spec, stability=stability, keep_shapes=keep_shapes)
+    result = prediction.recipe(spec, stability=stability, keep_shapes=keep_shapes)
     text = to_toml(result, header=_HEADER)
     if str(output) == "-":
         print(text, end="")
         return
-    from gradcal_jax.files.base.writing import write_whole
+    from gradcal_jax.tables.writing import write_whole
 
     write_whole(output, text)
     if json:
@@ -397,9 +397,9 @@ def show_frontier(
 ) -> int:
     """Search for a plan of each duration of the ramp (s), with a line of progress; print them, and the shortest plan
     for each target. `output`: a folder for their recipes."""
-    from gradcal_jax import api
-    from gradcal_jax.api import optimise as room
-    from gradcal_jax.files import write_toml
+    from gradcal_jax.design import optimise as room
+    from gradcal_jax.information import prediction, verdicts
+    from gradcal_jax.tables.writing import write_toml
 
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
@@ -413,11 +413,11 @@ def show_frontier(
         for point in room.frontier_points(spec, times, steps=steps, watch=show):
             reached.append(point)
             if output is not None and point.plan is not None:
-                write_toml(api.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
+                write_toml(prediction.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
     targets = {
         r.name: limit[1]
         for r in spec.requirement
-        if (limit := api.limit_of(r)) is not None
+        if (limit := verdicts.limit_of(r)) is not None
         and limit[0] == r.statistic
         and spec.design
         and r.name == spec.design.minimise
@@ -453,7 +453,7 @@ def show_frontier(
 
 def durations(text: str, points: int) -> list[float]:
     """Durations in s of "50min..300min" or "60min,100min". Errors: `ValueError` that says what was expected."""
-    from gradcal_jax.files import Quantity
+    from gradcal_jax.tables.quantity import Quantity
 
     def one(part: str) -> float:
         value = float(Quantity.read(part.strip(), "time"))

@@ -8,15 +8,14 @@ from cyclopts import Parameter
 
 from gradcal_jax.cli.output import DONE, NOT_AS_WISHED, Flag, Json, Plot, as_json, drawable, save_figure, strong
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.display import amount, columns
 from gradcal_jax.pages.numbers import percent
+from gradcal_jax.tables.display import amount, columns
 from gradcal_jax.units import time_text, times_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.api.prediction import TwinRow
-    from gradcal_jax.files import Prediction
-    from gradcal_jax.files.base.contracts import RequirementRow
-    from gradcal_jax.files.spec.spec_sections import Spec
+    from gradcal_jax.information.prediction import TwinRow
+    from gradcal_jax.spec.spec_sections import Spec
+    from gradcal_jax.tables.contracts import Prediction, RequirementRow
 
 # Smaller changes, in per cent, are not shown.
 _NOTHING = 5e-4
@@ -55,7 +54,7 @@ def predict(
         Print by how many per cent the predicted error changes if a figure of sensor, rig or plan increases by one per
         cent. For an optimised recipe, the changes are the same if the plan is optimised again for the new figure.
     """
-    from gradcal_jax.files.run.recipe import spec_in
+    from gradcal_jax.recipe.recipe import spec_in
 
     if not specs:
         raise ValueError("name a spec file, or several to compare their plans")
@@ -74,12 +73,12 @@ def predict(
 
 
 def _predicted(spec: "Spec", path: Path, json: bool, plot: Path | None, monte_carlo: int | None, seed: int) -> int:
-    from gradcal_jax import api
+    from gradcal_jax.information import prediction
 
     rows, tests, limits = (), {}, not json or bool(spec.sensor.uncertain_figures())
-    prediction = api.predict(spec, limits=limits, notices=True, outlook=True)
+    prediction = prediction.predict(spec, limits=limits, notices=True, outlook=True)
     if monte_carlo is not None:
-        rows, tests = api.monte_carlo(spec, monte_carlo, seed)
+        rows, tests = prediction.monte_carlo(spec, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
         simulated["covariance"] = {
@@ -100,9 +99,9 @@ def _predicted(spec: "Spec", path: Path, json: bool, plot: Path | None, monte_ca
 
 
 def _compared(plans: "list[tuple[str, Spec]]", json: bool, plot: Path | None) -> int:
-    from gradcal_jax import api
+    from gradcal_jax.information import prediction
 
-    predictions = [(name, api.predict(spec, limits=True)) for name, spec in plans]
+    predictions = [(name, prediction.predict(spec, limits=True)) for name, spec in plans]
     if json:
         print("[" + ",\n".join(prediction.model_dump_json(indent=2) for _, prediction in predictions) + "]")
     else:
@@ -112,7 +111,7 @@ def _compared(plans: "list[tuple[str, Spec]]", json: bool, plot: Path | None) ->
 
 
 def _sensitivity(spec: "Spec", source: str, *, json: bool, plot: Path | None) -> int:
-    from gradcal_jax.api.sensitivity import sensitivity
+    from gradcal_jax.information.sensitivity import sensitivity
 
     known = sensitivity(spec)
     if json:
@@ -148,8 +147,8 @@ def _fixture(prediction: "Prediction") -> list[str]:
 
 def prediction_text(prediction: "Prediction", name: str) -> str:
     """A prediction as text: ppm, deg/h, hours."""
-    from gradcal_jax.files.base.contracts import notice_sentences, requirement_table
     from gradcal_jax.pages.coefficients import coefficient_table, parameters
+    from gradcal_jax.tables.contracts import notice_sentences, requirement_table
 
     times = times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s)
     lines = [strong(prediction.title or name), times, ""]
@@ -170,7 +169,7 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
 
 def omitted_lines(spec: "Spec") -> list[str]:
     """Error terms that are absent from the file, with the typical figures that count for them. Empty: none."""
-    from gradcal_jax.files.spec.absent import (
+    from gradcal_jax.spec.absent import (
         EARTH,
         EARTH_IS_UNKNOWN,
         absent_terms,
@@ -301,11 +300,11 @@ def limit(spec: Path, /, *, json: Json = False) -> int:
     json
         Print the limits for other programs.
     """
-    from gradcal_jax.files.run.recipe import spec_in
+    from gradcal_jax.recipe.recipe import spec_in
 
     specification = spec_in(spec)
     use_float64()
-    from gradcal_jax.api.limit import limit as limit_of
+    from gradcal_jax.design.plan_limit import limit as limit_of
 
     rows = limit_of(specification)
     if json:

@@ -9,7 +9,7 @@ from gradcal_jax.cli.output import is_plain
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.jobs.pool import JobProgress
+    from gradcal_jax.sweeps.pool import JobProgress
 
 # Before this, the remaining time is not shown.
 _SOON_S: Final = 3.0

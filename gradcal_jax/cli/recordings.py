@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
-from gradcal_jax.display import columns
+from gradcal_jax.tables.display import columns
 
 if TYPE_CHECKING:
-    from gradcal_jax.files.log.log import Log
+    from gradcal_jax.records.log import Log
 
 LOG_HELP: Final = "A log (.nc), a flight log, or a table of another program with --columns."
 LogFile = Annotated[Path, Parameter(help=LOG_HELP)]
@@ -63,7 +63,7 @@ def load(path: Path, source: Recording = WHOLE, *, unit: str | None = None) -> "
 
 def _stated(log: "Log", source: Recording) -> "Log":
     """The log with the rate of the sensor that the option states."""
-    from gradcal_jax.files.log.log import SENSOR_RATE
+    from gradcal_jax.records.log import SENSOR_RATE
 
     if source.sensor_rate is None:
         return log
@@ -73,9 +73,9 @@ def _stated(log: "Log", source: Recording) -> "Log":
 
 
 def _load(path: Path, source: Recording, unit: str | None) -> "Log":
-    from gradcal_jax.files.log.log import part_of
-    from gradcal_jax.files.log.log_file import read_log
-    from gradcal_jax.files.log.vehicle import is_vehicle_log, read_vehicle_log
+    from gradcal_jax.records.log import part_of
+    from gradcal_jax.records.log_file import read_log
+    from gradcal_jax.records.vehicle import is_vehicle_log, read_vehicle_log
 
     begin = None if source.begin is None else quantity(source.begin, "time", "--from")
     end = None if source.end is None else quantity(source.end, "time", "--to")
@@ -84,12 +84,12 @@ def _load(path: Path, source: Recording, unit: str | None) -> "Log":
         if source.columns is not None:
             raise ValueError(f"{path} is a log of this program, and needs no --columns: leave the option out")
         return part_of(read_log(path), begin_s=begin, end_s=end, rows=rows)
-    from gradcal_jax.files.log.importers import import_log, read_column_map
+    from gradcal_jax.records.importers import import_log, read_column_map
 
     if is_vehicle_log(path) and source.columns is None:
         return part_of(read_vehicle_log(path, unit=unit, rows=rows), begin_s=begin, end_s=end)
     if source.columns is None:
-        from gradcal_jax.files.log.column_guess import without_a_map
+        from gradcal_jax.records.column_guess import without_a_map
 
         raise without_a_map(path)
     return part_of(import_log(path, read_column_map(source.columns), rows=rows), begin_s=begin, end_s=end)
@@ -97,8 +97,8 @@ def _load(path: Path, source: Recording, unit: str | None) -> "Log":
 
 def load_all(path: Path, source: Recording = WHOLE) -> "list[Log]":
     """Like `load`, for a vehicle's log with every gyro: a log for each clock."""
-    from gradcal_jax.files.log.log import part_of
-    from gradcal_jax.files.log.vehicle import is_vehicle_log, read_vehicle_logs
+    from gradcal_jax.records.log import part_of
+    from gradcal_jax.records.vehicle import is_vehicle_log, read_vehicle_logs
 
     if not is_vehicle_log(path) or source.columns is not None:
         return [load(path, source)]

@@ -102,8 +102,8 @@ def report(
 
 def _certificate(documents: "Sources", page: Path, xml: Path | None, rig: Path | None, words: dict[str, str]) -> Any:
     """Write a certificate, and a DCC; what `--json` prints of it."""
-    from gradcal_jax.files.spec.rig import read_rig
     from gradcal_jax.pages import certificate as room
+    from gradcal_jax.spec.rig import read_rig
 
     read = None if rig is None else read_rig(rig)
     document = room.certificate_of(documents, read, read_user_config().laboratory, **words)

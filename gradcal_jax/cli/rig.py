@@ -26,13 +26,13 @@ from gradcal_jax.cli.output import (
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.user_config import rig_or_own
-from gradcal_jax.display import amount, columns
+from gradcal_jax.tables.display import amount, columns
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.files.spec.rig import RigFile
     from gradcal_jax.hardware.dry_run import Tried
     from gradcal_jax.hardware.setup import DeviceReport
+    from gradcal_jax.spec.rig import RigFile
 
 _SILENT_S = 60.0
 _LOOKS_S = 1.0
@@ -91,7 +91,7 @@ def _known(run: Path) -> list[dict[str, Any]]:
     folder = RunFolder(run)
     spec, spans = folder.recipe().spec, [(part.start_s, part.end_s) for part in stretches_of(folder)]
     use_float64()
-    from gradcal_jax.api.optimise import known_so_far
+    from gradcal_jax.design.optimise import known_so_far
 
     return [row._asdict() for row in known_so_far(spec, spans, goes_on_at(folder))]
 
@@ -151,8 +151,8 @@ def new(*, output: OutputOrPrint, force: Force = False) -> int:
     output
         The file to write; "-" prints the example instead.
     """
-    from gradcal_jax.files.base.writing import write_whole
-    from gradcal_jax.files.spec.rig import TEMPLATE
+    from gradcal_jax.spec.rig import TEMPLATE
+    from gradcal_jax.tables.writing import write_whole
 
     if str(output) == "-":
         print(TEMPLATE, end="")
@@ -173,7 +173,7 @@ def protocols(name: str | None = None, /) -> int:
     name
         The device whose description is printed.
     """
-    from gradcal_jax.files.run import line_protocol, register_protocol
+    from gradcal_jax.spec import line_protocol, register_protocol
 
     known = {one: ("lines", line_protocol.protocol_of(one)) for one in line_protocol.shipped()}
     registers = line_protocol.shipped(register_protocol.FORMAT)
@@ -182,7 +182,7 @@ def protocols(name: str | None = None, /) -> int:
         print(columns([(one, kind, protocol.role, protocol.title) for one, (kind, protocol) in known.items()]))
     else:
         if name not in known:
-            from gradcal_jax.files.base.problems import instead
+            from gradcal_jax.tables.problems import instead
 
             raise ValueError(f"expected the name of a protocol; {instead(name, known)}")
         print(line_protocol.protocol_text(name), end="")
@@ -209,10 +209,10 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
     json
         Print the devices' answers as JSON.
     """
-    from gradcal_jax.files.spec.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.journal import json_of
     from gradcal_jax.hardware.setup import check_each
+    from gradcal_jax.spec.rig import read_rig
 
     if move and recipe is None:
         raise ValueError("--move makes the longest moves of a recipe: name the recipe with --recipe")
@@ -254,9 +254,9 @@ def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, fo
         Also switch the chamber on at its present temperature, let each axis search for its reference position, and turn
         each axis by 10 deg. An operator must be ready to stop them.
     """
-    from gradcal_jax.files.spec.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.transcript import record_bench
+    from gradcal_jax.spec.rig import read_rig
 
     description = read_rig(rig_or_own(rig))
     writable(output, force)
@@ -269,12 +269,12 @@ def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, fo
 
 
 def _tried(rig: "RigFile", recipe: Path, move: bool) -> "list[Tried]":
-    from gradcal_jax.files.run.recipe import read_recipe
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.dry_run import try_for
     from gradcal_jax.hardware.guard import put_back
     from gradcal_jax.hardware.setup import open_rig
     from gradcal_jax.hardware.track import track_of
+    from gradcal_jax.recipe.recipe import read_recipe
 
     track = track_of(read_recipe(recipe), [axis.name for axis in rig.axis])
     clock = RealClock()

@@ -15,11 +15,11 @@ from gradcal_jax.cli.user_config import rig_or_own
 from gradcal_jax.units import parse, time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.files.run.recipe import Recipe
-    from gradcal_jax.files.spec.rig import RigFile
     from gradcal_jax.hardware.execute import Attended
     from gradcal_jax.hardware.runner import Runner
     from gradcal_jax.hardware.supervision import RunProgress, RunResult
+    from gradcal_jax.recipe.recipe import Recipe
+    from gradcal_jax.spec.rig import RigFile
 
 _REHEARSAL = "simulated devices: a rehearsal, not a measurement"
 
@@ -99,9 +99,9 @@ def run(
     either = "name the rig with --rig RIG or use --simulate (not both)"
     if simulate and rig is not None:
         raise ValueError(either)
-    from gradcal_jax.files.run.recipe import read_recipe
-    from gradcal_jax.files.spec.rig import read_rig
     from gradcal_jax.hardware.execute import run as execute
+    from gradcal_jax.recipe.recipe import read_recipe
+    from gradcal_jax.spec.rig import read_rig
 
     executable, bench = read_recipe(recipe), None if simulate else read_rig(rig_or_own(rig, either))
     rate = parse(sample_rate, "frequency")
@@ -118,13 +118,13 @@ def run(
 
 
 def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
-    from gradcal_jax.files.run.recipe import read_recipe
-    from gradcal_jax.files.spec.rig import read_rig
     from gradcal_jax.hardware.clock import RealClock
     from gradcal_jax.hardware.dry_run import dry_run_of
     from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits
     from gradcal_jax.hardware.setup import check_each
     from gradcal_jax.hardware.track import track_of
+    from gradcal_jax.recipe.recipe import read_recipe
+    from gradcal_jax.spec.rig import read_rig
 
     bench = read_rig(rig)
     track = track_of(read_recipe(recipe), [axis.name for axis in bench.axis])
@@ -186,10 +186,10 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
 
 
 def _resume(path: Path, recipe: Path | None, rig: Path | None, json: bool) -> int:
-    from gradcal_jax.files.run.recipe import read_recipe
-    from gradcal_jax.files.spec.rig import read_rig
     from gradcal_jax.hardware.execute import resume
     from gradcal_jax.hardware.run_folder import RunFolder, adopt, prepare_resume
+    from gradcal_jax.recipe.recipe import read_recipe
+    from gradcal_jax.spec.rig import read_rig
 
     folder = RunFolder(path)
     bench = None if rig is None else read_rig(rig)

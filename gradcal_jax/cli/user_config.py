@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cyclopts import App
 
-    from gradcal_jax.files.spec.user_config import UserConfig
+    from gradcal_jax.spec.user_config import UserConfig
 
 
 def config_path() -> Path | None:
@@ -21,8 +21,8 @@ def config_path() -> Path | None:
 
 def read_user_config() -> "UserConfig":
     """The user's configuration; empty without a file. Raises `SpecError`."""
-    from gradcal_jax.files.base.document import parsed, read_text
-    from gradcal_jax.files.spec.user_config import FORMAT, UserConfig
+    from gradcal_jax.spec.user_config import FORMAT, UserConfig
+    from gradcal_jax.tables.document import parsed, read_text
 
     path = config_path()
     return UserConfig() if path is None else parsed(UserConfig, read_text(path), FORMAT, str(path))
@@ -34,7 +34,7 @@ def own_defaults(app: "App") -> Any:
         return ()
     from cyclopts.config import Dict
 
-    from gradcal_jax.files.base.problems import hint
+    from gradcal_jax.tables.problems import hint
 
     defaults = read_user_config().defaults
     for name in defaults:

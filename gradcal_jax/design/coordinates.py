@@ -26,9 +26,9 @@ from jaxtyping import Float, Int
 from gradcal_jax import formulas
 from gradcal_jax.arrays import AnyArray, filled, namespace, put, scanned, size_class
 from gradcal_jax.formulas import RAMPED_SHAPES
-from gradcal_jax.trajectory import Programme, Schedule
-from gradcal_jax.trajectory.motion import PieceTable, even_division, standing, turning
-from gradcal_jax.trajectory.schedule import make_schedule
+from gradcal_jax.motion import Programme, Schedule
+from gradcal_jax.motion.motion import PieceTable, even_division, standing, turning
+from gradcal_jax.motion.schedule import make_schedule
 
 # A Python number before `Coordinates` are built, an array in them.
 Scalar = Any

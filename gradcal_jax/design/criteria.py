@@ -22,7 +22,7 @@ from gradcal_jax.information import SquareRootInformation, kept, missed
 from gradcal_jax.information.residual import Quantity, Statistic, contrasts
 from gradcal_jax.linalg import solve_transposed
 from gradcal_jax.model import SensorModel
-from gradcal_jax.trajectory import lagrange
+from gradcal_jax.motion import lagrange
 
 EXACT = np.asarray(np.inf)
 """Value of `sharpness` for which a criterion equals the statistic."""

@@ -42,7 +42,7 @@ from numpy.polynomial import chebyshev
 from gradcal_jax.design.criteria import Criterion, Optimality
 from gradcal_jax.design.noise_floor import root_of
 from gradcal_jax.model import Polynomial, SensorModel
-from gradcal_jax.trajectory import EARTH_RATE
+from gradcal_jax.motion import EARTH_RATE
 
 # Sharpness of the soft maximum by stage; between stages the most useful rates join the grid.
 _SHARPNESS = (8.0, 30.0, 100.0, 400.0, 2000.0, 10000.0)

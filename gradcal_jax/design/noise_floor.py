@@ -50,7 +50,7 @@ import scipy.linalg
 
 from gradcal_jax.information import information
 from gradcal_jax.model import BIAS, SCALE_FACTOR, Basis, Map, Processes, SensorModel, gyro_model
-from gradcal_jax.trajectory import Programme, held, quadrature
+from gradcal_jax.motion import Programme, held, quadrature
 
 # Begin and end of windows, s; the sensor's temperature (°C) and its rate (K/s) at times (s).
 Windows = Sequence[tuple[float, float]]

@@ -17,7 +17,7 @@ from gradcal_jax.design.criteria import EXACT, Criterion, Missed, Optimality, la
 from gradcal_jax.design.other_plans import ProgrammeCoordinates, StandardCoordinates
 from gradcal_jax.information import information
 from gradcal_jax.model import SensorModel
-from gradcal_jax.trajectory import Past, Rule, Schedule, Trajectory
+from gradcal_jax.motion import Past, Rule, Schedule, Trajectory
 
 AnyCoordinates = Coordinates | ProgrammeCoordinates | StandardCoordinates
 

@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace
-from gradcal_jax.trajectory import Programme, Schedule, standard_plan
-from gradcal_jax.trajectory.motion import even_division, standing
-from gradcal_jax.trajectory.schedule import Points, make_schedule
+from gradcal_jax.motion import Programme, Schedule, standard_plan
+from gradcal_jax.motion.motion import even_division, standing
+from gradcal_jax.motion.schedule import Points, make_schedule
 
 # Least duration of a stretch, as a share of an even one.
 _LEAST_SHARE = 0.1

@@ -34,9 +34,9 @@ from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import ImuModel
-from gradcal_jax.trajectory import Geometry, Schedule, TableMotion, body_nodes, gradient_plan, programme
-from gradcal_jax.trajectory.motion import rest, turn
-from gradcal_jax.trajectory.table_motion import largest_turn, nodes_of_turn
+from gradcal_jax.motion import Geometry, Schedule, TableMotion, body_nodes, gradient_plan, programme
+from gradcal_jax.motion.motion import rest, turn
+from gradcal_jax.motion.table_motion import largest_turn, nodes_of_turn
 
 # Cycles whose noise is filtered together: with two, standard deviations agree with those of all cycles to about 1e-3.
 WINDOW = 2

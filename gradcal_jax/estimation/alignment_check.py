@@ -12,7 +12,7 @@ import numpy as np
 
 from gradcal_jax.estimation.imu_executed import ImuRows, mean_angles
 from gradcal_jax.formulas import runs
-from gradcal_jax.trajectory import Geometry, frames
+from gradcal_jax.motion import Geometry, frames
 
 # Least angle (rad) of a turn that counts, and the largest that the other axes may turn meanwhile.
 _TURNED, _STILL = 0.3, 0.02

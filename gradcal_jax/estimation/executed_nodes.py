@@ -9,7 +9,7 @@ import numpy as np
 
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows
 from gradcal_jax.model import BodyGroup, BodyNodes
-from gradcal_jax.trajectory import Geometry, body_group, frames, lagrange, quadrature
+from gradcal_jax.motion import Geometry, body_group, frames, lagrange, quadrature
 
 # Time after and before, over which dT/dt is measured, s.
 _AROUND_S = 30.0

@@ -19,7 +19,7 @@ import numpy as np
 
 from gradcal_jax.estimation.imu_executed import SEEN, ImuRows, stops_between
 from gradcal_jax.formulas import runs
-from gradcal_jax.trajectory import Geometry, frames
+from gradcal_jax.motion import Geometry, frames
 
 # Scale-factor errors within which whole turns are counted, and beyond which it is said.
 _RANGE, _LARGE = 0.2, 0.1

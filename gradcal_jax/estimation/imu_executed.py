@@ -20,7 +20,7 @@ from gradcal_jax.estimation.planned_moves import SLOW_S, PlannedMove, TimedMove,
 from gradcal_jax.estimation.standstill import begun_earlier
 from gradcal_jax.formulas import followed, runs
 from gradcal_jax.model import SECOND, OtherTemperature
-from gradcal_jax.trajectory import Geometry, TableMotion, Trajectory, frames, held
+from gradcal_jax.motion import Geometry, TableMotion, Trajectory, frames, held
 
 # A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
 PIECE_S = 60.0

@@ -37,7 +37,7 @@ from gradcal_jax.model import (
     NonOrthogonality,
     Term,
 )
-from gradcal_jax.trajectory import Geometry, rotation
+from gradcal_jax.motion import Geometry, rotation
 
 # Readings of one standstill differ by less, rad.
 _TURNS = np.radians(1.0)

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from gradcal_jax.formulas import runs
-from gradcal_jax.trajectory import Trajectory, held
-from gradcal_jax.trajectory.schedule import Points
+from gradcal_jax.motion import Trajectory, held
+from gradcal_jax.motion.schedule import Points
 
 # Tolerance of a table at a set point: relative, and rad/s.
 _RATE_TOLERANCE = (0.02, np.radians(0.5))

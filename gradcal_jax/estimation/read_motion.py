@@ -14,7 +14,7 @@ import numpy as np
 from gradcal_jax.estimation.imu_executed import PIECE_S, SEEN, ExecutedImu, ImuRows, mean_motion, nodes_of_way
 from gradcal_jax.estimation.plateaus import TablePoints
 from gradcal_jax.formulas import runs
-from gradcal_jax.trajectory import Geometry, TableMotion, frames
+from gradcal_jax.motion import Geometry, TableMotion, frames
 
 # A standstill between two moves is a piece of its own where it lasts longer; its rows next to a move may contain some
 # of the move.

@@ -24,7 +24,7 @@ from gradcal_jax.estimation.solve import factored
 from gradcal_jax.information import NoiseSteps, Posterior, imu_system, segments_of, whiten
 from gradcal_jax.information.posterior import OBSERVABLE
 from gradcal_jax.model import BodyNodes, CommonScale, ImuModel, MountingError
-from gradcal_jax.trajectory import TableMotion
+from gradcal_jax.motion import TableMotion
 
 # An axis whose encoder's error has less than this share of the largest variance draws nothing.
 _NONE = 1e-14

@@ -13,12 +13,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
-from .chamber_control import Tell
-from .clock import Clock, beside
-from .errors import HardwareError
-from .journal import event_fields
-from .roles import AxisLimits, AxisReading, DrawnAxis, MotionAxis
-from .track import AxisCommand
+from gradcal_jax.hardware.chamber_control import Tell
+from gradcal_jax.hardware.clock import Clock, beside
+from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.hardware.journal import event_fields
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, DrawnAxis, MotionAxis
+from gradcal_jax.hardware.track import AxisCommand
 
 _POLL_S = 0.05
 _POLL_BY_HAND_S = 0.25

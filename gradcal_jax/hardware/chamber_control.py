@@ -12,11 +12,11 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from .clock import Clock, holding, in_thread
-from .errors import Disconnected
-from .journal import event_fields
-from .roles import ChamberLimits, ChamberReading, TemperatureChamber
-from .track import Course, Stable
+from gradcal_jax.hardware.clock import Clock, holding, in_thread
+from gradcal_jax.hardware.errors import Disconnected
+from gradcal_jax.hardware.journal import event_fields
+from gradcal_jax.hardware.roles import ChamberLimits, ChamberReading, TemperatureChamber
+from gradcal_jax.hardware.track import Course, Stable
 
 _SOFT_STEP_S = 5.0
 _REMEMBERED = 1 << 14

@@ -9,12 +9,12 @@ from collections.abc import Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from .chamber_control import ramps_alone, rate_as_made
-from .clock import Clock
-from .errors import HardwareError
-from .roles import AxisLimits, ChamberLimits, ImuStream
-from .setup import Bench
-from .track import AxisCommand, Course, Track
+from gradcal_jax.hardware.chamber_control import ramps_alone, rate_as_made
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits, ImuStream
+from gradcal_jax.hardware.setup import Bench
+from gradcal_jax.hardware.track import AxisCommand, Course, Track
 
 _STREAM_S, _LONGEST_S = 3.0, 12.0
 _RATE_OFF = 0.05

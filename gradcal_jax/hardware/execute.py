@@ -19,16 +19,13 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, TypedDict, Unpack
 
-from ..files.base.writing import write_whole
-from ..files.run.recipe import Recipe
-from ..files.spec.rig import OPERATOR, TERMINAL, RigFile
-from .clock import Clock, RealClock, VirtualClock
-from .errors import HardwareError
-from .guard import BEAT_S, Guard
-from .interlocks import InterlockLimits, Interlocks
-from .journal import Journal, JournalContents, Recorder
-from .pose import drawn
-from .run_folder import (
+from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
+from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.hardware.guard import BEAT_S, Guard
+from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
+from gradcal_jax.hardware.journal import Journal, JournalContents, Recorder
+from gradcal_jax.hardware.pose import drawn
+from gradcal_jax.hardware.run_folder import (
     RunFolder,
     begin_session,
     mounting_of,
@@ -37,12 +34,15 @@ from .run_folder import (
     require_same_devices,
     sessions,
 )
-from .runner import Runner
-from .setup import Bench, configs_of, open_rig
-from .simulate.lab import RATES_HZ, SimulatedLab
-from .supervision import Knows, RunProgress, RunResult, RunState, StatusFile, sound_alarm
-from .track import track_of
-from .transport import Terminal
+from gradcal_jax.hardware.runner import Runner
+from gradcal_jax.hardware.setup import Bench, configs_of, open_rig
+from gradcal_jax.hardware.simulate.lab import RATES_HZ, SimulatedLab
+from gradcal_jax.hardware.supervision import Knows, RunProgress, RunResult, RunState, StatusFile, sound_alarm
+from gradcal_jax.hardware.track import track_of
+from gradcal_jax.hardware.transport import Terminal
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.spec.rig import OPERATOR, TERMINAL, RigFile
+from gradcal_jax.tables.writing import write_whole
 
 # A resumed simulated run continues this long after its last record.
 _LATER_S: Final = 60.0

@@ -8,8 +8,8 @@ import struct
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-from .checksums import crc16_modbus
-from .errors import ChecksumError, FramingError, Rejected, printable
+from gradcal_jax.hardware.checksums import crc16_modbus
+from gradcal_jax.hardware.errors import ChecksumError, FramingError, Rejected, printable
 
 # Unit, function and an exception's code; and the longest message.
 _SHORTEST_TCP, _LONGEST_TCP = 3, 254

@@ -29,14 +29,14 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
-from ..files.spec.rig import RigFile, read_rig
-from . import transport
-from .clock import Clock, RealClock
-from .errors import Disconnected, HardwareError, PortRefused, PortTaken, sentence_of
-from .journal import Journal
-from .roles import AxisSafe, ChamberSafe, SafeReport
-from .setup import LEFT, Bench, configs_of, lines_of, only_of, open_rig
-from .supervision import SafeOutcome, end_status, sound_alarm
+from gradcal_jax.hardware import transport
+from gradcal_jax.hardware.clock import Clock, RealClock
+from gradcal_jax.hardware.errors import Disconnected, HardwareError, PortRefused, PortTaken, sentence_of
+from gradcal_jax.hardware.journal import Journal
+from gradcal_jax.hardware.roles import AxisSafe, ChamberSafe, SafeReport
+from gradcal_jax.hardware.setup import LEFT, Bench, configs_of, lines_of, only_of, open_rig
+from gradcal_jax.hardware.supervision import SafeOutcome, end_status, sound_alarm
+from gradcal_jax.spec.rig import RigFile, read_rig
 
 Settings = dict[str, dict[str, str]]
 """Settings of devices before the run changed them, by device and name."""

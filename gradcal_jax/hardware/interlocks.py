@@ -15,9 +15,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from .axis_control import too_fast
-from .roles import AxisReading, ChamberReading, ImuDecoder
-from .track import GyroErrors
+from gradcal_jax.hardware.axis_control import too_fast
+from gradcal_jax.hardware.roles import AxisReading, ChamberReading, ImuDecoder
+from gradcal_jax.hardware.track import GyroErrors
 
 Action = Literal["pause", "abort"]
 # A short opening of the door does not trip a rule.

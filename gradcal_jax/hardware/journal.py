@@ -31,7 +31,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, cast
 
-from .errors import HardwareError
+from gradcal_jax.hardware.errors import HardwareError
 
 _LOG = logging.getLogger(__name__)
 _SYNC = b"\xa7\x4a"

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.spec.places import rotation_of
-from ..files.spec.spec_sections import Spec
+from gradcal_jax.spec.places import rotation_of
+from gradcal_jax.spec.spec_sections import Spec
 
 Numbers = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from .clock import Clock, holding
-from .errors import ChecksumError, FramingError, HardwareError, Rejected, ReplyTimeout, printable
-from .framing import Framer, NotThisReply
-from .transport import Transport
+from gradcal_jax.hardware.clock import Clock, holding
+from gradcal_jax.hardware.errors import ChecksumError, FramingError, HardwareError, Rejected, ReplyTimeout, printable
+from gradcal_jax.hardware.framing import Framer, NotThisReply
+from gradcal_jax.hardware.transport import Transport
 
 Reply = TypeVar("Reply")
 

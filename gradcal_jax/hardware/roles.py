@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import HardwareError
+from gradcal_jax.hardware.errors import HardwareError
 
 Floats = NDArray[np.float64]
 STANDARD_GRAVITY = 9.80665  # m/s² in one g of every data sheet here

@@ -19,13 +19,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, cast
 
-from ..files.base.writing import write_toml, write_whole
-from ..files.run.recipe import Recipe, read_recipe
-from ..files.spec.rig import RigFile, read_rig, rig_of
-from .errors import HardwareError, WrongIdentity
-from .journal import Event, Journal, JournalContents, read_journal
-from .setup import Bench, check_rig
-from .track import Track, track_of
+from gradcal_jax.hardware.errors import HardwareError, WrongIdentity
+from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
+from gradcal_jax.hardware.setup import Bench, check_rig
+from gradcal_jax.hardware.track import Track, track_of
+from gradcal_jax.recipe.recipe import Recipe, read_recipe
+from gradcal_jax.spec.rig import RigFile, read_rig, rig_of
+from gradcal_jax.tables.writing import write_toml, write_whole
 
 FORMAT: Final = "gradcal-run/1"
 SESSION: Final = "session"

@@ -25,19 +25,19 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
-from ..files.spec.rig import ImuDevice
-from .axis_control import AxisControl
-from .chamber_control import ChamberControl
-from .clock import Clock, beside, in_thread
-from .dry_run import dry_run_of
-from .errors import HardwareError, LimitExceeded, sentence_of
-from .guard import make_safe, put_back
-from .interlocks import ExecutedStep, Interlocks, SampleLosses, Situation, StepNotDone
-from .journal import Journal, event_fields
-from .roles import ImuSettings, MotionAxis
-from .setup import Bench, require_identity
-from .supervision import RunProgress, RunResult, RunState, SafeOutcome
-from .track import Course, Stable, Track, TrackStep
+from gradcal_jax.hardware.axis_control import AxisControl
+from gradcal_jax.hardware.chamber_control import ChamberControl
+from gradcal_jax.hardware.clock import Clock, beside, in_thread
+from gradcal_jax.hardware.dry_run import dry_run_of
+from gradcal_jax.hardware.errors import HardwareError, LimitExceeded, sentence_of
+from gradcal_jax.hardware.guard import make_safe, put_back
+from gradcal_jax.hardware.interlocks import ExecutedStep, Interlocks, SampleLosses, Situation, StepNotDone
+from gradcal_jax.hardware.journal import Journal, event_fields
+from gradcal_jax.hardware.roles import ImuSettings, MotionAxis
+from gradcal_jax.hardware.setup import Bench, require_identity
+from gradcal_jax.hardware.supervision import RunProgress, RunResult, RunState, SafeOutcome
+from gradcal_jax.hardware.track import Course, Stable, Track, TrackStep
+from gradcal_jax.spec.rig import ImuDevice
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
 _SLICE_S = 0.25

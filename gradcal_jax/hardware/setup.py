@@ -16,10 +16,13 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, ValidationError, create_model
 
-from ..files.base.problems import Problem, SpecError, from_validation, hint, one_of
-from ..files.base.quantity import Of, Quantity
-from ..files.base.section import Section
-from ..files.spec.rig import (
+from gradcal_jax.hardware import roles
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.operator import Console, OperatorConfig
+from gradcal_jax.hardware.errors import HardwareError, WrongIdentity
+from gradcal_jax.hardware.journal import Recorder
+from gradcal_jax.hardware.transport import Terminal, TextLine, Transport, same_port
+from gradcal_jax.spec.rig import (
     OPERATOR,
     TERMINAL,
     AxisDevice,
@@ -29,13 +32,10 @@ from ..files.spec.rig import (
     OperatorPlace,
     RigFile,
 )
-from ..units import to_unit
-from . import roles
-from .clock import Clock
-from .drivers.operator import Console, OperatorConfig
-from .errors import HardwareError, WrongIdentity
-from .journal import Recorder
-from .transport import Terminal, TextLine, Transport, same_port
+from gradcal_jax.tables.problems import Problem, SpecError, from_validation, hint, one_of
+from gradcal_jax.tables.quantity import Of, Quantity
+from gradcal_jax.tables.section import Section
+from gradcal_jax.units import to_unit
 
 LEFT: Final = "left streaming"
 """What happens to an IMU at the end of a run: it has no unsafe state."""

@@ -14,12 +14,11 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from gradcal_jax.display import summary
-
-from ..files.base.writing import write_whole
-from ..files.spec.rig import RigFile
-from .journal import json_of
-from .roles import AxisReading, ChamberReading
+from gradcal_jax.hardware.journal import json_of
+from gradcal_jax.hardware.roles import AxisReading, ChamberReading
+from gradcal_jax.spec.rig import RigFile
+from gradcal_jax.tables.display import summary
+from gradcal_jax.tables.writing import write_whole
 
 
 @dataclass

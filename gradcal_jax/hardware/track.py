@@ -12,12 +12,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from ..files.run.recipe import Recipe
-from ..files.run.tracks import ChamberSegment, MotionBlock, Stability, TrackMove, read_at_rest
-from ..files.spec.sensor import Sensor
-from ..formulas import reading_count, reading_times
-from ..units import to_unit
-from .errors import HardwareError
+from gradcal_jax.formulas import reading_count, reading_times
+from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.recipe.tracks import ChamberSegment, MotionBlock, Stability, TrackMove, read_at_rest
+from gradcal_jax.spec.sensor import Sensor
+from gradcal_jax.units import to_unit
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,13 @@ from functools import partial
 from pathlib import Path
 from typing import TextIO
 
-from ..files.spec.rig import RigFile
-from .clock import Clock
-from .errors import HardwareError, printable
-from .guard import put_back
-from .journal import Direction, Recorder
-from .roles import AxisSafe, ChamberSafe
-from .setup import Bench, open_rig
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.errors import HardwareError, printable
+from gradcal_jax.hardware.guard import put_back
+from gradcal_jax.hardware.journal import Direction, Recorder
+from gradcal_jax.hardware.roles import AxisSafe, ChamberSafe
+from gradcal_jax.hardware.setup import Bench, open_rig
+from gradcal_jax.spec.rig import RigFile
 
 HEADER = "# gradcal-transcript/1"
 RIG = "# rig: "

@@ -21,10 +21,10 @@ from typing import Any, Literal
 
 import serial
 
-from ..files.base.locking import take
-from .clock import Clock, RealClock
-from .errors import Disconnected, HardwareError, PortRefused, PortTaken
-from .journal import Direction, Recorder
+from gradcal_jax.hardware.clock import Clock, RealClock
+from gradcal_jax.hardware.errors import Disconnected, HardwareError, PortRefused, PortTaken
+from gradcal_jax.hardware.journal import Direction, Recorder
+from gradcal_jax.tables.locking import take
 
 Parity = Literal["N", "E", "O"]
 _MOST = 65536  # bytes read at once

@@ -42,8 +42,8 @@ from jaxtyping import Bool, Float, Int
 from scipy import optimize, special
 
 from gradcal_jax import formulas
-from gradcal_jax.display import summary
 from gradcal_jax.identify.largest_drift import running_angle
+from gradcal_jax.tables.display import summary
 
 Times = Float[np.ndarray, " times"]
 Steps = Int[np.ndarray, " times"]

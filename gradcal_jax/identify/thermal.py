@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import optimize
 
-from gradcal_jax.display import summary
 from gradcal_jax.formulas import lag_filter
+from gradcal_jax.tables.display import summary
 
 
 @dataclass(frozen=True)

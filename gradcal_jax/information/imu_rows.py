@@ -41,7 +41,7 @@ from gradcal_jax.information.posterior import (
 from gradcal_jax.information.whitening import whiten
 from gradcal_jax.model import AXIS_NAMES, BodyGroup, BodyNodes, EncoderNoise, ImuModel
 from gradcal_jax.model.terms import block_diagonal
-from gradcal_jax.trajectory import TableMotion
+from gradcal_jax.motion import TableMotion
 
 # Columns below this share of the largest one of the same unit are rounding.
 _ROUNDING = 1e-11

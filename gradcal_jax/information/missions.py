@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 
 from gradcal_jax.information.residual import Contrasts
 from gradcal_jax.model import Discrepancy, GaussNodes, GradientOfBias, Map, Nodes, Processes, SensorModel
-from gradcal_jax.trajectory import quadrature
+from gradcal_jax.motion import quadrature
 
 # Gauss nodes on each straight line: exact for quintic by quintic maps times the rate.
 _NODES = 6

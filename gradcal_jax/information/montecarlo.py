@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.display import summary
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.posterior import LeastSquares, Posterior, posterior, square_root
 from gradcal_jax.information.whitening import whiten
+from gradcal_jax.tables.display import summary
 
 
 class Twin(NamedTuple):

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.model import Processes, SensorModel
-from gradcal_jax.trajectory import Rule, Trajectory, quadrature
+from gradcal_jax.motion import Rule, Trajectory, quadrature
 
 _NODES = 16
 

@@ -3,8 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from gradcal_jax.display import amount, columns
-from gradcal_jax.files.run.bench_tables import (
+from gradcal_jax.recipe.bench_tables import (
     CHAMBER_HEAD,
     MOVES_HEAD,
     block_heading,
@@ -12,7 +11,8 @@ from gradcal_jax.files.run.bench_tables import (
     chamber_words,
     move_rows,
 )
-from gradcal_jax.files.run.recipe import Recipe
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.tables.display import amount, columns
 
 
 def show(recipe: Recipe, *, heading: Callable[[str], str] = str) -> str:

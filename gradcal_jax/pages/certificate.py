@@ -15,19 +15,19 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 import gradcal_jax
-from gradcal_jax.api.calibrations import calibration_map
-from gradcal_jax.api.prediction import counted_shares
-from gradcal_jax.api.verdicts import finite
-from gradcal_jax.files.base.writing import write_whole
-from gradcal_jax.files.calibration import LOG_HASH, CalibratedChannel, Calibration, Result
-from gradcal_jax.files.log.log import SERIAL_NUMBER
-from gradcal_jax.files.spec.absent import with_typical
-from gradcal_jax.files.spec.rig import Laboratory, RigFile
+from gradcal_jax.calibration import LOG_HASH, CalibratedChannel, Calibration, Result
+from gradcal_jax.estimation.calibrations import calibration_map
 from gradcal_jax.information.conformity import specific_risk
+from gradcal_jax.information.prediction import counted_shares
+from gradcal_jax.information.verdicts import finite
 from gradcal_jax.pages.numbers import figures, one_sign, percent, with_uncertainty
 from gradcal_jax.pages.requirements import SUMMED
 from gradcal_jax.pages.sources import Sources, stated_figures
 from gradcal_jax.pages.templates import page_file, page_templates
+from gradcal_jax.records.log import SERIAL_NUMBER
+from gradcal_jax.spec.absent import with_typical
+from gradcal_jax.spec.rig import Laboratory, RigFile
+from gradcal_jax.tables.writing import write_whole
 
 NOT_STATED: Final = "not stated"
 _COVERAGE: Final = 2.0

@@ -7,15 +7,15 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.error_budget import OFF_THERMOMETER
-from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.api.verdicts import coefficient_rows
-from gradcal_jax.files.base.contracts import Prediction
-from gradcal_jax.files.calibration import FRAME_OF_CASE, Calibration
-from gradcal_jax.files.run.recipe import Predicted
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.calibration import FRAME_OF_CASE, Calibration
+from gradcal_jax.information.error_budget import OFF_THERMOMETER
+from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
+from gradcal_jax.information.verdicts import coefficient_rows
 from gradcal_jax.model import TEMPERATURE_GRADIENT
 from gradcal_jax.pages.numbers import figures, with_uncertainty
+from gradcal_jax.recipe.recipe import Predicted
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.contracts import Prediction
 
 # Of more channels a table has a column for each axis.
 _MOST_CHANNELS: Final = 3

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Final
 
 import gradcal_jax
-from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.files.base.writing import write_whole
+from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.pages.certificate import NOT_STATED, Certificate, Correction
 from gradcal_jax.pages.templates import page_templates
+from gradcal_jax.tables.writing import write_whole
 
 VERSION: Final = "3.2.1"
 _ONE: Final = r"\one"

@@ -15,10 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from gradcal_jax import plots
-from gradcal_jax.api.calibrations import Box
-from gradcal_jax.files.calibration import Calibration
-from gradcal_jax.files.run.recipe import Recipe
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.calibration import Calibration
+from gradcal_jax.estimation.calibrations import Box
 from gradcal_jax.pages.numbers import figures, typographic_units
 from gradcal_jax.pages.requirements import MapFact
 from gradcal_jax.pages.run_history import RunHistory
@@ -38,6 +36,8 @@ from gradcal_jax.plots.spec import (
     turned_axes,
 )
 from gradcal_jax.plots.style import style_of
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.spec.spec_sections import Spec
 
 # Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
 _WIDE, _HIGH, _LOW = 5.2, 3.7, 2.9

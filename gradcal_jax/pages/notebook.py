@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.estimate import EstimateReport
-from gradcal_jax.files.base.contracts import Prediction, notice_sentences, requirement_table
-from gradcal_jax.files.calibration import Calibration
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.run.bench_tables import CHAMBER_HEAD, chamber_rows
-from gradcal_jax.files.run.recipe import Recipe
-from gradcal_jax.files.spec.schedule import StandardSchedule
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.calibration import Calibration
+from gradcal_jax.estimation.estimate import EstimateReport
 from gradcal_jax.pages.coefficients import coefficient_table, estimated_coefficients, parameters
+from gradcal_jax.recipe.bench_tables import CHAMBER_HEAD, chamber_rows
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.records.log import Log
+from gradcal_jax.spec.schedule import StandardSchedule
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.contracts import Prediction, notice_sentences, requirement_table
 from gradcal_jax.units import times_text
 
 if TYPE_CHECKING:

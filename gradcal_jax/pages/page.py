@@ -17,20 +17,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import gradcal_jax
-from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.files.base.contracts import RequirementRow
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.base.quantity import Quantity
-from gradcal_jax.files.base.writing import write_whole
-from gradcal_jax.files.calibration import FRAME_OF_CASE
-from gradcal_jax.files.run.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
-from gradcal_jax.files.run.recipe import Recipe
-from gradcal_jax.files.spec.bench import AxisEncoder
-from gradcal_jax.files.spec.changes import changed
-from gradcal_jax.files.spec.motion_plan import MotionPlan
-from gradcal_jax.files.spec.schedule import StandardSchedule
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.calibration import FRAME_OF_CASE
+from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
+from gradcal_jax.information.prediction import requirement_rows
 from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, symbols
 from gradcal_jax.pages.figures import calibration_pictures, map_pictures, pose_picture, track_pictures
 from gradcal_jax.pages.glossary import OF_THE_FIELD
@@ -39,6 +28,17 @@ from gradcal_jax.pages.report_data import ReportData, report_data_of
 from gradcal_jax.pages.requirements import RequirementFact
 from gradcal_jax.pages.sources import Sources, read_sources
 from gradcal_jax.pages.templates import page_file, page_templates
+from gradcal_jax.recipe.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.spec.bench import AxisEncoder
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.motion_plan import MotionPlan
+from gradcal_jax.spec.schedule import StandardSchedule
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.contracts import RequirementRow
+from gradcal_jax.tables.problems import SpecError
+from gradcal_jax.tables.quantity import Quantity
+from gradcal_jax.tables.writing import write_whole
 from gradcal_jax.units import DEG_PER_S, count_text, time_text, times_text
 
 # Moves of a cycle that a page shows.

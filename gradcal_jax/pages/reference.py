@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any, Final
 
-from gradcal_jax.files.base import schemas
+from gradcal_jax.tables import schemas
 
 _PLAIN: Final = {"string": "text", "integer": "whole number", "number": "number", "boolean": "`true` or `false`"}
 Body = Mapping[str, Any]

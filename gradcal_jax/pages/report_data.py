@@ -7,18 +7,18 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.calibrations import IeeeTerm, standard_terms
-from gradcal_jax.display import summary
-from gradcal_jax.files.base.contracts import notice_sentences
-from gradcal_jax.files.calibration import Calibration
-from gradcal_jax.files.calibration.correction import correct
-from gradcal_jax.files.calibration.exports import FORMATS, export
-from gradcal_jax.files.calibration.path_losses import Loss
+from gradcal_jax.calibration import Calibration
+from gradcal_jax.calibration.correction import correct
+from gradcal_jax.calibration.exports import FORMATS, export
+from gradcal_jax.calibration.path_losses import Loss
+from gradcal_jax.estimation.calibrations import IeeeTerm, standard_terms
 from gradcal_jax.pages.coefficients import ParameterFact, agreement, hidden_values, parameters
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact, RequirementFact, requirements_of
 from gradcal_jax.pages.run_history import RunHistory, history_of
 from gradcal_jax.pages.sources import Sources, assumptions, provenance_rows
+from gradcal_jax.tables.contracts import notice_sentences
+from gradcal_jax.tables.display import summary
 from gradcal_jax.units import DEG_PER_S
 
 _ENDINGS: Final = {

@@ -6,21 +6,27 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.api.calibrations import Box, calibrated_parameters, calibrated_posterior, calibration_map, grid_of
-from gradcal_jax.api.error_budget import TURN_ON, CountedPosteriors, widened
-from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
-from gradcal_jax.api.imu_residual import ErrorCurve, ImuResidual, error_curves, quantity_of
-from gradcal_jax.api.prediction import counted_posteriors
-from gradcal_jax.api.verdicts import run_of
-from gradcal_jax.files.base.contracts import RequirementRow
-from gradcal_jax.files.calibration import Calibration, Result
-from gradcal_jax.files.spec.requirement import MissionHeadingRequirement, Requirement
-from gradcal_jax.files.spec.spec import Spec
+from gradcal_jax.calibration import Calibration, Result
+from gradcal_jax.estimation.calibrations import (
+    Box,
+    calibrated_parameters,
+    calibrated_posterior,
+    calibration_map,
+    grid_of,
+)
 from gradcal_jax.information import Posterior, posterior
+from gradcal_jax.information.error_budget import TURN_ON, CountedPosteriors, widened
+from gradcal_jax.information.imu_residual import ErrorCurve, ImuResidual, error_curves, quantity_of
 from gradcal_jax.information.posterior import square_root
+from gradcal_jax.information.prediction import counted_posteriors
+from gradcal_jax.information.verdicts import run_of
+from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.plots.calibration_maps import panels_of
 from gradcal_jax.plots.residual import boxes_of
+from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
+from gradcal_jax.spec.spec import Spec
+from gradcal_jax.tables.contracts import RequirementRow
 
 SUMMED: Final = {"worst": "worst axis", "all": "all axes together"}
 # Relative difference of residuals that shows in the digits of a page.

@@ -9,17 +9,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from gradcal_jax.files.base.contracts import Prediction
-from gradcal_jax.files.base.document import read_text, read_toml
-from gradcal_jax.files.calibration import Calibration, is_calibration, read_calibration
-from gradcal_jax.files.run.recipe import Predicted, Recipe, is_recipe, recipe_of, spec_in
-from gradcal_jax.files.spec.absent import absent_terms
-from gradcal_jax.files.spec.bench import Rig
-from gradcal_jax.files.spec.places import places_of, specs_at_places
-from gradcal_jax.files.spec.sensor import Sensor
-from gradcal_jax.files.spec.spec import spec_of
-from gradcal_jax.files.spec.spec_sections import FORMAT, Spec
+from gradcal_jax.calibration import Calibration, is_calibration, read_calibration
 from gradcal_jax.hardware.run_folder import RunFolder
+from gradcal_jax.recipe.recipe import Predicted, Recipe, is_recipe, recipe_of, spec_in
+from gradcal_jax.spec.absent import absent_terms
+from gradcal_jax.spec.bench import Rig
+from gradcal_jax.spec.places import places_of, specs_at_places
+from gradcal_jax.spec.sensor import Sensor
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.spec.spec_sections import FORMAT, Spec
+from gradcal_jax.tables.contracts import Prediction
+from gradcal_jax.tables.document import read_text, read_toml
 
 CALIBRATION_IN_RUN = "calibration.toml"
 
@@ -56,7 +56,7 @@ class Sources:
         assert whole is not None
         if self.recipe is not None and not whole.rig.table.place:
             return self.recipe.prediction
-        from gradcal_jax.api.prediction import predict
+        from gradcal_jax.information.prediction import predict
 
         return predict(whole, limits=True, notices=True, place=self._place)
 
@@ -244,8 +244,8 @@ def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
 
 def _of_rig(rig: Rig) -> list[tuple[str, str]]:
     """The figures of site and table; if there are several axes, those of each axis."""
-    from gradcal_jax.api.error_budget import BESIDE_THE_AXIS
-    from gradcal_jax.api.gears import SCALE_OF_ANGLE
+    from gradcal_jax.information.error_budget import BESIDE_THE_AXIS
+    from gradcal_jax.information.gears import SCALE_OF_ANGLE
 
     table = rig.table
     rows: list[tuple[str, Any]] = [
@@ -280,7 +280,7 @@ def _stated(rows: Iterable[tuple[str, Any]]) -> list[tuple[str, str]]:
 
 def provenance_rows(sources: Sources) -> list[tuple[str, str]]:
     """Fingerprints, versions, seeds and names of files."""
-    from gradcal_jax.api.verdicts import versions_of
+    from gradcal_jax.information.verdicts import versions_of
 
     rows: list[tuple[str, str]] = []
     recipe, calibration, run = sources.recipe, sources.calibration, sources.run

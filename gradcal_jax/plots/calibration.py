@@ -9,12 +9,12 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.api.estimate import EstimateReport, SensorEstimate
-from gradcal_jax.api.hand_estimate import HandReport
-from gradcal_jax.api.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.api.path_dependence import BiasCurve
-from gradcal_jax.files.calibration import CalibratedChannel, Calibration
+from gradcal_jax.calibration import CalibratedChannel, Calibration
+from gradcal_jax.estimation.estimate import EstimateReport, SensorEstimate
+from gradcal_jax.estimation.hand_estimate import HandReport
+from gradcal_jax.estimation.path_dependence import BiasCurve
 from gradcal_jax.information import segments_of
+from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor, draw_calibrated_term, panels_of
 from gradcal_jax.plots.style import PALETTE, new_axes
 from gradcal_jax.units import G

@@ -5,8 +5,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.api.calibrations import Lot, LotMap, calibration_map, grid_of
-from gradcal_jax.files.calibration import CalibratedChannel, Calibration
+from gradcal_jax.calibration import CalibratedChannel, Calibration
+from gradcal_jax.estimation.calibrations import Lot, LotMap, calibration_map, grid_of
 from gradcal_jax.plots.style import PALETTE, draw_band, new_axes, new_panels, style_of
 
 

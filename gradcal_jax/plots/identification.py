@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.api.instability import Instability, RestRecord
 from gradcal_jax.identify import AllanDeviation, AllanFit
+from gradcal_jax.identify.instability import Instability, RestRecord
 from gradcal_jax.plots.style import PALETTE, new_axes, new_panels, style_of
 from gradcal_jax.units import DEG_PER_H
 

@@ -10,8 +10,8 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from gradcal_jax.api.calibrations import Box
-from gradcal_jax.api.imu_residual import ImuResidual
+from gradcal_jax.estimation.calibrations import Box
+from gradcal_jax.information.imu_residual import ImuResidual
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, style_of
 
 # Residuals that differ by more than this are shown on logarithmic scales.

@@ -9,19 +9,19 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.api.calibrations import Box
-from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior, rest_poses
-from gradcal_jax.api.imu_residual import ErrorCurve, error_curves, imu_residual
-from gradcal_jax.api.verdicts import target_of
-from gradcal_jax.files import Timeline
-from gradcal_jax.files.run.recipe import Recipe
-from gradcal_jax.files.run.tracks import TrackMove
-from gradcal_jax.files.spec.requirement import MissionHeadingRequirement, Requirement
-from gradcal_jax.files.spec.spec import expect_spec
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.calibrations import Box
 from gradcal_jax.information import Posterior
+from gradcal_jax.information.imu_residual import ErrorCurve, error_curves, imu_residual
+from gradcal_jax.information.verdicts import target_of
+from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior, rest_poses
 from gradcal_jax.plots.residual import boxes_of, draw_curves, draw_map
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, new_figure, new_panels, style_of
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.recipe.tracks import TrackMove
+from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
+from gradcal_jax.spec.spec import expect_spec
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.timeline import Timeline
 
 _PANEL = (6.0, 4.0)
 _COLUMNS = 2

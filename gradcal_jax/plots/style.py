@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
-from gradcal_jax.files.base.writing import whole
+from gradcal_jax.tables.writing import whole
 
 # The perceptually even, colour-blind-safe map of all residual pictures.
 COLOUR_MAP = "viridis"

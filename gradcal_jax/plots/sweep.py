@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import LogLocator, StrMethodFormatter
 
-from gradcal_jax.api.optimise import FrontierPoint
-from gradcal_jax.api.sensitivity import Sensitivities
+from gradcal_jax.design.optimise import FrontierPoint
+from gradcal_jax.information.sensitivity import Sensitivities
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_figure, style_of
 
 if TYPE_CHECKING:

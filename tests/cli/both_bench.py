@@ -16,10 +16,10 @@ from both_specs import write_files
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
-from gradcal_jax.files import read_spec
-from gradcal_jax.files.run.recipe import read_recipe
-from gradcal_jax.jobs.pool import Task, TaskRunner
-from gradcal_jax.jobs.worker import do
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.spec.spec import read_spec
+from gradcal_jax.sweeps.pool import Task, TaskRunner
+from gradcal_jax.sweeps.worker import do
 
 BY_NAME = {feature.name: feature for feature in FEATURES}
 
@@ -146,8 +146,8 @@ def benches(folder: Path, prepared: dict[str, Callable[[FeatureBench], None]]):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
         for number in ("EVALUATIONS", "QUICK_EVALUATIONS"):
-            patch.setattr(f"gradcal_jax.api.optimise.{number}", 60)
-        patch.setattr("gradcal_jax.jobs.pool.LocalPool", InThisProcess)
+            patch.setattr(f"gradcal_jax.design.optimise.{number}", 60)
+        patch.setattr("gradcal_jax.sweeps.pool.LocalPool", InThisProcess)
         made: dict[str, FeatureBench] = {}
         for kind in KINDS:
             (folder / kind).mkdir()

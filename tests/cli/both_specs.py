@@ -10,10 +10,12 @@ from nothing_omitted import zeros_of_omitted
 from scipy.signal import lfilter
 
 import gradcal_jax as gj
-from gradcal_jax.files import changed, parse_spec, presets, tables_of, to_toml
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.log.log_file import write_log
-from gradcal_jax.files.spec.changes import patched
+from gradcal_jax.records.log import Log
+from gradcal_jax.records.log_file import write_log
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed, patched, tables_of
+from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.tables.writing import to_toml
 
 ROOT = Path(__file__).parents[2]
 WALK, FORCE_WALK = float(np.radians(0.1) / 60.0), 0.05 / 60.0
@@ -221,7 +223,7 @@ def write_files(kind: str, folder: Path) -> None:
     files["old-calibration.toml"] = tomlkit.dumps(old)
     if kind == "axis":
         files["old.toml"] = (
-            (ROOT / "tests/files/spec/broken/rig_max_rate_misspelt.toml")
+            (ROOT / "tests/spec/broken/rig_max_rate_misspelt.toml")
             .read_text(encoding="utf-8")
             .replace("max_rte", "max_rate")
         )

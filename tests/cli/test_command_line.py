@@ -11,8 +11,8 @@ import pytest
 
 from gradcal_jax.cli import main
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.display import columns
-from gradcal_jax.files import presets
+from gradcal_jax.spec import presets
+from gradcal_jax.tables.display import columns
 from gradcal_jax.units import time_text
 
 GRADCAL = [sys.executable, "-c", "import sys; from gradcal_jax.cli import main; sys.exit(main())"]
@@ -45,7 +45,7 @@ HEAVY = ("jax", "jaxlib", "equinox", "xarray", "matplotlib", "scipy", "h5netcdf"
     "code",
     [
         "import gradcal_jax",
-        "import gradcal_jax.files",
+        "import gradcal_jax.spec.spec",
         "import gradcal_jax.hardware",
         "import gradcal_jax.cli",
         "import gradcal_jax.cli.app; gradcal_jax.cli.app.build()",
@@ -193,7 +193,7 @@ def test_an_interrupt_ends_with_130(monkeypatch, capsys):
     def interrupted(path):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gradcal_jax.files.run.recipe.spec_or_recipe", interrupted)
+    monkeypatch.setattr("gradcal_jax.recipe.recipe.spec_or_recipe", interrupted)
     assert main(["check", "my.toml"]) == 130
     assert capsys.readouterr().err == "gradcal: interrupted\n"
 

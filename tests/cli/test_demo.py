@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from gradcal_jax.calibration import read_calibration
 from gradcal_jax.cli import demo as room
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import build
 from gradcal_jax.cli.recordings import Recording
-from gradcal_jax.files.calibration import read_calibration
-from gradcal_jax.files.run.recipe import read_recipe
+from gradcal_jax.recipe.recipe import read_recipe
 
 DATA = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 PROGRAM = "import sys; from gradcal_jax.cli import main; sys.exit(main())"

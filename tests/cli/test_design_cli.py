@@ -10,7 +10,9 @@ import pytest
 from search_problem import SPEC
 
 from gradcal_jax.cli import main
-from gradcal_jax.files import changed, parse_spec, write_toml
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.tables.writing import write_toml
 
 # Two noises make the whole residual; turns are slow, so that there is much to gain, and the cable ends.
 CHANGES = {

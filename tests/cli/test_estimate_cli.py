@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from simulated_log import simulate_log
 
+from gradcal_jax.calibration import read_calibration
 from gradcal_jax.cli import main
-from gradcal_jax.files import parse_spec
-from gradcal_jax.files.calibration import read_calibration
-from gradcal_jax.files.log.log_file import read_log, write_log
+from gradcal_jax.records.log_file import read_log, write_log
+from gradcal_jax.spec.spec import parse_spec
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "estimate"))
 from logs_zoo import GRADIENT

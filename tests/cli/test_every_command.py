@@ -10,7 +10,7 @@ import pytest
 
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import build
-from gradcal_jax.files import presets
+from gradcal_jax.spec import presets
 
 PROGRAM = "import sys; from gradcal_jax.cli import main; sys.exit(main())"
 # FILE: what is wrong in turn; OUT: a name that is free.

@@ -14,9 +14,10 @@ from both_specs import ROOT
 from test_features_of_runs import CHECKS as OF_RUNS
 
 import gradcal_jax as gj
-from gradcal_jax.files import changed, read_spec, tables_of
-from gradcal_jax.files.run.recipe import read_recipe
-from gradcal_jax.jobs.dataset import read_dataset
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.spec import read_spec
+from gradcal_jax.sweeps.dataset import read_dataset
 
 CHECKS = Checks()
 

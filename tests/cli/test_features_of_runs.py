@@ -14,14 +14,14 @@ from both_bench import Answer, Checks, FeatureBench, benches, drawn, named
 from both_kinds import FORMATS
 from both_specs import DRIFT, DRIFT_TIME_S, FORCE_WALK, WALK
 
-from gradcal_jax.files import read_spec
-from gradcal_jax.files.calibration import read_calibration
-from gradcal_jax.files.calibration.file import Calibration
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.log.log_file import read_log
-from gradcal_jax.files.run.recipe import read_recipe
+from gradcal_jax.calibration import read_calibration
+from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.records.log import Log
+from gradcal_jax.records.log_file import read_log
+from gradcal_jax.spec.spec import read_spec
 
 CHECKS = Checks()
 PREPARED: dict[str, Callable[[FeatureBench], None]] = {}

@@ -7,8 +7,8 @@ import pytest
 from imu_bench import made, short
 
 from gradcal_jax.cli import main
-from gradcal_jax.files import changed, tables_of
-from gradcal_jax.files.base.writing import write_toml
+from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.tables.writing import write_toml
 
 PLACES = [{"name": "left"}, {"name": "right", "x": "+x", "y": "-y", "z": "-z"}]
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from estimate_scenes import draw_truth, record, scene
 
+from gradcal_jax.calibration import read_calibration
+from gradcal_jax.calibration.correction import term_values
 from gradcal_jax.cli import main
-from gradcal_jax.files import tables_of
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.calibration import read_calibration
-from gradcal_jax.files.calibration.correction import term_values
-from gradcal_jax.files.log.log_file import read_log, write_log
-from gradcal_jax.files.spec.rig import TEMPLATE
-from gradcal_jax.files.spec.spec import read_spec, spec_of
+from gradcal_jax.records.log_file import read_log, write_log
+from gradcal_jax.spec.changes import tables_of
+from gradcal_jax.spec.rig import TEMPLATE
+from gradcal_jax.spec.spec import read_spec, spec_of
+from gradcal_jax.tables.writing import write_toml
 
 LABORATORY = """
 [laboratory]

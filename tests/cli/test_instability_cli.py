@@ -10,9 +10,9 @@ from scipy.signal import lfilter
 
 from gradcal_jax import units
 from gradcal_jax.cli import main
-from gradcal_jax.files import presets
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.log.log_file import write_log
+from gradcal_jax.records.log import Log
+from gradcal_jax.records.log_file import write_log
+from gradcal_jax.spec import presets
 
 DEG_PER_H = np.pi / 180 / 3600
 WALK = 0.01 * np.pi / 180 / 60

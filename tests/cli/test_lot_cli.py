@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from lot_scene import calibrations, drawn_maps, read_maps
 
+from gradcal_jax.calibration import write_calibration
 from gradcal_jax.cli import main
-from gradcal_jax.files.calibration import write_calibration
 
 
 @pytest.fixture(scope="module")

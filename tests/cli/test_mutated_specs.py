@@ -9,8 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.cli import main
-from gradcal_jax.files import SpecError, presets, spec_of
-from gradcal_jax.files.base.problems import dotted
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.tables.problems import SpecError, dotted
 
 GOOD = {name: tomllib.loads(presets.text(name)) for name in presets.names()}
 

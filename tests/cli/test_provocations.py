@@ -25,7 +25,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     Path("good.toml").write_text(GOOD, encoding="utf-8")
     Path("whole.toml").write_text(WHOLE, encoding="utf-8")
-    Path("rig.toml").write_text(gj.files.presets.template("rig.toml"), encoding="utf-8")
+    Path("rig.toml").write_text(gj.presets.template("rig.toml"), encoding="utf-8")
     Path("empty.toml").write_bytes(b"")
     Path("empty.nc").write_bytes(b"")
     Path("data.csv").write_text("t,gx\n0,1\n1,2\n", encoding="utf-8")
@@ -231,7 +231,7 @@ def test_memory_that_ends_in_the_work_is_a_sentence(folder, capsys, monkeypatch)
     def nothing_left(*_, **__):
         raise MemoryError("Unable to allocate 7.45 TiB for an array")
 
-    monkeypatch.setattr("gradcal_jax.api.prediction.build_imu", nothing_left)
+    monkeypatch.setattr("gradcal_jax.information.prediction.build_imu", nothing_left)
     assert main(["predict", "good.toml"]) == 2
     assert capsys.readouterr().err.startswith("gradcal: out of memory (Unable to allocate 7.45 TiB for an array): ")
 

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from gradcal_jax import files
 from gradcal_jax.cli import main
-from gradcal_jax.files import presets
-from gradcal_jax.files.run.recipe import read_recipe
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.spec import presets
+from gradcal_jax.tables import contracts
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def made(tmp_path_factory):
 
 def test_predict_says_of_a_recipe_what_the_recipe_says(made, capsys):
     status = main(["predict", str(made), "--json"])
-    said = files.Prediction.model_validate_json(capsys.readouterr().out)
+    said = contracts.Prediction.model_validate_json(capsys.readouterr().out)
     carried = read_recipe(made).prediction
     assert status == (0 if carried.requirements[0].verdict == "met" else 1)
     assert said.duration_s == carried.duration_s

@@ -12,13 +12,17 @@ import pytest
 from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.cli import main
-from gradcal_jax.files import Quantity, changed, parse_spec, presets, to_toml
-from gradcal_jax.files.log.log_file import read_log
-from gradcal_jax.files.run.recipe import Predicted, Recipe, RecipeOrigin
-from gradcal_jax.files.run.rounding import rounded, steps_of
-from gradcal_jax.files.run.tracks import Stability, tracks_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.journal import read_journal
+from gradcal_jax.recipe.recipe import Predicted, Recipe, RecipeOrigin
+from gradcal_jax.recipe.rounding import rounded, steps_of
+from gradcal_jax.recipe.tracks import Stability, tracks_of
+from gradcal_jax.records.log_file import read_log
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.tables.quantity import Quantity
+from gradcal_jax.tables.writing import to_toml
 
 CHANGES = {
     "plan.temperature": ["23 degC", "24 degC"],

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api.turn_plan import design_block, design_of, measure
 from gradcal_jax.cli import main
-from gradcal_jax.files.log.importers import parse_column_map
-from gradcal_jax.files.spec.absent import absent_terms
-from gradcal_jax.files.spec.rig import parse_rig
-from gradcal_jax.files.start.begin import PRESETS, files_of
+from gradcal_jax.design.turn_plan import design_block, design_of, measure
 from gradcal_jax.hardware.setup import configs_of
+from gradcal_jax.records.importers import parse_column_map
+from gradcal_jax.spec.absent import absent_terms
+from gradcal_jax.spec.begin import PRESETS, files_of
+from gradcal_jax.spec.rig import parse_rig
 
 USUAL = PRESETS["drone-gyro"]
 IMUS = ("drone-imu", "bmi088", "tactical-imu")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.cli import main
-from gradcal_jax.files import presets
+from gradcal_jax.spec import presets
 
 SWEEP = """
 format = "gradcal-sweep/1"
@@ -65,8 +65,8 @@ def test_a_finished_sweep_is_not_done_again(done, folder, capsys):
 
 
 def test_the_picture_shows_every_curve(done, folder):
-    from gradcal_jax.jobs.dataset import read_dataset
     from gradcal_jax.plots.sweep import draw_sweep
+    from gradcal_jax.sweeps.dataset import read_dataset
 
     results = read_dataset(folder / "results.nc")
     (axes,) = draw_sweep(results).axes

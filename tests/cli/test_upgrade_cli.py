@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 import tomlkit
 
+from gradcal_jax.calibration.file import read_calibration
 from gradcal_jax.cli import main
-from gradcal_jax.files import presets, read_spec
-from gradcal_jax.files.calibration.file import read_calibration
-from gradcal_jax.files.run.recipe import read_recipe
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.spec import read_spec
 
 ROOT = Path(__file__).parents[2]
 RECIPES = sorted((ROOT / "experiments" / "recipes").glob("*/*.toml"))

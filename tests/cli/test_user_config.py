@@ -8,7 +8,7 @@ from report_samples import calibration, recipe
 import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.cli.user_config import config_path
-from gradcal_jax.files.spec.rig import TEMPLATE
+from gradcal_jax.spec.rig import TEMPLATE
 
 LABORATORY = '[laboratory]\nname = "House of rates"\ncountry = "DE"\noperator = "A. Person"\n'
 

@@ -10,7 +10,7 @@ from cyclopts import App
 import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import GROUPS, build
-from gradcal_jax.display import columns
+from gradcal_jax.tables.display import columns
 
 
 def test_the_help_lists_every_command_once_in_the_order_of_work(capsys):

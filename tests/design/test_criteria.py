@@ -5,13 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gradcal_jax.api import assemble
-from gradcal_jax.api.turn_plan import criterion_of
 from gradcal_jax.design import polynomial_grid
-from gradcal_jax.files import changed, read_spec
+from gradcal_jax.design.turn_plan import criterion_of
 from gradcal_jax.information import information
 from gradcal_jax.model import Map
-from gradcal_jax.trajectory import gauss_nodes, rule_of
+from gradcal_jax.model.build import assemble
+from gradcal_jax.motion import gauss_nodes, rule_of
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import read_spec
 
 SPEC = read_spec(Path(__file__).parents[2] / "experiments/designs/headline.toml")
 HIDDEN = {"standard_deviation": "5 ppm", "temperature_degree": 5, "rate_degree": 4}

@@ -32,7 +32,7 @@ from gradcal_jax.design import (
 from gradcal_jax.design.search import _NOWHERE, _program
 from gradcal_jax.information import information, posterior, residual, statistic
 from gradcal_jax.model import Polynomial, SensorModel, angle_reference, constant, gauss_markov, gyro_model, make_map
-from gradcal_jax.trajectory import rule_of
+from gradcal_jax.motion import rule_of
 
 DEG = np.pi / 180.0
 WALK = 0.1 * DEG / 60.0

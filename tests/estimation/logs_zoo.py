@@ -1,9 +1,9 @@
 """Short specs for logs: a gyro that turns and rests while the temperature ramps, small enough to be simulated often."""
 
-from gradcal_jax.api.estimate import SensorEstimate, estimate_log
-from gradcal_jax.api.log_rows import Options
-from gradcal_jax.files import Spec, parse_spec
-from gradcal_jax.files.log.log import Log
+from gradcal_jax.estimation.estimate import SensorEstimate, estimate_log
+from gradcal_jax.estimation.log_rows import Options
+from gradcal_jax.records.log import Log
+from gradcal_jax.spec.spec import Spec, parse_spec
 
 GRADIENT = """
 format = "gradcal-spec/1"

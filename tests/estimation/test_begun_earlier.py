@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from gradcal_jax.decoding.table_angles import SETTLED_S
 from gradcal_jax.estimation.standstill import begun_earlier
+from gradcal_jax.records.table_angles import SETTLED_S
 
 INTERVAL_S = 0.008
 # Rows of the margin that a log has.

@@ -6,12 +6,12 @@ from estimate_scenes import aligned, draw_truth, record, scene
 from logs_zoo import STANDARD, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api.contradictions import lacks_of
-from gradcal_jax.api.estimate import estimate_log, estimate_rows, estimate_sensors
-from gradcal_jax.api.prediction import requirement_rows
-from gradcal_jax.files.log.log import Log, part_of
+from gradcal_jax.estimation.contradictions import lacks_of
+from gradcal_jax.estimation.estimate import estimate_log, estimate_rows, estimate_sensors
+from gradcal_jax.information.prediction import requirement_rows
 from gradcal_jax.pages.report_data import report_data_of
 from gradcal_jax.pages.sources import Sources
+from gradcal_jax.records.log import Log, part_of
 
 
 def cut(log: Log, share: float) -> Log:

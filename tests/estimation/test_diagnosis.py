@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from gradcal_jax.api.contradictions import diagnosis_sentences
 from gradcal_jax.estimation import diagnosis
+from gradcal_jax.estimation.contradictions import diagnosis_sentences
 
 TIME = np.arange(2000.0)
 MOVED = np.arange(2000) % 5 == 0

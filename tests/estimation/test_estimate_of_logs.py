@@ -9,17 +9,19 @@ from expected_errors import nees_band
 from logs_zoo import GRADIENT, STANDARD, estimated, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api import assemble
-from gradcal_jax.api.estimate import estimate_log
-from gradcal_jax.api.lag_of_maps import LateTemperatures, fitted_lag
-from gradcal_jax.api.log_rows import Options, host_time
+from gradcal_jax.calibration.correction import term_values
 from gradcal_jax.estimation import ImuRows
-from gradcal_jax.files import changed, parse_spec, presets
-from gradcal_jax.files.calibration.correction import term_values
-from gradcal_jax.files.log.log import Log, LogError, Reason
+from gradcal_jax.estimation.estimate import estimate_log
+from gradcal_jax.estimation.lag_of_maps import LateTemperatures, fitted_lag
+from gradcal_jax.estimation.log_rows import Options, host_time
 from gradcal_jax.formulas import followed
 from gradcal_jax.information import information, posterior
 from gradcal_jax.model import BIAS, SCALE_FACTOR
+from gradcal_jax.model.build import assemble
+from gradcal_jax.records.log import Log, LogError, Reason
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import parse_spec
 
 
 def errors(channel, truth):

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from expected_errors import nees_band, normalised_errors, on_trajectory, whitened
 
-from gradcal_jax.api import assemble
-from gradcal_jax.api.imu_residual import box
-from gradcal_jax.api.verdicts import UNIT_OF
 from gradcal_jax.estimation import solve
-from gradcal_jax.files import parse_spec, presets
 from gradcal_jax.information import contrasts, information, posterior, residual, simulate_noise, statistic
+from gradcal_jax.information.imu_residual import box
+from gradcal_jax.information.verdicts import UNIT_OF
+from gradcal_jax.model.build import assemble
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.spec import parse_spec
 
 UNITS = 1000
 

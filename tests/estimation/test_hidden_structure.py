@@ -5,10 +5,12 @@ import pytest
 from logs_zoo import spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api import assemble, predict
-from gradcal_jax.api.estimate import estimate_log, estimate_rows
-from gradcal_jax.files import changed, to_toml
-from gradcal_jax.files.spec.spec import parse_spec
+from gradcal_jax.estimation.estimate import estimate_log, estimate_rows
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.model.build import assemble
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.tables.writing import to_toml
 
 PPM = 1e-6
 UNITS = 6

@@ -7,8 +7,8 @@ import pytest
 from logs_zoo import estimated, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api.log_rows import Options
 from gradcal_jax.estimation import closest_neighbours, moves_between_rests
+from gradcal_jax.estimation.log_rows import Options
 
 
 def test_the_drift_of_the_rests_beside_a_move_is_taken_off_it():

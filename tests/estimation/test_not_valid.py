@@ -12,7 +12,7 @@ from simulated_log import simulate_log
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
-from gradcal_jax.files import parse_spec
+from gradcal_jax.spec.spec import parse_spec
 
 # What the short plan leaves is far below these.
 WIDE = GRADIENT.replace('target = "2000 ppm"', 'target = "9 %"').replace(

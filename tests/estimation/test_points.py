@@ -7,11 +7,12 @@ import pytest
 import xarray
 from logs_zoo import GRADIENT, STANDARD
 
-from gradcal_jax.api.log_flow import estimate_points
 from gradcal_jax.cli import main
-from gradcal_jax.files import SpecError, parse_spec
-from gradcal_jax.files.log.log import LogError
-from gradcal_jax.files.log.points import parse_point_map, read_points
+from gradcal_jax.estimation.log_flow import estimate_points
+from gradcal_jax.records.log import LogError
+from gradcal_jax.records.points import parse_point_map, read_points
+from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.tables.problems import SpecError
 
 MAP = """format = "gradcal-points/1"
 name = "SN-7"

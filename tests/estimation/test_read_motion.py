@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.estimation import ImuRows, column_readings, motion_by_readings
-from gradcal_jax.trajectory import Geometry
+from gradcal_jax.motion import Geometry
 
 STEP = 0.01
 BIAS = np.radians(0.3)

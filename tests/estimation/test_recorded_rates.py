@@ -13,12 +13,12 @@ import pytest
 from logs_zoo import GRADIENT, estimated
 from scipy.ndimage import uniform_filter1d
 
-from gradcal_jax.api.estimate import estimate_log
-from gradcal_jax.api.log_rows import Options
 from gradcal_jax.estimation import find_standstills
-from gradcal_jax.files import parse_spec
-from gradcal_jax.files.log.importers import import_log, parse_column_map
-from gradcal_jax.files.log.log import Log
+from gradcal_jax.estimation.estimate import estimate_log
+from gradcal_jax.estimation.log_rows import Options
+from gradcal_jax.records.importers import import_log, parse_column_map
+from gradcal_jax.records.log import Log
+from gradcal_jax.spec.spec import parse_spec
 
 FOLDER = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="the recorded data are not here: set GRADCAL_DATA")

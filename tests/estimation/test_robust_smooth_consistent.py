@@ -8,8 +8,6 @@ from logs_zoo import GRADIENT, estimated, spec_of
 from scipy import stats
 from simulated_log import simulate_log
 
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.log_rows import Options
 from gradcal_jax.estimation import (
     Whitened,
     choose_smoothness,
@@ -21,7 +19,9 @@ from gradcal_jax.estimation import (
     with_smoothness,
 )
 from gradcal_jax.estimation.consistency import taken_up
+from gradcal_jax.estimation.log_rows import Options
 from gradcal_jax.model import BIAS
+from gradcal_jax.model.imu_build import build_imu
 
 BINS = 'temperature = { basis = "bins", edges = [%s] }\nsmoothness = "%s"' % (  # noqa: UP031
     ", ".join(f'"{t} degC"' for t in range(0, 41, 2)),

@@ -11,8 +11,8 @@ from simulated_log import simulate_log
 
 import gradcal_jax as gj
 from gradcal_jax.estimation import find_standstills
-from gradcal_jax.files import Quantity
-from gradcal_jax.files.log.log import LogError
+from gradcal_jax.records.log import LogError
+from gradcal_jax.tables.quantity import Quantity
 
 CHANGES = {
     "sensor.scale_factor.temperature.degree": 1,

@@ -7,10 +7,10 @@ import pytest
 from logs_zoo import GRADIENT, estimated, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api import assemble
 from gradcal_jax.estimation import column_readings, smoothed_temperature
 from gradcal_jax.information import information, posterior
 from gradcal_jax.model import TEMPERATURE_GRADIENT
+from gradcal_jax.model.build import assemble
 
 # Up and down, so that a bias from dT/dt is not a constant one; the die lags, as dies do.
 FOLLOWED = (

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from logs_zoo import GRADIENT, estimated
 
-from gradcal_jax.api.log_flow import with_turns
 from gradcal_jax.cli import main
-from gradcal_jax.files import parse_spec
-from gradcal_jax.files.log.log import Log, LogError
-from gradcal_jax.files.log.log_file import read_log
+from gradcal_jax.estimation.log_flow import with_turns
+from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.records.log_file import read_log
+from gradcal_jax.spec.spec import parse_spec
 
 SAID = np.radians([360.0, 360.0, -720.0, 90.0])
 SPEC = GRADIENT.replace("degree = 1, centre", "degree = 0, centre").replace("degree = 1, scale", "degree = 0, scale")

@@ -11,12 +11,12 @@ import pytest
 from vehicle_samples import dataflash, imu_rows, sensor_gyro, ulog
 from warm_ups import DEG_PER_H, output, vehicle, warming
 
-from gradcal_jax.api.calibrations import calibration_map
-from gradcal_jax.api.log_flow import estimate_warm_up
+from gradcal_jax.calibration import read_calibration
+from gradcal_jax.calibration.correction import term_values
 from gradcal_jax.cli import main
-from gradcal_jax.files.calibration import read_calibration
-from gradcal_jax.files.calibration.correction import term_values
-from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.estimation.calibrations import calibration_map
+from gradcal_jax.estimation.log_flow import estimate_warm_up
+from gradcal_jax.records.log import Log, LogError
 
 FIT = np.linspace(15.5, 48.0, 40)
 

@@ -18,12 +18,12 @@ from matrix_errors import ByData, by_data, deviations_of_elements, nees_of
 from scipy.stats import chi2
 
 import gradcal_jax as gj
-from gradcal_jax.api.estimate import with_options
-from gradcal_jax.api.fit_of_log import fitted_twice
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.cli import main
-from gradcal_jax.files import spec_of
+from gradcal_jax.estimation.estimate import with_options
+from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.log_rows import Options, imu_rows
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.spec.spec import spec_of
 
 # Of the simulated chamber's air behind its set point; and the ends of the pieces in which it approaches, in lags.
 AIR_LAG_S = 40.0

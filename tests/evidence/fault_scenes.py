@@ -32,7 +32,7 @@ from physics_log import (
     record,
 )
 
-from gradcal_jax.files.log.log_file import write_log
+from gradcal_jax.records.log_file import write_log
 
 MG = 1e-3 * G
 

@@ -18,15 +18,15 @@ import numpy as np
 from imu_bench import made, short
 from matrix_errors import nees_of
 
-from gradcal_jax.api.estimate import estimate_sensors
-from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
-from gradcal_jax.decoding import run_log
 from gradcal_jax.estimation import posteriors_together
-from gradcal_jax.files import changed
-from gradcal_jax.files.spec.places import specs_at_places
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.estimate import estimate_sensors
 from gradcal_jax.hardware import execute
 from gradcal_jax.information import Posterior
+from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.records import run_log
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.places import specs_at_places
+from gradcal_jax.spec.spec_sections import Spec
 
 SIX = (
     {},

@@ -17,12 +17,12 @@ from matrix_errors import along_after_correction, by_data
 from unguided import recorded
 
 import gradcal_jax as gj
-from gradcal_jax.api.estimate import with_options
-from gradcal_jax.api.fit_of_log import fitted_twice
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.log_rows import Options, imu_rows
-from gradcal_jax.files import presets
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.estimate import with_options
+from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.log_rows import Options, imu_rows
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.spec_sections import Spec
 
 # How far off the plan's angle each turn ends, deg (standard deviation).
 SPOILT = (1.0, 5.0, 45.0)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from gradcal_jax.files.log.log import Log
+from gradcal_jax.records.log import Log
 
 DEG = np.pi / 180.0
 DEG_H = DEG / 3600.0

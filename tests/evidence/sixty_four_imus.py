@@ -15,10 +15,10 @@ import numpy as np
 from fixture_batches import CONSTANT, SIX
 from imu_bench import made, short
 
-from gradcal_jax.api.estimate import estimate_sensors
-from gradcal_jax.decoding import run_log
-from gradcal_jax.files import changed
+from gradcal_jax.estimation.estimate import estimate_sensors
 from gradcal_jax.hardware import execute
+from gradcal_jax.records import run_log
+from gradcal_jax.spec.changes import changed
 
 COUNT, RATE_HZ, CYCLES = 64, 250.0, 2
 

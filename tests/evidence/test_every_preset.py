@@ -12,7 +12,7 @@ import tomlkit
 from chain import AIR_LAG_S, Chain, chain, predicted_of, recipe_of
 from scipy.stats import chi2
 
-from gradcal_jax.files import presets
+from gradcal_jax.spec import presets
 
 ROOT = Path(__file__).parents[2]
 REPORT = ROOT / "experiments" / "evidence" / "presets.md"

@@ -23,12 +23,12 @@ import numpy as np
 import pytest
 from loop_scene import SIZE, errors_on_branches, recorded, spec_of, type_of_relays
 
-from gradcal_jax.api import predict
-from gradcal_jax.api.estimate import estimate_sensors
-from gradcal_jax.files.spec.changes import changed
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.estimate import estimate_sensors
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import LAWS, Law
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec_sections import Spec
 
 pytestmark = pytest.mark.evidence
 

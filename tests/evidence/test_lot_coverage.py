@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from lot_scene import MEAN, calibrations, drawn_maps, read_maps, spread_at
 
-from gradcal_jax.api.calibrations import LotMap, lot
+from gradcal_jax.estimation.calibrations import LotMap, lot
 
 pytestmark = pytest.mark.evidence
 

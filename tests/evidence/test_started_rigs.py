@@ -14,7 +14,7 @@ import pytest
 from chain import say
 from test_every_preset import thinned
 
-from gradcal_jax.files.start import begin
+from gradcal_jax.spec import begin
 
 REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "tests_of_the_fit.md"
 # Seeds from this one on; other than 1: they join those of the report.

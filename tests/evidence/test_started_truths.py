@@ -21,7 +21,7 @@ from fault_scenes import UNIT_SIZES, held, summed, term_values
 from scipy.stats import binom, chi2
 
 import gradcal_jax as gj
-from gradcal_jax.files.start import begin
+from gradcal_jax.spec import begin
 
 REPORT = Path(__file__).parents[2] / "experiments" / "evidence" / "started_truths.md"
 SEEDS = int(os.environ.get("GRADCAL_SEEDS", "20"))

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from gradcal_jax.api import predict
-from gradcal_jax.api.limit import limit
-from gradcal_jax.files.run.recipe import read_recipe
+from gradcal_jax.design.plan_limit import limit
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.recipe.recipe import read_recipe
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 RESULTS = json.loads((EXPERIMENTS / "designs" / "results.json").read_text(encoding="utf-8"))

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api import timeline
+from gradcal_jax.information.timeline import timeline
 
 FOLDER = Path(__file__).parents[2] / "experiments/missions"
 NAMES = ("hover", "survey", "spin", "pipeline", "north")

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from gradcal_jax.api import predict
-from gradcal_jax.files import changed, read_spec
-from gradcal_jax.files.run.recipe import read_recipe
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import read_spec
 
 ROOT = Path(__file__).parents[2]
 SIZES = (0, 2, 5, 10, 20)

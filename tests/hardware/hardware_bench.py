@@ -21,18 +21,21 @@ from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import SimulatedWeiss, WeissOptions
 from simulated_devices.zaber import SimulatedZaber, ZaberOptions
 
-from gradcal_jax.decoding.clockmap import ClockMap, fit_arrivals
-from gradcal_jax.files import Quantity, Spec, changed, parse_spec, presets
-from gradcal_jax.files.run.recipe import Predicted, Recipe, RecipeOrigin
-from gradcal_jax.files.run.rounding import rounded, steps_of
-from gradcal_jax.files.run.tracks import Stability, tracks_of
-from gradcal_jax.files.spec.rig import TEMPLATE, parse_rig
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import lines, odrive, registers, stim300, vectornav, weiss, zaber
 from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.recipe.recipe import Predicted, Recipe, RecipeOrigin
+from gradcal_jax.recipe.rounding import rounded, steps_of
+from gradcal_jax.recipe.tracks import Stability, tracks_of
+from gradcal_jax.records.clockmap import ClockMap, fit_arrivals
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.rig import TEMPLATE, parse_rig
+from gradcal_jax.spec.spec import Spec, parse_spec
+from gradcal_jax.tables.quantity import Quantity
 
 
 def fit_clock(device_time_s: Any, host_time_s: Any, *, resolution_s: float = 0.0) -> ClockMap:

@@ -17,14 +17,14 @@ from pathlib import Path
 from simulated_devices.line_clock import FastClock
 from simulated_devices.port_lab import SimulatedLab
 
-from gradcal_jax.files.base.writing import write_toml, write_whole
-from gradcal_jax.files.run.recipe import read_recipe
-from gradcal_jax.files.spec.rig import read_rig
-from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware import guard as watching
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.spec.rig import read_rig
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.writing import write_toml, write_whole
 
 
 def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: float) -> None:

@@ -8,20 +8,19 @@ from hardware_bench import unpredicted
 from matrix_errors import nees_of
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.api.fit_of_log import fitted_twice
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.log_rows import Options, clock_fit, imu_rows, with_options
-from gradcal_jax.files import changed
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.run.recipe import Recipe
-from gradcal_jax.files.spec.changes import tables_of
-from gradcal_jax.files.spec.spec import parse_spec, read_spec
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.log_rows import Options, clock_fit, imu_rows, with_options
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.information import segments_of, whiten
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.records.log import Log
+from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.spec import parse_spec, read_spec
+from gradcal_jax.spec.spec_sections import Spec
 
 HAND = Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml"
 # Two axes, a stop of an instant between two of their turns, and back to where it began.

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hardware_bench import short_recipe
 
-from gradcal_jax.decoding.run_log import log
-from gradcal_jax.files.base.writing import write_toml
 from gradcal_jax.hardware.execute import resume, run
 from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError, prepare_resume
+from gradcal_jax.records.run_log import log
+from gradcal_jax.tables.writing import write_toml
 
 
 @pytest.fixture(scope="module")

@@ -33,8 +33,6 @@ from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from simulated_devices.weiss import WeissOptions
 
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.spec.rig import rig_of
 from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.registers import RegistersChamber, open_exchange
@@ -54,6 +52,8 @@ from gradcal_jax.hardware.setup import DRIVERS, configs_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.track import Course
 from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.spec.rig import rig_of
+from gradcal_jax.tables.problems import SpecError
 
 BENCHES = {
     "espec": espec_bench,

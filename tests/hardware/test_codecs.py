@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gradcal_jax.files.run.line_protocol import formatted, reply_pattern
 from gradcal_jax.hardware import checksums
 from gradcal_jax.hardware.drivers import lines, odrive, stim300, text_unit, vectornav, weiss, zaber
 from gradcal_jax.hardware.drivers.stim300 import LAYOUTS, Stim300Decoder
@@ -28,6 +27,7 @@ from gradcal_jax.hardware.framing import (
     read_body,
     write_body,
 )
+from gradcal_jax.hardware.line_protocol import formatted, reply_pattern
 from gradcal_jax.hardware.roles import ImuBatch
 
 # --- checksums -------------------------------------------------------------------------------------------------------

@@ -17,19 +17,20 @@ from scipy.stats import chi2
 from simulated_devices.line_clock import LineClock
 from simulated_devices.port_lab import SimulatedLab
 
-from gradcal_jax.api import predict
-from gradcal_jax.files import changed, presets
-from gradcal_jax.files.calibration import Calibration, read_calibration
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.log.log_file import write_log
-from gradcal_jax.files.run.recipe import Recipe, read_recipe
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.calibration import Calibration, read_calibration
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.simulate import lab
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth, TableTruth
 from gradcal_jax.hardware.simulate.plants import AxisTruth, ChamberTruth
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.recipe.recipe import Recipe, read_recipe
+from gradcal_jax.records.log import Log
+from gradcal_jax.records.log_file import write_log
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec_sections import Spec
 
 SMALL = {
     "sensor.scale_factor.temperature.degree": 1,

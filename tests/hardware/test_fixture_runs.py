@@ -7,13 +7,13 @@ import pytest
 from imu_bench import made, short
 from scipy.stats import chi2
 
-from gradcal_jax.api.estimate import estimate_sensors
+from gradcal_jax.calibration import read_calibration
 from gradcal_jax.cli import main
-from gradcal_jax.decoding import run_log
-from gradcal_jax.files import changed
-from gradcal_jax.files.calibration import read_calibration
+from gradcal_jax.estimation.estimate import estimate_sensors
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.simulate.draws import draw_places, draw_table
+from gradcal_jax.records import run_log
+from gradcal_jax.spec.changes import changed
 
 PLACES = [
     {"name": "left"},

@@ -12,14 +12,15 @@ from imu_bench import MOVES, made, short
 from matrix_errors import nees_of
 from scipy.stats import chi2
 
-from gradcal_jax.api.estimate import estimate_sensors
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.imu_residual import quantity_of
-from gradcal_jax.api.log_rows import clock_fit
-from gradcal_jax.decoding import run_log
-from gradcal_jax.files import changed, presets
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.estimate import estimate_sensors
+from gradcal_jax.estimation.log_rows import clock_fit
 from gradcal_jax.hardware import execute
+from gradcal_jax.information.imu_residual import quantity_of
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.records import run_log
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec_sections import Spec
 
 RUNS, UNITS = 20, 2
 

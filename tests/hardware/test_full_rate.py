@@ -27,10 +27,6 @@ from simulated_devices.odrive import SimulatedODrive
 from simulated_devices.port import SimulatedPort
 from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 
-from gradcal_jax.decoding.run_log import log as log_of_run
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.run.recipe import Recipe
-from gradcal_jax.files.spec.rig import read_rig, rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.journal import Journal, read_journal
 from gradcal_jax.hardware.roles import join
@@ -39,6 +35,10 @@ from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import DRIVERS, config_of, open_rig
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, track_of
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.records.run_log import log as log_of_run
+from gradcal_jax.spec.rig import read_rig, rig_of
+from gradcal_jax.tables.writing import write_toml
 
 RATE_HZ, BAUDRATE = 2000.0, 1_843_200
 UNITS = ("unit1", "unit2", "unit3")

@@ -25,8 +25,6 @@ from simulated_devices.faults import Faults
 from simulated_devices.line_clock import FastClock
 from simulated_devices.port_lab import SimulatedLab
 
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.spec.rig import TEMPLATE
 from gradcal_jax.hardware import execute, guard, runner
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
@@ -37,6 +35,8 @@ from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.runner import RunProgress, RunResult
 from gradcal_jax.hardware.setup import only_of, open_rig
 from gradcal_jax.hardware.supervision import SafeOutcome
+from gradcal_jax.spec.rig import TEMPLATE
+from gradcal_jax.tables.writing import write_toml
 
 SPEED = 20.0
 

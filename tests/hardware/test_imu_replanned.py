@@ -8,21 +8,22 @@ import pytest
 from imu_bench import estimated, made, short, stopped_in_its_second_cycle
 from scipy.stats import chi2
 
-from gradcal_jax import api
-from gradcal_jax.api.imu_build import build_imu, executed_motion, executed_parts, imu_posterior
-from gradcal_jax.api.limit import limit
-from gradcal_jax.api.optimise import known_so_far, rest_of, with_done
-from gradcal_jax.api.timeline import timeline
-from gradcal_jax.api.turn_plan import motion_time
 from gradcal_jax.cli import main
-from gradcal_jax.decoding import run_log
-from gradcal_jax.files import SpecError, changed, presets, tables_of
-from gradcal_jax.files.run.recipe import read_recipe
-from gradcal_jax.files.spec.spec import parse_spec
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.design.optimise import known_so_far, rest_of, with_done
+from gradcal_jax.design.plan_limit import limit
+from gradcal_jax.design.turn_plan import motion_time
 from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError, adopt, stretches_of
-from gradcal_jax.information import imu_system, whiten
-from gradcal_jax.trajectory import TableMotion, TablePart, body_nodes
+from gradcal_jax.information import imu_system, prediction, whiten
+from gradcal_jax.information.timeline import timeline
+from gradcal_jax.model.imu_build import build_imu, executed_motion, executed_parts, imu_posterior
+from gradcal_jax.motion import TableMotion, TablePart, body_nodes
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.records import run_log
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.problems import SpecError
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +104,7 @@ def test_a_prediction_counts_what_was_done(spec: Spec) -> None:
     alike = (known.spread @ known.spread.T) * np.outer(size, size)
     np.testing.assert_allclose(alike @ (total / np.outer(size, size)), np.eye(len(total)), atol=1e-6)
     # It is nearly what the plan would have left, whose drifts go on.
-    (now, whole) = (api.predict(one).requirements for one in (both, spec))
+    (now, whole) = (prediction.predict(one).requirements for one in (both, spec))
     for a, b in zip(now, whole, strict=True):
         assert a.decisive is not None
         assert b.decisive is not None
@@ -124,7 +125,7 @@ def test_limits_of_the_whole_runs_time_do_not_stretch_the_rest(spec: Spec, limit
 
 def test_what_is_known_by_now_and_at_the_end(spec: Spec) -> None:
     plan = spec.schedule
-    starts, whole = plan.stretches[0].start, api.predict(spec).requirements
+    starts, whole = plan.stretches[0].start, prediction.predict(spec).requirements
     # Nothing was done, a cycle is under way, three are done and the fourth is made again.
     found = [
         known_so_far(spec, *at)
@@ -151,7 +152,7 @@ def test_what_is_known_of_a_plan_with_several_mountings() -> None:
     second = several.schedule.stretches[1]
     now_s = second.start + 2.5 * several.schedule.period
     for found, whole in zip(
-        known_so_far(several, [(0.0, now_s)], now_s), api.predict(several).requirements, strict=True
+        known_so_far(several, [(0.0, now_s)], now_s), prediction.predict(several).requirements, strict=True
     ):
         assert found.at_end == pytest.approx(whole.decisive, rel=1e-6), found.name
         assert found.now is not None
@@ -183,7 +184,7 @@ def test_a_run_goes_on_by_the_plan_of_its_rest(
     stopped_in_its_second_cycle(recipe, run)
     folder = RunFolder(run)
     done = [(part.start_s, part.end_s) for part in stretches_of(folder)]
-    monkeypatch.setattr("gradcal_jax.api.optimise.QUICK_EVALUATIONS", 30)
+    monkeypatch.setattr("gradcal_jax.design.optimise.QUICK_EVALUATIONS", 30)
     assert main(["rig", "watch", str(run), "--known", "--json"]) == 0
     known = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
     assert main(["optimise", str(run), "-o", str(tmp_path / "rest.toml"), "--quick", "--json"]) == 0
@@ -200,7 +201,7 @@ def test_a_run_goes_on_by_the_plan_of_its_rest(
     spans = [(float(part.start), float(part.end)) for part in again.spec.done]
     np.testing.assert_allclose(spans, done, atol=1e-6)
     with pytest.raises(RunFolderError, match="does not continue the run"):
-        adopt(folder, api.recipe(changed(again.spec, {"done": None})))
+        adopt(folder, prediction.recipe(changed(again.spec, {"done": None})))
     assert main(["run", str(tmp_path / "rest.toml"), "--resume", str(run), "--json"]) == 0
     log = run_log.log(run)
     assert len(log.stretch_starts) == 2

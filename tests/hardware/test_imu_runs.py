@@ -13,15 +13,8 @@ from imu_bench import Stage, estimated, hand, made, short, stopped_in_its_second
 from scipy.stats import chi2
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.log_rows import Options, imu_rows, with_options
-from gradcal_jax.decoding import run_log
 from gradcal_jax.estimation.imu_executed import executed_imu
-from gradcal_jax.files import changed, presets
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.spec.absent import absent_terms
-from gradcal_jax.files.spec.rig import RigFile, parse_rig
-from gradcal_jax.files.spec.spec import parse_spec
+from gradcal_jax.estimation.log_rows import Options, imu_rows, with_options
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.errors import HardwareError
@@ -29,6 +22,14 @@ from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.simulate.lab import SimulatedPerson
 from gradcal_jax.hardware.track import AxisCommand, track_of
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.records import run_log
+from gradcal_jax.records.log import Log
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.absent import absent_terms
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.rig import RigFile, parse_rig
+from gradcal_jax.spec.spec import parse_spec
 
 
 @pytest.fixture(scope="module")

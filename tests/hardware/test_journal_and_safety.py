@@ -15,7 +15,6 @@ from hardware_bench import Rig, chunks_of, fit_clock, parse_journal
 from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.files.spec.rig import rig_of
 from gradcal_jax.hardware import journal as journal_module
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.chamber_control import ChamberControl
@@ -32,6 +31,7 @@ from gradcal_jax.hardware.roles import AxisLimits
 from gradcal_jax.hardware.setup import Bench, open_rig
 from gradcal_jax.hardware.simulate.lab import SimulatedAxis, SimulatedChamber
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
+from gradcal_jax.spec.rig import rig_of
 
 # --- journal ----------------------------------------------------------------------------------------------------------
 

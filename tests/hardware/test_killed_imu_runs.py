@@ -19,14 +19,14 @@ from imu_bench import estimated, made, short
 from killing import STANDING, TURNING, Killer, require_seams
 from scipy.stats import chi2
 
-from gradcal_jax.decoding.run_log import log as log_of_run
-from gradcal_jax.files import changed
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.run.recipe import Recipe
 from gradcal_jax.hardware.journal import Event
 from gradcal_jax.hardware.run_folder import RunFolder, exit_status
 from gradcal_jax.hardware.track import Track, track_of
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.records.log import Log
+from gradcal_jax.records.run_log import log as log_of_run
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.tables.writing import write_toml
 
 SPEED = 10.0
 RATE_HZ = 125.0

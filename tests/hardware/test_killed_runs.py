@@ -21,14 +21,14 @@ from hardware_processes import laboratory
 from journal_log import log_of
 from killing import SAFE, STANDING, STARTING, TURNING, WAITING, Killer, Watched, require_seams
 
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.run.recipe import read_recipe
 from gradcal_jax.hardware.drivers import stim300
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, exit_status
 from gradcal_jax.hardware.setup import config_of
 from gradcal_jax.hardware.track import Track, TrackStep, track_of
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.records.log import Log
+from gradcal_jax.tables.writing import write_toml
 
 SPEED = 20.0
 RATE_HZ = 125.0

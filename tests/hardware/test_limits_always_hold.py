@@ -14,9 +14,6 @@ from hardware_bench import Rig, once, short_recipe
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.cli import main
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.spec.rig import TEMPLATE, parse_rig, rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.execute import limits_of
 from gradcal_jax.hardware.interlocks import RULES, InterlockLimits, InterlockRule, Interlocks, Situation
@@ -25,6 +22,9 @@ from gradcal_jax.hardware.roles import ChamberReading
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.setup import configs_of, only_of, open_rig
 from gradcal_jax.hardware.track import AxisCommand, Stable, Track, TrackStep
+from gradcal_jax.spec.rig import TEMPLATE, parse_rig, rig_of
+from gradcal_jax.tables.problems import SpecError
+from gradcal_jax.tables.writing import write_toml
 
 READY = Stable(0.5, 20.0, 7200.0)
 HOT = Track((TrackStep("hot", 300.0, temperature_c=40.0, ready=READY),))

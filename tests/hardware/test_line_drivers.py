@@ -29,9 +29,6 @@ from simulated_devices.line_clock import LineClock
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.port import SimulatedPort
 
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.run.line_protocol import formatted, protocol_of, protocol_text, reply_pattern, shipped, shows
-from gradcal_jax.files.spec.rig import rig_of
 from gradcal_jax.hardware.drivers.lines import Codec, LinesConfig
 from gradcal_jax.hardware.errors import (
     ChecksumError,
@@ -42,9 +39,12 @@ from gradcal_jax.hardware.errors import (
     ReplyTimeout,
 )
 from gradcal_jax.hardware.execute import run_session
+from gradcal_jax.hardware.line_protocol import formatted, protocol_of, protocol_text, reply_pattern, shipped, shows
 from gradcal_jax.hardware.roles import AxisSafe, ChamberSafe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.setup import configs_of
+from gradcal_jax.spec.rig import rig_of
+from gradcal_jax.tables.problems import SpecError
 
 # Question or command -> its bytes, and the bytes of a reply with the values in it.
 ASKED: dict[str, dict[str, tuple[bytes, bytes, dict[str, str]]]] = {

@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 from simulated_devices.port import SimulatedPort
 
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.spec.rig import rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.lines import LinesChamber
 from gradcal_jax.hardware.errors import ReplyTimeout
 from gradcal_jax.hardware.setup import DRIVERS, configs_of, open_rig
+from gradcal_jax.spec.rig import rig_of
+from gradcal_jax.tables.problems import SpecError
 
 
 def rig_with(driver: str, options: dict[str, Any], port: str = "COM1") -> Any:

@@ -14,11 +14,11 @@ from hardware_bench import fit_clock
 from journal_memory import made
 
 from gradcal_jax.cli import main
-from gradcal_jax.decoding import clockmap, row_times, spool
-from gradcal_jax.decoding.run_log import log, log_in_blocks
-from gradcal_jax.files.log.log_file import write_log
 from gradcal_jax.hardware.journal import Journal, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, goes_on_at, prepare_resume, stretches_of
+from gradcal_jax.records import clockmap, row_times, spool
+from gradcal_jax.records.log_file import write_log
+from gradcal_jax.records.run_log import log, log_in_blocks
 
 
 @pytest.fixture(scope="module")

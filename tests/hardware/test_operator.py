@@ -21,14 +21,6 @@ from simulated_devices.operator import OperatorOptions, SimulatedOperator
 from simulated_devices.port_lab import SimulatedLab
 from simulated_devices.zaber import SimulatedZaber
 
-from gradcal_jax.decoding import run_log
-from gradcal_jax.files import Quantity, changed, parse_spec, presets
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.base.writing import to_toml, write_toml
-from gradcal_jax.files.log.log import ReadingKind
-from gradcal_jax.files.run.recipe import Recipe
-from gradcal_jax.files.run.tracks import read_at_rest
-from gradcal_jax.files.spec.rig import TEMPLATE, parse_rig
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
 from gradcal_jax.hardware.drivers import operator, zaber
@@ -43,6 +35,17 @@ from gradcal_jax.hardware.simulate.lab import SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, track_of
 from gradcal_jax.hardware.transport import Terminal
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.recipe.tracks import read_at_rest
+from gradcal_jax.records import run_log
+from gradcal_jax.records.log import ReadingKind
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.rig import TEMPLATE, parse_rig
+from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.tables.problems import SpecError
+from gradcal_jax.tables.quantity import Quantity
+from gradcal_jax.tables.writing import to_toml, write_toml
 from gradcal_jax.units import UnitError
 
 # ------------------------------------------------------------------------------------------------------------ words

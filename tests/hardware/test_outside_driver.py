@@ -16,15 +16,15 @@ from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.spec.rig import TEMPLATE, RigFile, parse_rig, rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.guard import make_folder_safe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.setup import configs_of, driver_names, driver_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
+from gradcal_jax.spec.rig import TEMPLATE, RigFile, parse_rig, rig_of
+from gradcal_jax.tables.problems import SpecError
+from gradcal_jax.tables.writing import write_toml
 
 HERE = Path(__file__).parents[2] / "docs" / "how-to" / "driver-package"
 

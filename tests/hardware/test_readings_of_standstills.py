@@ -10,16 +10,16 @@ import pytest
 from imu_bench import Stage, made, short
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.api.fit_of_log import fitted_twice
-from gradcal_jax.api.imu_build import BuiltImu, build_imu
-from gradcal_jax.api.log_rows import Options, imu_rows
-from gradcal_jax.decoding import run_log
 from gradcal_jax.estimation import ExecutedImu, executed_imu, readings_counted
-from gradcal_jax.files import changed
-from gradcal_jax.files.log.log import Log, ReadingKind
+from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.run_folder import RunFolder
+from gradcal_jax.model.imu_build import BuiltImu, build_imu
+from gradcal_jax.records import run_log
+from gradcal_jax.records.log import Log, ReadingKind
+from gradcal_jax.spec.changes import changed
 
 EVERY_S = 1.5
 MOVES: list[dict[str, Any]] = [

@@ -15,12 +15,6 @@ from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 from simulated_devices.port_lab import SimulatedLab
 
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.files import changed, parse_spec, presets
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.run.recipe import read_recipe
-from gradcal_jax.files.run.tracks import tracks_of
-from gradcal_jax.files.spec.motion_plan import PlanSchedule, row_count
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
@@ -35,6 +29,14 @@ from gradcal_jax.hardware.run_folder import (
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.information import segments_of
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.recipe.tracks import tracks_of
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.motion_plan import PlanSchedule, row_count
+from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.tables.writing import write_toml
 
 SPEED = 20.0
 

@@ -15,11 +15,11 @@ from simulated_devices.replay import ReplayedDevice
 from simulated_devices.transcripts import read, rig_in
 
 from gradcal_jax.cli import main
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.spec.rig import rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.transcript import conversation, record_bench
+from gradcal_jax.spec.rig import rig_of
+from gradcal_jax.tables.writing import write_toml
 
 RECORDINGS = sorted((Path(__file__).parent / "recordings").glob("*.txt"))
 

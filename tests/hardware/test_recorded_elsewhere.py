@@ -12,17 +12,17 @@ from simulated_devices.line_clock import LineClock
 from simulated_devices.port_lab import SimulatedLab
 from test_end_to_end import SMALL, distance
 
-from gradcal_jax.api.estimate import estimate_log
-from gradcal_jax.api.log_rows import Options
 from gradcal_jax.cli import main
-from gradcal_jax.decoding import run_log
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.log.log_file import read_log
-from gradcal_jax.files.run.recipe import Recipe
+from gradcal_jax.estimation.estimate import estimate_log
+from gradcal_jax.estimation.log_rows import Options
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.simulate.imu import SensorSamples
 from gradcal_jax.hardware.simulate.plants import AxisPlant
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.records import run_log
+from gradcal_jax.records.log import Log
+from gradcal_jax.records.log_file import read_log
 
 MAP = """\
 format = "gradcal-columns/1"

@@ -8,13 +8,13 @@ import pytest
 from hardware_bench import served
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.run.line_protocol import shipped
-from gradcal_jax.files.run.register_protocol import FORMAT, register_protocol_of
 from gradcal_jax.hardware.checksums import crc16_modbus
 from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
 from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
+from gradcal_jax.hardware.line_protocol import shipped
+from gradcal_jax.hardware.register_protocol import FORMAT, register_protocol_of
 from gradcal_jax.hardware.roles import ChamberSafe
+from gradcal_jax.tables.problems import SpecError
 
 OVEN: dict[str, Any] = {
     "format": FORMAT,

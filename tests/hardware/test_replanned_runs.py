@@ -11,15 +11,18 @@ from hardware_evidence import record
 from scipy.stats import chi2
 from test_end_to_end import distance, gradcal
 
-from gradcal_jax.decoding.run_log import log
-from gradcal_jax.files import changed, presets, read_spec, tables_of, write_toml
-from gradcal_jax.files.calibration import read_calibration
-from gradcal_jax.files.run.recipe import Recipe, read_recipe
+from gradcal_jax.calibration import read_calibration
 from gradcal_jax.hardware.execute import resume, run
 from gradcal_jax.hardware.journal import Event, JournalContents
 from gradcal_jax.hardware.run_folder import SESSION, RunFolder, RunFolderError, adopt, stretches_done, stretches_of
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.track import Track, TrackStep
+from gradcal_jax.recipe.recipe import Recipe, read_recipe
+from gradcal_jax.records.run_log import log
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.spec import read_spec
+from gradcal_jax.tables.writing import write_toml
 
 TRACK = Track(
     (TrackStep("soak", 60.0), *(TrackStep(f"cycle {k}", 100.0, follows=k > 1, read_at_s=(0.0,)) for k in (1, 2, 3)))

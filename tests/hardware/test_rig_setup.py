@@ -11,8 +11,6 @@ from simulated_devices.port import SimulatedPort
 from simulated_devices.stim300 import SimulatedStim300
 from simulated_devices.zaber import SimulatedZaber
 
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.spec.rig import TEMPLATE, parse_rig, read_rig
 from gradcal_jax.hardware.drivers.lines import EspecConfig
 from gradcal_jax.hardware.drivers.stim300 import Stim300Config
 from gradcal_jax.hardware.drivers.zaber import ZaberConfig
@@ -20,6 +18,8 @@ from gradcal_jax.hardware.errors import PortRefused
 from gradcal_jax.hardware.journal import Direction
 from gradcal_jax.hardware.setup import DRIVERS, check_rig, configs_of, open_rig, option_names
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
+from gradcal_jax.spec.rig import TEMPLATE, parse_rig, read_rig
+from gradcal_jax.tables.problems import SpecError
 
 
 def test_template_is_a_rig_and_its_options_reach_the_drivers() -> None:

@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 from hardware_bench import short_recipe
 
-from gradcal_jax.files.spec.rig import TEMPLATE, RigFile, parse_rig
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.execute import run
 from gradcal_jax.hardware.journal import Journal
 from gradcal_jax.hardware.run_folder import RunFolderError, begin_session, new_folder
+from gradcal_jax.spec.rig import TEMPLATE, RigFile, parse_rig
 
 
 def rig_of(*axes: str) -> RigFile:

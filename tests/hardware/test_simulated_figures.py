@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.files import presets
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant
+from gradcal_jax.spec import presets
 
 SPEC = gj.parse_spec(presets.text("paper-dynamic-gradient"))
 STATED = {

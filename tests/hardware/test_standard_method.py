@@ -9,14 +9,16 @@ from expected_errors import Observations, whitened
 from scipy.stats import chi2
 
 from gradcal_jax import estimation
-from gradcal_jax.api.build import assemble
-from gradcal_jax.files import changed, parse_spec, presets
-from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SimulatedImu, TableTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.information import noise_steps
-from gradcal_jax.trajectory import gauss_nodes, held
+from gradcal_jax.model.build import assemble
+from gradcal_jax.motion import gauss_nodes, held
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.spec.spec_sections import Spec
 
 SEEDS, RATE_HZ = 50, 4.0
 SETTLED_S, SPINNING_S = 1800.0, 2.0

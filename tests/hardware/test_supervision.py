@@ -14,9 +14,6 @@ from hardware_bench import Rig, short_recipe
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.cli import main
-from gradcal_jax.decoding.run_log import log
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.spec.rig import RigFile, rig_of
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.dry_run import dry_run_of, rate_as_made
 from gradcal_jax.hardware.execute import run_session
@@ -24,6 +21,9 @@ from gradcal_jax.hardware.roles import ChamberLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.supervision import read_status
 from gradcal_jax.hardware.track import track_of
+from gradcal_jax.records.run_log import log
+from gradcal_jax.spec.rig import RigFile, rig_of
+from gradcal_jax.tables.writing import write_toml
 
 SLOWER = {"rig.table.axis[0].max_acceleration": "300 deg/s^2"}
 # Writes its last word into the file that is named before it.

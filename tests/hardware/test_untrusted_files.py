@@ -12,12 +12,12 @@ from hardware_bench import parse_journal
 from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.spec.rig import TEMPLATE, parse_rig
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
 from gradcal_jax.hardware.run_folder import sessions, steps_done
 from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.spec.rig import TEMPLATE, parse_rig
+from gradcal_jax.tables.problems import SpecError
 
 
 def rig_at(port: str) -> str:

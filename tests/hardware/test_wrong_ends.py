@@ -18,9 +18,6 @@ from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
 from gradcal_jax.cli.run import progress_text
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.spec.rig import rig_of
 from gradcal_jax.hardware import guard
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.lines import LinesConfig
@@ -33,6 +30,9 @@ from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.setup import check_each, open_rig
 from gradcal_jax.hardware.supervision import read_status
 from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.spec.rig import rig_of
+from gradcal_jax.tables.problems import SpecError
+from gradcal_jax.tables.writing import write_toml
 
 FORMAT = {"format": "gradcal-rig/1"}
 

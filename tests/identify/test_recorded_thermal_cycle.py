@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from plain_drifts import drifts
 
-from gradcal_jax.api.instability import allan_notes, at_rest, instability
-from gradcal_jax.files.log.importers import import_log, parse_column_map
 from gradcal_jax.identify.allan import MISFIT, fit_allan, overlapping_allan
 from gradcal_jax.identify.direct_bound import fit_direct_bound
+from gradcal_jax.identify.instability import allan_notes, at_rest, instability
 from gradcal_jax.identify.largest_drift import integration_times, largest_drift
 from gradcal_jax.identify.thermal import fit_thermal_bias
+from gradcal_jax.records.importers import import_log, parse_column_map
 
 FOLDER = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 RECORD = FOLDER / "tofupilot_imu_thermal_cycle.npz"

@@ -7,12 +7,12 @@ import imu_twin
 import numpy as np
 from imu_helpers import shipped
 
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.files import presets
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.spec.spec import spec_of
-from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.formulas import runs
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.records.log import Log
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.spec.spec_sections import Spec
 
 PLANS = ("two axes", "one axis, three mountings", "three axes", "by hand")
 _PRESETS = {

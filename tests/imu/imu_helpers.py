@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from gradcal_jax import model, trajectory
+from gradcal_jax import model
+from gradcal_jax import motion as trajectory
 from gradcal_jax.information import Posterior, imu_information, posterior
 from gradcal_jax.model import Channel, EncoderNoise, ImuModel, Polynomial, SensorModel, SignalMap, make_map
-from gradcal_jax.trajectory import Geometry, TableMotion
+from gradcal_jax.motion import Geometry, TableMotion
 
 DEG = np.pi / 180.0
 DEG_PER_H = DEG / 3600.0

@@ -6,11 +6,12 @@ import numpy as np
 from imu_helpers import ARCSEC, AXES, DEG, DEG_PER_H, POINTS, G, Step, accelerometer, gyro, motion_of
 from reference_imu import Scene, rotated
 
-from gradcal_jax import model, trajectory
+from gradcal_jax import model
+from gradcal_jax import motion as trajectory
 from gradcal_jax.information.imu_rows import imu_system
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.model import BodyNodes, EncoderNoise, ImuModel, Polynomial
-from gradcal_jax.trajectory import Geometry, TableMotion
+from gradcal_jax.motion import Geometry, TableMotion
 
 PRIORS = {
     "gyro a": 500 * DEG_PER_H,

@@ -7,9 +7,9 @@ temperature, or the angle turned at each rate; the information is `Σ f fᵀ / (
 import numpy as np
 import pytest
 
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.files.spec.spec import parse_spec
 from gradcal_jax.formulas import b_spline
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.spec.spec import parse_spec
 
 DEG_PER_H = np.radians(1.0) / 3600.0
 N = np.radians(0.15) / 60.0

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.plan_sentences import check
 from gradcal_jax.cli.predict import omitted_lines
-from gradcal_jax.files import presets
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.spec.absent import attitude_sentences, branch_sentences
-from gradcal_jax.files.spec.requirement import GyroBiasRequirement
-from gradcal_jax.files.spec.spec import spec_of
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.information.plan_sentences import check
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.absent import attitude_sentences, branch_sentences
+from gradcal_jax.spec.requirement import GyroBiasRequirement
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.problems import SpecError
 
 HOUR = np.pi / 180.0 / 3600.0
 NONE: dict[str, Any] = {

@@ -10,9 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from imu_helpers import shipped
 
-from gradcal_jax.files import SpecError
-from gradcal_jax.files.spec.spec import read_spec, spec_of
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.spec.spec import read_spec, spec_of
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.problems import SpecError
 
 GOOD = shipped("hand")
 GOOD["plan"]["temperature"] = ["20 degC", "30 degC"]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gradcal_jax.api import predict
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.files.spec.spec import spec_of
 from gradcal_jax.formulas import EARTH_RATE
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.spec.spec import spec_of
 
 DEG = np.pi / 180.0
 G = 9.80665

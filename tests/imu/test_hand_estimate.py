@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gradcal_jax.api.hand_estimate import HandReport, estimate_by_hand
-from gradcal_jax.api.log_rows import Options
-from gradcal_jax.files.calibration.correction import apply
-from gradcal_jax.files.log.log import Log, LogError
+from gradcal_jax.calibration.correction import apply
+from gradcal_jax.estimation.hand_estimate import HandReport, estimate_by_hand
+from gradcal_jax.estimation.log_rows import Options
+from gradcal_jax.records.log import Log, LogError
 
 G = 9.81
 LATITUDE = np.radians(45.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_hand_estimate import AT, G, drawn, held, squared
 
-from gradcal_jax.api.hand_estimate import HandReport, estimate_by_hand, fill_short_gaps
-from gradcal_jax.files.log.log import Log
+from gradcal_jax.estimation.hand_estimate import HandReport, estimate_by_hand, fill_short_gaps
+from gradcal_jax.records.log import Log
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from gradcal_jax.api.hand_estimate import HandReport, estimate_by_hand
-from gradcal_jax.api.log_rows import Options
+from gradcal_jax.calibration.correction import linear_part
 from gradcal_jax.cli import main
-from gradcal_jax.files.calibration.correction import linear_part
-from gradcal_jax.files.log.importers import import_log, parse_column_map
-from gradcal_jax.files.log.log_file import read_log
+from gradcal_jax.estimation.hand_estimate import HandReport, estimate_by_hand
+from gradcal_jax.estimation.log_rows import Options
+from gradcal_jax.records.importers import import_log, parse_column_map
+from gradcal_jax.records.log_file import read_log
 
 FOLDER = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 XSENS = FOLDER / "imu_tk_xsens_mti_multiposition.npz"

@@ -8,19 +8,19 @@ import pytest
 from estimate_scenes import PLANS, aligned, draw_truth, record, scene
 from scipy import stats
 
-from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.api.fit_of_log import fitted_twice
-from gradcal_jax.api.imu_build import SPECIFIC_FORCE_BIAS, build_imu, imu_posterior
-from gradcal_jax.api.imu_residual import quantity_of
-from gradcal_jax.api.log_rows import Options, imu_rows
 from gradcal_jax.estimation import readings_of
+from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
+from gradcal_jax.estimation.fit_of_log import fitted_twice
 from gradcal_jax.estimation.imu_executed import ImuRows, across_stops, executed_imu
-from gradcal_jax.files.log.log import Log, LogError
-from gradcal_jax.files.spec.changes import changed
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.formulas import runs
 from gradcal_jax.information import Posterior, segments_of, whiten
-from gradcal_jax.trajectory import frames
+from gradcal_jax.information.imu_residual import quantity_of
+from gradcal_jax.model.imu_build import SPECIFIC_FORCE_BIAS, build_imu, imu_posterior
+from gradcal_jax.motion import frames
+from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec_sections import Spec
 
 UNITS = 300
 

@@ -25,8 +25,8 @@ from imu_helpers import (
 )
 
 from gradcal_jax import model
-from gradcal_jax.api.prediction import predict
-from gradcal_jax.files.spec.spec import spec_of
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.spec.spec import spec_of
 
 _AXES = "xyz"
 # Poses of all kinds, turns of both axes at many, reversals.

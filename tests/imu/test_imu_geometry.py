@@ -11,10 +11,11 @@ from imu_helpers import ARCSEC, DEG, EAST, POINTS, UP, accelerometer, gyro, moti
 from random_imus import motion, nodes_of, random_scene, unit_of
 from reference_imu import Simulator
 
-from gradcal_jax import model, trajectory
+from gradcal_jax import model
+from gradcal_jax import motion as trajectory
 from gradcal_jax.information import SquareRootInformation, whitened_factor
 from gradcal_jax.information.imu_rows import imu_information, imu_system, segments_of
-from gradcal_jax.trajectory import Geometry
+from gradcal_jax.motion import Geometry
 
 SCENES = [(1, 1, 1), (2, 2, 1), (3, 3, 1), (4, 2, 3)]
 

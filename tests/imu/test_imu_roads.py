@@ -11,12 +11,12 @@ from imu_helpers import DEG, shipped
 from random_imus import motion, nodes_of, random_scene, system_of, unit_of
 from reference_imu import Scene, Simulator
 
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.prediction import predict
-from gradcal_jax.files import changed
-from gradcal_jax.files.spec.spec import spec_of
 from gradcal_jax.information import square_root, whiten
 from gradcal_jax.information.imu_rows import imu_information, imu_system
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import spec_of
 
 
 def by_the_program(scene: Scene) -> dict[str, float]:

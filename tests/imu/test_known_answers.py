@@ -43,10 +43,11 @@ from imu_helpers import (
     up_along,
 )
 
-from gradcal_jax import model, trajectory
+from gradcal_jax import model
+from gradcal_jax import motion as trajectory
 from gradcal_jax.information.imu_rows import imu_system
 from gradcal_jax.model import Polynomial
-from gradcal_jax.trajectory import EARTH_RATE
+from gradcal_jax.motion import EARTH_RATE
 
 FACES = [(0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0)]
 TETRAHEDRON = [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]

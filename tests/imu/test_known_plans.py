@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from imu_helpers import ARCSEC, DEG_PER_H, G, shipped
 
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.prediction import predict
-from gradcal_jax.files.spec.spec import spec_of
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.spec.spec import spec_of
 
 KNOWN = json.loads((Path(__file__).parent / "known_units.json").read_text(encoding="utf-8"))
 UNIT = {

@@ -13,21 +13,21 @@ from loop_scene import errors_on_branches, recorded
 from loop_scene import spec_of as spec_of_loop
 
 import gradcal_jax as gj
-from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.api.imu_build import BuiltImu, build_imu
-from gradcal_jax.api.imu_residual import quantity_of
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.base.schemas import schema
-from gradcal_jax.files.calibration import read_calibration, write_calibration
-from gradcal_jax.files.calibration.correction import apply
-from gradcal_jax.files.calibration.exports import export
-from gradcal_jax.files.log.importers import import_log, parse_column_map
-from gradcal_jax.files.log.log import Log, LogError
-from gradcal_jax.files.log.log_file import read_log, write_log
-from gradcal_jax.files.spec.spec import spec_of
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.calibration import read_calibration, write_calibration
+from gradcal_jax.calibration.correction import apply
+from gradcal_jax.calibration.exports import export
+from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth
+from gradcal_jax.information.imu_residual import quantity_of
+from gradcal_jax.model.imu_build import BuiltImu, build_imu
+from gradcal_jax.records.importers import import_log, parse_column_map
+from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.records.log_file import read_log, write_log
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.problems import SpecError
+from gradcal_jax.tables.schemas import schema
 
 HOUR = np.pi / 180.0 / 3600.0
 LINEAR = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "30 K"}

@@ -11,22 +11,22 @@ from loop_scene import WIDTHS, recorded, spec_of
 from matplotlib.figure import Figure
 
 import gradcal_jax as gj
-from gradcal_jax.api.estimate import EstimateReport, SensorEstimate, estimate_rows, estimate_sensors
-from gradcal_jax.api.instability import at_rest, temperature_ranges
+from gradcal_jax.calibration import read_calibration, write_calibration
+from gradcal_jax.calibration.correction import apply, temperature_slope
+from gradcal_jax.calibration.exports import export
+from gradcal_jax.calibration.file import CalibratedChannel, PathCoefficient, build_term
+from gradcal_jax.calibration.path_losses import path_losses
 from gradcal_jax.cli import main
 from gradcal_jax.cli.estimate import text_of_estimate
-from gradcal_jax.files.calibration import read_calibration, write_calibration
-from gradcal_jax.files.calibration.correction import apply, temperature_slope
-from gradcal_jax.files.calibration.exports import export
-from gradcal_jax.files.calibration.file import CalibratedChannel, PathCoefficient, build_term
-from gradcal_jax.files.calibration.path_losses import path_losses
-from gradcal_jax.files.log.log import Log, LogError
-from gradcal_jax.files.log.log_file import read_log, write_log
-from gradcal_jax.files.spec.changes import changed
+from gradcal_jax.estimation.estimate import EstimateReport, SensorEstimate, estimate_rows, estimate_sensors
 from gradcal_jax.formulas import followed
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth
+from gradcal_jax.identify.instability import at_rest, temperature_ranges
 from gradcal_jax.plots.calibration import draw_estimate, draw_loop, legs_of
+from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.records.log_file import read_log, write_log
+from gradcal_jax.spec.changes import changed
 
 HOUR = np.pi / 180.0 / 3600.0
 

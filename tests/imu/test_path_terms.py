@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.api.imu_build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.estimation.executed_nodes import turning_points
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.base.schemas import schema
-from gradcal_jax.files.spec.spec import spec_of
-from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.formulas import play_states
-from gradcal_jax.trajectory import TableMotion, body_nodes
+from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.motion import TableMotion, body_nodes
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.problems import SpecError
+from gradcal_jax.tables.schemas import schema
 
 DEG = np.pi / 180.0
 HOUR = DEG / 3600.0

@@ -7,10 +7,10 @@ import pytest
 from estimate_scenes import aligned, draw_truth, record, scene
 from scipy.stats import chi2
 
-from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.files.spec.spec import spec_of
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.spec.spec_sections import Spec
 
 ANGLE = {"reading_noise": "20 arcsec", "standstill_offset": "10 arcsec", "read_every": "1 s"}
 

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from gradcal_jax import estimation
-from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.api.log_rows import Options, imu_rows
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.spec.spec import spec_of
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
+from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.information import segments_of
 from gradcal_jax.model import Hysteresis
+from gradcal_jax.records.log import Log
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.spec.spec_sections import Spec
 
 FOLDER = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
 RECORD = FOLDER / "tofupilot_imu_thermal_cycle.npz"

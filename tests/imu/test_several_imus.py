@@ -8,18 +8,18 @@ import pytest
 from estimate_scenes import aligned, draw_truth, record, scene
 from scipy import stats
 
-from gradcal_jax.api.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.api.fit_of_log import Fit, fitted_twice
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.log_rows import Options, imu_rows
-from gradcal_jax.api.prediction import predict
 from gradcal_jax.estimation import posteriors_together, solve_imu, solve_together
-from gradcal_jax.files import changed
-from gradcal_jax.files.log.log import Log, LogError
-from gradcal_jax.files.spec.bench import Place
-from gradcal_jax.files.spec.places import specs_at_places
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
+from gradcal_jax.estimation.fit_of_log import Fit, fitted_twice
+from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.information import Posterior
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.spec.bench import Place
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.places import specs_at_places
+from gradcal_jax.spec.spec_sections import Spec
 
 NAMES = ("a", "b", "c", "d")
 PLACES = (

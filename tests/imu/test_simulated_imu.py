@@ -6,11 +6,11 @@ import imu_twin as twin
 import numpy as np
 import pytest
 
-from gradcal_jax.files import presets
-from gradcal_jax.files.spec.spec import parse_spec
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.spec import parse_spec
 
 SPEC = parse_spec(presets.text("two-axis-table"))
 RATE_HZ = 500.0

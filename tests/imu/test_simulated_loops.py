@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from gradcal_jax.files import presets
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.spec.changes import changed
-from gradcal_jax.files.spec.spec import parse_spec
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import LoopTruth, SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.tables.problems import SpecError
 
 HOUR = np.pi / 180.0 / 3600.0
 PERIOD_S = 2.0

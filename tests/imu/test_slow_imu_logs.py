@@ -8,10 +8,10 @@ import pytest
 from estimate_scenes import draw_truth, record, scene
 from scipy.stats import chi2
 
-from gradcal_jax.api.estimate import estimate_sensors
-from gradcal_jax.api.fit_of_log import planned_moves
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.files.log.log import Log
+from gradcal_jax.estimation.estimate import estimate_sensors
+from gradcal_jax.estimation.fit_of_log import planned_moves
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.records.log import Log
 
 RECORDED_HZ = 100
 

@@ -6,8 +6,8 @@ import pytest
 from imu_helpers import shipped
 
 import gradcal_jax as gj
-from gradcal_jax.api.prediction import predict
-from gradcal_jax.files.spec.spec import spec_of
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.spec.spec import spec_of
 
 _GYRO = {
     "angle_random_walk": "0.1 deg/sqrt(h)",

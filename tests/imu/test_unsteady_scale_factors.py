@@ -3,10 +3,10 @@
 import numpy as np
 from estimate_scenes import draw_truth, record, scene
 
-from gradcal_jax.api.fit_of_log import fitted_twice
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.log_rows import Options, imu_rows
-from gradcal_jax.files.spec.changes import changed
+from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.log_rows import Options, imu_rows
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.spec.changes import changed
 
 UNSTEADY = [{"standard_deviation": "200 ppm", "correlation_time": "10 min"}]
 LEANS = 0.02

@@ -10,17 +10,17 @@ import unguided
 from estimate_scenes import draw_truth, record, scene
 
 import gradcal_jax as gj
-from gradcal_jax.api.estimate import estimate_sensors
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
+from gradcal_jax.estimation.estimate import estimate_sensors
 from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import ImuRows
 from gradcal_jax.estimation.imu_solve import absorbed
-from gradcal_jax.files import presets
-from gradcal_jax.files.base.problems import SpecError
-from gradcal_jax.files.log.log import LogError
-from gradcal_jax.files.spec.spec import spec_of
 from gradcal_jax.information import imu_system, whiten
-from gradcal_jax.trajectory import Geometry, frames
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.motion import Geometry, frames
+from gradcal_jax.records.log import LogError
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.tables.problems import SpecError
 
 GRAVITY = {"reference": "gravity"}
 PRESET = gj.parse_spec(presets.text("no-encoder"))
@@ -178,7 +178,7 @@ def test_of_mirror_images_the_one_near_the_plans_begin_counts():
 
 def test_angles_that_do_not_stand_still_are_no_estimate(monkeypatch):
     """Fewer linearisations than the angles need: nothing is reported as if they stood."""
-    monkeypatch.setattr("gradcal_jax.api.fit_of_log._LINEARISED", 0)
+    monkeypatch.setattr("gradcal_jax.estimation.fit_of_log._LINEARISED", 0)
     spec = without_encoder(scene("two axes", 0.1))
     usual = imu_twin.bench_of
     monkeypatch.setattr(imu_twin, "bench_of", lambda *of: replace(usual(*of), offset=(0.05, 0.05)))

@@ -10,9 +10,6 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm
 
 import gradcal_jax as gj
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.imu_residual import errors_of, quantity_of
-from gradcal_jax.api.verdicts import decision_rule, limit_of, verdict_of
 from gradcal_jax.information.conformity import (
     acceptance_limit,
     chance_of_keeping,
@@ -20,7 +17,10 @@ from gradcal_jax.information.conformity import (
     global_risks,
     specific_risk,
 )
+from gradcal_jax.information.imu_residual import errors_of, quantity_of
 from gradcal_jax.information.residual import statistic, statistic_of_each
+from gradcal_jax.information.verdicts import decision_rule, limit_of, verdict_of
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
 
 PACKAGE = json.loads((Path(__file__).parent / "conformity_suncal.json").read_text(encoding="utf-8"))
 SIZES = st.floats(0.01, 100.0)
@@ -165,7 +165,7 @@ def test_a_verdict_follows_its_rule_and_says_it(keys, said):
 
 
 def test_a_target_limits_a_search_by_its_rule():
-    from gradcal_jax.api.turn_plan import measure
+    from gradcal_jax.design.turn_plan import measure
 
     text = gj.presets.text("paper-dynamic-gradient").replace("coverage    = 1 ", "coverage    = 2 ")
     spec = gj.parse_spec(text + '[design]\nminimise = "motion time"\nfree = ["duration"]\nmax_motion = "100 min"\n')

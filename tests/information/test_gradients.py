@@ -11,7 +11,7 @@ from helpers import DEG, SCENES, core
 from jax.flatten_util import ravel_pytree
 
 from gradcal_jax.information import at_readings, contrasts, information
-from gradcal_jax.trajectory import rule_of
+from gradcal_jax.motion import rule_of
 
 # A harmonic's phase is some thousand degrees, so that relative steps must be small for the differences to converge.
 _STEP = 2e-4

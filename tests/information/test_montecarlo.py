@@ -52,8 +52,10 @@ def test_what_cannot_be_observed_is_refused():
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", ["paper-dynamic-gradient", "paper-dynamic-standard", "tactical-mems"])
 def test_the_papers_full_plans(name):
-    from gradcal_jax import api, files
+    from gradcal_jax.model import build
+    from gradcal_jax.spec import presets
+    from gradcal_jax.spec import spec as spec_file
 
-    spec = files.parse_spec(files.presets.text(name))
-    built = api.assemble(spec)
+    spec = spec_file.parse_spec(presets.text(name))
+    built = build.assemble(spec)
     check(built.trajectory(), built.model, RUNS)

@@ -9,12 +9,8 @@ import pytest
 from numpy.polynomial.legendre import leggauss, legvander
 from scipy import stats
 
-from gradcal_jax.api import assemble, monte_carlo, predict
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.objective import noticing, with_hidden
+from gradcal_jax.design.plan_objective import noticing, with_hidden
 from gradcal_jax.estimation import Whitened, chi_squared, components, size_of, structure_test
-from gradcal_jax.files import changed, read_spec
-from gradcal_jax.files.run.recipe import read_recipe
 from gradcal_jax.information import (
     at_readings,
     information,
@@ -28,6 +24,12 @@ from gradcal_jax.information import (
     where_hidden,
     whiten,
 )
+from gradcal_jax.information.prediction import monte_carlo, predict
+from gradcal_jax.model.build import assemble
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.recipe.recipe import read_recipe
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import read_spec
 
 ROOT = Path(__file__).parents[2] / "experiments"
 PPM = 1e-6

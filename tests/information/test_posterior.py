@@ -19,7 +19,7 @@ from helpers import (
 )
 
 from gradcal_jax import model as models
-from gradcal_jax import trajectory
+from gradcal_jax import motion as trajectory
 from gradcal_jax.information import (
     at_readings,
     noise_steps,
@@ -226,7 +226,7 @@ def test_a_combination_is_written_out():
 IN_SINGLE_PRECISION = """
 import jax
 import jax.numpy as jnp
-from gradcal_jax import information, trajectory
+from gradcal_jax import information, motion as trajectory
 from gradcal_jax import model as models
 plan = trajectory.gradient_plan(trajectory.programme(0.0, [(20.0, 0.1)]), read_every=5.0)
 bias = models.make_map(models.Polynomial(0, 0.0, 1.0))

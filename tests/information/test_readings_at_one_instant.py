@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.files import changed, read_spec
 from gradcal_jax.information import gram, imu_system, whiten
 from gradcal_jax.information.by_reading import filter_readings
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import read_spec
 
 HAND2 = Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml"
 

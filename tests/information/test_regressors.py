@@ -23,7 +23,7 @@ from scipy.integrate import quad
 
 from gradcal_jax.information import at_readings
 from gradcal_jax.model import TEMPERATURE_GRADIENT, gyro_model, make_map
-from gradcal_jax.trajectory import gauss_nodes
+from gradcal_jax.motion import gauss_nodes
 
 ACTS = [
     Act("cosine ramps", 45.45, 10 * DEG, ramp=3.0),

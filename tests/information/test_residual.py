@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from gradcal_jax.api import assemble
-from gradcal_jax.files import parse_spec, presets
 from gradcal_jax.information import contrasts, information, posterior, residual
+from gradcal_jax.model.build import assemble
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.spec import parse_spec
 
 
 @pytest.mark.parametrize("name", ["paper-dynamic-gradient", "paper-static-gradient"])

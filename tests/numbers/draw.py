@@ -14,9 +14,10 @@ import numpy as np
 from estimate_scenes import draw_truth, record, scene
 from simulated_log import simulate_log
 
-from gradcal_jax.files import parse_spec, tables_of
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.log.log_file import write_log
+from gradcal_jax.records.log import Log
+from gradcal_jax.records.log_file import write_log
+from gradcal_jax.spec.changes import tables_of
+from gradcal_jax.spec.spec import parse_spec
 
 HERE = Path(__file__).resolve().parent
 Tables = dict[str, Any]

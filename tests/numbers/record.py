@@ -27,9 +27,10 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from gradcal_jax.api import assemble
-from gradcal_jax.files import Spec, presets, spec_of
-from gradcal_jax.files.spec.schedule import StandardSchedule
+from gradcal_jax.model.build import assemble
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.schedule import StandardSchedule
+from gradcal_jax.spec.spec import Spec, spec_of
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]

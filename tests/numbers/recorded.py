@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from gradcal_jax.api import predict
-from gradcal_jax.api.log_flow import estimate as estimate_log
-from gradcal_jax.api.prediction import counted_shares
-from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.files import spec_of, tables_of
-from gradcal_jax.files.calibration import parse_calibration
-from gradcal_jax.files.calibration.correction import apply
-from gradcal_jax.files.calibration.exports import export
-from gradcal_jax.files.log.log import Log
-from gradcal_jax.files.log.log_file import read_log
-from gradcal_jax.files.spec.axis_as_imu import convert, turned_axes
+from gradcal_jax.calibration import parse_calibration
+from gradcal_jax.calibration.correction import apply
+from gradcal_jax.calibration.exports import export
+from gradcal_jax.estimation.log_flow import estimate as estimate_log
+from gradcal_jax.information.prediction import counted_shares, predict
+from gradcal_jax.information.sensitivity import sensitivity
+from gradcal_jax.records.log import Log
+from gradcal_jax.records.log_file import read_log
+from gradcal_jax.spec.axis_as_imu import convert, turned_axes
+from gradcal_jax.spec.changes import tables_of
+from gradcal_jax.spec.spec import spec_of
 
 HERE = Path(__file__).resolve().parent
 Tables = dict[str, Any]

@@ -46,8 +46,8 @@ def write(name: str, folder: Path, *, warm: bool) -> tuple[Path, str]:
 
 def figures(path: Path, columns: str) -> dict[str, Any]:
     """What `allan` and `instability` give for a record."""
-    from gradcal_jax.api import instability as work
-    from gradcal_jax.files.log.importers import import_log, parse_column_map
+    from gradcal_jax.identify import instability as work
+    from gradcal_jax.records.importers import import_log, parse_column_map
 
     log = import_log(path, parse_column_map(columns))
     result = work.instability(work.at_rest(log, 0, lag="none"))

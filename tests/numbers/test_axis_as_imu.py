@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import recorded
 
-from gradcal_jax.files import SpecError, spec_of
-from gradcal_jax.files.run.rounding import rounded, steps_of
-from gradcal_jax.files.run.tracks import tracks_of
-from gradcal_jax.files.spec.axis_as_imu import convert, turned_axes
 from gradcal_jax.formulas import reading_times
+from gradcal_jax.recipe.rounding import rounded, steps_of
+from gradcal_jax.recipe.tracks import tracks_of
+from gradcal_jax.spec.axis_as_imu import convert, turned_axes
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.tables.problems import SpecError
 
 KEPT = recorded.read("predictions")
 

@@ -16,14 +16,13 @@ sys.path.append(str(Path(__file__).parents[1] / "estimation"))
 from logs_zoo import GRADIENT, STANDARD, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.api.contradictions import discrepancies
-from gradcal_jax.api.estimate import estimate_log, estimate_sensors
-from gradcal_jax.api.log_rows import Options
-from gradcal_jax.files import changed
-from gradcal_jax.files.log.log import LogError
-from gradcal_jax.files.spec import spec as specs
-from gradcal_jax.files.spec.changes import tables_of
-from gradcal_jax.files.spec.spec_sections import Spec
+from gradcal_jax.estimation.contradictions import discrepancies
+from gradcal_jax.estimation.estimate import estimate_log, estimate_sensors
+from gradcal_jax.estimation.log_rows import Options
+from gradcal_jax.records.log import LogError
+from gradcal_jax.spec import spec as specs
+from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.spec_sections import Spec
 
 UNWEIGHTED = STANDARD.replace('"standard"', '"standard"\nestimator = "least squares"')
 STATIC = GRADIENT[: GRADIENT.index("[plan.cycle]")] + 'read_every = "2 s"\n'

@@ -6,14 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from gradcal_jax import api
-from gradcal_jax.api.fit_of_log import calibrated_channels
-from gradcal_jax.api.imu_build import build_imu
-from gradcal_jax.api.verdicts import result_of_requirement
-from gradcal_jax.files import Spec, changed, parse_spec, presets
-from gradcal_jax.files.calibration import FORMAT, ORDER, Calibration, Covariance
-from gradcal_jax.files.run.recipe import Recipe
+from gradcal_jax.calibration import FORMAT, ORDER, Calibration, Covariance
+from gradcal_jax.estimation.fit_of_log import calibrated_channels
 from gradcal_jax.hardware import execute
+from gradcal_jax.information import prediction as predictions
+from gradcal_jax.information.verdicts import result_of_requirement
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.recipe.recipe import Recipe
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec import Spec, parse_spec
 
 TURN = {"turn": "720 deg", "peak_rate": "200 deg/s", "shape": "cosine ramps"}
 BACK = {"turn": "-720 deg", "peak_rate": "100 deg/s", "shape": "cosine ramps"}
@@ -63,7 +65,7 @@ def spec(**changes: object) -> Spec:
 
 def recipe() -> Recipe:
     """Of `spec`, as it stands."""
-    return api.recipe(spec(), optimisation={"objective": "all rates (mean of max)", "unit": "ppm", "now": 3.25})
+    return predictions.recipe(spec(), optimisation={"objective": "all rates (mean of max)", "unit": "ppm", "now": 3.25})
 
 
 def rehearse(made: Recipe, folder: Path, seed: int = 3) -> dict[str, Any]:
@@ -140,7 +142,7 @@ def calibration(made: Recipe, seed: int = 7) -> Calibration:
 
 def calibration_of_plan(planned: Spec, seed: int = 1) -> Calibration:
     """Drawn coefficients of all channels of a plan, with its own covariance and what it leaves of the requirements."""
-    built, prediction = build_imu(planned), api.predict(planned)
+    built, prediction = build_imu(planned), predictions.predict(planned)
     values = np.random.default_rng(seed).standard_normal(built.model.size)
     return Calibration(
         format=FORMAT,

@@ -9,11 +9,11 @@ from headless_chromium import Chromium, browser
 from report_samples import calibration, recipe
 
 import gradcal_jax as gj
+from gradcal_jax.calibration import FitTest
+from gradcal_jax.calibration.correction import term_values
 from gradcal_jax.cli import main
-from gradcal_jax.files.calibration import FitTest
-from gradcal_jax.files.calibration.correction import term_values
-from gradcal_jax.files.spec.rig import TEMPLATE
 from gradcal_jax.pages.certificate import _value_of
+from gradcal_jax.spec.rig import TEMPLATE
 
 REFERENCES = """
 [laboratory]

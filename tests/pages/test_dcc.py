@@ -17,9 +17,9 @@ from report_samples import calibration, calibration_of_plan, recipe
 from test_certificate import REFERENCES
 
 import gradcal_jax as gj
+from gradcal_jax.calibration import FitTest
 from gradcal_jax.cli import main
-from gradcal_jax.files.calibration import FitTest
-from gradcal_jax.files.spec.rig import TEMPLATE
+from gradcal_jax.spec.rig import TEMPLATE
 
 SCHEMA = Path(os.environ.get("GRADCAL_DCC_SCHEMA", Path(__file__).parents[3] / "shared" / "dcc"))
 D, S = "{https://ptb.de/dcc}", "{https://ptb.de/si}"

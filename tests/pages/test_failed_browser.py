@@ -7,8 +7,8 @@ from headless_chromium import BOXES, Chromium, browser, overlaps
 from report_samples import calibration, recipe
 
 import gradcal_jax as gj
+from gradcal_jax.calibration import LOG_HASH
 from gradcal_jax.cli import main
-from gradcal_jax.files.calibration import LOG_HASH
 
 pytestmark = [
     pytest.mark.browser,

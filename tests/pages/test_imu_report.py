@@ -13,19 +13,19 @@ from report_samples import calibration_of_plan
 from scipy.spatial.transform import Rotation
 
 import gradcal_jax as gj
-from gradcal_jax.api.calibrations import calibrated_posterior
-from gradcal_jax.api.imu_build import build_imu, imu_posterior
-from gradcal_jax.api.imu_residual import imu_residual
+from gradcal_jax.calibration import FRAME_OF_CASE, Covariance, UnseenError
 from gradcal_jax.cli import main
-from gradcal_jax.files import presets
-from gradcal_jax.files.base.contracts import notice_sentences
-from gradcal_jax.files.calibration import FRAME_OF_CASE, Covariance, UnseenError
+from gradcal_jax.estimation.calibrations import calibrated_posterior
 from gradcal_jax.information import posterior
+from gradcal_jax.information.imu_residual import imu_residual
 from gradcal_jax.information.posterior import square_root
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
 from gradcal_jax.pages.coefficients import agreement, coefficient_table, hidden_values, parameters
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.page import ANGLES, RAMPS, SLOPES, panel_of
 from gradcal_jax.pages.sources import stated_figures
+from gradcal_jax.spec import presets
+from gradcal_jax.tables.contracts import notice_sentences
 
 # The paper's method at a coarser ramp: a third of the cycles.
 SPEC = gj.changed(

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from gradcal_jax.cli import main
-from gradcal_jax.files.base import schemas
 from gradcal_jax.pages.reference import reference
+from gradcal_jax.tables import schemas
 
 FOLDER = Path(__file__).parents[2] / "docs" / "reference"
 

@@ -7,14 +7,14 @@ from headless_chromium import BOXES, Chromium, browser, overlaps
 from imu_bench import short, triad
 from report_samples import calibration, recipe, rehearse
 
-from gradcal_jax import api
-from gradcal_jax.api.estimate import estimate_sensors
+from gradcal_jax.calibration import read_calibration, write_calibration
 from gradcal_jax.cli import main
-from gradcal_jax.decoding import run_log
-from gradcal_jax.files.calibration import read_calibration, write_calibration
+from gradcal_jax.estimation.estimate import estimate_sensors
 from gradcal_jax.hardware import execute
+from gradcal_jax.information import prediction
 from gradcal_jax.pages.page import write_page
 from gradcal_jax.pages.sources import read_sources
+from gradcal_jax.records import run_log
 
 pytestmark = [
     pytest.mark.browser,
@@ -29,7 +29,7 @@ def html(request, tmp_path_factory):
     """The page of a simulated run and of its calibration."""
     folder = tmp_path_factory.mktemp("browser")
     if request.param != "a gyro's axis":
-        plan = api.recipe(short() if request.param == "an IMU" else triad())
+        plan = prediction.recipe(short() if request.param == "an IMU" else triad())
         execute.run(plan, folder / "run", simulate=True, seed=3)
         (found,) = estimate_sensors(plan.spec, [run_log.log(folder / "run")])
         write_calibration(found.calibration, folder / "run" / "calibration.toml")

@@ -12,12 +12,10 @@ import pytest
 from matplotlib.figure import Figure
 from report_samples import calibration, recipe, rehearse, spec
 
-from gradcal_jax.api.calibrations import calibration_map, standard_terms
+from gradcal_jax.calibration import write_calibration
+from gradcal_jax.calibration.correction import channel_error
 from gradcal_jax.cli import main
-from gradcal_jax.files import to_toml
-from gradcal_jax.files.base.writing import write_toml
-from gradcal_jax.files.calibration import write_calibration
-from gradcal_jax.files.calibration.correction import channel_error
+from gradcal_jax.estimation.calibrations import calibration_map, standard_terms
 from gradcal_jax.information import statistic
 from gradcal_jax.pages.figures import map_pictures
 from gradcal_jax.pages.numbers import figures, one_sign, with_uncertainty
@@ -27,6 +25,7 @@ from gradcal_jax.pages.run_history import history_of, rates_of
 from gradcal_jax.pages.sources import read_sources
 from gradcal_jax.plots import draw_curves
 from gradcal_jax.plots.spec import planned_cycle, planned_rate
+from gradcal_jax.tables.writing import to_toml, write_toml
 
 DEG_PER_H = float(np.degrees(1.0)) * 3600.0
 

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from gradcal_jax import plots
-from gradcal_jax.api.optimise import FrontierPoint
-from gradcal_jax.api.sensitivity import Elasticity, Sensitivities
+from gradcal_jax.design.optimise import FrontierPoint
+from gradcal_jax.information.sensitivity import Elasticity, Sensitivities
 
 
 def test_the_frontier_has_a_mark_for_each_plan_and_numbers_on_its_axis():

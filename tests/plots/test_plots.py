@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 import gradcal_jax as gj
 from gradcal_jax import plots
-from gradcal_jax.api import timeline
+from gradcal_jax.information.timeline import timeline
 
 TEMPERATURE = np.linspace(-30.0, 70.0, 21)
 RATE = np.linspace(-300.0, 300.0, 31)

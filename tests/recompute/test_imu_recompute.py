@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
-from gradcal_jax.files import presets
-from gradcal_jax.files.base.schemas import schema
+from gradcal_jax.spec import presets
+from gradcal_jax.tables.schemas import schema
 
 PLANS = ("accelerometer-six-positions", "ferraris", "one-axis-table", "standard-three-axes")
 SKEW = {"rig.table.mounting": [{"rotation": ["20 deg", "-35 deg", "50 deg"]}]}

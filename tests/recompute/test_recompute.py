@@ -18,11 +18,12 @@ import pytest
 import recompute
 from random_specs import random_spec
 
-from gradcal_jax.api.prediction import predict
-from gradcal_jax.api.timeline import timeline
-from gradcal_jax.files import presets, spec_of
-from gradcal_jax.files.spec.axis_as_imu import convert, turned_axes
-from gradcal_jax.files.spec.motion_plan import PlanSchedule, row_count
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.information.timeline import timeline
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.axis_as_imu import convert, turned_axes
+from gradcal_jax.spec.motion_plan import PlanSchedule, row_count
+from gradcal_jax.spec.spec import spec_of
 
 TOLERANCE = 1e-9
 # Quick ones, among them every family, both estimators, all bases, a lag, gaps, harmonics and two axes.

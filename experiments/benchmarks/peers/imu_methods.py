@@ -40,10 +40,10 @@ def hand2(asked: dict) -> dict:
     import jax
     import jax.numpy as jnp
 
-    from gradcal_jax.api.imu_build import build_imu
-    from gradcal_jax.files.spec.spec import read_spec
     from gradcal_jax.information import SquareRootInformation, imu_system, whitened_factor
-    from gradcal_jax.trajectory import body_nodes
+    from gradcal_jax.model.imu_build import build_imu
+    from gradcal_jax.motion import body_nodes
+    from gradcal_jax.spec.spec import read_spec
 
     jax.config.update("jax_enable_x64", True)
     built = build_imu(read_spec(Path(__file__).resolve().parents[2] / "imu" / "hand2.toml"))

@@ -6,11 +6,11 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from gradcal_jax.api import assemble
-from gradcal_jax.api import predict as predict_spec
-from gradcal_jax.api.sensitivity import sensitivity
-from gradcal_jax.files.spec.spec import read_spec
 from gradcal_jax.information import contrasts, information, posterior
+from gradcal_jax.information.prediction import predict as predict_spec
+from gradcal_jax.information.sensitivity import sensitivity
+from gradcal_jax.model.build import assemble
+from gradcal_jax.spec.spec import read_spec
 
 _SPEC = Path(__file__).resolve().parents[2] / "paper" / "dynamic_gradient.toml"
 _REPEATS = 15

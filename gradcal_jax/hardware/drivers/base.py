@@ -15,12 +15,12 @@ from functools import cached_property
 from importlib import resources
 from typing import Any, Generic, Literal, TypeVar
 
-from ... import units
-from ...files.run.line_protocol import LineProtocol
-from ...files.run.register_protocol import RegisterProtocol
-from .. import roles
-from ..errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
-from ..request_reply import TRIES, Exchange, Reply
+from gradcal_jax import units
+from gradcal_jax.hardware import roles
+from gradcal_jax.hardware.errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
+from gradcal_jax.hardware.line_protocol import LineProtocol
+from gradcal_jax.hardware.register_protocol import RegisterProtocol
+from gradcal_jax.hardware.request_reply import TRIES, Exchange, Reply
 
 Config = TypeVar("Config")
 _BETWEEN_LOOKS_S = 0.2
@@ -29,9 +29,9 @@ _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
 
 
 def codes_of(driver: str) -> Mapping[str, Any]:
-    """The texts of a driver's codes, by code as it is written in `files/device_codes.toml`. To be read when a driver is
+    """The texts of a driver's codes, by code as it is written in `spec/device_codes.toml`. To be read when a driver is
     loaded, before anything moves."""
-    text = resources.files("gradcal_jax.files").joinpath("device_codes.toml").read_text(encoding="utf-8")
+    text = resources.files("gradcal_jax.spec").joinpath("device_codes.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)[driver]
 
 

@@ -20,16 +20,31 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, Literal
 
-from ... import units
-from ...files.run.line_protocol import LineProtocol, LineQuestion, formatted, protocol_of, reply_pattern, shows
-from ..checksums import xor8
-from ..clock import Clock
-from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, ReplyTimeout, printable
-from ..framing import LineFramer, NotThisReply
-from ..request_reply import Exchange
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
-from ..transport import Transport
-from .base import AxisDriver, AxisOptions, DescribedChamber, DescribedDevice, DescribedOptions, Texts
+from gradcal_jax import units
+from gradcal_jax.hardware.checksums import xor8
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.base import (
+    AxisDriver,
+    AxisOptions,
+    DescribedChamber,
+    DescribedDevice,
+    DescribedOptions,
+    Texts,
+)
+from gradcal_jax.hardware.errors import (
+    ChecksumError,
+    DeviceFault,
+    FramingError,
+    NotVerified,
+    Rejected,
+    ReplyTimeout,
+    printable,
+)
+from gradcal_jax.hardware.framing import LineFramer, NotThisReply
+from gradcal_jax.hardware.line_protocol import LineProtocol, LineQuestion, formatted, protocol_of, reply_pattern, shows
+from gradcal_jax.hardware.request_reply import Exchange
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
+from gradcal_jax.hardware.transport import Transport
 
 _STOPS_AGAIN_S = 1.0
 _pattern = cache(reply_pattern)

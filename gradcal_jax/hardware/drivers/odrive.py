@@ -34,14 +34,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from ..checksums import xor8
-from ..clock import Clock
-from ..errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, printable
-from ..framing import LineFramer
-from ..request_reply import Exchange
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport, travel_of
-from ..transport import Transport
-from .base import AxisDriver, AxisOptions, codes_of
+from gradcal_jax.hardware.checksums import xor8
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.base import AxisDriver, AxisOptions, codes_of
+from gradcal_jax.hardware.errors import ChecksumError, DeviceFault, FramingError, NotVerified, Rejected, printable
+from gradcal_jax.hardware.framing import LineFramer
+from gradcal_jax.hardware.request_reply import Exchange
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport, travel_of
+from gradcal_jax.hardware.transport import Transport
 
 IDLE, CLOSED_LOOP = 1, 8
 VELOCITY_RAMP, TRAPEZOID = 2, 5

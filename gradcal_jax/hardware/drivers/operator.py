@@ -21,12 +21,21 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from ... import units
-from ..clock import Clock
-from ..errors import Disconnected, HardwareError, LimitExceeded, Rejected
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, MotionAxis, OperatorAsked, SafeReport
-from ..track import AxisCommand
-from ..transport import TextLine
+from gradcal_jax import units
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded, Rejected
+from gradcal_jax.hardware.roles import (
+    AxisLimits,
+    AxisReading,
+    AxisSafe,
+    Identity,
+    KeptSettings,
+    MotionAxis,
+    OperatorAsked,
+    SafeReport,
+)
+from gradcal_jax.hardware.track import AxisCommand
+from gradcal_jax.hardware.transport import TextLine
 
 _BELL = "\a"
 

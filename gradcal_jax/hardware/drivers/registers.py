@@ -16,14 +16,14 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ...files.run.register_protocol import RegisterProtocol, register_protocol_of
-from ..clock import Clock
-from ..errors import FramingError, LimitExceeded
-from ..framing import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, write_body
-from ..request_reply import Exchange
-from ..roles import ChamberSafe
-from ..transport import Transport
-from .base import DescribedChamber, DescribedOptions, Texts
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.base import DescribedChamber, DescribedOptions, Texts
+from gradcal_jax.hardware.errors import FramingError, LimitExceeded
+from gradcal_jax.hardware.framing import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, write_body
+from gradcal_jax.hardware.register_protocol import RegisterProtocol, register_protocol_of
+from gradcal_jax.hardware.request_reply import Exchange
+from gradcal_jax.hardware.roles import ChamberSafe
+from gradcal_jax.hardware.transport import Transport
 
 _FINEST_DECIMALS = 3
 _FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}

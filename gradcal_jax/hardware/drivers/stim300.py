@@ -25,14 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from ..checksums import crc8_stim300, crc32_mpeg2, crc32_mpeg2_of_rows
-from ..clock import Clock
-from ..errors import ChecksumError, FramingError, NotVerified, Rejected, ReplyTimeout, printable
-from ..framing import LineFramer, NotThisReply
-from ..request_reply import Exchange
-from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
-from ..transport import Transport
-from .base import ImuDriver, codes_of
+from gradcal_jax.hardware.checksums import crc8_stim300, crc32_mpeg2, crc32_mpeg2_of_rows
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.base import ImuDriver, codes_of
+from gradcal_jax.hardware.errors import ChecksumError, FramingError, NotVerified, Rejected, ReplyTimeout, printable
+from gradcal_jax.hardware.framing import LineFramer, NotThisReply
+from gradcal_jax.hardware.request_reply import Exchange
+from gradcal_jax.hardware.roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
+from gradcal_jax.hardware.transport import Transport
 
 INTERNAL_RATE_HZ = 2000
 _MODULUS = 256  # of the counter of internal samples

@@ -9,13 +9,13 @@ confirms each with that line.
 import threading
 from dataclasses import dataclass
 
-from ..clock import Clock
-from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
-from ..framing import LineFramer, NotThisReply
-from ..request_reply import Exchange
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, MotionAxis, SafeReport
-from ..transport import Transport
-from .base import ExchangeDriver
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.base import ExchangeDriver
+from gradcal_jax.hardware.errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
+from gradcal_jax.hardware.framing import LineFramer, NotThisReply
+from gradcal_jax.hardware.request_reply import Exchange
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, MotionAxis, SafeReport
+from gradcal_jax.hardware.transport import Transport
 
 _ANSWERS_S = 1.0
 

@@ -15,17 +15,17 @@ from typing import Any
 
 import numpy as np
 
-from ... import units
-from ...files.run.text_unit import NAMES, TextSensor, text_unit_of
-from ..checksums import xor8
-from ..clock import Clock
-from ..errors import FramingError, ReplyTimeout, printable
-from ..framing import LineFramer
-from ..request_reply import Exchange
-from ..roles import Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
-from ..transport import Transport
-from .base import ImuDriver
-from .stim300 import GapCounter
+from gradcal_jax import units
+from gradcal_jax.hardware.checksums import xor8
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.base import ImuDriver
+from gradcal_jax.hardware.drivers.stim300 import GapCounter
+from gradcal_jax.hardware.errors import FramingError, ReplyTimeout, printable
+from gradcal_jax.hardware.framing import LineFramer
+from gradcal_jax.hardware.request_reply import Exchange
+from gradcal_jax.hardware.roles import Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
+from gradcal_jax.hardware.text_unit import NAMES, TextSensor, text_unit_of
+from gradcal_jax.hardware.transport import Transport
 
 _ENOUGH = 3
 _LOOKS_S = 0.1

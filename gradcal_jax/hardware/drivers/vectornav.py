@@ -22,14 +22,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..checksums import crc16_vectornav, xor8
-from ..clock import Clock
-from ..errors import ChecksumError, NotVerified, Rejected, printable
-from ..framing import LengthFramer, NotThisReply
-from ..request_reply import Exchange
-from ..roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
-from ..transport import Transport
-from .base import ImuDriver, codes_of
+from gradcal_jax.hardware.checksums import crc16_vectornav, xor8
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.base import ImuDriver, codes_of
+from gradcal_jax.hardware.errors import ChecksumError, NotVerified, Rejected, printable
+from gradcal_jax.hardware.framing import LengthFramer, NotThisReply
+from gradcal_jax.hardware.request_reply import Exchange
+from gradcal_jax.hardware.roles import STANDARD_GRAVITY, Identity, ImuBatch, ImuSettings, KeptSettings, imu_batch, join
+from gradcal_jax.hardware.transport import Transport
 
 _ERRORS = codes_of("vectornav")
 _DOLLAR = 0x24

@@ -27,13 +27,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ..clock import Clock
-from ..errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
-from ..framing import LineFramer, NotThisReply
-from ..request_reply import TRIES, Exchange
-from ..roles import ChamberLimits, ChamberReading, Identity
-from ..transport import Transport
-from .base import ChamberDriver
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.base import ChamberDriver
+from gradcal_jax.hardware.errors import FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout, printable
+from gradcal_jax.hardware.framing import LineFramer, NotThisReply
+from gradcal_jax.hardware.request_reply import TRIES, Exchange
+from gradcal_jax.hardware.roles import ChamberLimits, ChamberReading, Identity
+from gradcal_jax.hardware.transport import Transport
 
 _NUMBER = re.compile(r"-?\d{1,5}\.\d")
 _CHANNEL = re.compile(r"(?:CV|SV|MV|DO)\d\d")

@@ -23,14 +23,14 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ..checksums import lrc_zaber
-from ..clock import Clock
-from ..errors import ChecksumError, DeviceFault, FramingError, Rejected, printable
-from ..framing import LineFramer, NotThisReply
-from ..request_reply import Exchange
-from ..roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
-from ..transport import Transport
-from .base import AxisDriver, AxisOptions, codes_of
+from gradcal_jax.hardware.checksums import lrc_zaber
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.base import AxisDriver, AxisOptions, codes_of
+from gradcal_jax.hardware.errors import ChecksumError, DeviceFault, FramingError, Rejected, printable
+from gradcal_jax.hardware.framing import LineFramer, NotThisReply
+from gradcal_jax.hardware.request_reply import Exchange
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
+from gradcal_jax.hardware.transport import Transport
 
 _WARNINGS = codes_of("zaber")
 _UNREFERENCED = {"WR", "WH"}

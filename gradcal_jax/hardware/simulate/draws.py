@@ -13,15 +13,26 @@ from typing import Any, Final
 
 import numpy as np
 
-from ... import formulas
-from ...files.spec.absent import absent_lever_arm
-from ...files.spec.bases import PolynomialKeys
-from ...files.spec.places import rotation_of
-from ...files.spec.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureError
-from ...files.spec.spec_sections import Spec
-from ..pose import turn_by
-from .imu import LAWS, ErrorTerm, ImuTruth, Kind, Law, LoopTruth, Process, TableTruth, TriadTruth, Vectors
-from .plants import AxisTruth
+from gradcal_jax import formulas
+from gradcal_jax.hardware.pose import turn_by
+from gradcal_jax.hardware.simulate.imu import (
+    LAWS,
+    ErrorTerm,
+    ImuTruth,
+    Kind,
+    Law,
+    LoopTruth,
+    Process,
+    TableTruth,
+    TriadTruth,
+    Vectors,
+)
+from gradcal_jax.hardware.simulate.plants import AxisTruth
+from gradcal_jax.spec.absent import absent_lever_arm
+from gradcal_jax.spec.bases import PolynomialKeys
+from gradcal_jax.spec.places import rotation_of
+from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureError
+from gradcal_jax.spec.spec_sections import Spec
 
 _XYZ: Final = "xyz"
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.

@@ -27,9 +27,9 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...formulas import lag_filter
-from ..pose import turn_about, turn_by
-from .plants import AxisPlant, ChamberPlant, UncontrolledRoom
+from gradcal_jax.formulas import lag_filter
+from gradcal_jax.hardware.pose import turn_about, turn_by
+from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, UncontrolledRoom
 
 Vectors = NDArray[np.float64]
 Functions = Callable[[Vectors], Vectors]

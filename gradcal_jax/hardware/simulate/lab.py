@@ -19,21 +19,21 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ...files.run.tracks import read_at_rest, tracks_of
-from ...files.spec.bench import TableAxis
-from ...files.spec.rig import RigFile, rig_of
-from ...files.spec.spec_sections import Spec
-from ...units import to_unit
-from .. import roles
-from ..checksums import crc32_mpeg2_of_rows
-from ..clock import Clock
-from ..drivers.base import AxisDriver, AxisOptions, ChamberDriver
-from ..drivers.operator import OperatorAxis, OperatorConfig
-from ..drivers.stim300 import Stim300Config, Stim300Decoder, decoder_of
-from ..setup import Bench
-from .draws import draw_places, draw_table, draw_truth
-from .imu import SampledSensor, SensorSamples, SimulatedImu
-from .plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom
+from gradcal_jax.hardware import roles
+from gradcal_jax.hardware.checksums import crc32_mpeg2_of_rows
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.base import AxisDriver, AxisOptions, ChamberDriver
+from gradcal_jax.hardware.drivers.operator import OperatorAxis, OperatorConfig
+from gradcal_jax.hardware.drivers.stim300 import Stim300Config, Stim300Decoder, decoder_of
+from gradcal_jax.hardware.setup import Bench
+from gradcal_jax.hardware.simulate.draws import draw_places, draw_table, draw_truth
+from gradcal_jax.hardware.simulate.imu import SampledSensor, SensorSamples, SimulatedImu
+from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth, UncontrolledRoom
+from gradcal_jax.recipe.tracks import read_at_rest, tracks_of
+from gradcal_jax.spec.bench import TableAxis
+from gradcal_jax.spec.rig import RigFile, rig_of
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.units import to_unit
 
 RATES_HZ: Final = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 # Identifier of rates, forces and temperatures, and the bytes that its CRC includes and the line does not.

@@ -1,6 +1,6 @@
 """Simulated chambers and a bath that speak in lines: a Thermotron 3800, a CTS, a Julabo. Each with what it remembers.
 
-Written from the protocols' public descriptions (see the heads of `files/presets/devices`), not from the driver.
+Written from the protocols' public descriptions (see the heads of `spec/presets/devices`), not from the driver.
 """
 
 import re

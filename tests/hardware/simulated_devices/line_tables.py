@@ -1,6 +1,6 @@
 """Simulated axes that speak in lines: a board with GRBL 1.1, and a table with a language like Ideal Aerosmith's.
 
-Written from public descriptions (see the heads of `files/presets/devices`), not from the driver.
+Written from public descriptions (see the heads of `spec/presets/devices`), not from the driver.
 """
 
 import re

@@ -10,13 +10,13 @@ from simulated_devices.port import SimulatedPort
 from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 from simulated_devices.zaber import SimulatedZaber
 
-from gradcal_jax.files.spec.bench import TableAxis
-from gradcal_jax.files.spec.rig import rig_of
-from gradcal_jax.files.spec.spec_sections import Spec
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate import lab
 from gradcal_jax.hardware.simulate.lab import RATES_HZ
 from gradcal_jax.hardware.simulate.plants import AxisPlant
+from gradcal_jax.spec.bench import TableAxis
+from gradcal_jax.spec.rig import rig_of
+from gradcal_jax.spec.spec_sections import Spec
 
 
 class SimulatedLab(lab.SimulatedLab):

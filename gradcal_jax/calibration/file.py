@@ -1,0 +1,589 @@
+"""gradcal-calibration/3: the estimated terms of a sensor's channels, their covariance, and the range of validity.
+
+    measured = s + Σ map(T, s) · signals,   s = input + Σ misalignment(T) · inputs across it       of each channel
+
+with rates in rad/s and specific forces in m/s². A channel is a gyro or an accelerometer; one gyro axis is a file with
+one channel. Its terms are maps over temperature (of a gyro's scale factor over its own rate, too) times a product of
+signals: none for a bias, "rate x" for the scale factor of gyro x, "force y" for its sensitivity to acceleration, "rate
+y" for its misalignment. Signals are true inputs, in the frame that the file names, but the channel's own, which is s:
+its input along its own axis of sensitivity. "temperature rate" is dT/dt. Coefficients are those of the paper: `a{k}`
+multiplies the k-th power of `(T − centre)/scale` in a bias, `b{j}{i}` the j-th power of `(ω − centre)/scale` and the
+i-th of the temperature's in a scale factor; other bases count their functions. Numbers without a unit are SI.
+
+**Version 2** added misalignments after the scale factor: the same sum with s = input. They are converted as it is
+read, exactly at the middle temperature. **Version 1**, which is converted, too, had two forms, of a gyro's axes
+(`[[axis]]` with maps of its own) and of a whole IMU (`quantity = "unit"`, with one range for all channels). Faults of
+an old file stay faults, which the validation reports.
+"""
+
+import contextlib
+import copy
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import Field
+
+from gradcal_jax import formulas
+from gradcal_jax.records.log import Floats
+from gradcal_jax.spec.bases import RateBasis, TemperatureBasis, increasing
+from gradcal_jax.tables import quantity as q
+from gradcal_jax.tables.display import amount, columns, html
+from gradcal_jax.tables.document import TitledFile, from_text, model_of, read_text
+from gradcal_jax.tables.problems import Problem
+from gradcal_jax.tables.section import Section
+from gradcal_jax.tables.writing import write_toml
+
+ORDER: Final = (
+    "measured = s + sum of map(T) * signals, over all terms except misalignments; s = input + sum of misalignment(T) * "
+    "inputs across it, and s also replaces the channel's own input among the signals. To correct: compute the sums "
+    "from the corrected values, subtract them, and iterate until convergence (three iterations for errors of a per "
+    "cent), before any rotation"
+)
+FRAME_OF_CASE: Final = "the case, as accurately as its mounting is known"
+"""Frame of an estimate that the mounting limits."""
+TEMPERATURE_RATE: Final = "temperature rate"
+"""Name of the signal dT/dt, K/s."""
+LOG_HASH: Final = "log_sha256"
+"""Name under which the provenance has the fingerprint of the calibration's log."""
+
+
+class CalibratedTerm(Section):
+    """One term of a channel; coefficients in `unit` (SI). Without `temperature` the term is constant; with `rate` it
+    depends on the channel's own rate."""
+
+    name: q.Text
+    """Name of the term, such as scale_factor."""
+    unit: q.Text
+    """SI unit of the coefficients."""
+    signals: Annotated[tuple[q.Text, ...], Field(max_length=4)] = ()
+    """Signals that multiply the term, such as "rate x", "force z", "|force z|" or "temperature rate"; none: the term
+    stands alone."""
+    temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
+    rate: RateBasis | None = None
+    """Basis over the channel's own rate; absent: the same at every rate."""
+    lag: q.Time | None = None
+    """First-order lag of this term behind the temperature of its channel; absent: no lag."""
+    coefficients: Annotated[dict[str, q.Number], Field(min_length=1, max_length=40_000)]
+    """Coefficients by name, in SI: for each function of temperature, in order, those of all functions of rate."""
+
+    def _problems(self) -> Iterator[Problem]:
+        if len(self.coefficients) != self.size:
+            message = f"expected {self.size} coefficients, one for each function of the bases"
+            yield Problem(("coefficients",), message, len(self.coefficients))
+        elif self.name in ("bias", "scale_factor") and self.temperature is not None and self.size > 1:
+            sizes = (basis.size for basis in (self.temperature, self.rate) if basis is not None)
+            for name, function in zip(self.coefficients, itertools.product(*map(range, sizes)), strict=True):
+                if function_of(name) != list(function):
+                    place = " and ".join(map(str, function))
+                    message = (
+                        f"expected at this position the coefficient that multiplies function {place} of temperature "
+                        "(and rate)"
+                    )
+                    yield Problem(("coefficients", name), message)
+                    break
+
+    @property
+    def size(self) -> int:
+        """Number of its functions."""
+        return math.prod(basis.size for basis in (self.temperature, self.rate) if basis is not None)
+
+
+class PathPolynomial(Section):
+    """A Legendre polynomial of (T − centre)/scale, by which the coefficient of a play varies with temperature T."""
+
+    degree: Annotated[q.Whole, Field(ge=1, le=20)]
+    """Degree of the polynomial."""
+    centre: q.Temperature
+    """Temperature at which the argument of the polynomial is 0."""
+    scale: q.PositiveTemperatureDifference
+    """Change of temperature over which the argument of the polynomial changes by 1."""
+
+    def __call__(self, temperature_c: np.ndarray) -> np.ndarray:
+        """Its values at temperatures (°C)."""
+        x = (np.asarray(temperature_c) - float(self.centre)) / float(self.scale)
+        return formulas.legendre(x, self.degree)[..., self.degree]
+
+
+class PathCoefficient(Section):
+    """An error that depends on past temperatures (hysteresis, dT/dt), in addition to the maps, which are the mean
+    of heating and cooling. `apply` computes it from the temperatures of a log and subtracts it; exports cannot contain
+    it."""
+
+    channel: q.Text
+    """Name of the channel, such as gyro_x."""
+    name: q.Text
+    """Name of the coefficient, such as hysteresis_20K."""
+    value: q.Number
+    """Estimate (SI)."""
+    standard_deviation: q.Number
+    """Standard deviation of the estimate (SI)."""
+    unit: q.Text
+    """SI unit of the estimate and its standard deviation."""
+    width: q.PositiveTemperatureDifference | None = None
+    """Half-width of the hysteresis (of its play); absent: the term is not a hysteresis."""
+    polynomial: PathPolynomial | None = None
+    """The function of temperature by which the play is multiplied; absent: 1."""
+    time_constant: q.Time | None = None
+    """Time constant of the first-order lag of a sensitivity to dT/dt; absent: no lag."""
+    second_thermometer: q.Flag = False
+    """Whether the coefficient multiplies the difference between the second thermometer and the first."""
+    own: q.Flag = False
+    """Whether the coefficient belongs to an error class of your own; neither `apply` nor exports correct such
+    errors."""
+
+
+class Residuals(Section):
+    """Whitened residuals of the fit, in standard deviations: independent and normal if the model is correct."""
+
+    counts: Annotated[tuple[q.Whole, ...], Field(min_length=18, max_length=18)]
+    """Histogram: number of residuals below -4, in bins of 0.5 from -4 to 4, and above 4."""
+    rms: Annotated[tuple[q.Number, ...], Field(max_length=10)] = ()
+    """Root mean square of the residuals in each tenth of the run, in the order of time."""
+
+
+class CalibratedChannel(Section):
+    """A gyro or an accelerometer. Outside `valid_temperature` and `valid_rate`, its maps keep the values at the edge of
+    the range."""
+
+    kind: Literal["gyro", "accelerometer"]
+    """Kind of sensor."""
+    axis: Annotated[q.Text, Field(max_length=100)]
+    """Axis of the body along which the sensor measures."""
+    valid_temperature: tuple[q.Temperature, q.Temperature]
+    """Lowest and highest temperature in the data of the calibration."""
+    valid_rate: tuple[q.Rate, q.Rate]
+    """Lowest and highest rate in the data of the calibration."""
+    thermal_lag: q.Time | None = None
+    """Time constant of the maps' lag behind the measured temperature; absent: no lag."""
+    term: Annotated[tuple[CalibratedTerm, ...], Field(max_length=40)] = ()
+    """Error terms of the channel; their sum is its error."""
+    residuals: Residuals | None = None
+    """Residuals of this channel's fit."""
+
+    def _problems(self) -> Iterator[Problem]:
+        for key, span in (("valid_temperature", self.valid_temperature), ("valid_rate", self.valid_rate)):
+            yield from increasing(span, key) if span[0] != span[1] else []
+
+    @property
+    def name(self) -> str:
+        """As in `gyro_x`."""
+        return f"{self.kind}_{self.axis}"
+
+    @property
+    def label(self) -> str:
+        """Its name for people, as in "gyro x"."""
+        return f"{self.kind} {self.axis}"
+
+    @property
+    def input(self) -> str:
+        """The signal that it measures, as in "rate x"."""
+        return f"{'rate' if self.kind == 'gyro' else 'force'} {self.axis}"
+
+    def misaligns(self, term: CalibratedTerm) -> bool:
+        """Whether by this term the channel senses what acts across its axis, so that its other terms multiply it."""
+        across = len(term.signals) == 1 and term.signals[0] != self.input
+        return across and term.signals[0].split(" ")[0] == self.input.split(" ")[0]
+
+    def term_of(self, name: str) -> CalibratedTerm | None:
+        """The term of that name, if there is one."""
+        return next((term for term in self.term if term.name == name), None)
+
+
+def common_span(spans: Iterable[tuple[q.Quantity, q.Quantity]]) -> tuple[q.Quantity, q.Quantity]:
+    """What all ranges have in common."""
+    lows, highs = zip(*spans, strict=True)
+    return max(lows), min(highs)
+
+
+class Covariance(Section):
+    """Covariance of the observable coefficients."""
+
+    names: Annotated[tuple[q.Text, ...], Field(max_length=5000)]
+    """Names of the coefficients, such as gyro_x.b00."""
+    matrix: tuple[tuple[q.Number, ...], ...]
+    """Covariance of these coefficients, row by row, in the coefficients' units."""
+
+    def _problems(self) -> Iterator[Problem]:
+        count = len(self.names)
+        if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
+            yield Problem(("matrix",), f"expected {count} rows of {count} numbers, as many as there are names")
+        elif any(self.matrix[i][i] < 0.0 for i in range(count)):
+            yield Problem(("matrix",), "a variance on the diagonal is negative")
+
+
+class UnseenError(Section):
+    """An error that the residuals of the fit cannot show: from a term of the spec or, with a typical figure of the
+    class, from a term that the spec omits. The covariance with all these errors is `covariance` plus the sum of their
+    outer products."""
+
+    name: Annotated[q.Text, Field(max_length=200)]
+    """Name of the error."""
+    coefficients: dict[str, q.Number]
+    """Change of each coefficient that one standard deviation of this error causes, in the coefficients' units."""
+
+
+class FitTest(Section):
+    """A test of the fit."""
+
+    name: q.Text
+    """Channel and name of the test, such as "gyro_x: chi-squared"."""
+    statistic: q.Number
+    """Value of χ²."""
+    degrees: q.Whole
+    """Degrees of freedom."""
+    chance: q.Number
+    """Probability of a χ² of this size or larger, if the model is correct."""
+
+
+class TableError(Section):
+    """An estimated error of the *table's* installation, SI, and its prior standard deviation."""
+
+    name: q.Text
+    """Name of the error."""
+    value: q.Number
+    """Estimate (SI)."""
+    standard_deviation: q.Number
+    """Standard deviation of the estimate (SI)."""
+    prior: q.Number
+    """Prior standard deviation, from the spec (SI)."""
+    unit: q.Text
+    """SI unit of the estimate, its standard deviation and its prior."""
+
+
+class Result(Section):
+    """The result for one requirement of the spec; figures in `unit`."""
+
+    name: q.Text
+    """Name of the requirement."""
+    axis: q.Text
+    """Axis to which the result applies, or how the axes are combined ("worst", "all")."""
+    quantity: q.Text
+    """Quantity that the requirement limits."""
+    statistic: q.Text
+    """The statistic that decides the verdict."""
+    value: q.Number | None = None
+    """The value of this statistic (1σ), including omitted terms and, for "any run", the turn-on bias; absent: not
+    observable."""
+    named: q.Number | None = None
+    """The same statistic for this run, from the terms named in the spec alone; absent: the same value."""
+    worst: q.Number | None = None
+    """The standard deviation at the worst point of the requirement's temperatures and rates."""
+    unit: q.Text
+    """Unit of all figures."""
+    target: q.Number | None = None
+    """Limit on the error."""
+    verdict: q.Text | None = None
+    """Whether the limit is met: "met", "missed", "not covered", "unobservable" or "not valid"."""
+    coverage: q.Number | None = None
+    """Number of standard deviations that must be within the target."""
+    risk: Annotated[q.Number, Field(gt=0.0, le=0.5)] | None = None
+    """Largest allowed probability that a sensor passes although its error exceeds the target; absent: simple
+    acceptance."""
+    rule: q.Text | None = None
+    """Rule of the verdict, in words."""
+
+
+class Noise(Section):
+    """The noise that the estimate assumed, for use in the filters of other programs."""
+
+    angle_random_walk: q.AngleRandomWalk | None = None
+    """White noise of the rate."""
+    rate_random_walk: q.RateRandomWalk | None = None
+    """Random walk that equals the gyros' drifts over times much shorter than the correlation time of these drifts."""
+    velocity_random_walk: q.VelocityRandomWalk | None = None
+    """White noise of the specific force."""
+    sample_rate: q.Frequency | None = None
+    """Sample rate of the log."""
+
+
+class Calibration(TitledFile):
+    """A calibration file, in SI (and °C), with the channels of one sensor: one gyro axis, or an IMU. Made by
+    `estimate`, `estimate_by_hand` and `read_calibration`. Errors: `SpecError` from `read_calibration`.
+    """
+
+    format: Literal["gradcal-calibration/3"]
+    serial_number: q.Text
+    """Serial number of the sensor."""
+    simulated: q.Flag
+    """Whether the data are simulated."""
+    frame: q.Text
+    """Frame in which the axes are given."""
+    order: q.Text
+    """What the numbers mean, and in which order a correction uses them."""
+    channel: Annotated[tuple[CalibratedChannel, ...], Field(min_length=1, max_length=20)]
+    """Gyros and accelerometers, one table for each."""
+    covariance: Covariance | None = None
+    """Covariance of the observed coefficients from the fit; absent: it was not kept."""
+    path: Annotated[tuple[PathCoefficient, ...], Field(max_length=500)] = ()
+    """Errors that depend on past temperatures, in addition to the maps."""
+    unseen: Annotated[tuple[UnseenError, ...], Field(max_length=5000)] = ()
+    """Errors that the residuals of the fit cannot show; the results and every stated uncertainty include them."""
+    table: Annotated[tuple[TableError, ...], Field(max_length=500)] = ()
+    """Estimated errors of the table."""
+    fit: Annotated[tuple[FitTest, ...], Field(max_length=1000)] = ()
+    """Tests of the fit."""
+    contradicted: Annotated[tuple[q.Text, ...], Field(max_length=1000)] = ()
+    """Tests of the fit that fail: the data contradict the model, and the stated uncertainties are not valid."""
+    unobservable: Annotated[tuple[q.Text, ...], Field(max_length=5000)] = ()
+    """Coefficients and combinations of coefficients that the data do not determine."""
+    noise: Noise | None = None
+    """The noise that the estimate assumed."""
+    lacks: q.Text | None = None
+    """The part of the plan that is missing in the log, and the prediction for the executed part alone, in words."""
+    result: Annotated[tuple[Result, ...], Field(max_length=1000)] = ()
+    """Results for the requirements of the spec."""
+    provenance: dict[str, q.Text] = Field(default_factory=dict)
+    """Texts by name: versions, sources, the log's hash."""
+
+    def _problems(self) -> Iterator[Problem]:
+        names = [channel.name for channel in self.channel]
+        if len(set(names)) < len(names):
+            yield Problem(("channel",), "two channels have the same kind and the same axis")
+        axes = {"x", "y", "z", *(channel.axis for channel in self.channel)}
+        known = {TEMPERATURE_RATE, *(f"{kind} {axis}" for kind in ("rate", "force") for axis in axes)}
+        for i, channel in enumerate(self.channel):
+            for j, term in enumerate(channel.term):
+                for k, signal in enumerate(term.signals):
+                    if signal not in known and not (signal[:1] + signal[-1:] == "||" and signal[1:-1] in known):
+                        message = 'is not a signal; expected a text such as "rate x", "force z", "|force z|"'
+                        yield Problem(("channel", i, "term", j, "signals", k), message, signal)
+        if self.covariance is not None and (strange := set(self.covariance.names) - self.values().keys()):
+            text = f"names coefficients that no channel has: {', '.join(sorted(strange)[:5])}"
+            yield Problem(("covariance", "names"), text)
+
+    def values(self) -> dict[str, float]:
+        """Every coefficient by its name, as in gyro_x.b00."""
+        return {f"{c.name}.{name}": v for c in self.channel for t in c.term for name, v in t.coefficients.items()}
+
+    def channel_of(self, kind: str, axis: str) -> CalibratedChannel | None:
+        """The channel of that kind and axis, if it has one."""
+        return next((c for c in self.channel if (c.kind, c.axis) == (kind, axis)), None)
+
+    @property
+    def valid_temperature(self) -> tuple[q.Temperature, q.Temperature]:
+        """Temperatures that the data covered for every channel (the second may be below the first: none)."""
+        return common_span(channel.valid_temperature for channel in self.channel)
+
+    @property
+    def valid_rate(self) -> tuple[q.Rate, q.Rate]:
+        """Rates that the data covered for every channel (the second may be below the first: none)."""
+        return common_span(channel.valid_rate for channel in self.channel)
+
+    _repr_html_ = html
+
+    @property
+    def valid_range(self) -> str:
+        """The range of temperature and rate that the data covered, in words."""
+        low, high = self.valid_temperature
+        return f"covers {low} … {high}, up to {math.degrees(float(self.valid_rate[1])):.4g} deg/s"
+
+    @property
+    def result_rows(self) -> list[tuple[str, ...]]:
+        """A row for each requirement: name, statistic, residual, target, verdict."""
+        return [
+            (
+                row.name if len(self.channel) == 1 else f"{row.name}, {row.axis}",
+                row.statistic,
+                amount(row.value, row.unit),
+                "" if row.target is None else amount(row.target, row.unit),
+                row.verdict or "",
+            )
+            for row in self.result
+        ]
+
+    def _shown(self) -> list[str]:
+        channels = [
+            (channel.label, ", ".join(f"{term.name} ({len(term.coefficients)})" for term in channel.term))
+            for channel in self.channel
+        ]
+        counts = {"contradicted": self.contradicted, "not observable": self.unobservable}
+        return [
+            f"Calibration of {self.serial_number}" + (", SIMULATED" if self.simulated else ""),
+            *([self.title] if self.title else []),
+            self.valid_range,
+            *(f"{name}: {', '.join(names)}" for name, names in counts.items() if names),
+            columns(self.result_rows, indent=""),
+            "terms, with the number of their coefficients:",
+            *columns(channels).split("\n"),
+        ]
+
+    def contradictions_of(self, channel: CalibratedChannel) -> tuple[str, ...]:
+        """The failed tests of a channel, and those of all channels together."""
+        others = tuple(f"{c.name}: " for c in self.channel if c is not channel)
+        return tuple(name for name in self.contradicted if not name.startswith(others))
+
+
+def is_calibration(document: Mapping[str, Any]) -> bool:
+    """Whether tables are those of a calibration file."""
+    return document.get("format") in (FORMAT, *OLD_FORMATS)
+
+
+def parse_calibration(text: str, source: str = "") -> Calibration:
+    """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
+
+    def read(document: dict[str, Any], _: Any) -> Calibration:
+        calibration = model_of(Calibration, upgraded(document), FORMAT, source)
+        return _multiplied(calibration) if document.get("format") in OLD_FORMATS else calibration
+
+    return from_text(read, text, source)
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """Read a calibration file: coefficients and covariance in SI (rad/s, m/s², ratios), range of validity, residuals.
+
+    Files of gradcal-calibration/1 and /2 are read as the same calibration in today's form. Errors: `SpecError` with
+    every fault.
+    """
+    return parse_calibration(read_text(path), str(path))
+
+
+def write_calibration(calibration: Calibration, path: str | Path) -> None:
+    """Write a calibration, atomically; the head of the file explains its numbers and units.
+
+    Errors: `OSError` where it cannot be written.
+    """
+    write_toml(calibration, path, header=_HEADER + _SIMULATED * calibration.simulated)
+
+
+def build_term(
+    name: str, unit: str, signals: tuple[str, ...], coefficients: Mapping[str, float], **bases: Any
+) -> CalibratedTerm:
+    """A term from plain numbers; bases that are None are left out."""
+    present = {key: value for key, value in bases.items() if value is not None}
+    return CalibratedTerm(name=name, unit=unit, signals=signals, coefficients=dict(coefficients), **present)
+
+
+_HEADER: Final = """\
+A calibration of gyros and accelerometers. Apply it with `gradcal apply`, check it with `gradcal validate`.
+    measured = s + sum of map(T) * signals           rates in rad/s, specific force in m/s^2
+    s = input + sum of misalignment(T) * inputs      of the other axes; s is the channel's own signal
+A bias is a sum: a{k} multiplies the k-th power of (T - centre)/scale.
+A scale factor is a sum: b{j}{i} multiplies the j-th power of (rate - centre)/scale and the i-th of (T - centre)/scale.
+Numbers without a unit are SI: rad, s, m, degC."""
+_SIMULATED: Final = "\nSIMULATED: made from simulated data, not from a real sensor."
+
+
+FORMAT: Final = "gradcal-calibration/3"
+OLD_FORMATS: Final = ("gradcal-calibration/1", "gradcal-calibration/2")
+_GRADIENT: Final = "bias_temperature_gradient"
+Tables = dict[str, Any]
+
+
+def upgraded(document: Mapping[str, Any]) -> Tables:
+    """The tables of a calibration in today's form; tables of other formats, and what is not understood, as they are."""
+    tables = dict(document) | ({"format": FORMAT} if document.get("format") in OLD_FORMATS else {})
+    if document.get("format") == OLD_FORMATS[0]:
+        with contextlib.suppress(AttributeError, KeyError, TypeError):
+            old = copy.deepcopy(tables)
+            return _FORMS[old.pop("quantity")](old)
+    return tables
+
+
+def _multiplied(calibration: Calibration) -> Calibration:
+    """A calibration whose misalignments were added after the scale factor, `(1 + M) ω_i + m_ij ω_j`, with those that
+    the scale factor multiplies: the same correction at the middle of the channel's temperatures, at slow rates."""
+    channels: list[CalibratedChannel] = []
+    gains: dict[str, float] = {}
+    for channel in calibration.channel:
+        middle = 0.5 * float(sum(map(float, channel.valid_temperature)))
+        own = [term for term in channel.term if term.signals == (channel.input,)]
+        gain = 1.0 + sum(float(term_values(term, np.array([middle]))[0]) for term in own)
+        terms: list[CalibratedTerm] = []
+        for term in channel.term:
+            if channel.misaligns(term) and gain:
+                gains |= {f"{channel.name}.{name}": gain for name in term.coefficients}
+                term = term.model_copy(update={"coefficients": {n: v / gain for n, v in term.coefficients.items()}})
+            terms.append(term)
+        channels.append(channel.model_copy(update={"term": tuple(terms)}))
+    changed: dict[str, Any] = {"channel": tuple(channels), "order": ORDER}
+    if (known := calibration.covariance) is not None:
+        by = 1.0 / np.array([gains.get(name, 1.0) for name in known.names])
+        matrix = by[:, None] * np.array(known.matrix).reshape(len(by), -1) * by
+        rows: list[list[float]] = matrix.tolist()
+        changed["covariance"] = known.model_copy(update={"matrix": tuple(map(tuple, rows))})
+    unseen = [
+        e.model_copy(update={"coefficients": {n: v / gains.get(n, 1.0) for n, v in e.coefficients.items()}})
+        for e in calibration.unseen
+    ]
+    return calibration.model_copy(update=changed | {"unseen": tuple(unseen)})
+
+
+def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None = None) -> Floats:
+    """The map of a term, `(n,)`, in its unit; `rate` rad/s, of its channel's axis (absent: 0)."""
+    return at_rates(term, at_temperatures(term, temperature_c), np.zeros(1) if rate is None else rate)
+
+
+def at_temperatures(term: CalibratedTerm, temperature_c: Floats) -> Floats:
+    """`(n, functions of the rate)`: their coefficients, or the map itself."""
+    coefficients = np.array(list(term.coefficients.values()))
+    one = np.ones((len(temperature_c), 1))
+    basis = one if term.temperature is None else term.temperature.values(temperature_c)
+    return basis @ coefficients.reshape(basis.shape[1], -1)
+
+
+def at_rates(term: CalibratedTerm, of_temperature: Floats, rate: Floats) -> Floats:
+    """The map `(n,)` at rates (rad/s), from `at_temperatures`."""
+    if term.rate is None:
+        return of_temperature[:, 0]
+    return (of_temperature * term.rate.values(rate)).sum(axis=-1)
+
+
+def _from_unit(tables: Tables) -> Tables:
+    shared = {key: tables.pop(key) for key in ("valid_temperature", "valid_rate", "thermal_lag") if key in tables}
+    return tables | {"channel": [channel | shared for channel in tables["channel"]]}
+
+
+def _from_axes(tables: Tables) -> Tables:
+    whole: dict[str, list[Any]] = {"fit": [], "contradicted": [], "unobservable": [], "unseen": []}
+    channels: list[Tables] = []
+    names: list[str] = []
+    blocks: list[Any] = []
+    matrix: list[list[Any]] = []
+    for axis in tables.pop("axis"):
+        label = axis.pop("name")
+        name = f"gyro_{label}"
+        own: Tables = {key: axis.pop(key, ()) for key in whole}
+        whole["fit"] += [test | {"name": f"{name}: {test['name']}"} for test in own["fit"]]
+        whole["unseen"] += [
+            error | {"coefficients": {f"{name}.{n}": v for n, v in error["coefficients"].items()}}
+            for error in own["unseen"]
+        ]
+        for key in ("contradicted", "unobservable"):
+            whole[key] += [f"{name}: {words}" for words in own[key]]
+        if (covariance := axis.pop("covariance", None)) is not None:
+            names += [f"{name}.{coefficient}" for coefficient in covariance["names"]]
+            blocks.append(covariance["matrix"])
+        channels.append({"kind": "gyro", "axis": label, "term": list(_terms(axis, f"rate {label}")), **axis})
+    size = sum(map(len, blocks))
+    for block in blocks:
+        before = len(matrix)
+        matrix += [[*[0.0] * before, *row, *[0.0] * (size - before - len(block))] for row in block]
+    known: Tables = {"covariance": {"names": names, "matrix": matrix}} if blocks else {}
+    return tables | {"channel": channels} | known | {key: rows for key, rows in whole.items() if rows}
+
+
+_FORMS: Final[Mapping[Any, Callable[[Tables], Tables]]] = {"unit": _from_unit, "gyro": _from_axes}
+
+
+def _terms(axis: Tables, rate: str) -> Iterator[Tables]:
+    for name, unit, signals in (("bias", "rad/s", []), ("scale_factor", "1", [rate])):
+        if (part := axis.pop(name, None)) is not None:
+            values = part["coefficients"]
+            ordered = {key: values[key] for key in sorted(values, key=function_of)}
+            yield {"name": name, "unit": unit, "signals": signals, **part, "coefficients": ordered}
+    if (value := axis.pop(_GRADIENT, None)) is not None:
+        values = {_GRADIENT: value}
+        yield {"name": _GRADIENT, "unit": "rad/K", "signals": ["temperature rate"], "coefficients": values}
+
+
+def function_of(name: str) -> list[int]:
+    """The functions of temperature and of rate that a coefficient multiplies: [3] for a3, [2, 1] for b12, [11, 2] for
+    b2_11, [4, 0] for b_bin0_spline4."""
+    digits = re.findall(r"\d" if re.fullmatch(r"b\d\d", name) else r"\d+", name)
+    return [int(digit) for digit in reversed(digits)]

@@ -1,0 +1,595 @@
+"""A spec's plan as a search of cycles sees it: what is free of it, its objective, and the plan of a point as a spec, in
+numbers that controllers take."""
+
+import math
+import pickle
+from collections.abc import Mapping, Sequence
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax.design import ProgrammeCoordinates
+from gradcal_jax.design.cycle_moves import Cycle
+from gradcal_jax.design.descent import Descent
+from gradcal_jax.design.free_course import FreeCourse, behind_on_leg, legs_of
+from gradcal_jax.design.plan_objective import (
+    Aim,
+    ExactObjective,
+    PlanCase,
+    estimated_together,
+    hidden_test,
+    imu_with_hidden,
+    tested_maps,
+)
+from gradcal_jax.design.pose_cycle import (
+    SHAPE,
+    STEEPNESS,
+    WINDOW,
+    CycleCoordinates,
+    CycleObjective,
+    CycleStructure,
+    GridElement,
+    PoseTurn,
+    Ramp,
+    Statistics,
+    TableLimits,
+    Together,
+    Unnoticed,
+    further,
+    largest_alike,
+    structure_of,
+)
+from gradcal_jax.design.turn_search import programme_keys
+from gradcal_jax.information import imu_system, whiten
+from gradcal_jax.information.error_budget import columns_of_imu
+from gradcal_jax.information.imu_residual import RequiredQuantity, quantity_of
+from gradcal_jax.information.residual import Statistic
+from gradcal_jax.model import SCALE_FACTOR, Hysteresis, ImuModel, SensorModel, TemperatureDifference
+from gradcal_jax.model.imu_build import BuiltImu, course_before, executed_motion, geometry, waves_of
+from gradcal_jax.recipe.rounding import steps_of
+from gradcal_jax.recipe.tracks import makeable_acceleration
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.design import Design
+from gradcal_jax.spec.motion_plan import MotionPlan, PlanSchedule
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.spec.spec_sections import Spec
+
+# A smaller turn, deg, says nothing of a sensor, and is lost among the readings about it.
+_SHOWS = 0.5
+# Resolution of turns (deg), rates (deg/s) and rests (s) in a plan.
+_ANGLE, _RATE, _FINE_RATE, _REST = 0.01, 0.1, 0.01, 0.1
+# Share of the largest rate beyond which a turn keeps its rate when it is rounded.
+_FASTEST = 0.98
+_SLACK = 1e-9
+
+
+class CycleRounding(NamedTuple):
+    """Of cycles on the `axes` of a table within `limits`: the controllers' step of time `grid` (s), that of all angles
+    (rad; None: any angle), and whether a cycle is `closed`."""
+
+    limits: TableLimits
+    axes: tuple[str, ...]
+    grid: float
+    angle_step: float | None
+    closed: bool
+
+    def on_steps(self, cycle: Cycle) -> Cycle:
+        """The cycle with its turns rounded to whole angle steps, without turns of none."""
+        step, turned, result = self.angle_step or 1.0, {}, []
+        for t in cycle:
+            if t.axis >= 0:
+                goal = turned.get(t.axis, (0.0, 0.0))[0] + t.angle
+                count = round((goal - turned.get(t.axis, (0.0, 0.0))[1]) / step)
+                turned[t.axis] = goal, turned.get(t.axis, (0.0, 0.0))[1] + count * step
+                t = t._replace(angle=count * step)
+            if t.angle or t.rest or t.axis < 0:
+                result.append(t)
+        return tuple(result)
+
+    def rounded(self, cycle: Cycle, period: float, whole: Float[np.ndarray, " L"]) -> Cycle:
+        """Rounded turns, rates and rests that fit into the `period` (s) and turn every axis by the `whole` (rad)."""
+        step = _ANGLE if self.angle_step is None else 0.0
+        items, net = [], {}
+        for t in cycle:
+            degrees, rate = math.degrees(t.angle), math.degrees(t.rate)
+            degrees = round(degrees / step) * step if step else degrees
+            if t.axis >= 0:
+                most = math.floor(math.degrees(float(self.limits.rates[t.axis])) / _RATE + _SLACK) * _RATE
+                rate = min(math.ceil(rate / _RATE - _SLACK) * _RATE, most)
+                net[t.axis] = net.get(t.axis, 0.0) + degrees
+            rest = max(round(t.rest / _REST) * _REST, self.limits.shortest) if t.rest > 0.0 else 0.0
+            items.append([t.axis, round(degrees, 6), round(rate, 6), round(rest, 6)])
+        for axis, total in net.items() if self.closed else ():
+            last = max(k for k, item in enumerate(items) if item[0] == axis)
+            items[last][1] = round(items[last][1] - total + math.degrees(float(whole[axis])), 6)
+        for item in items:
+            # A turn that shows nothing: another one of its axis takes it along.
+            if item[0] >= 0 and 0.0 < abs(item[1]) < _SHOWS:
+                largest = max((of for of in items if of[0] == item[0]), key=lambda of: abs(of[1]))
+                if largest is not item:
+                    largest[1], item[1] = round(largest[1] + item[1], 6), 0.0
+        items = [item for item in items if item[1] or item[3]]
+
+        # The longest rests share what the controllers' steps of time cost, or leave.
+        turning = (self._made(l, a, w)[1] for l, a, w, _ in items if l >= 0 and a)
+        rests = sorted((item for item in items if item[3]), key=lambda item: -item[3])
+        change = math.floor((period - math.fsum([*turning, *(item[3] for item in items)])) / _REST + _SLACK)
+        for k in range(abs(change)) if rests else ():
+            item = rests[k % len(rests)]
+            item[3] = max(round(item[3] + math.copysign(_REST, change), 6), self.limits.shortest)
+        return tuple(PoseTurn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
+
+    def _made(self, axis: int, degrees: float, rate: float) -> tuple[float, float]:
+        """Peak rate (deg/s) and duration (s) of a turn in whole steps of the controllers' time: steepest, in the
+        nearest number of steps that its limits allow; one near its largest rate, which says most, keeps it."""
+        size, grid, slow = math.radians(abs(degrees)), self.grid, self.limits.slow
+        most = min(float(self.limits.rates[axis]), slow if math.radians(rate) <= slow else math.inf)
+        # θ = A·(duration − ramp), with ramp = steep·A and no flat part at the least.
+        steep = STEEPNESS / float(self.limits.accelerations[axis])
+        peaks = (min(w, math.sqrt(size / steep)) for w in (math.radians(rate), most))
+        planned, quickest = ((size / w + steep * w) / grid for w in peaks)
+        duration = max(round(planned), math.ceil(quickest - _SLACK)) * grid
+        if math.radians(rate) >= _FASTEST * most:
+            duration = math.ceil(planned - _SLACK) * grid
+            return min(rate, math.degrees(min(most, 2.0 * size / duration))), duration
+        peak = 2.0 * size / (duration + math.sqrt(max(duration**2 - 4.0 * steep * size, 0.0)))
+        peak = math.ceil(math.degrees(peak) / _FINE_RATE - _SLACK) * _FINE_RATE
+        return min(peak, math.degrees(most), math.degrees(2.0 * size / duration)), duration
+
+    def moves(self, cycle: Cycle) -> list[dict[str, str]]:
+        """A cycle as a list of moves for a spec."""
+        moves: list[dict[str, str]] = []
+        for t in cycle:
+            if t.axis >= 0 and t.angle:
+                rate, duration = self._made(t.axis, math.degrees(t.angle), math.degrees(t.rate))
+                turn = {"turn": f"{math.degrees(t.angle):.10g} deg", "axis": self.axes[t.axis]}
+                turn |= {"peak_rate": f"{rate:.8g} deg/s", "duration": f"{duration:.8g} s", "shape": SHAPE}
+                moves.append(turn)
+            if t.rest:
+                moves.append({"rest": f"{t.rest:.6g} s"})
+        return moves
+
+
+# Points of a requirement's grid on each side that a search evaluates: of a mean over one side those of the file.
+_SEARCH_GRID = 31
+# Slots for turns that a search inserts, as a share, and multiples of slots, each of which is compiled once.
+_SPARE, _SLOTS = 0.35, 4
+_MOST_TURNS = 80
+# Turns up to this (rad) are tried, or up to the largest one of the file's plan.
+_LARGEST = 6.0 * math.pi
+# Temperatures at which cycles stand for all others of a slope, where bases are no polynomials.
+_SAMPLES = 5
+# ... and where a term depends on the path of temperature.
+_SAMPLES_ON_A_PATH = 12
+# Cycles whose noise is filtered together, from the longest correlation time over the period: the objective then agrees
+# with that of all cycles to a per cent at most.
+_BEFORE, _MEMORY, _LONGEST_WINDOW = 0.5, 1.2, 4
+# Cycles of a table that stands for the whole course at most, and their length in the longest correlation time.
+_STANDING, _OF_MEMORY = 48, 0.5
+# What is left of the time for rounding, s: of a course of the file, and of a free one.
+_LEFT, _LEFT_OF_COURSE = 1e-3, 0.2
+_SLACK = 1e-9
+# Shortest soak that a programme may begin with, s.
+_BRIEF = 1.0
+NO_COURSE = (
+    'design.free = ["programme"] needs a plan with one mounting that does not continue an interrupted run; its '
+    "temperature programme must be ramps whose data are used, after at most one soak whose data are not used"
+)
+
+
+class RepeatedCycle(NamedTuple):
+    """A cycle, how often the first stretch of the plan repeats it, and the coordinates of the chamber's course (empty:
+    that of the file)."""
+
+    turns: Cycle
+    cycles: int
+    course: tuple[float, ...] = ()
+
+
+class CyclePlan:
+    """A spec's plan as the search sees it: the objective of a cycle, its start, and what a cycle's plan leaves."""
+
+    def __init__(self, spec: Spec) -> None:
+        self.exact = exact = ExactObjective(spec)
+        self.spec, self.design, builts = spec, exact.design, exact.builts
+        self.built, notice = builts[0], self.design.notice
+        plain = self.built.model
+        models = [b.model if notice is None else imu_with_hidden(b.spec, b.model) for b in builts]
+        if len({model.size for model in models}) > 1:
+            raise ValueError(
+                "a design.scenario changes the set of parameters: every scenario must have the spec's parameters"
+            )
+        self._executed = executed_motion(self.built)
+        known = [_gram(m.prior_rows()) + _past(b._replace(model=m)) for b, m in zip(builts, models, strict=True)]
+        believed, self._points = np.arange(plain.size), self.built.points
+        aims: list[tuple[Aim, Statistics | Unnoticed]] = []
+        unseen = columns_of_imu(self.built)
+        for r, aim in zip(spec.requirement, exact.aims, strict=False):
+            if aim.counted or aim.limiting:
+                quantity = quantity_of(self.built, r, None if len(r.grid) == 1 else _SEARCH_GRID)
+                aims.append((aim, _statistics_of(quantity, aim.statistic, unseen)))
+        if notice is not None:
+            believed, begins = _believed(plain, models[0])
+            tests = tuple(hidden_test(model, notice, begin) for model, begin in begins)
+            aims.append((exact.aims[-1], Unnoticed(tests, believed)))
+            self._points = max(self._points, tested_maps(spec)[SCALE_FACTOR].temperature_degree + 1)
+        self.turns_free = "cycle" in self.design.free or not self.design.free
+        self._stands = isinstance(spec.plan, MotionPlan) and spec.plan.cycle is None
+        self._schedule = spec.executable_schedule if self._stands else spec.plain_schedule
+        stretches = self._schedule.stretches
+        if self._stands:
+            whole = stretches[0].duration
+            each = max(_OF_MEMORY * _longest_memory(models), whole / _STANDING)
+            count = max(round(whole / each), _STANDING // 4)
+            turns, self.turns_free = (PoseTurn(-1, 0.0, 0.0, whole / count),), False
+            self.start = RepeatedCycle(turns, count)
+        else:
+            turns = _cycle_of(spec)
+            self.start = RepeatedCycle(turns, max(1, stretches[0].cycles))
+        self.closed = max(self.start.cycles, *(s.cycles for s in stretches)) > 1 or len(stretches) > 1
+        self.limits = _limits(spec, self.design, turns)
+        spare = math.ceil(len(turns) * (1.0 + _SPARE) / _SLOTS) * _SLOTS
+        self.slots = max(min(spare, self.design.moves or _MOST_TURNS), len(turns))
+        self.coordinates = CycleCoordinates(self.limits, self.slots)
+        step = self.design.angle_step
+        self.rounding = CycleRounding(
+            self.limits,
+            tuple(axis.name for axis in spec.rig.table.axis),
+            float(steps_of(spec).time),
+            None if step is None else float(step),
+            self.closed,
+        )
+        self._courses: dict[int, CycleCourse] = {}
+        self._window, self._model = self._cycles_together(models), models[0]
+        aims.sort(key=lambda pair: pair[0].limiting)
+        self.objective = CycleObjective(
+            self.coordinates,
+            [geometry(built.spec.rig) for built in builts],
+            models,
+            known,
+            [statistic for aim, statistic in aims if aim.counted],
+            [statistic for aim, statistic in aims if aim.limiting],
+            np.array([aim.limit / aim.per_si for aim, _ in aims]),
+            believed=believed,
+            together=self._joint(exact.cases, models[0]),
+            weights=exact.weights,
+            of_logs=exact.of_logs,
+            window=self._window,
+            points=self._points,
+            waves=waves_of(spec),
+            worst=exact.worst,
+            worst_model=self.design.robust == "worst",
+        )
+        self.free_course = self._free_course()
+        if self.free_course is not None:
+            own = self.free_course.coordinates.vector(*_own_course(self._schedule))
+            self.start = self.start._replace(course=tuple(own.tolist()))
+        elif not self.turns_free:
+            raise ValueError(f"optimise can change no part of this plan: the table is at rest, and {NO_COURSE}")
+        self.value = partial(_value, self.objective, self.slots, self.free_course)
+        self.descent = _descent_of(self.value)
+
+    def _joint(self, cases: Sequence[PlanCase], model: ImuModel) -> Together | None:
+        """What all IMUs of a fixture estimate together; None for one IMU."""
+        if not (groups := estimated_together(cases)):
+            return None
+        # Imported where it is used: estimates import SciPy's larger rooms.
+        from gradcal_jax.estimation import shared_parameters
+
+        shared = shared_parameters(model, clock=self.spec.sensor.takes_host_clock)
+        stds = np.concatenate([np.ones(model.calibrated), *(np.asarray(t.stds) for t in model.installation)])
+        return Together(np.flatnonzero(shared), stds[shared] ** -2.0, tuple(c.imus for c in cases), tuple(groups))
+
+    def free_ramps(self, z: Any, of: CycleStructure) -> Ramp:
+        """The ramps of a free course."""
+        assert self.free_course is not None
+        return self.free_course.ramps(z, of.period)
+
+    @property
+    def motion(self) -> float:
+        """The time of all cycles, s."""
+        return math.fsum(s.duration for s in self._schedule.stretches)
+
+    def _free_course(self) -> FreeCourse | None:
+        """The chamber's courses of the search; None where that of the file is fixed."""
+        spec, schedule, free = self.spec, self._schedule, self.design.free
+        terms = (t for c in self.built.model.channels for t in c.model.terms)
+        loops = any(isinstance(t, Hysteresis | TemperatureDifference) for t in terms)
+        if "programme" not in free and (free or not (loops or self._stands)):
+            return None
+        first, *rest = schedule.segments
+        ramps = rest if first.kind == "soak" and not first.used else schedule.segments
+        fixed = any(s.kind != "ramp" or not s.used for s in ramps) or not ramps or bool(spec.done)
+        if fixed or len(spec.rig.table.mounting) > 1:
+            if "programme" in free:
+                raise ValueError(NO_COURSE)
+            return None
+        soak = first.duration if first.kind == "soak" else _BRIEF
+        time = sum(s.duration for s in ramps) - (0.0 if first.kind == "soak" else _BRIEF)
+        chamber = spec.rig.chamber
+        numbers = (soak, time, time, *chamber.range, chamber.max_heating, chamber.max_cooling)
+        coordinates = ProgrammeCoordinates(
+            *(np.asarray(float(v)) for v in numbers), stretches=legs_of(len(ramps)), soak_used=False
+        )
+        before = course_before(spec)
+        past = np.zeros(0) if before is None else before
+        model, lag = self._model, float(spec.sensor.lag or 0.0)
+        return FreeCourse(coordinates, past, lag, self._window, model.size, tuple(of.lag for of in model.others))
+
+    def starts(self) -> list[RepeatedCycle]:
+        """What a search begins with: the file's plan and, of a free course, others of the chamber."""
+        if self.free_course is None:
+            return [self.start]
+        courses = self.free_course.starts(np.array(self.start.course))
+        return [self.start._replace(course=tuple(course.tolist())) for course in courses]
+
+    def point(self, cycle: RepeatedCycle, of: CycleStructure) -> np.ndarray:
+        """All free numbers of a cycle."""
+        return np.concatenate([self.coordinates.encode(cycle.turns, of).ravel(), np.array(cycle.course)])
+
+    def cycle_at(self, point: np.ndarray, of: CycleStructure, cycles: int) -> RepeatedCycle:
+        """The cycle of such numbers."""
+        count = 3 * self.slots
+        turns = self.coordinates.cycle(point[:count].reshape(3, -1), of)
+        return RepeatedCycle(turns, cycles, tuple(point[count:].tolist()))
+
+    def in_words(self, cycle: RepeatedCycle) -> str:
+        """The structure of a cycle and its course."""
+        words = f"{len(cycle.turns)} turns in each of {cycle.cycles} cycles"
+        if self.free_course is None:
+            return words
+        of = self.free_course.coordinates.programme(np.array(cycle.course))
+        knots = [float(of.start), *of.chamber()[1].tolist()]
+        turning = [b for a, b, c in zip(knots, knots[1:], knots[2:], strict=False) if (b - a) * (c - b) <= 0.0]
+        course = " \u2192 ".join(f"{t:.3g}" for t in (knots[0], *turning, knots[-1]))
+        return f"{'the table is at rest' if self._stands else words}; the chamber goes {course} degC"
+
+    def _cycles_together(self, models: Sequence[ImuModel]) -> int:
+        """How many cycles are filtered together."""
+        stretches = self._schedule.stretches
+        if not self.closed and len(_parts(self._schedule, (1,) * len(stretches), 0.0)) == 1:
+            return 1
+        longest = _longest_memory(models)
+        fit = math.ceil(_BEFORE + _MEMORY * longest * self.start.cycles / stretches[0].duration)
+        return min(max(fit, WINDOW), _LONGEST_WINDOW)
+
+    def course(self, count: int) -> "CycleCourse":
+        """The course of the plan where its first stretch has `count` cycles."""
+        if count not in self._courses:
+            stretches = self._schedule.stretches
+            left = _LEFT if self.free_course is None else _LEFT_OF_COURSE
+            period = min(stretches[0].duration / count, *(s.duration for s in stretches)) - left / count
+            counts = tuple(max(1, int(s.duration / period)) for s in stretches)
+            # They are kept, and so must be no tracers of a program that happens to ask first.
+            with jax.ensure_compile_time_eval():
+                ramps = self._ramps(counts, period) if self.free_course is None else None
+            self._courses[count] = CycleCourse(period, ramps)
+        return self._courses[count]
+
+    def structure(self, cycle: RepeatedCycle, *, turnable: bool = True) -> CycleStructure:
+        """The structure of a cycle."""
+        period = self.course(cycle.cycles).period
+        return structure_of(cycle.turns, self.slots, self.limits, period, closed=self.closed, turnable=turnable)
+
+    def _ramps(self, counts: Sequence[int], period: float) -> Ramp:
+        """All parts of the plan with one slope: see `Ramp`."""
+        model, lag = self._model, self.spec.sensor.lag or 0.0
+        mountings = len(self.spec.rig.table.mounting)
+        polynomials, ramps = model.shifts(np.zeros(1)) is not None, []
+        of_path, lags = model.knows_path, tuple(of.lag for of in model.others)
+        samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
+        past = [] if (before := course_before(self.spec)) is None else before.tolist()
+        if self._executed is not None:
+            begin, end = self._executed.line.ends()
+            past += [*begin[:1].tolist(), *end.tolist()]
+        for part in _parts(self._schedule, counts, period):
+            mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0] - part.slope * lag
+            step, number = part.slope * period, len(part.temperatures)
+            if not polynomials:
+                at = np.linspace(0, number - 1, samples).round().astype(int)
+                every = math.sqrt(number / len(at)) * np.eye(model.size)[None]
+                before = self._window - 1
+                history = np.array([*past, *part.history]) if of_path else np.zeros(0)
+                begun, behind = part.begun_s + period * (at - before), np.zeros(len(lags))
+                # Executed parts before the plan leave no lag in the search; what is reported counts it.
+                for s in self._schedule.segments:
+                    if s.end > part.begun_s + _SLACK:
+                        late = behind_on_leg(behind, lags, np.asarray(s.slope), begun - s.start)
+                        break
+                    behind = behind_on_leg(behind, lags, np.asarray(s.slope), np.array([s.duration]))[0]
+                else:
+                    late = np.tile(behind, (len(at), 1))
+                ramps += [
+                    Ramp(begins + step * (k - before), part.slope, mounting, 0.0, every, elapsed, history, own)
+                    for k, elapsed, own in zip(at, begun, late, strict=True)
+                ]
+                continue
+            # A stretch begins with cycles that nothing precedes; elsewhere a window's first cycles are those before.
+            begun = self._window - 1
+            first = part.first and number >= begun
+            later = part.temperatures[begun if first else 0 :] - part.temperatures[0] - (begun * step if first else 0.0)
+            shifts = model.shifts(later) if len(later) else None
+            matrices = np.zeros((1, model.size, model.size)) if shifts is None else further(shifts)
+            ramps.append(Ramp(begins - (0.0 if first else begun * step), part.slope, mounting, float(first), matrices))
+        if longest := max(len(r.history) for r in ramps):
+            padded = (np.pad(r.history, (longest - len(r.history), 0), mode="edge") for r in ramps)
+            ramps = [r._replace(history=history) for r, history in zip(ramps, padded, strict=True)]
+        most = self._points if polynomials else 1
+        ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
+        return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
+
+    def left_by(self, angle: Any, rate: Any, rest: Any) -> dict[str, Any]:
+        """What the spec's own cycle with other numbers (see `CycleCoordinates.plain`) leaves of every requirement, in
+        the unit of `shown`, of the first scenario."""
+        of, ramps = jax.tree.map(jnp.asarray, self.structure(self.start)), self.course(self.start.cycles).ramps
+        ramps = self.free_ramps(jnp.asarray(self.start.course), of) if ramps is None else ramps
+        units = np.array([1.0 / aim.per_si for aim in self.exact.aims])
+        logs = self.objective.logs(self.coordinates.plain(angle, rate, rest, of), of, ramps, math.inf, units)[0]
+        return {aim.name: jnp.exp(x) for x, aim in zip(logs, self.exact.aims, strict=True)}
+
+    def spec_of(self, cycle: RepeatedCycle) -> Spec:
+        """The spec with a cycle's moves, in numbers that a controller takes."""
+        if self.design.angle_step is not None:
+            cycle = cycle._replace(turns=self.rounding.on_steps(cycle.turns))
+        spec = self.spec
+        if self.free_course is not None:
+            spec = changed(spec, programme_keys(spec, self.free_course.coordinates, np.array(cycle.course)))
+        if self._stands:
+            return spec
+        tables = spec.model_dump(mode="json", exclude_unset=True)
+        period, whole = self.course(cycle.cycles).period, self.structure(cycle).whole
+        tables["plan"]["cycle"]["moves"] = self.rounding.moves(self.rounding.rounded(cycle.turns, period, whole))
+        return spec_of(tables)
+
+
+def _value(objective: CycleObjective, slots: int, course: FreeCourse | None, z: Any, args: tuple[Any, ...]) -> Any:
+    """The objective of the free numbers of a cycle in so many `slots`, and of its course where that is free; `args`:
+    structure, ramps (None: of the free course), sharpness, targets."""
+    of, ramps, sharpness, targets = args
+    if ramps is None:
+        assert course is not None
+        ramps = course.ramps(z[3 * slots :], of.period)
+    return objective.value(jnp.reshape(z[: 3 * slots], (3, slots)), of, ramps, sharpness, targets)
+
+
+def _descent_of(value: "partial[Any]") -> Descent:
+    """Descents of an objective. Those of plans that differ in nothing that the program holds share one, so that another
+    search of a spec, or for other targets, in one process compiles nothing."""
+    objective, *others = value.args
+    try:
+        return _compiled_once(pickle.dumps(partial(_value, objective.without_targets(), *others)))
+    except (AttributeError, TypeError, pickle.PicklingError):
+        # A user's own term may be of a class that cannot be pickled.
+        return Descent(value)
+
+
+@lru_cache(maxsize=8)
+def _compiled_once(value: bytes) -> Descent:
+    return Descent(pickle.loads(value))
+
+
+class CycleCourse(NamedTuple):
+    """The `period` (s) of a number of cycles, and their ramps; None where the course is free."""
+
+    period: float
+    ramps: Ramp | None
+
+
+class _Part(NamedTuple):
+    """Cycles on one slope (K/s): the `temperatures` (°C) at which they begin; whether the stretch begins with them; the
+    time of the first (s), and the chamber's turning points before it (°C)."""
+
+    stretch: int
+    first: bool
+    slope: float
+    temperatures: np.ndarray
+    begun_s: float
+    history: tuple[float, ...]
+
+
+def _parts(schedule: PlanSchedule, counts: Sequence[int], period: float) -> list[_Part]:
+    """The parts of a plan whose cycles differ in temperature alone; a cycle counts where it begins."""
+    parts = []
+    for number, stretch in enumerate(schedule.stretches):
+        times = stretch.start + period * np.arange(counts[number])
+        segments = [
+            s
+            for s in schedule.segments
+            if s.end > stretch.start + _SLACK and s.start < stretch.start + stretch.duration - _SLACK
+        ]
+        ends = np.array([s.end for s in segments])
+        where = np.minimum(np.searchsorted(ends, times + _SLACK, side="right"), len(segments) - 1)
+        for k in np.unique(where):
+            s, own = segments[k], times[where == k]
+            temperatures = s.temperature_start + s.slope * (own - s.start)
+            earlier = [e for e in schedule.segments if e.end <= s.start + _SLACK]
+            history = (schedule.segments[0].temperature_start, *(e.temperature_end for e in earlier))
+            at = float(own[0]), tuple(map(float, history))
+            parts.append(_Part(number, bool(where[0] == k), float(s.slope), temperatures, *at))
+    return parts
+
+
+def _own_course(schedule: PlanSchedule) -> tuple[float, np.ndarray, np.ndarray]:
+    """Where a plan's ramps begin (°C), their durations (s) and slopes (K/s)."""
+    ramps = [s for s in schedule.segments if s.kind == "ramp"]
+    return ramps[0].temperature_start, np.array([s.duration for s in ramps]), np.array([s.slope for s in ramps])
+
+
+def _longest_memory(models: Sequence[ImuModel]) -> float:
+    """The longest correlation time of the noise, s."""
+    decays = (d for m in models for c in m.channels for d in np.asarray(c.model.processes.decay) if d > 0.0)
+    return max((1.0 / d for d in decays), default=0.0)
+
+
+def _cycle_of(spec: Spec) -> Cycle:
+    """The spec's own cycle: a rest belongs to the turn before it, the first one to the last turn."""
+    turns: list[PoseTurn] = []
+    begins = 0.0
+    for s in spec.plain_schedule.steps:
+        for _ in range(s.move.repeat):
+            if s.axis >= 0:
+                turns.append(PoseTurn(s.axis, s.move.angle, s.move.fastest, 0.0))
+            elif turns:
+                turns[-1] = turns[-1]._replace(rest=turns[-1].rest + s.move.duration)
+            else:
+                begins += s.move.duration
+    if begins and turns and max(x.cycles for x in spec.plain_schedule.stretches) > 1:
+        turns[-1] = turns[-1]._replace(rest=turns[-1].rest + begins)
+    elif begins:
+        turns.insert(0, PoseTurn(-1, 0.0, 0.0, begins))
+    return tuple(turns)
+
+
+def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
+    axes, gyro, forces = spec.rig.table.axis, spec.sensor.gyro, spec.sensor.accelerometer
+    usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
+    slow = 0.0 if forces is None else float(forces.read_on_moves_below or 0.0) * (1.0 + _SLACK)
+    step, steepest = steps_of(spec).acceleration, [float(a.max_acceleration) for a in axes]
+    return TableLimits(
+        np.array([min(float(a.max_rate), usable) for a in axes]),
+        np.array([makeable_acceleration(a, None if step is None else float(step), a) for a in steepest]),
+        np.array([a.reach for a in axes], dtype=float),
+        np.array(spec.executable_schedule.start, dtype=float),
+        largest_alike(max(_LARGEST, *(abs(t.angle) for t in start)), waves_of(spec)),
+        float(design.shortest_rest),
+        max(float(design.longest_rest), *(t.rest for t in start)),
+        slow,
+    )
+
+
+def _statistics_of(quantity: RequiredQuantity, of: Statistic, unseen: Mapping[str, np.ndarray]) -> Statistics:
+    """A requirement's statistic for the objective, with the `unseen` errors that no plan shows."""
+    requirement, elements = quantity.requirement, []
+    for e in quantity.elements:
+        rows, alone, added = e.contrasts()
+        alone, added = alone if np.any(alone) else None, added + quantity.beside**2
+        added = added + sum(np.sum((rows @ columns[e.where]) ** 2, axis=1) for columns in unseen.values())
+        elements.append(GridElement(e.where, np.asarray(rows), alone, added, e.path))
+    shape = len(quantity.temperatures), len(quantity.rates)
+    return Statistics(tuple(elements), shape, of, requirement.axis == "all")
+
+
+def _gram(rows: np.ndarray) -> np.ndarray:
+    return rows.T @ rows
+
+
+def _past(built: BuiltImu) -> np.ndarray:
+    """The information of what was executed before; a search takes its drifts as independent of the plan's."""
+    done = executed_motion(built)
+    if done is None:
+        return np.zeros((built.model.size, built.model.size))
+    return _gram(whiten(*imu_system(done, built.model, built._replace(motion=done).body_nodes())))
+
+
+def _believed(plain: ImuModel, hidden: ImuModel) -> tuple[np.ndarray, list[tuple[SensorModel, int]]]:
+    """Where a model's own parameters are in that with hidden maps, and where those of each gyro begin there."""
+    own, gyros, begin = [], [], 0
+    for one, other in zip(plain.channels, hidden.channels, strict=True):
+        own.append(begin + np.arange(one.model.size))
+        gyros += [(other.model, begin)] if one.kind == "gyro" else []
+        begin += other.model.size
+    return np.concatenate([*own, np.arange(begin, hidden.size)]), gyros

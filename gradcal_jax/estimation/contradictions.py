@@ -1,0 +1,481 @@
+"""What a log or an estimate shows by itself to be wrong: rows that no estimate may use, units of temperature, a plan
+that was broken off, requirements beyond the data, channels that no device has, and maps with more structure than the
+model; and the sentences on what counts although no residual shows it."""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from gradcal_jax import estimation
+from gradcal_jax.design.plan_objective import hidden_maps, tested_maps
+from gradcal_jax.estimation import (
+    CoarseFit,
+    Consistency,
+    ImuEstimate,
+    ImuReadings,
+    StructureTest,
+    diagnosis,
+    size_of,
+    structure_test,
+)
+from gradcal_jax.information.prediction import requirement_rows
+from gradcal_jax.information.verdicts import UNIT_OF
+from gradcal_jax.model import AXIS_NAMES, BIAS, KINDS, Channel, ImuModel
+from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.records.signal_faults import without_faults
+from gradcal_jax.spec.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
+from gradcal_jax.spec.requirement import Requirement
+from gradcal_jax.spec.schedule import StandardSchedule
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.contracts import RequirementRow
+
+# K by which a die may be colder or warmer than the chamber's limits, self-heating included.
+_COLDER, _WARMER = 10.0, 35.0
+# K by which a converted temperature may leave the plan's range, and by which the wrong unit leaves it at least.
+_FITS, _LEAVES = 10.0, 12.0
+# Shares of a requirement's range by which the data may fall short of it, and the least of them, K and rad/s.
+_SHORT: Final = 0.04
+_SHORT_K, _SHORT_RATE = 1.5, 1e-3
+# Sizes that no channel has: of a scale-factor error, of a misalignment (rad), of any coefficient in its priors.
+SCALE_FACTOR_ERROR: Final = 0.5
+_MISALIGNED, _PRIORS = 0.3, 50.0
+# Standard deviations of the spec beyond which an error of the table contradicts the spec.
+_CONTRADICTED: Final = 4.0
+# Standard deviations of the spec's misalignments beyond which a rotation of all sensors together is reported.
+_TURNED = 4.0
+# How far from a whole turn the angles of an axis that wrap may end, rad.
+_NEARLY: Final = np.radians(20.0)
+_OTHER_UNITS: Final = (
+    ("°F", lambda t: (t - 32.0) / 1.8),
+    ("K", lambda t: t - 273.15),
+)
+
+
+def refuse_other_units(spec: Spec, temperature: np.ndarray, unit: str) -> None:
+    """Raise `LogError` where a unit's temperatures (°C, finite ones count) leave the plan and fit it in another unit of
+    temperature, or are beyond what the chamber can do."""
+    known = temperature[np.isfinite(temperature)]
+    if not len(known):
+        return
+    schedule: Any = spec.schedule
+    segments = getattr(schedule, "segments", ())
+    ends = [t for s in segments for t in (s.temperature_start, s.temperature_end)] or list(schedule.temperatures)
+    low, high, (cold, warm) = float(known.min()), float(known.max()), (min(ends), max(ends))
+    if low >= cold - _LEAVES and high <= warm + _WARMER:
+        return
+    for name, convert in _OTHER_UNITS:
+        if cold - _FITS <= convert(low) and convert(high) <= warm + _FITS:
+            raise LogError(
+                f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are outside the plan's range, {cold:g} "
+                f"… {warm:g} °C, but inside it if the column is in {name} ({convert(low):.4g} … {convert(high):.4g} "
+                f"°C): is the column in {name}? State its unit in the column map"
+            )
+    coldest, warmest = (float(t) for t in spec.rig.chamber.range)
+    if low < coldest - _COLDER or high > warmest + _WARMER:
+        raise LogError(
+            f"{unit}: the log's temperatures, {low:.4g} … {high:.4g} °C, are outside the chamber's range, "
+            f"{coldest:g} … {warmest:g} °C (rig.chamber.range): does the column map name the wrong unit, or the "
+            "wrong column?"
+        )
+
+
+def beyond_the_data(requirement: Requirement, temperature_c: Sequence[float], rate: Sequence[float]) -> str | None:
+    """A sentence where a requirement asks for temperatures (°C) or rates (rad/s) that the data do not cover."""
+    parts = []
+    low, high = (float(t) for t in requirement.temperature)
+    short = max(_SHORT_K, _SHORT * (high - low))
+    if low < temperature_c[0] - short or high > temperature_c[1] + short:
+        parts.append(f"{low:g} … {high:g} °C, but the data cover {temperature_c[0]:.4g} … {temperature_c[1]:.4g} °C")
+    asked = getattr(requirement, "rate", None)
+    if isinstance(asked, tuple):
+        slow, fast = (float(w) for w in asked)
+        short = max(_SHORT_RATE, _SHORT * (fast - slow))
+        if slow < rate[0] - short or fast > rate[1] + short:
+            ends = (f"{np.degrees(w):.4g}" for w in (slow, fast, *rate))
+            parts.append("{} … {} deg/s, but the data cover {} … {} deg/s".format(*ends))
+    if not parts:
+        return None
+    return (
+        f"requirement '{requirement.name}' asks for {'; '.join(parts)}: there is no verdict outside the range of "
+        "the data; narrow the requirement, or record the missing range"
+    )
+
+
+def omitted_sentences(spec: Spec, temperature: np.ndarray, lag_is_fitted: bool = False) -> list[str]:
+    """What the spec omits and counts in an estimate, in sentences; `temperature`: the record's (°C)."""
+    # How far the dies follow the chamber does not matter to a log, which has their temperature.
+    absent = [term for term in absent_terms(spec) if not term.key.endswith("thermal_lag")]
+    lagging = not lag_is_fitted and (any("temperature_lag" in t.key for t in absent) or spec.sensor.temperature_lag)
+    sentences: list[str] = []
+    if absent:
+        sentences.append(
+            "not in the spec, so typical figures of the class are used: "
+            + ", ".join(f"{term.key} {term.typical}" for term in absent)
+            + "; enter your own figures, or 0 for an error that does not exist"
+        )
+    if any(term.key == EARTH for term in absent):
+        sentences.append(EARTH_IS_UNKNOWN)
+    if lagging and _goes_one_way(temperature):
+        sentences.append(
+            "the temperature changes in one direction only, which hardly shows the lag of the dies behind the measured "
+            "temperature: the estimate assumes zero lag (or the lag stated with --lag), and the uncertainty includes "
+            "the possible lag"
+        )
+    return sentences
+
+
+def _goes_one_way(temperature: np.ndarray) -> bool:
+    """Whether a record (°C), which has noise, changes by more than 5 K and never returns by a fifth of its range."""
+    fall = float(np.max(np.maximum.accumulate(temperature) - temperature))
+    rise = float(np.max(temperature - np.minimum.accumulate(temperature)))
+    return max(fall, rise) > 5.0 and min(fall, rise) < 0.2 * float(np.ptp(temperature))
+
+
+def diagnosis_sentences(residual: np.ndarray, time_s: np.ndarray, moved: np.ndarray) -> list[str]:
+    """What residuals that contradict the model look like, in sentences; arguments as of `estimation.diagnosis`."""
+    seen, sentences = diagnosis(residual, time_s, moved), list[str]()
+    if len(seen.events):
+        when = ", ".join(f"{a:.5g} s" if b - a < 1.0 else f"{a:.5g} … {b:.5g} s" for a, b in seen.events[:3])
+        sentences.append(
+            f"{seen.readings} of {len(residual)} readings do not agree with the others, at {when}"
+            + (" and at other times" if len(seen.events) > 3 else "")
+            + ": did the encoder slip, did the bias jump, or was the IMU bumped? --robust gives such readings less "
+            "weight"
+        )
+    if seen.motion_tells:
+        sentences.append(
+            f"the residuals after moves are {seen.moving:.3g} times the noise of the spec, and the residuals at rest "
+            f"{seen.resting:.3g} times: is there vibration during moves, wobble of the table, an error of the table's "
+            "angle or timing, or a changing scale factor?"
+        )
+    return sentences
+
+
+def refuse_implausible(where: str, names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> None:
+    """Raise `LogError` for a channel whose coefficients no device has: names as reported (`b00`, `m_y`, `s`), values
+    and the standard deviations of their priors in SI, infinite where flat."""
+    by_name = dict(zip(names, map(float, values), strict=True))
+    scale = next((by_name[n] for n in ("b00", "b_bin0_0", "s", "s0") if n in by_name), 0.0)
+    across = {n[2:3]: v for n, v in by_name.items() if n.startswith("m_")}
+    if sentence := _no_device(1.0 + scale, across):
+        raise LogError(f"{where}: {sentence}")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.where(priors > 0.0, np.abs(values) / priors, 0.0)
+    worst = int(np.argmax(ratios)) if len(ratios) else 0
+    if len(ratios) and ratios[worst] > _PRIORS:
+        raise LogError(
+            f"{where}: {names[worst]} is {ratios[worst]:.3g} times its prior standard deviation in the spec: does "
+            "the column have another unit, or is the prior too small?"
+        )
+
+
+def beyond_the_spec(model: ImuModel, values: np.ndarray, priors: np.ndarray) -> dict[str, str]:
+    """By its name a sentence on each error of the table that is beyond what the spec says of it; `values` and `priors`
+    of all reported parameters, as of `refuse_implausible`.
+
+    A fault that the model lacks, such as backlash, appears as an error that the model has.
+    """
+    names = model.names()
+    return {
+        f"the table's {names[k]}": (
+            f"the table's {names[k].replace('_', ' ')} is {values[k] / priors[k]:+.1f} times its standard deviation in "
+            "the spec: is the spec of the table correct?"
+        )
+        for k in range(model.calibrated, model.size)
+        if abs(values[k]) > _CONTRADICTED * priors[k]
+    }
+
+
+def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> Iterator[str]:
+    """A sentence for each axis about which all sensors are turned by far more than the spec's misalignments: names as
+    in `gyro_x.m_y`, values and priors as of `refuse_implausible`."""
+    known = {name: (float(v), float(p)) for name, v, p in zip(names, values, priors, strict=True) if 0.0 < p < np.inf}
+    for k, axis in enumerate(AXIS_NAMES):
+        a, b = AXIS_NAMES[(k + 1) % 3], AXIS_NAMES[(k + 2) % 3]
+        # A sensor along a that is turned about the axis leans towards b, and one along b away from a.
+        both = [(f"{kind}_{one}.m_{other}", sign) for kind in KINDS for one, other, sign in ((a, b, 1.0), (b, a, -1.0))]
+        found = [(sign, known.get(name) or known.get(f"{name}0")) for name, sign in both]
+        sizes = np.array([sign * of[0] for sign, of in found if of])
+        if len(sizes) < 2:
+            continue
+        mean, prior = float(np.mean(sizes)), float(np.mean([of[1] for _, of in found if of]))
+        alike = np.max(np.abs(sizes - mean)) < abs(mean) / 3.0
+        if alike and abs(mean) > _TURNED * prior / np.sqrt(len(sizes)):
+            yield (
+                f"all sensors are turned by {np.degrees(mean):.3g} deg about {axis} from their orientation in the "
+                f"spec, but the spec's misalignments (1σ) about this axis are {np.degrees(prior):.2g} deg: are the "
+                "mounting and the zeros of the table's angles as in the spec?"
+            )
+
+
+def wrapped_sentence(angles: np.ndarray) -> str:
+    """What follows an error if an axis of the table (`angles` `(n, L)`, rad, NaN where not read) shows nearly all
+    angles of one turn and none beyond it; else empty."""
+    known = np.isfinite(angles)
+    span = np.max(angles, axis=0, initial=-np.inf, where=known) - np.min(angles, axis=0, initial=np.inf, where=known)
+    if not np.any(np.abs(span - 2.0 * np.pi) < _NEARLY):
+        return ""
+    return "; the table's angles stay within one turn: if they wrap at 360 deg, log angles that count whole turns"
+
+
+def refuse_misaligned(name: str, fits: Mapping[str, CoarseFit], channels: Sequence[Channel]) -> None:
+    """Raise `LogError` where the coarse comparison with the table shows a wrong sign, axis or unit of a channel."""
+    wrong: list[tuple[str, str]] = []
+    for c in channels:
+        fit = fits[c.kind]
+        if fit.seen[c.axis]:
+            row = fit.matrix[c.axis]
+            across = {AXIS_NAMES[j]: float(row[j]) for j in range(3) if j != c.axis and fit.seen[j]}
+            if sentence := _no_device(float(row[c.axis]), across):
+                wrong.append((f"{c.name.replace('_', ' ')}", sentence))
+    if not wrong:
+        return
+    both = [fit.matrix for fit in fits.values() if fit.seen.all()]
+    turned = len(both) == 2 and all(_is_rotation(m) for m in both) and np.max(np.abs(both[0] - both[1])) < _MISALIGNED
+    if turned:
+        raise LogError(
+            f"{name}, {', '.join(channel for channel, _ in wrong)}: gyros and accelerometers agree that the body "
+            "is rotated from the spec's mounting by about a quarter turn: is [rig.table.mounting] the mounting "
+            "of this log?"
+        )
+    raise LogError(f"{name}, " + "; ".join(f"{channel}: {sentence}" for channel, sentence in wrong[:3]))
+
+
+def _is_rotation(matrix: np.ndarray) -> bool:
+    return bool(np.max(np.abs(matrix @ matrix.T - np.eye(3))) < _MISALIGNED and np.linalg.det(matrix) > 0.0)
+
+
+def _no_device(own: float, across: Mapping[str, float]) -> str:
+    """Why a channel cannot show `own` times what is along its axis, and so much of the others; empty if it can."""
+    large = [axis for axis, value in across.items() if abs(value) > _MISALIGNED * max(1.0, abs(own))]
+    if abs(own - 1.0) <= SCALE_FACTOR_ERROR and not large:
+        return ""
+    shown = f"the output is {own:.3g} times the input along its axis"
+    if large:
+        parts = ", ".join(f"{across[axis]:.3g} times the input along {axis}" for axis in large)
+        return (
+            f"{shown}, and {parts}: are the axes of the IMU or of the table swapped, or is the body rotated by a "
+            "quarter turn from the spec's mounting?"
+        )
+    if abs(own + 1.0) < SCALE_FACTOR_ERROR:
+        return f"{shown}: its sign is opposite to the table's; change the sign of the column, or the mounting"
+    for ratio, words in (
+        (1.0 / 9.80665, "is the column in g instead of m/s^2?"),
+        (9.80665, "is the column in m/s^2 instead of g?"),
+        (180.0 / np.pi, "is the column in deg/s instead of rad/s?"),
+        (np.pi / 180.0, "is the column in rad/s instead of deg/s, or are the table's angles in degrees?"),
+    ):
+        if abs(abs(own) / ratio - 1.0) < 0.1:
+            return f"{shown}: {words}"
+    return f"{shown}: does the column have another axis, unit or sign?"
+
+
+# An angle within a standstill is no chance at this many standard deviations, and matters at this many of a reading.
+_NO_CHANCE, _MATTERS = 6.0, 2.0
+# Angle (rad) that no readings without a stated noise need to be better than.
+_UNCERTAIN: Final = 1e-5
+
+
+class RecordFaults(NamedTuple):
+    """Of one unit: sentences on rows that are left out, and by name those on what makes the calibration not valid."""
+
+    left_out: tuple[str, ...] = ()
+    not_valid: Mapping[str, str] = MappingProxyType({})
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """All of them."""
+        return *self.left_out, *self.not_valid.values()
+
+    @property
+    def also(self) -> str:
+        """The sentences behind that of an error."""
+        return "".join(f"; {sentence}" for sentence in self.sentences)
+
+
+def without_bad_rows(
+    spec: Spec, logs: Sequence[Log], channels: Collection[str]
+) -> tuple[list[Log], Mapping[str, RecordFaults]]:
+    """The logs with such rows masked, and by unit what was found in any of them; `channels`: those that are estimated,
+    such as "gyro x"."""
+    cleaned, left_out, wrong = list[Log](), dict[str, list[str]](), dict[str, dict[str, str]]()
+    for log in logs:
+        clean, found = without_faults(log, channels)
+        for name, faults in found.items():
+            if not clean.usable(name).any():
+                raise LogError(f"{name}: no usable row is left: {'; '.join(faults.sentences)}")
+        cleaned.append(clean)
+        for name, faults in found.items():
+            left_out.setdefault(name, []).extend(faults.sentences)
+            wrong.setdefault(name, {}).update(faults.coarse | _wrong_motion(spec, clean, name, channels))
+    return cleaned, {name: RecordFaults(tuple(left_out[name]), wrong[name]) for name in left_out}
+
+
+def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) -> dict[str, str]:
+    """What the rates of a unit show at the ends of standstills and within moves, by a name for each."""
+    if log.standstill is None:
+        return {}
+    angles = [axis.angle for axis in spec.rig.table.axis]
+    known = min(float(np.hypot(float(a.reading_noise), float(a.standstill_offset))) for a in angles)
+    found = dict[str, str]()
+    for k, label in enumerate(log.axes):
+        if f"gyro {label}" not in channels:
+            continue
+        rate, usable = log.rate_rad_per_s[log.unit_index(name), :, k], log.usable(name)
+        count, angle = estimation.lost_in_moves(log.time_s, rate, log.standstill >= 0, usable, log.stretch_starts)
+        if angle > max(_MATTERS * known, _UNCERTAIN):
+            found[f"samples of gyro {label} lost in moves"] = (
+                f"gyro {label}: samples are lost or repeated {count} times during moves. The angle of a move is "
+                f"therefore uncertain by {np.degrees(angle):.2g} deg on average: record every sample, or mark the rows "
+                "after lost samples as the start of a stretch"
+            )
+        seen = estimation.settling(log.time_s, rate, log.standstill >= 0, usable)
+        if seen is None:
+            continue
+        for angle, std, end, words in (
+            (seen.after, seen.after_std, "beginnings", "after the table is marked as at rest"),
+            (seen.before, seen.before_std, "ends", "before the table is marked as moving"),
+        ):
+            if abs(angle) > max(_NO_CHANCE * std, _MATTERS * known):
+                found[f"gyro {label} at the {end} of standstills"] = (
+                    f"gyro {label} measures a turn of {np.degrees(abs(angle)):.2g} deg {words}, averaged over all "
+                    "standstills: the samples are delayed or filtered, or standstills are marked while the table still "
+                    "moves"
+                )
+    return found
+
+
+# A log that is shorter than its plan by less than this, s and as a share, is whole: runs end with their last reading.
+_MISSING_S, _MISSING = 2.0, 0.01
+
+
+def lacks_of(spec: Spec, logs: Sequence[Log]) -> str | None:
+    """A sentence on the part of a spec's plan that its logs lack, beside the prediction of the rest; None: they hold it
+    all, or the plan is one of points, of which each that is missing is named."""
+    schedule = spec.schedule
+    if isinstance(schedule, StandardSchedule) or spec.done:
+        return None
+    planned = sum(stretch.duration for stretch in schedule.stretches)
+    recorded = sum(_recorded_s(log) for log in logs)
+    if recorded > planned - max(_MISSING_S, _MISSING * planned):
+        return None
+    left, until = recorded, 0.0
+    for stretch in schedule.stretches:
+        until = stretch.start + min(left, stretch.duration)
+        left -= stretch.duration
+        if left <= 0.0:
+            break
+    text = f"the log ends at {recorded:.4g} s of the plan's {planned:.4g} s ({recorded / planned:.0%})"
+    whole, part = requirement_rows(spec), requirement_rows(spec, until)
+    said = [_beside(one, other) for one, other in zip(part, whole, strict=True)]
+    return f"{text}; predicted for the executed part, from the terms in the spec: {'; '.join(said)}" if said else text
+
+
+def _recorded_s(log: Log) -> float:
+    """Time of all unbroken stretches."""
+    steps = np.diff(log.time_s, prepend=log.time_s[:1])
+    steps[log.stretch_starts] = 0.0
+    return float(steps.sum())
+
+
+def _beside(part: RequirementRow, whole: RequirementRow) -> str:
+    seen = ("not observable" if v is None else f"{v:.4g} {part.unit}" for v in (part.decisive, whole.decisive))
+    return "{}: {} (for the whole plan: {})".format(part.name, *seen)
+
+
+class MeasuredDiscrepancy(NamedTuple):
+    """The discrepancy of one map and axis, from `units` units together: standard deviation (`unit`) of the coefficients
+    beyond the structure, with its 95 % interval (`high` None: unbounded). `block`: its table in a spec."""
+
+    quantity: str
+    axis: str
+    units: int
+    unit: str
+    standard_deviation: float
+    low: float
+    high: float | None
+    block: str
+
+
+def structure_tests(spec: Spec, readings: ImuReadings, solution: ImuEstimate) -> Iterator[tuple[str, StructureTest]]:
+    """The test of each polynomial map of each gyro of an estimate, with the name of its channel."""
+    model, columns_of = readings.model, readings.whitened_terms()
+    for number, channel in enumerate(model.channels):
+        if channel.kind != "gyro":
+            continue
+        for term, level in hidden_maps(spec, channel.model):
+            white = solution.white.without(model.where("gyro", channel.axis, term.name))
+            # A discrepancy that the spec states is no contradiction of it, up to its size.
+            stated = 0.0 if channel.model.term(term.name) is None else float(term.std)
+            test = structure_test(white, columns_of(number, term), term, level, stated)
+            if test is not None:
+                yield channel.name, test
+
+
+def structure_in_words(test: StructureTest) -> str:
+    """A sentence on the degrees of a map that the data need."""
+    assert test.asked is not None
+    of_temperature, of_rate = test.asked
+    degree = f"degree {of_temperature} in temperature" + (f" and {of_rate} in rate" if test.quantity != BIAS else "")
+    return (
+        f"the log shows structure of the {test.quantity.replace('_', ' ')} that the model lacks (p-value "
+        f"{test.test.probability:.1g}): a polynomial of {degree} fits significantly better"
+    )
+
+
+def discrepancies(spec: Spec, tests: Iterable[tuple[str, StructureTest]]) -> Iterator[MeasuredDiscrepancy]:
+    """The discrepancy of each map and channel, from all units together; `tests` with the names of their channels."""
+    of_map: dict[tuple[str, str], list[StructureTest]] = {}
+    for channel, test in tests:
+        of_map.setdefault((channel, test.quantity), []).append(test)
+    for (channel, quantity), own in of_map.items():
+        size = size_of([test.components for test in own])
+        if size is None:
+            continue
+        of = tested_maps(spec)[quantity]
+        unit, factor = UNIT_OF[quantity]
+        high = None if size.high is None else size.high * factor
+        degrees = f"temperature_degree = {of.temperature_degree}"
+        degrees += "" if quantity == BIAS else f", rate_degree = {of.rate_degree}"
+        std = f'standard_deviation = "{size.std * factor:.3g} {unit}"'
+        block = f"[sensor.gyro.{quantity}]\ndiscrepancy = {{ {std}, {degrees} }}"
+        stated = (size.std * factor, size.low * factor, high)
+        yield MeasuredDiscrepancy(quantity, channel[-1], len(own), unit, *stated, block if size.std else "")
+
+
+def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str]) -> list[str]:
+    """A sentence on the readings with the smallest robust weights; `names`: the channel of each reading."""
+    low = np.argsort(weights)[: np.count_nonzero(weights < 1.0)]
+    if not len(low):
+        return []
+    named = ", ".join(f"{names[k]} at {time_s[k]:.6g} s" for k in low[:5])
+    return [f"{len(low)} of {len(weights)} readings have less than full weight; the smallest weights: {named}"]
+
+
+def excess_of(tests: Consistency) -> float:
+    """The factor by which residuals exceed the spec's noise where the χ² test fails; otherwise 1."""
+    return max(1.0, tests.noise_scale) if not tests.fit.passed and tests.fit.degrees > 0 else 1.0
+
+
+def not_valid(contradicted: Sequence[str]) -> list[str]:
+    """A sentence on tests that fail, where any does."""
+    if not contradicted:
+        return []
+    return [f"not valid: {'; '.join(contradicted)}: the data contradict the model, and no stated uncertainty is valid"]
+
+
+def noise_sentences(tests: Consistency, larger: bool) -> list[str]:
+    """A sentence if the residuals are `larger`, or far smaller, than the noise of the spec."""
+    if larger:
+        return [
+            f"the residuals are {tests.noise_scale:.3g} times the noise of the spec: the model is incomplete, or "
+            "the noise figures are too small; requirements are judged with the larger noise"
+        ]
+    if tests.fit.probability <= 1.0 - 1e-3:
+        return []
+    return [
+        f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: the spec's noise figures are "
+        "larger than the noise of this sensor"
+    ]

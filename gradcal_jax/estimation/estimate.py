@@ -1,0 +1,608 @@
+"""The estimate of sensors from a log and a spec: parameters of sensor and table, tests, verdicts, a calibration.
+
+The spec describes the noise, the table and the terms; the executed motion is read from the log.
+"""
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from types import MappingProxyType
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from gradcal_jax import estimation
+from gradcal_jax.calibration import Calibration
+from gradcal_jax.calibration.correction import correct_triads
+from gradcal_jax.estimation import (
+    Consistency,
+    ExecutedImu,
+    Group,
+    ImuEstimate,
+    ImuReadings,
+    Smoothness,
+    StructureTest,
+    Test,
+)
+from gradcal_jax.estimation.contradictions import (
+    MeasuredDiscrepancy,
+    RecordFaults,
+    beyond_the_data,
+    beyond_the_spec,
+    counting_less,
+    diagnosis_sentences,
+    discrepancies,
+    excess_of,
+    lacks_of,
+    noise_sentences,
+    not_valid,
+    omitted_sentences,
+    refuse_other_units,
+    structure_in_words,
+    structure_tests,
+    turned_together,
+    without_bad_rows,
+)
+from gradcal_jax.estimation.figure_tests import angle_columns, backlash_sentences, figure_tests
+from gradcal_jax.estimation.fit_of_log import (
+    FittedRows,
+    Recorded,
+    calibration_of,
+    fit_of,
+    points_of,
+    tests_by_name,
+    together,
+)
+from gradcal_jax.estimation.lag_of_maps import Lag
+from gradcal_jax.estimation.log_rows import Options, count_rows, imu_rows, with_earth, with_options
+from gradcal_jax.estimation.path_dependence import (
+    HEATING_AGAINST_COOLING,
+    BiasCurve,
+    PathDependence,
+    bias_curves,
+    path_dependence,
+)
+from gradcal_jax.information import segments_of
+from gradcal_jax.information.error_budget import (
+    EstimatedRun,
+    budget_of_estimate,
+    omitted_noise_of_imu,
+    ramp_of_record,
+    unseen_errors,
+)
+from gradcal_jax.information.imu_residual import internal_misalignments
+from gradcal_jax.information.plan_sentences import one_way_sentences, prior_deviations
+from gradcal_jax.information.prediction import requirement_row
+from gradcal_jax.information.verdicts import coefficient_rows, finite, judged_by_data
+from gradcal_jax.model import AXIS_NAMES, KINDS
+from gradcal_jax.model.imu_build import BuiltImu, build_imu
+from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.spec.absent import attitude_sentences, branch_sentences
+from gradcal_jax.spec.changes import along_axis
+from gradcal_jax.spec.moves import Axis
+from gradcal_jax.spec.places import places_of, specs_at_places
+from gradcal_jax.spec.plan import StandardPlan
+from gradcal_jax.spec.spec import expect_spec
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.contracts import RequirementRow, narrow_table
+from gradcal_jax.tables.display import html, summary
+from gradcal_jax.units import DEG_PER_S, PPM
+
+# Steps to which the ranges of a calibration are rounded, outwards.
+_TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
+# Change of temperature from the begin to the end of a record, as a share of its range, beyond which it goes one way.
+_ONE_WAY = 0.8
+# Fewer moves are not divided into odd and even ones.
+_FEWEST_MOVES = 4
+# Standard deviations by which two parts of the data differ by chance once in a thousand.
+_APART = 3.3
+
+
+class InternalMisalignment(NamedTuple):
+    """A misalignment that no rotation of the unit changes, rad: between two axes, or between the triads."""
+
+    name: str
+    value: float
+    std: float
+
+
+class SensorEstimate(NamedTuple):
+    """The estimate of one sensor, in SI except `requirements`. `channels`: tests of χ² and whiteness of each channel's
+    rows; `gravity`: rms of |f| − g over the rests, m/s², before the calibration and after it."""
+
+    unit: str
+    built: BuiltImu
+    executed: ExecutedImu
+    solution: ImuEstimate
+    calibration: Calibration
+    requirements: tuple[RequirementRow, ...]
+    consistency: Consistency
+    channels: dict[str, tuple[Test, Test]]
+    internal: tuple[InternalMisalignment, ...]
+    gravity: tuple[float, float] | None
+    messages: tuple[str, ...]
+    lag: Lag = Lag(0.0)
+    """Lag of the maps behind the measured temperature."""
+    path: PathDependence | None = None
+    """If heating and cooling disagree: their difference, and the terms that explain it."""
+    smoothness: Smoothness | None = None
+    """If `smoothness="auto"` was requested: the smoothness at which the data are most probable."""
+    neighbours: Mapping[str, tuple[Group, ...]] = MappingProxyType({})
+    """For each gyro: mean scale factors without a map, if they were requested."""
+    counts: Mapping[str, int] = MappingProxyType({})
+    """Numbers of rows used and left out, by reason; they add up to the rows read."""
+    structure: tuple[tuple[str, StructureTest], ...] = ()
+    """For each gyro (by name): a test of every polynomial map for more structure."""
+    curves: tuple[BiasCurve, ...] = ()
+    """The bias of every channel over the path of the temperature."""
+
+    __repr__ = summary
+
+    def _shown(self) -> list[str]:
+        rows, one = self.requirements, self.calibration
+        return [
+            f"Estimate of {self.unit}" + (", SIMULATED" if one.simulated else ""),
+            one.valid_range,
+            *([f"contradicted: {', '.join(one.contradicted)}"] if one.contradicted else []),
+            *([f"not observable: {', '.join(one.unobservable)}"] if one.unobservable else []),
+            *(f"note: {message}" for message in self.messages[:2]),
+            narrow_table(rows),
+        ]
+
+    @property
+    def as_wished(self) -> bool:
+        """Whether every target is met, every parameter observable and every test passed."""
+        met = all(row.verdict in (None, "met") for row in self.requirements)
+        return met and not self.calibration.unobservable and not self.calibration.contradicted
+
+
+class EstimateReport(NamedTuple):
+    """The estimates of the `sensors` of a log, and the `discrepancies` of their maps, of all sensors together."""
+
+    sensors: tuple[SensorEstimate, ...]
+    discrepancies: tuple[MeasuredDiscrepancy, ...] = ()
+    joined: tuple[Calibration, ...] = ()
+    """If the channels of a sensor were estimated separately: the calibrations of all its channels."""
+
+    __repr__ = summary
+    _repr_html_ = html
+
+    def _shown(self) -> list[str]:
+        return [line for one in self.sensors for line in one._shown()]
+
+    @property
+    def calibrations(self) -> tuple[Calibration, ...]:
+        """The calibration of every sensor, in SI."""
+        return self.joined or tuple(one.calibration for one in self.sensors)
+
+    @property
+    def messages(self) -> dict[str, tuple[str, ...]]:
+        """By sensor: sentences to read before its calibration is used."""
+        return self._by_sensor(lambda one: one.messages)
+
+    @property
+    def verdicts(self) -> dict[str, tuple[RequirementRow, ...]]:
+        """The requirements by sensor."""
+        return self._by_sensor(lambda one: one.requirements)
+
+    def _by_sensor(self, of: Callable[[SensorEstimate], tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
+        names = dict.fromkeys(one.unit for one in self.sensors)
+        return {name: tuple(row for one in self.sensors if one.unit == name for row in of(one)) for name in names}
+
+    @property
+    def as_wished(self) -> bool:
+        """Whether every target is met, every parameter observable and every test passed."""
+        return all(one.as_wished for one in self.sensors)
+
+
+def estimate_log(
+    spec: Spec,
+    logs: Sequence[Log],
+    *,
+    axis: str | None = None,
+    units: Sequence[str] = (),
+    options: Options | None = None,
+    sources: dict[str, str] | None = None,
+) -> EstimateReport:
+    """As `estimate`, of logs of every mounting, with `options` in one object; `sources`: names of files, for the
+    provenance."""
+    of = of_log(expect_spec(spec), logs[0], axis)
+    sensors = tuple(estimate_sensors(of, logs, units=units, options=options, sources=sources))
+    return EstimateReport(sensors, tuple(discrepancies(of, (test for one in sensors for test in one.structure))))
+
+
+def of_log(spec: Spec, log: Log, axis: str | None = None) -> Spec:
+    """The spec of one gyro along a table's only axis, of the `axis` of the body that was recorded, if it is another: it
+    is named, or the log has no other. Errors: `LogError` and `ValueError`."""
+    if axis is not None:
+        if log.axes[log.axis_index(axis)] not in AXIS_NAMES:
+            raise LogError(f"gyro axes are x, y and z, not '{axis}': rename it in the column map")
+        return along_axis(spec, cast("Axis", axis))
+    gyro = spec.sensor.gyro
+    alone = gyro is not None and len(gyro.axes) == 1 and spec.is_one_axis and len(log.axes) == 1
+    return along_axis(spec, cast("Axis", log.axes[0])) if alone and log.axes[0] in AXIS_NAMES else spec
+
+
+class _Prepared(NamedTuple):
+    """Logs without bad rows, ready for the fits of the sensors `names`."""
+
+    built: BuiltImu
+    logs: Sequence[Log]
+    names: Sequence[str]
+    options: Options
+    said: Sequence[str]
+    lacks: str | None
+    faults: Mapping[str, RecordFaults]
+    noise: dict[str, np.ndarray]
+
+    def fits(self) -> dict[str, FittedRows]:
+        """The fit of every sensor by itself."""
+        found: dict[str, FittedRows] = {}
+        for name in self.names:
+            with self.naming(name):
+                recorded = Recorded(*imu_rows(self.built, self.logs, name, self.options))
+                found[name] = fit_of(self.built, name, recorded, self.options)
+        return found
+
+    def report(self, name: str, fitted: FittedRows, sources: dict[str, str]) -> SensorEstimate:
+        """The estimate of a sensor from its fit."""
+        with self.naming(name):
+            report = report_of(fitted, self.logs, name, self.options, sources, self.noise, self.faults[name])
+        lacks = self.lacks
+        if lacks is not None:
+            report = report._replace(calibration=report.calibration.model_copy(update={"lacks": lacks}))
+        messages = *([lacks] if lacks else []), *self.said, *self.faults[name].sentences, *report.messages
+        return report._replace(messages=messages)
+
+    @contextmanager
+    def naming(self, name: str) -> Iterator[None]:
+        """Context whose `LogError`s say what else is wrong with the log of a sensor."""
+        try:
+            yield
+        except LogError as error:
+            raise LogError(f"{error}{self.faults[name].also}") from None
+
+
+def estimate_sensors(
+    spec: Spec,
+    logs: Sequence[Log],
+    *,
+    units: Sequence[str] = (),
+    options: Options | None = None,
+    sources: dict[str, str] | None = None,
+) -> list[SensorEstimate]:
+    """The estimate of every sensor in `units` (default: all) of a log; with several mountings, one log for each. IMUs
+    at the places of a fixture, in one log or in one each, are estimated together."""
+    options = options or Options()
+    if not spec.rig.table.place:
+        ready = _prepared(spec, logs, units, options)
+        return [ready.report(name, fitted, sources or {}) for name, fitted in ready.fits().items()]
+    names = dict.fromkeys(name for log in logs for name in log.units)
+    if unknown := [name for name in units if name not in names]:
+        raise LogError(f"no IMU has the name {unknown[0]}: the logs have {', '.join(names)}")
+    where, at = places_of(spec, list(names)), specs_at_places(spec)
+    each = {
+        name: _prepared(at[where[name]], [log for log in logs if name in log.units], [name], options)
+        for name in units or names
+    }
+    fits = {name: fitted for ready in each.values() for name, fitted in ready.fits().items()}
+    fits = together(spec, fits) if len(fits) > 1 else fits
+    return [each[name].report(name, fitted, sources or {}) for name, fitted in fits.items()]
+
+
+def _prepared(spec: Spec, logs: Sequence[Log], units: Sequence[str], options: Options) -> _Prepared:
+    mountings = len(spec.rig.table.mounting)
+    if len(logs) != mountings and (len(logs) > 1 or logs[0].mounting is None):
+        raise LogError(
+            f"the spec has {mountings} mounting(s), one after the other, and there are {len(logs)} log(s): give "
+            "one log for each mounting, in the order of the spec"
+        )
+    names = list(units) or [name for name in logs[0].units if all(name in log.units for log in logs)]
+    if not names:
+        raise LogError("no IMU is in all of the logs")
+    lacks = lacks_of(spec, logs)
+    if options.earth_rate is not None:
+        spec = with_earth(spec, options.earth_rate)
+    spec, options, said = with_options(spec, logs, options)
+    for log, name in itertools.product(logs, names):
+        if log.temperature_c is not None:
+            refuse_other_units(spec, log.temperature_c[log.unit_index(name)], name)
+    built = build_imu(spec)
+    logs, faults = without_bad_rows(spec, logs, [c.name.replace("_", " ") for c in built.model.channels])
+    return _Prepared(built, logs, names, options, said, lacks, faults, omitted_noise_of_imu(built))
+
+
+def report_of(
+    fitted: FittedRows,
+    logs: Sequence[Log],
+    name: str,
+    options: Options,
+    sources: dict[str, str],
+    noise: dict[str, np.ndarray],
+    shown: RecordFaults,
+) -> SensorEstimate:
+    """The estimate of one sensor from the fit of its rows."""
+    built, (rows, messages, points), temperature, fit, smoothness, lag, _ = fitted
+    stable, model = isinstance(built.spec.plan, StandardPlan), built.model
+    done, readings, solution, rates = fit
+    if stable and points is None:
+        messages = *messages, *points_of(built, rows).sentences
+    at = segments_of(done.motion, model)
+    half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
+    of_segment = rows.time_s[done.rows[at.first + 1]]
+    began = temperature[done.rows[at.first]]
+    heating = temperature[done.rows[at.last + 1]] > began
+    used = solution.used
+    subsets = {
+        HEATING_AGAINST_COOLING: heating[at.row_segment][used],
+        "first against second half": (of_segment < half)[at.row_segment][used],
+    }
+    turned = np.concatenate([[0], np.cumsum(done.motion.axis >= 0)])
+    moved = (turned[at.last + 1] > turned[at.first])[at.row_segment][used]
+    moves = np.cumsum(np.diff(moved, prepend=False) & moved)
+    if moves.max(initial=0) >= _FEWEST_MOVES:
+        subsets["odd moves against even ones"] = moves % 2 == 1
+    few = {key: value for key, value in subsets.items() if 0.1 < np.mean(value) < 0.9}
+    tests = estimation.consistency(solution.estimate, solution.white, few, model.to_reported, solution.taken)
+    channels = dict[str, tuple[Test, Test]]()
+    for i, c in enumerate(model.channels):
+        left, taken = solution.residuals_of(i), solution.taken[solution.channel == i]
+        free = round(len(left) - float(np.sum(taken**2)))
+        channels[c.name] = estimation.chi_squared_test(float(left @ left), free), estimation.whiteness(left, taken)
+    known = solution.known._replace(spread=solution.known.spread * excess_of(tests))
+    covered = _covered(done, rates, temperature)
+    record = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
+    # At stable temperatures nothing lags, and between them no data are used.
+    ramp = 0.0 if stable else ramp_of_record(rows.time_s[record], temperature[record])
+    one_way = bool(abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record]))
+    run = EstimatedRun(solution.parameters, covered[0], ramp, lag.uncounted, one_way, options.clock_doubt)
+    estimated = built._replace(about=solution.parameters)
+    budget = budget_of_estimate(estimated, known, run, noise)
+    structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))
+    beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.beyond for channel, t in structure}
+    of_angles = angle_columns(built.spec, readings)
+    tested = built.spec, readings, solution, of_angles, excess_of(tests)
+    figures = () if options.robust else tuple(figure_tests(*tested))
+    beyond_maps |= {one.name: one.test for one in figures}
+    of_table = beyond_the_spec(model, model.to_reported @ solution.parameters, prior_deviations(built))
+    failed = estimation.contradictions(tests_by_name(tests, channels) | beyond_maps)
+    contradicted = (*shown.not_valid, *failed, *of_table)
+    requirements, beyond = [], list[str]()
+    for requirement in built.spec.requirement:
+        if sentence := beyond_the_data(requirement, *covered):
+            beyond.append(sentence)
+        row = judged_by_data(requirement_row(estimated, budget, requirement), sentence, contradicted)
+        requirements.append(row)
+    requirements = tuple(requirements)
+    calibration = calibration_of(
+        built, logs, name, solution, tests, channels, requirements, covered, lag, options, sources
+    )
+    if contradicted:
+        calibration = calibration.model_copy(update={"contradicted": contradicted})
+    own = calibration.values()
+    kept = [k for k, n in enumerate(model.names()) if n in own]
+    unseen = unseen_errors(budget, [model.names()[k] for k in kept], model.to_reported[kept])
+    if unseen:
+        calibration = calibration.model_copy(update={"unseen": unseen})
+    seen = tuple(_internal(built, solution, covered[0])), _gravity(readings, calibration, temperature)
+    path = None
+    if HEATING_AGAINST_COOLING in contradicted:
+        warm = temperature[done.rows[at.first]][at.row_segment][used]
+        path = path_dependence(built.spec, readings, solution, warm, subsets[HEATING_AGAINST_COOLING])
+    neighbours, alone = {}, ()
+    if options.neighbours_k is not None:
+        neighbours = estimation.neighbours_of(readings, solution, options.neighbours_k)
+        alone = () if neighbours else ("no move has a rest directly before and after it: no moves can be averaged",)
+    counts = _counts(logs, name, done) if points is None else {"used": int(np.count_nonzero(~points.line.gap))}
+    beside_tests = lag, path, smoothness, neighbours, counts, structure, bias_curves(readings, solution)
+    report = SensorEstimate(
+        name, built, done, solution, calibration, requirements, tests, channels, *seen, (), *beside_tests
+    )
+    names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
+    lesser = counting_less(solution.weights, of_segment[at.row_segment][used], names)
+    of_path = () if path is None else path.sentences
+    of_path = *of_path, *one_way_sentences(built, solution.known, done.motion.line), *branch_sentences(built.spec)
+    of_path = *of_path, *attitude_sentences(built.spec)
+    of_path = *of_path, *backlash_sentences(estimated, solution, of_angles, requirements)
+    beside = *of_path, *omitted_sentences(built.spec, temperature[record], lag.std is not None), *beyond
+    looks = diagnosis_sentences(solution.estimate.residuals, of_segment[at.row_segment][used], moved)
+    told = _words(report, solution, of_table.values()), looks if contradicted else []
+    told = *told, [one.sentence for one in figures if one.name in contradicted]
+    hidden = (f"{channel.replace('_', ' ')}: {structure_in_words(test)}" for channel, test in structure if test.noticed)
+    if smoothness is not None and smoothness.at_edge:
+        edge = "the data do not determine the smoothness of the maps: the estimate is at the edge of the allowed range"
+        messages = *messages, edge
+    return report._replace(
+        messages=(*messages, *alone, *lag.sentences, *lesser, *hidden, *itertools.chain(*told), *beside)
+    )
+
+
+def _covered(
+    done: ExecutedImu, rates: np.ndarray, temperature: np.ndarray
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The ranges of temperature (°C) and rate (rad/s) of the pieces used, from those of the rows; rest included."""
+    line, whole = done.motion.line, ~np.asarray(done.motion.line.gap)
+    if line.rates:
+        warm, fast = np.asarray(line.level)[whole], np.asarray(line.terms)[whole, 0]
+    else:
+        warm = temperature[_rows_within(done, whole, len(temperature))]
+        fast = rates[_rows_within(done, whole & (done.motion.axis >= 0), len(rates))]
+    fast = np.concatenate([[0.0], fast[np.isfinite(fast)]])
+    return _outwards(warm, _TEMPERATURE_STEP_K), _outwards(fast, _RATE_STEP_RAD_PER_S)
+
+
+def _rows_within(done: ExecutedImu, pieces: np.ndarray, count: int) -> np.ndarray:
+    """`(count,)`: whether a row lies in one of the chosen pieces."""
+    return estimation.within(np.stack([done.rows[:-1], done.rows[1:]], axis=1)[pieces], count)
+
+
+def _outwards(values: np.ndarray, step: float) -> tuple[float, float]:
+    """The range of values, rounded outwards to whole steps."""
+    low, high = float(values.min()) / step, float(values.max()) / step
+    return float(np.floor(low + 1e-6) * step), float(np.ceil(high - 1e-6) * step)
+
+
+def _counts(logs: Sequence[Log], name: str, done: ExecutedImu) -> dict[str, int]:
+    """Numbers of rows of all logs: used, without a reference, and left out, by reason."""
+    whole = ~np.asarray(done.motion.line.gap)
+    used = _rows_within(done, whole, sum(len(log.time_s) for log in logs))
+    parts = np.split(used, np.cumsum([len(log.time_s) for log in logs])[:-1])
+    counts: dict[str, int] = {}
+    for log, own in zip(logs, parts, strict=True):
+        for reason, count in count_rows(log, log.unit_index(name), own).items():
+            counts[reason] = counts.get(reason, 0) + count
+    return counts
+
+
+# --- findings --------------------------------------------------------------------------------------------------------
+
+
+def _internal(built: BuiltImu, solution: ImuEstimate, covered: tuple[float, float]):
+    """Internal misalignments at the middle of the temperatures."""
+    middle = np.array([0.5 * (covered[0] + covered[1])])
+    for kind in KINDS:
+        triad = getattr(built.spec.sensor, kind)
+        if triad is not None and triad.misalignment is not None and len(triad.axes) == 3:
+            rows, errors = (internal_misalignments(built.model, kind, middle, a) for a in (None, solution.parameters))
+            for (label, row), (_, error) in zip(rows, errors, strict=True):
+                value, std = float(row[0] @ solution.parameters), float(solution.known.deviations(error)[0])
+                yield InternalMisalignment(f"{kind} {label}", value, std)
+
+
+def _gravity(readings: ImuReadings, calibration: Calibration, temperature: np.ndarray) -> tuple[float, float] | None:
+    """Rms of |f| − g over the rests: as measured, and corrected. None without three accelerometers."""
+    done, rows, model = readings.done, readings.log, readings.model
+    if sum(c.kind == "accelerometer" for c in model.channels) < 3:
+        return None
+    rests = np.flatnonzero((done.motion.axis < 0) & ~done.motion.line.gap & (done.motion.line.duration > 0.0))
+    step = np.diff(rows.time_s, prepend=rows.time_s[0])
+    first, last = done.rows[rests], done.rows[rests + 1]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        total = np.cumsum(np.nan_to_num(values) * step[:, None], axis=0)
+        return (total[last] - total[first]) / (rows.time_s[last] - rows.time_s[first])[:, None]
+
+    force, rate = mean(rows.force), mean(np.where(np.isfinite(rows.rates), rows.rates, 0.0))
+    at = mean(temperature[:, None])[:, 0]
+    corrected = correct_triads(calibration.channel, rate, force, at)[1]
+    g = float(done.motion.geometry.gravity)
+    before, after = (float(np.sqrt(np.mean((np.linalg.norm(f, axis=1) - g) ** 2))) for f in (force, corrected))
+    return before, after
+
+
+def _words(report: SensorEstimate, solution: ImuEstimate, of_table: Iterable[str]) -> list[str]:
+    """Where the data contradict the model or do not observe it, in sentences."""
+    tests, failed = report.consistency, report.calibration.contradicted
+    sentences = not_valid([name.replace("_", " ") for name in failed])
+    if solution.moved > 1e-2:
+        sentences.append(
+            f"the estimate has not converged (last step: {solution.moved:.2g} standard deviations): "
+            "the table differs from the spec by more than small angles"
+        )
+    sentences += noise_sentences(tests, "chi-squared of the fit" in failed)
+    for name, (size, _) in report.channels.items():
+        where = name.replace("_", " ")
+        if f"{name}: chi-squared" in failed:
+            scale = np.sqrt(size.statistic / max(size.degrees, 1))
+            sentences.append(f"{where}: its residuals are {scale:.3g} times the noise of the spec")
+        if f"{name}: whiteness" in failed:
+            sentences.append(
+                f"{where}: its residuals are not white: the spec's noise does not explain their correlation"
+            )
+    for split in tests.splits:
+        if split.name in failed:
+            apart = np.abs(np.nan_to_num(split.differences)) > _APART
+            worst = ", ".join(np.array(report.built.model.names())[apart].tolist())
+            chance = f"p-value {split.agreement.probability:.1g}"
+            also = f"; they differ in {worst}" if worst else ""
+            sentences.append(f"{split.name}: the parts disagree ({chance}){also}")
+    model, priors = report.built.model, prior_deviations(report.built)
+    values = model.to_reported @ report.solution.parameters
+    sentences += of_table
+    sentences += turned_together(model.names(), values, priors)
+    if report.calibration.unobservable:
+        sentences.append(f"not observable: {', '.join(report.calibration.unobservable)}")
+    return sentences
+
+
+def estimate_rows(report: EstimateReport) -> dict[str, Any]:
+    """All numbers for `--json`."""
+    return {
+        "simulated": any(c.simulated for c in report.calibrations),
+        "as_wished": report.as_wished,
+        "discrepancies": [row._asdict() for row in report.discrepancies],
+        "units": [_sensor_rows(one) for one in report.sensors],
+    }
+
+
+def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
+    """All numbers of an estimate for `--json`, in SI unless they have a unit beside them."""
+    calibration, tests = report.calibration, report.consistency
+    return {
+        "unit": report.unit,
+        "simulated": calibration.simulated,
+        "readings": len(report.solution.weights),
+        "rows": dict(report.counts),
+        "parameters": coefficient_rows(calibration),
+        "covariance": None if calibration.covariance is None else calibration.covariance.model_dump(mode="json"),
+        "valid_temperature_c": [float(t) for t in calibration.valid_temperature],
+        "valid_rate_dps": [float(r) * DEG_PER_S for r in calibration.valid_rate],
+        "lag_s": report.lag.seconds,
+        "lag_std_s": report.lag.std,
+        "smoothness": _smoothness_rows(report.smoothness),
+        "neighbours": [_group_row(name, group) for name, own in report.neighbours.items() for group in own],
+        "down_weighted": int(np.count_nonzero(report.solution.weights < 1.0)),
+        "noise_scale": finite(tests.noise_scale),
+        "share_beyond_three_sigma": tests.beyond_three,
+        "largest_residual_sigma": tests.largest,
+        "table": [row.model_dump(mode="json") for row in calibration.table],
+        "requirements": [
+            row.model_dump(mode="json", exclude_none=True) | {"value": row.judged, "named": row.decisive}
+            for row in report.requirements
+        ],
+        "internal_misalignment": [row._asdict() for row in report.internal],
+        "gravity_rms_m_per_s2": report.gravity,
+        "tests": [row.model_dump(mode="json") for row in calibration.fit],
+        "structure": [
+            {
+                "channel": channel,
+                "quantity": t.quantity,
+                "test": t.test._asdict(),
+                "false_alarm": t.false_alarm,
+                "noticed": t.noticed,
+                "asked": t.asked,
+            }
+            for channel, t in report.structure
+        ],
+        "messages": list(report.messages),
+        "path": None if report.path is None else _path_rows(report.path),
+    }
+
+
+def _smoothness_rows(chosen: Smoothness | None) -> list[dict[str, Any]] | None:
+    if chosen is None:
+        return None
+    return [{"channel": channel, "map": name, "std": std} for (channel, name), std in chosen.stds.items()]
+
+
+def _group_row(channel: str, group: Group) -> dict[str, Any]:
+    return {
+        "channel": channel,
+        "temperature_c": group.temperature_c,
+        "rate_dps": group.rate_rad_per_s * DEG_PER_S,
+        "moves": group.moves,
+        "scale_factor_ppm": group.scale_factor * PPM,
+        "standard_error_ppm": None if group.standard_error is None else group.standard_error * PPM,
+        "map_ppm": group.of_map * PPM,
+    }
+
+
+def _path_rows(path: PathDependence) -> dict[str, Any]:
+    """Half-differences of heating and cooling, and the terms that explain them, for `--json`, SI."""
+    differences = [
+        d._replace(**{k: getattr(d, k).tolist() for k in ("temperature_c", "value", "std")}) for d in path.differences
+    ]
+    return {
+        "half_differences": [d._asdict() for d in differences],
+        "offers": [offer._asdict() for offer in path.offers],
+    }

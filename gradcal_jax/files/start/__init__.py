@@ -1,1 +1,0 @@
-"""What a user begins with: answers to questions, made into files."""

@@ -1,0 +1,120 @@
+"""`gradcal-text/1`: the description of a unit that prints its samples as lines of text, without code.
+
+    format       = "gradcal-text/1"
+    title        = "Arduino with an IMU"
+    line         = "$IMU,{gyro_x},{gyro_y},{gyro_z},{acceleration_x},{acceleration_y},{acceleration_z},{time}"
+    rate         = "100 Hz"
+    gyro         = "deg/s"               # what the numbers are in
+    acceleration = "m/s^2"
+    time         = { unit = "us", modulus = 4294967296 }
+    checksum     = "xor8"                # *HH at the end: of all characters between "$" and "*"
+
+In `line` a field in braces is a number, `{}` a number and `{:text}` a text that are ignored. Without `{count}` or
+`{time}` a lost line is noticed by the rate of samples alone.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final, Literal, cast
+
+from pydantic import Field
+
+from gradcal_jax.hardware.line_protocol import reply_pattern, unit_problems
+from gradcal_jax.tables.document import model_of
+from gradcal_jax.tables.problems import Problem, instead
+from gradcal_jax.tables.quantity import Count, Frequency, Quantity, SizeOfTime, Text, Time
+from gradcal_jax.tables.section import Section
+
+FORMAT: Final = "gradcal-text/1"
+NAMES: Final = (
+    *(f"{quantity}_{axis}" for quantity in ("gyro", "acceleration") for axis in "xyz"),
+    "temperature",
+    "second_temperature",
+    "count",
+    "time",
+)
+_FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text))?\}")
+_NUMBER: Final = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?|[nN][aA][nN])"
+
+
+class SensorTime(Section):
+    """`[time]`: unit of the field `{time}`, and the value at which it restarts at 0."""
+
+    unit: Literal["s", "ms", "us"] = "s"
+    """Unit of the time."""
+    modulus: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
+    """Value at which the time restarts at 0; absent: it never restarts."""
+
+
+class TextSensor(Section):
+    """A complete description of a sensor that prints lines of text."""
+
+    format: Literal["gradcal-text/1"]
+    """Name and version of this file format."""
+    title: Text = "The sensor"
+    """A title for tables and pages."""
+    line: Text
+    """A line that the sensor prints, with fields in braces in place of the numbers."""
+    rate: Frequency
+    """Number of samples per second."""
+    gyro: Text = "deg/s"
+    """Unit of rates."""
+    acceleration: Text = "m/s^2"
+    """Unit of accelerations."""
+    temperature: Text = "degC"
+    """Unit of temperatures."""
+    counter: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
+    """Value at which the field `{count}` restarts at 0."""
+    time: SensorTime = SensorTime()
+    """Unit of the field `{time}`, and the value at which it restarts."""
+    checksum: Literal["none", "xor8"] = "none"
+    """Text at the end of the line: "none"; or "xor8": an asterisk and two hexadecimal digits, the exclusive or of
+    the characters between "$" and "*"."""
+    baudrate: Count = 115200
+    """Bits per second."""
+    boot: SizeOfTime = Quantity(0.0, "0 s", "time")
+    """Waiting time after the port is opened, because opening it restarts many boards."""
+    timeout: Time = Quantity(3.0, "3 s", "time")
+    """Timeout for the sensor's first lines."""
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The names of its fields."""
+        return tuple(match[1] for match in _FIELD.finditer(self.line) if match[1])
+
+    def _problems(self) -> Iterator[Problem]:
+        fields = self.fields
+        if {"{", "}"} & set(_FIELD.sub("", self.line)) or re.search(r"\}\{", self.line):
+            message = "expected fields in braces, such as {gyro_x}, with a character between two fields"
+            yield Problem(("line",), message, self.line)
+            return
+        for name in (name for name in fields if name not in NAMES):
+            yield Problem(("line",), f"{{{name}}} is not the name of a field; {instead(name, NAMES)}", self.line)
+        if len(set(fields)) != len(fields):
+            yield Problem(("line",), "a field appears twice", self.line)
+        if not any(name.startswith(("gyro", "acceleration")) for name in fields):
+            message = "expected at least one field of a rate or an acceleration, such as {gyro_x}"
+            yield Problem(("line",), message, self.line)
+        if ("count" in fields) is not (self.counter is not None):
+            message = (
+                "this key (the value at which the count restarts at 0) is required if the line has a field {count}, "
+                "and not allowed otherwise"
+            )
+            yield Problem(("counter",), message)
+        if {"count", "time"} <= set(fields):
+            yield Problem(("line",), "expected {count} or {time}, not both: replace one of the two by {}", self.line)
+        kinds = {"gyro": "angular rate", "acceleration": "acceleration", "temperature": "temperature"}
+        yield from unit_problems(self, kinds)
+
+    def pattern(self) -> re.Pattern[str]:
+        """The pattern of a line, with the fields as named groups."""
+        return reply_pattern(self.line, rf"[ \t]*{_NUMBER}[ \t]*", r"[ \t]+", r"\1")
+
+
+def text_unit_of(value: object) -> TextSensor:
+    """The description in a rig file. Raises `ValueError`, or (as `SpecError`) everything that is wrong with it."""
+    if not isinstance(value, Mapping):
+        raise ValueError(
+            f'expected a table that describes the device, with the keys format = "{FORMAT}", line = "…", rate = "…"'
+        )
+    return model_of(TextSensor, cast("Mapping[str, Any]", value), FORMAT, "")

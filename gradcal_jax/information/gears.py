@@ -1,0 +1,92 @@
+"""Errors of a drive whose angle is read at the motor, scale error and backlash, in the readings of an IMU."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from gradcal_jax.information import encoder_rows, imu_system, rows_of_angles, segments_of, whiten
+from gradcal_jax.model import BodyNodes, ImuModel
+from gradcal_jax.model.terms import UNTOLD_BEGIN, sides
+from gradcal_jax.motion import TableMotion
+from gradcal_jax.spec.plan import StandardPlan
+from gradcal_jax.spec.spec_sections import Spec
+
+if TYPE_CHECKING:
+    from gradcal_jax.estimation import ImuReadings
+
+BACKLASH: Final = "backlash of the table's drive"
+SCALE_OF_ANGLE: Final = "scale of the table's angle"
+
+
+def gears_of(spec: Spec) -> list[tuple[float, float]]:
+    """Standard deviations of scale error and backlash (rad) of every axis, as far as the covariance of readings is to
+    contain them; empty: none. Readings along the only axis of a table take a scale error for one of the gyro's: there
+    it counts instead, and so does a typical one of any axis."""
+    table = spec.rig.table
+    if table.by_gravity or isinstance(spec.plan, StandardPlan):
+        return []
+    angles = [axis.angle for axis in table.axis]
+    scaled = not spec.is_one_axis and all(angle.scale_error is not None for angle in angles)
+    sizes = [(float(a.scale_error or 0.0) * scaled, float(a.backlash or 0.0)) for a in angles]
+    return sizes if np.any(sizes) else []
+
+
+def errors_of_gears(spec: Spec, readings: "ImuReadings", about: np.ndarray | None) -> np.ndarray | None:
+    """Changes of the readings `(R, k)` by one standard deviation of each, of sensors with the parameters `about` (None:
+    ideal ones); None without any. (An angle of a milliradian shows misalignments of per cents.)"""
+    if not (errors := errors_of_angles(readings.done.motion, gears_of(spec))):
+        return None
+    before, after = np.stack([error for _, error in errors], axis=-1)
+    return readings.of_shown_angles(before, after, about)
+
+
+def errors_of_angles(motion: TableMotion, gears: Sequence[tuple[float, float]]) -> list[tuple[str, np.ndarray]]:
+    """What one standard deviation of each error changes in the angles (rad) before and after every piece, `(2, P, L)`,
+    with the name of its source."""
+    ends, errors = np.stack(motion.angles()), list[tuple[str, np.ndarray]]()
+    for number, (scale, lash) in enumerate(gears):
+        angle = ends[..., number]
+        side = np.stack(sides(*angle))
+        of_axis = (
+            (SCALE_OF_ANGLE, scale * angle),
+            (BACKLASH, lash * side),
+            (BACKLASH, UNTOLD_BEGIN * lash * (side == 0.0)),
+        )
+        for name, error in of_axis:
+            if np.ptp(error) > 0.0:
+                errors.append((name, np.zeros(ends.shape)))
+                errors[-1][1][..., number] = error
+    return errors
+
+
+def rows_of_gears(
+    motion: TableMotion, model: ImuModel, nodes: BodyNodes, gears: Sequence[tuple[float, float]]
+) -> tuple[list[str], np.ndarray]:
+    """What they change in the rows of a plan, `(R, k)`, and what each is."""
+    errors, at = errors_of_angles(motion, gears), segments_of(motion, model)
+    if not errors:
+        return [], np.zeros((len(at.row_segment), 0))
+    before, after = np.stack([error for _, error in errors], axis=-1)
+    return [name for name, _ in errors], rows_of_angles(at, encoder_rows(motion, model, nodes), before, after)
+
+
+def apart_from_gears(
+    motion: TableMotion, model: ImuModel, nodes: BodyNodes, gears: Sequence[tuple[float, float]]
+) -> tuple[np.ndarray, list[tuple[str, np.ndarray]]]:
+    """What an estimate that knows of these errors sees of the parameters: the columns `(N, p)` of a plan's system
+    without what it takes for errors, and by name the row of each error in that, `(p,)`: by it they add to the variance.
+    """
+    named, common = rows_of_gears(motion, model, nodes, gears)
+    steps, both = imu_system(motion, model, nodes, common=common)
+    count, whitened = len(named), whiten(steps, both)
+    of_errors = whitened[:, :count].T @ whitened
+    by_errors = np.linalg.solve(np.eye(count) + of_errors[:, :count], of_errors[:, count:])
+    return both[:, count:] - both[:, :count] @ by_errors, list(zip(named, by_errors, strict=True))
+
+
+def sides_of(angle: np.ndarray) -> np.ndarray | None:
+    """The side, ±½, on which an axis stands by its last turn, before and after every piece, `(2, P)`, as its angles;
+    None if it turns in one direction only."""
+    side = np.stack(sides(*angle))
+    return side if np.ptp(side) == 1.0 else None

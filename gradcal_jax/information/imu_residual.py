@@ -1,0 +1,594 @@
+"""Residuals of an IMU's quantities after a plan: linear functions of its parameters, and statistics; and the part of
+the error of a mission that is the unit's own noise."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gradcal_jax.information import Posterior, contrasts, residual, statistic
+from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows, own_variance
+from gradcal_jax.information.residual import Contrasts, Statistic
+from gradcal_jax.information.verdicts import UNIT_OF, finite, mission_weights
+from gradcal_jax.model import (
+    AXIS_NAMES,
+    BIAS,
+    SCALE_FACTOR,
+    TEMPERATURE_GRADIENT,
+    Channel,
+    ChannelKind,
+    Discrepancy,
+    Hysteresis,
+    ImuModel,
+    Map,
+    SensorModel,
+    SignalMap,
+    TemperatureDifference,
+)
+from gradcal_jax.model.imu_build import (
+    G_SENSITIVITY,
+    GRADIENT_OF_SCALE,
+    HYSTERESIS,
+    MISALIGNMENT,
+    SCALE_FACTOR_HYSTERESIS,
+    SECOND_ORDER,
+    SPECIFIC_FORCE_BIAS,
+    BuiltImu,
+)
+from gradcal_jax.motion import EARTH_RATE
+from gradcal_jax.spec.requirement import (
+    AccelerometerBiasRequirement,
+    GyroBiasRequirement,
+    GyroScaleFactorRequirement,
+    MisalignmentRequirement,
+    MissionHeadingRequirement,
+    NorthRequirement,
+    PositionRequirement,
+    Requirement,
+    TiltRequirement,
+    TurnRequirement,
+)
+from gradcal_jax.tables.contracts import MissionRow
+from gradcal_jax.units import DEG_PER_H, PPM, G
+
+# Number of points of a curve in a figure.
+_CURVE = 61
+# The sensor's clock is the same in the calibration and in the mission: the calibration's part counts it.
+_NOT_OWN = ("sample clock", "turn-on bias")
+
+
+def earth_gain(requirement: NorthRequirement) -> float:
+    """Error of north (rad) for an error of the rate (rad/s) of a gyro that points east, at the latitude."""
+    return 1.0 / (EARTH_RATE * float(np.cos(float(requirement.latitude))))
+
+
+def flights_of(requirement: MissionHeadingRequirement) -> list[tuple[Flight, float]]:
+    """The missions, and the time (s) in each at which the requirement applies."""
+    flights = []
+    for mission in requirement.mission:
+        time, rate, temperature, _ = (np.array(column) for column in mission.rows)
+        flights.append((Flight(time, rate, temperature), float(requirement.after or time[-1])))
+    return flights
+
+
+def own_noise(built: BuiltImu, channel: Channel, flight: Flight, time: float) -> dict[str, float]:
+    """Standard deviation of a gyro's integrated rate (rad) at `time` (s) in a mission, by source of its own noise.
+
+    Where a calibration estimates the bias, two turn-on biases count: that of its run, which is in the map, and that
+    of the mission. A rate random walk counts from the mission's beginning.
+    """
+    model, gyro = channel.model, built.spec.sensor.gyro
+    assert gyro is not None
+    deviations = {"angle random walk": float(model.angle_random_walk) * time**0.5}
+    for name, members in built.sources["gyro"].items():
+        if name not in _NOT_OWN:
+            deviations[name] = own_variance(flight, model.processes, members, time) ** 0.5
+    if gyro.turn_on_bias:
+        deviations["turn-on bias"] = float(gyro.turn_on_bias) * time * (1.0 if gyro.bias is None else 2.0**0.5)
+    return deviations
+
+
+class OwnNoise(NamedTuple):
+    """A gyro's own noise in a requirement (deg): in total, by source, and of each mission."""
+
+    total: float
+    sources: dict[str, float]
+    missions: tuple[float, ...]
+
+
+def own_noise_of(built: BuiltImu, requirement: Requirement) -> OwnNoise | None:
+    """The noise in a heading or north (deg) that no calibration removes, the same for every gyro; over several missions
+    the weighted root mean square, or the maximum. None for a requirement on anything else."""
+    gyro = next((c for c in built.model.channels if c.kind == "gyro"), None)
+    if gyro is None:
+        return None
+    if isinstance(requirement, NorthRequirement):
+        time = float(requirement.after)
+        still = Flight(np.array([0.0, time]), np.zeros(2), np.zeros(2))
+        by_source = [own_noise(built, gyro, still, time)]
+        factor, share = float(np.degrees(earth_gain(requirement))) / time, np.ones(1)
+    elif isinstance(requirement, MissionHeadingRequirement):
+        by_source = [own_noise(built, gyro, flight, time) for flight, time in flights_of(requirement)]
+        factor, share = float(np.degrees(1.0)), np.array([mission.weight for mission in requirement.mission])
+    else:
+        return None
+    table = factor * np.array([list(one.values()) for one in by_source])
+    each = np.sqrt(np.sum(table**2, axis=1))
+    share = np.eye(len(each))[np.argmax(each)] if requirement.statistic == "max" else share / share.sum()
+    together = np.sqrt(share @ table**2)
+    sources = dict(zip(by_source[0], map(float, together), strict=True))
+    return OwnNoise(float(np.sqrt(np.sum(together**2))), sources, tuple(map(float, each)))
+
+
+def mission_table(requirement: MissionHeadingRequirement, left: np.ndarray, own: OwnNoise) -> tuple[MissionRow, ...]:
+    """Every mission with the error that the calibration leaves, `left` `(n,)` (deg), and its own noise."""
+    rows = zip(requirement.mission, flights_of(requirement), left, own.missions, strict=True)
+    return tuple(
+        MissionRow(file=mission.file, weight=mission.weight, after_s=time, left=finite(value), own=noise)
+        for mission, (_, time), value, noise in rows
+    )
+
+
+class ErrorCurve(NamedTuple):
+    """The error of the integrated rate (deg, 1σ) at times (s) of a mission, `(n,)` each: `left` by the calibration, and
+    the unit's own noise."""
+
+    file: str
+    time: np.ndarray
+    left: np.ndarray
+    own: np.ndarray
+
+
+def error_curves(
+    built: BuiltImu, known: Posterior, requirement: MissionHeadingRequirement
+) -> list[tuple[str, ErrorCurve]]:
+    """The error of each mission over time for each required gyro, by the name of its axis."""
+    curves: list[tuple[str, ErrorCurve]] = []
+    for channel in built.model.channels:
+        axis = AXIS_NAMES[channel.axis]
+        if channel.kind != "gyro" or requirement.axis not in ("all", "worst", axis):
+            continue
+        where = built.model.where(channel.kind, channel.axis)
+        part = Posterior(known.spread[where], known.hidden[where])
+        for mission, (flight, end) in zip(requirement.mission, flights_of(requirement), strict=True):
+            at = np.linspace(0.0, end, _CURVE)[1:]
+            left = mission_contrasts(channel.model, mission_rows(channel.model, flight, at)).left(part)
+            own = [np.linalg.norm(list(own_noise(built, channel, flight, float(time)).values())) for time in at]
+            pair = (np.degrees(np.concatenate([[0.0], values])) for values in (left, own))
+            curves.append((axis, ErrorCurve(mission.file, np.concatenate([[0.0], at]), *pair)))
+    return curves
+
+
+UNITS_OF_TERMS = {
+    "rad/s": ("deg/h", DEG_PER_H),
+    "1": ("ppm", PPM),
+    "rad/K": ("deg/h/(°C/min)", DEG_PER_H / 60.0),
+    "rad/s/K": ("deg/h/K", DEG_PER_H),
+    "1/K": ("ppm/K", PPM),
+    "s/K": ("ppm/(K/min)", PPM / 60.0),
+    "m/s^2/K": ("ug/K", 1e6 / G),
+    "m/s/K": ("ug/(K/min)", 1e6 / G / 60.0),
+    "rad": ("urad", 1e6),
+    "m": ("mm", 1e3),
+    "m/s^2": ("ug", 1e6 / G),
+    "rad/s/(m/s^2)": ("deg/h/g", DEG_PER_H * G),
+    "rad/s/(m/s^2)^2": ("deg/h/g^2", DEG_PER_H * G**2),
+    "1/(m/s^2)": ("ug/g^2", 1e6 * G),
+    "1/(m/s^2)^2": ("ug/g^3", 1e6 * G**2),
+}
+"""For each SI unit of a coefficient: the reported unit, and the number of these units in one SI unit."""
+
+
+class ImuResidual(NamedTuple):
+    """Standard deviations of a requirement's quantity in `unit`: `values` `(m, n_T, n_ω)` of the `m` elements `labels`,
+    on its temperatures (°C; for missions their numbers) and, for the scale factor, rates (rad/s). `si`: how many of the
+    unit are one in SI."""
+
+    requirement: Requirement
+    labels: tuple[str, ...]
+    temperatures: np.ndarray
+    rates: np.ndarray
+    values: np.ndarray
+    unit: str
+    si: float
+
+    def statistic(self, name: Statistic | None = None) -> float | None:
+        """The requirement's statistic, or the one of that `name`; None: not observable. Each element has one over
+        temperature (and rate); over several elements it is the worst or, for "all", the root mean square."""
+        value = together(self.requirement, self._each(name or self.requirement.statistic))
+        return float(value) if np.isfinite(value) else None
+
+    def finite_statistic(self, name: Statistic | None = None) -> float:
+        """The same, infinite where it is not observable."""
+        value = self.statistic(name)
+        return np.inf if value is None else value
+
+    def worst_axis(self) -> str | None:
+        """The element with the largest statistic; None where all count together, or for a single one."""
+        if self.requirement.axis == "all" or len(self.labels) < 2:
+            return None
+        return self.labels[int(np.argmax(self._each(self.requirement.statistic)))]
+
+    def _each(self, name: Statistic) -> np.ndarray:
+        weighted = self.values * mission_weights(self.requirement, name)
+        return np.array([statistic(name, values) for values in weighted])
+
+
+def together(requirement: Requirement, each: np.ndarray) -> np.ndarray:
+    """The statistics `(m, …)` of the elements of a requirement as one: the worst, or the root mean square."""
+    return np.asarray(np.sqrt(np.mean(each**2, axis=0)) if requirement.axis == "all" else np.max(each, axis=0))
+
+
+class QuantityElement(NamedTuple):
+    """A linear function of an IMU's parameters in `where` on `g` points, with a model's discrepancy apart; or a map of
+    a channel, by its model, the map's name and the temperatures and rates of a grid. `path` `(s, g, k)`: what is added
+    to the rows in each state of the service, of which the worst counts at every point."""
+
+    label: str
+    where: slice
+    of: Contrasts | tuple[SensorModel, Any, np.ndarray, np.ndarray]
+    path: np.ndarray | None = None
+
+    def deviations(self, known: Posterior, *, whole: bool = False) -> np.ndarray:
+        """Standard deviation on the points. `whole`: of errors that include what a calibration does not carry."""
+        part = Posterior(known.spread[self.where], known.hidden[self.where])
+        if whole:
+            return np.max([part.deviations(np.asarray(state.rows)) for state in self.states()], axis=0)
+        if self.path is None and not isinstance(self.of, Contrasts):
+            return residual(part, *self.of).ravel()
+        return np.max([state.left(part) for state in self.states()], axis=0)
+
+    def states(self) -> list[Contrasts]:
+        """The error at every point of the grid in each state of the service."""
+        at_rest = self.contrasts()
+        if self.path is None:
+            return [at_rest]
+        return [at_rest._replace(rows=np.asarray(at_rest.rows) + state) for state in self.path]
+
+    def contrasts(self) -> Contrasts:
+        """The error at every point of the grid, without the path of the temperature."""
+        if isinstance(self.of, Contrasts):
+            return self.of
+        model, term, *grid = self.of
+        return contrasts(model, term, *(x.ravel() for x in np.meshgrid(*grid, indexing="ij")))
+
+
+class RequiredQuantity(NamedTuple):
+    """A requirement's quantity on its grid, independent of the plan, for computing a `ImuResidual`. `beside`: an
+    independent error that no plan changes."""
+
+    requirement: Requirement
+    temperatures: np.ndarray
+    rates: np.ndarray
+    elements: tuple[QuantityElement, ...]
+    beside: float
+
+    def residual(self, known: Posterior, *, whole: bool = False) -> ImuResidual:
+        """The residual of the quantity for a posterior; `whole` as of `QuantityElement.deviations`."""
+        shape = len(self.elements), len(self.temperatures), len(self.rates)
+        deviations = np.stack([element.deviations(known, whole=whole) for element in self.elements]).reshape(shape)
+        if self.beside:
+            deviations = np.hypot(deviations, self.beside)
+        unit, factor = UNIT_OF[self.requirement.quantity]
+        labels = tuple(element.label for element in self.elements)
+        return ImuResidual(self.requirement, labels, self.temperatures, self.rates, deviations * factor, unit, factor)
+
+
+def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; for missions
+    their indices."""
+    if isinstance(requirement, MissionHeadingRequirement):
+        return np.arange(float(len(requirement.mission))), np.zeros(1)
+    cold, warm = requirement.temperature
+    temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
+    if not isinstance(requirement, GyroScaleFactorRequirement):
+        return temperatures, np.zeros(1)
+    slow, fast = requirement.rate
+    return temperatures, np.linspace(float(slow), float(fast), min(most or requirement.grid[1], requirement.grid[1]))
+
+
+def quantity_of(built: BuiltImu, requirement: Requirement, most: int | None = None) -> RequiredQuantity:
+    """A requirement's quantity on its grid, or on one of at most `most` a side. `beside`: the mounting's uncertainty,
+    added to a misalignment relative to the case, or that of a sensitivity to dT/dt, added to a bias on a slope."""
+    (temperatures, rates), beside = box(requirement, most), 0.0
+    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
+        frame = built.spec.sensor.frame
+        if frame is None or frame.fixed_by != "case":
+            beside = float(built.spec.rig.table.mounting[0].accuracy)
+    elif isinstance(requirement, GyroBiasRequirement | AccelerometerBiasRequirement):
+        # A sensitivity to dT/dt that is a figure and no parameter.
+        triad = getattr(built.spec.sensor, "gyro" if isinstance(requirement, GyroBiasRequirement) else "accelerometer")
+        if triad.gradient_sensitivity is None:
+            beside = triad.gradient_std * max(abs(slope) for _, slope in requirement.service())
+    elements = tuple(_elements(built, requirement, temperatures, rates))
+    return RequiredQuantity(requirement, temperatures, rates, elements, beside)
+
+
+def imu_residual(built: BuiltImu, known: Posterior, requirement: Requirement) -> ImuResidual:
+    """The residual of a requirement's quantity."""
+    return quantity_of(built, requirement).residual(known)
+
+
+def errors_of(model: ImuModel, known: Posterior, quantity: RequiredQuantity) -> np.ndarray:
+    """A root `(m, s, n_T, n_ω, r)` of the covariance of all errors of a quantity (SI), in the states of its service."""
+    hidden = [
+        (model.where(c.kind, c.axis, term.name), float(term.std) ** 2)
+        for c in model.channels
+        for term in c.model.terms
+        if isinstance(term, Discrepancy)
+    ]
+    # A calibration does not carry the discrepancy's estimate, whose covariance is prior less posterior.
+    carried = np.zeros((model.size, 0))
+    if hidden:
+        where = np.concatenate([np.arange(model.size)[at] for at, _ in hidden])
+        prior = np.concatenate([np.full(at.stop - at.start, variance) for at, variance in hidden])
+        values, vectors = np.linalg.eigh(np.diag(prior) - known.spread[where] @ known.spread[where].T)
+        carried = np.zeros((model.size, len(where)))
+        carried[where] = vectors * np.sqrt(np.maximum(values, 0.0))
+    count, roots = len(quantity.elements), []
+    for k, element in enumerate(quantity.elements):
+        beside = np.zeros(count)
+        beside[k] = quantity.beside
+        states = [
+            np.concatenate(
+                [
+                    np.asarray(state.rows) @ known.spread[element.where],
+                    np.asarray(state.alone) @ carried[element.where],
+                    np.broadcast_to(beside, (len(state.beyond), count)),
+                ],
+                axis=1,
+            )
+            for state in element.states()
+        ]
+        roots.append(np.stack(states))
+    shape = len(quantity.temperatures), len(quantity.rates)
+    return np.stack(roots).reshape(count, -1, *shape, roots[0].shape[-1])
+
+
+def _elements(
+    built: BuiltImu, requirement: Requirement, temperatures: np.ndarray, rates: np.ndarray
+) -> Iterator[QuantityElement]:
+    """Each element of a quantity, temperatures first."""
+    model = built.model
+    if isinstance(requirement, PositionRequirement | TiltRequirement | TurnRequirement):
+        for label, rows in _navigation(built, requirement, temperatures):
+            if requirement.axis in ("all", "worst", label):
+                yield QuantityElement(label, slice(None), _plain(rows))
+    elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
+        own: ChannelKind = "gyro" if requirement.quantity == "gyro_misalignment" else "accelerometer"
+        for label, rows in internal_misalignments(model, own, temperatures, built.about):
+            if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
+                yield QuantityElement(label, slice(None), _plain(rows))
+    elif isinstance(requirement, MissionHeadingRequirement | NorthRequirement):
+        for c in model.channels:
+            axis = AXIS_NAMES[c.axis]
+            if c.kind == "gyro" and requirement.axis in ("all", "worst", axis):
+                yield QuantityElement(
+                    axis, model.where(c.kind, c.axis), heading_contrasts(c.model, requirement, temperatures)
+                )
+    else:
+        kind, terms = _TERMS[requirement.quantity]
+        for c in model.channels:
+            axis = AXIS_NAMES[c.axis]
+            if c.kind == kind and requirement.axis in ("all", "worst", axis):
+                for term, label in terms(axis):
+                    element = _of_term(model, c, term, label, temperatures, rates, built.about)
+                    path = _states(c, requirement, np.repeat(temperatures, len(rates)))
+                    if path is not None and element.where == slice(None):
+                        path = np.pad(path, ((0, 0), (0, 0), _around(model, c)))
+                    yield element._replace(path=path)
+
+
+# The terms of the path by the quantity that they belong to: of dT/dt, and a play's name.
+_PATHS = {
+    "gyro_bias": (TEMPERATURE_GRADIENT, HYSTERESIS),
+    "gyro_scale_factor": (GRADIENT_OF_SCALE, SCALE_FACTOR_HYSTERESIS),
+    "accelerometer_bias": (TEMPERATURE_GRADIENT, HYSTERESIS),
+    "accelerometer_scale_factor": (GRADIENT_OF_SCALE, SCALE_FACTOR_HYSTERESIS),
+}
+
+
+def _states(channel: Channel, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
+    """The states of the service at every point of the grid `(s, g, channel's p)`: after a leg of more than twice its
+    width a play is behind the temperature by its width, between that and its opposite elsewhere, where the error is
+    smaller than at one of both ends. None without a path."""
+    service = getattr(requirement, "service", None)
+    states = ((0.0, 0.0),) if service is None else service()
+    if states == ((0.0, 0.0),):
+        return None
+    model, (gradient, play) = channel.model, _PATHS[requirement.quantity]
+    head = play.partition("{")[0]
+    of_dt, of_play = np.zeros(model.size), np.zeros((len(temperatures), model.size))
+    of_dt[model.where(gradient)] = 1.0
+    for term in model.terms:
+        if isinstance(term, Hysteresis) and term.name.startswith(head):
+            of_play[:, model.where(term.name)] = float(term.width) * term.coefficients(temperatures)
+        elif isinstance(term, TemperatureDifference) and bool(term.signals) == (gradient == GRADIENT_OF_SCALE):
+            of_dt[model.where(term.name)] = term.by_slope
+    return np.stack([slope * of_dt - sign * of_play for sign, slope in states])
+
+
+_TERMS = {
+    "gyro_bias": ("gyro", lambda a: [("bias", a)]),
+    "gyro_scale_factor": ("gyro", lambda a: [(SCALE_FACTOR, a)]),
+    "gyro_misalignment": ("gyro", lambda a: [(MISALIGNMENT.format(b), a + b) for b in AXIS_NAMES if b != a]),
+    "g_sensitivity": ("gyro", lambda a: [(G_SENSITIVITY.format(b), a + b) for b in AXIS_NAMES]),
+    "accelerometer_bias": ("accelerometer", lambda a: [(SPECIFIC_FORCE_BIAS, a)]),
+    "accelerometer_scale_factor": ("accelerometer", lambda a: [(SCALE_FACTOR, a)]),
+    "accelerometer_misalignment": (
+        "accelerometer",
+        lambda a: [(MISALIGNMENT.format(b), a + b) for b in AXIS_NAMES if b != a],
+    ),
+    "second_order": ("accelerometer", lambda a: [(SECOND_ORDER, a)]),
+}
+
+
+def _of_term(
+    model: ImuModel,
+    channel: Channel,
+    term: str,
+    label: str,
+    temperatures: np.ndarray,
+    rates: np.ndarray,
+    about: np.ndarray | None,
+) -> QuantityElement:
+    """The linear function of one term of a channel on the grid."""
+    of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
+    if isinstance(of, Map):
+        element = QuantityElement(label, own, (channel.model, term, temperatures, rates))
+        if about is None or term != SCALE_FACTOR or not any(map(channel.model.term, _MISALIGNMENTS)):
+            return element
+        own_part, around = element.contrasts(), ((0, 0), _around(model, channel))
+        left = _row(model, channel.kind, channel.axis, term, temperatures, about)
+        left[:, own] -= _signal_rows(channel, term, temperatures)
+        rows = np.pad(np.asarray(own_part.rows), around) + np.repeat(left, len(rates), axis=0)
+        alone = np.pad(np.asarray(own_part.alone), around)
+        return QuantityElement(label, slice(None), Contrasts(rows, alone, own_part.beyond))
+    if about is None:
+        return QuantityElement(label, own, _plain(_signal_rows(channel, term, temperatures)))
+    rows = _row(model, channel.kind, channel.axis, term, temperatures, about)
+    return QuantityElement(label, slice(None), _plain(rows))
+
+
+def _around(model: ImuModel, channel: Channel) -> tuple[int, int]:
+    """The number of the model's parameters before those of a channel, and after them."""
+    own = model.where(channel.kind, channel.axis)
+    return own.start, model.size - own.stop
+
+
+def _left_by_correction(
+    model: ImuModel, element: tuple[ChannelKind, int, int], temperatures: np.ndarray, about: np.ndarray
+) -> np.ndarray:
+    """What a correction by a triad's whole matrix, A = (1 + M)(1 + m) `about` the parameters of an estimate, leaves
+    along i of an input along j (`element`: the kind, i, j), at rate zero: an element of A⁻¹ δA, `(n_T, p)`.
+
+    A plan may tell it better than M or m: products of both, or, without an encoder, what a common rotation of all
+    sensors changes in each M.
+    """
+    kind, i, j = element
+    triad = [model.channel(kind, axis) for axis in range(3)]
+    scale, across = np.ones((len(temperatures), 3)), np.tile(np.eye(3), (len(temperatures), 1, 1))
+    for k, of in enumerate(triad):
+        if of is not None:
+            own = about[model.where(kind, k)]
+            scale[:, k] += _signal_rows(of, SCALE_FACTOR, temperatures) @ own
+            for other, term in enumerate(_MISALIGNMENTS):
+                across[:, k, other] += _signal_rows(of, term, temperatures) @ own
+    inverse = np.linalg.inv(scale[:, :, None] * across)[:, i]
+    rows = np.zeros((len(temperatures), model.size))
+    for k, of in enumerate(triad):
+        if of is not None:
+            by_scale = across[:, k, j, None] * _signal_rows(of, SCALE_FACTOR, temperatures)
+            changed = by_scale + scale[:, k, None] * _signal_rows(of, _MISALIGNMENTS[j], temperatures)
+            rows[:, model.where(kind, k)] = inverse[:, k, None] * changed
+    return rows
+
+
+def _plain(rows: np.ndarray) -> Contrasts:
+    """Contrasts without a part of a model's discrepancy."""
+    return Contrasts(rows, np.zeros_like(rows), np.zeros(len(rows)))
+
+
+def heading_contrasts(
+    model: SensorModel, requirement: MissionHeadingRequirement | NorthRequirement, temperatures: np.ndarray
+) -> Contrasts:
+    """The error of a gyro's heading at the end of every mission, or of north at every temperature, rad."""
+    if isinstance(requirement, NorthRequirement):
+        return contrasts(model, BIAS, temperatures, np.zeros(len(temperatures))).times(earth_gain(requirement))
+    rows = [mission_rows(model, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
+    return mission_contrasts(model, np.stack(rows))
+
+
+def _signal_rows(channel: Channel, term: str, temperatures: np.ndarray) -> np.ndarray:
+    """Contrasts `(n_T, channel's p)` of a term at rate zero."""
+    of, rows = channel.model.term(term), np.zeros((len(temperatures), channel.model.size))
+    if isinstance(of, Map):
+        rows[:, channel.model.where(term)] = of.values(temperatures, np.zeros(len(temperatures)))
+    elif isinstance(of, SignalMap):
+        rows[:, channel.model.where(term)] = of.temperature(temperatures)
+    return rows
+
+
+def _row(
+    model: ImuModel,
+    kind: ChannelKind,
+    axis: int,
+    term: str,
+    temperatures: np.ndarray,
+    about: np.ndarray | None = None,
+) -> np.ndarray:
+    """Contrasts `(n_T, p)` of a term at rate zero; zero where the model does not have it.
+
+    A misalignment or scale factor `about` the parameters of an estimate is what a correction leaves of it
+    (`_left_by_correction`).
+    """
+    rows = np.zeros((len(temperatures), model.size))
+    if (channel := model.channel(kind, axis)) is None:
+        return rows
+    if about is not None and term in (SCALE_FACTOR, *_MISALIGNMENTS):
+        across = axis if term == SCALE_FACTOR else _MISALIGNMENTS.index(term)
+        return _left_by_correction(model, (kind, axis, across), temperatures, about)
+    rows[:, model.where(kind, axis)] = _signal_rows(channel, term, temperatures)
+    return rows
+
+
+_MISALIGNMENTS = tuple(MISALIGNMENT.format(axis) for axis in AXIS_NAMES)
+
+
+def internal_misalignments(
+    model: ImuModel, kind: ChannelKind, temperatures: np.ndarray, about: np.ndarray | None = None
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Misalignments that no rotation of the unit changes, by name, `(n_T, p)`: sums of opposite misalignments and, for
+    accelerometers, the rotation of their triad against the gyros'. `about` `(p,)`: see `_row`."""
+
+    def of(which: ChannelKind, i: int, j: int) -> np.ndarray:
+        return _row(model, which, i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures, about)
+
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        name = AXIS_NAMES[i] + AXIS_NAMES[j]
+        yield name, of(kind, i, j) + of(kind, j, i)
+        if kind == "accelerometer":
+            apart = of(kind, i, j) - of(kind, j, i) - of("gyro", i, j) + of("gyro", j, i)
+            yield f"{name} to the gyros", 0.5 * apart
+
+
+def _navigation(built: BuiltImu, requirement, temperatures: np.ndarray):
+    """Errors of navigation as linear functions of the calibration's errors; level, z up, at the site.
+
+    At rest for t: along a horizontal axis ½t² of the accelerometer's error and, by the tilt that the gyros' errors
+    build up, gt³/6 of the gyro's about the other (the Earth's rate and Schuler's period left out: t is short).
+    """
+    model, site = built.model, built.spec.rig.site
+    g = site.gravity_m_per_s2
+    earth = EARTH_RATE * np.array([0.0, np.cos(site.latitude_rad), np.sin(site.latitude_rad)])
+
+    def force(i: int) -> np.ndarray:
+        rows = _row(model, "accelerometer", i, SPECIFIC_FORCE_BIAS, temperatures)
+        return rows + g * _row(model, "accelerometer", i, MISALIGNMENT.format("z"), temperatures, built.about)
+
+    def rate(i: int) -> np.ndarray:
+        rows = _row(model, "gyro", i, "bias", temperatures)
+        rows = rows + g * _row(model, "gyro", i, G_SENSITIVITY.format("z"), temperatures)
+        rows = rows + earth[i] * _row(model, "gyro", i, SCALE_FACTOR, temperatures, built.about)
+        for j in range(3):
+            if j != i:
+                across = _row(model, "gyro", i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures, built.about)
+                rows = rows + earth[j] * across
+        return rows
+
+    if isinstance(requirement, TiltRequirement):
+        for i in (0, 1):
+            yield AXIS_NAMES[i], force(i) / g
+    elif isinstance(requirement, PositionRequirement):
+        t = float(requirement.after)
+        for i, about, sign in ((0, 1, 1.0), (1, 0, -1.0)):
+            yield AXIS_NAMES[i], 0.5 * t**2 * force(i) + sign * g * t**3 / 6.0 * rate(about)
+    else:
+        turn, pace = float(requirement.turn), float(requirement.rate)
+        channel = model.channel("gyro", 2)
+        scale = None if channel is None else channel.model.map(SCALE_FACTOR)
+        if scale is not None:
+            whole = turn / pace * rate(2) + turn * _row(model, "gyro", 2, SCALE_FACTOR, temperatures, built.about)
+            at_pace, at_rest = (scale.values(temperatures, np.full(len(temperatures), w)) for w in (pace, 0.0))
+            whole[:, model.where("gyro", 2, SCALE_FACTOR)] += turn * (at_pace - at_rest)
+            yield "z", whole

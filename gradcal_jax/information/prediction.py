@@ -1,0 +1,493 @@
+"""The prediction of a spec, as the contract gradcal-prediction/1, its Monte Carlo simulation, and its recipe."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+
+import gradcal_jax
+from gradcal_jax.design.plan_objective import extremes, noticing
+from gradcal_jax.information import (
+    STATISTICS,
+    Posterior,
+    WishartTest,
+    estimator_of_means,
+    imu_system,
+    simulated_errors,
+    wishart_test,
+)
+from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
+from gradcal_jax.information.error_budget import (
+    CountedPosteriors,
+    ErrorBudget,
+    budget_of_imu,
+    limited_by,
+    shares_of_variance,
+)
+from gradcal_jax.information.gears import rows_of_gears
+from gradcal_jax.information.imu_residual import (
+    ImuResidual,
+    errors_of,
+    imu_residual,
+    mission_table,
+    own_noise_of,
+    quantity_of,
+    together,
+)
+from gradcal_jax.information.plan_sentences import plan_warnings
+from gradcal_jax.information.residual import Statistic, statistic_of_each
+from gradcal_jax.information.verdicts import (
+    UNIT_OF,
+    decision_rule,
+    finite,
+    limit_of,
+    mission_weights,
+    run_of,
+    target_of,
+    verdict_of,
+    versions_of,
+)
+from gradcal_jax.model import Discrepancy, ImuModel
+from gradcal_jax.model.imu_build import (
+    BuiltImu,
+    build_imu,
+    hung_alike,
+    imu_posterior,
+    known_together,
+    unweighted_estimator,
+)
+from gradcal_jax.model.terms import block_diagonal
+from gradcal_jax.recipe.recipe import FORMAT, Predicted, Recipe, RecipeOrigin
+from gradcal_jax.recipe.rounding import ControllerSteps, rounded, steps_of
+from gradcal_jax.recipe.tracks import Stability, tracks_of
+from gradcal_jax.spec.absent import absent_terms, with_typical
+from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
+from gradcal_jax.spec.spec import expect_spec
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.contracts import AbsentRow, CheckRow, ParameterRow, PlaceRow, Prediction, RequirementRow
+from gradcal_jax.tables.display import summary
+
+if TYPE_CHECKING:
+    from gradcal_jax.design.searching import Optimised
+
+# The chances of keeping a target are computed on a grid of at most this many temperatures and rates.
+_GRID = 41
+
+
+def predict(
+    spec: Spec, *, limits: bool = False, notices: bool = False, outlook: bool = False, place: str | None = None
+) -> Prediction:
+    """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
+
+    `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`.
+    `notices`: also which hidden structure of the maps the plan would notice. `outlook`: also the chance that a sensor
+    meets a target, and the risks of a second run that checks it. The covariance is the exact one of generalised least
+    squares under the spec's noise (`gradcal_jax.information`); verdicts and risks also count every term that the spec
+    omits, at its class's typical figure. What cannot be observed is None, with a warning. `place`: of a fixture, the
+    place of which all else is beside the residuals of every place (None: the worst). Errors: `SpecError` for a plan
+    that turns several axes of a sensor as if each had a table of its own.
+
+    >>> from gradcal_jax import parse_spec, presets
+    >>> predict(parse_spec(presets.text("paper-static-gradient")))  # doctest: +ELLIPSIS
+    Prediction: Berman: gyro bias by the gradient method, one ramp
+    2 h 40 min in all: soak 1 h, motion 1 h 40 min
+    ...
+    full range   mean       0.4016 deg/h  0.7751 deg/h
+    """
+    spec = expect_spec(spec)
+    if spec.rig.table.place:
+        return _at_places(spec, place, limits=limits, notices=notices, outlook=outlook)
+    built = build_imu(spec)
+    known = imu_posterior(built)
+    budget = counted_posteriors(built, known)
+    return _prediction(built, known, budget, budget, limits=limits, notices=notices, outlook=outlook)
+
+
+def _prediction(
+    built: BuiltImu,
+    known: Posterior,
+    budget: CountedPosteriors,
+    alone: CountedPosteriors,
+    *,
+    limits: bool,
+    notices: bool,
+    outlook: bool,
+) -> Prediction:
+    """The prediction of an IMU with these posteriors; `alone`: of the IMU alone, which tells what limits it."""
+    spec = built.spec
+    omitted = tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent_terms(spec))
+    sources = ErrorBudget(alone.built, alone.fit) if limits and spec.requirement else None
+    rows: list[RequirementRow] = []
+    for requirement in spec.requirement:
+        row = requirement_row(built, budget, requirement)
+        more = _risks(budget, requirement, row) if outlook else {}
+        if sources is not None:
+            axis = (row.limited_by or "").removeprefix("axis ") or None
+            more["limited_by"] = limited_by(_shares(alone, requirement, sources.shares(requirement)), axis)
+        rows.append(row.model_copy(update=more))
+    return Prediction(
+        requirements=tuple(_between(rows, extremes(spec) if limits else [])),
+        notices=noticing(built) if notices else (),
+        warnings=tuple(plan_warnings(built, known)),
+        omitted=omitted,
+        **_of_plan(built, known),
+    )
+
+
+def _at_places(spec: Spec, place: str | None, **options: bool) -> Prediction:
+    """The prediction of a fixture, whose IMUs are estimated together: of a place, or of the worst by the residual over
+    the target or else over that of the others, with the values of all places and the IMUs of a shift. Places that hang
+    alike are computed once."""
+    hung = hung_alike(spec)
+    alike, order = [names for _, names in hung], [place.name for place in spec.rig.table.place]
+    builts = [build_imu(at) for at, _ in hung]
+    full = [_complete(built) for built in builts]
+    alone = [imu_posterior(built) for built in builts]
+    own = [budget_of_imu(*of) for of in zip(builts, alone, full, strict=True)]
+    counts = [len(names) for names in alike]
+    known, apart = known_together(builts, alone, counts)
+    fits = [budget.fit for budget in own] if apart else known
+    if not apart and any(one is not other for one, other in zip(builts, full, strict=True)):
+        fits, _ = known_together(full, [budget.fit for budget in own], counts)
+    budgets = [budget_of_imu(*of) for of in zip(builts, known, full, fits, strict=True)]
+    rows = [
+        [requirement_row(built, budget, requirement) for requirement in spec.requirement]
+        for built, budget in zip(builts, budgets, strict=True)
+    ]
+    single = [
+        [requirement_row(built, budget, requirement).judged for requirement in spec.requirement]
+        for built, budget in zip(builts, own, strict=True)
+    ]
+    least = [min((r.judged for r in of if r.judged is not None), default=0.0) for of in zip(*rows, strict=True)]
+
+    def excess(k: int) -> float:
+        """How far a place is beyond its targets, or beyond the best place."""
+        ratios = [
+            np.inf if row.judged is None else row.judged / (row.target or best or 1.0)
+            for row, best in zip(rows[k], least, strict=True)
+        ]
+        return max(ratios, default=0.0)
+
+    named = [k for k, names in enumerate(alike) if place in names]
+    shown = named[0] if named else max(range(len(rows)), key=excess)
+    whole = _prediction(builts[shown], known[shown], budgets[shown], own[shown], **options)
+    values = {
+        name: PlaceRow(
+            name=name,
+            values={row.name: row.judged for row in rows[k]},
+            alone={row.name: value for row, value in zip(rows[k], single[k], strict=True)},
+        )
+        for k, names in enumerate(alike)
+        for name in names
+    }
+    runs = float(spec.rig.shift) / whole.duration_s
+    return whole.model_copy(
+        update={
+            "places": tuple(values[name] for name in order),
+            "place": place if named else alike[shown][0],
+            "minutes_per_imu": whole.duration_s / 60.0 / len(order),
+            "imus_per_shift": len(order) * (float(np.floor(runs)) if runs >= 1.0 else runs),
+            "warnings": (*whole.warnings, *([apart] if apart else [])),
+        }
+    )
+
+
+def requirement_rows(spec: Spec, until_s: float = np.inf) -> list[RequirementRow]:
+    """The residual of every requirement after a spec's plan, and nothing else of its prediction. `until_s`: where the
+    plan is broken off, on its clock."""
+    built = build_imu(expect_spec(spec), until_s)
+    budget = counted_posteriors(built, imu_posterior(built))
+    return [requirement_row(built, budget, requirement) for requirement in built.spec.requirement]
+
+
+def missed_targets(spec: Spec, margin: float) -> list[str]:
+    """The requirements whose targets a plan does not meet with a margin (a share of the target), with all that their
+    verdicts count; of a fixture at any of its places."""
+    missed = dict[str, None]()
+    for at, _ in hung_alike(spec):
+        built = build_imu(at)
+        budget = counted_posteriors(built, imu_posterior(built))
+        for requirement in at.requirement:
+            if (aim := limit_of(requirement)) is not None:
+                left = _judged(budget, requirement)[0].finite_statistic(aim[0])
+                missed |= {} if left <= (1.0 - margin) * aim[1] else {requirement.name: None}
+    return list(missed)
+
+
+def counted_posteriors(built: BuiltImu, known: Posterior) -> CountedPosteriors:
+    """The posteriors that decide on every requirement."""
+    return budget_of_imu(built, known, _complete(built))
+
+
+def _complete(built: BuiltImu) -> BuiltImu:
+    """The IMU with the error terms that its spec omits, at their classes' typical figures."""
+    full = with_typical(built.spec)
+    return built if full is built.spec else build_imu(full, built.until_s, like=built)
+
+
+def _between(rows: Sequence[RequirementRow], others: Sequence[Spec]) -> Sequence[RequirementRow]:
+    """The rows with the smallest and largest value over these and other specs with the same requirements."""
+    if not others:
+        return rows
+    ranges = []
+    for row, *same in zip(rows, *map(requirement_rows, others), strict=True):
+        known = [v for v in (one.judged for one in (row, *same)) if v is not None]
+        ranges.append(row.model_copy(update={"uncertain": (min(known), max(known)) if known else None}))
+    return ranges
+
+
+def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:
+    """The part of a prediction that is common to all plans: title, times, the reported parameters and their
+    covariance."""
+    spec, model = built.spec, built.model
+    own = np.flatnonzero(_carried(model))
+    names, units = ([of[k] for k in own] for of in (model.names(), model.units()))
+    reported = model.to_reported[own]
+    deviations = known.deviations(reported)
+    stds = [float(std) if np.isfinite(std) else None for std in deviations]
+    rows = [ParameterRow(name=n, axis="unit", std=std, unit=u) for n, std, u in zip(names, stds, units, strict=True)]
+    seen = np.isfinite(deviations)
+    covariance = np.where(np.outer(seen, seen), known.covariance(reported), cast("Any", None))
+    return {
+        "title": spec.title,
+        **{f"{name}_s": getattr(spec.schedule, name) for name in ("duration", "soak", "motion")},
+        "parameters": tuple(rows),
+        "covariance": tuple(map(tuple, covariance.tolist())),
+    }
+
+
+def _carried(model: ImuModel) -> np.ndarray:
+    """Which of the unit's own parameters a calibration has: all but those of discrepancies."""
+    return np.concatenate([np.full(term.size, not isinstance(term, Discrepancy)) for term in model.terms])
+
+
+def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Requirement) -> RequirementRow:
+    """The residual and the verdict of one requirement."""
+    left = imu_residual(built, budget.own, requirement)
+    judged, more = _judged(budget, requirement, left)
+    by_rate = isinstance(requirement, GyroScaleFactorRequirement)
+    flown = requirement if isinstance(requirement, MissionHeadingRequirement) else None
+    worst, own = judged.worst_axis(), own_noise_of(built, requirement)
+    rates = left.rates if flown is None else np.array([float(rate) for rate in flown.rate])
+    statistics = {name: left.statistic(name) for name in STATISTICS if name != "mean of max" or by_rate}
+    return RequirementRow(
+        **{name: getattr(requirement, name) for name in ("name", "quantity", "statistic")},
+        temperature_c=(float(requirement.temperature[0]), float(requirement.temperature[1])),
+        grid=tuple(requirement.grid),
+        **{name.replace(" ", "_"): value for name, value in statistics.items()},
+        **more,
+        **decided(requirement, judged.finite_statistic),
+        axis=requirement.axis,
+        rate_dps=(float(np.degrees(rates[0])), float(np.degrees(rates[-1]))) if len(rates) > 1 else None,
+        limited_by=None if worst is None else f"axis {worst}",
+        own=None if own is None else own.total,
+        own_sources=None if own is None else own.sources,
+        missions=None
+        if flown is None or own is None
+        else mission_table(flown, together(flown, left.values)[:, 0], own),
+    )
+
+
+def _judged(
+    budget: CountedPosteriors, requirement: Requirement, own: ImuResidual | None = None
+) -> tuple[ImuResidual, dict[str, Any]]:
+    """The residual that the verdict judges, and its fields in the row: with omitted terms, and with another run. `own`:
+    the residual with what the spec names, if it is known."""
+    fields: dict[str, Any] = {}
+    judged = own if budget.whole is budget.own else None
+    judged = imu_residual(budget.built, budget.whole, requirement) if judged is None else judged
+    if budget.whole is not budget.own:
+        fields["with_typical"] = judged.statistic()
+    if run_of(requirement) == "any run" and budget.any_run is not budget.whole:
+        judged = imu_residual(budget.built, budget.any_run, requirement)
+        fields["another_run"] = judged.statistic()
+    return judged, fields
+
+
+def decided(requirement: Requirement, of: Callable[[Statistic], float]) -> dict[str, Any]:
+    """Target, verdict, rule and risk, by the statistics of what is judged."""
+    target, worst = target_of(requirement), finite(of("max"))
+    return {
+        "unit": UNIT_OF[requirement.quantity][0],
+        "target": target,
+        "worst": worst,
+        "verdict": verdict_of(requirement, of),
+        "coverage": requirement.coverage,
+        "risk": None if requirement.risk is None else float(requirement.risk),
+        "rule": decision_rule(requirement) or None,
+        "specific_risk": None if target is None or worst is None else specific_risk(0.0, worst, target),
+    }
+
+
+def counted_shares(spec: Spec) -> dict[str, dict[str, float]]:
+    """For each requirement (by name) the share of every error in the variance of what the verdict judges: noise, what
+    no residual shows, and what the spec omits; requirements that the plan cannot observe are left out."""
+    built = build_imu(expect_spec(spec))
+    budget = counted_posteriors(built, imu_posterior(built))
+    sources = ErrorBudget(budget.built, budget.fit)
+    shares = {r.name: _shares(budget, r, sources.shares(r)) for r in built.spec.requirement}
+    return {name: of for name, of in shares.items() if of is not None}
+
+
+def _shares(
+    budget: CountedPosteriors, requirement: Requirement, of_fit: Mapping[str, float] | None
+) -> dict[str, float] | None:
+    """The shares of all errors in what the verdict judges, the largest first."""
+    if of_fit is None:
+        return None
+
+    def value(of: Posterior) -> float:
+        return imu_residual(budget.built, of, requirement).finite_statistic()
+
+    fit, unseen = shares_of_variance(budget, run_of(requirement), value)
+    shares = {name: share * fit for name, share in of_fit.items()}
+    for name, share in unseen.items():
+        shares[name] = shares.get(name, 0.0) + share
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+def _risks(budget: CountedPosteriors, requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
+    """The chances that a sensor keeps the target (on a grid of at most 41 a side), and the risks of a second run.
+
+    That run is as uncertain as the first and independent of it. Errors that both runs share (the sensor's clock, the
+    encoder's error by angle) do not show in a second run, and are not in its risks.
+    """
+    if row.target is None or not row.worst:
+        return {}
+    quantity, name = quantity_of(budget.built, requirement, _GRID), requirement.statistic
+    weight = mission_weights(requirement, name)[..., None]
+
+    def summed(errors: np.ndarray) -> np.ndarray:
+        return together(requirement, np.stack([statistic_of_each(name, of * weight) for of in errors]))
+
+    root = errors_of(budget.built.model, budget.judged(run_of(requirement)), quantity)
+    chances = chance_of_keeping(root, summed, float(requirement.target or 0.0))
+    return _checked(requirement, row) | dict(zip(("chance", "chance_everywhere"), chances, strict=True))
+
+
+def _checked(requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
+    """The risks of a second run that checks the first one: as uncertain as that and independent of it."""
+    assert row.target is not None
+    assert row.worst is not None
+    acceptance: float | None = row.target
+    if requirement.risk is not None:
+        acceptance = acceptance_limit(row.worst, row.target, float(requirement.risk))
+    if acceptance is None:
+        return {
+            "check": CheckRow(
+                accepted=0.0, false_accept=0.0, false_reject=1.0 - specific_risk(0.0, row.worst, row.target)
+            )
+        }
+    return {"check": CheckRow(**global_risks(row.worst, row.worst, row.target, acceptance)._asdict())}
+
+
+class TwinRow(NamedTuple):
+    """One requirement: its statistic as predicted and over the simulated runs, in `unit`."""
+
+    name: str
+    axis: str
+    unit: str
+    predicted: float
+    simulated: float
+
+    __repr__ = summary
+
+
+def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], dict[str, WishartTest]]:
+    """Simulate `runs` calibrations of a spec's plan. Returns a row for each requirement (ppm, deg/h; in its own unit),
+    and for all channels together the test of the sample covariance against the predicted one (likelihood ratio of a
+    Wishart matrix).
+
+    Errors: `ValueError` for fewer runs than parameters, and where the plan leaves something unobservable.
+    """
+    spec = expect_spec(spec)
+    built = build_imu(spec)
+    model, motion, nodes = built.model, built.motion, built.body_nodes()
+    _enough(runs, model.size)
+    # The errors of the table's gears are drawn, too, and estimated beside the parameters.
+    named, common = rows_of_gears(motion, model, nodes, built.gears)
+    steps, columns = imu_system(motion, model, nodes, common=common)
+    beside, prior = len(named), block_diagonal([np.eye(len(named)), model.prior_rows()])
+    carried = np.pad(_carried(model), (beside, model.size - model.calibrated), constant_values=True)
+    known, plain = imu_posterior(built), None
+    if unweighted_estimator(spec):
+        plain = estimator_of_means(motion, model, steps, columns), known
+    twin = simulated_errors(steps, np.asarray(columns), prior, carried, runs, seed, plain=plain)
+    found = Posterior(twin.left.T[beside:] / np.sqrt(len(twin.left)), np.zeros((model.size, 0)))
+    rows: list[TwinRow] = []
+    for requirement in spec.requirement:
+        quantity = quantity_of(built, requirement)
+        one, other = quantity.residual(known), quantity.residual(found, whole=True)
+        values = (of.finite_statistic() for of in (one, other))
+        rows.append(TwinRow(requirement.name, requirement.axis, one.unit, *values))
+    own = model.calibrated if plain is not None else model.size
+    believed = Posterior(known.spread[:own], known.hidden[:own])
+    return rows, {"all": wishart_test(twin.errors[:, beside : beside + own], believed)}
+
+
+def _enough(runs: int, parameters: int) -> None:
+    """Raise `ValueError` for too few runs."""
+    if runs < 2 * parameters:
+        raise ValueError(
+            f"{runs} runs cannot test a covariance of {parameters} parameters: ask for {2 * parameters} or more"
+        )
+
+
+_VERSIONS = ("jax", "numpy", "equinox")
+NOT_OPTIMISED = "not optimised: the plan of the spec"
+
+
+def recipe(
+    plan: "Spec | Optimised",
+    *,
+    resolution: ControllerSteps | None = None,
+    stability: Stability | None = None,
+    keep_shapes: bool = False,
+    status: str = "",
+    seed: int | None = None,
+    optimisation: Mapping[str, Any] | None = None,
+    notes: tuple[str, ...] = (),
+) -> Recipe:
+    """The plan of a spec, or an optimised one, made executable, with the prediction (ppm, deg/h) of what is executed.
+
+    `resolution`: the controllers' steps; None: those of `[rig.resolution]`, and defaults. `stability`: when a
+    temperature counts as stable, and how long to wait for it. `keep_shapes`: the table follows any shape of motion;
+    without it turns become trapezoids of the same angle, peak rate and duration. `status`, `seed`, `optimisation` (of
+    TOML's types) and `notes` are copied; an optimised plan has its own.
+
+    Errors: `SpecError` where the rounded plan leaves a limit of the rig.
+    """
+    spec = expect_spec(getattr(plan, "spec", plan))
+    if not isinstance(plan, Spec):
+        from gradcal_jax.design.searching import record_of
+
+        status, optimisation = status or plan.sentence, optimisation or record_of(plan)
+        seed = plan.spec.design.seed if seed is None and plan.spec.design is not None else seed
+    steps = resolution or steps_of(spec)
+    executable = rounded(spec, steps, keep_shapes=keep_shapes)
+    chamber, motion = tracks_of(executable.spec, None if steps.acceleration is None else float(steps.acceleration))
+    rows = Predicted.of(predict(executable.spec, limits=True, notices=True))
+    fields: dict[str, Any] = {
+        "format": FORMAT,
+        "title": spec.title,
+        "status": status or NOT_OPTIMISED,
+        "notes": (*notes, *executable.notes) or None,
+        "rounded": executable.changes or None,
+        "made": RecipeOrigin(
+            by=f"gradcal {gradcal_jax.__version__}", versions=versions_of(_VERSIONS), **_without_none(seed=seed)
+        ),
+        "resolution": ControllerSteps(**_without_none(**{n: getattr(steps, n) for n in ControllerSteps.model_fields})),
+        # With defaults, which may change in another version.
+        "stability": Stability(**{n: getattr(stability or Stability(), n) for n in Stability.model_fields}),
+        "chamber": chamber,
+        "motion": motion,
+        "prediction": rows,
+        "optimisation": None if optimisation is None else dict(optimisation),
+        "spec": executable.spec,
+    }
+    return Recipe(**_without_none(**fields))
+
+
+def _without_none(**values: Any) -> dict[str, Any]:
+    """The values that are not None: a file has no key for None."""
+    return {name: value for name, value in values.items() if value is not None}

@@ -1,0 +1,501 @@
+"""gradcal-log/1: what was recorded, as labelled NumPy arrays with units; `log_file` keeps them in netCDF files.
+
+    unit      the sensors on one table, by serial number or name          [unit]
+    time      one clock for all of them, strictly increasing, s           [time]
+    rate      integrated or sampled angular rate, rad/s                   [unit, time, axis]
+    specific_force  of the accelerometers, m/s^2, where there are any     [unit, time, force_axis]
+    reading   events at which the table's angle was read                  [reading]
+
+The table's angle is known at its readings alone. `table_angle` is a column of another logger, which read the encoder at
+every row; `table_course` is a reconstruction between readings, for pictures: nothing is estimated from it.
+
+A log never loses a row silently: `rows_read` counts the rows of the source, `rows_removed` those that could not be kept
+(by reason), and `status` is 0 for every usable row of a unit and the reason otherwise.
+"""
+
+import contextlib
+import hashlib
+import importlib
+import io
+import warnings
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from enum import IntEnum, IntFlag
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax.tables.display import columns as text_columns
+from gradcal_jax.tables.display import html, summary
+from gradcal_jax.tables.problems import instead
+
+FORMAT: Final = "gradcal-log/1"
+SERIAL_NUMBER: Final = "serial_number"
+"""Key, in the provenance of a log and of its calibration, of the serial number that the device itself stated."""
+SENSOR_RATE: Final = "sensor_rate"
+"""Key, in the provenance of a log, of the sensor's own sample rate ("400 Hz") if rows are single samples; "means": rows
+are means of samples; "unknown": the rows of a raw channel are far apart, and may be either."""
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+Flags = NDArray[np.uint16]
+Bools = NDArray[np.bool_]
+
+
+class LogError(ValueError):
+    """A record that cannot be used; the message says why and what to do."""
+
+
+@contextlib.contextmanager
+def naming(path: str | Path) -> Generator[None]:
+    """Context that adds the file's name to errors."""
+    try:
+        yield
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from None
+
+
+@contextlib.contextmanager
+def quietly(kind: str) -> Generator[None]:
+    """Context for a library on bytes that may be damaged: drops its prints, and turns exceptions into one sentence."""
+    try:
+        with (
+            contextlib.redirect_stdout(io.StringIO()),
+            contextlib.redirect_stderr(io.StringIO()),
+            warnings.catch_warnings(action="ignore"),
+        ):
+            yield
+    except LogError:
+        raise
+    except Exception as error:  # whatever a reader makes of bytes that are something else
+        name = type(error).__name__
+        raise LogError(f"cannot be read as {kind} ({name}): is it damaged, or a file of another kind?") from None
+
+
+def library(name: str, package: str) -> Any:
+    """A reader's library. Raises `LogError` with a sentence on how to install it."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise LogError(
+            f'reading it needs the package {package}, of the extra "logs": pip install "gradcal_jax[logs]"'
+        ) from None
+
+
+class Reason(IntFlag):
+    """Why a row of a unit is masked; a row may have several, and is counted under the first."""
+
+    MISSING_RATE = 1
+    SATURATED = 2
+    MARKED = 4
+    MISSING_TEMPERATURE = 8
+    FROZEN_TEMPERATURE = 16
+    LEFT_OUT = 32
+    MISSING_FORCE = 64
+    FROZEN_VALUES = 128
+    FAR_FROM_NEIGHBOURS = 256
+
+    @property
+    def words(self) -> str:
+        """In words: ``frozen temperature``."""
+        return (self.name or "").lower().replace("_", " ")
+
+
+class ReadingKind(IntEnum):
+    """What a reading of the table's angle stands for."""
+
+    PLANNED = 0
+    """The axis was at rest, and the recipe takes a reading here."""
+    STANDING = 1
+    """The axis was at rest; the recipe does not contain this reading."""
+    MOVING = 2
+    """The axis moved."""
+
+
+@dataclass(frozen=True)
+class AngleReadings:
+    """Readings of the table's angle, in order of time. All arrays `[reading]`.
+
+    `row`: at the end of this row of the log the axis stands at the angle that was read (of a moving axis the row of the
+    time). `standard_deviation_rad`: NaN where it is that of the spec.
+    """
+
+    time_s: Floats
+    row: Whole
+    axis: Whole
+    """Index of the log's table axes."""
+    angle_rad: Floats
+    standard_deviation_rad: Floats
+    kind: Whole
+    """`ReadingKind`s."""
+
+    __repr__ = summary
+
+    @classmethod
+    def in_order(cls, parts: Sequence["AngleReadings"]) -> "AngleReadings":
+        """The readings of several axes or parts, in order of time."""
+        arrays: dict[str, Any] = {}
+        for name, _, kind, *_ in OF_READINGS.values():
+            # (An empty array of the type, for no parts.)
+            arrays[name] = np.concatenate([np.zeros(0, kind), *(getattr(part, name) for part in parts)])
+        return cls(**arrays)._chosen(np.argsort(arrays["time_s"], kind="stable"))
+
+    def of_axis(self, axis: int, *kinds: ReadingKind) -> "AngleReadings":
+        """The readings of one table axis (its index), of the `kinds` (default: all)."""
+        chosen = (self.axis == axis) & (np.isin(self.kind, kinds) if kinds else True)
+        return self._chosen(chosen)
+
+    def between(self, first: int, last: int) -> "AngleReadings":
+        """The readings of the rows from `first` to before `last`, counted from `first`."""
+        inside = self._chosen((self.row >= first) & (self.row < last))
+        return replace(inside, row=inside.row - first)
+
+    def _chosen(self, chosen: Bools | Whole) -> "AngleReadings":
+        return AngleReadings(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
+
+
+class LogVariable(NamedTuple):
+    """A column of a log: the field that holds it, its dimensions, its type, and its unit and meaning in a file."""
+
+    field: str
+    dimensions: tuple[str, ...]
+    kind: type[np.generic]
+    unit: str
+    words: str
+
+
+_BITS: Final = ", ".join(f"{reason.value} {reason.words}" for reason in Reason)
+VARIABLES: Final[Mapping[str, LogVariable]] = {
+    name: LogVariable(field, tuple(dimensions.split()), kind, unit, words)
+    for name, field, dimensions, kind, unit, words in (
+        ("time", "time_s", "time", np.float64, "s", "time stamp of the sensor's clock"),
+        ("rate", "rate_rad_per_s", "unit time axis", np.float64, "rad s-1", "mean angular rate since the previous row"),
+        ("specific_force", "specific_force_m_per_s2", "unit time force_axis", np.float64, "m s-2", "specific force"),
+        ("temperature", "temperature_c", "unit time", np.float64, "degC", "temperature of the sensor"),
+        (
+            "second_temperature",
+            "second_temperature_c",
+            "unit time",
+            np.float64,
+            "degC",
+            "temperature of the second thermometer",
+        ),
+        ("table_angle", "table_angle_rad", "time table_axis", np.float64, "rad", "angle of the table, not wrapped"),
+        (
+            "table_course",
+            "table_course_rad",
+            "time table_axis",
+            np.float64,
+            "rad",
+            "angle of the table, reconstructed between readings",
+        ),
+        ("table_rate", "table_rate_rad_per_s", "time table_axis", np.float64, "rad s-1", "rate of the table"),
+        ("standstill", "standstill", "time", np.int64, "1", "number of the standstill; -1: the table moves"),
+        ("mounting", "mounting", "time", np.int64, "1", "number of the mounting, from 0"),
+        ("host_time", "host_time_s", "time", np.float64, "s", "time stamp of the computer"),
+        ("status", "status", "unit time", np.uint16, "1", f"0: usable; otherwise bits: {_BITS}"),
+        ("stretch_start", "stretch_starts", "stretch", np.int64, "1", "row at which a stretch begins"),
+    )
+}
+NEEDED: Final = ("time", "rate", "stretch_start")
+_KINDS: Final = ", ".join(f"{kind.value} {kind.name.lower()}" for kind in ReadingKind)
+OF_READINGS: Final[Mapping[str, LogVariable]] = {
+    f"reading_{name}": LogVariable(field, ("reading",), kind, unit, words)
+    for name, field, kind, unit, words in (
+        ("time", "time_s", np.float64, "s", "time of the reading of the table's angle, on the log's clock"),
+        ("row", "row", np.int64, "1", "row at the end of which this angle is valid"),
+        ("axis", "axis", np.int64, "1", "number of the table axis, from 0"),
+        ("angle", "angle_rad", np.float64, "rad", "angle read, not wrapped"),
+        ("std", "standard_deviation_rad", np.float64, "rad", "standard deviation; NaN: the value in the spec"),
+        ("kind", "kind", np.int64, "1", f"kind of the reading: {_KINDS}"),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One kind of fault in a record, and the action taken."""
+
+    kind: str
+    """``gap``, ``duplicate stamp``, ``unordered stamp``, ``unreadable row``, ``missing rate``, ``saturated``, …"""
+    done: str
+    """``mask``, ``split`` or ``keep``; with ``refuse``, an error is raised instead."""
+    count: int
+    """Number of rows concerned; for gaps, the number of gaps; 0 for faults of the record as a whole."""
+    message: str
+    """The fault in a sentence."""
+
+
+@dataclass(frozen=True)
+class EvenSeries:
+    """One axis of one unit on an even grid, the input of `gradcal_jax.identify`."""
+
+    rate_rad_per_s: Floats
+    valid: Bools
+    sample_interval_s: float
+    temperature_c: Floats | None
+    row: Whole
+    """The row of the log behind each point; -1: a gap."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A recording. Arrays are SI (°C for temperatures) and never changed in place; shapes stand beside the fields.
+
+    `read_log` and `import_log` read one, `log` makes one of a run. Errors: `LogError` where the shapes do not fit, or
+    times do not increase.
+    """
+
+    time_s: Floats
+    """[time]"""
+    rate_rad_per_s: Floats
+    """[unit, time, axis]; no axis if the IMU has only accelerometers."""
+    units: tuple[str, ...]
+    axes: tuple[str, ...]
+    temperature_c: Floats | None = None
+    """[unit, time]"""
+    table_axes: tuple[str, ...] = ()
+    table_angle_rad: Floats | None = None
+    """[time, table axis]; not wrapped. The encoder's angle in every row, if a logger recorded it so."""
+    table_rate_rad_per_s: Floats | None = None
+    """[time, table axis]"""
+    standstill: Whole | None = None
+    """[time]; the number of the standstill a row belongs to, -1 while the table moves."""
+    mounting: Whole | None = None
+    """[time]; the number of the IMU's mounting in its spec, from 0. `None`: always the first."""
+    host_time_s: Floats | None = None
+    """[time]; the computer's stamp of each row, if the sensor has a clock of its own."""
+    status: Flags | None = None
+    """[unit, time]; 0: usable, otherwise `Reason`s. `None`: all usable."""
+    stretch_starts: Whole = field(default_factory=lambda: np.zeros(1, np.int64))
+    """The row at which each unbroken stretch begins; the first is 0."""
+    rows_read: int = -1
+    """Rows of the source; -1: exactly these rows."""
+    rows_removed: Mapping[str, int] = field(default_factory=dict[str, int])
+    findings: tuple[Finding, ...] = ()
+    simulated: bool = False
+    provenance: Mapping[str, str] = field(default_factory=dict[str, str])
+    specific_force_m_per_s2: Floats | None = None
+    """[unit, time, force axis]; +1 g along an axis that points up at rest."""
+    force_axes: tuple[str, ...] = ()
+    readings: AngleReadings | None = None
+    """Readings of the table's angle. `None`: their times are not recorded; `table_angle_rad` is valid in every row."""
+    table_course_rad: Floats | None = None
+    """[time, table axis]; the angle reconstructed between readings, for pictures."""
+    second_temperature_c: Floats | None = None
+    """[unit, time]; temperature of the second thermometer."""
+
+    __repr__ = summary
+    _repr_html_ = html
+
+    def summary_lines(self) -> list[str]:
+        """Its contents in lines: length, units, axes, arrays, faults."""
+        rows = len(self.time_s)
+        units = ", ".join(self.units) if len(self.units) <= 3 else f"{len(self.units)} units"
+        arrays = {"temperature": self.temperature_c, "second temperature": self.second_temperature_c}
+        arrays |= {"host time": self.host_time_s, "table angle": self.table_angle_rad}
+        also = [name for name, array in arrays.items() if array is not None]
+        also += [] if self.readings is None else [f"{len(self.readings.time_s)} readings of the table's angle"]
+        also += [f"{len(self.stretch_starts)} stretches"] if len(self.stretch_starts) > 1 else []
+        forces = f"; specific forces of {', '.join(self.force_axes)}" if self.force_axes else ""
+        lines = [
+            f"Log of {units}: {self.duration_s:.6g} s, {rows} rows" + ", SIMULATED" * self.simulated,
+            f"  rates of {', '.join(self.axes) or 'no axis'}{forces}",
+        ]
+        lines += [f"  with {', '.join(also)}"] if also else []
+        return lines + ([text_columns([(f.done, f.message) for f in self.findings])] if self.findings else [])
+
+    _shown = summary_lines
+
+    def __post_init__(self) -> None:
+        rows = len(self.time_s)
+        labels = {"unit": self.units, "axis": self.axes, "force axis": self.force_axes, "table axis": self.table_axes}
+        sizes = {"time": rows} | {name.replace(" ", "_"): len(of) for name, of in labels.items()}
+        shape = (len(self.units), rows, len(self.axes))
+        if self.time_s.ndim != 1 or rows < 2:
+            raise LogError(f"a log needs at least two rows, not {rows}")
+        if not (np.isfinite(self.time_s).all() and np.all(np.diff(self.time_s) > 0)):
+            raise LogError("the times of a log must increase from row to row")
+        if self.rate_rad_per_s.shape != shape or 0 in (*shape[:2], shape[2] + len(self.force_axes)):
+            raise LogError(
+                f"the rates have the shape {self.rate_rad_per_s.shape}; expected [unit, time, axis] = {shape}"
+            )
+        for name, variable in VARIABLES.items():
+            array: NDArray[Any] | None = getattr(self, variable.field)
+            if name not in NEEDED and array is not None:
+                wanted = tuple(sizes[dimension] for dimension in variable.dimensions)
+                if array.shape != wanted:
+                    raise LogError(f"the {name.replace('_', ' ')} has the shape {array.shape} instead of {wanted}")
+        if (known := self.readings) is not None:
+            if len({len(getattr(known, one.name)) for one in fields(known)}) != 1:
+                raise LogError("the readings of the table's angle have columns of different lengths")
+            for name, values, end in (("row", known.row, rows), ("axis", known.axis, len(self.table_axes))):
+                if np.any((values < 0) | (values >= end)):
+                    raise LogError(f"a reading of the table's angle has a {name} that the log does not have")
+            if not (np.isfinite(known.time_s).all() and np.isfinite(known.angle_rad).all()):
+                raise LogError("a reading of the table's angle has no time or no angle")
+        for name, of in labels.items():
+            if len(set(of)) != len(of):
+                raise LogError(f"two of the log's {name} labels are the same: {', '.join(of)}")
+        starts = self.stretch_starts
+        if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= rows:
+            raise LogError("stretch_starts must increase, and the first stretch of a log must begin at row 0")
+        removed = sum(self.rows_removed.values())
+        if self.rows_read < 0:
+            object.__setattr__(self, "rows_read", rows + removed)
+        if self.rows_read != rows + removed:
+            raise LogError(
+                f"{self.rows_read} rows were read, but {rows} kept and {removed} removed rows do not add up to this "
+                "number"
+            )
+
+    @property
+    def duration_s(self) -> float:
+        """From the first stamp to the last, s."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    @property
+    def sample_interval_s(self) -> float:
+        """Mean interval within the stretches, s; the median where no stretch has two rows."""
+        return mean_interval(self.time_s, intervals_within(self.time_s, self.stretch_starts))
+
+    def unit_index(self, unit: str | int) -> int:
+        """The number of a unit given by name or number. Raises `LogError`."""
+        return _index(unit, self.units, "unit")
+
+    def axis_index(self, axis: str | int) -> int:
+        """The number of an axis given by name or number. Raises `LogError`."""
+        return _index(axis, self.axes, "axis")
+
+    def channel(self, axis: str | int, unit: str | int = 0, *, force: bool = False) -> Floats:
+        """`(n,)`: the rates of one axis, or its specific forces."""
+        if not force:
+            return self.rate_rad_per_s[self.unit_index(unit), :, self.axis_index(axis)]
+        if self.specific_force_m_per_s2 is None:
+            raise LogError("the log has no specific forces")
+        return self.specific_force_m_per_s2[self.unit_index(unit), :, _index(axis, self.force_axes, "force axis")]
+
+    def triads(self, unit: str | int = 0) -> tuple[Floats, Floats]:
+        """Rates and specific forces `(n, 3)` along x, y, z; NaN for axes that the log does not have."""
+        number, result = self.unit_index(unit), np.full((2, len(self.time_s), 3), np.nan)
+        pairs = ((self.axes, self.rate_rad_per_s), (self.force_axes, self.specific_force_m_per_s2))
+        for into, (labels, values) in zip(result, pairs, strict=True):
+            for k, label in enumerate(labels):
+                if values is not None and label in ("x", "y", "z"):
+                    into[:, "xyz".index(label)] = values[number, :, k]
+        return result[0], result[1]
+
+    def usable(self, unit: str | int = 0) -> Bools:
+        """Which rows of a unit are not masked. [time]"""
+        if self.status is None:
+            return np.ones(len(self.time_s), bool)
+        return self.status[self.unit_index(unit)] == 0
+
+    def fingerprint(self, unit: str | int = 0) -> str:
+        """SHA-256 of a unit's times and rates: the same for the same recording, under whatever name."""
+        digest = hashlib.sha256(np.ascontiguousarray(self.time_s).tobytes())
+        for values in (self.rate_rad_per_s, self.specific_force_m_per_s2):
+            if values is not None:
+                digest.update(np.ascontiguousarray(values[self.unit_index(unit)]).tobytes())
+        return digest.hexdigest()
+
+    def bridged_temperature(self, unit: str | int = 0, *, second: bool = False) -> Floats | None:
+        """A unit's temperature at every row, of the `second` thermometer if asked, missing ones interpolated linearly;
+        None without any. [time]"""
+        columns = self.second_temperature_c if second else self.temperature_c
+        values: Floats | None = None if columns is None else columns[self.unit_index(unit)]
+        if values is None or not (known := np.isfinite(values)).any():
+            return None
+        if known.all():
+            return values
+        return np.asarray(np.interp(self.time_s, self.time_s[known], values[known]), np.float64)
+
+    def counts(self, unit: str | int = 0) -> dict[str, int]:
+        """Counts of rows: ``used``, then removed and masked rows by reason. They add up to `rows_read`."""
+        result = {"used": int(np.count_nonzero(self.usable(unit))), **self.rows_removed}
+        if self.status is not None:
+            status = self.status[self.unit_index(unit)]
+            first = status & (~status + np.uint16(1))  # the lowest bit alone
+            for reason in Reason:
+                if count := int(np.count_nonzero(first == reason.value)):
+                    result[reason.words] = result.get(reason.words, 0) + count
+        return result
+
+    def even(self, axis: str | int = 0, unit: str | int = 0, *, force: bool = False) -> EvenSeries:
+        """One axis on an even grid, with one invalid point for each gap of any length: no window may span one; of the
+        accelerometers, if `force`, in m/s².
+
+        The interval is the mean one; jitter of the stamps about it has no effect on sums of rates.
+        """
+        values = self.channel(axis, unit, force=force)
+        row = np.insert(np.arange(len(self.time_s)), self.stretch_starts[1:], -1)
+        there = row >= 0
+        valid = there & self.usable(unit)[row]
+        temperature = None
+        if self.temperature_c is not None:
+            temperature = np.where(there, self.temperature_c[self.unit_index(unit), row], np.nan)
+        return EvenSeries(np.where(valid, values[row], 0.0), valid, self.sample_interval_s, temperature, row)
+
+
+def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:
+    """The intervals of stamps (s), without those between two stretches."""
+    interval = np.diff(time_s)
+    inside = np.ones(len(interval), bool)
+    inside[stretch_starts[1:] - 1] = False
+    return interval[inside]
+
+
+def mean_interval(time_s: Floats, within: Floats) -> float:
+    """The mean of the intervals `within` the stretches, s; the median of all where no stretch has two rows."""
+    return float(within.mean()) if len(within) else float(np.median(np.diff(time_s)))
+
+
+def part_of(
+    log: Log, *, begin_s: float | None = None, end_s: float | None = None, rows: tuple[int, int | None] | None = None
+) -> Log:
+    """The rows of a log between two times and two row numbers (the last not included); its clock stays as it is.
+
+    What is left out is counted as such. Errors: `LogError` where fewer than two rows are left.
+    """
+    first, last = (0, None) if rows is None else rows
+    last = len(log.time_s) if last is None else min(last, len(log.time_s))
+    if begin_s is not None:
+        first = max(first, int(np.searchsorted(log.time_s, begin_s)))
+    if end_s is not None:
+        last = min(last, int(np.searchsorted(log.time_s, end_s, side="right")))
+    if last - first < 2:
+        raise LogError(
+            f"the selected part has fewer than two rows: the record has {len(log.time_s)} rows, from "
+            f"{log.time_s[0]:g} s to {log.time_s[-1]:g} s"
+        )
+    left_out = len(log.time_s) - (last - first)
+    if left_out == 0:
+        return log
+    kept = slice(first, last)
+    cut = {
+        variable.field: values[:, kept] if variable.dimensions[0] == "unit" else values[kept]
+        for variable in VARIABLES.values()
+        if "time" in variable.dimensions and (values := getattr(log, variable.field)) is not None
+    }
+    starts = log.stretch_starts
+    inside = starts[(starts > first) & (starts < last)] - first
+    readings = None if log.readings is None else log.readings.between(first, last)
+    reason = Reason.LEFT_OUT.words
+    return replace(
+        log,
+        **cut,
+        readings=readings,
+        stretch_starts=np.concatenate([[0], inside]).astype(np.int64),
+        rows_removed={**log.rows_removed, reason: log.rows_removed.get(reason, 0) + left_out},
+    )
+
+
+def _index(label: str | int, labels: tuple[str, ...], kind: str) -> int:
+    if isinstance(label, int):
+        if 0 <= label < len(labels):
+            return label
+        raise LogError(f"there is no {kind} number {label}: the log has {len(labels)}, numbered from 0")
+    if label in labels:
+        return labels.index(label)
+    raise LogError(f"there is no {kind} '{label}' in this log; {instead(label, labels)}")

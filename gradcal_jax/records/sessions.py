@@ -1,0 +1,135 @@
+"""The sessions of a run from its journal: events in memory, samples decoded into a spool."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax.hardware.journal import Chunk, Event
+from gradcal_jax.hardware.roles import ImuBatch, ImuDecoder, join
+from gradcal_jax.hardware.run_folder import SESSION, breaks_off
+from gradcal_jax.hardware.setup import config_of, known_driver
+from gradcal_jax.records.spool import SampleSpool
+from gradcal_jax.spec.rig import ImuDevice
+
+Floats = NDArray[np.float64]
+# Batches, and samples, that are joined at once.
+_BATCHES, _SAMPLES = 4096, 1 << 15
+
+
+@dataclass
+class Session:
+    """One part of a run: its records in order. It began at `begun_s` of the run's clock, in the `mounting` of that
+    number, from 1; 0: the operator was never asked to mount the units."""
+
+    number: int
+    simulated: bool
+    wall_clock_s: float
+    begun_s: float
+    mounting: int
+    events: list[Event] = field(default_factory=list[Event])
+    stream: "Stream | None" = None
+    """The samples of the IMU."""
+
+    @property
+    def origin_s(self) -> float:
+        """The wall clock's time at zero of the run's clock."""
+        return self.wall_clock_s - self.begun_s
+
+    def stretches(self) -> list[tuple[float, float]]:
+        """From the beginning of a step with data to its end, or to the end of the run or session."""
+        found: list[tuple[float, float]] = []
+        since: float | None = None
+        latest = 0.0
+        for event in self.events:
+            latest = max(latest, event.time_s)
+            if event.name == "step begins" and event.data.get("data"):
+                begin = float(event.data["begins_s"])
+                if since is None:
+                    # A step that follows at once continues the stretch: its "step begins" has the same time.
+                    since = found.pop()[0] if found and begin - found[-1][1] < 1e-3 else begin
+            elif since is not None and (event.name == "step" or breaks_off(event)):
+                found.append((since, event.time_s))
+                since = None
+        return found if since is None else [*found, (since, latest)]
+
+    def mountings(self, host: Floats) -> NDArray[np.int64]:
+        """The number of the mounting at times, from 1; 0 where the operator was never asked to mount the units."""
+        hung = [(event.time_s, int(event.data["mounting"])) for event in self.events if event.name == "hung"]
+        numbers = np.array([self.mounting, *(number for _, number in hung)], np.int64)
+        return numbers[np.searchsorted(np.array([time for time, _ in hung]), host, side="right")]
+
+
+def sessions_of(
+    records: Iterable[Event | Chunk], device: ImuDevice | None = None, samples: SampleSpool | None = None
+) -> list[Session]:
+    """The sessions of a run; with a `device`, a unit, its `samples` are decoded as they are read."""
+    sessions: list[Session] = []
+    mounting = 0
+    for record in records:
+        if isinstance(record, Event):
+            if record.name == SESSION:
+                _end(sessions)
+                data = record.data
+                of = int(data["number"]), bool(data["simulated"]), float(data["wall_clock_s"])
+                sessions.append(Session(*of, record.time_s, mounting))
+                if device is not None and samples is not None:
+                    sessions[-1].stream = Stream(device, samples)
+            elif record.name == "hung":
+                mounting = int(record.data["mounting"])
+            # Where the unit measures its own temperature, the chamber's many readings are not needed.
+            if sessions and (device is None or record.name != "chamber"):
+                sessions[-1].events.append(record)
+                if (stream := sessions[-1].stream) is not None and record.name == "configuration":
+                    stream.configure(record)
+        elif sessions and record.received and (stream := sessions[-1].stream) is not None:
+            stream.push(record)
+    _end(sessions)
+    return sessions
+
+
+def _end(sessions: Sequence[Session]) -> None:
+    if sessions and (stream := sessions[-1].stream) is not None:
+        stream.flush()
+
+
+class Stream:
+    def __init__(self, device: ImuDevice, samples: SampleSpool) -> None:
+        self._device, self.samples = device, samples
+        self._early: list[Chunk] = []
+        self._waiting: list[ImuBatch] = []
+        self._waiting_samples = 0
+        self.first = self.end = len(samples)
+        self.restarts: list[int] = []
+        """Rows before which the IMU restarted."""
+        self.decoder: ImuDecoder | None = None
+
+    def configure(self, event: Event) -> None:
+        """The decoder is that of the unit's first configuration in the session."""
+        if event.data["device"] != self._device.name or self.decoder is not None:
+            return
+        config = config_of(self._device, "imu", ("imu", self._device.name))
+        module = known_driver(self._device.driver).load()
+        self.decoder = module.decoder_of(config, event.data["registers"])
+        for chunk in self._early:
+            self.push(chunk)
+        self._early.clear()
+
+    def push(self, chunk: Chunk) -> None:
+        if chunk.line != self._device.name:
+            return
+        if self.decoder is None:
+            self._early.append(chunk)
+            return
+        self._waiting.append(self.decoder.push(chunk.data, chunk.time_s))
+        self._waiting_samples += len(self._waiting[-1])
+        if len(self._waiting) == _BATCHES or self._waiting_samples >= _SAMPLES:
+            self.flush()
+
+    def flush(self) -> None:
+        batch, self._waiting, self._waiting_samples = join(self._waiting), [], 0
+        rows = self.end + np.flatnonzero(batch.restarted)
+        self.restarts += rows[rows > self.first].tolist()
+        self.samples.push(batch)
+        self.end = len(self.samples)

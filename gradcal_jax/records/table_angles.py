@@ -1,0 +1,286 @@
+"""The angles of a run's table, from the events of its journal: standstills, readings, and a course for pictures."""
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gradcal_jax.hardware.journal import Event
+from gradcal_jax.hardware.run_folder import breaks_off
+from gradcal_jax.hardware.track import AxisCommand
+from gradcal_jax.records.log import AngleReadings, ReadingKind
+from gradcal_jax.records.row_times import RowTimes
+
+# Not "stopped": what stood stands on, and what moved was told to.
+MOVE_COMMANDS: Final = ("move", "homing")
+MARGIN_S: Final = 0.02
+# Unit, adapter and system delay the stamps of samples by an unknown time. A row of rest that is lost costs nothing; a
+# row of motion that counted as rest would be an error.
+SETTLED_S: Final = 0.1
+# A motor whose move takes longer than its trapezoid by more than this did not follow it.
+_LATE_S: Final = 0.2
+Floats = NDArray[np.float64]
+
+
+class RunAngles:
+    """The axes of a table at the rows of a log, of which `runs` (first, end) are standstills. A row may be `late_s`
+    earlier or later than its time.
+
+    `readings` are small; the rest is made for a block of rows at a time.
+    """
+
+    def __init__(
+        self,
+        events: Sequence[Event],
+        axes: Sequence[str],
+        rows: RowTimes,
+        runs: Sequence[tuple[int, int]],
+        late_s: float,
+    ) -> None:
+        self._courses = [_Course(events, axis, rows, runs) for axis in axes]
+        self._rates = [_held_rates(events, axis, rows.host_s(len(rows) - 1)) for axis in axes]
+        self.readings = AngleReadings.in_order(
+            [_table_readings(events, axis, k, rows, late_s) for k, axis in enumerate(axes)]
+        )
+        self.spins = any(knots is not None for knots in self._rates)
+        """Whether the rates of an axis are known, because it turns at constant rates."""
+
+    def known_in(self, run: int) -> bool:
+        return all(course.known_in(run) for course in self._courses)
+
+    def course_deg(self, first: int, host: Floats) -> Floats:
+        """The angles, for pictures, of the rows from `first` on, whose times are `host`. `(n, L)`, deg"""
+        courses = [course.at(first, host)[:, None] for course in self._courses]
+        return np.concatenate([np.zeros((len(host), 0)), *courses], axis=1)
+
+    def rates_dps(self, host: Floats) -> Floats:
+        """The rates held at times. `(n, L)`, deg/s"""
+        rates = [np.zeros(len(host)) if knots is None else np.interp(host, *knots) for knots in self._rates]
+        return np.stack(rates, axis=1)
+
+
+def standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[float, float]]:
+    """When no axis moves: from the reading that shows it to the next command of motion, or to the run's interruption.
+
+    An axis that stood at an interruption stands again where the next step begins: a typed angle is not read again.
+    """
+    moving = set(axes)
+    intervals: list[tuple[float, float]] = []
+    since: float | None = None
+    latest = 0.0
+    for event in events:
+        latest = max(latest, event.time_s)
+        if event.name == "angle" and not event.data["moving"] and event.data["axis"] in moving:
+            moving.discard(str(event.data["axis"]))
+            if not moving:
+                since = float(event.data["time_s"])
+        elif event.name == "step begins" and since is None and axes and not moving:
+            since = float(event.data["begins_s"])
+        elif event.name in MOVE_COMMANDS or breaks_off(event):
+            if since is not None:
+                intervals.append((since, float(event.data.get("began_s", event.time_s))))
+                since = None
+            if event.name in MOVE_COMMANDS:
+                moving.add(str(event.data["axis"]))
+    if since is not None:
+        intervals.append((since, latest))
+    return [(start, end) for start, end in intervals if end > start]
+
+
+def _table_readings(events: Sequence[Event], axis: str, number: int, host: RowTimes, late_s: float) -> AngleReadings:
+    """The readings of an axis, `number` of the log's, at the times `host` of its rows.
+
+    A standing axis is at its angle from the first reading that shows it standing to its next command. Its row is the
+    nearest to the reading's time in between, without `late_s` and the margins of a standstill. An axis that is not read
+    again (its angle was typed) has its last reading where samples begin, also behind an interruption at which it stood.
+    """
+    rows: list[tuple[float, int, float, ReadingKind]] = []
+    stands: list[tuple[float, Event]] = []
+    last: Event | None = None
+    again_s = math.nan
+
+    def add(
+        time_s: float,
+        event: Event,
+        at_s: float,
+        kind: ReadingKind,
+        *,
+        next_row: bool = False,
+        until_s: float | None = None,
+    ) -> None:
+        row = host.search(at_s)
+        if not next_row and row > 0 and (row == len(host) or at_s - host.host_s(row - 1) < host.host_s(row) - at_s):
+            row -= 1
+        # Where no samples are near, the reading has no row.
+        near_s = SETTLED_S + late_s if until_s is None else until_s - at_s
+        if row < len(host) and abs(host.host_s(row) - at_s) <= near_s:
+            rows.append((time_s, row, math.radians(float(event.data["position_deg"])), kind))
+
+    def close(until_s: float) -> None:
+        """Place the readings of one standstill, which ends at `until_s`."""
+        if not stands and last is not None and math.isfinite(again_s):
+            stands.append((again_s, last))
+        first_s = stands[0][0] if stands else 0.0
+        begin_s, end_s = first_s + SETTLED_S + late_s, until_s - MARGIN_S - late_s
+        count, kind = len(rows), ReadingKind.PLANNED
+        for time_s, event in stands:
+            kind = ReadingKind.PLANNED if event.data.get("planned", True) else ReadingKind.STANDING
+            if begin_s > end_s:
+                add(time_s, event, 0.5 * (first_s + until_s), kind)
+            else:
+                at_s = max(time_s, begin_s)
+                add(time_s, event, min(at_s, end_s), kind, next_row=at_s < end_s)
+        if stands and len(rows) == count and begin_s < end_s:
+            time_s, event = stands[-1]
+            samples_s = host.host_s(min(host.search(max(time_s, begin_s)), len(host) - 1)) + 2.0 * SETTLED_S
+            add(time_s, event, samples_s, kind, next_row=True, until_s=end_s)
+        stands.clear()
+
+    for event in events:
+        own = event.data.get("axis") == axis
+        if event.name == "angle" and own and event.data["position_deg"] is not None:
+            time_s = float(event.data["time_s"])
+            if event.data["moving"]:
+                add(time_s, event, time_s, ReadingKind.MOVING)
+            else:
+                stands.append((time_s, event))
+                last = event
+        elif (moves := event.name in MOVE_COMMANDS and own) or breaks_off(event):
+            close(float(event.data.get("began_s", event.time_s)))
+            last, again_s = None if moves else last, math.nan
+        elif event.name == "step begins" and not stands:
+            again_s = float(event.data["begins_s"])
+    close(math.inf)
+    times, at, angles, kinds = np.array(rows).reshape(-1, 4).T
+    whole, none = np.int64, np.full(len(rows), np.nan)
+    return AngleReadings(times, at.astype(whole), np.full(len(rows), number, whole), angles, none, kinds.astype(whole))
+
+
+def _held_rates(events: Sequence[Event], axis: str, end_s: float) -> tuple[Floats, Floats] | None:
+    """Times up to `end_s`, and the rates of an axis between which straight lines are drawn, deg/s: the commanded rate
+    of its spins, the reference of the standard method, zero where it stands. None for an axis that never spins."""
+    if not any(_spins(event, axis) for event in events):
+        return None
+    knots: list[tuple[float, float]] = []
+    since_s, rate = math.inf, 0.0
+
+    def close(until_s: float) -> None:
+        if since_s < until_s:
+            knots.extend([(since_s, rate), (until_s, rate)])
+
+    for event in events:
+        own = event.data.get("axis") == axis
+        if event.name == "angle" and own and not event.data["moving"] and since_s == math.inf:
+            since_s, rate = float(event.data["time_s"]), 0.0
+        elif (event.name in MOVE_COMMANDS and own) or breaks_off(event):
+            began_s = float(event.data.get("began_s", event.time_s))
+            close(began_s)
+            before, since_s = (rate if since_s < math.inf else 0.0), math.inf
+            if _spins(event, axis):
+                rate = float(event.data["rate_dps"])
+                since_s = began_s + abs(rate - before) / float(event.data["acceleration_dps2"]) + _LATE_S
+    close(end_s)
+    times, rates = np.array(knots).reshape(-1, 2).T
+    return (times, rates) if len(knots) else None
+
+
+def _spins(event: Event, axis: str) -> bool:
+    return event.name == "move" and event.data["axis"] == axis and event.data["kind"] == "spin"
+
+
+class _Piece(NamedTuple):
+    """How an axis's angle is made in rows: the nearest of `values` at `times`, or a turn from an angle at a time."""
+
+    first: int
+    end: int
+    times: Floats
+    values: Floats
+    turn: AxisCommand | None = None
+
+    def at(self, host: Floats) -> Floats:
+        if self.turn is not None:
+            return self.values[0] + _turned(self.turn, host - self.times[0])
+        if not len(self.times):
+            return np.full(len(host), np.nan)
+        # The nearest in time.
+        return self.values[np.searchsorted((self.times[1:] + self.times[:-1]) / 2.0, host)]
+
+
+class _Course:
+    """An axis's angle at every row, deg: in a standstill the nearest reading since the axis's last command of motion
+    (a typed angle holds until the axis is turned again), else from its own moves."""
+
+    def __init__(self, events: Sequence[Event], axis: str, rows: RowTimes, runs: Sequence[tuple[int, int]]) -> None:
+        read = [
+            e for e in events if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None
+        ]
+        self._times, self._values = (np.array([float(e.data[of]) for e in read]) for of in ("time_s", "position_deg"))
+        times, values = self._times, self._values
+        still = np.array([not e.data["moving"] for e in read], bool)
+        moves = [e for e in events if e.name in MOVE_COMMANDS and e.data["axis"] == axis]
+        moved = np.array([float(e.data.get("began_s", e.time_s)) for e in moves])
+        self._own = _own_pieces(rows, moves, moved, times[still], values[still]) if read else []
+        self._stands: list[_Piece] = []
+        for first, end in runs:
+            number = int(np.searchsorted(moved, rows.host_s(first)))
+            low, high = moved[number - 1] if number else -math.inf, rows.host_s(end - 1) + 2.0 * MARGIN_S
+            inside = np.flatnonzero(still & (times >= low) & (times <= high))
+            self._stands.append(_Piece(first, end, times[inside], values[inside]))
+        self._firsts = [np.array([piece.first for piece in pieces]) for pieces in (self._own, self._stands)]
+
+    def known_in(self, run: int) -> bool:
+        return bool(len(self._stands[run].times))
+
+    def at(self, first: int, host: Floats) -> Floats:
+        if not len(self._times):
+            return np.full(len(host), np.nan)
+        result = np.interp(host, self._times, self._values)
+        end = first + len(host)
+        for pieces, firsts in zip((self._own, self._stands), self._firsts, strict=True):
+            # Pieces follow each other: only the last that begins before the block may reach into it.
+            low, high = max(0, int(np.searchsorted(firsts, first, "right")) - 1), int(np.searchsorted(firsts, end))
+            for piece in pieces[low:high]:
+                here = slice(max(piece.first, first) - first, max(0, min(piece.end, end) - first))
+                result[here] = piece.at(host[here])
+        return result
+
+
+def _own_pieces(
+    rows: RowTimes, commands: Sequence[Event], moved: Floats, times: Floats, values: Floats
+) -> list[_Piece]:
+    """An axis's angle independent of other axes: the nearest of its readings `values` at `times` while it stands, and
+    the commanded trapezoid from one to the next; nothing where neither is known."""
+    pieces: list[_Piece] = []
+    for k in range(-1, len(commands)):
+        begin = float(moved[k]) if k >= 0 else -math.inf
+        until = float(moved[k + 1]) if k + 1 < len(commands) else math.inf
+        # A reading at the time of a command belongs to the standstill before it.
+        first, last = np.searchsorted(times, np.array([begin, until]), side="right")
+        if first == last:
+            continue
+        low, middle, high = (rows.search(at_s) for at_s in (begin, float(times[first]), until))
+        move = commands[k].data if k >= 0 else {}
+        if first > 0 and move.get("kind") in ("go", "turn") and move.get("acceleration_dps2"):
+            angle, rate = float(values[first] - values[first - 1]), float(move["rate_dps"])
+            acceleration = move["acceleration_dps2"]
+            turn = AxisCommand(0.0, "", "turn", rate_dps=rate, acceleration_dps2=acceleration, angle_deg=angle)
+            # An operator, or a stage that was held up, does not follow the trapezoid.
+            if turn.duration_s + _LATE_S > times[first] - begin:
+                pieces.append(_Piece(low, middle, np.array([begin]), values[first - 1 : first], turn))
+        pieces.append(_Piece(middle, high, times[first:last], values[first:last]))
+    return [piece for piece in pieces if piece.end > piece.first]
+
+
+def _turned(turn: AxisCommand, since: Floats) -> Floats:
+    """How far a turn has come (deg), seconds after it began."""
+    size, whole = abs(turn.angle_deg), turn.duration_s
+    if whole == 0.0:
+        return np.full(len(since), turn.angle_deg)
+    peak = min(abs(turn.rate_dps), math.sqrt(size * turn.acceleration_dps2))
+    ramp = peak / turn.acceleration_dps2
+    near = 0.5 * turn.acceleration_dps2 * np.clip(np.minimum(since, whole - since), 0.0, ramp) ** 2
+    sides = np.where(since < 0.5 * whole, near, size - near)
+    flat = (since > ramp) & (since < whole - ramp)
+    return math.copysign(1.0, turn.angle_deg) * np.where(flat, peak * (since - 0.5 * ramp), sides)

@@ -1,0 +1,154 @@
+"""The gyros of a vehicle's log, each with its own stamps and thermometer, and the `Log` of them.
+
+Gyros with common stamps are units of one log. Gyros with their own clocks cannot share rows: the first is used, or the
+requested one, and the others are named. Temperatures of another topic are interpolated to the gyro's stamps.
+"""
+
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from gradcal_jax.records.log import SENSOR_RATE, Finding, Floats, Log, LogError, naming, quietly
+from gradcal_jax.records.log_faults import Columns, Policy, examine
+
+KINDS: Final = {
+    ".ulg": "ulog",
+    ".ulog": "ulog",
+    ".bin": "dataflash",
+    ".bag": "ros",
+    ".db3": "ros",
+    ".mcap": "ros",
+    ".tlog": "mavlink",
+}
+"""File name endings, each with the module that reads such files; a folder with metadata.yaml is a rosbag 2."""
+_WORDS: Final = {"ulog": "ULog", "dataflash": "DataFlash", "ros": "a ROS bag or MCAP"}
+_FIRMWARE: Final = {"ulog": {"firmware": "px4"}, "dataflash": {"firmware": "ardupilot"}}
+_FROM_MAVLINK: Final = (
+    "has MAVLink messages. Their HIGHRES_IMU, as PX4 sends it, is not the output of the sensor: the gyro bias of "
+    "PX4's estimator is subtracted, and the temperature is that of the barometer. A calibration needs the log of "
+    "the flight controller itself: PX4's .ulg with sensor_gyro, or ArduPilot's .bin"
+)
+
+
+@dataclass(frozen=True)
+class GyroStream:
+    """One gyro: `rate_rad_per_s` `(samples, 3)` about x, y, z at `time_s`, which counts from the log's own zero."""
+
+    name: str
+    time_s: Floats
+    rate_rad_per_s: Floats
+    temperature_c: Floats | None
+    """Temperature of the gyro at the same time stamps."""
+    host_time_s: Floats | None = None
+    notes: tuple[str, ...] = ()
+    """Properties of this source that matter for a calibration, in sentences."""
+    sensor_rate: str | None = None
+    """The sensor's own sample rate, in the words of `files.log.log.SENSOR_RATE`."""
+
+
+def is_vehicle_log(path: Path) -> bool:
+    """Whether `read_vehicle_log` reads files of this ending."""
+    return path.suffix.lower() in KINDS or (path.is_dir() and (path / "metadata.yaml").exists())
+
+
+def read_vehicle_log(path: str | Path, *, unit: str | None = None, rows: tuple[int, int | None] | None = None) -> Log:
+    """The log of one or several gyros in a vehicle's log, axes x, y, z in rad/s, examined as any recording is.
+
+    `unit` names the gyro where several run at clocks of their own; `rows` cuts a part, the last row not included.
+
+    **Raises:** `LogError` with a sentence, for files that are not what their ending says, for logs without a raw gyro,
+    and where the library that reads them is not installed.
+    """
+    path = Path(path)
+    streams = _streams(path)
+    names = [stream.name for stream in streams]
+    with naming(path):
+        if unit is not None and unit not in names:
+            raise LogError(f"there is no IMU '{unit}' in this log; it has {', '.join(names)}")
+        chosen = _of_one_clock(streams, streams[0 if unit is None else names.index(unit)])
+        return _log(chosen, [stream for stream in streams if stream not in chosen], path, rows)
+
+
+def read_vehicle_logs(path: str | Path, *, rows: tuple[int, int | None] | None = None) -> list[Log]:
+    """All gyros of a vehicle's log: a log for each clock, otherwise as `read_vehicle_log`."""
+    path = Path(path)
+    streams = _streams(path)
+    with naming(path):
+        clocks = [_of_one_clock(streams, stream) for stream in streams]
+        return [_log(of, (), path, rows) for of, first in zip(clocks, streams, strict=True) if of[0] is first]
+
+
+def _streams(path: Path) -> list[GyroStream]:
+    if not path.exists():
+        raise LogError(f"{path} does not exist")
+    kind = KINDS.get(path.suffix.lower(), "ros")
+    if kind == "mavlink":
+        raise LogError(f"{path} {_FROM_MAVLINK}")
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        raise LogError(f"{path} is a directory")
+    reader = importlib.import_module(f"gradcal_jax.records.vehicle.{kind}")
+    with naming(path):
+        with quietly(_WORDS[kind]):
+            gyros: Sequence[GyroStream] = reader.gyros(path)
+        if not (streams := [stream for stream in gyros if len(stream.time_s) > 1]):
+            raise LogError("the log has no samples of a gyro")
+        return streams
+
+
+def _of_one_clock(streams: Sequence[GyroStream], first: GyroStream) -> list[GyroStream]:
+    return [s for s in streams if s.sensor_rate == first.sensor_rate and np.array_equal(s.time_s, first.time_s)]
+
+
+def _log(
+    streams: Sequence[GyroStream], others: Sequence[GyroStream], path: Path, rows: tuple[int, int | None] | None
+) -> Log:
+    first = streams[0]
+    known = [stream.temperature_c for stream in streams if stream.temperature_c is not None]
+    nothing = np.full(len(first.time_s), np.nan)
+    warm = [nothing if stream.temperature_c is None else stream.temperature_c for stream in streams]
+    columns = Columns(
+        rate_rad_per_s=np.stack([stream.rate_rad_per_s for stream in streams]),
+        units=tuple(stream.name for stream in streams),
+        axes=("x", "y", "z"),
+        time_s=first.time_s,
+        temperature_c=np.stack(warm) if known else None,
+        host_time_s=first.host_time_s,
+        provenance={"source": path.name, **_FIRMWARE.get(KINDS.get(path.suffix.lower(), ""), {})}
+        | ({} if first.sensor_rate is None else {SENSOR_RATE: first.sensor_rate}),
+    )
+    # A gyro without a thermometer is still useful for its noise.
+    policy = Policy(missing_temperatures="mask" if len(known) == len(streams) else "keep")
+    log = examine(columns if rows is None else columns.part(rows), policy)
+    notes = [Finding("source", "keep", 0, note) for stream in streams for note in stream.notes]
+    for stream in streams:
+        if stream.temperature_c is not None and (step := _step(stream.temperature_c)) > 0.4:
+            text = f"the temperature of {stream.name} is recorded in steps of {step:.3g} degC"
+            notes.append(Finding("coarse thermometer", "keep", 0, text))
+    if others:
+        names = ", ".join(stream.name for stream in others)
+        text = f"the log also has other gyros, with clocks of their own: {names}; choose one with --unit"
+        notes.append(Finding("other units", "keep", 0, text))
+    return replace(log, findings=(*notes, *log.findings))
+
+
+def _step(temperature: Floats) -> float:
+    """The smallest change of a thermometer, K; 0 where there is none."""
+    levels = np.unique(temperature[np.isfinite(temperature)])
+    return float(np.min(np.diff(levels))) if 1 < len(levels) < 500 else 0.0
+
+
+def interpolated(time_s: Floats, of_time_s: Floats, values: Floats) -> Floats:
+    """Readings of a slower thermometer at a gyro's stamps; NaN farther outside than two of its intervals."""
+    kept = np.isfinite(of_time_s) & np.isfinite(values)
+    order = np.argsort(of_time_s[kept], kind="stable")
+    x, y = of_time_s[kept][order], values[kept][order]
+    if len(x) == 0:
+        return np.full(len(time_s), np.nan)
+    beyond = 2 * float(np.median(np.diff(x))) if len(x) > 1 else 0.0
+    result = np.interp(time_s, x, y)
+    result[(time_s < x[0] - beyond) | (time_s > x[-1] + beyond)] = np.nan
+    return result

@@ -1,0 +1,378 @@
+"""Error terms that a spec does not name, each with its class's typical value, which counts in verdicts.
+
+The figures and their sources are data, `typical.toml`; a term that the file names, even with zero or an empty list, is
+not absent. Only terms with an effect on the spec's own plan are listed.
+"""
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import resources
+from typing import Any, Final, NamedTuple, cast
+
+from gradcal_jax import units
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.plan import StandardPlan
+from gradcal_jax.spec.schedule import StandardSchedule
+from gradcal_jax.spec.sensor import HOST_CLOCK, Sensor
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.quantity import Quantity
+from gradcal_jax.tables.section import Section
+
+# Terms that act through one of the maps alone, or through motion or temperature.
+_OF_BIAS: Final = frozenset({"turn_on_bias", "bias_temperature_gradient"})
+_OF_SCALE_FACTOR: Final = frozenset({"sample_clock_error", "scale_factor_instability"})
+_OF_RAMPS: Final = frozenset({"thermal_lag", "bias_temperature_gradient", "temperature_lag"})
+# Terms of the table itself: of one axis the first, of any other IMU the others.
+_OF_TABLE: Final = frozenset({"rate_accuracy", "tilt", "azimuth"})
+EARTH: Final = "rig.site.latitude"
+EARTH_IS_UNKNOWN: Final = (
+    "the Earth's rate along the axis is not stated, so the bias includes up to 15.04 deg/h of this rate: give "
+    "[rig.site] latitude, or call `gradcal estimate` with --latitude (for an axis that points up) or --earth-rate"
+)
+
+
+class Grade(NamedTuple):
+    """The class of a sensor or table: its name, a typical device, and the reason."""
+
+    name: str
+    like: str
+    reason: str
+
+
+class AbsentTerm(NamedTuple):
+    """An absent term: its dotted key in the spec, a typical value for TOML, and the source of that figure."""
+
+    key: str
+    value: Any
+    source: str
+
+    @property
+    def typical(self) -> str:
+        """The value in words: ``10 deg/h, 100 s``."""
+        return "up to 15.04 deg/h" if self.key == EARTH else _words(self.value)
+
+
+# Of normal gravity at sea level: 3.09 um/s^2 a metre of height, and 0.3 mm/s^2 of anomaly.
+_NORMAL_GRAVITY: Final = AbsentTerm(
+    "gravity_accuracy",
+    "250 ug",
+    "gravity is not stated; this figure is the error of normal gravity at sea level, for heights of up to 1000 m",
+)
+
+
+# Where rotation adds to the specific force that a gyro is sensitive to.
+BESIDE_ACCELEROMETERS: Final = AbsentTerm(
+    "g_sensitivity.lever_arm", "3 mm", "estimate, for gyros beside the accelerometers on one board"
+)
+_OFF_THE_AXES: Final = AbsentTerm(
+    "g_sensitivity.lever_arm",
+    "3 cm",
+    "estimate, for a sensor on a table, without accelerometers that could measure the lever arm",
+)
+
+# By how much rotation may raise χ² of a gyro that has some thousands of readings.
+_NOTICED: Final = 10.0
+
+
+def absent_lever_arm(spec: Spec) -> AbsentTerm | None:
+    """The lever arm of gyros that are sensitive to acceleration, its key in the spec, where the spec leaves it out and
+    tests of the fit would notice it."""
+    gyro = spec.sensor.gyro
+    if gyro is None or gyro.g_sensitivity is None or gyro.g_sensitivity.prior is None:
+        return None
+    if "lever_arm" in gyro.g_sensitivity.model_fields_set:
+        return None
+    term = _OFF_THE_AXES if spec.sensor.accelerometer is None else BESIDE_ACCELEROMETERS
+    arm = Quantity.of(units.parse(term.value, "length"), "m")
+    felt = gyro.g_sensitivity.model_copy(update={"lever_arm": arm}).of_rotation
+    more = felt**2 * _fourth_power_of_rates(spec) / float(gyro.angle_random_walk) ** 2
+    return term._replace(key=f"sensor.gyro.{term.key}") if more > _NOTICED else None
+
+
+def _fourth_power_of_rates(spec: Spec) -> float:
+    """The integral of the fourth power of the plan's rates over time, (rad/s)⁴s, with the mean rate of each turn."""
+    if isinstance(schedule := spec.schedule, StandardSchedule):
+        return len(schedule.temperatures) * schedule.integration * sum(rate**4 for rate in schedule.rates)
+    cycles = sum(stretch.cycles for stretch in schedule.stretches)
+    turns = [s.move for s in schedule.every_step if not s.move.is_rest and s.move.duration]
+    return cycles * sum(abs(move.angle) ** 4 / move.duration**3 for move in turns)
+
+
+def absent_terms(spec: Spec) -> list[AbsentTerm]:
+    """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
+    return list(_absent(spec))
+
+
+def _absent(spec: Spec) -> Iterator[AbsentTerm]:
+    sensor, table, site, alone = spec.sensor, spec.rig.table, spec.rig.site, spec.is_one_axis
+    gyro, force, keys = sensor.gyro, sensor.accelerometer, _keys_of_axis(spec) if alone else _keys_of_imu(spec)
+    terms = [t for t in terms_of("sensor", sensor_grade(sensor).name) if t.key in keys]
+    every = terms_of("table", table_grade(spec).name)
+    of_table = [t for t in every if t.key in keys]
+    common = set(type(sensor).model_fields)
+    yield from _unnamed(sensor, "sensor", [_of_clock(t, sensor) for t in terms if t.key in common])
+    if gyro is not None:
+        # A temperature error acts through the slopes of the estimated maps.
+        fixed = {f"{name}_slope" for name in ("bias", "scale_factor") if getattr(gyro, name) is None}
+        for term in _unnamed(gyro, "sensor.gyro", [t for t in terms if t.key not in common]):
+            if term.key.endswith("temperature_error"):
+                yield term._replace(value={key: value for key, value in term.value.items() if key not in fixed})
+            else:
+                # Beside other channels a sensitivity to dT/dt is a figure, and no parameter.
+                figure = not alone and term.key.endswith("gradient")
+                yield term._replace(value=term.value["prior"]) if figure else term
+        if (arm := absent_lever_arm(spec)) is not None:
+            yield arm
+    if force is not None:
+        of_force = terms_of("accelerometer", accelerometer_grade(sensor).name)
+        yield from _unnamed(force, "sensor.accelerometer", of_force)
+        of_site = [t for t in every if t.key == "gravity_accuracy"]
+        yield from _unnamed(site, "rig.site", of_site if site.gravity is not None else [_NORMAL_GRAVITY])
+    # Hysteresis of quantities that are required on a branch of the temperature.
+    branched = {_OF_BRANCHES[r.quantity] for r in spec.requirement if getattr(r, "branch", None) is not None}
+    for kind in ("gyro", "accelerometer"):
+        if (section := getattr(sensor, kind)) is not None:
+            of_path = [t for t in path_terms_of(sensor, kind) if (kind, t.key) in branched]
+            yield from _unnamed(section, f"sensor.{kind}", of_path)
+    for term in [t for t in of_table if t.key == "mounting_accuracy"]:
+        if "mounting" not in table.model_fields_set:
+            yield term._replace(key="rig.table.mounting", value=[{"accuracy": term.value}])
+        else:
+            yield from _unnamed(table.mounting[0], "rig.table.mounting[0]", [term._replace(key="accuracy")])
+    yield from _unnamed(table, "rig.table", [t for t in of_table if t.key in _OF_TABLE])
+    for k, axis in enumerate(table.axis):
+        if k < len(table.axis) - 1:
+            yield from _unnamed(axis, f"rig.table.axis[{k}]", [t for t in every if t.key == "orthogonality"])
+        if alone or not table.by_gravity:
+            of_angle = [t._replace(key=t.key[6:]) for t in of_table if t.key.startswith("angle.")]
+            yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", of_angle)
+    if alone and site.latitude is None:
+        reason = "the Earth turns at 15.04 deg/h, and the angle between its axis and the table's is not stated"
+        yield AbsentTerm(EARTH, "unknown", reason)
+
+
+_OF_BRANCHES: Final = {
+    "gyro_bias": ("gyro", "hysteresis"),
+    "gyro_scale_factor": ("gyro", "scale_factor_hysteresis"),
+    "accelerometer_bias": ("accelerometer", "hysteresis"),
+    "accelerometer_scale_factor": ("accelerometer", "scale_factor_hysteresis"),
+}
+"""For each quantity whose requirement may state a `branch` (heating or cooling): the kind of its channel, and the key
+of its hysteresis terms."""
+
+
+def path_terms_of(sensor: Sensor, kind: str) -> list[AbsentTerm]:
+    """What depends on the path of temperature in channels of the kind's class, its key within the triad's table."""
+    grade = sensor_grade(sensor) if kind == "gyro" else accelerometer_grade(sensor)
+    row = _row("sensor" if kind == "gyro" else "accelerometer", grade.name)
+    return [AbsentTerm(term["key"], term["value"], term["source"]) for term in row["path"]]
+
+
+def branch_sentences(spec: Spec) -> list[str]:
+    """What requirements leave out that name no branch of the temperature, with the figures of the class."""
+    sentences, widest = list[str](), 0.0
+    for quantity, (kind, key) in _OF_BRANCHES.items():
+        names = [r.name for r in spec.requirement if r.quantity == quantity and getattr(r, "branch", None) is None]
+        triad = getattr(spec.sensor, kind)
+        if not names or triad is None or key in triad.model_fields_set:
+            continue
+        play = next(t.value[0] for t in path_terms_of(spec.sensor, kind) if t.key == key)
+        words = ", ".join(f"'{name}'" for name in names)
+        width, prior = units.parse(play["width"], "temperature difference"), play["prior"]
+        size, per = prior.split(" ")
+        left = f"{float(size) * width:.3g} {per.removesuffix('/K')}"
+        sentences.append(
+            f"{words}: the requirement does not distinguish heating and cooling, so a hysteresis (±{left} in this "
+            'class) is not counted: add branch = "both" (or "heating" or "cooling") to the requirement'
+        )
+        widest = max(widest, width)
+    if sentences and _goes_one_way(spec):
+        returns = f"change the temperature back by {2.0 * widest:g} K or more{minutes_of_change(spec, 2.0 * widest)}"
+        sentences.append(f"one-way ramp, so the plan cannot observe a hysteresis: {returns}")
+    return sentences
+
+
+def attitude_sentences(spec: Spec) -> list[str]:
+    """What requirements on the bias of gyros leave out where the spec has no sensitivity to acceleration."""
+    gyro = spec.sensor.gyro
+    names = [r.name for r in spec.requirement if r.quantity == "gyro_bias"]
+    if gyro is None or gyro.g_sensitivity is not None or not names:
+        return []
+    size = typical_g_sensitivity(sensor_grade(spec.sensor).name).removesuffix("/g")
+    words = ", ".join(f"'{name}'" for name in names)
+    return [
+        f"{words}: the result holds for the attitudes of the calibration. In another attitude, g-sensitivity "
+        f"changes the bias of a gyro of this class by ±{size} for each g; this error is not counted: add "
+        "[sensor.gyro.g_sensitivity] to estimate it"
+    ]
+
+
+def _goes_one_way(spec: Spec) -> bool:
+    """Whether the plan's temperature changes in one direction alone."""
+    if isinstance(spec.plan, StandardPlan):
+        return False
+    ramps = [s.temperature_end - s.temperature_start for s in spec.gradient_schedule.segments if s.kind == "ramp"]
+    return len({change > 0.0 for change in ramps}) == 1
+
+
+def minutes_of_change(spec: Spec, change_k: float) -> str:
+    """The time that the chamber needs for a change of temperature at the slower of its rates, in brackets."""
+    rate = min(float(spec.rig.chamber.max_heating), float(spec.rig.chamber.max_cooling))
+    return f" ({change_k / rate / 60.0:.3g} min at {rate * 60.0:.3g} K/min)" if math.isfinite(rate) and rate else ""
+
+
+def _unnamed(section: Section, prefix: str, terms: list[AbsentTerm]) -> Iterator[AbsentTerm]:
+    """The terms that a table of the file does not name, with their whole keys."""
+    for term in terms:
+        if term.key not in section.model_fields_set:
+            yield term._replace(key=f"{prefix}.{term.key}")
+
+
+def with_typical(spec: Spec) -> Spec:
+    """The spec with every absent term at its typical value. Errors: `SpecError` where the two contradict each other."""
+    typical = {term.key: term.value for term in absent_terms(spec)}
+    # The typical scale error of gears is that of their backlash, too.
+    ends = ".angle.scale_error"
+    none = {key.replace(ends, ".angle.backlash"): "0 deg" for key in typical if key.endswith(ends)}
+    return changed(spec, none | typical) if typical else spec
+
+
+def sensor_grade(sensor: Sensor) -> Grade:
+    """The class of a gyro: `sensor.grade`, or else by its drift, or else by its angle random walk; of a unit without
+    gyros that of its accelerometers."""
+    if (gyro := sensor.gyro) is None:
+        return accelerometer_grade(sensor)
+    if sensor.grade is not None:
+        return Grade(sensor.grade, str(_row("sensor", sensor.grade)["like"]), "sensor.grade")
+    return _by_noise("sensor", gyro.drift, "angular rate", gyro.angle_random_walk)
+
+
+def accelerometer_grade(sensor: Sensor) -> Grade:
+    """The class of a unit's accelerometers, by their drift, or else by their velocity random walk; without any that of
+    its gyros."""
+    if (force := sensor.accelerometer) is None:
+        return sensor_grade(sensor)
+    return _by_noise("accelerometer", force.drift, "acceleration", force.velocity_random_walk)
+
+
+def _by_noise(kind: str, drift: Any, dimension: str, walk: Quantity) -> Grade:
+    if size := max((float(d.standard_deviation) for d in drift), default=0.0):
+        return _grade(kind, size, "drift", dimension, "its drift")
+    return _grade(kind, float(walk), "walk", walk.dimension, f"its {walk.dimension}")
+
+
+def slopes_of(sensor: Sensor, kind: str = "gyro") -> tuple[float, float]:
+    """Typical slopes over temperature of a channel's bias (rad/s/K or m/s^2/K) and of its scale factor (1/K): the
+    spec's own, where it states them, or those of the class."""
+    if kind == "accelerometer":
+        row = _row("accelerometer", accelerometer_grade(sensor).name)
+        return units.parse(row["bias_slope"], "acceleration"), units.parse(row["scale_factor_slope"], "scale factor")
+    typical = next(t.value for t in terms_of("sensor", sensor_grade(sensor).name) if t.key == "temperature_error")
+    bias = units.parse(typical["bias_slope"], "bias slope")
+    scale = units.parse(typical["scale_factor_slope"], "scale factor slope")
+    if sensor.gyro is not None and (own := sensor.gyro.temperature_error) is not None:
+        bias = bias if own.bias_slope is None else abs(float(own.bias_slope))
+        scale = scale if own.scale_factor_slope is None else abs(float(own.scale_factor_slope))
+    return bias, scale
+
+
+def table_grade(spec: Spec) -> Grade:
+    """The class of a rate table, by its named angle errors; the worst class without any."""
+    angles = [axis.angle for axis in spec.rig.table.axis]
+    size = max(max(float(a.reading_noise), float(a.standstill_offset)) for a in angles)
+    if size == 0.0:
+        return _grade("table", math.inf, "angle", "angle", "the worst class, because the spec names no angle error")
+    return _grade("table", size, "angle", "angle", "its angle errors")
+
+
+# A prediction asks for the class a dozen times, of the same few texts.
+_parsed = cache(units.parse)
+
+
+def _grade(kind: str, size: float, key: str, dimension: str, reason: str) -> Grade:
+    """The first class, beginning with the worst, whose lower limit is at or below a size; the last limit is zero."""
+    row = next(row for row in _table()[kind] if size >= _parsed(row[key], dimension))
+    return Grade(row["grade"], row["like"], reason)
+
+
+def grades() -> tuple[str, ...]:
+    """Names of the classes of gyros."""
+    return tuple(row["grade"] for row in _table()["sensor"])
+
+
+def terms_of(kind: str, grade: str) -> list[AbsentTerm]:
+    """Every term of a class's typical error budget, its key within `kind`: "sensor" or "table"."""
+    return [AbsentTerm(term["key"], term["value"], term["source"]) for term in _row(kind, grade)["term"]]
+
+
+def typical_g_sensitivity(grade: str) -> str:
+    """A typical sensitivity of a class's gyros to acceleration, 1σ."""
+    return _row("sensor", grade)["g_sensitivity"]["value"]
+
+
+def _keys_of_axis(spec: Spec) -> set[str]:
+    """The terms that affect the plan of a gyro along the only axis of a table."""
+    gyro, plan = spec.sensor.gyro, spec.plan
+    assert gyro is not None
+    without = set(_OF_BIAS) - {"turn_on_bias"} if gyro.bias is None else set[str]()
+    without |= _OF_SCALE_FACTOR if gyro.scale_factor is None else set()
+    without |= {"sample_clock_error"} if spec.sensor.clock == "host" else set()
+    without |= _OF_RAMPS if isinstance(plan, StandardPlan) else set()
+    keys = {term.key for term in terms_of("sensor", grades()[0])} - without
+    mounting = set[str]() if gyro.scale_factor is None else {"mounting_accuracy"}
+    if isinstance(plan, StandardPlan):
+        return keys | ({"rate_accuracy", *mounting} if any(float(rate) for rate in plan.rates or ()) else set())
+    moves = [step.move for step in spec.gradient_schedule.steps]
+    if not moves:
+        # A standing axis is read at one angle: only errors that change between readings have an effect.
+        return keys | {"angle.reading_noise"}
+    keys |= {"angle.reading_noise", "angle.standstill_offset", "angle.harmonics", *mounting}
+    # A typical scale error is that of gears with their play, and where there is none, there is no gear.
+    of_gears = spec.rig.table.axis[0].angle.scale_error
+    keys |= {"angle.scale_error", *(("angle.backlash",) if of_gears else ())} if mounting else set()
+    on_the_move = any(move.read_every is not None and not move.is_rest for move in moves)
+    return keys | ({"angle.timing_error"} if on_the_move else set())
+
+
+def _keys_of_imu(spec: Spec) -> set[str]:
+    """The same of any other IMU, but for accelerometers."""
+    gyro, force = spec.sensor.gyro, spec.sensor.accelerometer
+    keys = {"temperature_offset", "temperature_lag", "drift", "rate_random_walk", "turn_on_bias"}
+    keys |= {"bias_temperature_gradient", "tilt", "azimuth"}
+    keys |= {t.key for t in terms_of("table", _table()["table"][0]["grade"]) if t.key.startswith("angle.")}
+    keys -= {"angle.timing_error", "angle.backlash"}
+    if gyro is not None and gyro.scale_factor is not None:
+        keys |= {"scale_factor_instability", "sample_clock_error"}
+    else:
+        keys -= {"angle.scale_error"}
+        keys |= {"sample_clock_error"} if force is not None and force.velocity_increments else set()
+    return keys - ({"sample_clock_error"} if spec.sensor.clock == "host" else set())
+
+
+def _of_clock(term: AbsentTerm, sensor: Sensor) -> AbsentTerm:
+    """The computer's clock counts, with which a run compares the sensor's, unless the spec takes the sensor's."""
+    if term.key != "sample_clock_error" or sensor.clock == "sensor":
+        return term
+    return term._replace(
+        value=f"{HOST_CLOCK * 1e6:g} ppm", source="the computer's clock, with which a run compares the sensor's clock"
+    )
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"order {v}" if k == "order" else str(v) for k, v in cast("dict[str, Any]", value).items())
+    if isinstance(value, list):
+        return "; ".join(_words(entry) for entry in cast("list[Any]", value))
+    return str(value)
+
+
+@cache
+def _table() -> dict[str, Any]:
+    text = (resources.files("gradcal_jax.spec") / "typical.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def _row(kind: str, grade: str) -> dict[str, Any]:
+    return next(row for row in _table()[kind] if row["grade"] == grade)

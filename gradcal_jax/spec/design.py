@@ -1,0 +1,175 @@
+"""`[design]`: the free variables and the objective of `optimise`.
+
+Two kinds of search. Of a gyro along the only axis of a table that is read: the course of the turns, of the chamber, or
+the set points (`free`). Of every other IMU: a cycle of turns and poses. Keys of the other kind are refused.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, Final, Literal, cast
+
+from pydantic import Field, model_validator
+
+from gradcal_jax.spec.bases import Degree, RatePolynomial, TemperaturePolynomial
+from gradcal_jax.spec.sensor import ScaleFactor
+from gradcal_jax.tables import quantity as q
+from gradcal_jax.tables.problems import Problem, hint, one_of
+from gradcal_jax.tables.section import Section, refuse
+
+TIMES = ("motion time", "total time")
+"""What can be minimised instead of a requirement's residual; the targets are then limits."""
+OPTIMALITIES = ("A-optimality", "D-optimality", "E-optimality")
+"""Classical criteria of the parameters' covariance, as a standard deviation: see `gradcal_jax.design.criteria`."""
+
+Free = Literal[
+    "gradient", "rest", "peak_rate", "duration", "turn", "ramp", "cycle", "temperatures", "rates", "integration",
+    "programme",
+]  # fmt: skip
+"""What may change. Gradient plans with motion: `duration` (of turns and rests; `rest` and `turn` mean the same),
+`peak_rate`, `ramp` (the time from rest to the peak rate), `gradient` (one slope for each visit), `cycle` (its length).
+Gradient plans without motion: `programme`. Standard plans: `temperatures`, `rates`, `integration` (and with it the time
+of a point). Cycles of turns and poses: `cycle` (all of it) and `programme` (the chamber's legs, turning points and
+slopes)."""
+
+
+class Scenario(Section):
+    """A variant of the sensor or the rig for which the plan must also be good: changes of single keys, and a weight."""
+
+    name: q.Text | None = None
+    """A title for tables and pages."""
+    weight: Annotated[q.Number, Field(gt=0.0)] = 1.0
+    """Weight of this scenario in the mean over all scenarios."""
+    sensor: dict[str, Any] = Field(default_factory=dict)
+    """Keys of [sensor] that this scenario changes, with their values."""
+    rig: dict[str, Any] = Field(default_factory=dict)
+    """Keys of [rig] that this scenario changes, with their values."""
+
+
+class Notice(Section):
+    """Structure that a design must detect: polynomials of the scale factor beyond the model, up to these degrees."""
+
+    standard_deviation: q.PositiveScaleFactor
+    """Standard deviation of each hidden coefficient, a ratio."""
+    temperature_degree: Degree | None = None
+    """Highest degree in temperature of the polynomials to detect. Absent: the `temperature_degree` of the scale
+    factor's `discrepancy`; if the scale factor has none, the degree of the map plus two."""
+    rate_degree: Degree | None = None
+    """Highest degree in rate of the polynomials to detect. Absent: the same default as for temperature."""
+    power: q.Probability = q.Quantity(0.9, "90 %", "scale factor")
+    """Required probability of detection, as a ratio."""
+    false_alarm: q.FalseAlarm = q.Quantity(0.01, "1 %", "scale factor")
+    """False-alarm probability of the test with which `estimate` looks for hidden structure in the log, as a ratio."""
+
+
+ALL = "all requirements"
+WORST = "worst ratio"
+
+
+class Design(Section):
+    """What `optimise` minimises, and what it may change."""
+
+    minimise: q.Text = ALL
+    """A requirement's name, "motion time" or "total time". For a single axis also "A-optimality", "D-optimality" or
+    "E-optimality"; for other IMUs also "all requirements" (geometric mean of the residuals, each divided by its target)
+    or "worst ratio" (largest of these ratios). If one requirement is minimised, the targets of the others are
+    limits."""
+    free: Annotated[tuple[Free, ...], Field(min_length=1)] = ()
+    """Which parts of the plan may change. For cycles of turns and poses: "cycle" and "programme"; absent: the cycle
+    and, with a `hysteresis` in the spec, the programme."""
+    max_motion: q.Time | None = None
+    """Longest ramp."""
+    max_total: q.Time | None = None
+    """Longest allowed duration of the plan, soaks included."""
+    cycles: Literal["own", "alike"] = "own"
+    """"own": every visit (the part of a cycle in which the axis may turn) has moves of its own; "alike": all visits
+    have the same moves; absent: the same moves if there are many visits."""
+    moves: Annotated[q.Count, Field(le=400)] | None = None
+    """For a single axis: the number of turns in each visit (the part of a cycle in which this axis may turn), 40 at
+    most; absent: as many as are likely to help. For other IMUs: the largest number of turns in a cycle; absent: 80."""
+    starts: q.Count = 16
+    """Number of searches from different plans."""
+    seed: q.Whole = 0
+    """Seed of the search."""
+    notice: Notice | None = None
+    """The structure that the design must detect; for an IMU, in the scale factor of each gyro."""
+    whole_turns: q.Flag = False
+    """Whether every turn must be a whole number of revolutions, so that the encoder's periodic errors cancel."""
+    robust: Literal["mean", "worst"] = "mean"
+    """Whether the mean or the worst case counts, over the scenarios and over the ranges of `uncertain` noise
+    figures."""
+    scenario: Annotated[tuple[Scenario, ...], Field(max_length=1000)] = ()
+    """Variants of the sensor or the rig for which the plan must also be good."""
+    angle_step: q.PositiveAngle | None = None
+    """Every turn is a multiple of this angle; absent: any angle."""
+    shortest_rest: q.Time = q.Quantity(2.0, "2 s", "time")
+    """Shortest rest."""
+    longest_rest: q.Time = q.Quantity(120.0, "2 min", "time")
+    """Longest rest."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gone(cls, value: object) -> object:
+        table = dict(cast("Mapping[str, object]", value)) if isinstance(value, Mapping) else dict[str, object]()
+        if "min_distinct_rates" in table:
+            message = (
+                "no longer exists: distinct rates do not ensure that the log reveals a wrong model; state what the "
+                'plan must detect, such as notice = { standard_deviation = "10 ppm", power = "90 %" }'
+            )
+            refuse(Problem(("min_distinct_rates",), message, table["min_distinct_rates"]))
+        return cast("object", value)
+
+
+# Keys that one of the two kinds of search alone reads.
+_OF_AXIS: Final = ("cycles", "starts", "whole_turns")
+_OF_POSES: Final = ("angle_step", "shortest_rest", "longest_rest")
+_MOVES_OF_AXIS: Final = 40
+_FREE_OF_POSES: Final = ("cycle", "programme")
+
+
+def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> Iterator[Problem]:
+    """An objective that does not exist, and keys that have no effect; keys relative to [design].
+
+    `names`: of the requirements. `of_axis`: whether the turns of one axis are searched, or poses.
+    """
+    others, useless = ((*TIMES, *OPTIMALITIES), _OF_POSES) if of_axis else ((ALL, WORST, *TIMES), _OF_AXIS)
+    if design.minimise not in (*names, *others):
+        ending = hint(design.minimise, [*names, *others])
+        of = f"the name of a requirement ({one_of(names)}) or " if names else "a requirement's name or "
+        yield Problem(("minimise",), f"expected {of}{one_of(others)}{ending}", design.minimise)
+    for name in useless:
+        if name in design.model_fields_set:
+            kind = "the turns of one axis" if of_axis else "a cycle of turns and poses"
+            yield Problem((name,), f"has no effect if the search varies {kind}; leave this key out")
+    if of_axis and not design.free:
+        yield Problem(("free",), "this key is missing: it states which parts of the plan may change", kind="missing")
+    for k, name in enumerate(() if of_axis else design.free):
+        if name not in _FREE_OF_POSES:
+            message = f"a search of a cycle of turns and poses can change only {' and '.join(_FREE_OF_POSES)}"
+            yield Problem(("free", k), message, name)
+    if design.moves is not None:
+        if of_axis and design.moves > _MOVES_OF_AXIS:
+            yield Problem(("moves",), f"must be at most {_MOVES_OF_AXIS} turns in each visit", design.moves)
+        elif not of_axis and design.moves < 2:
+            yield Problem(("moves",), "must be at least 2", design.moves)
+
+
+def notice_problems(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
+    """A hidden map that cannot be noticed; keys relative to `notice`. `scale`: the sensor's scale factor."""
+    if scale is None or not isinstance(scale.temperature, TemperaturePolynomial):
+        yield Problem((), "needs a scale factor that is a polynomial in temperature; this sensor has none")
+        return
+    if not isinstance(scale.rate, RatePolynomial):
+        yield Problem((), "needs a scale factor that is a polynomial in rate; this sensor's scale factor is not")
+        return
+    own = {"temperature_degree": scale.temperature.degree, "rate_degree": scale.rate.degree}
+    for name, degree in own.items():
+        hidden = getattr(notice, name)
+        if hidden is None:
+            continue
+        if scale.discrepancy is not None and hidden != getattr(scale.discrepancy, name):
+            message = "must equal the degree in the scale factor's discrepancy (the default): leave this key out"
+            yield Problem((name,), message, hidden)
+        elif hidden <= degree:
+            message = (
+                f"must exceed the degree of the map, {degree}: structure up to this degree is estimated, not hidden"
+            )
+            yield Problem((name,), message, hidden)

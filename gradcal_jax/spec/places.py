@@ -1,0 +1,90 @@
+"""The spec of the IMU at one place of a fixture.
+
+The table's mounting is that of the fixture, and a place that of an IMU in it: body → fixture → innermost axis.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from gradcal_jax.spec.bench import Mounting, Place
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.quantity import Quantity
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+def specs_at_places(spec: Spec) -> dict[str, Spec]:
+    """The spec of the IMU at each place, by the place's name; of a table without places the spec itself, by ""."""
+    return {place.name: _at(spec, place) for place in spec.rig.table.place} or {"": spec}
+
+
+def places_of(spec: Spec, names: Sequence[str]) -> dict[str, str]:
+    """The place of every IMU of a log: that of its name, or else the first IMU at the first place and so on.
+
+    Errors: `ValueError` for more IMUs than places, or names that are places of some and not of all.
+    """
+    places = [place.name for place in spec.rig.table.place]
+    if set(names) <= set(places):
+        return {name: name for name in names}
+    if some := [name for name in names if name in places]:
+        others = ", ".join(name for name in names if name not in places)
+        raise ValueError(
+            f"{some[0]} is the name of a place, but {others} is not: name all IMUs after their places, or none of them"
+        )
+    if len(names) > len(places):
+        raise ValueError(
+            f"the log has {len(names)} IMUs, and the spec has {len(places)} places: add the missing [[rig.table.place]]"
+        )
+    return dict(zip(names, places, strict=False))
+
+
+def _at(spec: Spec, place: Place) -> Spec:
+    table = spec.rig.table
+    mountings = tuple(_composed(mounting, place) for mounting in table.mounting)
+    changes = {"table": table.model_copy(update={"mounting": mountings, "place": ()})}
+    sensor = spec.sensor
+    force = sensor.accelerometer
+    if place.lever_arm is not None and force is not None and force.lever_arm is not None:
+        # The position is estimated, about zero: its mean square counts.
+        prior = force.lever_arm.prior
+        if prior is not None:
+            size = math.hypot(float(prior), *(float(x) for x in place.lever_arm))
+            arm = force.lever_arm.model_copy(update={"prior": Quantity.of(size, "m")})
+            sensor = sensor.model_copy(update={"accelerometer": force.model_copy(update={"lever_arm": arm})})
+    return spec.model_copy(update={"sensor": sensor, "rig": spec.rig.model_copy(update=changes)})
+
+
+def _composed(fixture: Mounting, place: Place) -> Mounting:
+    """The mounting of the IMU on the innermost axis."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
+
+    exact = np.array(fixture.columns).T @ np.array(place.columns).T
+    whole = rotation_of(fixture) @ rotation_of(place)
+    named = dict(zip("xyz", (_direction(column) for column in exact.T), strict=True))
+    further = Rotation.from_matrix(exact.T @ whole).as_rotvec()
+    rotation = {}
+    if float(np.max(np.abs(further))) > 1e-12:
+        rotation = {"rotation": tuple(Quantity.of(float(a), "deg") for a in further)}
+    accuracy = math.hypot(float(fixture.accuracy), float(place.accuracy))
+    return Mounting(name=fixture.name or place.name, **named, **rotation, accuracy=Quantity.of(accuracy, "deg"))  # pyright: ignore[reportArgumentType]
+
+
+def rotation_of(held: Mounting) -> "NDArray[np.float64]":
+    """The rotation `(3, 3)` from the body of an IMU to what holds it: the fixture, or the innermost axis."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
+
+    matrix = held.matrix if isinstance(held, Place) else None
+    first = np.array(held.columns).T if matrix is None else np.array(matrix)
+    vector = np.zeros(3) if held.rotation is None else np.array([float(a) for a in held.rotation])
+    return first @ Rotation.from_rotvec(vector).as_matrix()
+
+
+def _direction(column: Sequence[float]) -> str:
+    """The name of a unit vector along an axis."""
+    k = max(range(3), key=lambda i: abs(column[i]))
+    return ("+" if column[k] > 0.0 else "-") + "xyz"[k]

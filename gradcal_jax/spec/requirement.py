@@ -1,0 +1,266 @@
+"""`[[requirement]]`: the errors that a calibration limits, and their statistics."""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args
+
+from pydantic import Field, Strict
+
+from gradcal_jax.spec.bases import increasing
+from gradcal_jax.spec.mission import Missions
+from gradcal_jax.tables import quantity as q
+from gradcal_jax.tables.problems import Problem, one_of
+from gradcal_jax.tables.section import Section, chosen_by
+
+Coverage = Annotated[float, Strict(), Field(gt=0.0, le=10.0, allow_inf_nan=False)]
+Risk = Annotated[q.Quantity, q.Of("scale factor", above="0 %", at_most="50 %")]
+Points = Annotated[int, Field(strict=True, ge=2, le=5001)]
+
+
+class _OfRuns(Section):
+    of: Literal["any run", "this run"] = "any run"
+    """Whether the turn-on bias of another power-on counts: with "any run" it does, with "this run" it does not."""
+
+
+Over = Literal["mean", "max", "rms"]
+Elements = Literal["all", "worst", "x", "y", "z"]
+
+
+class _OfElements(Section):
+    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y", "z")
+
+    name: q.Text
+    """Name of the requirement, used in verdicts and in [design]."""
+    axis: Elements = "worst"
+    """One axis, the worst of all axes, or the root mean square over all axes."""
+    target: Any = None
+    """Limit on the error; absent: there is no verdict."""
+    coverage: Coverage = 1.0
+    """Number of standard deviations that must be within the target."""
+    risk: Risk | None = None
+    """Largest allowed probability that a sensor passes although its error exceeds the target; absent: a sensor passes
+    if the number of standard deviations in `coverage` is within the target (simple acceptance)."""
+
+    def _problems(self) -> Iterator[Problem]:
+        if self.axis not in self.ELEMENTS:
+            yield Problem(("axis",), f"expected {one_of(self.ELEMENTS)}", self.axis)
+
+
+class _InARange(_OfElements):
+    temperature: tuple[q.Temperature, q.Temperature]
+    """Lowest and highest temperature of the requirement."""
+
+    def _problems(self) -> Iterator[Problem]:
+        yield from increasing(self.temperature, "temperature")
+
+
+class _OverTemperature(_InARange):
+    """A requirement over temperature: a statistic over temperature for each axis, and then a combination of the
+    axes."""
+
+    grid: tuple[Points] = (101,)
+    """Number of temperatures at which the error is evaluated, ends included."""
+    statistic: Over = "mean"
+    """Statistic over temperature of the standard deviation of each axis."""
+    quantity: Any
+    """Quantity that the requirement limits."""
+
+
+class _OnAPath(Section):
+    """The change of temperature for which the requirement holds."""
+
+    branch: Literal["heating", "cooling", "both"] | None = None
+    """Direction of the temperature's change for which the error counts; "both": at every temperature, the larger of the
+    two errors. Absent: the mean of heating and cooling, without hysteresis."""
+    slope: tuple[q.TemperatureSlope, q.TemperatureSlope] | None = None
+    """Lowest and highest dT/dt in service; the errors that dT/dt causes are included. Absent: the temperature is
+    constant in service."""
+
+    def _problems(self) -> Iterator[Problem]:
+        low, high = self.slope or (0.0, 0.0)
+        if low > high:
+            yield Problem(("slope",), "expected [lowest, highest]", [str(low), str(high)])
+        elif (self.branch == "heating" and high < 0.0) or (self.branch == "cooling" and low > 0.0):
+            message = f'this range of slopes contains no {self.branch}, but branch = "{self.branch}" needs it'
+            yield Problem(("slope",), message, [str(low), str(high)])
+
+    def service(self) -> tuple[tuple[float, float], ...]:
+        """States in which the error may be largest: the sign of T less the play (1: heating, −1: cooling, 0: the mean
+        of both), and dT/dt (K/s)."""
+        signs = {None: (0.0,), "both": (1.0, -1.0), "heating": (1.0,), "cooling": (-1.0,)}[self.branch]
+        low, high = (0.0, 0.0) if self.slope is None else (float(s) for s in self.slope)
+        ends = {1.0: (max(low, 0.0), max(high, 0.0)), -1.0: (min(low, 0.0), min(high, 0.0)), 0.0: (low, high)}
+        return tuple(dict.fromkeys((sign, end) for sign in signs for end in ends[sign]))
+
+
+class GyroBiasRequirement(_OverTemperature, _OfRuns, _OnAPath):
+    """Bias of the gyros, over temperature."""
+
+    quantity: Literal["gyro_bias"]
+    target: q.PositiveRate | None = None
+
+
+class GyroScaleFactorRequirement(_InARange, _OnAPath):
+    """Scale factor of the gyros over ranges of temperature and rate."""
+
+    quantity: Literal["gyro_scale_factor"]
+    """Quantity that the requirement limits."""
+    rate: tuple[q.Rate, q.Rate]
+    """Lowest and highest rate of the requirement."""
+    grid: tuple[Points, Points] = (101, 121)
+    """Number of temperatures and number of rates at which the error is evaluated, ends included."""
+    statistic: Literal["mean of max", "mean", "max", "rms"] = "mean of max"
+    """Statistic of the standard deviation over temperature and rate."""
+    target: q.PositiveScaleFactor | None = None
+
+    def _problems(self) -> Iterator[Problem]:
+        yield from increasing(self.rate, "rate")
+        if self.grid[0] * self.grid[1] > 1_000_000:
+            yield Problem(("grid",), "must have at most 1000000 points in all", list(self.grid))
+
+
+class MisalignmentRequirement(_OverTemperature):
+    """Misalignments of gyros or accelerometers."""
+
+    quantity: Literal["gyro_misalignment", "accelerometer_misalignment"]
+    relative_to: Literal["table", "case", "internal"] = "table"
+    """Reference of the misalignments: the table's axes, the case (which adds the mounting's accuracy), or the IMU
+    itself (misalignments of its axes relative to each other)."""
+    axis: Elements = "all"
+    target: q.PositiveAngle | None = None
+
+
+class SensitivityRequirement(_OverTemperature):
+    """Bias of the gyros in proportion to the specific force (g-sensitivity)."""
+
+    quantity: Literal["g_sensitivity"]
+    axis: Elements = "all"
+    target: q.PositiveAccelerationSensitivity | None = None
+
+
+class AccelerometerBiasRequirement(_OverTemperature, _OfRuns, _OnAPath):
+    """Bias of the accelerometers."""
+
+    quantity: Literal["accelerometer_bias"]
+    target: q.PositiveSpecificForce | None = None
+
+
+class AccelerometerScaleFactorRequirement(_OverTemperature, _OnAPath):
+    """Scale factor of the accelerometers."""
+
+    quantity: Literal["accelerometer_scale_factor"]
+    target: q.PositiveScaleFactor | None = None
+
+
+class SecondOrderRequirement(_OverTemperature):
+    """K2 of the accelerometers: output in proportion to the square of the specific force."""
+
+    quantity: Literal["second_order"]
+    target: q.PositiveSecondOrder | None = None
+
+
+class PositionRequirement(_OverTemperature, _OfRuns):
+    """Horizontal position error of free-inertial navigation at rest with a level IMU; only the errors of the
+    calibration count."""
+
+    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
+
+    quantity: Literal["position"]
+    after: q.Time
+    """Duration of the navigation."""
+    target: q.PositiveLength | None = None
+
+
+class TiltRequirement(_OverTemperature, _OfRuns):
+    """Error of the vertical that a level IMU determines with its accelerometers, in the worse of two horizontal
+    directions."""
+
+    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
+
+    quantity: Literal["tilt"]
+    target: q.PositiveAngle | None = None
+
+
+class TurnRequirement(_OverTemperature, _OfRuns):
+    """Heading error after a turn about the z axis of a level IMU."""
+
+    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "z")
+
+    quantity: Literal["heading"]
+    turn: q.PositiveAngle
+    """Angle of the turn."""
+    rate: q.PositiveRate
+    """Rate of the turn."""
+    target: q.PositiveAngle | None = None
+
+
+class MissionHeadingRequirement(_OfElements):
+    """Error of the integrated rate of a gyro at the end of a `mission`, or at the time `after` in the mission. For
+    several missions, the weighted root mean square or the maximum counts. `target` limits only the contribution of the
+    calibration, because no calibration removes the sensor's own noise."""
+
+    quantity: Literal["mission_heading"]
+    """Quantity that the requirement limits."""
+    mission: Missions
+    """Tables of rate and temperature over time, with weights."""
+    after: q.Time | None = None
+    """Time in the mission at which the error is taken; absent: the end of each mission."""
+    statistic: Literal["rms", "max"] = "rms"
+    """Statistic over several missions."""
+    target: q.PositiveAngle | None = None
+
+    def _problems(self) -> Iterator[Problem]:
+        for i, mission in enumerate(self.mission):
+            end = mission.rows.time[-1]
+            if self.after is not None and self.after > end:
+                message = f"is after the end of {mission.file}, which lasts {end:.6g} s"
+                yield Problem(("after",), message, self.after.text)
+            if self.statistic == "max" and "weight" in mission.model_fields_set:
+                yield Problem(("mission", i, "weight"), 'has no effect with statistic = "max"', mission.weight)
+
+    @property
+    def grid(self) -> tuple[int]:
+        """Number of missions."""
+        return (len(self.mission),)
+
+    @property
+    def temperature(self) -> tuple[q.Quantity, q.Quantity]:
+        """The coldest and the warmest of all missions."""
+        every = [t for mission in self.mission for t in mission.rows.temperature]
+        return q.Quantity.of(min(every), "degC"), q.Quantity.of(max(every), "degC")
+
+    @property
+    def rate(self) -> tuple[q.Quantity, q.Quantity]:
+        """The least and the largest rate of all missions."""
+        every = [w for mission in self.mission for w in mission.rows.rate]
+        return q.Quantity.of(min(every), "deg/s"), q.Quantity.of(max(every), "deg/s")
+
+
+class NorthRequirement(_OverTemperature):
+    """Error of the direction to north that a gyro finds at rest (a gyrocompass): the error of its bias divided by the
+    horizontal Earth rate at the `latitude`."""
+
+    quantity: Literal["north"]
+    latitude: Annotated[q.Quantity, q.Of("angle", at_least="-89 deg", at_most="89 deg")]
+    """Latitude at which north is determined."""
+    after: q.Time
+    """Duration of the rest in which north is determined; the effect of the sensor's own noise depends on this
+    duration."""
+    target: q.PositiveAngle | None = None
+
+
+Requirement = (
+    GyroBiasRequirement
+    | GyroScaleFactorRequirement
+    | MisalignmentRequirement
+    | SensitivityRequirement
+    | AccelerometerBiasRequirement
+    | AccelerometerScaleFactorRequirement
+    | SecondOrderRequirement
+    | PositionRequirement
+    | TiltRequirement
+    | TurnRequirement
+    | MissionHeadingRequirement
+    | NorthRequirement
+)
+_CLASSES: Final = {name: of for of in get_args(Requirement) for name in get_args(of.__annotations__["quantity"])}
+Requirements = Annotated[tuple[Annotated[Requirement, chosen_by("quantity", _CLASSES)], ...], Field(max_length=100)]

@@ -1,0 +1,564 @@
+"""`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or an IMU.
+
+**`[[sensor.gyro.bias.shape]]`** and the like are the prior of a map by functions that the IMUs of a type have in
+common. With coefficients `s_j` of shape j, the coefficients of the map have the covariance `Σ s_j s_jᵀ` about zero: a
+mean map is one shape, what the type varies in are others, and what may be beyond them are as many as there are
+coefficients.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, ClassVar, Final, Literal
+
+from pydantic import BeforeValidator, Field
+
+from gradcal_jax.spec import temperature_path as path_terms
+from gradcal_jax.spec.bases import Degree, PolynomialKeys, RateBasis, TemperatureBasis
+from gradcal_jax.spec.uncertain import UncertainSection, figures_of
+from gradcal_jax.tables import quantity as q
+from gradcal_jax.tables.problems import Problem
+from gradcal_jax.tables.quantity import Of, Quantity, Rate
+from gradcal_jax.tables.section import Section
+
+
+class BiasShape(Section):
+    """A function of temperature (and rate) that differs between IMUs of one type by a random factor with mean 0 and
+    variance 1."""
+
+    axis: Literal["x", "y", "z"] | None = None
+    """Axis of the channel to which the function belongs; absent: the function belongs to all channels."""
+    coefficients: Annotated[tuple[Rate, ...], Field(min_length=1, max_length=40_000)]
+    """Coefficients of the function, in the order of a calibration file."""
+
+
+class ScaleFactorShape(BiasShape):
+    """A shape of the scale factor: a function that differs between IMUs of one type by a random factor."""
+
+    coefficients: Annotated[tuple[Annotated[Quantity, Of("scale factor")], ...], Field(min_length=1, max_length=40_000)]
+
+
+class SpecificForceShape(BiasShape):
+    """A shape of an accelerometer's bias: a function that differs between IMUs of one type by a random factor."""
+
+    coefficients: Annotated[tuple[Annotated[Quantity, Of("acceleration")], ...], Field(min_length=1, max_length=40_000)]
+
+
+def _shape_problems(shapes: Sequence[BiasShape], size: int, prior: Quantity | None) -> Iterator[Problem]:
+    """What is wrong with the shapes of a map with `size` coefficients."""
+    if not shapes:
+        return
+    if prior is not None:
+        yield Problem(("shape",), 'states the prior of the map, and so does "prior": leave one of them out')
+    for k, shape in enumerate(shapes):
+        if len(shape.coefficients) != size:
+            message = f"expected {size} coefficients, as many as the map has"
+            yield Problem(("shape", k, "coefficients"), message, len(shape.coefficients))
+            return
+    import numpy as np
+
+    for axis in ("x", "y", "z"):
+        rows = np.array([shape.coefficients for shape in shapes if shape.axis in (None, axis)], dtype=float)
+        largest = np.max(np.abs(rows), axis=0, initial=0.0)
+        if len(rows) and np.linalg.matrix_rank(rows / np.where(largest > 0.0, largest, 1.0)) < size:
+            message = (
+                f"the shapes of axis {axis} do not span all {size} coefficients: add shapes for the other possible "
+                "deviations of the map"
+            )
+            yield Problem(("shape",), message)
+
+
+class _Process(UncertainSection):
+    FIGURES = ("standard_deviation", "correlation_time")
+
+    standard_deviation: q.Quantity
+    """Stationary standard deviation."""
+    correlation_time: q.Time
+    """Time constant of the autocorrelation."""
+
+
+class Drift(_Process):
+    """In-run bias instability: a first-order Gauss–Markov process (stationary standard deviation, correlation time)."""
+
+    standard_deviation: q.PositiveRate
+    """Stationary standard deviation of the rate error."""
+
+
+class ScaleFactorInstability(_Process):
+    """Scale-factor instability: a first-order Gauss–Markov process, multiplied by the rate or the force."""
+
+    standard_deviation: q.PositiveScaleFactor
+    """Stationary standard deviation of the scale factor's error, a ratio."""
+
+
+class TemperatureError(UncertainSection):
+    """Error of the temperature measurement; the slopes of the maps over temperature convert it into an error of the
+    rate or the force."""
+
+    FIGURES = _Process.FIGURES
+
+    standard_deviation: q.SizeOfTemperatureDifference
+    """Standard deviation of the measured temperature's error; 0 K: there is no error."""
+    correlation_time: q.Time | None = None
+    """Time constant of the error's autocorrelation; absent: the error is constant during the run."""
+    bias_slope: q.BiasSlope | None = None
+    """Typical slope of the bias over temperature; the temperature error times this slope is the bias error."""
+    scale_factor_slope: q.ScaleFactorSlope | None = None
+    """Typical slope of the scale factor over temperature; the temperature error times this slope is the scale-factor
+    error."""
+
+    def _problems(self) -> Iterator[Problem]:
+        if self.standard_deviation and self.bias_slope is None and self.scale_factor_slope is None:
+            message = 'a temperature error acts through "bias_slope" or "scale_factor_slope"; give at least one'
+            yield Problem((), message)
+
+
+class BiasTemperatureGradient(Section):
+    """Bias sensitivity to dT/dt; if this table is present, the sensitivity is estimated."""
+
+    prior: q.SizeOfGradientSensitivity | None = None
+    """Standard deviation of the sensitivity before the calibration; absent: unknown; 0: there is no such
+    sensitivity."""
+
+
+class ForceTemperatureError(TemperatureError):
+    """Error of the temperature measurement, as it acts on an accelerometer."""
+
+    bias_slope: q.AccelerationSlope | None = None
+
+
+class ForceTemperatureGradient(BiasTemperatureGradient):
+    """Sensitivity of an accelerometer's bias to dT/dt; if this table is present, the sensitivity is estimated."""
+
+    prior: q.ForceGradientSensitivity | None = None
+
+
+def _gradient_of_bias(table: type[BiasTemperatureGradient], dimension: str, least: str) -> BeforeValidator:
+    """Marks a sensitivity to dT/dt: a table is estimated, a figure alone is not."""
+
+    def read(value: object) -> object:
+        if isinstance(value, Mapping):
+            return table.model_validate(value)
+        return value if value is None or isinstance(value, Section) else q.Of(dimension, at_least=least).read(value)
+
+    return BeforeValidator(read)
+
+
+class _ErrorFunction(Section):
+    """A function of `temperature` and `rate`, as far as a table has these bases; the keys `smoothness`, `discrepancy`,
+    `shape` and `prior` mean the same in every table that has them."""
+
+    lag: q.Time | None = None
+    """Known first-order lag of this map behind the sensor's temperature; absent: no lag. At the start, the lag is in
+    equilibrium, as after a soak."""
+
+    @property
+    def _bases(self) -> dict[str, TemperatureBasis | RateBasis]:
+        bases = ((name, getattr(self, name, None)) for name in ("temperature", "rate"))
+        return {name: basis for name, basis in bases if basis is not None}
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return math.prod(basis.size for basis in self._bases.values())
+
+    def _problems(self) -> Iterator[Problem]:
+        bases = self._bases
+        polynomials = {name: basis for name, basis in bases.items() if isinstance(basis, PolynomialKeys)}
+        if self.lag is not None and "temperature" in bases.keys() - polynomials.keys():
+            yield Problem(("lag",), "a map with its own lag must be a polynomial in temperature", self.lag.text)
+        if (smoothness := getattr(self, "smoothness", None)) is not None and polynomials == bases:
+            message = 'neighbouring coefficients exist only for "b-spline" and "bins"; leave this key out'
+            yield Problem(("smoothness",), message, smoothness.text)
+        hidden = getattr(self, "discrepancy", None)
+        if hidden is not None and polynomials != bases:
+            message = 'is only for polynomials; for B-splines and bins, use "smoothness" instead'
+            yield Problem(("discrepancy",), message)
+        elif hidden is not None and all(getattr(hidden, f"{k}_degree") <= of.degree for k, of in polynomials.items()):
+            yield Problem(("discrepancy",), "at least one of its degrees must exceed that of the map")
+        yield from _shape_problems(getattr(self, "shape", ()), self.size, getattr(self, "prior", None))
+
+
+class BiasDiscrepancy(Section):
+    """Structure of B(T) that the model lacks: the next orthogonal polynomials, with a prior for their coefficients."""
+
+    standard_deviation: q.PositiveRate
+    """Prior standard deviation of each of the hidden coefficients."""
+    temperature_degree: Degree
+    """Highest degree in temperature of the hidden polynomials."""
+
+
+class ScaleFactorDiscrepancy(Section):
+    """Structure of M(T, ω) that the model lacks: the next orthogonal polynomials up to these degrees, with a prior for
+    their coefficients."""
+
+    standard_deviation: q.PositiveScaleFactor
+    """Prior standard deviation of each of the hidden coefficients, a ratio."""
+    temperature_degree: Degree
+    """Highest degree in temperature of the hidden polynomials."""
+    rate_degree: Degree
+    """Highest degree in rate of the hidden polynomials."""
+
+
+class Bias(_ErrorFunction):
+    """The estimated bias B(T)."""
+
+    temperature: TemperatureBasis
+    """Basis over temperature."""
+    prior: q.PositiveRate | None = None
+    """Standard deviation of each coefficient before the calibration; absent: unknown."""
+    smoothness: q.PositiveRate | None = None
+    """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
+    discrepancy: BiasDiscrepancy | None = None
+    """Possible structure of the map beyond its basis."""
+    shape: Annotated[tuple[BiasShape, ...], Field(max_length=600)] = ()
+    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
+    channel without shapes has a flat prior."""
+
+
+class ScaleFactor(_ErrorFunction):
+    """The estimated scale-factor error M(T, ω): products of functions of temperature and functions of
+    rate."""
+
+    temperature: TemperatureBasis
+    """Basis over temperature."""
+    rate: RateBasis
+    """Basis over rate."""
+    prior: q.PositiveScaleFactor | None = None
+    """Standard deviation of each coefficient before the calibration, a ratio; absent: unknown."""
+    smoothness: q.PositiveScaleFactor | None = None
+    """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
+    discrepancy: ScaleFactorDiscrepancy | None = None
+    """Possible structure of the map beyond its basis."""
+    shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
+    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
+    channel without shapes has a flat prior."""
+
+
+HOST_CLOCK: Final = 1e-6
+"""Standard deviation, a ratio, of a sensor's clock after a run has compared it with the computer's. The comparison
+itself (time stamps with errors of about 1 ms at both ends) is accurate to 0.1 ppm over hours; the computer's own clock,
+kept by a time server, to 1 ppm."""
+
+
+class _Instrument(Section):
+    """Clock and thermometer of a device, which all of its channels share."""
+
+    thermal_lag: q.SizeOfTime | None = None
+    """Time constant of a first-order lag between the chamber's air and the sensor's dies."""
+    clock: Literal["sensor", "host"] | None = None
+    """Clock whose time is used to integrate rates. "sensor": the sensor's own; "host": the computer's, whose error is
+    taken as 1 ppm instead of `sample_clock_error`; absent: the more accurate of the two, because a run's log has the
+    times of both."""
+    sample_clock_error: q.SizeOfScaleFactor | None = None
+    """Standard deviation of the relative error of the sensor's sample clock; the error acts like a scale factor."""
+    temperature_offset: q.SizeOfTemperatureDifference | None = None
+    """Standard deviation of the constant difference between the temperature of the dies and the measured one."""
+    temperature_lag: q.SizeOfTime | None = None
+    """Standard deviation of the delay of the dies' temperature relative to the measured one."""
+    second_thermometer: path_terms.SecondThermometer | None = None
+    """A second thermometer, required for `thermometer_difference`; its column in logs is `second_temperature`."""
+
+    @property
+    def lag(self) -> float | None:
+        """The thermal lag (s); None without one."""
+        return float(self.thermal_lag or 0.0) or None
+
+    @property
+    def takes_host_clock(self) -> bool:
+        """Whether rates are integrated over the computer's time: by the key, or else where that is the better clock."""
+        if self.clock is not None:
+            return self.clock == "host"
+        return self.sample_clock_error is not None and float(self.sample_clock_error) > HOST_CLOCK
+
+    @property
+    def clock_error(self) -> float:
+        """Standard deviation of the clock in use, a ratio."""
+        return HOST_CLOCK if self.takes_host_clock else float(self.sample_clock_error or 0.0)
+
+    @property
+    def clock_text(self) -> str | None:
+        """The same for people; None where the file names none."""
+        if self.takes_host_clock:
+            return f"{HOST_CLOCK * 1e6:g} ppm, the computer's"
+        return None if self.sample_clock_error is None else str(self.sample_clock_error)
+
+
+class _Channel(UncertainSection):
+    """Errors that every channel may have."""
+
+    turn_on_bias: q.Quantity | None = None
+    """Standard deviation of the part of the bias that takes a new value at every power-on and is not part of the
+    map."""
+    scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
+    """In-run instabilities of the scale factor; their sum is the error."""
+    temperature_error: TemperatureError | None = None
+    """Error of the measured temperature."""
+    bias_temperature_gradient: BiasTemperatureGradient | q.Quantity | None = None
+    """Bias proportional to dT/dt. A table: the sensitivity is estimated. A single figure: the standard deviation of the
+    sensitivity, which is then not estimated but is included in the uncertainty."""
+
+    @property
+    def gradient_sensitivity(self) -> BiasTemperatureGradient | None:
+        """The sensitivity to dT/dt, where one is estimated."""
+        of = self.bias_temperature_gradient
+        return of if isinstance(of, BiasTemperatureGradient) and of.prior != 0.0 else None
+
+    @property
+    def gradient_std(self) -> float:
+        """Standard deviation of the sensitivity to dT/dt before any estimate, of the bias for K/s; 0: none, or
+        unknown."""
+        of = self.bias_temperature_gradient
+        return float((of.prior if isinstance(of, BiasTemperatureGradient) else of) or 0.0)
+
+    @property
+    def thermometer_noise(self) -> TemperatureError | None:
+        """The error of the measured temperature, where there is one."""
+        of = self.temperature_error
+        return None if of is None or of.standard_deviation == 0.0 else of
+
+
+class _Gyro(_Channel):
+    """Noise and error functions of a gyro: every term of the error model (paper, eq. 1)."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk", "turn_on_bias")
+
+    angle_random_walk: q.AngleRandomWalk
+    """White noise of the rate, stated as the growth of the integrated angle with the square root of time."""
+    rate_random_walk: q.RateRandomWalk | None = None
+    """Random walk of the rate."""
+    turn_on_bias: q.SizeOfRate | None = None
+    full_scale: q.PositiveRate | None = None
+    """Largest rate that the gyro measures."""
+    full_scale_margin: q.Margin = q.Quantity(0.05, "5 %", "scale factor")
+    """Fraction of the full scale that plans leave unused."""
+    drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
+    """In-run bias instabilities; their sum is the error."""
+    bias_temperature_gradient: Annotated[
+        BiasTemperatureGradient | q.SizeOfGradientSensitivity | None,
+        _gradient_of_bias(BiasTemperatureGradient, "bias temperature-gradient sensitivity", "0 deg/h/(K/min)"),
+    ] = None
+    bias: Bias | None = None
+    """The estimated bias over temperature; absent: the bias is known."""
+    scale_factor: ScaleFactor | None = None
+    """The estimated scale factor over temperature and rate; absent: the scale factor is known."""
+
+    @property
+    def usable_rate(self) -> float | None:
+        """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
+        return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
+
+
+Grade = Literal["consumer", "tactical", "navigation"]
+
+
+BodyAxis = Literal["x", "y", "z"]
+BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
+
+
+class _ErrorTerm(_ErrorFunction):
+    temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
+    prior: q.Quantity | None = None
+    """Standard deviation of each coefficient before the calibration; absent: unknown."""
+
+
+class Misalignment(_ErrorTerm):
+    """Small angles between an input axis and its nominal direction, towards the other two axes."""
+
+    prior: q.PositiveAngle | None = None
+
+
+class AccelerationSensitivity(_ErrorTerm):
+    """Bias of a gyro in proportion to the specific force, with three coefficients for each gyro (IEEE 528)."""
+
+    prior: q.PositiveAccelerationSensitivity | None = None
+    lever_arm: q.PositiveLength | None = None
+    """Standard deviation of each coordinate of the gyros' position, relative to the accelerometers or, without
+    accelerometers, to the intersection of the table's axes. If the gyros are away from this point, rotation adds a
+    specific force that is not measured. This force causes a bias for each product of two rates (`ww_xy`); the bias is
+    estimated but is not part of the calibration."""
+
+    def _problems(self) -> Iterator[Problem]:
+        if self.lever_arm is not None and self.prior is None:
+            message = "has an effect only through the g-sensitivity: also give the prior of g_sensitivity"
+            yield Problem(("lever_arm",), message)
+
+    @property
+    def of_rotation(self) -> float:
+        """Standard deviation of the bias for each product of two rates (s): of `g_j d_k + g_k d_j`, as of
+        `g_y d_y + g_z d_z`, with the sensitivity g and the lever arm d."""
+        return math.sqrt(2.0) * float(self.prior or 0.0) * float(self.lever_arm or 0.0)
+
+
+class SquaredSensitivity(_ErrorTerm):
+    """Bias of a gyro in proportion to the square of the specific force along each axis."""
+
+    prior: q.PositiveSquareSensitivity | None = None
+
+
+class SpecificForceDrift(_Process):
+    """Instability of an accelerometer's bias: a first-order Gauss–Markov process."""
+
+    standard_deviation: q.PositiveSpecificForce
+
+
+class SpecificForceBias(_ErrorTerm):
+    """An accelerometer's bias over temperature."""
+
+    prior: q.PositiveSpecificForce | None = None
+    shape: Annotated[tuple[SpecificForceShape, ...], Field(max_length=600)] = ()
+    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`."""
+
+
+class SpecificForceScale(_ErrorTerm):
+    """An accelerometer's scale factor, or its asymmetry, over temperature."""
+
+    prior: q.PositiveScaleFactor | None = None
+    """Standard deviation of each coefficient before the calibration, a ratio; absent: unknown."""
+    shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
+    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`."""
+
+
+class SecondOrder(_ErrorTerm):
+    """An accelerometer's K2, or its cross-coupling of two axes, over temperature."""
+
+    prior: q.PositiveSecondOrder | None = None
+
+
+class ThirdOrder(_ErrorTerm):
+    """An accelerometer's K3 over temperature."""
+
+    prior: q.PositiveThirdOrder | None = None
+
+
+class LeverArm(Section):
+    """Position of an accelerometer relative to the intersection of the table's axes."""
+
+    prior: q.PositiveLength | None = None
+    """Standard deviation of each of the three coordinates before the calibration; absent: unknown."""
+
+
+class GyroTriad(_Gyro, path_terms.TemperaturePath):
+    """`[sensor.gyro]`: common properties of the gyros. If the key of an error term is absent here, the error is assumed
+    to be known, and is not estimated."""
+
+    axes: BodyAxes = ("x", "y", "z")
+    """Axes along which the IMU has a gyro."""
+    misalignment: Misalignment | None = None
+    """Directions of the input axes."""
+    g_sensitivity: AccelerationSensitivity | None = None
+    """Bias in proportion to the specific force."""
+    g_squared: SquaredSensitivity | None = None
+    """Bias in proportion to the square of the specific force."""
+
+    def _problems(self) -> Iterator[Problem]:
+        sections = (self.bias, self.scale_factor, self.misalignment, self.g_sensitivity, self.g_squared)
+        if all(section is None for section in sections):
+            message = "there is nothing to calibrate; add [sensor.gyro.bias], [sensor.gyro.scale_factor] or both"
+            yield Problem((), message)
+
+
+class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
+    """`[sensor.accelerometer]`: common properties of the accelerometers. They are read at rest, and during moves that
+    are not faster than `read_on_moves_below`. If the key of an error term is absent here, the error is assumed to be
+    known, and is not estimated."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk", "turn_on_bias")
+
+    axes: BodyAxes = ("x", "y", "z")
+    """Axes along which the IMU has an accelerometer."""
+    velocity_random_walk: q.VelocityRandomWalk
+    """White noise of the specific force."""
+    drift: Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)] = ()
+    """In-run bias instabilities; their sum is the error."""
+    turn_on_bias: q.SizeOfSpecificForce | None = None
+    temperature_error: ForceTemperatureError | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    bias_temperature_gradient: Annotated[  # pyright: ignore[reportIncompatibleVariableOverride]
+        ForceTemperatureGradient | q.ForceGradientSensitivity | None,
+        _gradient_of_bias(ForceTemperatureGradient, "acceleration temperature-gradient sensitivity", "0 ug/(K/min)"),
+    ] = None
+    hysteresis: Annotated[tuple[path_terms.PlayOfForce, ...], Field(max_length=10)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    turn_on_transient: Annotated[tuple[path_terms.PowerOnForceTransient, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    late_temperature_gradient: Annotated[tuple[path_terms.LateGradientOfForce, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
+    thermometer_difference: path_terms.DifferenceOfForce | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
+    velocity_increments: bool = False
+    """Whether the accelerometers output an increment of velocity for each sample. If they do, an error of the sample
+    clock acts like a scale factor; otherwise, specific forces do not depend on the clock."""
+    bias: SpecificForceBias
+    """Bias over temperature."""
+    scale_factor: SpecificForceScale | None = None
+    """Scale factor over temperature."""
+    misalignment: Misalignment | None = None
+    """Directions of the input axes."""
+    second_order: SecondOrder | None = None
+    """K2: output in proportion to the square of the force."""
+    third_order: ThirdOrder | None = None
+    """K3: output in proportion to the cube of the force."""
+    asymmetry: SpecificForceScale | None = None
+    """Scale factor for positive forces minus that for negative forces."""
+    read_on_moves_below: q.PositiveRate | None = None
+    """Largest rate of moves during which accelerometers are also read; absent: they are read only at rest."""
+    lever_arm: LeverArm | None = None
+    """Positions of the accelerometers relative to the intersection of the table's axes."""
+    cross_coupling: SecondOrder | None = None
+    """Output in proportion to products of the force along two axes."""
+
+    def _problems(self) -> Iterator[Problem]:
+        if self.lever_arm is not None and self.read_on_moves_below is None:
+            message = (
+                "has an effect only during moves, and accelerometers are read only at rest: leave this key out, or "
+                'also read them on slow moves, as in read_on_moves_below = "5 deg/s"'
+            )
+            yield Problem(("lever_arm",), message)
+        if self.asymmetry is not None and self.read_on_moves_below is not None:
+            message = (
+                "is observable only if accelerometers are read only at rest: remove this key, or remove "
+                "read_on_moves_below"
+            )
+            yield Problem(("asymmetry",), message)
+
+
+class BodyFrame(Section):
+    """`[sensor.frame]`: the frame to which the misalignments refer."""
+
+    fixed_by: Literal["table axes", "case"] = "table axes"
+    """"table axes": the frame follows from the table's axes at zero and the nominal mounting; "case": the frame of the
+    IMU's case, whose orientation is known to within the error of the mounting."""
+
+
+class Sensor(UncertainSection, _Instrument):
+    """An IMU: gyros, accelerometers, or both."""
+
+    FIGURES: ClassVar[tuple[str, ...]] = ("sample_clock_error",)
+
+    name: q.Text | None = None
+    """A title for tables and pages."""
+    grade: Grade | None = None
+    """Class whose typical figures replace terms that the spec omits; absent: the class follows from the drift or,
+    without drift, from the angle random walk."""
+    gyro: GyroTriad | None = None
+    """Common properties of the gyros."""
+    accelerometer: AccelerometerTriad | None = None
+    """Common properties of the accelerometers."""
+    frame: BodyFrame | None = None
+    """The frame to which the misalignments refer."""
+
+    def _problems(self) -> Iterator[Problem]:
+        for name, triad in (("gyro", self.gyro), ("accelerometer", self.accelerometer)):
+            if triad is not None and len(set(triad.axes)) < len(triad.axes):
+                yield Problem((name, "axes"), "must not name an axis twice", list(triad.axes))
+            if triad is None or self.second_thermometer is not None:
+                continue
+            for key in ("thermometer_difference", "scale_factor_thermometer_difference"):
+                if getattr(triad, key) is not None:
+                    message = (
+                        'needs a second thermometer, as in [sensor] second_thermometer = { lag = "5 min" } (the lag '
+                        "is used in predictions)"
+                    )
+                    yield Problem((name, key), message)
+        if self.gyro is None and self.accelerometer is None:
+            yield Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]")
+
+    def uncertain_figures(self) -> dict[str, tuple[q.Quantity, q.Quantity]]:
+        """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
+        return figures_of("sensor", self)

@@ -1,0 +1,64 @@
+"""Reads a spec (gradcal-spec/1) from a file, a text or tables; its model is in `spec_sections`.
+
+Files of one gyro axis, as earlier versions wrote them, are converted as they are read.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from gradcal_jax.spec.axis_as_imu import convert, is_of_axis, keys_of_axis
+from gradcal_jax.spec.mission import missions_from
+from gradcal_jax.spec.spec_sections import FORMAT, Spec, hidden_problems
+from gradcal_jax.tables.document import from_text, model_of, read_text
+from gradcal_jax.tables.problems import SpecError
+from gradcal_jax.tables.section import refuse
+
+
+def expect_spec(value: object) -> Spec:
+    """The value, if it is a spec. Errors: `TypeError` that says how to read one."""
+    if isinstance(value, Spec):
+        return value
+    if isinstance(value, str | Path):
+        raise TypeError(f"expected a spec, not the name of its file: read it with gj.read_spec({str(value)!r})")
+    raise TypeError(f"expected a spec from gj.read_spec or gj.parse_spec, not {type(value).__name__}")
+
+
+def goes_on(what: str) -> ValueError:
+    """The message where a plan continues an executed part, which `what` does not support."""
+    return ValueError(f"{what} needs a plan that starts a run; this spec continues an interrupted one ([[done]])")
+
+
+def read_spec(path: str | Path) -> Spec:
+    """Read a spec file: TOML, quantities as text with units ("0.1 deg/sqrt(h)"), SI (°C) inside.
+
+    Names of mission files are seen from the spec's folder. Errors: `SpecError` that lists everything wrong with it,
+    each with its key and what was expected.
+    """
+    with missions_from(Path(path).parent):
+        return parse_spec(read_text(path), str(path))
+
+
+def parse_spec(text: str, source: str = "") -> Spec:
+    """A spec from the text of a TOML file (quantities with units, SI inside); `source` names it in messages. Names of
+    mission files are seen from the working directory.
+
+    Errors: `SpecError`, as `read_spec`.
+    """
+    return from_text(spec_of, text, source)
+
+
+def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
+    """A spec from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
+    if not is_of_axis(document) or (isinstance(document.get("format"), str) and document["format"] != FORMAT):
+        return model_of(Spec, document, FORMAT, source, lambda found: hidden_problems(document, found))
+    tables, problems = convert(document)
+    try:
+        spec = model_of(Spec, tables, FORMAT, source, lambda found: hidden_problems(tables, found))
+        refuse(*problems)
+    except SpecError as error:
+        # What has no counterpart in the general form is not said twice.
+        own = {problem.key for problem in problems}
+        named = (keys_of_axis(problem) for problem in error.problems)
+        raise SpecError([*problems, *(p for p in named if p.key not in own)], source) from None
+    return spec

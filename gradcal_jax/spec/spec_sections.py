@@ -1,0 +1,172 @@
+"""gradcal-spec/1: `[sensor.gyro]` and `[sensor.accelerometer]` on a table of one to three axes."""
+
+import contextlib
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache, cached_property
+from typing import Annotated, Any, Final, Literal, cast
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from gradcal_jax.spec.bench import Rig
+from gradcal_jax.spec.checks import problems_between
+from gradcal_jax.spec.design import Design
+from gradcal_jax.spec.motion_plan import AnyPlan, MotionPlan, PlanSchedule, plan_schedule
+from gradcal_jax.spec.plan import StandardPlan
+from gradcal_jax.spec.requirement import Requirements
+from gradcal_jax.spec.schedule import StandardSchedule, standard_schedule
+from gradcal_jax.spec.sensor import Sensor
+from gradcal_jax.tables.display import html
+from gradcal_jax.tables.document import TitledFile
+from gradcal_jax.tables.problems import Key, Problem
+from gradcal_jax.tables.quantity import Quantity, SizeOfTime, Text, Time
+from gradcal_jax.tables.section import Section
+
+FORMAT: Final = "gradcal-spec/1"
+
+
+class ExecutedPart(Section):
+    """`[[done]]`, written by `gradcal optimise RUN`: the part of a plan that an interrupted run has executed."""
+
+    plan: MotionPlan
+    """The plan from which this part was executed."""
+    start: SizeOfTime
+    """Start of the executed part, on the clock of that plan."""
+    end: Time
+    """End of the executed part, on the same clock."""
+    pause: Time = Quantity.of(1800.0, "s")
+    """Time from the end of this part to the start of the next part or of the plan; the device stays switched on.
+    Absent: 30 min."""
+
+
+class Spec(TitledFile):
+    """Sensor, rig, requirements, plan, and what `optimise` may change. In Python, a read-only object, whose quantities
+    are numbers in SI (and °C) with the text from which they were read.
+
+        `schedule` is the plan resolved for the rig. From `read_spec` or `parse_spec`. Errors: their `SpecError`.
+    """
+
+    format: Literal["gradcal-spec/1"]
+    title: Text | None = None
+    """A title for tables and pages."""
+    sensor: Sensor
+    """The device that is calibrated."""
+    rig: Rig
+    """Site, table and chamber."""
+    requirement: Requirements = ()
+    """Requirements on the calibration."""
+    plan: AnyPlan
+    """Temperature profile of the chamber, and motion of the table."""
+    done: Annotated[tuple[ExecutedPart, ...], Field(max_length=1000)] = ()
+    """Parts of plans that were executed in the same run before this plan begins; every prediction includes their
+    data."""
+    design: Design | None = None
+    """What `optimise` minimises, and what it may change; other commands do not use it."""
+
+    def _problems(self) -> Iterator[Problem]:
+        return problems_between(self)
+
+    _repr_html_ = html
+
+    @property
+    def is_one_axis(self) -> bool:
+        """Whether there is nothing but a gyro along the only axis of a table: its rate and bias are all that counts."""
+        gyro, table = self.sensor.gyro, self.rig.table
+        first, hung = table.axis[0], table.mounting[0]
+        several = len(table.axis) > 1 or len(table.mounting) > 1 or hung.rotation is not None
+        if gyro is None or self.sensor.accelerometer is not None or several:
+            return False
+        signals = (gyro.misalignment, gyro.g_sensitivity, gyro.g_squared)
+        along = {a: abs(first.unit_vector["xyz".index(getattr(hung, a)[1])]) for a in gyro.axes}
+        return all(signal is None for signal in signals) and all(part == 1.0 for part in along.values())
+
+    @property
+    def turns_one_gyro(self) -> bool:
+        """Whether one gyro along the only axis of a table, read as it stands, is all that there is: `optimise` then
+        searches the course of its turns, else a cycle of turns and poses."""
+        gyro, table, frame = self.sensor.gyro, self.rig.table, self.sensor.frame
+        if gyro is None or not self.is_one_axis:
+            return False
+        lags = (getattr(of, "lag", None) for of in (gyro.bias, gyro.scale_factor))
+        simple = not gyro.on_path and not any(lags)
+        level = not table.tilt and not table.azimuth and table.axis[0].keep_out is None
+        begins = 0.0
+        if isinstance(self.plan, MotionPlan) and self.plan.cycle is not None:
+            begins = next(iter(map(float, self.plan.cycle.start.values())), 0.0)
+        read = table.standing == "read" or isinstance(self.plan, StandardPlan)
+        return simple and level and read and not begins and (frame is None or frame.fixed_by != "case")
+
+    @cached_property
+    def schedule(self) -> PlanSchedule | StandardSchedule:
+        """The plan in SI."""
+        if isinstance(self.plan, StandardPlan):
+            return standard_schedule(self.plan)
+        return plan_schedule(self.plan, self.rig)
+
+    @property
+    def gradient_schedule(self) -> PlanSchedule:
+        """The schedule of a gradient plan. Raises `ValueError` for a standard one."""
+        if isinstance(self.schedule, StandardSchedule):
+            raise ValueError('this is only possible for a plan with method = "gradient"')
+        return self.schedule
+
+    @property
+    def executable_schedule(self) -> PlanSchedule:
+        """A schedule that can be made into a recipe. Raises `ValueError` for one whose readings no estimate knows: of a
+        table of several axes that is read while it stands, other than as its `read_every` says."""
+        return self.gradient_schedule if len(self.rig.table.axis) == 1 else self.plain_schedule
+
+    @property
+    def plain_schedule(self) -> PlanSchedule:
+        """A schedule of nothing but a cycle that is read as the table is. Raises `ValueError` for any other."""
+        table = self.rig.table
+        once = [math.isinf(axis.angle.read_every) for axis in table.axis]
+        # An operator types one angle in each rest.
+        spaced = not any(once) or (all(once) and table.drive == "hand" and table.standing == "held")
+        if not ((schedule := self.gradient_schedule).is_plain and spaced):
+            raise ValueError(
+                "a run of an IMU needs a plan whose cycle has none of the keys read, read_every, other_axes and "
+                'duration; read_every of every table axis must be a time (or "rest", if the table has drive = '
+                '"hand" and holds its angle). Other plans can be predicted, but not executed yet'
+            )
+        return schedule
+
+
+@cache
+def _sections() -> Mapping[str, TypeAdapter[Any]]:
+    """The readers of the sections, one by one."""
+    return {
+        name: TypeAdapter[Any](cast("Any", Annotated)[(field.annotation, Field(), *field.metadata)])
+        for name, field in Spec.model_fields.items()
+        if name not in TitledFile.model_fields
+    }
+
+
+def hidden_problems(document: Mapping[str, Any], problems: Sequence[Problem]) -> list[Problem]:
+    """Problems between the sections that can be read by themselves, of tables that have other problems."""
+    kept = {"requirement": (), "done": (), **_without_unknown_keys(document, problems)}
+    sections: dict[str, Any] = dict.fromkeys(_sections())
+    for name in sections.keys() & kept.keys():
+        with contextlib.suppress(ValidationError):
+            sections[name] = _sections()[name].validate_python(kept[name])
+    reported = {problem.key for problem in problems}
+    return [p for p in problems_between(Spec.model_construct(**sections)) if p.key not in reported]
+
+
+def _without_unknown_keys(document: Mapping[str, Any], problems: Sequence[Problem]) -> dict[str, Any]:
+    """The document less its unknown keys; a section with a likely slip for a known key is left out whole."""
+    unknown = {problem.key for problem in problems if problem.kind == "unknown"}
+    slips = {problem.key[0] for problem in problems if problem.kind == "unknown" and "nearest" in problem.message}
+    kept = {name: value for name, value in document.items() if name not in slips}
+    return cast("dict[str, Any]", _pruned(kept, (), unknown))
+
+
+def _pruned(value: object, key: Key, unknown: set[Key]) -> object:
+    if isinstance(value, Mapping):
+        table = cast("Mapping[str, object]", value)
+        return {
+            name: _pruned(entry, (*key, name), unknown) for name, entry in table.items() if (*key, name) not in unknown
+        }
+    if isinstance(value, list):
+        return [_pruned(entry, (*key, i), unknown) for i, entry in enumerate(cast("list[object]", value))]
+    return value

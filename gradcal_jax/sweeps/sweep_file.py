@@ -1,0 +1,351 @@
+"""gradcal-sweep/1: one spec, and which of its keys take which values: a design of experiments over plans.
+
+    format = "gradcal-sweep/1"
+    base   = "paper-dynamic-gradient"        # a preset, or the path of a spec or recipe, seen from this file
+    [change]                                 # keys that are other than in the base, at every point
+    "plan.soak.duration" = "30 min"
+    [[axis]]                                 # a grid over all axes …
+    key    = "plan.gradient"
+    start  = "0.5 K/min"
+    stop   = "2 K/min"
+    count  = 7
+    [[axis]]
+    keys   = ["plan.cycle.moves[0].rest", "plan.cycle.moves[4].rest"]
+    values = ["5 s", "10 s", "20 s"]
+    [[axis]]                                 # whole sections of other specs
+    section = "sensor"
+    values  = ["tactical-mems", "consumer-mems"]
+    [samples]                                # … or, with this table, points drawn over all axes together
+    method = "latin hypercube"
+    count  = 1000
+
+Nothing here draws or computes: `gradcal_jax.sweeps` does.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from decimal import Context, Decimal
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, model_validator
+
+from gradcal_jax import units
+from gradcal_jax.recipe.recipe import spec_of_either
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed, split_key, tables_of
+from gradcal_jax.spec.mission import missions_from
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.display import summary
+from gradcal_jax.tables.document import TitledFile, parsed, read_text, read_toml
+from gradcal_jax.tables.problems import Problem, SpecError, repeated_names
+from gradcal_jax.tables.quantity import Count, Text, Whole
+from gradcal_jax.tables.section import Section, refuse
+
+FORMAT: Final = "gradcal-sweep/1"
+MOST_POINTS: Final = 1_000_000
+_DIGITS: Final = Context(prec=12)
+
+End = str | float | int
+
+
+class Axis(Section):
+    """`[[axis]]`: keys of the spec that vary together, and their values."""
+
+    name: Text | None = None
+    """Name of this axis as a dimension of the results; absent: the last word of the key."""
+    key: Text | None = None
+    """Key of the spec, such as "plan.gradient"."""
+    keys: Annotated[tuple[Text, ...], Field(min_length=1, max_length=1000)] | None = None
+    """Several keys that take the same values."""
+    section: Literal["sensor", "rig", "plan"] | None = None
+    """Instead of a key: name of a whole section that is taken from other specs."""
+    values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)] | None = None
+    """List of values. If `section` is set: presets, or paths of specs relative to this file."""
+    start: End | None = None
+    """First value: a text with a unit, or a plain number."""
+    stop: End | None = None
+    """Last value: like `start`, a text with a unit or a plain number."""
+    count: Annotated[int, Field(strict=True, ge=2, le=100_000)] | None = None
+    """Number of values from start to stop, both included."""
+    step: End | None = None
+    """Distance from one value to the next."""
+    spacing: Literal["linear", "logarithmic"] = "linear"
+    """Spacing: linear, or logarithmic."""
+
+    @model_validator(mode="after")
+    def _whole(self) -> "Axis":
+        problems: list[Problem] = []
+        if sum(of is not None for of in (self.key, self.keys, self.section)) != 1:
+            problems.append(Problem(("key",), 'give exactly one of "key", "keys" and "section"', kind="missing"))
+        if self.section is not None and not all(isinstance(value, str) for value in self.values or (None,)):
+            problems.append(
+                Problem(("values",), 'must be names of presets or paths of specs if "section" is set', self.values)
+            )
+        for text in self.changes:
+            try:
+                split_key(text)
+            except ValueError as error:
+                problems.append(Problem(("key",), str(error), text))
+        limits = [name for name in ("start", "stop", "count", "step") if getattr(self, name) is not None]
+        if self.values is not None:
+            problems += [Problem((name,), 'cannot be combined with "values"', getattr(self, name)) for name in limits]
+        elif self.start is None or self.stop is None:
+            problems.append(Problem((), 'expected either "values", or both "start" and "stop"', kind="missing"))
+        elif self.count is not None and self.step is not None:
+            problems.append(Problem(("step",), 'cannot be combined with "count"; keep one of them', self.step))
+        refuse(*problems)
+        if self.values is None:
+            try:
+                self.ends()
+                if self.count is not None or self.step is not None:
+                    self.listed()
+            except SpecError:
+                raise
+            except ValueError as error:
+                refuse(Problem((), str(error)))
+        return self
+
+    @property
+    def changes(self) -> tuple[str, ...]:
+        """The keys of the spec that this axis sets."""
+        one = self.key or self.section
+        return self.keys if self.keys is not None else (() if one is None else (one,))
+
+    @property
+    def label(self) -> str:
+        """What the axis is called in the results: its name, or the last word of its key."""
+        if self.name is not None:
+            return self.name
+        return next(part for part in reversed(split_key(self.changes[0])) if isinstance(part, str))
+
+    @property
+    def unit(self) -> str | None:
+        """The unit that its values are written in; None for plain numbers and for words."""
+        first = self.start if self.values is None else self.values[0]
+        if not isinstance(first, str) or self.section is not None:
+            return None
+        try:
+            return units.unit_of(first)
+        except ValueError:
+            return None
+
+    def ends(self) -> tuple[float, float]:
+        """Start and stop as numbers in `unit`. Raises `SpecError`."""
+        assert self.start is not None
+        assert self.stop is not None
+        low, high = (self._number(name, end) for name, end in (("start", self.start), ("stop", self.stop)))
+        if low == high:
+            refuse(Problem(("stop",), "must differ from start", self.stop))
+        if self.spacing == "logarithmic" and not (low > 0.0 and high > 0.0):
+            refuse(Problem(("spacing",), "logarithmic spacing needs a start and a stop above zero", self.spacing))
+        return low, high
+
+    def _number(self, name: str, end: End) -> float:
+        unit = self.unit
+        if isinstance(end, bool) or isinstance(end, str) != (unit is not None):
+            refuse(Problem((name,), "start and stop must both be texts with a unit, or both plain numbers", end))
+        if not isinstance(end, str):
+            return float(end)
+        assert unit is not None
+        try:
+            return _in(end, unit)
+        except ValueError as error:
+            refuse(Problem((name,), str(error), end))
+            raise
+
+    def at(self, share: float) -> object:
+        """The value at a share (0 … 1) of the way from start to stop, or of the list; as the spec's file holds it."""
+        if self.values is not None:
+            return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
+        low, high = self.ends()
+        if self.spacing == "logarithmic":
+            return self._written(low * (high / low) ** share)
+        return self._written(low + (high - low) * share)
+
+    def _written(self, number: float) -> object:
+        """A number as the file writes it, to twelve digits: what is swept can be written again by hand."""
+        if self.unit is not None:
+            return f"{_short(number)} {self.unit}"
+        whole = all(isinstance(end, int) for end in (self.start, self.stop, self.step or 0))
+        return round(number) if whole and abs(number - round(number)) < 1e-9 else float(_short(number))
+
+    def listed(self) -> tuple[object, ...]:
+        """All values of the axis of a grid. Raises `SpecError` where it has ends alone."""
+        if self.values is not None:
+            return self.values
+        low, high = self.ends()
+        if self.count is not None:
+            return tuple(self.at(k / (self.count - 1)) for k in range(self.count))
+        if self.step is None:
+            refuse(Problem(("count",), 'a grid needs "count" or "step" between start and stop', kind="missing"))
+        assert self.step is not None
+        if self.spacing == "logarithmic":
+            refuse(Problem(("step",), 'is only for linear spacing; give "count" instead', self.step))
+        step = self._step(self.step)
+        if step == 0.0 or (high - low) / step < 0.0:
+            refuse(Problem(("step",), "must not be zero, and must lead from start to stop", self.step))
+        steps = math.floor((high - low) / step * (1.0 + 1e-12) + 1e-9)
+        if steps >= 100_000:
+            refuse(Problem(("step",), "gives more than 100000 values", self.step))
+        return tuple(self._written(low + k * step) for k in range(steps + 1))
+
+    def _step(self, step: End) -> float:
+        unit = self.unit
+        if not isinstance(step, str) or unit is None:
+            return self._number("step", step)
+        if units.dimension_of(unit) == "temperature":
+            # A step between temperatures is a difference: of kelvins, as many degrees Celsius.
+            return units.parse(step, "temperature difference")
+        return _in(step, unit)
+
+    def number_of(self, value: object) -> float | None:
+        """A value in the axis's unit, for the results' coordinate; None for words."""
+        if isinstance(value, bool):
+            return None
+        if isinstance(value, int | float):
+            return float(value)
+        unit = self.unit
+        if not isinstance(value, str) or unit is None:
+            return None
+        try:
+            return _in(value, unit)
+        except ValueError:
+            return None
+
+
+def _in(text: str, unit: str) -> float:
+    """The number of a quantity in a unit: 60 for "60 deg/s", whatever its SI value rounds to."""
+    return float(_short(units.to_unit(units.parse(text, units.dimension_of(unit)), unit)))
+
+
+def _short(number: float) -> str:
+    """A float's decimal to twelve digits, without needless ones."""
+    rounded = _DIGITS.create_decimal(Decimal(repr(number)))
+    return format(rounded.normalize(_DIGITS), "f") if -6 < rounded.adjusted() < 12 or rounded == 0 else f"{rounded:e}"
+
+
+class Samples(Section):
+    """`[samples]`: random points over all axes together instead of a grid; the same seed gives the same points."""
+
+    method: Literal["latin hypercube", "sobol"]
+    """Method by which the points are drawn."""
+    count: Count
+    """Number of points."""
+    seed: Whole = 0
+    """Seed of the random numbers; the same seed draws the same points."""
+
+
+class SweepFile(TitledFile):
+    """A whole sweep file."""
+
+    format: Literal["gradcal-sweep/1"]
+    base: Text
+    """A preset, or the path of a spec or recipe relative to this file."""
+    do: Literal["predict", "optimise"] = "predict"
+    """Command that is carried out for each point."""
+    change: dict[str, Any] = Field(default_factory=dict)
+    """Keys of the base spec to change at every point, with their new values."""
+    axis: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=20)]
+    """What is varied."""
+    samples: Samples | None = None
+    """Random points over all axes together; absent: the grid of all combinations."""
+
+    def _problems(self) -> Iterable[Problem]:
+        message = 'two axes have this name; give one of them a different "name"'
+        problems = repeated_names("axis", "name", [axis.label for axis in self.axis], message)
+        seen: set[str] = set()
+        for i, axis in enumerate(self.axis):
+            for key in axis.changes:
+                if key in seen:
+                    problems.append(Problem(("axis", i, "key"), "another axis also sets this key", key))
+                seen.add(key)
+            if self.samples is None and axis.values is None and axis.count is None and axis.step is None:
+                message = 'a grid needs "count" or "step" between start and stop'
+                problems.append(Problem(("axis", i, "count"), message, kind="missing"))
+        if not problems and self.count > MOST_POINTS:
+            problems.append(
+                Problem(("axis",), f"the sweep has {self.count} points; at most {MOST_POINTS} are possible")
+            )
+        return problems
+
+    @property
+    def count(self) -> int:
+        """How many points the sweep has."""
+        if self.samples is not None:
+            return self.samples.count
+        return math.prod(len(axis.listed()) for axis in self.axis)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep file, read: `text` as it stands on the disk, `base` the spec with `[change]` made, and the tables of the
+    `sections` of other specs, by section and name."""
+
+    file: SweepFile
+    text: str
+    base: Spec
+    sections: Mapping[tuple[str, str], Any]
+
+    __repr__ = summary
+
+
+def read_sweep(path: str | Path) -> Sweep:
+    """Read a sweep file and its base spec: which keys take which values, texts with units.
+
+    Errors: `SpecError` that lists everything wrong with them.
+    """
+    return parse_sweep(read_text(path), str(path), Path(path).parent)
+
+
+def parse_sweep(text: str, source: str = "", folder: str | Path = ".") -> Sweep:
+    """A sweep from the text of a TOML file; `folder` is where a relative `base` begins. Raises `SpecError`."""
+    file = parsed(SweepFile, text, FORMAT, source)
+    base = named_spec(file.base, Path(folder), source)
+    sections = {
+        (axis.section, name): tables_of(named_spec(name, Path(folder), source))[axis.section]
+        for axis in file.axis
+        if axis.section is not None
+        for name in axis.values or ()
+    }
+    try:
+        if file.change:
+            base = changed(base, file.change)
+        for axis in file.axis:
+            if axis.section is None:
+                _known(axis, base)
+    except SpecError as error:
+        raise SpecError(error.problems, source) from None
+    return Sweep(file, text, base, sections)
+
+
+def named_spec(name: str, folder: Path, source: str = "") -> Spec:
+    """A preset, or the spec (of a recipe, too) in a file seen from `folder`. Raises `SpecError`."""
+    tables, place = _named(name, folder, source)
+    with missions_from(Path(place).parent):
+        return spec_of_either(tables, place)
+
+
+def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str]:
+    path = folder / name
+    if path.suffix or path.exists():
+        return read_toml(read_text(path), str(path)), str(path)
+    if name in presets.names():
+        return read_toml(presets.text(name), name), name
+    raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal new --list')], source)
+
+
+def _known(axis: Axis, base: Spec) -> None:
+    """A key that no spec has is a slip, and is said at once, not a thousand times."""
+    trial = {key: axis.at(0.0) for key in axis.changes}
+    try:
+        changed(base, trial)
+    except SpecError as error:
+        slips = [
+            p
+            for p in error.problems
+            if p.kind == "unknown" or "there is no" in p.message or "the list has" in p.message
+        ]
+        if slips:
+            raise SpecError(slips) from None

@@ -1,0 +1,444 @@
+"""Contracts for other programs: gradcal-prediction/1, rows of gradcal-timeline/3. SI unless a name ends in its unit.
+
+Other programs read them, so every number is plain. An unobservable value is null, with a warning; no value is nan or
+infinite.
+"""
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from gradcal_jax.tables.display import WIDTH, amount, columns, html
+from gradcal_jax.tables.section import Section
+from gradcal_jax.units import times_text
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Size = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Axis = Literal["x", "y", "z"]
+ImuQuantity = Literal[
+    "gyro_bias", "gyro_scale_factor", "gyro_misalignment", "g_sensitivity", "accelerometer_bias",
+    "accelerometer_scale_factor", "accelerometer_misalignment", "second_order", "position", "tilt", "heading",
+    "mission_heading", "north",
+]  # fmt: skip
+
+Functions = Literal["monomial", "legendre", "chebyshev", "b-spline", "bins"]
+
+
+class BasisRow(Section):
+    """A basis: polynomials in x = (value − centre)/scale, splines or bins.
+
+    B-splines are clamped: the end knots are repeated, and beyond them the value at the end applies; beyond the outer
+    edges the outer bins apply.
+    """
+
+    basis: Literal["polynomial", "b-spline", "bins"]
+    """Kind of functions."""
+    degree: int | None = None
+    """Highest power of a polynomial, or degree of the pieces of a spline."""
+    centre: Finite | None = None
+    """Value of the variable at which x is 0 (°C or rad/s)."""
+    scale: Size | None = None
+    """Difference of the variable that changes x by 1 (K or rad/s)."""
+    knots: tuple[Finite, ...] | None = None
+    """Knots of a spline, where its pieces meet (°C or rad/s)."""
+    edges: tuple[Finite, ...] | None = None
+    """Edges of the bins (°C or rad/s)."""
+    prior_functions: Functions
+    """Functions whose coefficients the map's `prior` and the prediction's `std` refer to."""
+    smoothness_functions: Functions | None = None
+    """Functions whose coefficients the map's `smoothness` refers to; null: the map has no smoothness prior."""
+
+
+class ProcessRow(Section):
+    """A first-order Gauss–Markov process."""
+
+    sigma: Size
+    """Stationary standard deviation (rad/s, a ratio, or m/s²)."""
+    tau: Size
+    """Correlation time (s)."""
+
+
+class DiscrepancyRow(Section):
+    """Possible structure of the map beyond its model: products of polynomials in the x of temperature and the x of
+    rate."""
+
+    sigma: Size
+    """Prior standard deviation of each coefficient."""
+    functions: Literal["legendre"]
+    """Kind of polynomials."""
+    temperature_degree: int
+    """Highest degree in temperature."""
+    rate_degree: int | None = None
+    """Highest degree in rate; null for B."""
+
+
+class MapRow(Section):
+    """B(T) in rad/s, or M(T, ω) as a ratio, in products of the two bases."""
+
+    temperature: BasisRow
+    """Basis over temperature."""
+    rate: BasisRow | None = None
+    """Basis over rate; null for B."""
+    prior: Size | None = None
+    """Prior standard deviation of each coefficient, all independent; null: flat prior."""
+    shapes: tuple[tuple[Finite, ...], ...] | None = None
+    """Instead of `prior`: the prior is a sum of functions with independent amplitudes of variance 1; each row has the
+    coefficients of one function; null: no such prior."""
+    smoothness: Size | None = None
+    """Prior standard deviation of each difference of neighbouring coefficients; null: flat prior."""
+    smoothness_along: tuple[Literal["temperature", "rate"], ...] = ()
+    """Variables along which coefficients count as neighbours."""
+    discrepancy: DiscrepancyRow | None = None
+    """Structure that the map lacks."""
+
+
+class TemperatureErrorRow(Section):
+    """Error of the temperature measurement."""
+
+    sigma: Size
+    """Standard deviation of the temperature's error (K)."""
+    tau: Size | None = None
+    """Correlation time (s); null: the error is constant."""
+    bias_slope: Finite | None = None
+    """Slope of the bias over temperature (rad/s/K); the temperature error times this slope is the bias error."""
+    scale_factor_slope: Finite | None = None
+    """Slope of the scale factor over temperature (1/K); the temperature error times this slope is the scale-factor
+    error."""
+
+
+class GradientSensitivityRow(Section):
+    """Estimated sensitivity of the bias to dT/dt."""
+
+    prior: Size | None = None
+    """Prior standard deviation of the sensitivity (rad/K); null: flat prior."""
+
+
+class CourseRow(Section):
+    """A motion, and the chamber's temperature during it."""
+
+    start: Finite
+    """Start (s)."""
+    duration: Size
+    """Duration (s)."""
+    shape: str
+    """"rest", "constant" (a constant rate) or the name of a motion shape."""
+    peak_rate: Finite = 0.0
+    """Largest rate, signed (rad/s)."""
+    angle: Finite = 0.0
+    """Angle turned, signed (rad)."""
+    ramp: Size | None = None
+    """Time from rest to the peak rate (s); for a turn by hand, the time at rest before and after the turn."""
+    unevenness: Size | None = None
+    """For a turn by hand: amplitude e of the third-harmonic ripple in the rate A·½(1 − cos 2πu)·(1 + e·sin 6πu), where
+    u is the elapsed fraction of the turn."""
+    used: bool = True
+    """False if the data are not part of the calibration."""
+    temperature_start: Finite
+    """Temperature of the chamber at the start (°C); if it differs from the temperature at the end of
+    the previous segment, the chamber steps."""
+    temperature_end: Finite
+    """Temperature of the chamber at the end (°C); in between, it is linear in time."""
+    temperature_bends: tuple[tuple[Finite, Finite], ...] | None = None
+    """Further points (time in s, °C) between start and end, with straight lines between them."""
+
+
+class HarmonicRow(Section):
+    """Error of the angle that is periodic in the angle."""
+
+    order: int
+    """Periods in one turn."""
+    sigma: Size
+    """Standard deviation of the cosine part and of the sine part (rad)."""
+
+
+class CheckRow(Section):
+    """Probabilities of the outcomes if one sensor's calibration is tested by a second run of the same plan; predicted
+    before both runs."""
+
+    accepted: Size
+    """Probability that the calibration is accepted."""
+    false_accept: Size
+    """Probability that the calibration is accepted although its error exceeds the target (global risk)."""
+    false_reject: Size
+    """Probability that the calibration is rejected although its error is within the target (global risk)."""
+
+
+class MissionRow(Section):
+    """One mission of a requirement on the heading."""
+
+    file: str
+    """File of the mission's table."""
+    weight: Size
+    """Weight of the mission relative to the other missions."""
+    after_s: Size
+    """Time in the mission at which the heading error is taken (s)."""
+    left: Size | None = None
+    """Heading error from the calibration at this time (deg, 1σ)."""
+    own: Size
+    """Heading error from the IMU's own noise at this time (deg, 1σ)."""
+
+
+class RequirementRow(Section):
+    """The error that remains after the calibration in the quantity of a requirement (the residual; one standard
+    deviation), in `unit`. A figure is null if this plan cannot observe it, or if it was not requested. The statistics
+    are for this run, with the terms that the spec names. The verdict and the risks also include the terms that the spec
+    omits (`with_typical`) and the bias of another power-on (`another_run`)."""
+
+    name: str
+    """Name of the requirement."""
+    quantity: Literal["scale_factor", "bias"] | ImuQuantity
+    """Quantity that the requirement limits."""
+    unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
+    """Unit of all figures."""
+    axis: Axis | Literal["all", "worst"] = "x"
+    """Axis; for an IMU, also how the elements of the quantity are combined."""
+    temperature_c: tuple[Finite, Finite]
+    """Lowest and highest temperature (°C)."""
+    rate_dps: tuple[Finite, Finite] | None = None
+    """Lowest and highest rate (deg/s); null: the quantity does not depend on rate."""
+    grid: tuple[int, ...]
+    """Number of temperatures (and of rates) at which the residual was evaluated."""
+    statistic: Literal["mean of max", "max", "mean", "rms"]
+    """The statistic that decides the verdict."""
+    mean_of_max: Size | None = None
+    """Statistic "mean of max": maximum over temperature, averaged over rate."""
+    max: Size | None = None
+    """Largest value over temperature and rate."""
+    mean: Size | None = None
+    """Mean over temperature and rate."""
+    rms: Size | None = None
+    """Root mean square over temperature and rate."""
+    target: Size | None = None
+    """Limit on the error."""
+    verdict: Literal["met", "missed", "unobservable", "not covered", "not valid"] | None = None
+    """Whether the target is met; "not covered": the data of an estimate do not cover all temperatures and rates of the
+    requirement."""
+    coverage: Size = 1.0
+    """Number of standard deviations that must be within the target."""
+    risk: Size | None = None
+    """Largest allowed probability that a sensor passes although its error exceeds the target; null: simple
+    acceptance."""
+    rule: str | None = None
+    """Rule of the verdict, in words."""
+    specific_risk: Size | None = None
+    """Probability that the error exceeds the target at the worst temperature and rate of the requirement."""
+    chance: Size | None = None
+    """Probability that the requirement's statistic of the error of a sensor is within the target."""
+    chance_everywhere: Size | None = None
+    """Probability that the error of a sensor meets the target at every temperature and rate of the requirement."""
+    check: CheckRow | None = None
+    """Probabilities (global risks by JCGM 106) if the calibration is tested by a second run."""
+    limited_by: str | None = None
+    """The largest sources of the residual, in words."""
+    uncertain: tuple[Size, Size] | None = None
+    """Smallest and largest value of the deciding statistic over the ranges of `uncertain` noise figures."""
+    with_typical: Size | None = None
+    """The deciding statistic with every omitted term at the typical value of its class; null: the spec omits no
+    term."""
+    another_run: Size | None = None
+    """The same statistic including the bias of another power-on; null: no turn-on bias counts (`of = "this run"`, or
+    the sensor has none)."""
+    worst: Size | None = None
+    """Largest standard deviation, over temperature and rate, of the quantity that the verdict judges."""
+    own: Size | None = None
+    """For heading and north: the contribution of the IMU's own noise (root sum of squares); no calibration removes
+    it."""
+    own_sources: dict[str, Size] | None = None
+    """Contributions of single noise sources to `own`, by name."""
+    missions: tuple[MissionRow, ...] | None = None
+    """Figures of each mission alone."""
+
+    @property
+    def decisive(self) -> float | None:
+        """The value of the requirement's own statistic, by the spec's terms alone; None: not observable."""
+        return {"mean of max": self.mean_of_max, "max": self.max, "mean": self.mean, "rms": self.rms}[self.statistic]
+
+    @property
+    def judged(self) -> float | None:
+        """The value that the verdict judges; None: not observable."""
+        return next((v for v in (self.another_run, self.with_typical) if v is not None), self.decisive)
+
+
+class AbsentRow(Section):
+    """An error term that the spec omits; it counts with the typical value of its class."""
+
+    key: str
+    """Key of the term in the spec."""
+    typical: str
+    """Typical value of the class."""
+    source: str
+    """Source of this value."""
+
+
+class ParameterRow(Section):
+    """A coefficient, named as in the paper: ``a0…`` (bias), ``b{rate power}{temperature power}`` (scale factor). For an
+    IMU, `axis` is "unit", and the name begins with that of the channel: ``gyro_x.b00``."""
+
+    name: str
+    """Name of the coefficient."""
+    axis: Axis | Literal["unit"] = "x"
+    """Axis of the sensor, or "unit" for an IMU."""
+    std: Size | None
+    """Standard deviation after the calibration; null: this plan cannot observe the coefficient."""
+    unit: str
+    """Unit of the coefficient."""
+
+
+class NoticeRow(Section):
+    """How well a test of the log detects structure that the model lacks (the next polynomials of the map)."""
+
+    quantity: Literal["scale_factor", "bias"]
+    """The map concerned."""
+    axis: Axis = "x"
+    """Axis of the sensor."""
+    unit: Literal["ppm", "deg/h"]
+    """Unit of `standard_deviation` and `sure_from`."""
+    temperature_degree: int
+    """Highest degree of the hidden polynomials in temperature."""
+    rate_degree: int | None = None
+    """Highest degree of the hidden polynomials in rate; null: they depend on temperature alone."""
+    components: int
+    """Degrees of freedom of the test: the number of observable combinations of the hidden coefficients."""
+    false_alarm: Size
+    """Probability that the test rejects a correct model."""
+    standard_deviation: Size | None = None
+    """Size of the hidden coefficients for which `power` is computed; null: the spec states no size."""
+    power: Size | None = None
+    """Probability that the test detects hidden coefficients of this size."""
+    sure_power: Size
+    """Probability from which a detection counts as certain."""
+    sure_from: Size | None = None
+    """Smallest size of the hidden coefficients that the test detects with probability `sure_power`; null: there is no
+    such size."""
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        return notice_sentences([self])[0]
+
+
+def _shape(row: NoticeRow) -> tuple[str, int, int]:
+    return row.quantity, row.temperature_degree, -1 if row.rate_degree is None else row.rate_degree
+
+
+def notice_sentences(rows: Sequence[NoticeRow]) -> list[str]:
+    """In words, what tests of a log detect: one sentence for each map, with the sizes of all axes."""
+
+    def sizes(of: Sequence[NoticeRow], attribute: str) -> str:
+        values = [f"{getattr(row, attribute):.4g} {row.unit}" for row in of]
+        return ", ".join(f"{v} ({row.axis})" if len(rows) > 1 else v for v, row in zip(values, of, strict=True))
+
+    sentences: list[str] = []
+    for (what, degree, rate), group in groupby(sorted(rows, key=_shape), _shape):
+        of = list(group)
+        hidden = f"structure of the {what.replace('_', ' ')} that the model lacks (polynomials up to degree {degree}"
+        hidden += " in temperature)" if rate < 0 else f" in temperature and {rate} in rate)"
+        if seen := [row for row in of if row.sure_from is not None]:
+            words = f"{hidden}: a test of the log detects this with {seen[0].sure_power:.0%} probability if each "
+            words += f"coefficient is at least {sizes(seen, 'sure_from')}"
+            if stated := [row for row in seen if row.power is not None]:
+                powers = ", ".join(f"{row.power:.0%}" for row in stated)
+                words += f", and with {powers} if each is {sizes(stated, 'standard_deviation')}"
+            sentences.append(f"{words}; false alarms: {of[0].false_alarm:.2g}")
+        if len(seen) < len(of):
+            where = ", ".join(row.axis for row in of if row.sure_from is None)
+            sentences.append(f"{hidden}: no test of the log detects it" + f" (axis {where})" * (len(of) > 1))
+    return sentences
+
+
+class PlaceRow(Section):
+    """The residuals of the IMU at one place of a fixture."""
+
+    name: str
+    """Name of the place."""
+    values: dict[str, Finite | None]
+    """Residual of each requirement, by the requirement's name, in the requirement's unit; null: not observable."""
+    alone: dict[str, Finite | None] | None = None
+    """The same if this IMU is estimated without the data of the others."""
+
+
+class Prediction(Section):
+    """gradcal-prediction/1: the residual that a plan leaves."""
+
+    format: Literal["gradcal-prediction/1"] = "gradcal-prediction/1"
+    """Name and version of this contract."""
+    title: str | None = None
+    """Title of the spec."""
+    duration_s: Size
+    """Duration of the whole plan (s)."""
+    soak_s: Size
+    """Total duration of the soaks (s)."""
+    motion_s: Size
+    """Duration of the ramp (s)."""
+    requirements: tuple[RequirementRow, ...]
+    """Residuals, one entry for each requirement."""
+    parameters: tuple[ParameterRow, ...]
+    """Coefficients with their standard deviations."""
+    covariance: tuple[tuple[Finite | None, ...], ...] | None
+    """Covariance of the coefficients, in the units of `parameters`; null entries belong to coefficients that cannot be
+    observed."""
+    notices: tuple[NoticeRow, ...] = ()
+    """How well tests of the log detect structure that the model lacks."""
+    warnings: tuple[str, ...] = ()
+    """Warnings, in sentences."""
+    omitted: tuple[AbsentRow, ...] = ()
+    """Error terms that the spec omits; they count in the verdicts with typical values."""
+    places: tuple[PlaceRow, ...] = ()
+    """For a fixture of several IMUs: residuals at every place; all other results are for the worst place."""
+    place: str | None = None
+    """For a fixture of several IMUs: name of the worst place."""
+    minutes_per_imu: Size | None = None
+    """Duration of the plan divided by the number of places (min)."""
+    imus_per_shift: Size | None = None
+    """Number of IMUs that can be calibrated in a shift. Only complete runs count; the time to change the IMUs is
+    neglected. If a run takes longer than a shift: the number of IMUs times shift/run."""
+
+    _repr_html_ = html
+
+    def _shown(self) -> list[str]:
+        hidden = [row.name for row in self.parameters if row.std is None]
+        counts = {"parameter": self.parameters, "omitted error term": self.omitted, "warning": self.warnings}
+        numbers = [f"{len(rows)} {name}{'s' * (len(rows) != 1)}" for name, rows in counts.items() if rows]
+        return [
+            f"Prediction: {self.title}" if self.title else "Prediction",
+            times_text(self.duration_s, self.soak_s, self.motion_s),
+            ", ".join(numbers),
+            *([f"not observable: {', '.join(hidden)}"] if hidden else []),
+            narrow_table(self.requirements),
+        ]
+
+
+def requirement_table(rows: Sequence[RequirementRow], names: Sequence[str] | None = None) -> list[tuple[str, ...]]:
+    """A row for each requirement after a head; "as named", by the terms of the spec alone, only where it differs.
+
+    `names`: of the rows, instead of the requirement's name and, where there are several, its axis.
+    """
+    several = len({row.axis for row in rows} & {"x", "y", "z"}) > 1
+    head = ("requirement", "statistic", "residual 1σ", "as named", "at worst", "target", "verdict")
+    names = names or [f"{row.name}, axis {row.axis}" if several else row.name for row in rows]
+    shown = [head, *(_row(name, row) for name, row in zip(names, rows, strict=True))]
+    if all(row.judged == row.decisive for row in rows):
+        return [(*cells[:3], *cells[4:]) for cells in shown]
+    return shown
+
+
+def narrow_table(rows: Sequence[RequirementRow]) -> str:
+    """The table as text, without the columns that matter least if it is too wide otherwise."""
+    table = requirement_table(rows) if rows else [("no requirement",)]
+    for least in ("as named", "at worst", "statistic"):
+        text = columns(table, indent="")
+        if max(map(len, text.splitlines())) > WIDTH and least in table[0]:
+            at = table[0].index(least)
+            table = [(*cells[:at], *cells[at + 1 :]) for cells in table]
+    return columns(table, indent="")
+
+
+def _row(name: str, row: RequirementRow) -> tuple[str, ...]:
+    left = amount(row.judged, row.unit)
+    if row.uncertain is not None:
+        left += f" ({row.uncertain[0]:.4g} … {row.uncertain[1]:.4g})"
+    target = "" if row.target is None else amount(row.target, row.unit)
+    worst = "" if row.worst is None else amount(row.worst, row.unit)
+    return (name, row.statistic, left, amount(row.decisive, "").strip(), worst, target, row.verdict or "")

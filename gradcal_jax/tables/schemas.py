@@ -1,0 +1,65 @@
+"""JSON Schema of every file and contract, by name."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, Final, cast
+
+from pydantic.json_schema import GenerateJsonSchema
+
+from gradcal_jax.tables.problems import hint
+from gradcal_jax.tables.quantity import Quantity
+from gradcal_jax.tables.section import Section
+
+# By module and class, so that a program that reads specs does not load the importers of logs.
+_MODELS: Final[Mapping[str, tuple[str, str]]] = {
+    "spec": ("spec.spec_sections", "Spec"),
+    "rig": ("spec.rig", "RigFile"),
+    "lines": ("hardware.line_protocol", "LineProtocol"),
+    "registers": ("hardware.register_protocol", "RegisterProtocol"),
+    "text": ("hardware.text_unit", "TextSensor"),
+    "timeline": ("tables.timeline", "Timeline"),
+    "prediction": ("tables.contracts", "Prediction"),
+    "columns": ("records.importers", "ColumnMap"),
+    "points": ("records.points", "PointMap"),
+    "log": ("records.log_contents", "LogContents"),
+    "calibration": ("calibration", "Calibration"),
+    "recipe": ("recipe.recipe", "Recipe"),
+    "sweep": ("sweeps.sweep_file", "SweepFile"),
+    "config": ("spec.user_config", "UserConfig"),
+}
+# Versions other than 1.
+_VERSIONS: Final[Mapping[str, str]] = {"timeline": "3", "calibration": "2"}
+_DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
+
+
+class _WithTexts(GenerateJsonSchema):
+    """Writes defaults that are quantities as the text of a file."""
+
+    def encode_default(self, dft: Any) -> Any:
+        return dft.text if isinstance(dft, Quantity) else super().encode_default(dft)
+
+
+def _version(plain: str) -> str:
+    return _VERSIONS.get(plain, "1")
+
+
+def schema_names() -> tuple[str, ...]:
+    """The names that `schema` knows."""
+    return tuple(_MODELS)
+
+
+def schema(name: str) -> dict[str, Any]:
+    """The JSON Schema of a file or contract, such as "spec"; quantities are text with units in files, SI in contracts.
+
+    Errors: `ValueError` for other names.
+    """
+    plain, _, version = name.removeprefix("gradcal-").partition("/")
+    if plain in _MODELS and version in ("", _version(plain)):
+        module, model = _MODELS[plain]
+        section = cast("type[Section]", getattr(import_module(f"gradcal_jax.{module}"), model))
+        body = section.model_json_schema(mode="validation", schema_generator=_WithTexts)
+        return {"$schema": _DIALECT, "$id": f"gradcal-{plain}/{_version(plain)}", **body}
+    if plain in _MODELS:
+        raise ValueError(f'this version has no schema "{name}": it writes gradcal-{plain}/{_version(plain)}')
+    ending = hint(plain, _MODELS, f"; known: {', '.join(_MODELS)}")
+    raise ValueError(f'there is no file or contract named "{name}"{ending}')

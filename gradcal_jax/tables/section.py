@@ -1,0 +1,152 @@
+"""The base of every table in a file: frozen, closed to unknown keys, with plain messages."""
+
+import ast
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, cast
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
+
+from gradcal_jax.tables.display import summary
+from gradcal_jax.tables.problems import Problem, SpecError, from_validation, hint, nearest, one_of
+
+_NAMES_OF_PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("_"))
+
+
+@cache
+def _checks(kind: type[BaseModel]) -> list[Callable[[Any], Iterable[Problem]]]:
+    """What a class and its bases ask of the keys of a table, bases first."""
+    return [vars(of)["_problems"] for of in reversed(kind.__mro__) if "_problems" in vars(of)]
+
+
+class Section(BaseModel):
+    """A table of a file. Unknown keys are refused with the nearest right spelling."""
+
+    # Deferred: a command builds only the validators of the files that it reads.
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=False, defer_build=True
+    )
+
+    __repr__ = __str__ = summary
+
+    def __dir__(self) -> list[str]:
+        """Our own names, which a tab lists, without those of pydantic."""
+        return [name for name in object.__dir__(self) if name not in _NAMES_OF_PYDANTIC]
+
+    # Plain types: the tests check annotations function by function, where Self has no meaning.
+    @model_validator(mode="wrap")
+    @classmethod
+    def _in_words(cls, value: Any, handler: Callable[[Any], Any]) -> Any:
+        try:
+            section = handler(value)
+        except ValidationError as error:
+            raise SpecError(with_spelling(from_validation(error), cls, value)) from None
+        refuse(*(problem for check in _checks(cast("type[BaseModel]", type(section))) for problem in check(section)))
+        return section
+
+    def _problems(self) -> Iterable[Problem]:
+        """What is wrong between the keys of a table whose keys are right one by one; keys are relative to it. What a
+        class yields is added to the problems of its bases."""
+        return ()
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """The schema, each key with its meaning."""
+        body = handler(schema)
+        keys: dict[str, Any] = handler.resolve_ref_schema(body).get("properties", {})
+        for name, meaning in meanings(cls).items():
+            keys[name]["description"] = meaning
+        return body
+
+
+def meanings(model: type[BaseModel]) -> dict[str, str]:
+    """The meaning of each key of a table: the texts below the fields, or their descriptions."""
+    texts: dict[str, str] = {}
+    for owner in reversed(model.__mro__):
+        texts |= _texts(owner.__module__).get(owner.__qualname__, {}) if issubclass(owner, Section) else {}
+    return {name: text for name, field in model.model_fields.items() if (text := texts.get(name) or field.description)}
+
+
+@cache
+def _texts(module: str) -> dict[str, dict[str, str]]:
+    """The texts by class and field, from the source; pydantic would read every file again for each class, at import."""
+    tree = ast.parse(Path(sys.modules[module].__file__ or "").read_text(encoding="utf-8"))
+    return {
+        table.name: {
+            field.target.id: " ".join(below.value.value.split())
+            for field, below in zip(table.body, table.body[1:], strict=False)
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+            if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+            if isinstance(below.value.value, str)
+        }
+        for table in tree.body
+        if isinstance(table, ast.ClassDef)
+    }
+
+
+def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: object) -> list[Problem]:
+    """Add the nearest right spelling to unknown keys, and drop "missing" where a misspelt key stands for it."""
+    known = list(model.model_fields)
+    present = set(cast("Mapping[str, object]", value)) if isinstance(value, Mapping) else set[str]()
+    meant: set[str] = set()
+    spelt: list[Problem] = []
+    for problem in problems:
+        if problem.kind == "unknown" and len(problem.key) == 1:
+            free = [name for name in known if name not in present]
+            close = nearest(str(problem.key[0]), free) or nearest(str(problem.key[0]), known)
+            if close is not None:
+                meant.add(close)
+                ending = f'; nearest: "{close}"'
+            else:
+                ending = f"; known here: {', '.join(known)}"
+            problem = Problem(problem.key, "this key is unknown" + ending, problem.value, "unknown")
+        elif problem.kind == "missing" and len(problem.key) == 1:
+            meaning = meanings(model).get(str(problem.key[0]), "")
+            ending = f" ({meaning[0].lower()}{meaning[1:].rstrip('.')})" if meaning else ""
+            problem = Problem(problem.key, problem.message + ending, problem.value, "missing")
+        spelt.append(problem)
+    return [p for p in spelt if not (p.kind == "missing" and len(p.key) == 1 and p.key[0] in meant)]
+
+
+def choose(table: Mapping[str, object], key: str, classes: Mapping[str, type[Section]]) -> object:
+    """The table read by the class that its `key` names."""
+    if key not in table:
+        refuse_misspelt(table, [key])
+        raise SpecError([Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing")])
+    name = table[key]
+    if not isinstance(name, str) or name not in classes:
+        raise SpecError([Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name)])
+    return classes[name].model_validate(table)
+
+
+def chosen_by(key: str, classes: Mapping[str, type[Section]]) -> BeforeValidator:
+    """Marks a field that holds one of several tables: see `choose`."""
+    return read_by(lambda table: choose(table, key, classes))
+
+
+def read_by(read: Callable[[Mapping[str, object]], object]) -> BeforeValidator:
+    """Marks a field that holds one of several tables: `read` takes a table of the file to the class that it is of."""
+
+    def chosen(value: object) -> object:
+        if not isinstance(value, Section | Mapping):
+            raise ValueError("expected a table")
+        return value if isinstance(value, Section) else read(cast("Mapping[str, object]", value))
+
+    return BeforeValidator(chosen)
+
+
+def refuse_misspelt(table: Mapping[str, object], known: Iterable[str]) -> None:
+    """Raise for the first key of a table that is nearly one of the keys that it lacks, if there is one."""
+    for key, value in table.items():
+        if ending := hint(key, known):
+            raise SpecError([Problem((key,), f"this key is unknown{ending}", value, "unknown")])
+
+
+def refuse(*problems: Problem) -> None:
+    """Raise the problems, if there are any; keys are relative to the section."""
+    if problems:
+        raise SpecError(problems)

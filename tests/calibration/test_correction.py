@@ -1,0 +1,181 @@
+"""What a calibration does to data: solved to rounding, held at the edge, lagging, and refused where it does not fit."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration_samples import (
+    BINS_W,
+    HEAD,
+    POLYNOMIAL_T,
+    POLYNOMIAL_W,
+    SPLINE_T,
+    WHOLE,
+    G,
+    a_truth,
+    axis_text,
+    calibration_of,
+    document,
+    gyro,
+    readings,
+)
+
+from gradcal_jax.calibration import Calibration, parse_calibration
+from gradcal_jax.calibration.correction import apply, correct, term_values
+from gradcal_jax.records.log import Log, LogError, Reason
+from gradcal_jax.records.log_file import read_log, write_log
+
+GRADIENT = "bias_temperature_gradient = 2e-3\n"
+
+
+def log_of(calibration, rows=500, seed=0, **more):
+    """What the calibration's gyros say of known rates inside their range; the truth beside it."""
+    rng = np.random.default_rng(seed)
+    truth = np.radians(rng.uniform(-299, 299, (rows, 3)))
+    temperature = np.linspace(-29.0, 69.0, rows)
+    said = np.stack([gyro(calibration, truth[:, k], temperature, axis) for k, axis in enumerate("xyz")], axis=-1)
+    log = Log(np.arange(rows) * 0.01, said[None], ("SN-7",), ("x", "y", "z"), temperature_c=temperature[None], **more)
+    return log, truth
+
+
+@pytest.mark.parametrize(
+    "text",
+    [WHOLE, HEAD + "".join(axis_text(n, SPLINE_T, POLYNOMIAL_W, n_t=6) for n in "xyz")],
+    ids=["polynomials", "splines"],
+)
+def test_what_was_measured_is_solved_to_rounding(text, tmp_path):
+    found = parse_calibration(text)
+    log, truth = log_of(found)
+    corrected = apply(found, log)
+    np.testing.assert_allclose(corrected.log.rate_rad_per_s[0], truth, rtol=4e-15, atol=4e-15)
+    assert corrected.outside_temperature == corrected.outside_rate == 0
+    assert corrected.log.simulated  # the calibration is
+    write_log(corrected.log, tmp_path / "corrected.nc")
+    np.testing.assert_array_equal(read_log(tmp_path / "corrected.nc").rate_rad_per_s, corrected.log.rate_rad_per_s)
+
+
+def test_a_corrected_log_is_the_truth(tmp_path):
+    truth = a_truth()
+    log, rate, force = readings(truth)
+    write_log(log, tmp_path / "log.nc")
+    read = read_log(tmp_path / "log.nc")
+    done = apply(calibration_of(truth), read, "SN 1")
+    assert np.max(np.abs(done.log.rate_rad_per_s[0] - rate)) < 1e-14 * 5.0 * 20
+    assert np.max(np.abs(done.log.specific_force_m_per_s2[0] - force)) < 1e-13 * G
+    assert (done.outside_temperature, done.outside_rate, done.left_alone) == (0, 0, ())
+
+
+def test_the_maps_are_the_textbooks():
+    truth = a_truth()
+    bias, scale = (calibration_of(truth).channel_of("gyro", "y").term_of(name) for name in ("bias", "scale_factor"))
+    t, w = np.array([-12.0, 55.0]), np.radians(np.array([-250.0, 120.0]))
+    u, v = (t - 20.0) / 50.0, w / np.radians(300.0)
+    m = sum(truth[f"gyro_y.b{j}{i}"] * v**j * u**i for i in range(4) for j in range(4))
+    np.testing.assert_allclose(term_values(bias, t), sum(truth[f"gyro_y.a{i}"] * u**i for i in range(4)), rtol=1e-12)
+    np.testing.assert_allclose(term_values(scale, t, w), m, rtol=1e-12)
+
+
+def test_bins_jump_and_are_solved_within_the_jump():
+    found = parse_calibration(HEAD + axis_text("x", POLYNOMIAL_T, BINS_W, n_w=2))
+    truth = np.radians(np.linspace(-290.0, 290.0, 401))
+    at = np.full_like(truth, 33.0)
+    solved = correct(found.channel, {"rate x": gyro(found, truth, at)}, at)["rate x"]
+    np.testing.assert_allclose(solved, truth, atol=1e-4)
+
+
+def test_outside_its_range_the_edge_holds_and_is_counted():
+    found = parse_calibration(WHOLE)
+    log, _ = log_of(found, 100)
+    hot = Log(log.time_s, log.rate_rad_per_s * 1.2, log.units, log.axes, temperature_c=log.temperature_c + 20.0)
+    corrected = apply(found, hot)
+    assert corrected.outside_temperature == np.count_nonzero(hot.temperature_c > 70.0)
+    assert corrected.outside_rate > 10
+    assert np.isfinite(corrected.log.rate_rad_per_s).all()
+
+
+def test_beyond_its_range_the_map_holds_its_edge():
+    truth = a_truth()
+    log, rate, _ = readings(truth)
+    narrow = document(truth)
+    for channel in narrow["channel"]:
+        channel["valid_rate"] = ["-1 rad/s", "1 rad/s"]
+    done = apply(Calibration.model_validate(narrow), log)
+    assert done.outside_rate > 0
+    inside = np.all(np.abs(rate) < 0.98, axis=1)
+    assert inside.sum() == 0 or np.max(np.abs(done.log.rate_rad_per_s[0][inside] - rate[inside])) < 1e-9
+    fast = np.abs(rate) > 4.0
+    apart = np.abs(done.log.rate_rad_per_s[0] - rate)[fast]
+    assert 1e-4 < np.median(apart) < 0.3  # another scale factor, not another rate
+
+
+def test_masked_rows_stay_masked_and_missing_temperatures_are_bridged():
+    found = parse_calibration(WHOLE)
+    log, truth = log_of(found, 200)
+    status = np.zeros((1, 200), np.uint16)
+    status[0, 50:53] = Reason.MISSING_TEMPERATURE
+    temperature = log.temperature_c.copy()
+    temperature[0, 50:53] = np.nan
+    holed = Log(log.time_s, log.rate_rad_per_s, log.units, log.axes, temperature_c=temperature, status=status)
+    corrected = apply(found, holed).log
+    np.testing.assert_allclose(corrected.rate_rad_per_s[0], truth, rtol=1e-9)
+    assert corrected.counts() == {"used": 197, "missing temperature": 3}
+
+
+def test_what_is_applied_lags_within_a_stretch_and_not_across_hours():
+    found = parse_calibration(HEAD + axis_text("x", more='thermal_lag = "2 min"'))
+    hour = np.arange(0.0, 3600.0, 1.0)
+    behind = 120.0 / 60.0 * -np.expm1(-hour / 120.0)  # of a ramp of 1 K/min
+    temperature = np.concatenate([hour / 60.0, 60.0 - hour / 60.0])
+    truth = np.full_like(temperature, 0.3)
+    said = gyro(found, truth, temperature + np.concatenate([-behind, behind]))
+    time = np.concatenate([hour, 3.0 * 3600.0 + hour])
+    starts = np.array([0, len(hour)])
+    log = Log(time, said[None, :, None], ("SN-7",), ("x",), temperature_c=temperature[None], stretch_starts=starts)
+    np.testing.assert_allclose(apply(found, log).log.rate_rad_per_s[0, :, 0], truth, rtol=1e-9)
+
+
+def test_the_bias_of_a_changing_temperature_is_taken_off():
+    found = parse_calibration(HEAD + axis_text("x", more=GRADIENT))
+    time, truth = np.arange(0.0, 600.0, 0.5), np.full(1200, 0.3)
+    temperature = 20.0 + time / 60.0
+    said = gyro(found, truth, temperature) + 2e-3 / 60.0
+    log = Log(time, said[None, :, None], ("SN-7",), ("x",), temperature_c=temperature[None])
+    np.testing.assert_allclose(apply(found, log).log.rate_rad_per_s[0, :, 0], truth, rtol=1e-9)
+
+
+def test_a_log_that_does_not_fit_is_a_sentence():
+    found = parse_calibration(WHOLE)
+    other = Log(np.arange(5.0), np.zeros((1, 5, 1)), ("SN-7",), ("roll",))
+    with pytest.raises(LogError, match="none of the log's channels"):
+        apply(found, other)
+    with pytest.raises(LogError, match="no temperature"):
+        apply(found, Log(np.arange(5.0), np.zeros((1, 5, 1)), ("SN-7",), ("x",)))
+    log, *_ = readings(a_truth())
+    without = replace(log, specific_force_m_per_s2=None, force_axes=())
+    with pytest.raises(LogError, match="no accelerometer x, but"):
+        apply(calibration_of(a_truth()), without)
+
+
+def test_a_log_may_have_fewer_channels_where_none_depends_on_another():
+    found = parse_calibration(WHOLE)
+    log, truth = log_of(found, 50)
+    alone = Log(log.time_s, log.rate_rad_per_s[:, :, 1:2], log.units, ("y",), temperature_c=log.temperature_c)
+    np.testing.assert_allclose(apply(found, alone).log.rate_rad_per_s[0, :, 0], truth[:, 1], rtol=4e-15, atol=4e-15)
+
+
+def test_a_map_too_steep_to_invert_is_refused():
+    steep = parse_calibration(HEAD + re.sub(r"^b10 = .*$", "b10 = -3.0", axis_text("x"), flags=re.M))
+    with pytest.raises(ValueError, match="gyro x is too steep"):
+        correct(steep.channel, {"rate x": np.radians(np.linspace(-300, 300, 61))}, np.full(61, 70.0))
+
+
+def test_a_wrong_sample_without_a_solution_spoils_no_other():
+    truth = a_truth()
+    log, rate, force = readings(truth, 50)
+    felt = log.specific_force_m_per_s2.copy()
+    felt[0, 7, 2] = -1e9
+    done = apply(calibration_of(truth), replace(log, specific_force_m_per_s2=felt)).log
+    kept = np.arange(50) != 7
+    assert np.max(np.abs(done.rate_rad_per_s[0] - rate)[kept]) < 1e-12
+    assert np.max(np.abs(done.specific_force_m_per_s2[0] - force)[kept]) < 1e-12 * G

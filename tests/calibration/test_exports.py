@@ -1,0 +1,420 @@
+"""Every export, read back in the target's own arithmetic: within the loss it states, and the loss is a real one."""
+
+import csv
+import itertools
+import json
+import re
+import shutil
+import subprocess
+from functools import partial
+
+import numpy as np
+import pytest
+import yaml
+from calibration_samples import (
+    HEAD,
+    POLYNOMIAL_W,
+    SPLINE_T,
+    WHOLE,
+    G,
+    a_truth,
+    axis_text,
+    calibration_of,
+    document,
+    gyro,
+    readings,
+)
+
+from gradcal_jax.calibration import Calibration, parse_calibration
+from gradcal_jax.calibration.c_header import inputs_of, rounds_in_single
+from gradcal_jax.calibration.correction import correct, term_values
+from gradcal_jax.calibration.exports import (
+    FORMATS,
+    ardupilot_correction,
+    export,
+    kalibr_form,
+    linear_at,
+    px4_correction,
+)
+from gradcal_jax.spec import presets
+
+DEG_PER_H = np.degrees(1.0) * 3600.0
+CALIBRATION = parse_calibration(WHOLE)
+T = np.linspace(-30.0, 70.0, 501)
+
+
+def loss(done, channel, what):
+    return next(one.value for one in done.losses if one.channel == channel and one.what == what)
+
+
+def bias(channel, temperature):
+    return term_values(channel.term_of("bias"), temperature)
+
+
+def scale_factor(channel, temperature, rate):
+    return term_values(channel.term_of("scale_factor"), temperature, rate)
+
+
+def ardupilot_by_the_book(parameters, axis, temperature):
+    """The firmware's own order of operations, one temperature at a time."""
+    f = np.float32
+    p = {name: f(value) for name, value in parameters.items()}
+
+    def polynomial(t):
+        d = f(min(max(f(t), p["INS_TCAL1_TMIN"]), p["INS_TCAL1_TMAX"]) - f(35.0))
+        c = [p[f"INS_TCAL1_GYR{k}_{axis}"] for k in (1, 2, 3)]
+        return f(f(d * c[0] + d * d * c[1] + d * d * d * c[2]) * f(1e-6))
+
+    at = polynomial(p["INS_GYR1_CALTEMP"])
+    # corrected = raw − P(T − 35) + P(Tcal − 35) − OFFS, of a raw rate of zero
+    return np.array([-float(polynomial(t)) + float(at) - float(p[f"INS_GYROFFS_{axis}"]) for t in temperature])
+
+
+def test_ardupilot_takes_off_the_bias_within_what_it_says():
+    done = export(CALIBRATION, "ardupilot")
+    parameters = {name: float(value) for name, value in (line.split() for line in done.text.splitlines())}
+    for channel in CALIBRATION.channel:
+        left = -ardupilot_by_the_book(parameters, channel.axis.upper(), T) - bias(channel, T)
+        said = loss(done, channel.label, "bias")
+        assert np.max(np.abs(left)) * DEG_PER_H <= 1.5 * said + 1e-3
+        assert said < 0.05  # a cubic is exact but for float32
+        map_ = scale_factor(channel, T, np.full_like(T, np.radians(300.0)))
+        assert loss(done, channel.label, "scale factor") >= np.max(np.abs(map_)) * 1e6 * (1 - 1e-6)
+
+
+def test_px4_takes_off_the_bias_within_what_it_says():
+    done = export(CALIBRATION, "px4", instance=2, device_id=4259850)
+    rows = [line.split("\t") for line in done.text.splitlines()]
+    assert all(len(row) == 5 and row[:2] == ["1", "1"] and row[4] in ("6", "9") for row in rows)
+    parameters = {row[2]: float(row[3]) for row in rows}
+    assert parameters["TC_G2_ID"] == 4259850
+    assert parameters["TC_G_ENABLE"] == 1
+    for place, channel in enumerate(CALIBRATION.channel):
+        d = np.clip(T, parameters["TC_G2_TMIN"], parameters["TC_G2_TMAX"]) - parameters["TC_G2_TREF"]
+        offset = sum(parameters[f"TC_G2_X{k}_{place}"] * d**k for k in range(4))
+        said = loss(done, channel.label, "bias")
+        assert np.max(np.abs(offset - bias(channel, T))) * DEG_PER_H < 0.05
+        left = px4_correction(parameters, channel.axis, T, 2) - bias(channel, T)
+        assert np.max(np.abs(left)) * DEG_PER_H <= 1.5 * said + 1e-3
+        steps = np.abs(bias(channel, T + 0.5) - bias(channel, T - 0.5))[5:-5]
+        assert loss(done, channel.label, "bias between two updates, 1 °C apart") >= 0.95 * np.max(steps) * DEG_PER_H
+    assert any("device id" in note for note in export(CALIBRATION, "px4").notes)
+
+
+def test_kalibr_carries_the_mean_scale_factor_at_one_temperature():
+    written = yaml.safe_load(export(CALIBRATION, "kalibr", temperature_c=25.0).text)
+    matrix, rates = np.array(written["gyroscopes"]["M"]), np.radians(np.linspace(-300.0, 300.0, 301))
+    for k, channel in enumerate(CALIBRATION.channel):
+        mean = np.mean(scale_factor(channel, np.full_like(rates, 25.0), rates))
+        assert matrix[k, k] == pytest.approx(1.0 + mean, abs=2e-5)
+    assert np.count_nonzero(matrix - np.diag(np.diag(matrix))) == 0
+    with pytest.raises(ValueError, match="--temperature"):
+        export(CALIBRATION, "kalibr")
+    with pytest.raises(ValueError, match="is outside"):
+        export(CALIBRATION, "kalibr", temperature_c=90.0)
+
+
+def test_one_axis_leaves_the_other_channels_as_they_are():
+    alone = parse_calibration(HEAD + axis_text("y"))
+    done = export(alone, "matrices", temperature_c=25.0)
+    matrix = np.array(yaml.safe_load(done.text)["gyro"]["matrix"])
+    assert np.count_nonzero(matrix - np.eye(3)) == 1
+    assert matrix[1, 1] != 1.0
+    assert any("accelerometer z" in note and "gyro y" not in note for note in done.notes)
+
+
+# Means of the powers of the rate over -1 … 1, in 201 steps.
+MEANS = {f"b{j}": np.mean(np.linspace(-1.0, 1.0, 201) ** j) for j in range(4)}
+
+
+def linear(truth, kind, at):
+    """Matrix and bias of a kind at one temperature, by names: an own reading of them. Scale factors multiply the rows
+    of the sensors' axes."""
+    warm, axes, gain, bias = (at - 20.0) / 50.0, np.eye(3), np.ones(3), np.zeros(3)
+    for i, a in enumerate("xyz"):
+        for name, value in truth.items():
+            head, _, symbol = name.partition(".")
+            if head != f"{kind}_{a}":
+                continue
+            if symbol[0] == "a":
+                bias[i] += value * warm ** int(symbol[1:])
+            elif symbol[0] == "s" or symbol[:2] in MEANS:
+                gain[i] += MEANS.get(symbol[:2], 1.0) * value * warm ** int(symbol[-1])
+            elif symbol.startswith("m_"):
+                axes[i, "xyz".index(symbol[2])] += value * warm ** int(symbol[3:])
+    return np.diag(gain) @ axes, bias
+
+
+def test_kalibr_s_form_is_the_same_imu_in_its_own_frame():
+    truth, at = a_truth(), 33.0
+    gyro, _ = linear(truth, "gyro", at)
+    force, _ = linear(truth, "accelerometer", at)
+    form = kalibr_form(linear_at(calibration_of(truth), at))
+    for matrix in (form.accelerometer, form.gyro):
+        assert np.all(np.triu(matrix, 1) == 0.0) or np.max(np.abs(np.triu(matrix, 1))) < 1e-15
+    for rotation in (form.rotation, form.frame):
+        assert np.max(np.abs(rotation @ rotation.T - np.eye(3))) < 1e-14
+        assert np.linalg.det(rotation) > 0.0
+    assert np.max(np.abs(form.accelerometer @ form.frame - force)) < 1e-14
+    assert np.max(np.abs(form.gyro @ form.rotation @ form.frame - gyro)) < 1e-14
+    text = export(calibration_of(truth), "kalibr", temperature_c=at).text
+    written = yaml.safe_load(text)
+    assert np.max(np.abs(np.array(written["accelerometers"]["M"]) - form.accelerometer)) == 0.0
+    assert np.max(np.abs(np.array(written["gyroscopes"]["C_gyro_i"]) - form.rotation)) == 0.0
+
+
+def test_matrices_correct_what_the_imu_says():
+    truth, at = a_truth(), -12.0
+    written = yaml.safe_load(export(calibration_of(truth), "matrices", temperature_c=at).text)
+    force = np.array([1.0, -4.0, 8.0])
+    matrix, bias = linear(truth, "accelerometer", at)
+    raw = matrix @ force + bias
+    again = np.array(written["accelerometer"]["matrix"]) @ (raw - np.array(written["accelerometer"]["bias"]))
+    assert np.max(np.abs(again - force)) < 1e-13
+    with pytest.raises(ValueError, match="--temperature"):
+        export(calibration_of(truth), "matrices")
+
+
+@pytest.mark.parametrize("target", ["ardupilot", "px4"])
+def test_flight_controllers_take_the_biases_off(target):
+    truth = a_truth()
+    done = export(calibration_of(truth), target, instance=1, device_id=77)
+    if target == "ardupilot":
+        told = {name: float(value) for name, value in (line.split() for line in done.text.splitlines())}
+        of = {"gyro": ardupilot_correction, "accelerometer": partial(ardupilot_correction, kind="ACC")}
+    else:
+        told = {row[2]: float(row[3]) for row in (line.split("\t") for line in done.text.splitlines())}
+        of = {"gyro": px4_correction, "accelerometer": partial(px4_correction, letter="A")}
+    t = np.linspace(-30.0, 70.0, 41)
+    for kind, tolerance in (("gyro", 1e-8), ("accelerometer", 1e-6)):
+        for i, a in enumerate("xyz"):
+            taken = of[kind](told, a, t, 1)
+            true = np.array([linear(truth, kind, at)[1][i] for at in t])
+            assert np.max(np.abs(taken - true)) < tolerance
+    what = {(loss.channel, loss.what) for loss in done.losses}
+    assert ("gyro x", "misalignment y") in what
+    assert any(axis == "accelerometer z" and "scale" in name for axis, name in what)
+    if target == "ardupilot":
+        assert told["INS_ACCSCAL_X"] == pytest.approx(1.0 / linear(truth, "accelerometer", 20.0)[0][0, 0], rel=1e-7)
+
+
+def coefficients(text):
+    """By their names, from what the csv export wrote."""
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    return {f"{row['channel']}.{row['name']}": float(row["value"]) for row in rows}
+
+
+@pytest.mark.parametrize("calibration", [CALIBRATION, calibration_of(a_truth())], ids=["axes", "imu"])
+def test_csv_loses_nothing(calibration):
+    done = export(calibration, "csv")
+    assert coefficients(done.text) == calibration.values()
+    assert done.losses == ()
+
+
+def test_csv_has_the_lag_with_which_each_term_follows_the_temperature():
+    channel = CALIBRATION.channel[0]
+    terms = tuple(t.model_copy(update={"lag": 30.0} if t.name == "bias" else {}) for t in channel.term)
+    late = channel.model_copy(update={"thermal_lag": 60.0, "term": terms})
+    text = export(CALIBRATION.model_copy(update={"channel": (late, *CALIBRATION.channel[1:])}), "csv").text
+    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    lags = {(row["channel"], row["term"]): row["lag_s"] for row in rows}
+    others = {lag for (name, _), lag in lags.items() if name != channel.name}
+    assert lags[channel.name, "bias"] == "90.0"
+    assert (lags[channel.name, "scale_factor"], others) == ("60.0", {"0.0"})
+
+
+SPLINES = parse_calibration(HEAD + axis_text("x", SPLINE_T, POLYNOMIAL_W, n_t=6))
+
+
+@pytest.mark.parametrize(
+    "calibration", [CALIBRATION, SPLINES, calibration_of(a_truth())], ids=["axes", "spline", "imu"]
+)
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
+    done = export(calibration, "c-header")
+    (tmp_path / "calibration.h").write_text(done.text, encoding="utf-8")
+    (tmp_path / "main.c").write_text(PROGRAM, encoding="utf-8")
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-ffp-contract=off"]
+    subprocess.run(["cc", *strict, "main.c", "-o", "main"], cwd=tmp_path, check=True)
+    log, *_ = readings(a_truth(), 200)
+    known = dict(zip(("rate x", "rate y", "rate z"), log.rate_rad_per_s[0].T, strict=True))
+    known |= dict(zip(("force x", "force y", "force z"), log.specific_force_m_per_s2[0].T, strict=True))
+    inputs = inputs_of(calibration)
+    said = np.float32(np.stack([known[name] for name in inputs], axis=1)).astype(float)
+    temperature = np.float32(log.temperature_c[0]).astype(float)
+    lines = "\n".join(" ".join(f"{v:.9g}" for v in (t, *row)) for t, row in zip(temperature, said, strict=True))
+    ran = subprocess.run([tmp_path / "main"], input=lines, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, "the header's own self-test failed"
+    out = np.array([[float(v) for v in line.split()] for line in ran.stdout.splitlines()])
+    rounds = int(re.search(r"round < (\d+)", done.text)[1])
+    mine = next(now for k, now in enumerate(rounds_in_single(calibration, said, temperature), 1) if k == rounds)
+    assert np.max(np.abs(out - mine)) < 1e-5
+    exact = correct(calibration.channel, dict(zip(inputs, said.T, strict=True)), temperature)
+    for channel in calibration.channel:
+        off = np.max(np.abs(out[:, inputs.index(channel.input)] - exact[channel.input]))
+        stated = next(one for one in done.losses if one.channel == channel.label)
+        assert off * (DEG_PER_H if channel.kind == "gyro" else 1e6 / G) < 1.6 * stated.value + 0.05
+        assert stated.what == ("rounding" if calibration is not SPLINES else "polynomials in place of other bases")
+    code = re.sub(r"/\*.*?\*/", "", done.text, flags=re.DOTALL)
+    assert "/" not in code  # no division
+
+
+def followed_calibration():
+    """Of a gyro whose error depends on dT/dt as a term and under [[path]], on a lag, power-on and a hysteresis."""
+    made = document(a_truth())
+    x = made["channel"][0]
+    slope = {"name": "bias_gradient", "unit": "rad/K", "signals": ["temperature rate"], "coefficients": {"d": 2e-3}}
+    x["term"] = [*x["term"], slope]
+    x["term"][0]["lag"] = "120 s"
+    at = {"channel": "gyro_y", "standard_deviation": 1e-5}
+    made["path"] = [
+        at | {"name": "temperature_gradient", "value": 3e-3, "unit": "rad/K"},
+        at | {"name": "hysteresis_10K", "value": 1e-5, "unit": "rad/s/K", "width": "10 K"},
+        at | {"name": "turn_on_transient_900s", "value": 2e-5, "unit": "rad/s"},
+        at | {"name": "scale_factor_hysteresis_10K", "value": 2e-6, "unit": "1/K", "width": "10 K"},
+    ]
+    return Calibration.model_validate(made)
+
+
+NOT_CARRIED = {
+    ("gyro x", "bias gradient: follows dT/dt"): (2e-3 / 60.0 * DEG_PER_H, "deg/h at 1 K/min"),
+    ("gyro y", "bias: follows dT/dt"): (3e-3 / 60.0 * DEG_PER_H, "deg/h at 1 K/min"),
+    ("gyro y", "bias: hysteresis"): (1e-4 * DEG_PER_H, "deg/h"),
+    ("gyro y", "bias: turn-on transient"): (2e-5 * DEG_PER_H, "deg/h"),
+    ("gyro y", "scale factor: hysteresis"): (20.0, "ppm"),
+}
+
+
+def test_the_c_header_states_and_counts_what_it_cannot_carry():
+    calibration = followed_calibration()
+    done = export(calibration, "c-header")
+    comment = done.text.partition("*/")[0]
+    counted = {(one.channel, one.what): one for one in done.losses}
+    behind = term_values(calibration.channel[0].term_of("bias"), T + 2.0) - term_values(
+        calibration.channel[0].term_of("bias"), T
+    )
+    of_lag = np.max(np.abs(behind[:-10])) * DEG_PER_H, "deg/h at 1 K/min"
+    for (channel, what), (value, unit) in (NOT_CARRIED | {("gyro x", "bias: lag of 120 s"): of_lag}).items():
+        assert counted[channel, what].value == pytest.approx(value, rel=1e-2)
+        assert counted[channel, what].unit == unit
+        assert f" * lost: {channel}, {what}: {counted[channel, what].value:.3g} {unit}\n" in comment
+    assert " * lost: " not in export(CALIBRATION, "c-header").text
+
+
+def test_every_target_counts_what_depends_on_the_path():
+    for target in set(FORMATS) - {"template"}:
+        options = {"temperature_c": 25.0} if target in ("kalibr", "matrices") else {}
+        counted = {(one.channel, one.what) for one in export(followed_calibration(), target, **options).losses}
+        assert counted >= {of for of in NOT_CARRIED if of[0] == "gyro y"}
+
+
+PROGRAM = """
+#include <stdio.h>
+#include "calibration.h"
+int main(void)
+{
+    float out[GRADCAL_CHANNELS], raw[GRADCAL_CHANNELS], t;
+    gradcal_correct(GRADCAL_TEST_T, gradcal_test_raw, out);
+    for (int k = 0; k < GRADCAL_CHANNELS; k++) {
+        float d = out[k] - gradcal_test_out[k];
+        if ((d < 0 ? -d : d) > GRADCAL_TEST_TOLERANCE) return 1;
+    }
+    while (scanf("%f", &t) == 1) {
+        for (int k = 0; k < GRADCAL_CHANNELS; k++) if (scanf("%f", &raw[k]) != 1) return 2;
+        gradcal_correct(t, raw, out);
+        for (int k = 0; k < GRADCAL_CHANNELS; k++) printf("%.9g ", (double)out[k]);
+        printf("\\n");
+    }
+    return 0;
+}
+"""
+
+
+def test_the_header_takes_the_rounds_that_large_errors_need():
+    large = parse_calibration(HEAD + axis_text("x", size=0.05))
+    done = export(large, "c-header")
+    assert int(re.search(r"round < (\d+)", done.text)[1]) > 6
+    assert loss(done, "gyro x", "rounding") < 0.2
+    truth, at = np.radians(np.linspace(-290.0, 290.0, 41)), np.full(41, 55.0)
+    *_, last = itertools.islice(rounds_in_single(large, gyro(large, truth, at)[:, None], at), 12)
+    assert np.max(np.abs(last[:, 0] - truth)) < 2e-6
+
+
+def test_what_did_not_pass_is_zero_and_says_so():
+    done = export(CALIBRATION, "csv", zeroed=("x.a3", "b33"))
+    found = coefficients(done.text)
+    assert found["gyro_x.a3"] == found["gyro_x.b33"] == found["gyro_z.b33"] == 0.0
+    assert found["gyro_y.a3"] == CALIBRATION.values()["gyro_y.a3"]
+    assert "set to zero: gyro_x.a3, gyro_x.b33, gyro_y.b33, gyro_z.b33" in done.notes
+    assert "set to zero" in export(CALIBRATION, "c-header", zeroed=("gyro_x.a3",)).text
+    with pytest.raises(ValueError, match="no coefficient q9"):
+        export(CALIBRATION, "csv", zeroed=("q9",))
+
+
+def test_what_a_target_cannot_take_is_a_sentence():
+    with pytest.raises(ValueError, match="known are"):
+        export(CALIBRATION, "betaflight")
+    with pytest.raises(ValueError, match="1 to 3"):
+        export(CALIBRATION, "ardupilot", instance=4)
+    named = parse_calibration(HEAD + axis_text("roll"))
+    for target in ("ardupilot", "px4"):
+        with pytest.raises(ValueError, match="none of them fits"):
+            export(named, target)
+    assert set(FORMATS) == {"ardupilot", "px4", "kalibr", "matrices", "c-header", "template", "csv"}
+    done = [export(CALIBRATION, t, temperature_c=20.0, template="x") for t in FORMATS]
+    assert all("SIMULATED" in of.notes[-1] for of in done)
+
+
+@pytest.mark.parametrize("target", ["ardupilot", "px4"])
+def test_a_bias_that_is_unknown_is_not_exported_as_zeros(target):
+    text = WHOLE
+    head, rest = text.split('name = "y"', 1)
+    begin, end = rest.index("[axis.bias]"), rest.index("[axis.scale_factor]")
+    without = parse_calibration(f'{head}name = "y"{rest[:begin]}{rest[end:]}')
+    with pytest.raises(ValueError, match="no bias of gyro y: zeros would look like a calibration"):
+        export(without, target, instance=1, device_id=7)
+    assert export(without, "csv").text
+
+
+# --- a template of one's own ------------------------------------------------------------------------------------------
+
+
+def test_a_template_sees_matrices_maps_and_noise():
+    form = linear_at(CALIBRATION, 25.0)
+    text = (
+        '{{ "%.12g" | format(gyro.bias[0] | unit("deg/h")) }} {{ "%.12g" | format(accelerometer.inverse[1][2]) }} '
+        '{{ "%.12g" | format(at(40).gyro.matrix[2][0]) }} {{ serial_number }}'
+    )
+    done = export(CALIBRATION, "template", temperature_c=25.0, template=text)
+    bias, inverse, later, name = done.text.split(maxsplit=3)
+    assert float(bias) == pytest.approx(form.gyro_bias[0] * DEG_PER_H, rel=1e-9)
+    assert float(inverse) == pytest.approx(np.linalg.inv(form.accelerometer)[1, 2], rel=1e-9)
+    assert float(later) == pytest.approx(linear_at(CALIBRATION, 40.0).gyro[2, 0], rel=1e-9)
+    assert name == CALIBRATION.serial_number
+    assert done.losses
+    assert not export(CALIBRATION, "template", template="nothing").losses
+
+
+@pytest.mark.parametrize("name", ["export-gains", "export-tracker", "export-ins"])
+def test_the_templates_that_are_shipped_fill_in(name):
+    text = export(CALIBRATION, "template", temperature_c=25.0, template=presets.template(f"{name}.j2")).text
+    assert CALIBRATION.serial_number in text
+    assert "{{" not in text
+    if name == "export-tracker":
+        matrix = np.array(json.loads(text)["gyro"]["matrix"])
+        assert matrix == pytest.approx(np.linalg.inv(linear_at(CALIBRATION, 25.0).gyro))
+
+
+@pytest.mark.parametrize(
+    ("template", "said"),
+    [
+        ("{{ nothing }}", "the template can use the names"),
+        ("{{ gyro.bias }}", "'gyro' is undefined"),
+        ("{% for %}", "line 1"),
+        ("{{ serial_number.__class__.__mro__ }}", "__mro__|unsafe"),
+        ('{{ 1.0 | unit("parrot") }}', "parrot"),
+    ],
+)
+def test_templates_that_cannot_be_filled_in_are_sentences(template, said):
+    with pytest.raises(ValueError, match=said):
+        export(CALIBRATION, "template", template=template)

@@ -1,0 +1,195 @@
+"""The chamber's course among the free numbers of a search: legs, turning points and slopes, by their exact gradient."""
+
+import json
+from functools import lru_cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from loop_scene import spec_of
+
+import gradcal_jax as gj
+from gradcal_jax.cli import main
+from gradcal_jax.design.cycle_plan import CyclePlan, RepeatedCycle
+from gradcal_jax.design.pose_search import PoseSearch
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables import writing
+
+# Legs of a course, and where its coordinates are: logits of the legs' times, of their slopes, of the first temperature.
+LEGS = 4
+STEPS = (1e-2, 1e-3, 1e-4)
+# No play begins to move within the two smaller ones.
+SMALLER = (1e-3, 1e-4, 1e-5)
+
+
+pytestmark = pytest.mark.usefixtures("without_prices")
+
+
+@lru_cache
+def turning(*, back: bool = False, late: bool = False) -> Spec:
+    """One gyro with plays of bias and scale factor, whose table turns to and fro on one axis; `late`: and with what
+    follows the temperature late."""
+    line = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "40 K"}
+    moves = [
+        move
+        for turns in (2, -2)
+        for move in ({"turns": turns, "axis": "turn", "peak_rate": "80 deg/s"}, {"rest": "60 s"})
+    ]
+    lagging = {
+        "sensor.second_thermometer": {"lag": "4 min"},
+        "sensor.gyro.late_temperature_gradient": [{"time_constant": "10 min", "prior": "5 deg/h/(K/min)"}],
+        "sensor.gyro.scale_factor_thermometer_difference": {"prior": "10 ppm/K"},
+        "sensor.gyro.scale_factor.lag": "2 min",
+    }
+    return gj.changed(
+        spec_of(ways=2 if back else 1),
+        {
+            "sensor.gyro.axes": ["z"],
+            "sensor.gyro.scale_factor": {
+                "temperature": line, "rate": {"basis": "polynomial", "degree": 0, "scale": "100 deg/s"},
+                "prior": "1000 ppm",
+            },
+            "sensor.gyro.hysteresis": [{"width": "10 K", "prior": "1 deg/h/K"}],
+            "sensor.gyro.scale_factor_hysteresis": [{"width": "10 K", "prior": "5 ppm/K"}],
+            "sensor.gyro.bias.temperature": line,
+            "sensor.gyro.bias.discrepancy": None,
+            "sensor.gyro.scale_factor_instability": [],
+            "rig.table.axis[0].angle.scale_error": "0 ppm",
+            "rig.table.mounting": [{"accuracy": "0 deg"}],
+            "plan.cycle": {"moves": moves},
+        } | (lagging if late else {}),
+    )  # fmt: skip
+
+
+def standing(**changes) -> Spec:
+    keys = {
+        "sensor.gyro.axes": ["z"], "sensor.gyro.bias.discrepancy": None,
+        "sensor.gyro.hysteresis": [{"width": "10 K", "prior": "1 deg/h/K"}],
+    }  # fmt: skip
+    return gj.changed(spec_of(ways=1), keys | {k.replace("__", "."): v for k, v in changes.items()})
+
+
+def objective(plan: CyclePlan, sharpness: float):
+    of = plan.structure(plan.start)
+    args = jax.tree.map(jnp.asarray, of), None, sharpness, plan.objective.targets
+    return lambda z: plan.value(z, args), of
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("late", [pytest.param(False, marks=pytest.mark.evidence), True])
+def test_the_gradient_goes_through_turning_points_and_slopes(late):
+    """Central differences at three steps: between the smaller ones the error falls with the square of the step, until
+    rounding; within the largest, a play may begin to move. The course has reversals within the width of the play."""
+    plan = CyclePlan(turning(late=late))
+    value, of = objective(plan, 30.0)
+    random = np.random.default_rng(3)
+    starts = plan.starts()
+    begin = plan.point(starts[1], of)
+    course = np.array([0.3, -0.2, 0.4, -0.5, 0.5, -0.15, 0.4, -0.6, -0.6])
+    z = begin + 0.05 * random.standard_normal(len(begin))
+    z[-len(course) :] = course
+    slope, of_z = np.asarray(jax.jit(jax.grad(value))(z)), jax.jit(value)
+    free = range(len(z) - len(course), len(z))
+    scale = np.max(np.abs(slope[list(free)]))
+    assert np.all(np.abs(slope[list(free)]) > 1e-6 * scale)
+    for k in free:
+        errors = []
+        for step in SMALLER if late else STEPS:
+            there = np.zeros(len(z))
+            there[k] = step
+            errors.append(abs((float(of_z(z + there)) - float(of_z(z - there))) / (2.0 * step) - slope[k]))
+        assert errors[2] < 1e-5 * scale, (k, errors)
+        assert errors[2] < 0.05 * errors[1] or errors[2] < 1e-6 * scale, (k, errors)
+
+
+@pytest.mark.parametrize(
+    ("back", "late"), [(False, False), pytest.param(True, False, marks=pytest.mark.evidence), (True, True)]
+)
+def test_the_objective_of_a_free_course_is_about_that_of_its_plan(back, late):
+    plan = CyclePlan(turning(back=back, late=late))
+    value, of = objective(plan, np.inf)
+    left = float(np.exp(jax.jit(value)(plan.point(plan.start, of))))
+    found = plan.spec_of(plan.start)
+    assert found.gradient_schedule.stretches[0].cycles == plan.start.cycles
+    assert left == pytest.approx(np.exp(plan.exact.value_of(plan.exact.residuals(found))), rel=0.2)
+
+
+@pytest.mark.long
+def test_the_objective_of_a_fixed_course_with_late_terms_is_about_that_of_its_plan():
+    """There and back, so that lags of the first leg act on the second one."""
+    plan = CyclePlan(gj.changed(turning(back=True, late=True), {"design": {"free": ["cycle"]}}))
+    of = plan.structure(plan.start)
+    args = jax.tree.map(jnp.asarray, of), plan.course(plan.start.cycles).ramps, np.inf, plan.objective.targets
+    left = float(np.exp(jax.jit(lambda z: plan.value(z, args))(plan.point(plan.start, of))))
+    assert left == pytest.approx(np.exp(plan.exact.value_of(plan.exact.residuals(plan.spec_of(plan.start)))), rel=0.1)
+
+
+def test_the_plan_of_the_file_is_a_start_and_others_keep_its_time():
+    spec = turning()
+    plan = CyclePlan(spec)
+    own, *others = (plan.spec_of(start) for start in plan.starts())
+    (ramp,) = [s for s in own.gradient_schedule.segments if s.kind == "ramp"]
+    (written,) = [s for s in spec.gradient_schedule.segments if s.kind == "ramp"]
+    assert (ramp.temperature_start, ramp.temperature_end) == (written.temperature_start, written.temperature_end)
+    assert len(others) == 3
+    for one in others:
+        first, second = [s for s in one.gradient_schedule.segments if s.kind == "ramp"]
+        assert first.slope * second.slope < 0.0
+        assert one.gradient_schedule.duration == pytest.approx(spec.gradient_schedule.duration, abs=0.2)
+        assert max(abs(s.slope) for s in one.gradient_schedule.segments) <= 3.0 / 60.0 + 1e-12
+    assert plan.in_words(plan.starts()[1]).endswith("the chamber goes -20 → 60 → -20 degC")
+
+
+@pytest.mark.long
+def test_the_command_finds_a_plan_of_two_ways_from_one_way(tmp_path, capsys):
+    """And it is better than any one-way plan of the same time that the file's own stands for."""
+    spec, path, made = standing(), tmp_path / "one-way.toml", tmp_path / "recipe.toml"
+    path.write_text(writing.to_toml(spec), encoding="utf-8")
+    assert main(["optimise", str(path), "-o", str(made), "--steps", "40", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    best = gj.read_recipe(made).spec
+    slopes = [s.slope for s in best.gradient_schedule.segments if s.kind == "ramp"]
+    assert min(slopes) < 0.0 < max(slopes)
+    assert best.gradient_schedule.duration <= spec.gradient_schedule.duration + 0.2
+    assert "the chamber goes" in result["structure"]
+    for row, old in zip(gj.predict(best).requirements, gj.predict(spec).requirements, strict=True):
+        assert row.decisive is not None
+        assert old.decisive is not None
+        assert row.decisive < 0.5 * old.decisive
+
+
+def test_a_course_that_is_not_free_stays():
+    spec = gj.changed(turning(), {"design": {"free": ["cycle"]}})
+    plan = CyclePlan(spec)
+    assert plan.starts() == [plan.start]
+    assert plan.start.course == ()
+    # Without a hysteresis the course is fixed, unless it is freed by name.
+    plain = gj.changed(turning(), {"sensor.gyro.hysteresis": [], "sensor.gyro.scale_factor_hysteresis": []})
+    held = gj.changed(plain, {"rig.table.standing": "held"})
+    assert CyclePlan(held).start.course == ()
+    assert len(CyclePlan(gj.changed(held, {"design": {"free": ["cycle", "programme"]}})).start.course) == 2 * LEGS + 1
+
+
+@pytest.mark.parametrize(
+    ("spec", "changes", "says"),
+    [
+        (turning, {"design": {"free": ["gradient"]}}, r"design.free\[0\].*can change only cycle and programme"),
+        (turning, {"design": {"free": ["programme"]}, "plan.programme[0].used": True}, "ramps whose data are used"),
+        (standing, {"design": {"free": ["cycle"]}}, "optimise can change no part of this plan: the table is at rest"),
+    ],
+)
+def test_what_cannot_be_free_is_refused(spec, changes, says):
+    with pytest.raises(ValueError, match=says):
+        CyclePlan(gj.changed(spec(), changes))
+
+
+def test_the_course_is_kept_in_a_checkpoint():
+    plan = CyclePlan(turning())
+    search = PoseSearch(plan, 100)
+    search._here = search.best = plan.starts()[2]
+    reached = plan.starts()[1]
+    arrays = {name: np.asarray(array) for name, array in search.state(reached).items()}
+    again = PoseSearch(plan, 100)
+    assert again.resume(arrays) == RepeatedCycle(*reached)
+    assert again.best == plan.starts()[2]

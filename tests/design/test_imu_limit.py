@@ -1,0 +1,271 @@
+"""Limits of whole units: known figures, closed forms, a plan that reaches one, and none that goes below."""
+
+import copy
+
+import numpy as np
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.design.plan_limit import limit
+from gradcal_jax.formulas import followed
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.spec import read_spec, spec_of
+from gradcal_jax.units import DEG_PER_H, PPM, G
+
+SPECS = ["hand2", *(pytest.param(name, marks=pytest.mark.evidence) for name in ("hand", "optimised"))]
+
+
+@pytest.fixture(scope="module", params=SPECS)
+def rows(request, pytestconfig):
+    found = gj.limit(read_spec(pytestconfig.rootpath / f"experiments/imu/{request.param}.toml"))
+    return {row.name: row for row in found}
+
+
+@pytest.mark.long
+def test_no_plan_lies_below_its_limit_and_biases_stand_at_it(rows):
+    assert len(rows) == 8
+    for row in rows.values():
+        assert 0.0 < row.certified <= row.reached
+        assert row.certified < row.value
+        bound = row.certified if row.with_turns is None else row.with_turns
+        assert row.certified <= bound < row.value
+        assert row.efficiency == pytest.approx(bound / row.value)
+        assert len(row.relaxed) == 3
+    assert rows["gyro bias"].efficiency > 0.9
+
+
+@pytest.mark.long
+def test_the_limits_of_the_known_plans(rows):
+    """Of an independent prototype; the plan does not matter to them, only its time and temperatures."""
+    assert f"{rows['gyro bias'].certified:.3f}" == "0.437"
+    assert f"{rows['accelerometer bias'].certified:.2f}" == "23.07"
+    assert f"{rows['acceleration sensitivity'].certified:.3f}" == "0.201"
+
+
+def random_plan(pytestconfig, seed, *, scale_factor):
+    """The rig of `hand2` with a random cycle: turns of both axes, fast and slow, with and without rests."""
+    rng, moves, left = np.random.default_rng(seed), [], 190.0
+    while left > 20.0 and len(moves) < 80:
+        axis, lasts = ("tilt", "spin")[int(rng.random() < 0.4)], rng.choice([1.0, 2.0, 4.0, 8.0])
+        # Of a turn with linear ramps: peak · (duration − peak/acceleration).
+        peak = min(float(rng.choice([20.0, 90.0, 180.0, 300.0])), 200.0 * lasts)
+        turn = rng.uniform(0.5, 1.0) * peak * (lasts - peak / 400.0) * rng.choice([-1.0, 1.0])
+        moves.append({"turn": f"{turn:.3f} deg", "duration": f"{lasts} s", "axis": axis, "shape": "linear ramps"})
+        rest = float(rng.choice([0.0, 0.5, 2.0, 6.0]))
+        moves += [{"rest": f"{rest} s"}] if rest else []
+        left -= lasts + rest
+    spec = read_spec(pytestconfig.rootpath / "experiments/imu/hand2.toml")
+    document = spec.model_dump(mode="json", exclude_unset=True)
+    wanted = [r for r in document["requirement"] if scale_factor or r["quantity"] != "gyro_scale_factor"]
+    return gj.changed(spec, {"requirement": wanted, "plan.cycle.moves": moves})
+
+
+@pytest.mark.parametrize("first", [0, *(pytest.param(k, marks=pytest.mark.evidence) for k in range(20, 520, 20))])
+def test_no_random_plan_lies_below_its_limit(pytestconfig, first):
+    nearest: dict[str, float] = {}
+    for seed in range(first, first + (20 if first else 2)):
+        for row in limit(random_plan(pytestconfig, seed, scale_factor=seed > 2 and seed % 20 == 1)):
+            assert row.value is not None
+            assert row.efficiency < 1.0, (seed, row)
+            nearest[row.name] = max(nearest.get(row.name, 0.0), row.efficiency)
+    assert len(nearest) == (8 if first else 7)
+    print(first, {name: round(of, 3) for name, of in nearest.items()})
+
+
+def unit(accelerometer, plan=None):
+    """Three accelerometers of a preset, white noise alone, nothing uncertain of the table."""
+    document = copy.deepcopy(gj.parse_spec(presets.text("accelerometer-six-positions-toured")).model_dump(
+        mode="json", exclude_unset=True
+    ))  # fmt: skip
+    document["sensor"] = {"accelerometer": {"velocity_random_walk": "0.05 m/s/sqrt(h)", **accelerometer}}
+    table = document["rig"]["table"]
+    document["rig"]["site"].pop("gravity_accuracy", None)
+    for key in ("tilt", "azimuth"):
+        table.pop(key, None)
+    for axis in table["axis"]:
+        axis.pop("orthogonality", None)
+        axis["angle"] = {}
+    names = {"bias": "accelerometer_bias", "scale_factor": "accelerometer_scale_factor"}
+    names |= {"misalignment": "accelerometer_misalignment", "second_order": "second_order"}
+    over = {"temperature": document["requirement"][0]["temperature"]}
+    document["requirement"] = [{"name": key, "quantity": names[key], **over} for key in accelerometer if key in names]
+    document["plan"] |= plan or {}
+    return spec_of(document)
+
+
+def test_a_tumble_in_white_noise_reaches_its_limit_but_for_its_moves():
+    """Six faces give σ_T, √3σ_T, √3σ_T, which no set of positions beats; only the time of the moves is lost."""
+    spec = unit({"bias": {}, "scale_factor": {}, "misalignment": {}})
+    used = sum(stretch.duration for stretch in spec.schedule.stretches)
+    one, gravity = 0.05 / 60.0 / np.sqrt(used), float(spec.rig.site.gravity)
+    found = {row.name: row for row in limit(spec)}
+    assert found["bias"].certified == pytest.approx(one / G * 1e6, rel=1e-6)
+    assert found["scale_factor"].certified == pytest.approx(np.sqrt(3.0) * one / gravity * PPM, rel=1e-6)
+    assert found["misalignment"].certified == pytest.approx(np.sqrt(3.0) * one / gravity * 1e6, rel=1e-6)
+    for row in found.values():
+        assert 0.8 < row.efficiency < 1.0
+
+
+def test_an_axis_alone_may_have_all_of_gravity():
+    """Of three, the mean information of second-order terms shares g⁴, of which the biases take a third."""
+    spec = unit({"bias": {}, "scale_factor": {}, "misalignment": {}, "second_order": {}})
+    document = spec.model_dump(mode="json", exclude_unset=True)
+    worst = {row.name: row.certified for row in limit(spec)}
+    for requirement in document["requirement"]:
+        requirement["axis"] = "x"
+    alone = {row.name: row.certified for row in limit(spec_of(document))}
+    ratio = {name: worst[name] / alone[name] for name in worst}
+    wanted = {"bias": 1.0, "scale_factor": np.sqrt(3.0), "misalignment": np.sqrt(1.5), "second_order": np.sqrt(4.5)}
+    assert ratio == pytest.approx(wanted, rel=1e-9)
+
+
+def test_a_prior_counts_as_information():
+    """A prior as good as the limit without it leaves 1/√2 of both."""
+    spec = unit({"bias": {}, "scale_factor": {}})
+    document = spec.model_dump(mode="json", exclude_unset=True)
+    free = {row.name: row.certified for row in limit(spec)}
+    document["sensor"]["accelerometer"]["bias"] = {"prior": f"{free['bias']!r} ug"}
+    document["sensor"]["accelerometer"]["scale_factor"] = {"prior": f"{free['scale_factor']!r} ppm"}
+    with_prior = {row.name: row.certified for row in limit(spec_of(document))}
+    for name, value in free.items():
+        assert with_prior[name] == pytest.approx(value / np.sqrt(2.0), rel=1e-6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("thermal_lag", ["0 s", "200 s", "90 s"])
+def test_maps_that_lag_have_their_own_limits(pytestconfig, thermal_lag):
+    """Against sums over masses that are stepped, in white noise; no plan of the file lies below."""
+    spec = gj.changed(read_spec(pytestconfig.rootpath / "experiments/imu/hand2.toml"), {
+        "sensor.thermal_lag": thermal_lag, "sensor.gyro.drift": [], "sensor.gyro.rate_random_walk": "0 deg/h/√h",
+        "sensor.gyro.bias.lag": "200 s", "sensor.gyro.scale_factor.lag": "100 s", "sensor.gyro.turn_on_bias": "0 deg/h",
+        "sensor.gyro.temperature_error": {"standard_deviation": "0 K"},
+    })  # fmt: skip
+    found = {row.name: row for row in limit(spec)}
+    for row in found.values():
+        assert 0.0 < row.certified < row.value, row.name
+    built, schedule = build_imu(spec), spec.gradient_schedule
+    time = np.linspace(0.0, schedule.duration, 200_001)
+    ends = [s.start for s in schedule.segments] + [schedule.duration]
+    levels = [s.temperature_start for s in schedule.segments] + [schedule.segments[-1].temperature_end]
+    course = np.interp(time, ends, levels)
+    for lag in (float(thermal_lag.split()[0]), 200.0):
+        course = followed(course, time, np.array([0]), lag) if lag else course
+    used = np.any([(time >= s.start) & (time < s.start + s.duration) for s in schedule.stretches], axis=0)
+    gyro = built.model.channels[0].model
+    assert gyro.bias is not None
+    columns = gyro.bias.values(course[used], 0.0 * course[used]) * np.sqrt(time[1]) / float(gyro.angle_random_walk)
+    requirement = next(r for r in spec.requirement if r.name == "gyro bias")
+    at = np.linspace(*map(float, requirement.temperature), requirement.grid[0])
+    triangle = np.linalg.qr(np.concatenate([columns, gyro.bias.prior_rows()]), mode="r")
+    std = np.linalg.norm(np.linalg.solve(triangle.T, gyro.bias.values(at, 0.0 * at).T), axis=0)
+    expected = {"max": np.max, "mean": np.mean, "rms": lambda x: np.sqrt(np.mean(x**2))}[requirement.statistic](std)
+    assert found["gyro bias"].certified == pytest.approx(expected * DEG_PER_H, rel=1e-3)
+
+
+def test_what_has_no_proof_is_refused_with_what_has_one(pytestconfig):
+    document = read_spec(pytestconfig.rootpath / "experiments/imu/hand.toml").model_dump(
+        mode="json", exclude_unset=True
+    )
+    document["requirement"] = [
+        {"name": "rest", "quantity": "position", "after": "60 s", "temperature": ["-30 degC", "70 degC"]},
+        {"name": "m", "quantity": "gyro_misalignment", "relative_to": "internal", "temperature": ["0 degC", "1 degC"]},
+    ]
+    with pytest.raises(ValueError, match="proven for biases, polynomial scale factors"):
+        limit(spec_of(document))
+
+
+def test_a_continuous_look_at_a_bias_is_the_spectrums_floor_for_long_times():
+    """White noise and a drift, a constant: N² + 2σ²τ of spectral density at zero, over the time."""
+    drift = [{"standard_deviation": "50 ug", "correlation_time": "20 s"}]
+    spec = unit({"bias": {}, "drift": drift})
+    used = sum(stretch.duration for stretch in spec.schedule.stretches)
+    (row,) = limit(spec)
+    density = (0.05 / 60.0) ** 2 + 2.0 * (50e-6 * G) ** 2 * 20.0
+    assert row.certified == pytest.approx(np.sqrt(density / used) / G * 1e6, rel=2e-2)
+
+
+BOTH = """
+[rig.chamber]
+range       = ["-40 degC", "85 degC"]
+max_heating = "2 K/min"
+max_cooling = "1.5 K/min"
+[[requirement]]
+name        = "full range"
+quantity    = "{of}scale_factor"
+temperature = ["-30 degC", "70 degC"]
+rate        = ["-300 deg/s", "300 deg/s"]
+statistic   = "max"
+[[requirement]]
+name        = "bias"
+quantity    = "{of}bias"
+temperature = ["-30 degC", "70 degC"]
+statistic   = "max"
+[plan]
+method      = "gradient"
+temperature = ["-30 degC", "70 degC"]
+gradient    = "1 K/min"
+[plan.cycle]
+moves = [
+  {{ rest = "10 s"{every} }},
+  {{ turn = "360 deg", peak_rate = "150 deg/s", duration = "3.03 s", shape = "cosine ramps" }},
+  {{ rest = "80 s"{every} }},
+  {{ turn = "-360 deg", peak_rate = "300 deg/s", duration = "1.52 s", shape = "cosine ramps" }},
+  {{ rest = "240 s"{every} }},
+]
+"""
+MAPS = """
+bias = { temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }, prior = "500 deg/h" }
+[sensor{of}.scale_factor]
+temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
+rate        = { basis = "polynomial", degree = 1, scale = "300 deg/s" }
+prior       = "10000 ppm"
+"""
+GYRO = """angle_random_walk = "0.1 deg/sqrt(h)"
+drift = [{ standard_deviation = "1 deg/h", correlation_time = "120 s" }]
+"""
+UNSTEADY = 'scale_factor_instability = [{ standard_deviation = "3 ppm", correlation_time = "20 min" }]\n'
+AXIS = """format = "gradcal-spec/1"
+[sensor]
+quantity = "gyro"
+{clock}{gyro}{maps}
+[rig.table]
+max_rate = "300 deg/s"
+max_acceleration = "1500 deg/s^2"
+[rig.table.angle]
+reading_noise = "0.05 deg"
+standstill_offset = "0.01 deg"
+"""
+UNIT = """format = "gradcal-spec/1"
+[sensor]
+{clock}[sensor.gyro]
+axes = ["z"]
+{gyro}{maps}
+[rig.site]
+latitude = "0 deg"
+[rig.table]
+standing = "read"
+[[rig.table.axis]]
+name = "turn"
+direction = [0.0, 0.0, 1.0]
+max_rate = "300 deg/s"
+max_acceleration = "1500 deg/s^2"
+angle = {{ reading_noise = "0.05 deg", standstill_offset = "0.01 deg", read_every = "1 s" }}
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("clock", "gyro"), [("", GYRO), ('sample_clock_error = "2 ppm"\n', GYRO + UNSTEADY)])
+def test_one_gyro_axis_has_one_limit_in_both_kinds_of_spec(clock, gyro):
+    """The cycles leave 6 s of the ramp, which are data in both."""
+    axis = AXIS.format(clock=clock, gyro=gyro, maps=MAPS.replace("{of}", ""))
+    unit = UNIT.format(clock=clock, gyro=gyro, maps=MAPS.replace("{of}", ".gyro"))
+    one = gj.limit(gj.parse_spec(axis + BOTH.format(of="", every=', read_every = "1 s"')))
+    two = gj.limit(gj.parse_spec(unit + BOTH.format(of="gyro_", every="")))
+    assert [row.name for row in one] == [row.name for row in two] == ["full range", "bias"]
+    for a, b in zip(one, two, strict=True):
+        assert a.certified == pytest.approx(b.certified, rel=1e-9)
+        assert a.kept == b.kept
+        assert 0.0 < a.certified < min(a.value, b.value)
+    # More than in white noise alone: drift and readings count.
+    assert one[0].certified > 1.4 * 0.2028

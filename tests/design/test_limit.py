@@ -1,0 +1,97 @@
+"""No plan is ever below its proven limit: random plans, sensors and programmes, and other plans on the same rig.
+
+A case is a random spec of `random_specs`. Its limit is held against what its own plan leaves, and against plans that no
+search of ours would make: the same timetable with other angles, rates and directions.
+"""
+
+import copy
+
+import numpy as np
+import pytest
+from random_specs import FAMILIES, random_spec
+
+from gradcal_jax.design.plan_limit import limit
+from gradcal_jax.information.prediction import predict
+from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.tables.problems import SpecError
+
+MOVING = [family for family in FAMILIES if "static" not in family and "standard" not in family]
+# Certificates are computed to a duality gap; rounding of the engine is far below.
+SLACK = 1e-6
+# 387: a degree-0 spline, whose jump a look at a slow process sees as it is.
+ALWAYS = {3, 6, 8, 387}
+REFUSALS = (
+    "as if each had a separate table",
+    "polynomial in rate",
+    "a limit is proven",
+    "cannot",
+    "no proof",
+    "not observ",
+)
+
+
+def other_plan(document: dict, rng: np.random.Generator) -> dict:
+    """The same timetable, each turn with another angle, direction and shape, at most as fast."""
+    changed = copy.deepcopy(document)
+    for move in changed["plan"]["cycle"]["moves"]:
+        if "turn" not in move:
+            continue
+        share = float(rng.uniform(0.15, 1.0)) * float(rng.choice([-1.0, 1.0]))
+        for key in ("turn", "peak_rate"):
+            if key in move:
+                number, unit = move[key].split(" ", 1)
+                size = float(number) * (share if key == "turn" else abs(share))
+                move[key] = f"{size:.6g} {unit}"
+    return changed
+
+
+def values_of(document: dict) -> dict[tuple[str, str], float | None] | None:
+    """What a plan leaves of every requirement; None where it is no valid plan."""
+    try:
+        spec = spec_of(document)
+    except SpecError:
+        return None
+    return {(row.name, row.axis): getattr(row, row.statistic.replace(" ", "_")) for row in predict(spec).requirements}
+
+
+def check(seed: int) -> tuple[str, float]:
+    """What became of a case ("held", or the refusal's sentence), and the least residual over its limit."""
+    rng = np.random.default_rng(50_000 + seed)
+    document = random_spec(rng, family=str(rng.choice(MOVING)))
+    try:
+        proven = limit(spec_of(document))
+    except ValueError as error:
+        said = str(error)
+        if not any(word in said for word in REFUSALS):
+            raise
+        return said, np.inf
+    plans = [document, other_plan(document, rng)]
+    least = np.inf
+    for plan in plans:
+        found = values_of(plan)
+        if found is None:
+            continue
+        for one in proven:
+            assert one.certified > 0.0
+            assert np.isfinite(one.certified)
+            for (name, axis), value in found.items():
+                if name == one.name and value is not None:
+                    assert value >= one.certified * (1.0 - SLACK), (seed, name, axis, value, one)
+                    least = min(least, value / one.certified)
+    return "held", least
+
+
+@pytest.mark.parametrize("seed", sorted(ALWAYS))
+def test_no_plan_is_below_its_limit(seed):
+    said, least = check(seed)
+    assert said != "held" or least >= 1.0 - SLACK
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("part", range(10))
+def test_no_plan_of_five_hundred_cases_is_below_its_limit(part):
+    cases = [check(seed) for seed in range(50 * part, 50 * (part + 1))]
+    refused = {said for said, _ in cases if said != "held"}
+    held = [least for said, least in cases if said == "held" and np.isfinite(least)]
+    print(f"part {part}: {len(held)} of {len(cases)} held, nearest {min(held):.4f}; refused: {refused or 'none'}")
+    assert len(held) >= 10

@@ -1,0 +1,232 @@
+"""Places of a fixture: the spec of the IMU at one, predictions of all, and one motion for all."""
+
+import json
+import tomllib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import gradcal_jax as gj
+from gradcal_jax.cli import main
+from gradcal_jax.design.cycle_plan import CyclePlan
+from gradcal_jax.estimation import posteriors_together
+from gradcal_jax.information.imu_residual import imu_residual
+from gradcal_jax.information.verdicts import UNIT_OF
+from gradcal_jax.model.imu_build import build_imu, geometry, imu_posterior
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.bench import Place
+from gradcal_jax.spec.changes import tables_of
+from gradcal_jax.spec.places import places_of, rotation_of, specs_at_places
+from gradcal_jax.spec.spec import spec_of
+
+pytestmark = pytest.mark.usefixtures("without_prices")
+
+
+def fixture(places, preset="ferraris", **table):
+    tables = tomllib.loads(presets.text(preset))
+    tables["rig"]["table"] |= {"place": places, **table}
+    return spec_of(tables)
+
+
+def turned(held):
+    """The rotation that a table of a mounting or a place says, by the series of the exponential: a body axis named x
+    points along the word of x, after the further rotation."""
+    words = {"x": "+x", "y": "+y", "z": "+z"} | held
+    units = {f"{sign}{a}": s * np.eye(3)[k] for k, a in enumerate("xyz") for sign, s in (("+", 1.0), ("-", -1.0))}
+    named = np.array(held["matrix"]) if "matrix" in held else np.stack([units[words[a]] for a in "xyz"], axis=1)
+    x, y, z = np.radians([float(angle.split()[0]) for angle in held.get("rotation", ["0 deg"] * 3)])
+    return named @ expm(np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]))
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        {"x": "+y", "y": "-x"},
+        {"x": "-z", "z": "+x", "rotation": ["3 deg", "-20 deg", "100 deg"]},
+        {"matrix": [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]]},
+    ],
+)
+@pytest.mark.parametrize("hung", [{}, {"x": "+z", "y": "+x", "z": "+y", "rotation": ["0 deg", "30 deg", "5 deg"]}])
+def test_body_to_fixture_to_axis(place, hung):
+    """A vector of the body is turned by the place and then by the fixture's mounting."""
+    spec = fixture([{"name": "a", **place}], mounting=[hung])
+    (at,) = specs_at_places(spec).values()
+    vector = np.array([0.3, -0.5, 0.8])
+    expected = turned(hung) @ (turned(place) @ vector)
+    assert rotation_of(Place(name="a", **place)) @ vector == pytest.approx(turned(place) @ vector, abs=1e-12)
+    assert geometry(at.rig).mountings[0] @ vector == pytest.approx(expected, abs=1e-9)
+    assert at.rig.table.place == ()
+
+
+def test_a_place_of_words_is_its_matrix():
+    words = rotation_of(Place(name="a", x="+y", y="-x"))
+    matrix = rotation_of(Place(name="a", matrix=((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))))
+    assert np.array_equal(words, matrix)
+    # The body's x points along the fixture's y.
+    assert words @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 1.0, 0.0])
+
+
+def test_the_prediction_is_of_every_place_and_of_the_worst():
+    """An IMU alone, at a place that hangs as a spec without places, has that spec's values; with others no worse."""
+    up = {"x": "+x", "y": "+z", "z": "-y"}
+    slant = [[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]
+    found = gj.predict(fixture([{"name": "flat"}, {"name": "up", **up}, {"name": "slant", "matrix": slant}]))
+    values = {place.name: place.values for place in found.places}
+    of_one = {place.name: place.alone for place in found.places}
+    for name, mounting in (("flat", {}), ("up", up)):
+        alone = gj.predict(spec_of(tomllib.loads(presets.text("ferraris")) | {}) if not mounting else hung(mounting))
+        assert of_one[name] == pytest.approx({row.name: row.judged for row in alone.requirements}, rel=1e-9)
+        assert all(values[name][row.name] <= row.judged * (1.0 + 1e-6) for row in alone.requirements)
+    assert len({round(v["accelerometer scale factor"], 6) for v in values.values()}) > 1
+    rows = {row.name: (row.judged, row.target) for row in found.requirements}
+    assert values[found.place] == pytest.approx({name: value for name, (value, _) in rows.items()})
+    excess = {n: max(v[r] / rows[r][1] for r in v) for n, v in values.items()}
+    assert excess[found.place] == pytest.approx(max(excess.values()))
+    assert found.minutes_per_imu == pytest.approx(found.duration_s / 180.0)
+    assert found.imus_per_shift == 3 * int(8 * 3600 / found.duration_s)
+
+
+def hung(mounting):
+    tables = tomllib.loads(presets.text("ferraris"))
+    tables["rig"]["table"]["mounting"] = mounting
+    return spec_of(tables)
+
+
+def test_a_recipe_has_the_places():
+    made = gj.recipe(fixture([{"name": "a"}, {"name": "b", "x": "-x", "y": "-y"}]))
+    assert made.prediction is not None
+    assert [place.name for place in made.prediction.places] == ["a", "b"]
+    assert made.spec.rig.table.place[1].name == "b"
+
+
+def test_the_lever_arm_counts_in_the_prior_of_the_accelerometers_positions():
+    spec = fixture([{"name": "a", "lever_arm": ["0.3 m", "0 m", "-0.4 m"]}])
+    assert spec.sensor.accelerometer is not None
+    arm = {"rig.table.place": None, "sensor.accelerometer.lever_arm": {"prior": "0.1 m"}}
+    arm["sensor.accelerometer.read_on_moves_below"] = "70 deg/s"
+    place = spec.rig.table.place
+    of = gj.changed(spec, arm)
+    of = of.model_copy(
+        update={"rig": of.rig.model_copy(update={"table": of.rig.table.model_copy(update={"place": place})})}
+    )
+    (at,) = specs_at_places(of).values()
+    assert float(at.sensor.accelerometer.lever_arm.prior) == pytest.approx(np.hypot(0.1, 0.5))
+
+
+def test_imus_sit_at_the_places_of_their_names_or_in_order():
+    spec = fixture([{"name": "a"}, {"name": "b"}])
+    assert places_of(spec, ["b", "a"]) == {"b": "b", "a": "a"}
+    assert places_of(spec, ["17", "18"]) == {"17": "a", "18": "b"}
+    with pytest.raises(ValueError, match="a is the name of a place, but 17 is not"):
+        places_of(spec, ["a", "17"])
+    with pytest.raises(ValueError, match=r"the log has 3 IMUs, and the spec has 2 places"):
+        places_of(spec, ["1", "2", "3"])
+
+
+@pytest.mark.parametrize(
+    ("place", "sentence"),
+    [
+        ({"matrix": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]}, "is not a rotation matrix"),
+        ({"matrix": [[1.0, 0.0, 0.0], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]]}, "is not a rotation matrix"),
+        ({"matrix": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "x": "+x"}, "replaces x, y and z"),
+        ({"x": "+x", "y": "+x"}, "three different ones"),
+    ],
+)
+def test_what_is_no_place_is_refused(place, sentence):
+    with pytest.raises(gj.SpecError, match=sentence):
+        fixture([{"name": "a", **place}])
+
+
+def test_two_places_of_one_name_are_refused():
+    with pytest.raises(gj.SpecError, match="two places have this name"):
+        fixture([{"name": "a"}, {"name": "a"}])
+
+
+def test_what_is_of_one_imu_refuses_a_fixture():
+    with pytest.raises(ValueError, match="the spec has a fixture of several IMUs"):
+        build_imu(fixture([{"name": "a"}]))
+
+
+SLANT = {"name": "slant", "matrix": [[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]}
+PLACES = [{"name": "one"}, {"name": "another"}, SLANT]
+
+
+def searched(places, robust="mean"):
+    spec = fixture(places, "accelerometer-six-positions-toured")
+    return spec_of(tables_of(spec) | {"design": {"minimise": "all requirements", "robust": robust}})
+
+
+def logs_of(spec, posteriors):
+    """The logarithm of what each place leaves over the targets, `(places, requirements)`."""
+    builts = [build_imu(at) for at in specs_at_places(spec).values()]
+    return [
+        [
+            np.log(imu_residual(b, known, r).statistic() / float(r.target) / UNIT_OF[r.quantity][1])
+            for r in spec.requirement
+        ]
+        for b, known in zip(builts, posteriors(builts), strict=True)
+    ]
+
+
+def joint(builts):
+    alone = [imu_posterior(b) for b in builts]
+    plans = [(b.model, b.motion, b.body_nodes(), known) for b, known in zip(builts, alone, strict=True)]
+    return posteriors_together(plans, [1] * len(plans))
+
+
+@pytest.mark.long
+def test_a_search_serves_all_places_by_the_joint_estimate():
+    """The value of a plan is the mean or the worst over places, each estimated with all others; and the objective that
+    descends, for which encoders' errors are every IMU's own, is near it."""
+    spec = searched(PLACES)
+    expected = np.array(logs_of(spec, joint))
+    alone = np.array(logs_of(spec, lambda builts: [imu_posterior(b) for b in builts]))
+    assert np.max(alone - expected) > 0.2
+    for robust, over in (("mean", np.mean), ("worst", np.max)):
+        plan = CyclePlan(searched(PLACES, robust))
+        assert plan.exact.value_of(plan.exact.residuals(spec)) == pytest.approx(
+            over(np.mean(expected, axis=1)), abs=1e-7
+        )
+    one = CyclePlan(searched(PLACES[:1]))
+    assert one.exact.value_of(one.exact.residuals(one.spec)) == pytest.approx(np.mean(alone[0]), abs=1e-7)
+    plan = CyclePlan(spec)
+    of = jax.tree.map(jnp.asarray, plan.structure(plan.start))
+    decoded = plan.coordinates.decode(plan.coordinates.encode(plan.start.turns, of), of)
+    ramps = plan.course(plan.start.cycles).ramps
+    logs = np.asarray(jax.jit(lambda d: plan.objective.logs(d, of, ramps, np.inf))(decoded))
+    apart, apart_alone = logs - expected[[0, 2]], alone[[0, 2]] - expected[[0, 2]]
+    assert np.max(np.abs(apart)) < 0.15
+    assert np.sum(np.abs(apart)) < 0.4 * np.sum(np.abs(apart_alone))
+
+
+@pytest.mark.long
+def test_the_command_finds_a_plan_that_is_better_for_all_together(tmp_path, capsys):
+    source, goal = tmp_path / "fixture.toml", tmp_path / "better.toml"
+    rests = {f"plan.cycle.moves[{k}].rest": f"{rest} s" for k, rest in enumerate((120, 16, 16, 16, 16, 16))}
+    spec = gj.changed(searched(PLACES), rests)
+    gj.write_toml(spec, source)
+    assert main(["optimise", str(source), "-o", str(goal), "--steps", "60", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert "; all IMUs are estimated together" in found["sentence"]
+    made = gj.read_recipe(goal).spec
+    assert [place.name for place in made.rig.table.place] == ["one", "another", "slant"]
+    logs = [np.array(logs_of(of, joint)) for of in (spec, made)]
+    assert [found["before"], found["now"]] == pytest.approx([np.exp(np.mean(of)) for of in logs], rel=1e-6)
+    assert found["now"] < 0.99 * found["before"]
+    worst = np.exp(np.max(logs[1], axis=0))
+    for row, requirement, value in zip(found["requirements"], made.requirement, worst, strict=True):
+        assert row["now"] == pytest.approx(
+            value * float(requirement.target) * UNIT_OF[requirement.quantity][1], rel=1e-6
+        )
+
+
+def test_a_plan_too_large_to_be_estimated_together_is_judged_alone_and_it_is_said(monkeypatch):
+    monkeypatch.setattr("gradcal_jax.estimation.several_imus._MOST", 1.0)
+    spec = searched(PLACES)
+    plan = CyclePlan(spec)
+    alone = logs_of(spec, lambda builts: [imu_posterior(b) for b in builts])
+    assert plan.exact.value_of(plan.exact.residuals(spec)) == pytest.approx(np.mean(alone), abs=1e-7)
+    assert "each place is predicted for an IMU alone" in plan.exact.apart

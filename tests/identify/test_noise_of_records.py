@@ -1,0 +1,228 @@
+"""Thinned streams, noise files for other programs, and how long a record must be, against simulated records.
+
+The simulated records share no code with the predictions: white noise is drawn, 1/f noise shaped by its spectrum.
+"""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.signal import lfilter
+
+from gradcal_jax import identify
+from gradcal_jax.cli import main
+from gradcal_jax.identify.instability import allan_of, at_rest, instability, noise_file, noise_of_imu, of_sensor
+from gradcal_jax.identify.markov import coefficient_errors, drift_errors, fit_markov, markov_covariance, shortest_record
+from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.records.log_file import write_log
+from gradcal_jax.records.vehicle import read_vehicle_log
+from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "records"))
+from vehicle_samples import sensor_gyro, ulog
+
+WALK, SIGMA, TAU = 0.1 / DEG_PER_SQRT_H, 1.0 / DEG_PER_H, 300.0
+
+
+def thinned(folder: Path, *, hz: float | None) -> Path:
+    """Every 400th sample of 0.17 deg/sqrt(h) at 400 Hz, while the unit warms up."""
+    rng, t = np.random.default_rng(5), np.arange(3600.0)
+    temperature = 25.0 + 20.0 * (1.0 - np.exp(-t / 900.0))
+    rate = np.radians(0.3 + 0.01 * (temperature - 35.0)[:, None] + rng.normal(size=(len(t), 3)) * 0.17 / 60.0 * 20.0)
+    stamps = ((t + 1.0) * 1e6).astype(np.int64)
+    topics = [("sensor_gyro", 0, sensor_gyro(stamps, rate, temperature, 1310988))]
+    if hz is not None:
+        kinds = [("timestamp", "<u8"), ("accel_device_id", "<u4"), ("gyro_device_id", "<u4"), ("gyro_rate_hz", "<f4")]
+        rows = np.zeros(60, kinds)
+        rows["timestamp"], rows["gyro_device_id"], rows["gyro_rate_hz"] = stamps[::60], 1310988, hz
+        topics.append(("vehicle_imu_status", 0, rows))
+    return ulog(folder / "thinned.ulg", *topics)
+
+
+def test_every_400th_sample_of_a_raw_channel_is_asked_about(tmp_path, capsys):
+    path = thinned(tmp_path, hz=None)
+    rest = at_rest(read_vehicle_log(path))
+    fit = allan_of(rest)[1]
+    assert fit.angle_random_walk.value * DEG_PER_SQRT_H > 3.0
+    with pytest.raises(LogError, match=r"means of these samples, or every n-th sample"):
+        of_sensor(rest, fit)
+    for command in ("allan", "instability"):
+        assert main([command, str(path)]) == 2
+        assert "every n-th sample" in capsys.readouterr().err
+    assert main(["allan", str(path), "--axis", "x", "--sensor-rate", "400 Hz"]) == 0
+    assert re.search(r"N angle random walk +0\.1[67]", capsys.readouterr().out)
+    assert main(["allan", str(path), "--axis", "x", "--sensor-rate", "means"]) == 0
+    assert re.search(r"N angle random walk +3\.", capsys.readouterr().out)
+
+
+def test_the_rate_of_the_status_scales_the_angle_random_walk(tmp_path):
+    rest = at_rest(read_vehicle_log(thinned(tmp_path, hz=400.0)))
+    walk = of_sensor(rest, allan_of(rest)[1]).angle_random_walk
+    assert walk.value * DEG_PER_SQRT_H == pytest.approx(0.17, abs=4.0 * walk.standard_error * DEG_PER_SQRT_H)
+    assert 'angle_random_walk = "0.1' in instability(rest).drift_block()
+    assert any("every 400th sample" in words for words in rest.messages)
+
+
+@pytest.mark.long
+def test_a_calibration_of_rows_far_apart_states_no_noise_but_that_of_the_sensor(tmp_path, capsys):
+    for hz, words in ((None, "states no noise"), (400.0, "")):
+        folder = tmp_path / str(hz)
+        folder.mkdir()
+        assert main(["estimate", str(thinned(folder, hz=hz)), "--axis", "x", "-o", str(folder / "c.toml")]) in (0, 1)
+        assert words in capsys.readouterr().out
+        text = (folder / "c.toml").read_text(encoding="utf-8")
+        assert ("[noise]" in text) == (hz is not None)
+
+
+def imu_at_rest(rows: int = 60_000, hz: float = 100.0) -> Log:
+    rng = np.random.default_rng(3)
+    rate = np.radians(rng.standard_normal((1, rows, 3)) * 0.005 * np.sqrt(hz))
+    force = rng.standard_normal((1, rows, 3)) * 1e-3 * np.sqrt(hz) + np.array([0.0, 0.0, 9.8])
+    steps = rng.standard_normal(rows) * 1e-3 / np.sqrt(hz)
+    force[0, :, 1] += np.cumsum(steps)  # K = 1e-3 m/s^3/sqrt(Hz)
+    return Log(np.arange(rows) / hz, rate, ("A",), tuple("xyz"), specific_force_m_per_s2=force, force_axes=tuple("xyz"))
+
+
+def test_the_noise_of_an_imu_for_kalibr_and_for_an_ins():
+    log = imu_at_rest()
+    channels = noise_of_imu(log)
+    for form in ("kalibr", "ins"):
+        text = noise_file(channels, form, 100.0, "imu.csv")
+        held = yaml.safe_load(text)
+        assert held["gyroscope_noise_density"] == pytest.approx(np.radians(0.005), rel=0.02)
+        assert held["accelerometer_noise_density"] == pytest.approx(1e-3, rel=0.02)
+        assert held["accelerometer_random_walk"] == pytest.approx(1e-3, rel=0.2)
+        assert 0.0 < held["gyroscope_random_walk"] < 1e-5
+        assert "an upper limit" in text
+        assert ("accelerometer_bias_instability" in held) == (form == "ins")
+        assert ("rostopic" in held) == (form == "kalibr")
+        assert " ± " in text
+
+
+def test_a_log_without_accelerometers_says_so():
+    log = imu_at_rest(20_000)
+    alone = Log(log.time_s, log.rate_rad_per_s, log.units, log.axes)
+    assert "# accelerometer: not in the record" in noise_file(noise_of_imu(alone), "kalibr", 100.0, "a")
+
+
+# --- how long a record must be ----------------------------------------------------------------------------------------
+
+
+def with_drift(rng: np.random.Generator, duration_s: float, row_s: float) -> np.ndarray:
+    rows, keep = int(duration_s / row_s), np.exp(-row_s / TAU)
+    shocks = rng.standard_normal(rows) * SIGMA * np.sqrt(1.0 - keep**2)
+    shocks[0] = SIGMA * rng.standard_normal()
+    return lfilter([1.0], [1.0, -keep], shocks) + rng.standard_normal(rows) * WALK / np.sqrt(row_s)
+
+
+def coloured(rng: np.random.Generator, rows: int, row_s: float, b: float, k: float) -> np.ndarray:
+    """White noise of `WALK`, 1/f noise of B, random walk of K: a part of a periodic series twice as long."""
+    frequency = np.fft.rfftfreq(2 * rows, row_s)
+    frequency[0] = np.inf
+    power = WALK**2 + b**2 / (2.0 * np.pi * frequency)  # two-sided
+    draws = rng.standard_normal(len(frequency)) + 1j * rng.standard_normal(len(frequency))
+    series = np.fft.irfft(draws * np.sqrt(power * rows / row_s), 2 * rows)[:rows]
+    return series + np.cumsum(rng.standard_normal(rows)) * k * np.sqrt(row_s)
+
+
+def errors_of_drift(records: int, duration_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Predicted and observed relative errors of N, σ, τ."""
+    rng, found = np.random.default_rng(11), []
+    for _ in range(records):
+        rate = with_drift(rng, duration_s, 1.0)
+        fit = fit_markov(rate, 1.0, np.ones(len(rate), bool))
+        assert fit is not None
+        found.append(np.log([fit.walk / WALK, fit.sigma / SIGMA, fit.tau / TAU]))
+    return np.array(drift_errors(duration_s, WALK, SIGMA, TAU)), np.sqrt(np.mean(np.square(found), axis=0))
+
+
+MIXTURES = {"N": (3600.0, 0.0, 0.0), "N and B": (7200.0, 3.0, 0.0), "N and K": (7200.0, 0.0, 60.0)}
+
+
+def errors_of_coefficients(records: int, mixture: str) -> tuple[np.ndarray, np.ndarray]:
+    """Predicted and observed relative errors of those coefficients that are not zero."""
+    duration_s, b, k = MIXTURES[mixture]
+    truth = np.array([WALK, b / DEG_PER_H, k / DEG_PER_H / 60.0])
+    rng, found = np.random.default_rng(12), []
+    for _ in range(records):
+        rate = coloured(rng, int(duration_s), 1.0, *truth[1:])
+        fit = identify.fit_allan(identify.overlapping_allan(rate, 1.0))
+        found.append([fit.angle_random_walk.value, fit.bias_instability.value, fit.rate_random_walk.value])
+    seen = np.flatnonzero(truth)
+    observed = np.sqrt(np.mean((np.array(found)[:, seen] / truth[seen] - 1.0) ** 2, axis=0))
+    return np.array(coefficient_errors(duration_s, 1.0, *truth))[seen], observed
+
+
+@pytest.mark.parametrize("mixture", MIXTURES)
+def test_predicted_errors_of_coefficients_are_those_of_simulated_records(mixture):
+    predicted, observed = errors_of_coefficients(60, mixture)
+    assert observed == pytest.approx(predicted, rel=0.35)
+
+
+@pytest.mark.long
+def test_predicted_errors_of_a_drift_are_those_of_simulated_records():
+    predicted, observed = errors_of_drift(40, 8 * 3600.0)
+    assert observed == pytest.approx(predicted, rel=0.4)
+
+
+@pytest.mark.evidence
+def test_predicted_errors_against_a_thousand_records_each():
+    for mixture in MIXTURES:
+        predicted, observed = errors_of_coefficients(1000, mixture)
+        print(mixture, "predicted", predicted, "observed", observed)
+        assert observed == pytest.approx(predicted, rel=0.1)
+    predicted, observed = errors_of_drift(1000, 8 * 3600.0)
+    print("N, sigma, tau: predicted", predicted, "observed", observed)
+    assert observed == pytest.approx(predicted, rel=0.1)
+
+
+def test_white_noise_shows_no_process():
+    rng = np.random.default_rng(4)
+    shown = 0
+    for _ in range(20):
+        fit = fit_markov(rng.standard_normal(4000) * WALK, 1.0, np.ones(4000, bool))
+        shown += fit is not None and fit.shows
+    assert shown == 0
+
+
+def test_the_shortest_record_has_the_wanted_error():
+    worst = lambda duration_s: coefficient_errors(duration_s, 0.01, WALK)[0]  # noqa: E731
+    length = shortest_record(worst, 0.01, 1.0)
+    assert 0.8 * 0.01 < worst(length) <= 0.01
+    assert worst(0.8 * length) > 0.01
+    assert shortest_record(worst, 1e-9, 1e5) == np.inf
+    assert markov_covariance(4e5, 1.0, WALK, SIGMA, TAU)[1, 1] == pytest.approx(
+        0.25 * markov_covariance(1e5, 1.0, WALK, SIGMA, TAU)[1, 1], rel=0.02
+    )
+
+
+def test_the_plan_on_the_command_line(capsys):
+    given = ["allan", "--plan", "--noise", "0.1 deg/sqrt(h)", "--drift", "1 deg/h, 300 s"]
+    assert main([*given, "--duration", "8 h"]) == 0
+    shown = capsys.readouterr().out
+    assert "σ" in shown
+    assert "8 h" in shown
+    assert main([*given, "--error", "10 %"]) == 0
+    assert " h" in capsys.readouterr().out
+    assert main([*given, "--error", "0.1 %"]) == 1
+    assert "more than 14 days" in capsys.readouterr().out
+    for wrong in (
+        ["allan"],
+        ["allan", "--plan"],
+        ["allan", "x.nc", "--noise", "1 deg/sqrt(h)"],
+        [*given, "--drift", "1"],
+    ):
+        assert main(wrong) == 2
+        assert capsys.readouterr().err
+
+
+def test_the_noise_file_on_the_command_line(tmp_path, capsys):
+    write_log(imu_at_rest(20_000), tmp_path / "rest.nc")
+    given = ["allan", str(tmp_path / "rest.nc"), "--format", "kalibr"]
+    assert main(given) == 2
+    assert "--output" in capsys.readouterr().err
+    assert main([*given, "--output", str(tmp_path / "imu.yaml")]) == 0
+    assert "gyroscope_noise_density" in yaml.safe_load((tmp_path / "imu.yaml").read_text(encoding="utf-8"))

@@ -1,0 +1,220 @@
+"""Heading and north through the program: predicted, weighed, designed for, bounded, swept, drawn and reported."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.design.plan_limit import limit
+from gradcal_jax.design.turn_plan import measure
+from gradcal_jax.information import prediction
+from gradcal_jax.information.error_budget import ErrorBudget
+from gradcal_jax.information.sensitivity import sensitivity
+from gradcal_jax.model import build
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.recipe.recipe import parse_recipe
+from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.spec import read_spec, spec_of
+from gradcal_jax.tables.writing import to_toml
+
+FOLDER = Path(__file__).parents[2] / "experiments/missions"
+HOVER = "time (s), rate (deg/s), temperature (degC)\n0, 0, 20\n100, 30, 25\n200, -20, 26\n600, 0, 30\n"
+SPIN = "time (s), rate (deg/s), temperature (degC)\n0, 100, 30\n300, 100, 35\n"
+NORTH = {"name": "n", "quantity": "north", "latitude": "60 deg", "after": "5 min", "temperature": ["0 degC", "40 degC"]}
+
+
+def with_requirements(*rows, design=None):
+    tables = tables_of(read_spec(FOLDER / "ppm.toml"))
+    tables["requirement"] = [*tables["requirement"], *rows]
+    tables["design"] = {**tables["design"], **(design or {})}
+    return spec_of(tables)
+
+
+def heading(*missions, **more):
+    return {"name": "h", "quantity": "mission_heading", "mission": list(missions), **more}
+
+
+def hover(**more):
+    return {"file": "hover.csv", "table": HOVER, **more}
+
+
+def spin(**more):
+    return {"file": "spin.csv", "table": SPIN, **more}
+
+
+def row_of(spec, name="h"):
+    return next(row for row in gj.predict(spec).requirements if row.name == name)
+
+
+def test_several_missions_are_weighed():
+    one, two = (row_of(with_requirements(heading(m))) for m in (hover(), spin()))
+    both = row_of(with_requirements(heading(hover(weight=3.0), spin())))
+    assert both.rms == pytest.approx(np.sqrt((3.0 * one.rms**2 + two.rms**2) / 4.0))
+    assert both.own == pytest.approx(np.sqrt((3.0 * one.own**2 + two.own**2) / 4.0))
+    assert both.max == pytest.approx(max(one.rms, two.rms))
+    assert [m.left for m in both.missions] == pytest.approx([one.rms, two.rms])
+    worst = row_of(with_requirements(heading(hover(), spin(), statistic="max")))
+    assert worst.decisive == pytest.approx(max(one.rms, two.rms))
+    assert worst.own == pytest.approx(max(m.own for m in worst.missions))
+    # The search sees what the prediction says.
+    spec = with_requirements(heading(hover(weight=3.0), spin()), design={"minimise": "h"})
+    assert measure(spec).exact(build.assemble(spec).schedule) == pytest.approx(both.rms, rel=1e-9)
+
+
+def test_north_is_the_bias_over_the_earths_rate():
+    bias = {"name": "b", "quantity": "gyro_bias", "temperature": ["0 degC", "40 degC"], "statistic": "mean"}
+    spec = with_requirements(NORTH, bias)
+    north, plain = row_of(spec, "n"), row_of(spec, "b")
+    across = 15.041067 * 0.5  # deg/h at 60 deg
+    assert north.mean == pytest.approx(np.degrees(plain.mean / across), rel=1e-6)
+    assert north.unit == "deg"
+    assert plain.own is None
+
+
+def test_a_mission_is_asked_for_at_its_time():
+    whole = row_of(with_requirements(heading(hover())))
+    cut = row_of(with_requirements(heading(hover(), after="100 s")))
+    short = "\n".join(HOVER.splitlines()[:3])
+    assert cut.rms == pytest.approx(row_of(with_requirements(heading(hover(table=short)))).rms)
+    assert cut.own < whole.own
+    assert (cut.temperature_c, cut.rate_dps) == (pytest.approx((20.0, 30.0)), pytest.approx((-20.0, 30.0)))
+
+
+def test_shares_and_elasticities_add_up():
+    spec = with_requirements(heading(hover(weight=2.0), spin()), NORTH)
+    built = build_imu(spec)
+    sources = ErrorBudget(built, imu_posterior(built))
+    for requirement in built.spec.requirement:
+        shares = sources.shares(requirement)
+        assert sum(shares.values()) == pytest.approx(1.0, abs=0.01)
+    # Twice the drift alone, by differences.
+    found = {r.figure: r.percent for r in sensitivity(spec).rows if r.requirement == "h"}
+    more = changed(spec, {"sensor.drift[0].standard_deviation": "0.5005 deg/h"})
+    assert np.log(row_of(more).rms / row_of(spec).rms) / np.log(1.001) == pytest.approx(
+        found["bias instability"], abs=2e-3
+    )
+
+
+def test_twin_and_risks_count_missions():
+    spec = with_requirements(heading(hover(), spin(weight=2.0), target="1 deg", coverage=2.0), NORTH)
+    rows, tests = prediction.monte_carlo(spec, 400, 0)
+    for row in rows:
+        assert row.simulated == pytest.approx(row.predicted, rel=0.12)
+    assert tests["all"].consistent
+    row = next(r for r in gj.predict(spec, outlook=True).requirements if r.name == "h")
+    assert row.verdict == "met"
+    assert 0.9 < row.chance_everywhere <= row.chance <= 1.0
+
+
+@pytest.mark.parametrize("more", [pytest.param([], marks=pytest.mark.evidence), ["gradient"]])
+def test_a_limit_lies_below_the_plan_whatever_is_free(more):
+    design = {"free": ["duration", "peak_rate", *more], "minimise": "h"}
+    spec = with_requirements(heading(hover()), heading(spin(), name="s"), NORTH, design=design)
+    spec = spec_of(tables_of(spec) | {"requirement": tables_of(spec)["requirement"][1:]})
+    found = {row.name: row for row in limit(spec)}
+    for name in ("h", "s", "n"):
+        assert 0.0 < found[name].certified < found[name].value
+        assert found[name].relaxed
+
+
+@pytest.mark.parametrize("drift", ["0.5 deg/h", "5 deg/h"])
+def test_the_limit_of_the_bias_holds_for_a_plan_that_does_nothing_else(drift):
+    """An axis that stands and is read all the time, nearly without noise of the angle, comes near it from above."""
+    tables = tables_of(read_spec(FOLDER / "ppm.toml"))
+    tables["requirement"] = [NORTH]
+    del tables["sensor"]["gyro"]["scale_factor"]
+    tables["sensor"]["gyro"]["drift"] = [{"standard_deviation": drift, "correlation_time": "300 s"}]
+    angle = tables["rig"]["table"]["axis"][0]["angle"]
+    tables["rig"]["table"]["axis"][0]["angle"] = {"reading_noise": "0.001 arcsec", "read_every": angle["read_every"]}
+    tables["design"] = {"minimise": "n", "free": ["duration"]}
+    (row,) = limit(spec_of(tables))
+    assert row.certified < row.value
+    assert row.efficiency > 0.6
+
+
+@pytest.mark.long
+def test_a_search_for_a_mission_beats_its_beginning_and_keeps_a_guard():
+    guard = {"requirement[0].target": "20 ppm"}
+    spec = changed(
+        with_requirements(heading(spin()), design={"minimise": "h", "free": ["duration", "peak_rate"]}), guard
+    )
+    best = gj.optimise(spec, steps=24, quick=True)
+    assert best.now < best.before
+    rows = {row.name: row for row in gj.predict(best.spec).requirements}
+    assert rows["scale factor"].mean_of_max <= 20.0 * 1.05
+    assert rows["h"].rms == pytest.approx(best.now)
+
+
+def test_a_recipe_and_a_sweep_stand_alone(tmp_path, monkeypatch):
+    (tmp_path / "hover.csv").write_text(HOVER, encoding="utf-8")
+    text = to_toml(with_requirements()).replace(
+        "[plan]\n", '[[requirement]]\nname = "h"\nquantity = "mission_heading"\nmission = "hover.csv"\n\n[plan]\n', 1
+    )
+    (tmp_path / "spec.toml").write_text(text, encoding="utf-8")
+    made = gj.recipe(read_spec(tmp_path / "spec.toml"))
+    (tmp_path / "hover.csv").unlink()
+    monkeypatch.chdir(tmp_path)
+    again = parse_recipe(to_toml(made))
+    assert again == made
+    assert again.fingerprint == made.fingerprint
+    (row,) = (r for r in again.prediction.requirements if r.name == "h")
+    assert row_of(again.spec).rms == pytest.approx(row.rms)
+    (tmp_path / "recipe.toml").write_text(to_toml(made), encoding="utf-8")
+    (tmp_path / "sweep.toml").write_text(
+        'format = "gradcal-sweep/1"\nbase = "recipe.toml"\n[[axis]]\nkey = "sensor.drift[0].standard_deviation"\n'
+        'values = ["0.5 deg/h", "1 deg/h"]\n',
+        encoding="utf-8",
+    )
+    from gradcal_jax.sweeps.dataset import dataset_of
+    from gradcal_jax.sweeps.evaluate import predict_points
+    from gradcal_jax.sweeps.points import Points
+    from gradcal_jax.sweeps.sweep_file import read_sweep
+
+    job = read_sweep(tmp_path / "sweep.toml")
+    points = Points(job)
+    results = predict_points(tables_of(job.base), [(i, points.changes(i)) for i in range(len(points))])
+    assert [r.failure for r in results] == ["", ""]
+    data = dataset_of(job, points, tuple(results), {})
+    assert data["h_rms"].attrs["units"] == "deg"
+    assert float(data["h_rms"][0]) == pytest.approx(row.rms)
+    assert float(data["h_rms"][1]) > float(data["h_rms"][0])
+    assert "h_mean_of_max" not in data
+
+
+def test_pictures_and_the_page_show_missions(tmp_path):
+    from gradcal_jax.pages.page import report
+    from gradcal_jax.plots import draw_comparison, draw_prediction
+    from gradcal_jax.tables.writing import write_toml
+
+    spec = with_requirements(heading(hover(), target="2 deg"), heading(hover(), spin(), name="two"), NORTH)
+    figure = draw_prediction(spec)
+    (ax,) = [a for a in figure.axes if a.get_title() == "h"]
+    row = row_of(spec)
+    ends = {line.get_label(): line.get_ydata()[-1] for line in ax.lines}
+    assert ends == pytest.approx(
+        {"calibration": row.rms, "own noise": row.own, "together": np.hypot(row.rms, row.own)}, rel=1e-6
+    )
+    assert "deg" in ax.get_ylabel()
+    (ax,) = [a for a in draw_comparison([("a", spec), ("b", spec)]).axes if a.get_title() == "h"]
+    assert [line.get_label() for line in ax.lines] == ["a", "b"]
+    write_toml(gj.recipe(spec), tmp_path / "recipe.toml")
+    data = report(tmp_path / "recipe.toml", tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    (fact,) = (f for f in data.requirements if f.name == "h")
+    assert fact.own == pytest.approx(row.own)
+    assert "own noise of the IMU, which remains" in page
+    assert 'id="h-mission-heading-curves' in page
+
+
+def test_a_mission_alone_in_a_design_says_what_it_lacks():
+    flat = changed(read_spec(FOLDER / "ppm.toml"), {"sensor.bias.prior": None, "sensor.scale_factor.prior": None})
+    tables = tables_of(flat)
+    tables["requirement"] = [heading(spin(), after="5 min")]
+    tables["design"] |= {"minimise": "h"}
+    assert np.isfinite(row_of(spec_of(tables)).rms)
+    hidden = {"standard_deviation": "20 ppm", "temperature_degree": 5, "rate_degree": 5}
+    more = changed(spec_of(tables), {"sensor.scale_factor.discrepancy": hidden})
+    assert row_of(more).rms > row_of(spec_of(tables)).rms
+    assert json.loads(gj.predict(more).model_dump_json())["requirements"][0]["missions"][0]["file"] == "spin.csv"

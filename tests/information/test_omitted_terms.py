@@ -1,0 +1,523 @@
+"""What a spec leaves out, and what no residual shows, counts: in predictions, estimates, verdicts and calibrations."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimate_scenes import draw_truth, record, scene
+from simulated_log import simulate_log
+
+import gradcal_jax as gj
+from gradcal_jax.cli import main
+from gradcal_jax.estimation.calibrations import calibration_map
+from gradcal_jax.estimation.contradictions import omitted_sentences, wrapped_sentence
+from gradcal_jax.estimation.estimate import estimate_log, estimate_sensors
+from gradcal_jax.estimation.log_rows import Options
+from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.motion import turns_of
+from gradcal_jax.records.log import LogError
+from gradcal_jax.records.log_file import write_log
+from gradcal_jax.spec.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.spec.changes import tables_of
+from gradcal_jax.spec.spec import parse_spec
+
+SPEC = """
+format = "gradcal-spec/1"
+[sensor]
+quantity = "gyro"
+angle_random_walk = "0.1 deg/sqrt(h)"
+drift = [{ standard_deviation = "1 deg/h", correlation_time = "120 s" }]
+[sensor.bias]
+temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
+prior = "400 deg/h"
+[sensor.scale_factor]
+temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
+rate = { basis = "polynomial", degree = 0, scale = "200 deg/s" }
+prior = "3000 ppm"
+[rig.table]
+max_rate = "300 deg/s"
+max_acceleration = "300 deg/s^2"
+[rig.table.angle]
+reading_noise = "0.002 deg"
+standstill_offset = "0.004 deg"
+[rig.chamber]
+range = ["-40 degC", "85 degC"]
+max_heating = "5 K/min"
+max_cooling = "5 K/min"
+[[requirement]]
+name = "M"
+quantity = "scale_factor"
+temperature = ["-20 degC", "60 degC"]
+rate = ["-200 deg/s", "200 deg/s"]
+grid = [5, 5]
+target = "100 ppm"
+[[requirement]]
+name = "B"
+quantity = "bias"
+temperature = ["-20 degC", "60 degC"]
+grid = [5]
+target = "10 deg/h"
+[plan]
+method = "gradient"
+temperature = ["-20 degC", "60 degC"]
+gradient = "4 K/min"
+[plan.cycle]
+moves = [
+  { rest = "10 s", read_every = "1 s" }, { turn = "1440 deg", peak_rate = "200 deg/s", shape = "cosine ramps" },
+  { rest = "10 s", read_every = "1 s" }, { turn = "-1440 deg", peak_rate = "200 deg/s", shape = "cosine ramps" },
+]
+"""
+ZEROS = {
+    "sensor.rate_random_walk": "0 deg/h/sqrt(h)",
+    "sensor.turn_on_bias": "0 deg/h",
+    "sensor.thermal_lag": "0 s",
+    "sensor.sample_clock_error": "0 ppm",
+    "sensor.scale_factor_instability": [],
+    "sensor.temperature_error": {"standard_deviation": "0 K"},
+    "sensor.bias_temperature_gradient": {"prior": "0 deg/h/(K/min)"},
+    "sensor.temperature_offset": "0 K",
+    "sensor.temperature_lag": "0 s",
+    "rig.table.mounting_accuracy": "0 deg",
+    "rig.table.angle.harmonics": [],
+    "rig.table.angle.scale_error": "0 ppm",
+    "rig.earth_rate": "0 deg/h",
+}
+BARE = gj.parse_spec(SPEC)
+EXACT = gj.changed(BARE, ZEROS)
+DEG_PER_H = np.pi / 180.0 / 3600.0
+
+
+def as_of_imu(key):
+    """A key of a spec of one axis as its general form has it."""
+    table, _, last = key.rpartition(".")
+    named = {"rig.earth_rate": "rig.site.latitude", "rig.table.mounting_accuracy": "rig.table.mounting[0].accuracy"}
+    common = ("thermal_lag", "sample_clock_error", "temperature_offset", "temperature_lag")
+    if table == "sensor" and last not in common:
+        return f"sensor.gyro.{last}"
+    return named.get(key, key.replace("rig.table.angle", "rig.table.axis[0].angle"))
+
+
+def left(spec, name):
+    return next(row for row in gj.predict(spec).requirements if row.name == name)
+
+
+def without(*keys):
+    """The exact spec less some of its zeros."""
+    return gj.changed(EXACT, dict.fromkeys(keys))
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """A log of the exact spec's plan; its truth is known."""
+    made = simulate_log(EXACT, sample_rate_hz=25.0, seed=3)
+    return made.log, made.truth["x"][0]
+
+
+def estimated(spec, log, **options):
+    report = estimate_log(spec, [log], options=Options(**options))
+    return report, {row.name: row for row in report.verdicts[log.units[0]]}
+
+
+# --- predictions ------------------------------------------------------------------------------------------------------
+
+
+def test_explicit_zeros_are_the_same_model_and_nothing_is_omitted():
+    assert absent_terms(EXACT) == []
+    bare, exact = gj.predict(BARE), gj.predict(EXACT)
+    np.testing.assert_allclose(bare.covariance, exact.covariance, rtol=1e-12)
+    for a, b in zip(bare.requirements, exact.requirements, strict=True):
+        assert a.decisive == pytest.approx(b.decisive, rel=1e-12)
+        assert b.with_typical is None
+        assert b.judged == b.decisive
+        assert (a.verdict, b.verdict) == ("missed", "met")
+        assert a.with_typical > 5.0 * a.decisive
+    assert {t.key for t in bare.omitted} == set(map(as_of_imu, ZEROS))
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "size"),
+    [
+        ("rig.table.mounting_accuracy", "M", 2**0.5 * np.radians(0.5) ** 2 * 1e6),
+        ("rig.table.angle.scale_error", "M", 50.0),
+        ("sensor.temperature_offset", "M", 2.0 * slopes_of(BARE.sensor)[1] * 1e6),
+        ("sensor.temperature_lag", "M", 4.0 * slopes_of(BARE.sensor)[1] * 1e6),
+        ("sensor.temperature_lag", "B", 4.0 * slopes_of(BARE.sensor)[0] / DEG_PER_H),
+        ("sensor.bias_temperature_gradient", "B", 40.0),
+        ("rig.earth_rate", "B", 15.04 / 3**0.5),
+    ],
+)
+def test_a_term_that_is_left_out_counts_with_its_figure(key, name, size):
+    """In quadrature, beside what the spec names: each is a constant of a map."""
+    row = left(without(key), name)
+    expected = np.hypot(row.decisive, size)
+    # Constant over the box, so that every statistic of the residual is at most this and at least the larger of the two.
+    assert row.with_typical == pytest.approx(expected, rel=0.08)
+    # The prior of 400 deg/h on the bias takes half a per cent off a sensitivity of 40.
+    assert row.with_typical > size * (1.0 - 1e-2)
+    assert row.decisive == pytest.approx(left(EXACT, name).decisive, rel=1e-12)
+
+
+def test_a_named_figure_counts_as_itself():
+    named = gj.changed(EXACT, {"rig.table.mounting_accuracy": "1 deg"})
+    row = left(named, "M")
+    assert row.with_typical is None
+    assert row.decisive == pytest.approx(
+        np.hypot(left(EXACT, "M").decisive, 2**0.5 * np.radians(1.0) ** 2 * 1e6), rel=0.02
+    )
+
+
+def test_backlash_counts_as_the_turns_that_it_shortens():
+    """Every turn of 1440 deg but the first reverses the one before. Where a spec states the scale error of a gear and
+    not its backlash, a typical one counts; the typical scale error of a gear is that of its backlash, too."""
+    exact, turn = left(EXACT, "M").decisive, 1440.0
+    named = left(gj.changed(EXACT, {"rig.table.axis[0].angle.backlash": "0.05 deg"}), "M")
+    assert named.decisive == pytest.approx(np.hypot(exact, 0.05 / turn * 1e6), rel=0.05)
+    assert named.with_typical is None
+    geared = gj.changed(EXACT, {"rig.table.axis[0].angle.scale_error": "1 ppm"})
+    assert [term.key for term in absent_terms(geared)] == ["rig.table.axis[0].angle.backlash"]
+    assert left(geared, "M").with_typical == pytest.approx(np.hypot(exact, 0.01 / turn * 1e6), rel=0.05)
+    assert not [t for t in absent_terms(without("rig.table.angle.scale_error")) if "backlash" in t.key]
+    assert absent_terms(with_typical(without("rig.table.angle.scale_error"))) == []
+    # A turn that is read on the move is many pieces, the first of them small.
+    read = gj.changed(geared, {f"plan.cycle.moves[{k}].read_every": "0.01 s" for k in (1, 3)})
+    turns = turns_of(build_imu(read).motion)
+    np.testing.assert_allclose(np.degrees(turns.size), turn)
+    np.testing.assert_allclose(turns.lost * turns.size, np.arange(len(turns.size)) > 0)
+    moves = [
+        move for move in tables_of(geared)["plan"]["cycle"]["moves"] if not str(move.get("turn", "")).startswith("-")
+    ]
+    one_way = gj.changed(geared, {"plan.cycle.moves": moves})
+    assert left(one_way, "M").with_typical == pytest.approx(left(one_way, "M").decisive, rel=1e-3)
+
+
+def test_another_power_on_is_a_line_of_its_own_and_decides():
+    named = gj.changed(EXACT, {"sensor.turn_on_bias": "360 deg/h"})
+    row = left(named, "B")
+    assert (row.verdict, row.another_run) == ("missed", pytest.approx(360.0, rel=0.01))
+    assert row.decisive < 10.0
+    this = left(gj.changed(named, {"requirement[1].of": "this run"}), "B")
+    assert (this.verdict, this.another_run) == ("met", None)
+    assert left(named, "M").another_run is None
+
+
+def test_the_command_shows_both_and_asks_for_the_earth(tmp_path, capsys):
+    (tmp_path / "spec.toml").write_text(SPEC)
+    assert main(["predict", str(tmp_path / "spec.toml")]) == 1
+    said = capsys.readouterr().out
+    assert "as named" in said
+    assert all(as_of_imu(key) in said for key in ZEROS)
+    assert "[rig.site] latitude" in said
+    assert "--latitude" in said
+    gj.write_toml(EXACT, tmp_path / "exact.toml")
+    assert main(["predict", str(tmp_path / "exact.toml")]) == 0
+    said = capsys.readouterr().out
+    assert "as named" not in said
+    assert "typical" not in said
+
+
+def test_the_computers_clock_counts_one_ppm():
+    slow = gj.changed(EXACT, {"sensor.sample_clock_error": "200 ppm", "sensor.clock": "sensor"})
+    by_host = gj.changed(slow, {"sensor.clock": "host"})
+    assert left(slow, "M").decisive > 199.0
+    one = gj.changed(EXACT, {"sensor.sample_clock_error": "1 ppm"})
+    assert left(by_host, "M").decisive == pytest.approx(left(one, "M").decisive, rel=1e-12)
+    assert "sensor.sample_clock_error" not in {t.key for t in absent_terms(gj.changed(BARE, {"sensor.clock": "host"}))}
+
+
+def test_without_a_key_the_better_clock_counts():
+    """A run compares both. What a log without the computer's time gives is predicted by clock = "sensor"."""
+    slow, good = (gj.changed(EXACT, {"sensor.sample_clock_error": size}) for size in ("200 ppm", "0.3 ppm"))
+    for spec, same in ((slow, {"sensor.clock": "host"}), (good, {"sensor.clock": "sensor"})):
+        assert left(spec, "M").decisive == pytest.approx(left(gj.changed(spec, same), "M").decisive, rel=1e-12)
+    omitted = without("sensor.sample_clock_error")
+    assert {t.key: t.value for t in absent_terms(omitted)} == {"sensor.sample_clock_error": "1 ppm"}
+    by_sensor = gj.changed(omitted, {"sensor.clock": "sensor"})
+    assert {t.key: t.value for t in absent_terms(by_sensor)} == {"sensor.sample_clock_error": "30 ppm"}
+    row = left(by_sensor, "M")
+    assert row.with_typical == pytest.approx(np.hypot(row.decisive, 30.0), rel=0.08)
+
+
+@pytest.mark.long
+def test_a_limit_a_derivative_and_a_sensitivity_count_what_no_residual_shows():
+    """Half a degree of the input axis: 108 ppm, however long a plan goes on."""
+    floor = 2**0.5 * np.radians(0.5) ** 2 * 1e6
+    named = gj.changed(EXACT, {"rig.table.mounting_accuracy": "0.5 deg"})
+    row = left(named, "M")
+    assert gj.differentiable(named)({})["M"] == pytest.approx(row.decisive, rel=1e-9)
+    found = gj.sensitivity(named)
+    assert found.residuals["M"][0] == pytest.approx(row.decisive, rel=1e-6)
+    (share,) = (r.percent for r in found.rows if r.requirement == "M" and r.figure.startswith("misalignment of"))
+    assert share == pytest.approx((floor / row.decisive) ** 2, rel=1e-3)
+    (limit,) = (one for one in gj.limit(named) if one.name == "M")
+    assert floor < limit.certified < limit.value == pytest.approx(row.decisive)
+    (counted,) = (one for one in gj.limit(without("rig.table.mounting_accuracy")) if one.name == "M")
+    assert (counted.counted, counted.judged) == pytest.approx((limit.certified, limit.value), rel=1e-6)
+    assert counted.certified < limit.certified
+
+
+# --- whole units ------------------------------------------------------------------------------------------------------
+
+UNIT = gj.presets.text("ferraris")
+
+
+def of_unit(spec, name):
+    return next(row for row in gj.predict(spec).requirements if row.name == name)
+
+
+def test_a_unit_counts_what_it_omits_too_and_judges_by_coverage_and_risk():
+    spec = parse_spec(UNIT)
+    prediction = gj.predict(spec)
+    row = prediction.requirements[0]
+    assert row.with_typical > row.decisive
+    assert {"sensor.gyro.turn_on_bias", "sensor.temperature_offset"} <= {t.key for t in prediction.omitted}
+    assert next(r for r in prediction.requirements if r.name == "accelerometer bias").another_run > 700.0
+    full = with_typical(spec)
+    assert absent_terms(full) == []
+    # An estimate that knows of the table's scale error weighs the readings by it: it errs a little less.
+    assert 0.99 * row.with_typical < of_unit(full, "gyro scale factor").decisive < row.with_typical
+    scaled = [t.key for t in prediction.omitted if t.key.endswith("scale_error")]
+    assert scaled
+    exact = gj.changed(spec, dict.fromkeys(scaled, "0 ppm"))
+    known = of_unit(gj.changed(full, dict.fromkeys(scaled, "0 ppm")), "gyro scale factor").decisive
+    assert known == pytest.approx(of_unit(exact, "gyro scale factor").with_typical, rel=1e-12)
+    target = f"{1.5 * row.judged:.6f} ppm"
+    assert of_unit(gj.changed(spec, {"requirement[0].target": target}), row.name).verdict == "met"
+    twice = gj.changed(spec, {"requirement[0].target": target, "requirement[0].coverage": 2})
+    assert of_unit(twice, row.name).verdict == "missed"
+    assert "2 ×" in of_unit(twice, row.name).rule
+    guarded = gj.changed(spec, {"requirement[0].target": target, "requirement[0].risk": "1 %"})
+    assert of_unit(guarded, row.name).verdict == "missed"
+    assert 0.05 < of_unit(guarded, row.name).specific_risk < 0.2
+
+
+def test_a_clock_does_not_scale_a_force_unless_it_is_a_velocity_increment():
+    """199 ppm of the accelerometers' scale factor were the clock's."""
+    bare = of_unit(parse_spec(UNIT), "accelerometer scale factor")
+    spec = gj.changed(parse_spec(UNIT), {"sensor.sample_clock_error": "200 ppm", "sensor.clock": "sensor"})
+    assert of_unit(spec, bare.name).decisive == pytest.approx(bare.decisive, rel=1e-9)
+    spec = gj.changed(spec, {"sensor.accelerometer.velocity_increments": True})
+    assert of_unit(spec, "accelerometer scale factor").decisive > 190.0
+    assert of_unit(spec, "gyro scale factor").decisive > 190.0
+    # The computer's clock ends the question.
+    spec = gj.changed(spec, {"sensor.clock": "host"})
+    assert of_unit(spec, bare.name).decisive == pytest.approx(bare.decisive, rel=0.01)
+
+
+# --- estimates --------------------------------------------------------------------------------------------------------
+
+
+def test_an_estimate_counts_what_its_spec_omits(recorded):
+    log, _ = recorded
+    exact, by_exact = estimated(EXACT, log)
+    bare, by_bare = estimated(BARE, log)
+    for name in ("M", "B"):
+        assert by_exact[name].verdict == "met"
+        assert by_exact[name].decisive == by_exact[name].judged
+        assert by_bare[name].decisive == pytest.approx(by_exact[name].judged, rel=1e-12)
+        assert by_bare[name].judged > 5.0 * by_bare[name].decisive
+        assert by_bare[name].verdict == "missed"
+    assert exact.as_wished
+    assert not bare.as_wished
+    said = " ".join(bare.messages[log.units[0]])
+    assert all(as_of_imu(key) in said for key in ZEROS if key != "sensor.thermal_lag")
+    assert "--latitude" in said
+    assert "lag" in said
+    assert not any("typical" in m for m in exact.messages[log.units[0]])
+    # The covariance of the fit is the same; what no residual shows stands beside it.
+    (found,), (bare_found,) = exact.calibrations, bare.calibrations
+    assert found.covariance == bare_found.covariance
+    assert found.unseen == ()
+    assert {e.name for e in bare_found.unseen} >= {
+        "misalignment of the input axis from the table's axis",
+        "Earth's rate",
+        "omitted noise",
+    }
+    at = np.linspace(-20.0, 60.0, 5)
+    (channel,) = bare_found.channel
+    shown = calibration_map(bare_found, channel, "scale_factor", at, np.linspace(-200.0, 200.0, 5))[1].values
+    assert np.mean(shown.max(axis=0)) == pytest.approx(by_bare["M"].judged, rel=1e-3)
+
+
+def faults(log):
+    """Faults that fit a model perfectly: the term that the spec omits, the map, and the log."""
+    time, rate = log.time_s, log.rate_rad_per_s
+    minutes = (log.temperature_c[0, -1] - log.temperature_c[0, 0]) / (time[-1] - time[0]) * 60.0
+    earth = replace(log, rate_rad_per_s=rate + 10.63 * DEG_PER_H)
+    gradient = replace(log, rate_rad_per_s=rate + 9.0 * minutes * DEG_PER_H)
+    angle = replace(log, table_angle_rad=log.table_angle_rad * (1.0 + 9e-5))
+    tilted = replace(log, rate_rad_per_s=rate * np.cos(np.radians(0.9)))
+    warm = replace(log, temperature_c=log.temperature_c - 2.5)
+    return {
+        "rig.earth_rate": ("B", earth),
+        "sensor.bias_temperature_gradient": ("B", gradient),
+        "rig.table.angle.scale_error": ("M", angle),
+        "rig.table.mounting_accuracy": ("M", tilted),
+        "sensor.temperature_offset": ("M", warm),
+    }
+
+
+@pytest.mark.parametrize("key", sorted(faults(simulate_log(EXACT, sample_rate_hz=2.0).log)))
+def test_an_error_that_no_residual_shows_is_within_the_stated_uncertainty(recorded, key):
+    log, truth = recorded
+    name, faulty = faults(log)[key]
+    report, rows = estimated(without(key), faulty)
+    (sensor,) = report.sensors
+    assert sensor.consistency.fit.passed
+    model = sensor.built.model.channels[0].model
+    of, unit = (model.scale, 1e6) if name == "M" else (model.bias, 1.0 / DEG_PER_H)
+    where = model.where(of.name)
+    at = np.linspace(-20.0, 60.0, 5)
+    error = of.values(at, np.full(5, 1.0)) @ (sensor.solution.parameters[: model.size] - truth)[where] * unit
+    worst, row = float(np.max(np.abs(error))), rows[name]
+    assert worst > 5.0 * row.decisive
+    assert worst <= 2.0 * row.worst
+    assert as_of_imu(key) in " ".join(report.messages[log.units[0]])
+
+
+def test_an_option_that_states_the_earth_leaves_no_term_out(recorded):
+    log, _ = recorded
+    spec = without("rig.earth_rate")
+    turned = replace(log, rate_rad_per_s=log.rate_rad_per_s + 5.0 * DEG_PER_H)
+    _, rows = estimated(spec, turned, earth_rate=5.0 * DEG_PER_H)
+    assert rows["B"].verdict == "met"
+    # And so does the spec.
+    report, rows = estimated(gj.changed(EXACT, {"rig.earth_rate": "5 deg/h"}), turned)
+    plain, _ = estimated(EXACT, log)
+    # A gyro has its scale-factor error of the Earth's rate, too, which these rates lack.
+    np.testing.assert_allclose(
+        report.sensors[0].solution.parameters, plain.sensors[0].solution.parameters, atol=1e-2 * 5.0 * DEG_PER_H
+    )
+
+
+def test_two_clocks_that_contradict_each_other_are_said_and_the_computers_is_used(recorded, tmp_path, capsys):
+    log, _ = recorded
+    plain, _ = estimated(EXACT, log)
+    write_log(replace(log, host_time_s=log.time_s, time_s=log.time_s * (1.0 + 5e-4)), tmp_path / "log.nc")
+    gj.write_toml(EXACT, tmp_path / "spec.toml")
+    words = ["estimate", str(tmp_path / "log.nc"), "--spec", str(tmp_path / "spec.toml"), "--json"]
+    main(words)
+    (unit,) = json.loads(capsys.readouterr().out)["units"]
+    values = {p["name"]: p["value"] for p in unit["parameters"]}
+    own = plain.calibrations[0].values()
+    assert values["gyro_x.b00"] == pytest.approx(own["gyro_x.b00"], abs=1e-6)
+    assert any("contradict each other: they differ by 499" in m for m in unit["messages"])
+    main([*words, "--clock", "sensor"])
+    (unit,) = json.loads(capsys.readouterr().out)["units"]
+    values = {p["name"]: p["value"] for p in unit["parameters"]}
+    assert values["gyro_x.b00"] == pytest.approx(own["gyro_x.b00"] + 5e-4, abs=2e-6)
+    assert any("contradict" in m and "--clock host" in m for m in unit["messages"])
+
+
+def test_clocks_that_are_apart_count_until_someone_says_which_is_right(recorded):
+    """The computer's may be the wrong one. So may one that was set, or a sensor's that depends on temperature."""
+    log, _ = recorded
+    time, jitter = log.time_s, 1e-4 * np.abs(np.random.default_rng(1).standard_normal(len(log.time_s)))
+    middle = 0.5 * (time[0] + time[-1])
+
+    def left_of(host, **options):
+        report, rows = estimated(EXACT, replace(log, host_time_s=host + jitter), **options)
+        return rows["M"].judged, [m for m in report.messages[log.units[0]] if "counts as uncertainty of the scale" in m]
+
+    plain, said = left_of(time)
+    assert not said
+    apart, (said,) = left_of(1.0002 * time)
+    assert apart == pytest.approx(np.hypot(plain, 200.0), rel=0.02)
+    assert "state this as sample_clock_error" in said
+    # (A part per million is the computer's own.)
+    assert left_of(1.0002 * time, clock="host") == (pytest.approx(np.hypot(plain, 1.0), rel=1e-3), [])
+    # Two thousandths of a part of two minutes or more.
+    was_set, (*_, said) = left_of(time + 0.5 * (time > middle))
+    assert was_set > 1000.0
+    assert "do not keep one ratio" in said
+    curved = time + 50e-6 * (time - middle) ** 2 / (time[-1] - time[0])
+    bent, (said,) = left_of(curved)
+    assert 30.0 < bent < 55.0
+    assert "depend on temperature" in said
+    assert left_of(curved, clock="host")[0] == pytest.approx(bent, rel=1e-3)
+
+
+# --- contradictions ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("unit", "convert"), [("°F", lambda t: 1.8 * t + 32.0), ("K", lambda t: t + 273.15)])
+def test_temperatures_in_another_unit_are_refused_by_name(recorded, unit, convert):
+    log, _ = recorded
+    with pytest.raises(LogError, match=f"inside it if the column is in {unit}"):
+        estimated(EXACT, replace(log, temperature_c=convert(log.temperature_c)))
+
+
+@pytest.mark.parametrize(
+    ("course", "one_way"),
+    [
+        ((20.0, 60.0), True),
+        ((60.0, -20.0), True),
+        ((20.0, 60.0, 55.0), True),
+        ((-20.0, 60.0, -20.0, 60.0), False),  # ends where a ramp would end
+        ((60.0, -20.0, 60.0, -20.0), False),
+        ((20.0, 60.0, 20.0), False),
+        ((20.0, 23.0), False),  # about constant
+    ],
+)
+def test_a_temperature_that_returns_does_not_go_one_way(course, one_way):
+    noise = 0.05 * np.random.default_rng(0).standard_normal(2000)
+    temperature = np.interp(np.linspace(0.0, len(course) - 1.0, 2000), range(len(course)), course) + noise
+    assert any("one direction only" in sentence for sentence in omitted_sentences(BARE, temperature)) == one_way
+
+
+def test_there_is_no_verdict_beyond_the_data(recorded):
+    log, _ = recorded
+    wide = gj.changed(
+        EXACT,
+        {"requirement[0].rate": ["-290 deg/s", "290 deg/s"], "requirement[1].temperature": ["-40 degC", "60 degC"]},
+    )
+    report, rows = estimated(wide, log)
+    assert {row.verdict for row in rows.values()} == {"not covered"}
+    assert not report.as_wished
+    said = " ".join(report.messages[log.units[0]])
+    assert "'M' asks for -290 … 290 deg/s, but the data cover" in said
+    assert "'B' asks for -40 … 60 °C, but the data cover" in said
+
+
+@pytest.fixture(scope="module")
+def unit_log():
+    spec, rng = scene("two axes", 0.1), np.random.default_rng(4)
+    return spec, record(spec, draw_truth(spec, rng), rng)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda r, f: (r * [1, -1, 1], f), "gyro y: .*sign is opposite to the table's"),
+        (lambda r, f: (r, f / 9.80665), "accelerometer .: .*in g instead of m/s"),
+        (lambda r, f: (r[..., [1, 0, 2]], f), "gyro x: .*(swapped|quarter turn)"),
+        (lambda r, f: (np.degrees(r), f), "gyro .: .*deg/s instead of rad/s"),
+        (lambda r, f: (r, f[..., [1, 0, 2]] * [1, -1, 1]), "accelerometer .: .*quarter turn"),
+    ],
+)
+def test_a_channel_that_no_device_has_is_refused_by_name_and_cause(unit_log, change, said):
+    spec, logs = unit_log
+    rates, forces = change(logs[0].rate_rad_per_s, logs[0].specific_force_m_per_s2)
+    with pytest.raises(LogError, match=said):
+        estimate_sensors(spec, [replace(logs[0], rate_rad_per_s=rates, specific_force_m_per_s2=forces)])
+
+
+def test_angles_that_wrap_are_asked_about():
+    turns = np.linspace(0.0, 10.0 * np.pi, 999)[:, None]
+    unread = np.where(np.arange(999) % 3 == 0, turns[:, 0], np.nan)[:, None]
+    assert "wrap at 360 deg" in wrapped_sentence(np.mod(unread, 2.0 * np.pi))
+    for sound in (turns, unread, 0.5 * np.mod(turns, 2.0 * np.pi), np.full((9, 1), np.nan)):
+        assert wrapped_sentence(sound) == ""
+
+
+def test_a_unit_s_estimate_counts_what_its_spec_omits(unit_log):
+    spec, logs = unit_log
+    (report,) = estimate_sensors(spec, logs)
+    (full,) = estimate_sensors(with_typical(spec), logs)
+    assert full.requirements
+    for row in report.requirements:
+        assert row.with_typical >= row.decisive
+    assert any("not in the spec" in m for m in report.messages)
+    assert not any("not in the spec" in m for m in full.messages)
+    assert report.calibration.unseen
+    assert report.calibration.result[0].value == report.requirements[0].judged

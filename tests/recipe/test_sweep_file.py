@@ -1,0 +1,118 @@
+"""gradcal-sweep/1: which values the axes take, and what a wrong file is told."""
+
+import pytest
+
+from gradcal_jax.sweeps.points import Points
+from gradcal_jax.sweeps.sweep_file import parse_sweep, read_sweep
+from gradcal_jax.tables.problems import SpecError
+from gradcal_jax.tables.schemas import schema
+
+HEAD = 'format = "gradcal-sweep/1"\nbase = "paper-dynamic-gradient"\n'
+GRADIENT = '[[axis]]\nkey = "plan.gradient"\nstart = "0.5 K/min"\nstop = "2 K/min"\n'
+RESTS = '[[axis]]\nname = "rest"\nkeys = ["plan.cycle.moves[0].rest", "plan.cycle.moves[4].rest"]\n'
+
+
+def values(text):
+    return parse_sweep(HEAD + text).file.axis[0].listed()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (GRADIENT + "count = 4", ("0.5 K/min", "1 K/min", "1.5 K/min", "2 K/min")),
+        (GRADIENT + 'step = "0.5 K/min"', ("0.5 K/min", "1 K/min", "1.5 K/min", "2 K/min")),
+        (GRADIENT + 'step = "0.6 K/min"', ("0.5 K/min", "1.1 K/min", "1.7 K/min")),
+        (GRADIENT + 'count = 3\nspacing = "logarithmic"', ("0.5 K/min", "1 K/min", "2 K/min")),
+        (RESTS + 'start = "9 s"\nstop = "0.1 min"\nstep = "-1 s"', ("9 s", "8 s", "7 s", "6 s")),
+        (RESTS + 'values = ["5 s", "1 min"]', ("5 s", "1 min")),
+        ('[[axis]]\nkey = "plan.cycle.moves[0].repeat"\nstart = 1\nstop = 3\nstep = 1', (1, 2, 3)),
+        ('[[axis]]\nkey = "sensor.scale_factor.temperature.centre"\nstart = "0 degC"\nstop = "20 degC"\nstep = "10 K"',
+         ("0 degC", "10 degC", "20 degC")),
+    ],
+)  # fmt: skip
+def test_the_values_of_an_axis(text, expected):
+    found = values(text)
+    assert found == expected
+    assert [type(value) for value in found] == [type(value) for value in expected]
+
+
+def test_a_grid_is_every_combination_with_the_last_axis_fastest():
+    points = Points(parse_sweep(HEAD + GRADIENT + "count = 3\n" + RESTS + 'values = ["5 s", "10 s"]'))
+    assert points.shape == (3, 2)
+    assert points.changes(1) == {
+        "plan.gradient": "0.5 K/min",
+        "plan.cycle.moves[0].rest": "10 s",
+        "plan.cycle.moves[4].rest": "10 s",
+    }
+    assert points.values(5) == ("2 K/min", "10 s")
+
+
+@pytest.mark.parametrize("method", ["latin hypercube", "sobol"])
+def test_drawn_points_fill_the_box_and_follow_the_seed(method):
+    def drawn(count, seed):
+        tail = f'[samples]\nmethod = "{method}"\ncount = {count}\nseed = {seed}\n'
+        points = Points(parse_sweep(HEAD + GRADIENT + RESTS + 'start = "5 s"\nstop = "25 s"\n' + tail))
+        return [points.values(i) for i in range(len(points))]
+
+    found = drawn(16, 3)
+    assert found == drawn(16, 3)
+    assert found != drawn(16, 4)
+    # Both methods put exactly one of 16 points into each sixteenth of every axis.
+    for k, (low, high) in enumerate(((0.5, 2.0), (5.0, 25.0))):
+        numbers = [float(row[k].split()[0]) for row in found]
+        assert sorted(int((n - low) / (high - low) * 16) for n in numbers) == list(range(16))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (GRADIENT, 'a grid needs "count" or "step"'),
+        (GRADIENT + 'count = 3\nstep = "1 K/min"', 'cannot be combined with "count"'),
+        (GRADIENT + "count = 1", "at least 2"),
+        (GRADIENT + 'step = "-1 K/min"', "must lead from start to stop"),
+        (GRADIENT.replace("2 K/min", "2 s") + "count = 3", "that is a time"),
+        (GRADIENT.replace('"2 K/min"', "2") + "count = 3", "both be texts with a unit"),
+        (GRADIENT.replace("plan.gradient", "plan.gradent") + "count = 3", 'nearest: "gradient"'),
+        (RESTS.replace("[4]", "[14]") + 'values = ["5 s"]', "the list has 8 entries"),
+        ('[[axis]]\nvalues = ["1 s"]', 'give exactly one of "key", "keys"'),
+        ('[[axis]]\nkey = "plan..gradient"\nvalues = ["1 K/min"]', "is not a key"),
+        (GRADIENT + "count = 3\n" + GRADIENT + "count = 3", "another axis also sets this key"),
+        (GRADIENT + "count = 3\n[[axis]]\n" + 'key = "plan.soak.duration"\nname = "gradient"\nvalues = ["1 h"]',
+         'give one of them a different "name"'),
+        (GRADIENT + "cuont = 3", 'nearest: "count"'),
+        (GRADIENT + "count = 2000\n" + RESTS + 'start = "5 s"\nstop = "25 s"\ncount = 2000', "at most 1000000"),
+        ('[change]\n"sensor.drift[3].standard_deviation" = "1 deg/h"\n' + GRADIENT + "count = 3", "the list has 1"),
+    ],
+)  # fmt: skip
+def test_a_wrong_file_is_told_what_to_do(text, said):
+    with pytest.raises(SpecError) as caught:
+        parse_sweep(HEAD + text, "mine.toml")
+    assert str(caught.value).startswith("mine.toml: ")
+    assert said in str(caught.value)
+
+
+def test_other_kinds_of_files_and_missing_bases_are_refused(tmp_path):
+    with pytest.raises(SpecError, match='expected "gradcal-sweep/1"'):
+        parse_sweep('format = "gradcal-spec/1"\n')
+    with pytest.raises(SpecError, match="neither a preset nor a file"):
+        parse_sweep(HEAD.replace("paper-dynamic", "paper-dinamic") + GRADIENT + "count = 3")
+    with pytest.raises(SpecError, match="does not exist"):
+        read_sweep(tmp_path / "none.toml")
+
+
+def test_a_base_is_found_beside_the_file_and_changed(tmp_path):
+    from gradcal_jax.spec import presets
+
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "mine.toml").write_text(presets.text("paper-dynamic-gradient"), encoding="utf-8")
+    text = HEAD.replace("paper-dynamic-gradient", "../mine.toml") + '[change]\n"plan.soak.duration" = "30 min"\n'
+    (tmp_path / "deep" / "sweep.toml").write_text(text + GRADIENT + "count = 3\n", encoding="utf-8")
+    job = read_sweep(tmp_path / "deep" / "sweep.toml")
+    assert float(job.base.plan.soak.duration) == 1800.0
+    assert job.file.count == 3
+
+
+def test_the_schema_names_every_key():
+    found = schema("sweep")
+    assert found["$id"] == "gradcal-sweep/1"
+    assert {"base", "axis", "samples", "change", "do"} <= set(found["properties"])

@@ -1,0 +1,109 @@
+"""Somebody else's recording laid on the run's clock: where it was made, how sure that is, and when it is refused."""
+
+import numpy as np
+import pytest
+from motion_and_recording import Motion, Recorded, readings, recording, turns
+
+from gradcal_jax.records.alignment import Alignment, AngleTrack, NoAlignment, align
+
+UNKNOWN = "from another run|agrees with the run at more than one start time"
+
+
+def one(seed: int, cycles: int = 12) -> tuple[Alignment, Recorded]:
+    random = np.random.default_rng(seed)
+    motion = turns(random, cycles)
+    end = float(motion.time_s[-1])
+    unit = recording(
+        random, motion, begins_s=-random.uniform(0.0, 2000.0), ends_s=end + 200.0, ppm=50.0 * random.choice([-1.0, 1.0])
+    )
+    found = align(unit.time_s, {"x": unit.rate_dps}, {"x": AngleTrack(*readings(random, motion))})
+    return found, unit
+
+
+def errors(found: Alignment, unit: Recorded) -> tuple[float, float]:
+    """Of offset and rate, in their own sigmas."""
+    offset_s = found.offset_s - unit.host_s(found.middle_s)
+    return float(offset_s) / found.offset_std_s, (found.rate - unit.rate) / found.rate_std
+
+
+def test_offset_and_slope_are_found_within_their_sigmas() -> None:
+    sigmas = np.array([errors(*one(seed)) for seed in range(8)])
+    assert np.abs(sigmas).max() < 4.0
+    found, unit = one(3)
+    assert found.offset_std_s < 1e-3
+    assert found.rate_std < 2e-6
+    assert found.rate - 1.0 == pytest.approx(unit.rate - 1.0, abs=5e-6)
+
+
+@pytest.mark.evidence
+def test_offset_and_slope_of_two_hundred_runs() -> None:
+    sigmas = np.array([errors(*one(seed)) for seed in range(1000, 1200)])
+    spread, worst = sigmas.std(axis=0), np.abs(sigmas).max(axis=0)
+    print(f"200 runs: offset spread {spread[0]:.3f} sigma, worst {worst[0]:.2f}; slope {spread[1]:.3f}, {worst[1]:.2f}")
+    # 200 draws: the spread of a standard deviation is 5 %.
+    assert np.all((spread > 0.8) & (spread < 1.15))
+    assert np.mean(np.abs(sigmas) < 1.0, axis=0).min() > 0.6
+    assert worst.max() < 4.5
+
+
+def run_and_unit(seed: int, *, alike: bool = False) -> tuple[np.random.Generator, Motion, AngleTrack]:
+    random = np.random.default_rng(seed)
+    motion = turns(random, 10, alike=alike)
+    return random, motion, AngleTrack(*readings(random, motion))
+
+
+def test_another_run_or_another_axis_is_refused() -> None:
+    random, motion, track = run_and_unit(5)
+    end = float(motion.time_s[-1])
+    other = recording(random, turns(random, 10), begins_s=0.0, ends_s=1500.0, ppm=50.0)
+    with pytest.raises(NoAlignment, match=UNKNOWN):
+        align(other.time_s, {"x": other.rate_dps}, {"x": track})
+    unit = recording(random, motion, begins_s=-50.0, ends_s=end, ppm=-50.0)
+    still = 0.3 * random.standard_normal(len(unit.time_s))
+    with pytest.raises(NoAlignment, match="another axis"):
+        align(unit.time_s, {"x": still}, {"x": track})
+    # An axis that lies askew senses some of the turns.
+    with pytest.raises(NoAlignment, match=r"sensor measures 0\.5"):
+        align(unit.time_s, {"x": 0.5 * unit.rate_dps}, {"x": track})
+    with pytest.raises(NoAlignment, match="opposite sign"):
+        align(unit.time_s, {"x": -unit.rate_dps}, {"x": track})
+    with pytest.raises(NoAlignment, match="did not turn any axis of the recording"):
+        align(unit.time_s, {"y": unit.rate_dps}, {"x": track})
+
+
+def test_turns_that_are_all_alike_tell_their_place_only_with_their_first_or_last() -> None:
+    random, motion, track = run_and_unit(6, alike=True)
+    end = float(motion.time_s[-1])
+    whole = recording(random, motion, begins_s=-500.0, ends_s=end + 500.0, ppm=50.0)
+    found = align(whole.time_s, {"x": whole.rate_dps}, {"x": track})
+    assert np.abs(errors(found, whole)).max() < 4.0
+    # What turns in one and not in the other, and the other way round, counts against a place.
+    inside = (track.time_s > 98.0) & (track.time_s < end - 128.0)
+    short = AngleTrack(track.time_s[inside], track.angle_deg[inside])
+    close = recording(random, motion, begins_s=95.0, ends_s=end - 125.0, ppm=50.0)
+    found = align(close.time_s, {"x": close.rate_dps}, {"x": short})
+    assert np.abs(errors(found, close)).max() < 4.0
+    middle = recording(random, motion, begins_s=0.4 * end, ends_s=0.7 * end, ppm=50.0)
+    with pytest.raises(NoAlignment, match="more than one start time"):
+        align(middle.time_s, {"x": middle.rate_dps}, {"x": track})
+
+
+def test_a_part_of_a_run_whose_turns_differ_is_enough_and_a_gap_does_no_harm() -> None:
+    random, motion, track = run_and_unit(7)
+    end = float(motion.time_s[-1])
+    unit = recording(random, motion, begins_s=0.3 * end, ends_s=1.4 * end, ppm=-50.0)
+    found = align(unit.time_s, {"x": unit.rate_dps}, {"x": track})
+    assert np.abs(errors(found, unit)).max() < 4.0
+    kept = np.ones(len(unit.time_s), bool)
+    kept[20000:23000] = False
+    found = align(unit.time_s[kept], {"x": unit.rate_dps[kept]}, {"x": track})
+    assert np.abs(errors(found, unit)).max() < 4.0
+
+
+def test_readings_at_rest_alone_do_not_tell_the_clock() -> None:
+    random, motion, track = run_and_unit(8)
+    _, rate = motion.at(track.time_s)
+    rests = np.abs(rate) == 0.0
+    unit = recording(random, motion, begins_s=-10.0, ends_s=float(motion.time_s[-1]), ppm=50.0)
+    with pytest.raises(NoAlignment, match=f"readings|{UNKNOWN}"):
+        align(unit.time_s, {"x": unit.rate_dps}, {"x": AngleTrack(track.time_s[rests], track.angle_deg[rests])})

@@ -1,0 +1,95 @@
+"""A log from arrays, a DataFrame or a Dataset is the one that a recording's import gives."""
+
+import numpy as np
+import pytest
+import xarray
+
+import gradcal_jax as gj
+from gradcal_jax.records.log import LogError
+
+TIME = np.arange(2000) / 50.0
+RATES = np.random.default_rng(0).standard_normal((2000, 3)) * 0.3  # deg/s
+WARM = 20.0 + TIME / 60.0
+ANGLE = 10.0 * np.sin(TIME)
+MAP = """\
+format = "gradcal-columns/1"
+time = { column = "t", unit = "s" }
+temperature = { column = "temp", unit = "degC" }
+[rate]
+x = { column = "gx", unit = "deg/s" }
+y = { column = "gy", unit = "deg/s" }
+z = { column = "gz", unit = "deg/s" }
+[table_angle]
+inner = { column = "angle", unit = "deg" }
+"""
+NAMES = {"t": TIME, "gx": RATES[:, 0], "gy": RATES[:, 1], "gz": RATES[:, 2], "temp": WARM, "angle": ANGLE}
+
+
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory):
+    path = tmp_path_factory.mktemp("log") / "log.npz"
+    np.savez(path, **NAMES)
+    return gj.import_log(path, MAP)
+
+
+def same(log, imported):
+    assert (log.axes, log.table_axes) == (imported.axes, imported.table_axes)
+    for name in ("time_s", "rate_rad_per_s", "temperature_c", "table_angle_rad"):
+        np.testing.assert_allclose(getattr(log, name), getattr(imported, name), rtol=1e-12, atol=1e-15)
+
+
+def test_arrays_in_si(imported):
+    same(gj.log_from(TIME, np.radians(RATES), temperature=WARM, angle={"inner": np.radians(ANGLE)}), imported)
+
+
+def test_a_data_frame_with_units(imported):
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(NAMES)
+    log = gj.log_from(
+        "t", ["gx", "gy", "gz"], temperature="temp", angle={"inner": "angle"}, data=frame,
+        units={"rate": "deg/s", "angle": "deg"},
+    )  # fmt: skip
+    same(log, imported)
+    frame["t"] = pandas.to_datetime(1.7e9 + TIME, unit="s")
+    stamped = gj.log_from("t", "gx", data=frame, units={"rate": "deg/s"})
+    np.testing.assert_allclose(stamped.time_s, TIME, atol=1e-6)
+
+
+def test_a_dataset_has_its_units_in_its_attributes(imported):
+    units = {"t": "s", "temp": "degC", "angle": "deg"}
+    variables = {name: ("row", values, {"units": units.get(name, "deg/s")}) for name, values in NAMES.items()}
+    log = gj.log_from(
+        "t", ["gx", "gy", "gz"], temperature="temp", angle={"inner": "angle"}, data=xarray.Dataset(variables)
+    )
+    same(log, imported)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((TIME, RATES[:100]), "the shape"),
+        ((TIME, np.zeros((2000, 4))), "expected"),
+        (("t", "gx"), "give data"),
+    ],
+)
+def test_what_does_not_fit_is_a_sentence(arguments, said):
+    with pytest.raises(LogError, match=said):
+        gj.log_from(*arguments)
+
+
+def test_names_and_units_are_checked():
+    with pytest.raises(LogError, match="nearest: 'gx'"):
+        gj.log_from("t", "gxx", data=NAMES)
+    with pytest.raises(LogError, match="nearest: 'rate'"):
+        gj.log_from(TIME, RATES, units={"rates": "deg/s"})
+
+
+def test_the_allan_deviation_of_an_array_is_that_of_its_log():
+    rate = 1e-4 * np.random.default_rng(1).standard_normal(50_000)
+    deviation, fit = gj.allan(rate, rate=100.0)
+    of_log, _ = gj.allan(gj.log_from(np.arange(50_000) / 100.0, rate))
+    np.testing.assert_allclose(deviation.deviation, of_log.deviation, rtol=1e-12)
+    # White noise of 1e-4 rad/s at 100 Hz.
+    assert fit.angle_random_walk.value == pytest.approx(1e-5, rel=0.05)
+    with pytest.raises(ValueError, match="samples per second"):
+        gj.allan(rate)

@@ -1,0 +1,478 @@
+import numpy as np
+import pytest
+from described_logs import contents
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from gradcal_jax.records import table_readers
+from gradcal_jax.records.column_guess import EXAMPLE, guess
+from gradcal_jax.records.importers import import_log, parse_column_map, read_column_map
+from gradcal_jax.records.log import LogError
+from gradcal_jax.records.log_file import write_log
+from gradcal_jax.tables.netcdf import load_netcdf
+from gradcal_jax.tables.problems import SpecError
+
+HEAD = 'format = "gradcal-columns/1"\n'
+PLAIN = HEAD + 'time = { column = "t", unit = "ms" }\nrate.x = { column = "gx", unit = "deg/s" }\n'
+RNG = np.random.default_rng(0)
+RATES = RNG.standard_normal((50, 3))
+
+
+def plain(extra=""):
+    return parse_column_map(PLAIN + extra)
+
+
+def refused(text):
+    with pytest.raises(SpecError) as caught:
+        parse_column_map(text)
+    return str(caught.value)
+
+
+def test_text_tables_in_their_many_layouts(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = [f"{10 * i},{i % 3},{20 + i / 8}" for i in range(40)]
+    path.write_text("t,gx,temp\n" + "\n".join(rows) + "\n")
+    log = import_log(path, plain('temperature = { column = "temp", unit = "degC" }\n'))
+    np.testing.assert_allclose(log.time_s, np.arange(40) * 0.01)
+    np.testing.assert_allclose(log.rate_rad_per_s[0, :, 0], np.radians(np.arange(40) % 3))
+    assert log.temperature_c[0, -1] == 20 + 39 / 8
+    assert log.counts() == {"used": 40}
+    assert log.provenance == {"source": "run.csv"}
+
+    path.write_text("\ufeffsome words\r\n# a remark\r\n# t; gx\r\n" + "\r\n".join(r.replace(",", ";") for r in rows))
+    again = import_log(path, plain('[csv]\ndelimiter = ";"\nskip = 1\n'))
+    np.testing.assert_array_equal(again.rate_rad_per_s, log.rate_rad_per_s)
+
+    path.write_text("\n\n".join(r.replace(",", "   ") for r in rows))
+    by_number = HEAD + 'time = { column = 0, unit = "ms" }\nrate.x = { column = 1, unit = "deg/s" }\n'
+    again = import_log(path, parse_column_map(by_number + '[csv]\ndelimiter = "whitespace"\nheader = false\n'))
+    np.testing.assert_array_equal(again.rate_rad_per_s, log.rate_rad_per_s)
+
+
+def test_decimal_commas_and_other_encodings_are_read_where_they_are_told(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = "".join(f"{10 * i},0;{i % 3},5;{20 + i},25\n" for i in range(40))
+    path.write_text("Zeit;Drehrate °/s;T\n" + rows, encoding="latin-1")
+    text = (
+        HEAD
+        + """time = { column = "Zeit", unit = "ms" }
+rate.x = { column = "Drehrate °/s", unit = "deg/s" }
+temperature = { column = "T", unit = "degC" }
+[csv]
+delimiter = ";"
+encoding = "latin-1"
+"""
+    )
+    log = import_log(path, parse_column_map(text + 'decimal = ","\n'))
+    np.testing.assert_allclose(np.degrees(log.rate_rad_per_s[0, :, 0]), np.arange(40) % 3 + 0.5)
+    np.testing.assert_allclose(log.temperature_c[0], np.arange(40) + 20.25)
+    with pytest.raises(LogError, match='decimal comma; write decimal = ","'):
+        import_log(path, parse_column_map(text))
+    with pytest.raises(LogError, match='encoding = "latin-1" or "utf-16"'):
+        import_log(path, parse_column_map(text.replace("latin-1", "utf-8") + 'decimal = ","\n'))
+    assert "another delimiter" in refused(PLAIN + '[csv]\ndecimal = ","\n')
+    assert "encoding" in refused(PLAIN + '[csv]\nencoding = "utf-99"\n')
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("t,gx\n2024-05-01T12:00:00,1\n2024-05-01T12:00:01,2\n", "'t' has dates or times of day"),
+        ("t,gx\n12:00:00.1,1\n12:00:00.2,2\n", "'t' has dates or times of day"),
+        ("t,gx\n0,0x1F\n10,0x20\n", "'gx' has hexadecimal counts"),
+        ("t,gx\n0,FF1F\n10,FE20\n", "'gx' has values that look like hexadecimal counts"),
+        ("t,gx\n0,fast\n10,slow\n", "'gx' has no numbers, only texts such as 'slow'"),
+        ("t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': give the number of the column instead, 1 or 2"),
+        ("t;gx\n0;1\n10;3\n", 'or is delimiter = ";" missing under'),
+    ],
+)
+def test_columns_that_are_no_numbers_are_told_by_what_they_are(tmp_path, content, sentence):
+    path = tmp_path / "a.csv"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(LogError) as caught:
+        import_log(path, plain())
+    assert sentence in str(caught.value)
+
+
+def test_kelvins_are_told_how_to_be_written():
+    assert "zero = 273.15" in refused(PLAIN + 'temperature = { column = "T", unit = "K" }')
+
+
+def test_rows_are_chosen_before_anything_is_judged(tmp_path):
+    """The part before a restart is read where the whole cannot be."""
+    path = tmp_path / "a.csv"
+    stamps = [*range(0, 600, 10), *range(0, 400, 10)]
+    path.write_text("t,gx\n" + "".join(f"{t},{i % 3}\n" for i, t in enumerate(stamps)), encoding="utf-8")
+    with pytest.raises(LogError, match=r'--rows "0\.\.60" and --rows "60\.\."'):
+        import_log(path, plain())
+    log = import_log(path, plain(), rows=(60, None))
+    assert log.counts() == {"used": 40, "left out": 60}
+
+
+def test_the_example_of_a_column_map_is_one_and_a_header_is_guessed(tmp_path):
+    assert list(parse_column_map(EXAMPLE).rate) == ["x", "y", "z"]
+    path = tmp_path / "a.csv"
+    path.write_text("timestamp [us];gyro_x (rad/s);gyro_y (rad/s);temperature_C\n0;1;2;20\n", encoding="utf-8")
+    found = parse_column_map(guess(path))
+    assert found.time.unit == "us"
+    assert {axis: column.unit for axis, column in found.rate.items()} == {"x": "rad/s", "y": "rad/s"}
+    assert found.temperature.unit == "degC"
+    assert found.csv.delimiter == ";"
+    path.write_text("t [s],gx [deg/s],ax [m/s2],acc_y (g)\n0,1,2,3\n", encoding="utf-8")
+    forces = parse_column_map(guess(path)).force
+    assert {axis: (column.column, column.unit) for axis, column in forces.items()} == {
+        "x": ("ax [m/s2]", "m/s^2"),
+        "y": ("acc_y (g)", "g"),
+    }
+    path.write_text("t,gx,gy\n0,1,2\n", encoding="utf-8")
+    assert 'unit = "???"' in guess(path)  # a header without units: a person says them
+    path.write_text("when,voltage\n0,1\n", encoding="utf-8")
+    assert guess(path) is None
+
+
+@given(header=st.text(max_size=80))
+@settings(max_examples=150, deadline=None)
+def test_any_header_gives_a_map_or_none(tmp_path_factory, header):
+    path = tmp_path_factory.mktemp("guess") / "a.csv"
+    path.write_text(header + ",gx [deg/s],t [s]\n", encoding="utf-8", errors="replace")
+    found = guess(path)
+    if found is not None and "???" not in found:
+        parse_column_map(found)
+
+
+CELLS = [
+    *(
+        "",
+        "nan",
+        "NaN",
+        "-nan",
+        "inf",
+        "True",
+        "false",
+        "FALSE",
+        "0x1F",
+        "1_0",
+        "1.5\0j",
+        "1d5",
+        "-",
+        "NA",
+        "null",
+        "1 2",
+    ),
+    *("\u22121", '"1"', "1e400", "1.7976931348623157e308", "4.9e-324", "0.1234567890123456789", "+1", " 2 ", "  "),
+    *("1\u00a0", "1.5,7,8,9", "1.5 # remark", "<NA>", "1.2.3", "x"),
+]
+
+
+@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("delimiter", [",", "whitespace"])
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_the_quick_reading_of_a_table_is_the_plain_one(tmp_path, monkeypatch, cell, delimiter, everywhere):
+    # The plain one takes every cell by itself.
+    path = tmp_path / "a.csv"
+    rows = [f"{10 * k},{cell if everywhere else value!r},{k}" for k, value in enumerate(RATES[:, 0].tolist())]
+    rows[20:20] = [] if everywhere else [f"195,{cell},3", "197", "198,2.5"]
+    path.write_text(("t,gx,n\n" + "\n".join(rows)).replace(",", "," if delimiter == "," else " "))
+    columns = plain(f'temperature = {{ column = "n", unit = "degC" }}\n[csv]\ndelimiter = "{delimiter}"\n')
+
+    def read():
+        try:
+            log = import_log(path, columns)
+        except LogError as error:
+            return str(error)
+        return log.rate_rad_per_s.tolist(), log.temperature_c.tolist(), log.time_s.tolist(), log.findings
+
+    quick = read()
+    monkeypatch.setattr(table_readers, "_quick", lambda *_: None)
+    np.testing.assert_equal(quick, read())
+
+
+def test_torn_rows_are_counted_and_the_others_kept(tmp_path):
+    path = tmp_path / "torn.csv"
+    path.write_text('t,gx\n0,1\n10\n20,abc\n,5\n30,"2"\n# remark\n\n40,1_0\n50,3 # said later\nnan,1\n60,4,7,8\n')
+    log = import_log(path, plain())
+    # 9 rows: two without time; of the others three without rate.
+    assert log.rows_read == 9
+    assert log.counts() == {"used": 4, "unreadable row": 2, "missing rate": 3}
+    np.testing.assert_allclose(np.degrees(log.rate_rad_per_s[0, log.usable(), 0]), [1, 2, 3, 4])
+
+
+def test_scale_zero_and_units_of_counts(tmp_path):
+    path = tmp_path / "counts.npz"
+    counts = np.array([[100, 0], [-32768, 1], [32767, 1], [0, 0]], np.int16)
+    fahrenheit = np.array([32.0, 50.0, 68.0, 212.0])
+    stamps = 1_700_000_000_000_000_000 + np.array([0, 1, 2, 3]) * 10_000_000
+    np.savez(path, gyro=counts, t=stamps, flags=np.array([0, 0, 4, 0], np.uint8), f=fahrenheit)
+    log = import_log(
+        path,
+        parse_column_map(
+            HEAD + 'time = { column = "t", unit = "ns" }\nstatus = { column = "flags" }\n'
+            'temperature = { column = "f", unit = "degF" }\n'
+            'rate.x = { column = "gyro", index = 0, unit = "mdps", scale = 8.75, zero = 100 }\n'
+        ),
+    )
+    np.testing.assert_allclose(
+        np.degrees(log.rate_rad_per_s[0, :, 0]), (np.array([100, -32768, 32767, 0]) - 100) * 8.75e-3, atol=1e-12
+    )
+    np.testing.assert_allclose(log.time_s, [0, 0.01, 0.02, 0.03], rtol=1e-12)  # in spite of 1.7e18
+    np.testing.assert_allclose(log.temperature_c[0], [0, 10, 20, 100], atol=1e-12)
+    assert log.counts() == {"used": 3, "marked": 1}
+
+
+def test_matlab_and_npy_give_what_text_gives(tmp_path):
+    time = np.arange(50) * 10.0
+    others = {"text": "words", "pair": 1j * np.ones(3), "s": {"a": 1.0}}
+    savemat(tmp_path / "run.mat", {"t": time, "gyro": RATES, "gx": RATES[:, :1], **others}, do_compression=True)
+    np.save(tmp_path / "run.npy", np.column_stack([time, RATES]))
+    fields = np.zeros(50, [("t", "f8"), ("gx", "f4")])
+    fields["t"], fields["gx"] = time, RATES[:, 0]
+    np.save(tmp_path / "fields.npy", fields)
+    numbered = HEAD + 'time = { column = 0, unit = "ms" }\nrate.x = { column = 1, unit = "deg/s" }\n'
+    indexed = PLAIN.replace('"gx"', '"gyro", index = 0')
+    for name, text in (("run.mat", PLAIN), ("run.mat", indexed), ("run.npy", numbered)):
+        log = import_log(tmp_path / name, parse_column_map(text))
+        np.testing.assert_allclose(log.rate_rad_per_s[0, :, 0], np.radians(RATES[:, 0]), rtol=1e-14)
+        np.testing.assert_allclose(log.time_s, time / 1000)
+    log = import_log(tmp_path / "fields.npy", parse_column_map(PLAIN))
+    np.testing.assert_allclose(
+        log.rate_rad_per_s[0, :, 0], np.radians(RATES[:, 0].astype(np.float32).astype(float)), rtol=1e-14
+    )
+
+
+FORCES = "".join(f'force.{a} = {{ column = "acc", index = {k}, unit = "mg" }}\n' for k, a in enumerate("xyz"))
+
+
+def test_specific_forces_are_read_masked_and_judged(tmp_path):
+    path, n = tmp_path / "imu.npz", 400
+    rng = np.random.default_rng(5)
+    acc = 1000.0 * np.array([0.6, 0.0, 0.8]) + 5.0 * rng.standard_normal((n, 3))
+    acc[7, 1] = np.nan
+    np.savez(path, t=np.arange(n) * 10.0, gx=0.1 * rng.standard_normal(n), acc=acc, counts=np.full((n, 3), 33000))
+    log = import_log(path, plain(FORCES))
+    assert log.force_axes == ("x", "y", "z")
+    np.testing.assert_allclose(log.specific_force_m_per_s2[0], 9.80665e-3 * acc, rtol=1e-12)
+    assert log.counts() == {"used": n - 1, "missing force": 1}
+    assert import_log(path, plain(FORCES), rows=(0, 9)).specific_force_m_per_s2.shape == (1, 9, 3)
+    with pytest.raises(LogError, match="without a specific force"):
+        import_log(path, plain(FORCES + "[policy]\nmissing_forces = 'refuse'\n"))
+    with pytest.raises(LogError, match=r"usually 1 m/s²: is its unit g"):
+        import_log(path, plain(FORCES.replace('"mg"', '"m/s^2", scale = 1e-3')))
+    counts = FORCES.replace('"acc"', '"counts"').replace('"mg"', '"m/s^2"')
+    with pytest.raises(LogError, match="is its unit g, or counts"):
+        import_log(path, plain(counts))
+    kept = import_log(path, plain(counts + "[policy]\nwrong_units = 'keep'\n"))
+    assert [finding.kind for finding in kept.findings] == ["wrong unit"]
+    assert kept.specific_force_m_per_s2[0, 0, 2] == 33000.0
+    # A log with forces is one that other programs are told the contents of.
+    write_log(log, tmp_path / "log.nc")
+    described = contents(load_netcdf(tmp_path / "log.nc"))
+    assert described.labels.force_axis == ("x", "y", "z")
+    assert described.variables.specific_force is not None
+
+
+def test_forces_of_several_sensors_are_of_the_same_axes():
+    one = '[[sensor]]\nname = "a"\nrate.x = { column = "gx", unit = "deg/s" }\n' + FORCES
+    text = HEAD + 'sample_rate = "100 Hz"\n' + one + one.replace('"a"', '"b"').replace("force.z", "force.w")
+    assert "every sensor needs the same axes" in refused(text)
+
+
+def test_several_sensors_on_one_table(tmp_path):
+    path = tmp_path / "many.npz"
+    angle = np.linspace(0, 720, 50)
+    np.savez(path, a=RATES, b=2 * RATES, angle=angle, rest=np.arange(50) < 9, ta=np.linspace(10, 20, 50))
+    log = import_log(
+        path,
+        parse_column_map(
+            HEAD + 'sample_rate = "200 Hz"\nstandstill = { column = "rest" }\nsimulated = true\nskip_first = 2\n'
+            'table_angle.inner = { column = "angle", unit = "deg" }\n'
+            + "".join(
+                f'[[sensor]]\nname = "SN-{name}"\n{temperature}'
+                f'rate.x = {{ column = "{name}", index = 0, unit = "rad/s" }}\n'
+                f'rate.z = {{ column = "{name}", index = 2, unit = "rad/s" }}\n'
+                for name, temperature in (("a", 'temperature = { column = "ta", unit = "degC" }\n'), ("b", ""))
+            )
+            + '[policy]\nmissing_temperatures = "keep"\nwrong_units = "keep"\n'
+        ),
+    )
+    assert log.units == ("SN-a", "SN-b")
+    assert log.axes == ("x", "z")
+    np.testing.assert_array_equal(log.rate_rad_per_s[1], 2 * RATES[:, [0, 2]])
+    assert np.isnan(log.temperature_c[1]).all()
+    np.testing.assert_allclose(log.table_angle_rad[:, 0], np.radians(angle))
+    assert log.standstill[:9].tolist() == [0] * 9
+    assert log.time_s[1] == 0.005
+    assert log.simulated
+    assert log.counts("SN-b") == {"used": 48, "left out": 2}
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "format: this key is missing"),
+        (PLAIN + "[policy]\ngaps = 'mask'", 'policy.gaps = "mask": expected "split" or "refuse"'),
+        (PLAIN.replace("deg/s", "deg"), "rate.x.unit"),
+        (PLAIN.replace('"ms"', '"m"'), "time.unit"),
+        (PLAIN + 'tempreature = { column = "a", unit = "degC" }', 'nearest: "temperature"'),
+        (HEAD + 'rate.x = { column = "gx", unit = "deg/s" }', "sample_rate"),
+        (HEAD + 'time = { column = "t", unit = "ms" }', "name at least one axis"),
+        (PLAIN + '[[sensor]]\nname = "a"\nrate.x = { column = "gx", unit = "deg/s" }', "or at the top"),
+        (PLAIN + "[csv]\ndelimiter = 'abc'", "csv.delimiter"),
+        (PLAIN.replace('unit = "deg/s"', 'unit = "deg/s", scale = 0.0'), "must not be zero"),
+    ],
+)
+def test_a_faulty_column_map_is_told_by_key(text, sentence):
+    assert sentence in refused(text)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "extra", "sentence"),
+    [
+        ("a.xyz", b"1", "", "unknown file name extension"),
+        ("a.csv", b"", "", "is empty"),
+        ("a.csv", b"t,gx\n", "", "no rows below the header"),
+        ("a.csv", b"1,2\n3,4\n", "", "no line of column names"),
+        ("a.csv", b"t,gX\n1,2\n3,4\n", "", "no column 'gx'; nearest: 'gX'"),
+        ("a.csv", b"t,gx\n1,2\n", "", "at least two"),
+        ("a.csv", b"\xff\xfe\x00t", "", "not text in UTF-8"),
+        ("a.npz", b"PK nonsense", "", "cannot be read as NumPy's .npz"),
+        ("a.npy", b"\x93NUMPY nonsense", "", "cannot be read as NumPy's .npy"),
+        ("a.mat", b"MATLAB 7.3 MAT-file", "", "-v7"),
+        ("a.mat", b"nonsense" * 40, "", "cannot be read as MATLAB"),
+        ("a.csv", b"t,gx\n1,1\n2,2\n3,4\n9,9\n10,10\n11,11\n", "[policy]\ngaps = 'refuse'\n", "as an error"),
+    ],
+)
+def test_a_faulty_file_gets_a_sentence(tmp_path, name, content, extra, sentence):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=sentence):
+        import_log(path, plain(extra))
+
+
+def test_pickles_directories_and_missing_files_are_refused(tmp_path):
+    np.savez(tmp_path / "p.npz", t=np.arange(3.0), gx=np.array([None, 1, 2], object))
+    with pytest.raises(LogError, match="without pickles"):
+        import_log(tmp_path / "p.npz", plain())
+    np.savez(tmp_path / "w.npz", t=np.arange(3.0), gx=np.array(["a", "b", "c"]))
+    with pytest.raises(LogError, match="has no numbers"):
+        import_log(tmp_path / "w.npz", plain())
+    np.savez(tmp_path / "l.npz", t=np.arange(3.0), gx=np.arange(4.0))
+    with pytest.raises(LogError, match="3 rows, and the columns before it have 4"):
+        import_log(tmp_path / "l.npz", plain())
+    (tmp_path / "d.csv").mkdir()
+    with pytest.raises(LogError, match="is a directory"):
+        import_log(tmp_path / "d.csv", plain())
+    with pytest.raises(LogError, match="does not exist"):
+        import_log(tmp_path / "none.csv", plain())
+    with pytest.raises(SpecError, match="does not exist"):
+        read_column_map(tmp_path / "none.toml")
+
+
+ENDINGS = st.sampled_from([".csv", ".npz", ".npy", ".mat", ".txt"])
+STARTS = st.sampled_from(
+    [b"", b"t,gx\n", b"PK\x03\x04", b"\x93NUMPY\x01\x00", b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\x01IM"]
+)
+
+
+@given(ending=ENDINGS, start=STARTS, content=st.binary(max_size=400))
+@settings(max_examples=250, deadline=None)
+def test_arbitrary_bytes_give_a_log_or_a_sentence(tmp_path_factory, ending, start, content):
+    path = tmp_path_factory.mktemp("bytes") / f"a{ending}"
+    path.write_bytes(start + content)
+    try:
+        log = import_log(path, plain())
+    except LogError as error:
+        if not str(error):
+            raise
+        return
+    assert sum(log.counts().values()) == log.rows_read
+
+
+@given(at=st.integers(0, 2000), value=st.integers(0, 255), kind=st.sampled_from(["npz", "npy"]))
+@settings(max_examples=150, deadline=None)
+def test_sound_files_with_a_broken_byte_give_a_log_or_a_sentence(tmp_path_factory, at, value, kind):
+    path = tmp_path_factory.mktemp("broken") / f"a.{kind}"
+    time, rate = np.arange(20.0), RATES[:20, 0]
+    if kind == "npz":
+        np.savez_compressed(path, t=time, gx=rate)
+    else:
+        fields = np.zeros(20, [("t", "f8"), ("gx", "f8")])
+        fields["t"], fields["gx"] = time, rate
+        np.save(path, fields)
+    content = bytearray(path.read_bytes())
+    content[at % len(content)] = value
+    path.write_bytes(bytes(content))
+    try:
+        log = import_log(path, plain())
+    except LogError:
+        return
+    assert sum(log.counts().values()) == log.rows_read
+
+
+FIELDS = st.one_of(
+    st.floats().map(repr), st.sampled_from(["", "x", '"', "1e999", "1_0", " 5 ", "#", "0x1"]), st.integers().map(str)
+)
+
+
+@given(rows=st.lists(st.lists(FIELDS, max_size=4), max_size=30))
+@settings(max_examples=200, deadline=None)
+def test_every_row_of_any_text_table_is_accounted_for(tmp_path_factory, rows):
+    lines = [",".join(row) for row in rows]
+    path = tmp_path_factory.mktemp("rows") / "a.csv"
+    path.write_text("t,gx\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    try:
+        log = import_log(path, plain("[policy]\nwrong_units = 'keep'\n"))
+    except LogError:
+        return
+    expected = sum(1 for line in lines if line.split("#")[0].strip())
+    assert log.rows_read == expected
+    assert sum(log.counts().values()) == expected
+
+
+@given(content=st.binary(max_size=200), tail=st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_arbitrary_bytes_are_no_map(tmp_path_factory, content, tail):
+    path = tmp_path_factory.mktemp("map") / "map.toml"
+    path.write_bytes(PLAIN.encode() + content if tail else content)
+    try:
+        read_column_map(path)
+    except SpecError:
+        return
+    assert tail
+
+
+@given(text=st.text(max_size=200), tail=st.booleans())
+@settings(max_examples=100, deadline=None)
+def test_arbitrary_maps_give_a_sentence(text, tail):
+    try:
+        parse_column_map(PLAIN + text if tail else text)
+    except SpecError:
+        return
+    assert tail
+
+
+@pytest.mark.parametrize(
+    ("header", "units", "asked"),
+    [
+        ("t_ms,gx [deg/s]", ("ms", "rad/s"), r"'gx \[deg/s\]' states the unit deg/s, and the column map states rad/s"),
+        ("t_ms,gx_rad/s", ("ms", "deg/s"), "'gx_rad/s' states the unit rad/s, and the column map states deg/s"),
+        ("t_ms,gx", ("s", "deg/s"), "'t_ms' states the unit ms, and the column map states s"),
+        ("time_s,gx", ("ms", "deg/s"), "'time_s' states the unit s, and the column map states ms"),
+        ("time [s],gx (dps)", ("s", "deg/s"), None),
+        ("t,gx", ("s", "rad/s"), None),
+    ],
+)
+def test_a_header_that_contradicts_its_map_is_a_question(tmp_path, header, units, asked):
+    """Units of rates and stamps slipped, either way."""
+    rows = "".join(f"{k * 0.01:.2f},{(-1) ** k * 1e-3}\n" for k in range(50))
+    (tmp_path / "a.csv").write_text(f"{header}\n{rows}", encoding="utf-8")
+    time, rate = header.split(",")
+    text = f'format = "gradcal-columns/1"\ntime = {{ column = "{time}", unit = "{units[0]}" }}\n'
+    text += f'rate.x = {{ column = "{rate}", unit = "{units[1]}" }}\n'
+    if asked is None:
+        assert import_log(tmp_path / "a.csv", parse_column_map(text)).counts() == {"used": 50}
+        return
+    with pytest.raises(LogError, match=asked):
+        import_log(tmp_path / "a.csv", parse_column_map(text))
+    kept = text + '[policy]\nwrong_units = "keep"\n'
+    assert import_log(tmp_path / "a.csv", parse_column_map(kept)).counts() == {"used": 50}

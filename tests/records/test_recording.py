@@ -1,0 +1,386 @@
+"""Logs made of journals that were written by hand, with the bytes of simulated units: a table that turns, bursts that a
+busy computer fetches in pieces and late, samples that are lost, units that begin anew in the middle.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from hardware_bench import sensor_on_table, short_recipe
+from journal_log import log_of
+from simulated_devices.gyro import SensorTruth
+from simulated_devices.line_clock import LineClock
+from simulated_devices.stim300 import SimulatedStim300, Stim300Options
+from simulated_devices.vectornav import SimulatedVectorNav
+
+from gradcal_jax.hardware.journal import Chunk, Event, JournalContents
+from gradcal_jax.hardware.simulate.plants import AxisPlant
+from gradcal_jax.records.log import Log
+from gradcal_jax.spec.rig import TEMPLATE, parse_rig
+
+START_S = 1000.0
+RATE_DPS, ACCELERATION_DPS2 = 200.0, 300.0
+TURN_S = 360.0 / RATE_DPS + RATE_DPS / ACCELERATION_DPS2
+READ_BYTES = 4095  # that a Linux terminal hands over at once
+REGISTERS = {"irng": "400,400,400,10,10,10,1.7,1.7,1.7,NA", "it": "921600,1,N,1,0,0"}
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One turn of the table, told at `start_s`."""
+
+    start_s: float
+    to_deg: float
+
+
+def no_loss(burst: int, data: bytes) -> bytes:
+    return data
+
+
+def lose_101(burst: int, data: bytes) -> bytes:
+    """Of bursts of half a second the 80th and most of the next one are lost, datagram by datagram."""
+    whole = {80: 10**6, 81: (101 - 62) * 42}
+    return data[whole.get(burst, 0) :]
+
+
+def recorded(
+    turns: Sequence[Turn],
+    end_s: float,
+    *,
+    vectornav: bool = False,
+    happened: Sequence[Event] = (),
+    rig: str = TEMPLATE,
+    **sends: Any,
+) -> Log:
+    """The log of a run of one step: the table turns, a unit sends every `burst_s`, the host has the first piece of a
+    burst `late_s(number)` after it was sent and each other `piece_s` later, and loses what `lost` leaves out. What else
+    `happened` stands in the journal, too."""
+    told = Session(START_S, simulated=True)
+    records = session(told, turns, end_s, vectornav=vectornav, **sends)
+    records = sorted([*records, *happened], key=lambda record: record.time_s)
+    if vectornav:
+        rig = rig.replace('"stim300"  ', '"vectornav"').replace('"125 Hz"', '"200 Hz"')
+    log = log_of(JournalContents(records), short_recipe(), parse_rig(rig))
+    if log.standstill is not None:
+        numbers = np.unique(log.standstill[log.standstill >= 0])
+        assert numbers.tolist() == list(range(len(numbers)))
+    return log
+
+
+@dataclass(frozen=True)
+class Session:
+    """When a part of a run begins, by the run's clock and by the one on the wall; how fast the unit's clock runs."""
+
+    start_s: float
+    wall_clock_s: float = 0.0
+    number: int = 0
+    simulated: bool = False
+    clock_error: float = 0.0
+
+
+def session(
+    told: Session,
+    turns: Sequence[Turn],
+    end_s: float,
+    *,
+    burst_s: float,
+    late_s: Callable[[int], float],
+    piece_s: float = 0.02,
+    lost: Callable[[int, bytes], bytes] = no_loss,
+    reboots_s: Sequence[float] = (),
+    vectornav: bool = False,
+) -> list[Event | Chunk]:
+    """What the journal holds of it."""
+    start_s = told.start_s
+    clock = LineClock(start_s)
+    plant = AxisPlant(None, start_s)
+    truth = SensorTruth(clock_error=told.clock_error)
+    sensor = sensor_on_table(clock, truth, axis=plant, sample_rate_hz=200.0 if vectornav else 125.0)
+    unit: Any = SimulatedVectorNav(sensor, clock) if vectornav else SimulatedStim300(sensor, clock, STIM300)
+    if not vectornav:
+        # What it says of itself when it is switched on came before the run.
+        unit.emit(start_s + 4.0 * STIM300.burst_s)
+    else:
+        unit.registers[75] = "1,4,05,0001,001C"
+    begun = {"number": told.number, "simulated": told.simulated, "wall_clock_s": told.wall_clock_s}
+    records: list[Event | Chunk] = [
+        Event(start_s, "session", begun),
+        Event(start_s, "configuration", {"device": "unit1", "registers": REGISTERS}),
+        Event(start_s + 4.0, "step begins", {"step": "turns", "number": 0, "begins_s": start_s + 4.0, "data": True}),
+    ]
+
+    def angle(at_s: float, position_deg: float) -> None:
+        data = {"axis": "table", "moving": False, "time_s": at_s, "position_deg": position_deg}
+        records.append(Event(at_s, "angle", data))
+
+    angle(start_s + 4.0, 0.0)
+    waiting, rebooting, at_deg, in_hand_s = list(turns), list(reboots_s), 0.0, 0.0
+    for number in range(round(end_s / burst_s)):
+        now = start_s + (number + 1) * burst_s
+        while waiting and start_s + waiting[0].start_s < now:
+            turn = waiting.pop(0)
+            began = start_s + turn.start_s
+            records.append(Event(began, "move", {"axis": "table", "began_s": began, "kind": "turn"}))
+            plant.move_to(began, turn.to_deg, RATE_DPS, ACCELERATION_DPS2)
+            angle(began + abs(turn.to_deg - at_deg) / 360.0 * TURN_S + 0.01, turn.to_deg)
+            at_deg = turn.to_deg
+        clock.sleep_until(now)
+        if rebooting and start_s + rebooting[0] < now:
+            rebooting.pop(0)
+            sensor.take(sensor.due(now))
+            unit.reboot()
+            if vectornav:
+                unit.registers[75] = "1,4,05,0001,001C"
+        data = lost(number, b"".join(unit.emit(now)))
+        for place in range(0, len(data), READ_BYTES):
+            in_hand_s = max(now + late_s(number) + place // READ_BYTES * piece_s, in_hand_s + 1e-6)
+            records.append(Chunk(in_hand_s, "unit1", True, data[place : place + READ_BYTES]))
+    records.append(Event(start_s + end_s, "ending", {"exit_status": "success"}))
+    return sorted(records, key=lambda record: record.time_s)
+
+
+STIM300 = Stim300Options(rate_code=0)
+THERE_AND_BACK = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + 10.0, 0.0))
+
+
+def turned_deg(log: Log, pick: Callable[[np.ndarray], int]) -> tuple[list[float], list[float]]:
+    """By the table and by the sensor, from a row of each standstill to one of the next."""
+    assert log.standstill is not None
+    assert log.table_course_rad is not None
+    numbers = [int(n) for n in dict.fromkeys(log.standstill.tolist()) if n >= 0]
+    rows = [pick(np.flatnonzero(log.standstill == n)) for n in numbers]
+    interval_s = float(np.median(np.diff(log.time_s)))
+    table = np.degrees(np.diff(log.table_course_rad[rows, 0]))
+    about = log.rate_rad_per_s[0, :, 2]
+    spans = itertools.pairwise(rows)
+    sensor = [float(np.degrees(about[start + 1 : end + 1].sum()) * interval_s) for start, end in spans]
+    return table.tolist(), sensor
+
+
+def require_rest_in_standstills(log: Log) -> None:
+    assert log.standstill is not None
+    resting = log.standstill >= 0
+    assert resting.any()
+    # The Earth turns, too.
+    assert np.degrees(np.abs(log.rate_rad_per_s[0, resting, 2])).max() < 0.02
+
+
+@pytest.mark.parametrize("pick", [lambda rows: rows[0], lambda rows: rows[len(rows) // 2], lambda rows: rows[-1]])
+def test_a_burst_that_is_fetched_in_pieces_moves_no_row_into_a_rest(pick: Callable[[np.ndarray], int]) -> None:
+    log = recorded(THERE_AND_BACK, 40.0, burst_s=2.0, late_s=lambda number: 0.01 + 0.005 * (number % 3))
+    require_rest_in_standstills(log)
+    table, sensor = turned_deg(log, pick)
+    assert table == pytest.approx([360.0, -360.0])
+    assert sensor == pytest.approx([360.0, -360.0], abs=0.1)
+    assert abs(float(log.provenance["clock_rate_error"])) < 2e-3
+    assert log.findings == ()
+
+
+def test_a_rest_that_a_busy_computer_cut_short_is_told_from_the_turn_before_it() -> None:
+    # The second turn began nine seconds late, and of the rest behind it the step had one second left.
+    turns = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + 19.0, 0.0))
+    end_s = 14.0 + 2.0 * TURN_S + 20.0
+    log = recorded(turns, end_s + 1.0, burst_s=2.0, late_s=lambda number: 0.01 + 0.005 * (number % 3))
+    require_rest_in_standstills(log)
+    table, sensor = turned_deg(log, lambda rows: rows[len(rows) // 2])
+    assert table == pytest.approx([360.0, -360.0])
+    assert sensor == pytest.approx([360.0, -360.0], abs=0.1)
+
+
+@pytest.mark.parametrize("rest_s", [0.1, 0.3, 0.6, 1.0, 2.0])
+def test_a_rest_that_a_busy_computer_slept_through_holds_no_row_of_a_turn(rest_s: float) -> None:
+    # As it was caught in the proof of kills: of ten seconds three tenths were left, and rows of the turns stood in it.
+    turns = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + rest_s, 0.0))
+    log = recorded(turns, 40.0, burst_s=2.0, late_s=lambda number: 0.01 + 0.005 * (number % 3))
+    require_rest_in_standstills(log)
+    table, sensor = turned_deg(log, lambda rows: rows[len(rows) // 2])
+    assert table == pytest.approx([360.0, -360.0] if rest_s > 0.2 else [0.0], abs=1e-9)
+    assert sensor == pytest.approx(table, abs=0.1)
+
+
+def test_stamps_that_are_unsure_shorten_every_standstill_and_it_is_said() -> None:
+    # Up and down by half a second, for seconds at a time: no line fits.
+    log = recorded(THERE_AND_BACK, 40.0, burst_s=0.4, late_s=lambda number: 0.25 * (1.0 + math.sin(number / 8.0)))
+    require_rest_in_standstills(log)
+    assert [finding.kind for finding in log.findings if finding.kind == "late stamps"] == ["late stamps"]
+
+
+def test_datagrams_lost_whole_are_counted_with_their_rounds() -> None:
+    # 101 datagrams without a damaged byte: the counter alone shows five.
+    log = recorded(
+        THERE_AND_BACK,
+        60.0,
+        burst_s=0.5,
+        late_s=lambda number: 0.002,
+        lost=lose_101,
+    )
+    (gap,) = log.findings
+    assert (gap.kind, gap.message) == ("gap", "101 samples are missing at 1 places")
+    assert log.stretch_starts.tolist()[1:] == [int(np.argmax(np.diff(log.time_s))) + 1]
+    assert np.diff(log.time_s).max() == pytest.approx(102 * 0.008)
+    require_rest_in_standstills(log)
+
+
+def test_a_gap_whose_rounds_nobody_can_tell_is_said() -> None:
+    log = recorded(
+        THERE_AND_BACK,
+        60.0,
+        burst_s=0.5,
+        late_s=lambda number: 0.002 if number < 80 else 0.05,
+        lost=lose_101,
+    )
+    kinds = {finding.kind: finding for finding in log.findings}
+    assert kinds["gap of doubtful length"].count == 1
+    assert "arrive 6.38 counter periods later" in kinds["gap of doubtful length"].message
+
+
+def test_stamps_that_come_later_from_some_place_on_are_said_and_nothing_is_counted() -> None:
+    log = recorded(THERE_AND_BACK, 60.0, burst_s=0.5, late_s=lambda number: 0.002 if number < 80 else 0.14)
+    assert [finding.kind for finding in log.findings] == ["stamps that come later"]
+    assert np.diff(log.time_s).max() == pytest.approx(0.008)
+
+
+@pytest.mark.parametrize("vectornav", [False, True])
+def test_a_unit_that_begins_anew_in_mid_run_splits_the_log_and_is_said(vectornav: bool) -> None:
+    turns = (*THERE_AND_BACK, Turn(60.0, 360.0), Turn(75.0, 0.0))
+    log = recorded(
+        turns, 90.0, burst_s=0.5, late_s=lambda number: 0.002, reboots_s=(48.3,), vectornav=vectornav
+    )  # fmt: skip
+    kinds = {finding.kind: finding for finding in log.findings}
+    assert kinds["unit restarted"].count == 1
+    (start,) = log.stretch_starts.tolist()[1:]
+    assert 44.0 < log.time_s[start] - log.time_s[0] < 46.0
+    assert log.host_time_s is not None
+    # Both parts lie on the computer's clock.
+    np.testing.assert_allclose(log.time_s, log.host_time_s, atol=0.01)
+    require_rest_in_standstills(log)
+    table, sensor = turned_deg(log, lambda rows: rows[len(rows) // 2])
+    assert table == pytest.approx([360.0, -360.0, 0.0, 360.0, -360.0], abs=1e-9)
+    assert sensor == pytest.approx([360.0, -360.0, 0.0, 360.0, -360.0], abs=0.1)
+
+
+# ------------------------------------------------------------------------------------------ pauses, axes and sessions
+
+
+def paused(start_s: float, end_s: float, *, stopped: bool = False) -> list[Event]:
+    """What the journal holds of a pause behind a step's end, or of one that stopped every axis at once."""
+    begin, end = START_S + start_s, START_S + end_s
+    return [
+        *([Event(begin, "stopped", {"axis": "table"})] if stopped else []),
+        Event(begin, "state", {"state": "paused"}),
+        Event(end, "state", {"state": "running"}),
+        Event(end, "seam", {"step": "turns", "why": "the run was paused before this step"}),
+        Event(end, "step begins", {"step": "turns", "number": 1, "begins_s": end, "data": True}),
+    ]
+
+
+def angles_at_rest(log: Log) -> list[float]:
+    """Of every standstill, in its order, deg."""
+    assert log.standstill is not None
+    assert log.table_course_rad is not None
+    degrees = np.degrees(log.table_course_rad[:, 0])
+    numbers = range(int(log.standstill.max()) + 1)
+    return [float(angle) for number in numbers for angle in np.unique(degrees[log.standstill == number])]
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_pause_ends_stretch_and_standstill_and_what_stood_stands_behind_it(stopped: bool) -> None:
+    # Nothing is read again behind the pause: of a table that is turned by hand the angle was typed before it.
+    pause = paused(45.0, 55.0, stopped=stopped)
+    log = recorded(THERE_AND_BACK, 70.0, burst_s=0.5, late_s=lambda number: 0.002, happened=pause)
+    assert log.host_time_s is not None
+    assert log.standstill is not None
+    (start,) = log.stretch_starts.tolist()[1:]
+    edges = log.host_time_s[[start - 1, start]] - START_S
+    np.testing.assert_allclose(edges, [45.0, 55.0], atol=0.01)
+    before, behind = log.standstill[start - 100], log.standstill[start + 100]
+    assert (before, behind) == (2, 3)
+    assert angles_at_rest(log) == pytest.approx([0.0, 360.0, 0.0, 0.0])
+    assert np.count_nonzero(log.standstill == behind) > 14.0 * 125.0
+
+
+def test_an_interlock_ends_stretch_and_standstill() -> None:
+    told = [Event(START_S + 44.0, "interlock", {"rule": "stale unit", "action": "pause", "text": "no bytes"})]
+    pause = [*told, *paused(45.0, 55.0, stopped=True)]
+    log = recorded(THERE_AND_BACK, 70.0, burst_s=0.5, late_s=lambda number: 0.002, happened=pause)
+    assert log.host_time_s is not None
+    (start,) = log.stretch_starts.tolist()[1:]
+    assert log.host_time_s[start - 1] == pytest.approx(START_S + 44.0, abs=0.01)
+
+
+@pytest.mark.parametrize("place", ["before", "behind"])
+def test_an_axis_that_nobody_turns_or_reads_changes_nothing(place: str) -> None:
+    plain = recorded(THERE_AND_BACK, 40.0, burst_s=0.5, late_s=lambda number: 0.002)
+    lines = TEMPLATE.splitlines()
+    start = lines.index("# [[axis]]")
+    by_hand = "\n".join(line.removeprefix("# ") for line in lines[start : start + 7]) + "\n"
+    table = TEMPLATE.index("[[axis]]  ")
+    rig = TEMPLATE[:table] + by_hand + TEMPLATE[table:] if place == "before" else TEMPLATE + by_hand
+    log = recorded(THERE_AND_BACK, 40.0, burst_s=0.5, late_s=lambda number: 0.002, rig=rig)
+    assert log.standstill is not None
+    assert plain.standstill is not None
+    np.testing.assert_array_equal(log.standstill, plain.standstill)
+    assert angles_at_rest(log) == pytest.approx([0.0, 360.0, 0.0])
+    assert log.table_axes == ("table",)
+    # With one axis here and there its name is the recipe's.
+    assert plain.table_axes == ("x",)
+
+
+DAY_S = 86400.0
+
+
+@pytest.mark.parametrize(
+    ("began_s", "again_s", "later_s", "simulated", "apart_s"),
+    [
+        # The computer was up for ten days, went off, and was switched on after eight hours.
+        (10.0 * DAY_S, 300.0, DAY_S / 3.0, False, DAY_S / 3.0),
+        # It had just been switched on; two days later it has been up for longer than then.
+        (100.0, 5000.0, 2.0 * DAY_S, False, 2.0 * DAY_S),
+        # It was never off, and its clock on the wall was set.
+        (100.0, 5000.0, 4893.0, False, 4900.0),
+        (5000.0, 9000.0, -DAY_S, False, 4000.0),
+        # Switched on anew with a clock on the wall that knows nothing: data ended 30 s after the session began, and
+        # they begin again 4 s after the next one did.
+        (5000.0, 300.0, -DAY_S, False, 30.0 + 60.0 - 4.0),
+        # Simulated devices go on a minute later whenever somebody says so.
+        (100.0, 190.0, DAY_S, True, 90.0),
+    ],
+)
+def test_how_much_later_a_run_went_on(
+    began_s: float, again_s: float, later_s: float, simulated: bool, apart_s: float
+) -> None:
+    said: dict[str, Any] = {"burst_s": 0.5, "late_s": lambda number: 0.002}
+    first = Session(began_s, 1.7e9, simulated=simulated)
+    second = Session(again_s, 1.7e9 + later_s, 1, simulated=simulated)
+    third = Session(again_s + 600.0, 1.7e9 + later_s + 600.0, 2, simulated=simulated)
+    records = [record for told in (first, second, third) for record in session(told, (), 30.0, **said)]
+    log = log_of(JournalContents(records), short_recipe(), parse_rig(TEMPLATE))
+    assert log.host_time_s is not None
+    begins = log.host_time_s[log.stretch_starts] - log.host_time_s[0]
+    np.testing.assert_allclose(begins, [0.0, apart_s, apart_s + 600.0], atol=0.01)
+    np.testing.assert_allclose(log.time_s, log.host_time_s, atol=0.01)
+    assert log.provenance["clock_from_row"].split(", ") == [str(row) for row in log.stretch_starts]
+
+
+def test_a_unit_of_a_fast_clock_that_begins_anew_goes_on_where_the_computer_says() -> None:
+    # Its clock is ahead by more than it needs to begin anew.
+    told = Session(START_S, clock_error=5e-3)
+    seam = Event(START_S + 1.0, "seam", {"step": "turns", "why": "the run was resumed; the step begins again"})
+    records = [
+        *session(told, (), 500.0, burst_s=0.5, late_s=lambda number: 0.002, reboots_s=(480.3,)),
+        Event(START_S + 600.0, "session", {"number": 1, "simulated": False, "wall_clock_s": 600.0}),
+        Event(START_S + 601.0, seam.name, seam.data),
+    ]
+    records.insert(1, seam)
+    log = log_of(JournalContents(records), short_recipe(), parse_rig(TEMPLATE))
+    assert log.host_time_s is not None
+    (start,) = log.stretch_starts.tolist()[1:]
+    by_host = float(log.host_time_s[start] - log.host_time_s[start - 1])
+    assert 0.0 < by_host < 2.0
+    assert log.time_s[start] - log.time_s[start - 1] == pytest.approx(by_host, abs=1e-6)
+    # One seam a session, also of the session that gave no data, however many parts there are of it.
+    assert (log.provenance["sessions"], log.provenance["seams"]) == ("2", "2")

@@ -1,0 +1,208 @@
+"""Kinds of recordings that people have: stamps in bursts, units in headers, marks of thousands, coarse thermometers,
+spikes and dead bands. Each with its truth: white noise of a known angle random walk, or a question that names the kind.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gradcal_jax import identify
+from gradcal_jax.identify.instability import at_rest
+from gradcal_jax.records.column_guess import contradiction
+from gradcal_jax.records.importers import import_log, parse_column_map
+from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.units import DEG_PER_SQRT_H
+
+N = 0.3  # deg/sqrt(h)
+HEAD = 'format = "gradcal-columns/1"\n'
+MAP = HEAD + 'time = { column = "t", unit = "s" }\nrate.x = { column = "gx", unit = "deg/s" }\n'
+
+
+def noise(rows: int, hz: float, seed: int = 1) -> np.ndarray:
+    """deg/s, of a bias of 0.02 deg/s."""
+    return 0.02 + np.random.default_rng(seed).standard_normal(rows) * N / 60.0 * np.sqrt(hz)
+
+
+def imported(folder: Path, time: np.ndarray, rate: np.ndarray, text: str = MAP, digits: int = 6) -> Log:
+    rows = "".join(f"{t:.9g},{v:.{digits}f}\n" for t, v in zip(time, rate, strict=True))
+    (folder / "record.csv").write_text("t,gx\n" + rows, encoding="utf-8")
+    return import_log(folder / "record.csv", parse_column_map(text))
+
+
+def walk(log: Log) -> float:
+    """N of the first axis, deg/sqrt(h)."""
+    rest = at_rest(log)
+    fit = identify.fit_allan(identify.overlapping_allan(rest.rate, rest.sample_interval_s, valid=rest.valid))
+    return fit.angle_random_walk.value * DEG_PER_SQRT_H
+
+
+def kinds(log: Log) -> list[str]:
+    return [finding.kind for finding in log.findings]
+
+
+BURSTS = {
+    "twenty from a queue": lambda k: (k // 20) * 0.1 + (k % 20) * 1e-4,
+    "pairs": lambda k: (k // 2) * 0.01 + (k % 2) * 2e-4,
+    "threes": lambda k: (k // 3) * 0.015 + (k % 3) * 1e-3,
+    "a queue read at unlike times": lambda k: (
+        (k // 20) * 0.1 + (k % 20) * 1e-4 + 0.01 * np.random.default_rng(4).random(len(k) // 20 + 1)[k // 20]
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", BURSTS)
+def test_stamps_in_bursts_are_of_an_even_clock(kind: str, tmp_path: Path):
+    k = np.arange(40_000)
+    log = imported(tmp_path, BURSTS[kind](k), noise(len(k), 200.0))
+    assert kinds(log) == ["uneven stamps"]
+    assert len(log.stretch_starts) == 1
+    assert log.sample_interval_s == pytest.approx(0.005, rel=1e-3)
+    assert walk(log) == pytest.approx(N, rel=0.03)
+
+
+@pytest.mark.parametrize("hz", [800.0, 640.0, 300.0])
+def test_whole_milliseconds_are_no_gaps(hz: float, tmp_path: Path):
+    k = np.arange(40_000)
+    log = imported(tmp_path, np.floor(k / hz * 1000.0) / 1000.0, noise(len(k), hz))
+    assert "gap" not in kinds(log)
+    assert log.sample_interval_s == pytest.approx(1.0 / hz, rel=1e-3)
+    assert walk(log) == pytest.approx(N, rel=0.03)
+
+
+@pytest.mark.parametrize("size", [2, 10])
+@pytest.mark.parametrize("kind", ["a gap between bursts", "rows lost within bursts"])
+def test_bursts_with_losses_keep_the_rate_of_the_clock(size: int, kind: str, tmp_path: Path):
+    k = np.arange(20_000)
+    kept = np.random.default_rng(3).random(len(k)) > 0.03 if "rows" in kind else (k < 8000) | (k >= 9000)
+    time = ((k // size) * size + (k % size) * 0.02) / 200.0
+    log = imported(tmp_path, time[kept], noise(len(k), 200.0)[kept])
+    assert set(kinds(log)) == {"uneven stamps", "gap"}
+    assert log.sample_interval_s == pytest.approx(0.005, rel=1e-3)
+    assert walk(log) == pytest.approx(N, rel=0.05)
+
+
+def test_lost_rows_are_still_gaps(tmp_path: Path):
+    rng, k = np.random.default_rng(6), np.arange(40_000)
+    for kept in (rng.random(len(k)) > 0.05, ~((k > 20_000) & (k < 20_100)), k != 1234):
+        log = imported(tmp_path, k[kept] / 200.0, noise(len(k), 200.0)[kept])
+        assert kinds(log) == ["gap"]
+        assert len(log.stretch_starts) > 1
+
+
+def test_sound_stamps_are_kept_to_the_last_digit(tmp_path: Path):
+    for hz in (1.0, 50.0, 100.0, 1000.0):
+        time = np.arange(5000) / hz + 1e-5 * np.random.default_rng(2).standard_normal(5000)
+        log = imported(tmp_path, np.round(time, 8), noise(5000, hz))
+        assert not [kind for kind in kinds(log) if kind in ("gap", "uneven stamps")]
+        assert np.array_equal(log.time_s, np.array([float(f"{t:.9g}") for t in np.round(time, 8)]) - log_start(time))
+
+
+def log_start(time: np.ndarray) -> float:
+    return float(f"{np.round(time[0], 8):.9g}")
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "says"),
+    [
+        ("Gyroscope x (rad/s)", "deg/s", "rad/s"),
+        ("w_RS_S_x [rad s^-1]", "deg/s", "rad s^-1"),
+        ("gx [mdps]", "deg/s", "mdps"),
+        ("gyro_x (rad/s)", "deg/s", "rad/s"),
+        ("AngVelX [deg/sec]", "rad/s", "deg/sec"),
+        ("Linear Acceleration x (m/s^2)", "mg", "m/s^2"),
+        ("a_RS_S_x [m s^-2]", "g", "m s^-2"),
+        ("Acc_X (g)", "m/s^2", "g"),
+        ("timestamp [ns]", "us", "ns"),
+        ("Temperature (°F)", "degC", "°F"),
+        ("acc x (m/s²)", "deg/s", "m/s²"),
+    ],
+)
+def test_units_in_headers_are_compared_with_the_map(name: str, unit: str, says: str):
+    question = contradiction(name, unit)
+    assert question is not None
+    assert f"states the unit {says}, and the column map states {unit}" in question
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("Gyroscope x (rad/s)", "rad/s"),
+        ("w_RS_S_x [rad s^-1]", "rad/s"),
+        ("gx [dps]", "deg/s"),
+        ("a_RS_S_x [m s^-2]", "m/s^2"),
+        ("timestamp [ns]", "ns"),
+        ("Time (s)", "s"),
+        ("Temperature (C)", "degC"),
+        ("gx (raw)", "deg/s"),
+        ("gx (LSB)", "deg/s"),
+        ("gx [1]", "deg/s"),
+        ("gx (x axis)", "deg/s"),
+        ("rate", "deg/s"),
+    ],
+)
+def test_names_that_agree_or_say_nothing_are_not_questioned(name: str, unit: str):
+    assert contradiction(name, unit) is None
+
+
+def test_points_among_decimal_commas_are_refused(tmp_path: Path):
+    text = HEAD + 'time = { column = "zeit", unit = "s" }\nrate.x = { column = "gx", unit = "deg/s", scale = 5e-4 }\n'
+    text += '[csv]\ndelimiter = ";"\ndecimal = ","\n'
+    path = tmp_path / "record.csv"
+    path.write_text("zeit;gx\n0,00;999\n0,01;1.105\n0,02;1.074\n", encoding="utf-8")
+    with pytest.raises(
+        LogError, match=r"column 'gx' has a decimal point, although decimal.*thousands separator.*'1\.105'"
+    ):
+        import_log(path, parse_column_map(text))
+    path.write_text("zeit;gx;day\n0,00;999;1.1.\n0,01;1105,5;1.1.\n0,02;1074;1.1.\n", encoding="utf-8")
+    log = import_log(path, parse_column_map(text))
+    assert np.degrees(log.rate_rad_per_s[0, :, 0]) == pytest.approx([0.4995, 0.55275, 0.537])
+
+
+def test_the_plateau_of_a_coarse_thermometer_is_no_fault(tmp_path: Path):
+    time = np.arange(72_000) * 0.1
+    warm = 20.0 + 25.0 * (1.0 - np.exp(-time / 600.0))
+    text = MAP + 'temperature = { column = "temp", unit = "degC" }\n'
+    for spread in (0.0, 0.05):  # without noise, and with some, which dithers at the steps
+        shown = np.rint(warm + spread * np.random.default_rng(2).standard_normal(len(time)))
+        rows = zip(time, noise(len(time), 10.0), shown, strict=True)
+        body = "".join(f"{t:.2f},{v:.6f},{c:.0f}\n" for t, v, c in rows)
+        (tmp_path / "record.csv").write_text("t,gx,temp\n" + body, encoding="utf-8")
+        log = import_log(tmp_path / "record.csv", parse_column_map(text))
+        assert log.counts() == {"used": len(time)}
+
+
+def test_rare_wrong_rows_are_left_out_and_said(tmp_path: Path):
+    rate = noise(60_000, 100.0)
+    rate[::2000] += 20.0
+    rate[500:30_000:3000] = 0.02 - 15.0
+    log = imported(tmp_path, np.arange(len(rate)) / 100.0, rate)
+    rest = at_rest(log)
+    assert np.count_nonzero(~rest.valid) == 40
+    words = "40 rows (0.00067 of all) differ from their neighbours by more than 10 standard deviations"
+    assert words in rest.messages[0]
+    assert walk(log) == pytest.approx(N, rel=0.03)
+
+
+def test_sound_noise_loses_no_row(tmp_path: Path):
+    for seed in range(5):
+        log = imported(tmp_path, np.arange(20_000) / 100.0, noise(20_000, 100.0, seed))
+        assert at_rest(log).valid.all()
+        assert not at_rest(log).messages
+
+
+def test_coarse_steps_and_dead_bands_give_no_angle_random_walk(tmp_path: Path):
+    rate, step = noise(20_000, 100.0), 0.573
+    time = np.arange(len(rate)) / 100.0
+    half = np.rint((rate - 0.02 + 0.5 * step) / step) * step  # between two values
+    for values in (np.rint(rate / step) * step, half, np.where(np.abs(rate) < 0.15, 0.0, rate)):
+        with pytest.raises(LogError, match=r"dead band|coarse compared with its noise"):
+            at_rest(imported(tmp_path, time, values))
+
+
+def test_steps_that_add_to_the_noise_are_said(tmp_path: Path):
+    rate = noise(20_000, 100.0)
+    step = 0.05  # the noise
+    log = imported(tmp_path, np.arange(len(rate)) / 100.0, np.rint(rate / step) * step)
+    (said,) = at_rest(log).messages
+    assert "times its noise, and increase the measured noise" in said

@@ -1,0 +1,164 @@
+"""What the samples of a channel show by themselves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gradcal_jax.records.log import Log, Reason
+from gradcal_jax.records.signal_faults import (
+    at_a_limit,
+    coarse_steps,
+    frozen_temperature,
+    signal_faults,
+    standing_still,
+    without_faults,
+)
+
+DEG = np.pi / 180.0
+NOISE = 0.05 * DEG
+
+
+def turning(rows: int = 6000, peak: float = 200.0, seed: int = 1) -> np.ndarray:
+    """A gyro that turns to and fro, with rests, rad/s."""
+    cycle = np.concatenate([np.zeros(400), np.linspace(0, 1, 50), np.ones(300), np.linspace(1, 0, 50), np.zeros(400)])
+    course = np.concatenate([cycle, -cycle])
+    count = -(-rows // len(course))
+    return np.tile(course, count)[:rows] * peak * DEG + NOISE * np.random.default_rng(seed).standard_normal(rows)
+
+
+def log_of(rate: np.ndarray, temperature: np.ndarray | None = None) -> Log:
+    still = np.abs(np.convolve(rate, np.ones(5) / 5, "same")) < 1.0 * DEG
+    number = np.where(still, np.cumsum(np.diff(still, prepend=False) & still) - 1, -1)
+    return Log(
+        np.arange(len(rate)) * 0.02,
+        rate[None, :, None],
+        ("A",),
+        ("x",),
+        None if temperature is None else temperature[None],
+        standstill=number,
+    )
+
+
+@pytest.mark.parametrize("step", [0.0, 0.3 * NOISE, 1.0 * NOISE, 1.4 * NOISE])
+def test_a_sound_channel_shows_nothing(step: float):
+    rate = turning()
+    values = rate if step == 0.0 else np.rint(rate / step) * step
+    assert not at_a_limit(values).any()
+    assert not standing_still(values).any()
+    assert coarse_steps(values).off == 0.0
+
+
+def test_a_clipped_channel_is_seen_also_where_noise_only_touches_the_limit():
+    rate, limit = turning(), 200.0 * DEG + 0.5 * NOISE
+    rows = at_a_limit(np.minimum(rate, limit))
+    assert rows.any()
+    assert np.array_equal(rows, rate >= limit)
+    both = at_a_limit(np.clip(rate, -150.0 * DEG, 150.0 * DEG))
+    assert np.array_equal(both, np.abs(rate) >= 150.0 * DEG)
+
+
+def test_whole_moves_with_saturated_rows_are_masked():
+    log = log_of(np.minimum(turning(), 200.0 * DEG + 0.5 * NOISE))
+    cleaned, found = without_faults(log)
+    assert log.standstill is not None
+    forwards = (log.standstill < 0) & (log.rate_rad_per_s[0, :, 0] > 10.0 * DEG)
+    assert np.all(cleaned.usable()[log.standstill >= 0])
+    assert not cleaned.usable()[forwards].any()
+    assert cleaned.counts()["saturated"] > np.count_nonzero(at_a_limit(log.rate_rad_per_s[0, :, 0]))
+    assert "gyro x is saturated" in found["A"].sentences[0]
+    assert "200" in found["A"].sentences[0]
+
+
+def test_values_that_stand_still_are_masked_and_named():
+    rate = turning()
+    rate[1000:1200] = rate[1000]
+    cleaned, found = without_faults(log_of(rate))
+    assert np.array_equal(np.flatnonzero(~cleaned.usable()), np.arange(1000, 1200))
+    assert cleaned.status is not None
+    assert cleaned.status[0, 1100] == Reason.FROZEN_VALUES
+    assert found["A"].sentences == (
+        "frozen: gyro x from 20 to 23.98 s (the value is constant there, but not in the rest of the record): 200 rows "
+        "are left out",
+    )
+
+
+def test_a_sample_that_is_read_several_times_is_neither_frozen_nor_coarse():
+    rate = np.repeat(turning(3000), 8)
+    assert not standing_still(rate).any()
+    assert coarse_steps(rate).off == 0.0
+
+
+@pytest.mark.parametrize(("ratio", "off"), [(20.0, 0.5), (3.0, None)])
+def test_coarse_steps_are_the_fault_and_nothing_else(ratio: float, off: float | None):
+    step = ratio * NOISE
+    values = np.rint(turning() / step) * step
+    seen = coarse_steps(values)
+    assert seen.step == pytest.approx(step)
+    assert seen.off > 0.02 * step
+    assert off is None or seen.off == pytest.approx(off * step)
+    faults = signal_faults(log_of(values))
+    assert not faults.saturated.any()
+    assert not faults.frozen.any()
+    assert list(faults.coarse) == ["coarse steps of gyro x"]
+
+
+def test_how_far_rounding_may_be_off():
+    """The mean of rounded values against the formula, where it is largest: a quarter of a step beside a value."""
+    rng, step = np.random.default_rng(5), 1.0
+    noise = 0.3
+    values = np.rint(0.25 + noise * rng.standard_normal(200_000))
+    worst = float(values.mean()) - 0.25
+    assert abs(worst) == pytest.approx(np.exp(-2 * np.pi**2 * noise**2) / np.pi, rel=0.15)
+    assert abs(worst) * step < coarse_steps(values[:20_000]).off < 3.0 * abs(worst) * step
+
+
+def test_a_frozen_thermometer_is_forgotten_and_a_coarse_or_constant_one_is_not():
+    rate = turning(60_000)
+    time = np.arange(len(rate)) * 0.02
+    smooth = 20.0 + time / 60.0 + 0.01 * np.random.default_rng(3).standard_normal(len(rate))
+    frozen = smooth.copy()
+    frozen[20_000:40_000] = frozen[20_000]
+    cleaned, found = without_faults(log_of(rate, frozen))
+    assert cleaned.temperature_c is not None
+    assert np.array_equal(np.isnan(cleaned.temperature_c[0]), found["A"].frozen_temperature)
+    assert np.count_nonzero(~cleaned.usable()) == 20_000
+    assert "frozen: the thermometer from 400 to 799.98 s" in found["A"].sentences[0]
+    for other in (np.rint(smooth / 2.0) * 2.0, np.full(len(rate), 20.0)):
+        cleaned, found = without_faults(log_of(rate, other))
+        assert cleaned.usable().all()
+        assert not found["A"].sentences
+    assert not frozen_temperature(time, smooth, np.zeros(1, np.int64)).any()
+
+
+def test_masked_rows_are_not_judged():
+    rate = turning()
+    rate[1000:1200] = rate[1000]
+    log = log_of(rate)
+    status = np.zeros((1, len(rate)), np.uint16)
+    status[0, 1000:1200] = Reason.MARKED
+    cleaned, found = without_faults(replace(log, status=status))
+    assert not found["A"].sentences
+    assert cleaned.counts() == {"used": len(rate) - 200, "marked": 200}
+
+
+def test_gaps_begin_new_stretches_and_single_lost_rows_do_not():
+    log = log_of(turning())
+    kept = np.ones(len(log.time_s), bool)
+    kept[[1000, 1500, 3000]] = False
+    kept[2000:2100] = False
+    assert log.standstill is not None
+    thin = replace(
+        log,
+        time_s=log.time_s[kept],
+        rate_rad_per_s=log.rate_rad_per_s[:, kept],
+        standstill=log.standstill[kept],
+        rows_read=-1,
+    )
+    cleaned, found = without_faults(thin)
+    assert cleaned.stretch_starts.tolist() == [0, 1998]
+    assert found["A"].sentences == (
+        "1 gap with about 100 samples lost, the longest 2.02 s, the first at 39.98 s: "
+        "moves during the gaps are left out",
+    )
+    assert without_faults(cleaned)[0].stretch_starts.tolist() == [0, 1998]

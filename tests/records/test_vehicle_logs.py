@@ -1,0 +1,350 @@
+"""Logs of vehicles and robots: equal to their libraries' own export; what is known of each source; refusals."""
+
+import csv
+import json
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from vehicle_samples import bag, dataflash, imu_rows, mcap, ros_messages, sensor_gyro, sensor_gyro_fifo, ulog
+
+from gradcal_jax.cli import main
+from gradcal_jax.records.importers import import_log, parse_column_map
+from gradcal_jax.records.log import LogError
+from gradcal_jax.records.vehicle import read_vehicle_log
+
+ROWS = 500
+RNG = np.random.default_rng(3)
+# Few binary digits: what a library prints with eight decimal ones is exact.
+RATE = (np.rint(RNG.standard_normal((ROWS, 3)) * 10 + 20) * 2.0**-7).astype(np.float32)
+STAMPS_US = 5_000_000 + 1000 * np.arange(ROWS, dtype=np.int64)
+TEMPERATURE = (30 + np.arange(ROWS) // 16 / 4).astype(np.float32)
+MAP = """format = "gradcal-columns/1"
+time = {{ column = "{time}", unit = "{unit}" }}
+temperature = {{ column = "{temperature}", unit = "degC" }}
+rate.x = {{ column = "{x}", unit = "rad/s" }}
+rate.y = {{ column = "{y}", unit = "rad/s" }}
+rate.z = {{ column = "{z}", unit = "rad/s" }}
+"""
+
+
+def assert_as_exported(log, exported, text, unit=0):
+    """Equal to the same record by the library's own export to CSV and a column map, to 1e-12."""
+    by_table = import_log(exported, parse_column_map(text))
+    np.testing.assert_allclose(log.rate_rad_per_s[unit], by_table.rate_rad_per_s[0], rtol=1e-12, atol=0)
+    np.testing.assert_allclose(log.time_s - log.time_s[0], by_table.time_s, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(log.temperature_c[unit], by_table.temperature_c[0], rtol=1e-12)
+
+
+def test_a_ulog_is_what_pyulog_exports(tmp_path):
+    from pyulog.ulog2csv import convert_ulog2csv
+
+    path = ulog(tmp_path / "a.ulg", ("sensor_gyro", 0, sensor_gyro(STAMPS_US, RATE, TEMPERATURE, 3670026)))
+    log = read_vehicle_log(path)
+    assert log.units == ("3670026",)
+    assert log.axes == ("x", "y", "z")
+    assert log.counts() == {"used": ROWS}
+    convert_ulog2csv(str(path), None, str(tmp_path), ",", None, None)
+    names = {"time": "timestamp_sample", "unit": "us", "temperature": "temperature", "x": "x", "y": "y", "z": "z"}
+    assert_as_exported(log, tmp_path / "a_sensor_gyro_0.csv", MAP.format(**names))
+
+
+def test_gyros_of_one_ulog_are_units_by_device_id(tmp_path):
+    """Of equal stamps in one log; of a clock of its own, named, and to be had by its name."""
+    path = ulog(
+        tmp_path / "a.ulg",
+        ("sensor_gyro", 0, sensor_gyro(STAMPS_US, RATE, TEMPERATURE, 11)),
+        ("sensor_gyro", 1, sensor_gyro(STAMPS_US, 2 * RATE, TEMPERATURE, 12)),
+        ("sensor_gyro", 2, sensor_gyro(STAMPS_US[::2] + 37, 3 * RATE[::2], np.full(ROWS // 2, np.nan), 13)),
+    )
+    log = read_vehicle_log(path)
+    assert log.units == ("11", "12")
+    np.testing.assert_array_equal(log.rate_rad_per_s[1], 2 * log.rate_rad_per_s[0])
+    assert any("13" in finding.message and "--unit" in finding.message for finding in log.findings)
+    other = read_vehicle_log(path, unit="13")
+    assert other.units == ("13",)
+    assert other.temperature_c is None
+    assert len(other.time_s) == ROWS // 2
+    with pytest.raises(LogError, match="no IMU '14' in this log; it has 11, 12, 13"):
+        read_vehicle_log(path, unit="14")
+
+
+def test_a_fifo_is_unrolled_and_takes_the_temperature_of_its_device(tmp_path):
+    """Eight samples of 125 µs in a message, the last one at its stamp."""
+    counts = RNG.integers(-500, 500, (ROWS, 3, 32))
+    single = sensor_gyro(STAMPS_US[::10], RATE[::10], TEMPERATURE[::10], 7)
+    fifo = sensor_gyro_fifo(STAMPS_US, counts, 8, 125.0, 2.0**-12, 7)
+    log = read_vehicle_log(ulog(tmp_path / "a.ulg", ("sensor_gyro", 0, single), ("sensor_gyro_fifo", 0, fifo)))
+    assert log.units == ("7",)
+    assert len(log.time_s) == 8 * ROWS
+    np.testing.assert_allclose(np.diff(log.time_s), 125e-6, rtol=1e-6)
+    np.testing.assert_allclose(log.time_s[7] - (STAMPS_US[0] - 1_000_000) * 1e-6, 0, atol=1e-9)
+    expected = counts[:, :, :8].transpose(0, 2, 1).reshape(-1, 3) * 2.0**-12
+    np.testing.assert_allclose(log.rate_rad_per_s[0], expected, rtol=1e-12)
+    inside = log.time_s < (STAMPS_US[::10][-1] - 1_000_000) * 1e-6
+    np.testing.assert_allclose(
+        log.temperature_c[0, inside],
+        np.interp(log.time_s[inside], (STAMPS_US[::10] - 1_000_000) * 1e-6, TEMPERATURE[::10]),
+        rtol=1e-12,
+    )
+
+
+def test_sensor_combined_is_refused(tmp_path):
+    rows = sensor_gyro(STAMPS_US, RATE, TEMPERATURE, 1)
+    with pytest.raises(
+        LogError, match="from which calibration and bias are already subtracted: make PX4 log sensor_gyro"
+    ):
+        read_vehicle_log(ulog(tmp_path / "a.ulg", ("sensor_combined", 0, rows)))
+
+
+PARAMETERS = {
+    "AHRS_ORIENTATION": 0.0, "INS_GYROFFS_X": 0.01, "INS_GYROFFS_Y": -0.02, "INS_GYROFFS_Z": 0.003,
+    "INS_GYR2OFFS_X": 0.5, "INS_TCAL1_ENABLE": 1.0, "INS_TCAL2_ENABLE": 2.0, "INS_TCAL1_TMIN": 31.0,
+    "INS_TCAL1_TMAX": 36.5, "INS_GYR1_CALTEMP": 33.0, "INS_TCAL1_GYR1_X": 50.0, "INS_TCAL1_GYR2_X": -7.0,
+    "INS_TCAL1_GYR3_X": 1.5, "INS_TCAL1_GYR1_Z": 20.0,
+}  # fmt: skip
+
+
+def thermal(axis, temperature):
+    """AP_InertialSensor_tempcal's polynomial, per parameter file."""
+    clamped = min(max(temperature, 31.0), 36.5) - 35.0
+    coefficients = [PARAMETERS.get(f"INS_TCAL1_GYR{k}_{axis}", 0.0) for k in (1, 2, 3)]
+    return sum(1e-6 * c * clamped**k for k, c in zip((1, 2, 3), coefficients, strict=True))
+
+
+def test_what_ardupilot_took_off_is_put_back(tmp_path):
+    """Simulated in ArduPilot's own order: thermal, offset; IMU1 is learning, its thermal part is not applied."""
+    raw = RATE.astype(float) * 4
+    logged = raw.copy()
+    for row in range(ROWS):
+        for axis, letter in enumerate("XYZ"):
+            logged[row, axis] += thermal(letter, 33.0) - thermal(letter, float(TEMPERATURE[row]))
+            logged[row, axis] -= PARAMETERS[f"INS_GYROFFS_{letter}"]
+    second = raw - [0.5, 0, 0]
+    rows = np.concatenate([imu_rows(STAMPS_US, 0, logged, TEMPERATURE), imu_rows(STAMPS_US, 1, second, TEMPERATURE)])
+    log = read_vehicle_log(dataflash(tmp_path / "a.bin", rows, PARAMETERS))
+    assert log.units == ("IMU0", "IMU1")
+    np.testing.assert_allclose(log.rate_rad_per_s[0], raw, atol=5e-7)  # float32 in the log
+    np.testing.assert_allclose(log.rate_rad_per_s[1], raw, atol=5e-7)
+    assert any("offsets and thermal calibration have been removed" in f.message for f in log.findings)
+
+
+def test_offsets_that_change_in_the_log_and_a_turned_board(tmp_path):
+    """Yaw 90 (2): what the sensor shows about x, the vehicle has about y. The offset changes half-way."""
+    half = int(STAMPS_US[ROWS // 2])
+    changes = [(0, "AHRS_ORIENTATION", 2.0), (0, "INS_GYROFFS_X", 0.25), (half, "INS_GYROFFS_X", 0.125)]
+    sensor = RATE.astype(float)
+    offset = np.where(half > STAMPS_US, 0.25, 0.125)
+    corrected = sensor - np.stack([offset, 0 * offset, 0 * offset], axis=1)
+    vehicle = np.stack([-corrected[:, 1], corrected[:, 0], corrected[:, 2]], axis=1)
+    log = read_vehicle_log(dataflash(tmp_path / "a.bin", imu_rows(STAMPS_US, 0, vehicle, TEMPERATURE), changes))
+    np.testing.assert_allclose(log.rate_rad_per_s[0], sensor, atol=5e-7)
+
+
+def test_a_dataflash_log_is_what_pymavlink_exports(tmp_path):
+    path = dataflash(tmp_path / "a.bin", imu_rows(STAMPS_US, 0, RATE, TEMPERATURE), {"AHRS_ORIENTATION": 0.0})
+    log = read_vehicle_log(path)
+    from pymavlink.DFReader import DFReader_binary
+
+    reader = DFReader_binary(str(path))
+    with (tmp_path / "a.csv").open("w", newline="", encoding="utf-8") as opened:
+        writer = csv.writer(opened)
+        names = ["TimeUS", "GyrX", "GyrY", "GyrZ", "T"]
+        writer.writerow(names)
+        while (message := reader.recv_match(type="IMU")) is not None:
+            writer.writerow([repr(message.to_dict()[name]) for name in names])
+    reader.close()
+    names = {"time": "TimeUS", "unit": "us", "temperature": "T", "x": "GyrX", "y": "GyrY", "z": "GyrZ"}
+    assert_as_exported(log, tmp_path / "a.csv", MAP.format(**names))
+
+
+def test_ardupilots_imu_without_parameters_is_refused(tmp_path):
+    path = tmp_path / "a.bin"
+    dataflash(path, imu_rows(STAMPS_US, 0, RATE, TEMPERATURE), {})
+    with pytest.raises(LogError, match="no parameters"):
+        read_vehicle_log(path)
+
+
+START_NS = 1_700_000_000_000_000_000
+STAMPS_NS = START_NS + 1_000_000 * np.arange(ROWS, dtype=np.int64)
+
+
+def thermometer(own_clock_ns):
+    """Ten readings over the record: (by the receiver's clock, by the thermometer's own)."""
+    ns = START_NS + 50_000_000 * np.arange(11, dtype=np.int64)
+    return [(int(t) + 2_000_000, int(t) + own_clock_ns) for t in ns], 20 + np.arange(11) / 4
+
+
+@pytest.mark.parametrize("ros1", [False, True])
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+@pytest.mark.parametrize("own_clock_ns", [0, -1_600_000_000_000_000_000])
+def test_a_bag_is_what_rosbags_reads(tmp_path, kind, ros1, own_clock_ns):
+    """Temperatures from a second topic, be its clock the IMU's or one that counts from another zero."""
+    from rosbags.typesys import Stores, get_typestore
+
+    messages = list(ros_messages(STAMPS_NS, RATE, *thermometer(own_clock_ns), ros1=ros1))
+    if kind == "mcap":
+        path = mcap(tmp_path / "a.mcap", messages, ros1=ros1)
+    else:
+        path = bag(tmp_path / ("a.bag" if ros1 else "a"), messages, ros1=ros1)
+    log = read_vehicle_log(path)
+    assert log.units == ("/imu/data_raw",)
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+    with (tmp_path / "a.csv").open("w", newline="", encoding="utf-8") as opened:
+        writer = csv.writer(opened)
+        writer.writerow(["t", "x", "y", "z", "temp"])
+        for topic, name, _, content in messages:
+            if topic == "/imu/data_raw":
+                found = read(content, name)
+                w, stamp = found.angular_velocity, found.header.stamp
+                seconds = (stamp.sec * 10**9 + stamp.nanosec - START_NS) / 1e9
+                writer.writerow([*map(repr, (seconds, w.x, w.y, w.z)), 20 + min(seconds, 0.5) / 0.05 / 4])
+    names = {"time": "t", "unit": "s", "temperature": "temp", "x": "x", "y": "y", "z": "z"}
+    by_table = import_log(tmp_path / "a.csv", parse_column_map(MAP.format(**names)))
+    np.testing.assert_allclose(log.rate_rad_per_s, by_table.rate_rad_per_s, rtol=1e-12)
+    np.testing.assert_allclose(log.time_s, by_table.time_s, atol=1e-12)
+    np.testing.assert_allclose(log.temperature_c, by_table.temperature_c, atol=1e-6)
+    assert any("does not state" in finding.message for finding in log.findings)
+
+
+def test_bags_without_temperature_gaps_and_resets(tmp_path):
+    messages = [m for m in ros_messages(STAMPS_NS, RATE, [], []) if not 100 <= (m[2] - START_NS) // 1_000_000 < 150]
+    log = read_vehicle_log(mcap(tmp_path / "a.mcap", messages))
+    assert log.temperature_c is None
+    assert [finding.kind for finding in log.findings if finding.count] == ["gap"]
+    stamps = STAMPS_NS.copy()
+    stamps[300:] -= 290_000_000  # the driver started again
+    with pytest.raises(LogError, match="steps back at row 300"):
+        read_vehicle_log(mcap(tmp_path / "b.mcap", ros_messages(stamps, RATE, [], [])))
+    part = read_vehicle_log(tmp_path / "b.mcap", rows=(0, 300))
+    assert part.counts() == {"used": 300, "left out": ROWS - 300}
+
+
+def test_mavlink_is_refused_with_why(tmp_path):
+    (tmp_path / "a.tlog").write_bytes(b"\xfd" * 100)
+    with pytest.raises(LogError, match="HIGHRES_IMU"):
+        read_vehicle_log(tmp_path / "a.tlog")
+    messages = [("/mavros/imu/data", *m[1:]) for m in ros_messages(STAMPS_NS, RATE, [], [])]
+    with pytest.raises(LogError, match="comes from MAVLink"):
+        read_vehicle_log(mcap(tmp_path / "a.mcap", messages))
+
+
+def test_a_thermometer_that_steps_by_a_degree_is_named(tmp_path):
+    rows = sensor_gyro(STAMPS_US, RATE, np.rint(TEMPERATURE), 5)
+    log = read_vehicle_log(ulog(tmp_path / "a.ulg", ("sensor_gyro", 0, rows)))
+    assert any("steps of 1 degC" in finding.message for finding in log.findings)
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "ending"),
+    [
+        ("pyulog", "pyulog", "ulg"),
+        ("pymavlink", "pymavlink", "bin"),
+        ("rosbags", "rosbags", "bag"),
+        ("mcap", "mcap", "mcap"),
+    ],
+)
+def test_without_the_extra_a_sentence_names_it(tmp_path, name, package, ending):
+    path = tmp_path / f"a.{ending}"
+    path.write_bytes(b"anything")
+    script = f"""
+import sys
+sys.modules[{name!r}] = None
+from gradcal_jax.cli import main
+sys.exit(main(["allan", {str(path)!r}]))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert f'needs the package {package}, of the extra "logs": pip install "gradcal_jax[logs]"' in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@given(
+    ending=st.sampled_from(["ulg", "bin", "bag", "mcap", "db3"]), content=st.binary(max_size=300), cut=st.integers(0)
+)
+@settings(max_examples=100, deadline=None)
+def test_arbitrary_bytes_are_a_sentence(tmp_path_factory, ending, content, cut):
+    path = tmp_path_factory.mktemp("bytes") / f"a.{ending}"
+    path.write_bytes(content)
+    with pytest.raises(LogError):
+        read_vehicle_log(path)
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sound")
+    ulog(folder / "a.ulg", ("sensor_gyro", 0, sensor_gyro(STAMPS_US[:40], RATE[:40], TEMPERATURE[:40], 3)))
+    dataflash(folder / "a.bin", imu_rows(STAMPS_US[:40], 0, RATE[:40], TEMPERATURE[:40]), {"INS_GYROFFS_X": 0.1})
+    mcap(folder / "a.mcap", ros_messages(STAMPS_NS[:40], RATE[:40], *thermometer(0)))
+    return {ending: (folder / f"a.{ending}").read_bytes() for ending in ("ulg", "bin", "mcap")}
+
+
+@given(
+    ending=st.sampled_from(["ulg", "bin", "mcap"]),
+    at=st.integers(0, 10**6),
+    value=st.integers(0, 255),
+    cut=st.booleans(),
+)
+@settings(max_examples=150, deadline=None)
+def test_damaged_logs_give_a_log_or_a_sentence(tmp_path_factory, sound, ending, at, value, cut):
+    content = bytearray(sound[ending])
+    at %= len(content)
+    content[at] = value
+    path = tmp_path_factory.mktemp("damaged") / f"a.{ending}"
+    path.write_bytes(bytes(content[:at] if cut else content))
+    try:
+        log = read_vehicle_log(path)
+    except LogError:
+        return
+    assert sum(log.counts().values()) == log.rows_read
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("ending", ["ulg", "bin", "mcap"])
+def test_an_hour_at_a_kilohertz_takes_in_proportion_to_six_minutes(tmp_path, ending):
+    """Processor time of ten times as many rows: some ten times as much, and never with their square."""
+    took = [_time_to_read(tmp_path / f"{rows}.{ending}", rows) for rows in (360_000, 3_600_000)]
+    print(f"{ending}: {took[0]:.1f} s and {took[1]:.1f} s")
+    assert took[1] < 30.0 * took[0]
+
+
+def _time_to_read(path, rows):
+    stamps = 1000 * np.arange(rows, dtype=np.int64)
+    rate = (np.random.default_rng(0).standard_normal((rows, 3)) * 1e-3).astype(np.float32)
+    temperature = (30 + stamps * 1e-9).astype(np.float32)
+    if path.suffix == ".ulg":
+        ulog(path, ("sensor_gyro", 0, sensor_gyro(stamps + 10**6, rate, temperature, 1)))
+    elif path.suffix == ".bin":
+        dataflash(path, imu_rows(stamps, 0, rate, temperature), {"INS_GYROFFS_X": 0.1})
+    else:
+        ((topic, kind, _, content),) = ros_messages([START_NS], rate[:1], [], [])
+        mcap(path, ((topic, kind, START_NS + int(us) * 1000, _stamped(content, int(us))) for us in stamps))
+    began = time.process_time()  # other processes do not count
+    log = read_vehicle_log(path)
+    took = time.process_time() - began
+    assert log.counts()["used"] == rows
+    return took
+
+
+def _stamped(content, us):
+    ns = START_NS + us * 1000
+    return content[:4] + np.array([ns // 10**9, ns % 10**9], "<u4").tobytes() + content[12:]
+
+
+def test_the_commands_take_them_as_they_are(tmp_path, capsys):
+    """`gradcal allan flight.ulg` and `gradcal instability flight.ulg`, without a map."""
+    rows = 20_000
+    stamps = 1_000_000 + 1000 * np.arange(rows)
+    rate = 1e-3 * np.random.default_rng(2).standard_normal((rows, 3))
+    path = ulog(tmp_path / "flight.ulg", ("sensor_gyro", 0, sensor_gyro(stamps, rate, 30.0 + stamps * 1e-9, 9)))
+    assert main(["allan", str(path), "--axis", "x", "--to", "15 s", "--json"]) == 0
+    (channel,) = json.loads(capsys.readouterr().out)["channels"]
+    found = channel["coefficients"]["angle_random_walk_deg_per_sqrt_h"]
+    assert found["value"] == pytest.approx(np.degrees(1e-3 * np.sqrt(1e-3)) * 60, abs=4 * found["standard_error"])
+    assert main(["instability", str(path), "--axis", "y", "--longest", "2 s", "--delta", "1 s"]) == 1
+    assert "IMU 9" in capsys.readouterr().out

@@ -1,0 +1,138 @@
+"""What a spec leaves out is listed with what is typical of its class, and no term twice, none that is named."""
+
+import tomllib
+
+import pytest
+
+import gradcal_jax as gj
+from gradcal_jax.spec.absent import (
+    EARTH,
+    _table,
+    absent_terms,
+    grades,
+    sensor_grade,
+    table_grade,
+    terms_of,
+    with_typical,
+)
+from gradcal_jax.spec.changes import tables_of
+from gradcal_jax.spec.spec import spec_of
+
+BARE = gj.presets.text("consumer-mems")
+
+
+def spec_without(*keys):
+    return gj.changed(gj.parse_spec(BARE), dict.fromkeys(keys))
+
+
+def keys(spec):
+    return [term.key for term in absent_terms(spec)]
+
+
+def test_every_term_that_is_taken_out_is_listed_and_every_one_that_is_named_is_not():
+    whole = keys(gj.parse_spec(BARE))
+    for key in (
+        "sensor.sample_clock_error", "sensor.thermal_lag", "sensor.gyro.drift",
+        "rig.table.axis[0].angle.standstill_offset",
+    ):  # fmt: skip
+        assert key not in whole
+        assert set(keys(spec_without(key))) == {*whole, key}
+
+
+def test_zero_and_an_empty_list_are_named_terms():
+    spec = gj.changed(gj.parse_spec(BARE), {"sensor.sample_clock_error": "0 ppm", "sensor.drift": []})
+    assert not {"sensor.sample_clock_error", "sensor.gyro.drift"} & set(keys(spec))
+
+
+def within(named, full):
+    """Whether every value of a table is in another, as it is."""
+    if not isinstance(named, dict):
+        return named == full
+    return all(name in full and within(value, full[name]) for name, value in named.items())
+
+
+def paper_without_zeros(name):
+    """A preset of the paper as if it did not say that what it leaves out is zero."""
+    tables = tables_of(gj.parse_spec(gj.presets.text(name)))
+    sensor, rig = tables["sensor"], tables["rig"]
+    for key in [
+        t.key for kind in ("sensor", "table") for t in terms_of(kind, "tactical" if kind == "sensor" else "fine")
+    ]:
+        table, (axis,) = rig["table"], rig["table"]["axis"]
+        for part in (sensor, sensor["gyro"], table, axis, axis.get("angle", {}), *table["mounting"]):
+            name = "accuracy" if key == "mounting_accuracy" else key.removeprefix("angle.")
+            value = part.get(name)
+            if value in ([], {"standard_deviation": "0 K"}) or str(value).startswith("0 "):
+                del part[name]
+    del rig["site"]
+    return spec_of(tables)
+
+
+def test_terms_that_the_plan_cannot_feel_are_not_listed():
+    named = set(keys(paper_without_zeros("paper-static-standard"))) - {EARTH}
+    assert not any("scale" in key or "clock" in key or "lag" in key or "rig" in key for key in named)
+    assert {"sensor.gyro.turn_on_bias", "sensor.temperature_offset"} <= named
+    dynamic = paper_without_zeros("paper-dynamic-gradient")
+    turning = keys(dynamic)
+    of_table = {"rig.table.axis[0].angle.standstill_offset", "rig.table.mounting[0].accuracy"}
+    assert {*of_table, "sensor.temperature_lag"} <= set(turning)
+    assert "rig.table.rate_accuracy" not in turning
+    # Without B(T) a thermometer's error acts through the slope of M alone.
+    (error,) = (t for t in absent_terms(dynamic) if "ture_e" in t.key)
+    assert set(error.value) == {"standard_deviation", "correlation_time", "scale_factor_slope"}
+
+
+@pytest.mark.parametrize("preset", [name for name in gj.presets.names() if name.startswith("paper")])
+def test_the_paper_s_presets_have_exactly_the_paper_s_terms(preset):
+    assert keys(gj.parse_spec(gj.presets.text(preset))) == []
+
+
+@pytest.mark.parametrize(
+    "preset", [n for n in gj.presets.names() if n.startswith(("rig", "tactical", "consumer", "two", "one"))]
+)
+def test_presets_of_a_class_are_counted_not_zeroed(preset):
+    left_out = keys(spec_of(tomllib.loads(gj.presets.text(preset))))
+    assert any(key.endswith(("mounting[0].accuracy", "scale_error")) for key in left_out)
+    assert "sensor.temperature_offset" in left_out
+
+
+@pytest.mark.parametrize("preset", gj.presets.names())
+def test_with_typical_figures_nothing_is_absent_and_nothing_that_was_named_changes(preset):
+    spec = gj.parse_spec(gj.presets.text(preset))
+    full = with_typical(spec)
+    assert absent_terms(full) == []
+    named = tables_of(spec)["sensor"]
+    assert within(named, tables_of(full)["sensor"])
+
+
+def test_the_grade_is_said_or_follows_the_drift_then_the_random_walk():
+    spec = gj.parse_spec(BARE)
+    assert sensor_grade(spec.sensor)[::2] == ("consumer", "its drift")
+    assert sensor_grade(spec_without("sensor.drift").sensor)[::2] == ("consumer", "its angle random walk")
+    fine = gj.changed(spec, {"sensor.drift": None, "sensor.angle_random_walk": "0.001 deg/sqrt(h)"})
+    assert sensor_grade(fine.sensor).name == "navigation"
+    assert sensor_grade(gj.changed(fine, {"sensor.grade": "tactical"}).sensor)[::2] == ("tactical", "sensor.grade")
+    arcsec = {"rig.table.angle.reading_noise": "1 arcsec", "rig.table.angle.standstill_offset": "20 arcsec"}
+    assert (table_grade(spec).name, table_grade(gj.changed(spec, arcsec)).name) == ("coarse", "middle")
+
+
+def test_the_data_say_of_every_class_the_same_terms_and_where_each_figure_comes_from():
+    table = _table()
+    assert set(grades()) == {row["grade"] for row in table["sensor"]}
+    for kind in ("sensor", "accelerometer", "table"):
+        named = [[term["key"] for term in row["term"]] for row in table[kind]]
+        assert all(row == named[0] for row in named)
+        assert all(term["source"].strip() for row in table[kind] for term in row["term"])
+
+
+def test_no_verdict_rests_on_what_a_spec_leaves_out():
+    """The specs of the repro folder in small: within the target as written, missed with what its class has."""
+    bare = spec_without(
+        "sensor.sample_clock_error", "sensor.scale_factor_instability", "sensor.temperature_error", "sensor.thermal_lag"
+    )
+    bare = gj.changed(bare, {"requirement[0].target": "200 ppm"})
+    row = gj.predict(bare, outlook=True).requirements[0]
+    assert row.verdict == "missed"
+    assert row.with_typical > 200.0 > row.mean_of_max
+    assert row.with_typical == gj.predict(with_typical(bare)).requirements[0].mean_of_max
+    assert {t.key for t in gj.predict(bare).omitted} == set(keys(bare))

@@ -1,0 +1,203 @@
+"""Missions of a requirement: their tables, what is wrong with them in words, and that a spec holds them once read."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+import gradcal_jax as gj
+from gradcal_jax.recipe.recipe import spec_in
+from gradcal_jax.spec import presets
+from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.mission import Mission, _rows_or_faults
+from gradcal_jax.spec.spec import read_spec, spec_of
+from gradcal_jax.tables.problems import SpecError, from_validation
+from gradcal_jax.tables.schemas import schema
+from gradcal_jax.tables.writing import to_toml
+
+HEAD = "time (s), rate (deg/s), temperature (degC)"
+TABLE = f"# a flight\n{HEAD}\n\n0, 0, 20\n60, 30, 25.5\n"
+REQUIREMENT = '[[requirement]]\nname = "flight"\nquantity = "mission_heading"\nmission = {}\n[plan]\n'
+
+
+def spec_text(mission: str = '"flight.csv"', more: str = "") -> str:
+    text = presets.text("tactical-mems")
+    return text.replace("[plan]\n", REQUIREMENT.format(mission + more), 1)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "flight.csv").write_text(TABLE, encoding="utf-8")
+    (tmp_path / "spec.toml").write_text(spec_text(), encoding="utf-8")
+    return tmp_path
+
+
+def rows_of(table: str):
+    try:
+        return Mission(file="flight.csv", table=table).rows
+    except ValidationError as error:
+        raise SpecError(from_validation(error)) from None
+
+
+def test_a_table_is_read_in_si_from_its_first_row_on():
+    rows = rows_of("temperature [degF], other, time (min), rate (rpm)\n50, x, 2, 1\n68, y, 2.5, -1e0\n")
+    assert rows.time == (0.0, 30.0)
+    assert rows.rate == pytest.approx((2 * math.pi / 60, -2 * math.pi / 60))
+    assert rows.temperature == pytest.approx((10.0, 20.0))
+    assert rows.line == (2, 3)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("", "there is no column 'time (s)'"),
+        ("time, rate (deg/s), temperature (degC)\n0,0,0", "line 1: column 'time' has no unit"),
+        ("time (s), rate (deg), temperature (degC)\n0,0,0", "line 1: column 'rate (deg)'"),
+        ("time (s), rate (deg/s), temperature (K)\n0,0,300", "line 1: column 'temperature (K)'"),
+        ("time (s), rate (deg/s), temp (degC)\n0,0,0", "no column 'temperature (degC)'; there are: time, rate, temp"),
+        ("time (s), time (s), rate (deg/s), temperature (degC)\n", "2 columns are named 'time'"),
+        ("time (s);rate (deg/s);temperature (degC)\n0;0;0", "columns must be separated by commas"),
+        (f"{HEAD}\n0, 0, 20", "fewer than two rows"),
+        (f"{HEAD}\n0, 0, 20\n1, nan, 20", "line 3: rate is 'nan', which is not a number"),
+        (f"{HEAD}\n0, 0, 20\n1, inf, 20", "line 3: rate is 'inf'"),
+        (f"{HEAD}\n0, 0, 20\n1, , 20", "line 3: rate is empty"),
+        (f"{HEAD}\n0, 0, 20\n1, 3 deg/s, 20", "line 3: rate is '3 deg/s', which is not a number"),
+        (f'{HEAD}\n0, 0, 20\n1, "0,5", 20', "line 3: rate is '0,5', with a decimal comma"),
+        (f"{HEAD}\n0, 0, 20\n0,5, 0, 20", "line 3: this line has 4 columns, and the header has 3"),
+        (f"{HEAD}\n0, 0, 20\n2, 0, 20\n1, 0, 20", "line 4: the time is not later than that of line 3"),
+        (f"{HEAD}\n0, 0, 20\n0, 0, 20", "line 3: the time is not later than that of line 2"),
+        (f"{HEAD}\n0, 0, 20\n1, 1e400, 20", "line 3: rate is 1e400, which is not plausible"),
+        (f"{HEAD}\n0, 0, 20\n1, 0, -300", "line 3: temperature is -300, which is not plausible"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_said_with_its_line(table, said):
+    with pytest.raises(SpecError, match=r"flight\.csv, line ") as error:
+        rows_of(table)
+    assert said in str(error.value)
+
+
+def test_several_faults_are_said_at_once_and_not_without_end():
+    bad = "\n".join(f"{k}, x, 20" for k in range(100))
+    with pytest.raises(SpecError) as error:
+        rows_of(f"{HEAD}\n{bad}")
+    assert len(error.value.problems) == 5
+
+
+@given(st.text(alphabet="timeraeptu ()/sdgC[],;.-+0123456789eE\"'\n#naKif", max_size=200))
+def test_any_text_is_a_table_or_a_sentence(text):
+    found = list(_rows_or_faults(text))
+    if all(isinstance(one, str) for one in found):
+        assert found
+        assert all(one.startswith("line ") for one in found)
+    else:
+        (rows,) = found
+        assert np.all(np.diff(rows.time) > 0.0)
+        assert np.all(np.isfinite([rows.time, rows.rate, rows.temperature]))
+
+
+@given(st.lists(st.tuples(st.floats(1e-3, 1e3), st.floats(-300, 300), st.floats(-40, 85)), min_size=2, max_size=20))
+def test_numbers_come_back_as_they_were_written(rows):
+    times = np.cumsum([step for step, _, _ in rows])
+    lines = [f"{float(t)!r}, {w!r}, {c!r}" for t, (_, w, c) in zip(times, rows, strict=True)]
+    read = rows_of("\n".join(["time (s), rate (rad/s), temperature (degC)", *lines]))
+    assert read.time == tuple(float(t) - float(times[0]) for t in times)
+    assert read.rate == tuple(w for _, w, _ in rows)
+    assert read.temperature == tuple(c for _, _, c in rows)
+
+
+def test_a_spec_holds_its_missions_once_read(folder, tmp_path_factory, monkeypatch):
+    spec = read_spec(folder / "spec.toml")
+    (mission,) = spec.requirement[2].mission
+    assert (mission.file, mission.table) == ("flight.csv", TABLE)
+    # From another folder, without the file: tables, text and changes stand alone.
+    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
+    assert spec_in(folder / "spec.toml").requirement == spec.requirement
+    (folder / "flight.csv").unlink()
+    again = gj.parse_spec(to_toml(spec))
+    assert again.requirement[2].mission == spec.requirement[2].mission
+    assert changed(spec, {"requirement[2].mission[0].weight": 2.0}).requirement[2].mission[0].weight == 2.0
+    assert spec_of(copy.deepcopy(tables_of(spec))).requirement[2].rate == spec.requirement[2].rate
+    with pytest.raises(SpecError, match=r"flight\.csv.*does not exist"):
+        read_spec(folder / "spec.toml")
+
+
+def test_the_form_of_one_and_of_several_missions(folder):
+    for written in ('["flight.csv", "flight.csv"]', '[{ file = "flight.csv", weight = 2 }, "flight.csv"]'):
+        (folder / "spec.toml").write_text(spec_text(written), encoding="utf-8")
+        assert len(read_spec(folder / "spec.toml").requirement[2].mission) == 2
+    assert "file" in str(schema("spec")["$defs"]["Mission"])
+
+
+@pytest.mark.parametrize(
+    ("mission", "more", "said"),
+    [
+        ('"fligth.csv"', "", 'does not exist; nearest: "flight.csv"'),
+        ('"flight.csv"', '\nafter = "2 min"', "is after the end of flight.csv, which lasts 60 s"),
+        ('[{ file = "flight.csv", weight = 2 }]', '\nstatistic = "max"', 'no effect with statistic = "max"'),
+        ('[{ file = "flight.csv", weight = -1.0 }]', "", "must be above 0"),
+        ("[]", "", "expected at least 1 entries"),
+        ("3", "", "expected a list"),
+        ('"flight.csv"', '\nstatistic = "mean of max"', 'expected "rms" or "max"'),
+        ('"flight.csv"', '\ntemperature = ["0 degC", "1 degC"]', "this key is unknown"),
+    ],
+)
+def test_what_is_wrong_with_the_requirement_is_said(folder, mission, more, said):
+    (folder / "spec.toml").write_text(spec_text(mission, more), encoding="utf-8")
+    with pytest.raises(SpecError) as error:
+        read_spec(folder / "spec.toml")
+    assert said in str(error.value)
+    assert "(line " in str(error.value) or "flight.csv" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("120, 0, 80", "flight.csv, line 6: the temperature is 80 degC, outside the range of the plan, -35 to 75 degC"),
+        ("120, 0, -36", "line 6: the temperature is -36 degC"),
+    ],
+)
+def test_a_mission_beyond_the_plans_temperatures_is_refused(folder, row, said):
+    (folder / "flight.csv").write_text(f"{TABLE}{row}\n", encoding="utf-8")
+    with pytest.raises(SpecError) as error:
+        read_spec(folder / "spec.toml")
+    assert said in str(error.value)
+
+
+def test_a_mission_beyond_a_basis_is_refused(folder):
+    knots = ["-60 deg/s", "0 deg/s", "29 deg/s"]
+    spec = read_spec(folder / "spec.toml")
+    rate = {"basis": "b-spline", "knots": knots}
+    with pytest.raises(
+        SpecError, match=r"line 5: the rate is 30 deg/s, outside the range of the rate basis, -60 to 29"
+    ):
+        changed(spec, {"sensor.gyro.scale_factor.rate": rate, "requirement[0].rate": ["-20 deg/s", "20 deg/s"]})
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("latitude", '"90 deg"', "must be at most 89 deg"),
+        ("latitude", '"48"', "unit"),
+        ("after", '"0 s"', "must be above 0 s"),
+        ("temperature", '["10 degC", "0 degC"]', "must be larger than the entry before it"),
+    ],
+)
+def test_what_is_wrong_with_a_gyrocompass_is_said(key, value, said):
+    lines = {"latitude": '"48 deg"', "after": '"5 min"', "temperature": '["0 degC", "40 degC"]'} | {key: value}
+    own = "\n".join(f"{name} = {text}" for name, text in lines.items())
+    requirement = f'[[requirement]]\nname = "north"\nquantity = "north"\n{own}\n[plan]\n'
+    with pytest.raises(SpecError, match=said):
+        gj.parse_spec(presets.text("tactical-mems").replace("[plan]\n", requirement, 1))
+
+
+def test_north_and_heading_need_what_they_rest_on():
+    requirement = (
+        '[[requirement]]\nname = "north"\nquantity = "north"\nlatitude = "48 deg"\nafter = "5 min"\n'
+        'temperature = ["0 degC", "40 degC"]\n[plan]\n'
+    )
+    with pytest.raises(SpecError, match=r"needs \[sensor.gyro.bias\], which the spec does not estimate"):
+        gj.parse_spec(presets.text("paper-dynamic-gradient").replace("[plan]\n", requirement, 1))

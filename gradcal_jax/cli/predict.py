@@ -73,12 +73,12 @@ def predict(
 
 
 def _predicted(spec: "Spec", path: Path, json: bool, plot: Path | None, monte_carlo: int | None, seed: int) -> int:
-    from gradcal_jax.information import prediction
+    from gradcal_jax.information import prediction as predictions
 
     rows, tests, limits = (), {}, not json or bool(spec.sensor.uncertain_figures())
-    prediction = prediction.predict(spec, limits=limits, notices=True, outlook=True)
+    prediction = predictions.predict(spec, limits=limits, notices=True, outlook=True)
     if monte_carlo is not None:
-        rows, tests = prediction.monte_carlo(spec, monte_carlo, seed)
+        rows, tests = predictions.monte_carlo(spec, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
         simulated["covariance"] = {
@@ -99,9 +99,9 @@ def _predicted(spec: "Spec", path: Path, json: bool, plot: Path | None, monte_ca
 
 
 def _compared(plans: "list[tuple[str, Spec]]", json: bool, plot: Path | None) -> int:
-    from gradcal_jax.information import prediction
+    from gradcal_jax.information import prediction as predictions
 
-    predictions = [(name, prediction.predict(spec, limits=True)) for name, spec in plans]
+    predictions = [(name, predictions.predict(spec, limits=True)) for name, spec in plans]
     if json:
         print("[" + ",\n".join(prediction.model_dump_json(indent=2) for _, prediction in predictions) + "]")
     else:

@@ -173,7 +173,7 @@ def protocols(name: str | None = None, /) -> int:
     name
         The device whose description is printed.
     """
-    from gradcal_jax.spec import line_protocol, register_protocol
+    from gradcal_jax.hardware import line_protocol, register_protocol
 
     known = {one: ("lines", line_protocol.protocol_of(one)) for one in line_protocol.shipped()}
     registers = line_protocol.shipped(register_protocol.FORMAT)

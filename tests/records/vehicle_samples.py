@@ -1,4 +1,4 @@
-"""Logs of vehicles for the tests: ULog and DataFlash byte by byte, as they are described; bags by their own writers."""
+"""Logs of vehicles for the tests: ULog and DataFlash byte by byte, as they are described."""
 
 import struct
 
@@ -101,71 +101,3 @@ def imu_rows(time_us, which, rate, temperature):
     for axis, letter in enumerate("XYZ"):
         rows[f"Gyr{letter}"] = rate[:, axis]
     return rows
-
-
-def ros_messages(stamps_ns, rate, temperature_stamps_ns, temperature, *, ros1=False):
-    """(topic, type, stamp of the receiver, bytes) of an IMU and a thermometer, serialised by rosbags."""
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    kinds = store.types
-    header, stamp = kinds["std_msgs/msg/Header"], kinds["builtin_interfaces/msg/Time"]
-    vector, quaternion = kinds["geometry_msgs/msg/Vector3"], kinds["geometry_msgs/msg/Quaternion"]
-    serialise = store.serialize_ros1 if ros1 else store.serialize_cdr
-
-    def head(ns, frame):
-        when = stamp(int(ns // 10**9), int(ns % 10**9))
-        return header(0, when, frame) if ros1 else header(when, frame)
-
-    nothing = np.zeros(9)
-    for number, (ns, values) in enumerate(zip(stamps_ns, rate, strict=True)):
-        message = kinds["sensor_msgs/msg/Imu"](
-            head(ns, "imu" + "_" * (number % 3)), quaternion(0.0, 0.0, 0.0, 1.0), nothing,
-            vector(*map(float, values)), nothing, vector(0.0, 0.0, 9.8), nothing,
-        )  # fmt: skip
-        yield (
-            "/imu/data_raw",
-            "sensor_msgs/msg/Imu",
-            int(ns) + 2_000_000,
-            bytes(serialise(message, "sensor_msgs/msg/Imu")),
-        )
-    for (ns, own), value in zip(temperature_stamps_ns, temperature, strict=True):
-        message = kinds["sensor_msgs/msg/Temperature"](head(own, "t"), float(value), 0.0)
-        yield (
-            "/imu/temperature",
-            "sensor_msgs/msg/Temperature",
-            int(ns),
-            bytes(serialise(message, "sensor_msgs/msg/Temperature")),
-        )
-
-
-def mcap(path, messages, *, ros1=False):
-    from mcap.writer import Writer
-
-    with path.open("wb") as opened:
-        writer = Writer(opened)
-        writer.start()
-        channels = {}
-        for topic, kind, stamp, content in messages:
-            if topic not in channels:
-                name = kind.replace("/msg/", "/") if ros1 else kind
-                schema = writer.register_schema(name, "ros1msg" if ros1 else "ros2msg", b"")
-                channels[topic] = writer.register_channel(topic, "ros1" if ros1 else "cdr", schema)
-            writer.add_message(channels[topic], stamp, content, stamp)
-        writer.finish()
-    return path
-
-
-def bag(path, messages, *, ros1=False):
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import Writer as Writer2
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    with Writer1(path) if ros1 else Writer2(path, version=8) as writer:
-        connections = {}
-        for topic, kind, stamp, content in messages:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(connections[topic], stamp, content)
-    return path

@@ -1,4 +1,4 @@
-"""Logs of vehicles and robots -> `Log`, without a column map: PX4's ULog, ArduPilot's DataFlash, ROS bags, MCAP.
+"""Logs of vehicles -> `Log`, without a column map: PX4's ULog and ArduPilot's DataFlash.
 
 Each source has its module; `streams` has the common part. The libraries that read the formats come with the extra
 `logs`, and are imported when a file of their kind is opened.

@@ -19,19 +19,20 @@ KINDS: Final = {
     ".ulg": "ulog",
     ".ulog": "ulog",
     ".bin": "dataflash",
-    ".bag": "ros",
-    ".db3": "ros",
-    ".mcap": "ros",
-    ".tlog": "mavlink",
 }
-"""File name endings, each with the module that reads such files; a folder with metadata.yaml is a rosbag 2."""
-_WORDS: Final = {"ulog": "ULog", "dataflash": "DataFlash", "ros": "a ROS bag or MCAP"}
+"""File name endings, each with the module that reads such files."""
+_WORDS: Final = {"ulog": "ULog", "dataflash": "DataFlash"}
 _FIRMWARE: Final = {"ulog": {"firmware": "px4"}, "dataflash": {"firmware": "ardupilot"}}
 _FROM_MAVLINK: Final = (
     "has MAVLink messages. Their HIGHRES_IMU, as PX4 sends it, is not the output of the sensor: the gyro bias of "
     "PX4's estimator is subtracted, and the temperature is that of the barometer. A calibration needs the log of "
     "the flight controller itself: PX4's .ulg with sensor_gyro, or ArduPilot's .bin"
 )
+_BAG: Final = (
+    "is a ROS bag: read its sensor_msgs/Imu with the package rosbags, and give the arrays to gradcal_jax.log_from "
+    "(docs/how-to/recording.md has the lines)"
+)
+_REFUSED: Final = {".tlog": _FROM_MAVLINK, ".bag": _BAG, ".db3": _BAG, ".mcap": _BAG}
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class GyroStream:
 
 def is_vehicle_log(path: Path) -> bool:
     """Whether `read_vehicle_log` reads files of this ending."""
-    return path.suffix.lower() in KINDS or (path.is_dir() and (path / "metadata.yaml").exists())
+    return path.suffix.lower() in KINDS | _REFUSED
 
 
 def read_vehicle_log(path: str | Path, *, unit: str | None = None, rows: tuple[int, int | None] | None = None) -> Log:
@@ -85,11 +86,11 @@ def read_vehicle_logs(path: str | Path, *, rows: tuple[int, int | None] | None =
 def _streams(path: Path) -> list[GyroStream]:
     if not path.exists():
         raise LogError(f"{path} does not exist")
-    kind = KINDS.get(path.suffix.lower(), "ros")
-    if kind == "mavlink":
-        raise LogError(f"{path} {_FROM_MAVLINK}")
-    if path.is_dir() and not (path / "metadata.yaml").exists():
+    if path.is_dir():
         raise LogError(f"{path} is a directory")
+    if why := _REFUSED.get(path.suffix.lower()):
+        raise LogError(f"{path} {why}")
+    kind = KINDS[path.suffix.lower()]
     reader = importlib.import_module(f"gradcal_jax.records.vehicle.{kind}")
     with naming(path):
         with quietly(_WORDS[kind]):

@@ -205,9 +205,7 @@ sys.exit(main(["allan", {str(path)!r}]))
     assert "Traceback" not in done.stderr
 
 
-@given(
-    ending=st.sampled_from(["ulg", "bin"]), content=st.binary(max_size=300), cut=st.integers(0)
-)
+@given(ending=st.sampled_from(["ulg", "bin"]), content=st.binary(max_size=300), cut=st.integers(0))
 @settings(max_examples=100, deadline=None)
 def test_arbitrary_bytes_are_a_sentence(tmp_path_factory, ending, content, cut):
     path = tmp_path_factory.mktemp("bytes") / f"a.{ending}"

@@ -10,27 +10,22 @@ import os
 import re
 import shutil
 import subprocess
-from functools import reduce
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from cyclopts import App
 
 import gradcal_jax as gj
 from gradcal_jax import plots
 from gradcal_jax.cli import main
 from gradcal_jax.cli.app import build
-from gradcal_jax.cli.lookup import commands_page
 from gradcal_jax.recipe.recipe import read_recipe
-from gradcal_jax.tables import schemas
 
 ROOT = Path(__file__).parents[1]
-GENERATED = {f"docs/reference/{name}.md" for name in (*schemas.schema_names(), "commands")}
 FILES = ["README.md", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md"))]
 TEXTS = {name: (ROOT / name).read_text(encoding="utf-8") for name in FILES}
-WRITTEN = {name: text for name, text in TEXTS.items() if name not in GENERATED}
+WRITTEN = TEXTS
 README = TEXTS["README.md"]
 
 
@@ -74,29 +69,6 @@ def test_every_option_that_is_named_exists(command, capsys):
     said = capsys.readouterr().out
     for option in usages()[command]:
         assert re.search(rf"(?<![\w-]){option}(?![\w-])", said), (command, option)
-
-
-PARTS = re.findall(r"^## gradcal ([^-].*)$", TEXTS["docs/reference/commands.md"], flags=re.M)
-COMMANDS = [name for name in PARTS if reduce(App.__getitem__, name.split(), build()).default_command is not None]
-
-
-def test_the_page_of_commands_is_what_the_commands_say():
-    assert TEXTS["docs/reference/commands.md"] == commands_page(), (
-        "gradcal schema commands --markdown > docs/reference/commands.md"
-    )
-    assert {name.split()[0] for name in COMMANDS} == {name for name in build() if not name.startswith("-")}
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_option_of_a_command_is_documented(command, capsys):
-    """The options are those of the help, which the page does not come from."""
-    assert main([*command.split(), "--help"]) == 0
-    of_help = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", capsys.readouterr().out.split("Parameters:", 1)[-1]))
-    page = section(f"gradcal {command}", "docs/reference/commands.md")
-    documented = dict(re.findall(r"^\* `([^`]+)`: ((?:.|\n {4})*)", page, flags=re.M))
-    names = {option for usage in documented for option in re.findall(r"--[a-z-]+", usage)}
-    assert names == of_help - {"--help", "--version"}
-    assert all(re.match(r"[A-Z](.|\n)*\.( \*\*?\[.*)?$", meaning) for meaning in documented.values()), documented
 
 
 def test_the_readme_is_a_screen_and_begins_with_what_is_simulated():

@@ -43,40 +43,6 @@ GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
 """The commands in the order of work, as `gradcal --help` lists them."""
 
 
-# For one release: commands that are options now, and what takes their place before and after the other words.
-_OLD_COMMANDS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
-    "show": (("check",), ()),
-    "timeline": (("check",), ("--timeline", "segments")),
-    "compare": (("predict",), ()),
-    "sensitivity": (("predict",), ("--sensitivity",)),
-    "frontier": (("optimise",), ()),
-    "recipe": (("optimise",), ("--steps", "0")),
-    "glossary": (("schema", "words"), ()),
-    "replan": (("optimise",), ()),
-    "watch": (("rig", "watch"), ()),
-    "upgrade": (("check",), ("--upgrade",)),
-}
-
-
-def _today(tokens: list[str]) -> list[str]:
-    """A command line with today's name of its command, said where it has changed."""
-    if tokens[:1] == ["recipes"]:
-        raise ValueError(
-            "gradcal recipes and catalogues were removed. Use gradcal sweep FILE -o results.nc --recipes FOLDER: "
-            'it writes a recipe for each plan of a sweep with do = "optimise". The axes of a sweep may be whole '
-            "sections of other specs (gradcal schema sweep)"
-        )
-    if not tokens or tokens[0] not in _OLD_COMMANDS:
-        return tokens
-    before, after = _OLD_COMMANDS[tokens[0]]
-    if tokens[0] == "timeline" and "--rows" in tokens[:-1]:
-        at = tokens.index("--rows")
-        after, tokens = ("--timeline", tokens[at + 1]), [*tokens[:at], *tokens[at + 2 :]]
-    words = " ".join(["gradcal", *before, "…", *after] if after else ["gradcal", *before])
-    complain(f"gradcal {tokens[0]} is now {words}; the next release removes the old name")
-    return [*before, *tokens[1:], *after]
-
-
 def build() -> App:
     """The application with every command."""
     app = App(
@@ -106,7 +72,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     try:
         app = build()
         app.config = own_defaults(app)
-        tokens = _today(sys.argv[1:] if arguments is None else list(arguments))
+        tokens = sys.argv[1:] if arguments is None else list(arguments)
         command, bound, _ = app.parse_args(tokens, console=_wide(tokens), exit_on_error=False, print_error=False)
         status = command(*bound.args, **bound.kwargs)
         sys.stdout.flush()

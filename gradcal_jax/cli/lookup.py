@@ -6,7 +6,6 @@ from typing import Annotated, Final
 from cyclopts import Parameter
 
 from gradcal_jax.cli.output import DONE, Flag, as_json
-from gradcal_jax.tables.display import columns
 
 _COMMANDS_END: Final = """\
 Exit statuses: 0 done; 1 done, but the result is unsatisfactory (for example, a target is missed); 2 wrong input; 3 a
@@ -19,18 +18,15 @@ set.
 def schema(
     name: str | None = None,
     /,
-    *term: str,
     listing: Annotated[bool, Parameter(name="--list", negative="")] = False,
     markdown: Flag = False,
 ) -> int:
-    """Print the JSON Schema of a file or contract, or explain the words that commands, files and pages use.
+    """Print the JSON Schema of a file or contract, or a page of reference.
 
     Parameters
     ----------
     name
-        The name of the file format or contract (see --list), or "words" for the glossary.
-    term
-        For the glossary: print only terms that contain these words.
+        The name of the file format or contract (see --list).
     listing
         List the names.
     markdown
@@ -42,11 +38,6 @@ def schema(
     if listing:
         print("\n".join(schemas.schema_names()))
         return DONE
-    if name == "words":
-        print(_words(" ".join(term)))
-        return DONE
-    if term:
-        raise ValueError(f'"{" ".join(term)}": terms are only for the glossary: gradcal schema words {" ".join(term)}')
     if name is None:
         raise ValueError(f"name one of these: {', '.join(schemas.schema_names())}")
     if name == "commands" and markdown:
@@ -64,20 +55,6 @@ def schema(
         result = with_options(result)
     print(as_json(result))
     return DONE
-
-
-def _words(wanted: str) -> str:
-    """The terms of the glossary with these words in them."""
-    from gradcal_jax.pages.glossary import TERMS
-
-    rows = [
-        (name, meaning)
-        for name, meaning in sorted(TERMS.items(), key=lambda entry: entry[0].lower())
-        if wanted.lower() in name.lower()
-    ]
-    if not rows:
-        raise ValueError(f'the glossary has no term that contains "{wanted}"; gradcal schema words lists all of them')
-    return columns(rows, indent="")
 
 
 def commands_page() -> str:

@@ -21,7 +21,6 @@ def report(
     output: Output,
     before: Path | None = None,
     limits: Path | None = None,
-    panel: Flag = False,
     certificate: Flag = False,
     rig: Path | None = None,
     number: str = "",
@@ -49,9 +48,6 @@ def report(
     limits
         A file with the output of `gradcal limit --json` for the plan; the page then also shows the efficiency of the
         plan.
-    panel
-        Add sliders to the page; they show the predicted errors for another duration, encoder error or temperature
-        slope (from 75 predictions).
     certificate
         Instead of the page, make a certificate that a laboratory can sign.
     rig
@@ -92,7 +88,7 @@ def report(
             from gradcal_jax.pages.page import write_page
             from gradcal_jax.pages.report_data import as_tables
 
-            tables.append(as_tables(write_page(documents, page, panel=panel)))
+            tables.append(as_tables(write_page(documents, page)))
         if not json:
             print(f"wrote {page}" + (f" and {xml}" if xml is not None else ""))
     if json:

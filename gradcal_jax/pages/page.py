@@ -1,28 +1,17 @@
-"""The HTML page of a plan, a run or a calibration: numbers and figures in a template, and the panel, which predicts.
-The page needs no external resources.
-
-**The panel** has predictions of a plan for other times, encoders and slopes. The grid has factors on the chamber's
-slope, numbers of ramps (there, back, there …, which is the time), and factors on every figure of the angles of all
-axes. The panel shows only grid points, so that each of its numbers is a prediction and none is interpolated. A point to
-which the plan does not fit (a cycle longer than its ramp, a slope beyond the chamber's) has none.
+"""The HTML page of a plan, a run or a calibration: numbers and figures in a template, without external resources.
 """
 
-import math
 import os
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
 import gradcal_jax
 from gradcal_jax.calibration import FRAME_OF_CASE
 from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.information.prediction import requirement_rows
 from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, symbols
 from gradcal_jax.pages.figures import calibration_pictures, map_pictures, pose_picture, track_pictures
-from gradcal_jax.pages.glossary import OF_THE_FIELD
 from gradcal_jax.pages.numbers import figures, one_sign, unbroken_options
 from gradcal_jax.pages.report_data import ReportData, report_data_of
 from gradcal_jax.pages.requirements import RequirementFact
@@ -30,14 +19,8 @@ from gradcal_jax.pages.sources import Sources, read_sources
 from gradcal_jax.pages.templates import page_file, page_templates
 from gradcal_jax.recipe.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
 from gradcal_jax.recipe.recipe import Recipe
-from gradcal_jax.spec.bench import AxisEncoder
-from gradcal_jax.spec.changes import changed
-from gradcal_jax.spec.motion_plan import MotionPlan
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.contracts import RequirementRow
-from gradcal_jax.tables.problems import SpecError
-from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.writing import write_whole
 from gradcal_jax.units import DEG_PER_S, count_text, time_text, times_text
 
@@ -45,10 +28,8 @@ from gradcal_jax.units import DEG_PER_S, count_text, time_text, times_text
 _MOST_MOVES: Final = 80
 
 
-def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
-    """The whole page as HTML, in one file: styles and figures inside, and no script but that of the `panel`."""
-    if panel and sources.spec is None:
-        raise ValueError("the panel needs a plan, and the named files contain none: leave out --panel")
+def page(sources: Sources, data: ReportData) -> str:
+    """The whole page as HTML, in one file: styles and figures inside, and no script."""
     template = page_templates(figures=figures, sentence=sentence, options=unbroken_options).get_template("page.html")
     spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
     targets = {r.name: r.target / r.coverage for r in data.requirements if r.target is not None}
@@ -56,7 +37,6 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
     tracks += track_pictures(recipe, data.history)
     context: dict[str, Any] = {
         "data": data,
-        "panel": panel_of(spec) if panel and spec is not None else None,
         "recipe": recipe,
         "calibration_name": sources.calibration_name,
         "css": page_file("style.css"),
@@ -68,14 +48,7 @@ def page(sources: Sources, data: ReportData, *, panel: bool = False) -> str:
         "chamber_head": ["segment", *CHAMBER_HEAD[1:]],
         "chamber": [] if recipe is None else chamber_rows(recipe),
     }
-    # The page explains only the terms that it uses. (Of pictures only the words: their paths are a megabyte of digits.)
-    text = re.sub(r"<[^>]*>", " ", template.render(**context, glossary=())).lower()
-    used = [
-        (term, words)
-        for term, words in OF_THE_FIELD.items()
-        if term.lower() in text and re.search(rf"\b{re.escape(term.lower())}s?\b", text)
-    ]
-    return one_sign(template.render(**context, glossary=sorted(used, key=lambda term: term[0].lower())))
+    return one_sign(template.render(**context))
 
 
 def sentence(text: str) -> str:
@@ -292,120 +265,18 @@ def _time_and_version() -> str:
     return f"{now:%Y-%m-%d %H:%M} UTC by gradcal {gradcal_jax.__version__}"
 
 
-SLOPES: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
-RAMPS: Final = (1, 2, 3)
-ANGLES: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
-
-
-def panel_of(spec: Spec) -> dict[str, Any]:
-    """The panel's numbers: `choices` by slider, and by grid point (slopes slow, angles fast) the time in hours and the
-    requirements' values and verdicts; null where the plan does not fit or a requirement is not observable.
-
-    Errors: `ValueError` for a plan that is not one ramp from start to end, or without requirements.
-    """
-    plan = spec.plan
-    if not isinstance(plan, MotionPlan) or plan.temperature is None or not isinstance(plan.gradient, Quantity):
-        raise ValueError(
-            "the panel varies the slope of a single ramp, and this plan is not a single ramp: leave out --panel"
-        )
-    if not spec.requirement:
-        raise ValueError("the panel shows requirements, and this spec has none: leave out --panel")
-    points = [_point(spec, plan, *at) for at in product(SLOPES, RAMPS, ANGLES)]
-    minute = 60.0 * float(plan.gradient)
-    own = points[2 * len(RAMPS) * len(ANGLES) + 2]
-    assert own is not None
-    return {
-        "choices": [
-            {"name": "chamber slope", "labels": [f"{figures(f * minute, 3)} K/min" for f in SLOPES], "own": 2},
-            {"name": "time", "labels": [count_text(n, "ramp") for n in RAMPS], "own": 0},
-            {"name": "encoder", "labels": [_angle_label(spec, factor) for factor in ANGLES], "own": 2},
-        ],
-        "hours": [None if p is None else p[0] for p in points],
-        "lasts": [None if p is None else time_text(3600.0 * p[0]) for p in points],
-        "requirements": [
-            {
-                "name": f"{row.name} ({row.statistic})",
-                "unit": row.unit,
-                "target": row.target,
-                # The limit on one standard deviation.
-                "allowed": None if row.target is None else row.target / row.coverage,
-                "values": [None if p is None else _short(p[1][k].judged) for p in points],
-                "verdicts": [None if p is None else p[1][k].verdict for p in points],
-            }
-            for k, row in enumerate(own[1])
-        ],
-    }
-
-
-def _point(
-    spec: Spec, plan: MotionPlan, slope: float, ramps: int, angle: float
-) -> tuple[float, list[RequirementRow]] | None:
-    """Hours of the whole plan, and every requirement; None where the plan does not fit."""
-    try:
-        varied = changed(spec, {**_course(plan, slope, ramps), **_angles(spec, angle)})
-    except SpecError:
-        return None
-    return varied.schedule.duration / 3600.0, requirement_rows(varied)
-
-
-def _short(value: float | None) -> float | None:
-    """Six digits, more than the panel shows."""
-    return None if value is None else float(f"{value:.6g}")
-
-
-def _course(plan: MotionPlan, slope: float, ramps: int) -> Mapping[str, object]:
-    assert plan.temperature is not None
-    assert isinstance(plan.gradient, Quantity)
-    rate = f"{60.0 * float(plan.gradient) * slope:.9g} K/min"
-    if ramps == 1:
-        return {"plan.gradient": rate}
-    start, end = (t.text for t in plan.temperature)
-    # A programme begins with a soak; of a plan without one, the shortest.
-    soak = {"soak": "1 s", "at": start}
-    if plan.soak is not None:
-        soak = {"soak": plan.soak.duration.text, "at": start, "used": plan.soak.used}
-    items = [soak, *({"ramp_to": (end, start)[k % 2], "rate": rate} for k in range(ramps))]
-    return {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": items}
-
-
-def _angles(spec: Spec, factor: float) -> Mapping[str, object]:
-    """Every figure of the axes' angles, times a factor."""
-    return {
-        f"rig.table.axis[{k}].angle.{key}": Quantity.of(factor * size, "urad").text
-        for k, axis in enumerate(spec.rig.table.axis)
-        for key, size in _figures(axis.angle)
-    }
-
-
-def _figures(angle: AxisEncoder) -> Iterator[tuple[str, float]]:
-    """The figures of an angle that are stated and not zero (rad), by their keys."""
-    for name in ("reading_noise", "standstill_offset"):
-        if size := float(getattr(angle, name)):
-            yield name, size
-    for k, harmonic in enumerate(angle.harmonics):
-        yield f"harmonics[{k}].amplitude", float(harmonic.amplitude)
-
-
-def _angle_label(spec: Spec, factor: float) -> str:
-    """The label of an encoder, by its largest figure."""
-    sizes = (size for axis in spec.rig.table.axis for _, size in _figures(axis.angle))
-    shown = factor * math.degrees(max(sizes, default=0.0))
-    return f"{figures(shown, 3)} deg" if shown >= 0.01 else f"{figures(3600.0 * shown, 3)} arcsec"
-
-
 def report(
     sources: str | Path | Sequence[str | Path],
     output: str | Path,
     *,
     before: str | Path | None = None,
     limits: str | Path | None = None,
-    panel: bool = False,
 ) -> ReportData:
     """Make one HTML page of a plan, a run or a calibration: plan, prediction, run, estimate and how to apply it.
 
     `sources`: the folder of a run (a calibration in it is taken with it), a recipe or a spec, a calibration, or those
     of them that belong together. `before`: a spec or recipe whose plan to compare with.
-    `limits`: the output of `gradcal limit --json`. `panel`: sliders for other times, encoders and slopes. The page
+    `limits`: the output of `gradcal limit --json`. The page
     replaces `output`; it has no external resources.
 
     Returns every number of the page, once (`pages.report_data.ReportData`): ppm, deg/h, °C and deg/s, 1σ. Terms are
@@ -417,11 +288,11 @@ def report(
         before=None if before is None else Path(before),
         limits=None if limits is None else Path(limits),
     )
-    return write_page(documents, output, panel=panel)
+    return write_page(documents, output)
 
 
-def write_page(sources: Sources, output: str | Path, *, panel: bool = False) -> ReportData:
+def write_page(sources: Sources, output: str | Path) -> ReportData:
     """Write the page of `sources`."""
     data = report_data_of(sources)
-    write_whole(output, page(sources, data, panel=panel))
+    write_whole(output, page(sources, data))
     return data

@@ -79,5 +79,5 @@ def test_data_that_contradict_the_model_are_not_valid_anywhere(sound, fault, tes
     certificate, page = ((tmp_path / f"{name}.html").read_text(encoding="utf-8") for name in ("c", "page"))
     assert '<p class="verdict not valid">NOT VALID' in certificate
     assert '<p class="verdict not valid">Not valid' in page
-    for shown in (certificate, page):  # the glossary names the verdicts
+    for shown in (certificate, page):
         assert not re.search(r">\s*met\b|class=.verdict met|Met:", shown)

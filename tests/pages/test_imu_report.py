@@ -22,7 +22,6 @@ from gradcal_jax.information.posterior import square_root
 from gradcal_jax.model.imu_build import build_imu, imu_posterior
 from gradcal_jax.pages.coefficients import agreement, coefficient_table, hidden_values, parameters
 from gradcal_jax.pages.numbers import figures
-from gradcal_jax.pages.page import ANGLES, RAMPS, SLOPES, panel_of
 from gradcal_jax.pages.sources import stated_figures
 from gradcal_jax.spec import presets
 from gradcal_jax.tables.contracts import notice_sentences
@@ -191,23 +190,6 @@ def test_the_figures_of_every_channel_and_axis_are_stated():
         ("azimuth of the base", "5 mrad"),
     ):
         assert row in stated
-
-
-def test_the_panel_of_an_imu_varies_the_angles_of_all_axes():
-    spec = short()
-    panel = panel_of(spec)
-    start, end = (t.text for t in spec.plan.temperature)
-    slope = 0.5 * 60.0 * float(spec.plan.gradient)
-    angles = {
-        f"rig.table.axis[{k}].angle.{of}": "20 arcsec" for k in (0, 1) for of in ("reading_noise", "standstill_offset")
-    }
-    angles |= {f"rig.table.axis[{k}].angle.harmonics[{i}].amplitude": "20 arcsec" for k in (0, 1) for i in (0, 1)}
-    other = gj.changed(spec, {"plan.gradient": f"{slope:.9g} K/min", **angles})
-    assert (start, end) == tuple(t.text for t in other.plan.temperature)
-    place = SLOPES.index(0.5) * len(RAMPS) * len(ANGLES) + ANGLES.index(4.0)
-    for row, shown in zip(gj.predict(other).requirements, panel["requirements"], strict=True):
-        assert shown["values"][place] == pytest.approx(row.judged, rel=1e-5)
-    assert [choice["labels"][2] for choice in panel["choices"]][2] == "5 arcsec"
 
 
 def test_the_prior_alone_hides_what_has_none():

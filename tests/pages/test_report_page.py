@@ -433,13 +433,6 @@ def test_files_that_do_not_belong_together_are_named(made, tmp_path, capsys):
     assert not Path(out).exists()
 
 
-def test_the_glossary_explains_what_is_asked(capsys):
-    assert main(["schema", "words", "standstill", "offset"]) == 0
-    assert "each time the table comes to rest" in " ".join(capsys.readouterr().out.split())
-    assert main(["schema", "words", "warp", "drive"]) == 2
-    assert "warp drive" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("allowed", [2000.0, 75.0, 20.0])
 def test_the_line_of_a_target_is_within_its_picture(made, allowed):
     fact = next(f for f in report_data_of(read_sources([made[0] / "run"])).maps if f.quantity == "gyro_scale_factor")

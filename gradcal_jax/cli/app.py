@@ -15,7 +15,6 @@ from gradcal_jax.cli.demo import demo
 from gradcal_jax.cli.estimate import estimate
 from gradcal_jax.cli.instability import allan, instability
 from gradcal_jax.cli.log import log_app
-from gradcal_jax.cli.lookup import schema
 from gradcal_jax.cli.many import sweep
 from gradcal_jax.cli.new import new, start
 from gradcal_jax.cli.optimise import optimise
@@ -38,7 +37,6 @@ GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
     ("Calibrate", (estimate, apply, validate, export, lot, report)),
     ("Measure the noise of a sensor", (instability, allan)),
     ("Compute many plans", (sweep,)),
-    ("Look up", (schema,)),
 )
 """The commands in the order of work, as `gradcal --help` lists them."""
 

@@ -435,15 +435,3 @@ def require_identity(name: str, entry: Device, identity: roles.Identity) -> None
         )
 
 
-def with_options(schema: dict[str, Any]) -> dict[str, Any]:
-    """The JSON Schema of a rig file, with the options of every installed driver, of other packages too."""
-    definitions = dict(schema["$defs"])
-    roles: Mapping[str, Role] = {"Chamber": "chamber", "Axis": "axis", "Encoder": "axis", "Imu": "imu"}
-    for kind, role in roles.items():
-        cases: list[dict[str, Any]] = []
-        for name in driver_names(role):
-            definitions[f"options of {name}"] = _options_of(known_driver(name)).model_json_schema()
-            when = {"properties": {"driver": {"const": name}}, "required": ["driver"]}
-            cases.append({"if": when, "then": {"properties": {"options": {"$ref": f"#/$defs/options of {name}"}}}})
-        definitions[f"{kind}Device"] = {**definitions[f"{kind}Device"], "allOf": cases}
-    return {**schema, "$defs": definitions}

@@ -1,7 +1,6 @@
 """The command line from outside: statuses, sentences, plain text, and what a start-up may not import."""
 
 import io
-import json
 import os
 import subprocess
 import sys
@@ -111,8 +110,6 @@ def test_new_prints_and_lists(capsys):
         (["check", "a.toml", "b.toml"], "b.toml"),
         (["check", "a.toml", "--files-onl"], "--files-only"),
         (["chek", "a.toml"], '"check"'),
-        (["schema"], "timeline"),
-        (["schema", "spek"], 'nearest: "spec"'),
         (["--nonsense"], "--nonsense"),
     ],
 )
@@ -160,13 +157,6 @@ def test_check_says_what_cannot_be_observed(spec, capsys):
     assert "cannot be observed: " in capsys.readouterr().out
 
 
-def test_schema_prints_json(capsys):
-    assert main(["schema", "prediction"]) == 0
-    assert json.loads(capsys.readouterr().out)["$id"] == "gradcal-prediction/1"
-    assert main(["schema", "--list"]) == 0
-    assert "spec" in capsys.readouterr().out.split()
-
-
 def test_output_is_plain_away_from_a_terminal_and_where_colour_is_unwanted(spec):
     for environment in ({}, {"NO_COLOR": "1"}, {"TERM": "dumb"}):
         for arguments in (["--help"], ["check", "--files-only", str(spec)], ["check", "none.toml"], ["chek"]):
@@ -182,7 +172,7 @@ def test_a_terminal_of_few_letters_gets_no_traceback(spec):
 
 
 def test_a_reader_that_leaves_early_is_no_success_and_no_complaint():
-    command = [*GRADCAL, "schema", "spec"]
+    command = [*GRADCAL, "new", "rig-hand", "-o", "-"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         complaint = process.stderr.read()

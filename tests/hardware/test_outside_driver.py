@@ -1,6 +1,5 @@
 """A package with drivers of its own, installed from its folder: seen wherever a rig is read."""
 
-import json
 import os
 import shutil
 import subprocess
@@ -8,7 +7,6 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import jsonschema
 import pytest
 from hardware_bench import Rig, short_recipe
 from journal_log import log_of
@@ -131,15 +129,3 @@ def test_run_and_log_know_it(tmp_path: Path) -> None:
     assert log.provenance["driver"] == "acme_unit"
     assert log.standstill is not None
     assert int(log.standstill.max()) == 2 * made.motion[0].repeat
-
-
-@pytest.mark.usefixtures("installed")
-def test_the_schema_knows_its_options(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["schema", "rig"]) == 0
-    schema = json.loads(capsys.readouterr().out)
-    check = jsonschema.Draft202012Validator(schema)
-    entry = {"driver": "acme", "port": "COM1", "safe": "standby"}
-    good = {"format": "gradcal-rig/1", "chamber": {**entry, "options": {"reply_timeout": "2 s", "parity": "E"}}}
-    assert check.is_valid(good)
-    for wrong in ({"reply_timeot": "2 s"}, {"reply_timeout": 2}, {"parity": "X"}):
-        assert not check.is_valid({**good, "chamber": {**entry, "options": wrong}})

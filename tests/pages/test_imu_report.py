@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from imu_bench import short
 from report_samples import calibration_of_plan
 from scipy.spatial.transform import Rotation
 

@@ -1,5 +1,5 @@
-"""Reference pages in Markdown: every key of a file or contract, from its JSON Schema. Each table is on one page only;
-pages of other files with that table link there."""
+"""A hook of mkdocs: reference pages in Markdown. Every key of a file or contract comes from its JSON Schema; each table
+is on one page only, and pages of other files with that table link there. All commands come from their signatures."""
 
 import json
 import re
@@ -7,17 +7,48 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any, Final
 
+from gradcal_jax.cli.app import build
 from gradcal_jax.tables import schemas
 
 _PLAIN: Final = {"string": "text", "integer": "whole number", "number": "number", "boolean": "`true` or `false`"}
+_COMMANDS_END: Final = """\
+Exit statuses: 0 done; 1 done, but the result is unsatisfactory (for example, a target is missed); 2 wrong input; 3 a
+device or a run failed; 130 interrupted; 141 the program that reads the output closed the pipe. An error message names
+the key, its value and what was expected. Output has no colours if it does not go to a terminal, or if `NO_COLOR` is
+set.
+"""
 Body = Mapping[str, Any]
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages."""
+    from mkdocs.structure.files import File
+
+    for path, text in pages().items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def pages() -> dict[str, str]:
+    """The text of every reference page, by its path."""
+    made = {f"reference/{name}.md": reference(name) for name in schemas.schema_names()}
+    made["reference/commands.md"] = commands_page()
+    return made
+
+
+def commands_page() -> str:
+    """All commands and options."""
+    page = build().generate_docs(heading_level=2, flatten_commands=True, usage_name="gradcal")
+    # (The usage names the module that is run, and a link to an option has all its hyphens.)
+    page = re.sub(r"(?m)^(gradcal\b.*?) -m \w+ ", r"\1 ", page).replace("(#gradcal-install-", "(#gradcal---install-")
+    return f"# Commands\n\nThis page lists all commands and options.\n\n{page}\n{_COMMANDS_END}"
 
 
 def reference(name: str) -> str:
     """The page of a file or contract, as `schema` names it. Errors: `ValueError` for other names."""
     page = name.removeprefix("gradcal-").partition("/")[0]
     own, pages = _schema(name), _pages()
-    head = f"This page lists all keys of this format; `gradcal schema {page} --markdown` generates it."
+    head = "This page lists all keys of this format."
     lines = [f"# {own['$id']}", "", head, ""]
     for title, body in _tables(own):
         if pages[title][0] == page and "properties" in body:

@@ -1,36 +1,28 @@
-"""Objects show themselves: `repr` fits a terminal, notebooks get the tables of the commands, a tab lists our names."""
+"""Objects show themselves: `repr` fits a terminal, a tab lists our names."""
 
-import base64
 import dataclasses
 import inspect
-import json
 import re
 import subprocess
 import sys
 import typing
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray
-from simulated_log import simulate_log
 
 import gradcal_jax as gj
 from gradcal_jax import identify
-from gradcal_jax.calibration.file import upgraded
 from gradcal_jax.design import optimise
 from gradcal_jax.design import plan_limit as limit
 from gradcal_jax.estimation import estimate
 from gradcal_jax.identify import instability
 from gradcal_jax.tables import display
-from gradcal_jax.tables.contracts import requirement_table
 
 LINES, WIDTH = 15, 80
 # A `repr` runs at most some fifty thousand lines of Python.
 MOST = 100_000
 WORDS = "a sentence that goes on and on, " * 40
-PRESETS = gj.presets.names()
-CALIBRATIONS = json.loads((Path(__file__).parent / "numbers/calibrations.json").read_text(encoding="utf-8"))
 
 
 def counted(function, value):
@@ -109,8 +101,8 @@ def test_all_results_of_functions_are_among_the_classes():
     assert names >= {"Prediction", "EstimateReport", "Spec", "Log", "Calibration", "Recipe", "PlanLimit"}
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_specs_predictions_recipes_and_timelines_show_what_they_are(preset):
+@pytest.mark.parametrize("preset", ["paper-dynamic-gradient", "paper-static-standard", "two-axis-table"])
+def test_specs_predictions_and_recipes_show_what_they_are(preset):
     spec = gj.parse_spec(gj.presets.text(preset))
     prediction = gj.predict(spec)
     assert spec.title[:60] in fits(spec)
@@ -119,58 +111,10 @@ def test_specs_predictions_recipes_and_timelines_show_what_they_are(preset):
     for row in prediction.requirements[:5]:
         assert row.name in shown
         assert display.amount(row.judged, row.unit) in shown
-    fits(gj.timeline(spec))
-    assert "data:image/png" in spec._repr_html_()
-    html = prediction._repr_html_()
-    table = requirement_table(prediction.requirements)
-    assert all(f">{cell}</t" in html for cells in table for cell in cells)
-
-
-def test_what_an_estimate_shows_is_what_its_command_prints():
-    spec = gj.changed(
-        gj.parse_spec(gj.presets.text("paper-dynamic-gradient")),
-        {"plan.temperature": ["20 degC", "45 degC"], "sensor.scale_factor.temperature.degree": 1},
-    )
-    log = simulate_log(spec, sample_rate_hz=10.0).log
-    assert f"{len(log.time_s)} rows, SIMULATED" in fits(log)
-    assert f">{log.counts()['used']}</td>" in log._repr_html_()
-    report = gj.estimate(spec, log)
-    (rows,) = report.verdicts.values()
-    shown, html = fits(report), report._repr_html_()
-    for row in rows:
-        assert row.name in shown
-        assert f">{display.amount(row.judged, row.unit)}</td>" in html
-    assert html.count(">gyro_x.b00</td>") == 1
-    assert "gyro_x: whiteness" in html
-    calibration = report.calibrations[0]
-    assert calibration.serial_number in fits(calibration)
-    assert f">{display.amount(calibration.result[0].value, 'ppm')}</td>" in calibration._repr_html_()
-    recipe = gj.recipe(spec)
-    assert fits(recipe).startswith("Recipe: Berman")
-    assert str(recipe).count("\n") > 30
-    for value in (spec, recipe, log, report, calibration, gj.predict(spec)):
-        html = value._repr_html_()
-        pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
-        assert pictures
-        assert all(base64.b64decode(p).startswith(b"\x89PNG") for p in pictures)
-        assert len(html) < 80_000
-
-
-@pytest.mark.parametrize("name", CALIBRATIONS)
-def test_a_calibration_shows_its_channels(name):
-    one = gj.Calibration.model_validate(upgraded(CALIBRATIONS[name]["tables"]))
-    shown, html = fits(one), one._repr_html_()
-    assert one.serial_number in shown
-    assert one.serial_number in html
-    assert ("SIMULATED" in shown) == ("SIMULATED" in html) == one.simulated
-    assert one.channel[0].label in shown
-    assert one.valid_range in shown
-    assert html.count("<table>") == 1 + bool(one.result) + bool(one.fit)
-
-
-def test_what_a_file_says_is_escaped_in_html():
-    prediction = gj.predict(gj.parse_spec(gj.presets.text("rig-3arcsec"))).model_copy(update={"title": "<b>&"})
-    assert "&lt;b&gt;&amp;" in prediction._repr_html_()
+    if preset == "paper-dynamic-gradient":
+        recipe = gj.recipe(spec)
+        assert fits(recipe).startswith("Recipe: Berman")
+        assert str(recipe).count("\n") > 30
 
 
 def test_a_repr_imports_nothing_heavy():

@@ -46,7 +46,7 @@ def lines_of(text):
 
 def command_of(words):
     """Its command: one word, or two."""
-    return " ".join(words[: 2 if words[0] == "rig" or words[:2] == ["log", "turns"] else 1])
+    return " ".join(words[: 2 if words[0] == "rig" else 1])
 
 
 # ------------------------------------------------------------------------------------------------------- what is said
@@ -246,7 +246,6 @@ NO_DEVICE = {
     "rig check rig.toml",
     "rig check mine/rig.toml",
     "rig check rig.toml --recipe recipe.toml --move",
-    "rig record rig.toml -o bench.txt --move",
     "run recipe.toml --rig rig.toml -o run1",
     "run recipe.toml --rig mine/rig.toml -o monday",
 }

@@ -32,7 +32,7 @@ from gradcal_jax import formulas
 from gradcal_jax.records.log import Floats
 from gradcal_jax.spec.bases import RateBasis, TemperatureBasis, increasing
 from gradcal_jax.tables import quantity as q
-from gradcal_jax.tables.display import amount, columns, html
+from gradcal_jax.tables.display import amount, columns
 from gradcal_jax.tables.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import Section
@@ -375,7 +375,6 @@ class Calibration(TitledFile):
         """Rates that the data covered for every channel (the second may be below the first: none)."""
         return common_span(channel.valid_rate for channel in self.channel)
 
-    _repr_html_ = html
 
     @property
     def valid_range(self) -> str:

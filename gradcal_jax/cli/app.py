@@ -14,7 +14,7 @@ from gradcal_jax.cli.check import check
 from gradcal_jax.cli.demo import demo
 from gradcal_jax.cli.estimate import estimate
 from gradcal_jax.cli.instability import allan, instability
-from gradcal_jax.cli.log import log_app
+from gradcal_jax.cli.log import log
 from gradcal_jax.cli.many import sweep
 from gradcal_jax.cli.new import new, start
 from gradcal_jax.cli.optimise import optimise
@@ -23,7 +23,6 @@ from gradcal_jax.cli.predict import limit, predict
 from gradcal_jax.cli.report import report
 from gradcal_jax.cli.rig import rig_app
 from gradcal_jax.cli.run import run as run_command
-from gradcal_jax.cli.user_config import own_defaults
 
 _HELP: Final = """Plan and run calibrations of gyros, accelerometers and IMUs, and predict the errors that remain.
 
@@ -33,7 +32,7 @@ A spec file describes sensor, rig and plan. Begin with `gradcal start`, or `grad
 GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
     ("Begin", (demo, start, new, check)),
     ("Predict the result, and find a plan", (predict, optimise, limit)),
-    ("Execute a plan", (rig_app, run_command, log_app)),
+    ("Execute a plan", (rig_app, run_command, log)),
     ("Calibrate", (estimate, apply, validate, export, lot, report)),
     ("Measure the noise of a sensor", (instability, allan)),
     ("Compute many plans", (sweep,)),
@@ -69,7 +68,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
             reconfigure(errors="replace")
     try:
         app = build()
-        app.config = own_defaults(app)
         tokens = sys.argv[1:] if arguments is None else list(arguments)
         command, bound, _ = app.parse_args(tokens, console=_wide(tokens), exit_on_error=False, print_error=False)
         status = command(*bound.args, **bound.kwargs)

@@ -1,76 +1,15 @@
-"""`gradcal log`: the log of a run, from the journal's raw bytes; and `log turns`: a log of turns by hand."""
+"""`gradcal log`: the log of a run, from the journal's raw bytes."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import App, Parameter
-
-from gradcal_jax.cli.output import DONE, ForceOutput, Json, OptionalOutput, Output, RunPath, as_json, writable
-from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, load, quantity
+from gradcal_jax.cli.output import DONE, Json, OptionalOutput, RunPath, as_json
+from gradcal_jax.cli.recordings import Recording, load
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.records.log import Log
 
-log_app = App(name="log", help="Write the log of a run, or of turns that were made by hand.")
-
-
-@log_app.command
-def turns(
-    log: LogFile,
-    /,
-    *,
-    turns: Annotated[str, Parameter(name="--turns")],
-    output: Output,
-    axis: str | None = None,
-    unit: str | None = None,
-    source: Recording = WHOLE,
-    force: ForceOutput = False,
-    json: Json = False,
-) -> int:
-    """Find the turns that were made by hand in a recording, and write a log with their angles and rests, for `gradcal
-    estimate`.
-
-    Parameters
-    ----------
-    turns
-        The turns in their order, such as "360 deg, 360 deg, -720 deg"; negative turns go in the opposite direction.
-    output
-        The log to write (.nc).
-    axis
-        The axis of the sensor about which the sensor was turned; by default the first one.
-    unit
-        Which IMU of the recording; by default the first one.
-    json
-        Print the turns as JSON.
-    """
-    import numpy as np
-
-    angles = [quantity(text.strip(), "angle", "--turns") for text in turns.split(",")]
-    writable(output, force)
-    recorded = load(log, source, unit=unit)
-    use_float64()
-    from gradcal_jax.estimation.log_flow import with_turns
-    from gradcal_jax.records.log_file import write_log
-    from gradcal_jax.tables.display import columns
-
-    marked, matched = with_turns(recorded, angles, axis=axis or 0, unit=unit or 0)
-    write_log(marked, output)
-    rows_deg = [(t.begin_s, t.end_s, np.degrees(t.listed_rad), np.degrees(t.sensed_rad)) for t in matched]
-    if json:
-        names = ("begin_s", "end_s", "said_deg", "sensed_deg")
-        rows = [dict(zip(names, row, strict=True)) for row in rows_deg]
-        print(as_json({"log": str(output), "axis": marked.table_axes[0], "turns": rows}))
-        return DONE
-    shown = [("from", "to", "listed", "by the sensor")]
-    shown += [(f"{a:.5g} s", f"{b:.5g} s", f"{angle:.6g} deg", f"{own:.6g} deg") for a, b, angle, own in rows_deg]
-    print(columns(shown, indent="", right=(0, 1, 2, 3)))
-    print(f"wrote {output}; next: gradcal estimate {output} --spec SPEC --axis {marked.table_axes[0]}")
-    return DONE
-
-
-@log_app.default
 def log(
     run: RunPath,
     /,

@@ -8,7 +8,6 @@ from cyclopts import Parameter
 
 from gradcal_jax.cli.output import DONE, Flag, Force, Json, Output, as_json, writable
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.user_config import read_user_config
 
 if TYPE_CHECKING:
     from gradcal_jax.pages.sources import Sources
@@ -102,7 +101,7 @@ def _certificate(documents: "Sources", page: Path, xml: Path | None, rig: Path |
     from gradcal_jax.spec.rig import read_rig
 
     read = None if rig is None else read_rig(rig)
-    document = room.certificate_of(documents, read, read_user_config().laboratory, **words)
+    document = room.certificate_of(documents, read, **words)
     if xml is not None:
         from gradcal_jax.pages.dcc import write_dcc
 

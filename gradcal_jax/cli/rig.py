@@ -1,6 +1,5 @@
-"""`gradcal rig`: the devices of a rig and their ports; and `rig watch`, the state of a run."""
+"""`gradcal rig check`: the devices of a rig; and `rig watch`, the state of a run."""
 
-import re
 import sys
 import time
 from dataclasses import asdict
@@ -13,19 +12,14 @@ from gradcal_jax.cli.output import (
     DONE,
     FAILED,
     Flag,
-    Force,
     Json,
-    Output,
-    OutputOrPrint,
     RunPath,
     as_json,
     complain,
     strong,
-    writable,
 )
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.cli.user_config import rig_or_own
 from gradcal_jax.tables.display import amount, columns
 from gradcal_jax.units import time_text
 
@@ -138,59 +132,12 @@ _UNITS = {
 }  # fmt: skip
 _ABILITIES = {"by_hand": "turned by hand", "typed": "the operator types its angle", "told": "nothing reads its angle"}
 
-rig_app = App(name="rig", help="Describe and check the devices of a rig, record what they send, or watch a run.")
+rig_app = App(name="rig", help="Check the devices of a rig, or watch a run.")
 rig_app.command(watch)
 
 
 @rig_app.command
-def new(*, output: OutputOrPrint, force: Force = False) -> int:
-    """Write a commented example of a rig file.
-
-    Parameters
-    ----------
-    output
-        The file to write; "-" prints the example instead.
-    """
-    from gradcal_jax.spec.rig import TEMPLATE
-    from gradcal_jax.tables.writing import write_whole
-
-    if str(output) == "-":
-        print(TEMPLATE, end="")
-        return DONE
-    writable(output, force)
-    write_whole(output, TEMPLATE)
-    print(f"wrote {output}; enter your ports and devices, then: gradcal rig check {output}")
-    return DONE
-
-
-@rig_app.command
-def protocols(name: str | None = None, /) -> int:
-    """List the devices whose descriptions the program has (for the drivers "lines" and "registers"), or print one
-    description as an example.
-
-    Parameters
-    ----------
-    name
-        The device whose description is printed.
-    """
-    from gradcal_jax.hardware import line_protocol, register_protocol
-
-    known = {one: ("lines", line_protocol.protocol_of(one)) for one in line_protocol.shipped()}
-    registers = line_protocol.shipped(register_protocol.FORMAT)
-    known |= {one: ("registers", register_protocol.register_protocol_of(one)) for one in registers}
-    if name is None:
-        print(columns([(one, kind, protocol.role, protocol.title) for one, (kind, protocol) in known.items()]))
-    else:
-        if name not in known:
-            from gradcal_jax.tables.problems import instead
-
-            raise ValueError(f"expected the name of a protocol; {instead(name, known)}")
-        print(line_protocol.protocol_text(name), end="")
-    return DONE
-
-
-@rig_app.command
-def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
+def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
     """Read the identity and the limits of every device of a rig. Nothing moves unless you add --move.
 
     With --recipe, test everything that a run of this recipe needs: take a reading from each device, measure the sample
@@ -201,7 +148,7 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
     Parameters
     ----------
     rig
-        The rig file; by default that of the user's configuration.
+        The rig file.
     recipe
         Test everything that a run of this recipe needs.
     move
@@ -216,7 +163,6 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
 
     if move and recipe is None:
         raise ValueError("--move makes the longest moves of a recipe: name the recipe with --recipe")
-    rig = rig_or_own(rig)
     description = read_rig(rig)
     reports = check_each(description, RealClock())
     tried = _tried(description, recipe, move) if recipe is not None and all(report.good for report in reports) else []
@@ -235,37 +181,6 @@ def check(rig: Path | None = None, /, *, recipe: Path | None = None, move: Flag 
         good = all(entry.good for entry in (*reports, *tried))
         print("every device answers as the rig file states" if good else "the rig is not ready")
     return DONE if all(entry.good for entry in (*reports, *tried)) else FAILED
-
-
-@rig_app.command
-def record(rig: Path | None = None, /, *, output: Output, move: Flag = False, force: Force = False) -> int:
-    """Communicate with every device of a rig, and record all bytes in both directions in one file.
-
-    The file shows whether a driver fits the device. If you report a fault, send the file: it can be replayed in place
-    of the device. Nothing moves unless you add --move. The exit status is 3 if a device did not answer correctly.
-
-    Parameters
-    ----------
-    rig
-        The rig file; by default that of the user's configuration.
-    output
-        The file to write.
-    move
-        Also switch the chamber on at its present temperature, let each axis search for its reference position, and turn
-        each axis by 10 deg. An operator must be ready to stop them.
-    """
-    from gradcal_jax.hardware.clock import RealClock
-    from gradcal_jax.hardware.transcript import record_bench
-    from gradcal_jax.spec.rig import read_rig
-
-    description = read_rig(rig_or_own(rig))
-    writable(output, force)
-    output.unlink(missing_ok=True)
-    said = record_bench(description, output, RealClock(), move=move)
-    bad = [text for _, _, text in said if re.match(r"[A-Z]\w+: ", text)]
-    print(columns([(device, call, text if text in bad else "answered") for device, call, text in said]))
-    print(f"wrote {output}")
-    return FAILED if bad else DONE
 
 
 def _tried(rig: "RigFile", recipe: Path, move: bool) -> "list[Tried]":

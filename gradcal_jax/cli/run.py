@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from gradcal_jax.cli.output import DONE, FAILED, INTERRUPTED, Flag, Json, OptionalOutput, as_json, complain
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.cli.user_config import rig_or_own
 from gradcal_jax.units import parse, time_text
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ def run(
     recipe
         The recipe file.
     rig
-        The rig file; by default that of the user's configuration.
+        The rig file.
     output
         The folder for the files of the run; it is created.
     resume
@@ -90,20 +89,22 @@ def run(
             raise ValueError("--resume needs only the folder: the run continues with its own rig, or in simulation")
         return _resume(resume, recipe, rig, json)
     if recipe is not None and dry_run:
-        return _dry_run(recipe, rig_or_own(rig), json)
+        if rig is None:
+            raise ValueError("name the rig file with --rig RIG")
+        return _dry_run(recipe, rig, json)
     if recipe is None or output is None:
         raise ValueError(
             "the recipe or the output folder is missing: gradcal run RECIPE --rig RIG -o RUN/, or with --simulate "
             "instead of --rig RIG"
         )
     either = "name the rig with --rig RIG or use --simulate (not both)"
-    if simulate and rig is not None:
+    if simulate == (rig is not None):
         raise ValueError(either)
     from gradcal_jax.hardware.execute import run as execute
     from gradcal_jax.recipe.recipe import read_recipe
     from gradcal_jax.spec.rig import read_rig
 
-    executable, bench = read_recipe(recipe), None if simulate else read_rig(rig_or_own(rig, either))
+    executable, bench = read_recipe(recipe), None if rig is None else read_rig(rig)
     rate = parse(sample_rate, "frequency")
     if simulate and not json:
         print(_REHEARSAL)

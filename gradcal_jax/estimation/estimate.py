@@ -85,7 +85,7 @@ from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.contracts import RequirementRow, narrow_table
-from gradcal_jax.tables.display import html, summary
+from gradcal_jax.tables.display import summary
 from gradcal_jax.units import DEG_PER_S, PPM
 
 # Steps to which the ranges of a calibration are rounded, outwards.
@@ -165,7 +165,6 @@ class EstimateReport(NamedTuple):
     """If the channels of a sensor were estimated separately: the calibrations of all its channels."""
 
     __repr__ = summary
-    _repr_html_ = html
 
     def _shown(self) -> list[str]:
         return [line for one in self.sensors for line in one._shown()]

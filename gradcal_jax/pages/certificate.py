@@ -107,20 +107,19 @@ class Certificate(NamedTuple):
 def certificate_of(
     sources: Sources,
     rig: RigFile | None = None,
-    own: Laboratory | None = None,
     *,
     number: str = "",
     customer: str = "",
     operator: str = "",
     performed: str = "",
 ) -> Certificate:
-    """The contents of a certificate. `own`: the laboratory, if the rig file names none. `performed`: a date, or the
+    """The contents of a certificate. `performed`: a date, or the
     first and the last as "2026-11-21..2026-11-22"; by default that of the run. Errors: `ValueError` without a
     calibration, or for an invalid date."""
     calibration = sources.calibration
     if calibration is None:
         raise ValueError("a certificate needs a calibration: name its file, or the folder of a run with a calibration")
-    laboratory = own if rig is None else rig.laboratory or own
+    laboratory = None if rig is None else rig.laboratory
     who = operator or ("" if laboratory is None or laboratory.operator is None else laboratory.operator)
     where = "" if laboratory is None else ", ".join(filter(None, (laboratory.name, laboratory.address)))
     number_of_unit = calibration.provenance.get(SERIAL_NUMBER, NOT_STATED)

@@ -31,7 +31,7 @@ from gradcal_jax.tables.contracts import (
     Size,
     narrow_table,
 )
-from gradcal_jax.tables.display import html, whole_text
+from gradcal_jax.tables.display import whole_text
 from gradcal_jax.tables.document import TitledFile, from_text, model_of, read_text
 from gradcal_jax.tables.problems import Problem, SpecError
 from gradcal_jax.tables.quantity import Text, Whole
@@ -119,7 +119,6 @@ class Recipe(TitledFile):
     """The spec, with the plan that the recipe executes."""
 
     __str__ = whole_text
-    _repr_html_ = html
 
     def _problems(self) -> Iterable[Problem]:
         step = self.resolution.acceleration

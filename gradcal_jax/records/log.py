@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.tables.display import columns as text_columns
-from gradcal_jax.tables.display import html, summary
+from gradcal_jax.tables.display import summary
 from gradcal_jax.tables.problems import instead
 
 FORMAT: Final = "gradcal-log/1"
@@ -287,7 +287,6 @@ class Log:
     """[unit, time]; temperature of the second thermometer."""
 
     __repr__ = summary
-    _repr_html_ = html
 
     def summary_lines(self) -> list[str]:
         """Its contents in lines: length, units, axes, arrays, faults."""

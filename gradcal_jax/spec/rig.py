@@ -251,4 +251,4 @@ def rig_of(document: Mapping[str, Any], source: str = "") -> RigFile:
 
 
 TEMPLATE: Final = presets.template("rig.toml")
-"""What `gradcal rig new` writes: a commented rig to be edited."""
+"""A commented rig to be edited."""

@@ -16,7 +16,6 @@ from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.requirement import Requirements
 from gradcal_jax.spec.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.spec.sensor import Sensor
-from gradcal_jax.tables.display import html
 from gradcal_jax.tables.document import TitledFile
 from gradcal_jax.tables.problems import Key, Problem
 from gradcal_jax.tables.quantity import Quantity, SizeOfTime, Text, Time
@@ -66,7 +65,6 @@ class Spec(TitledFile):
     def _problems(self) -> Iterator[Problem]:
         return problems_between(self)
 
-    _repr_html_ = html
 
     @property
     def is_one_axis(self) -> bool:

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from gradcal_jax.tables.display import WIDTH, amount, columns, html
+from gradcal_jax.tables.display import WIDTH, amount, columns
 from gradcal_jax.tables.section import Section
 from gradcal_jax.units import times_text
 
@@ -395,7 +395,6 @@ class Prediction(Section):
     """Number of IMUs that can be calibrated in a shift. Only complete runs count; the time to change the IMUs is
     neglected. If a run takes longer than a shift: the number of IMUs times shift/run."""
 
-    _repr_html_ = html
 
     def _shown(self) -> list[str]:
         hidden = [row.name for row in self.parameters if row.std is None]

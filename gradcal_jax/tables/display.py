@@ -1,4 +1,4 @@
-"""How objects show themselves: as `repr` at most 15 lines of 80 columns, and as tables in a notebook. Imports nothing
+"""How objects show themselves: as `repr` at most 15 lines of 80 columns, Imports nothing
 that takes time, and computes nothing."""
 
 import dataclasses
@@ -25,12 +25,6 @@ def summary(self: object) -> str:
 def whole_text(self: object) -> str:
     """The `__str__` of a recipe: the whole sheet that `gradcal check` prints."""
     return import_module("gradcal_jax.pages.bench_sheet").show(self)
-
-
-def html(self: object) -> str:
-    """The `_repr_html_` of a class: the tables that its command prints."""
-    # The pages know every class, and no class knows them.
-    return import_module("gradcal_jax.pages.notebook").tables_of(self)
 
 
 def amount(value: float | None, unit: str) -> str:

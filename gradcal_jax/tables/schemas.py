@@ -25,7 +25,6 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "calibration": ("calibration", "Calibration"),
     "recipe": ("recipe.recipe", "Recipe"),
     "sweep": ("sweeps.sweep_file", "SweepFile"),
-    "config": ("spec.user_config", "UserConfig"),
 }
 # Versions other than 1.
 _VERSIONS: Final[Mapping[str, str]] = {"timeline": "3", "calibration": "2"}

@@ -54,7 +54,7 @@ optimise whole.toml -o good.toml | optimise whole.toml -o out.toml --resume | li
 frontier good.toml | frontier good.toml --motion 5 | frontier good.toml --motion 10min..5min
 frontier good.toml --motion 0min..5min --points 1 | frontier good.toml --motion x..y | sensitivity missing.toml
 recipe good.toml | recipe good.toml -o no/where.toml | show good.toml | show empty.toml | rig | rig check
-rig check good.toml | rig new -o good.toml | run | run good.toml -o run | run missing.toml --simulate -o run
+rig check good.toml | run | run good.toml -o run | run missing.toml --simulate -o run
 run --resume nowhere | run good.toml --simulate -o run --speed 0
 run good.toml --simulate -o run --speed -1 | log nowhere | log good.toml
 instability data.csv | instability data.csv --columns good.toml | instability missing.csv | instability empty.nc

@@ -1,4 +1,4 @@
-"""A bench that was recorded by `gradcal rig record` is replayed as its devices: the drivers say and find the same.
+"""A bench that was recorded by `record_bench` is replayed as its devices: the drivers say and find the same.
 
 Recordings of real benches belong into `recordings/`; each is replayed here.
 """

@@ -1,4 +1,4 @@
-"""Reading the transcripts that `gradcal rig record` makes."""
+"""Reading the transcripts of benches, as `record_bench` writes them."""
 
 import json
 import re
@@ -78,4 +78,4 @@ def rig_in(path: Path) -> dict[str, Any]:
         for line in file:
             if line.startswith(RIG):
                 return json.loads(line.removeprefix(RIG))
-    raise ValueError(f"{path} has no line {RIG!r}: it was not made by `gradcal rig record`")
+    raise ValueError(f"{path} has no line {RIG!r}: `record_bench` did not write it")

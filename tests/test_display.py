@@ -112,7 +112,7 @@ def test_specs_predictions_and_recipes_show_what_they_are(preset):
         assert row.name in shown
         assert display.amount(row.judged, row.unit) in shown
     if preset == "paper-dynamic-gradient":
-        recipe = gj.recipe(spec)
+        recipe = gj.make_recipe(spec)
         assert fits(recipe).startswith("Recipe: Berman")
         assert str(recipe).count("\n") > 30
 

@@ -79,7 +79,7 @@ def run(name: str) -> dict[str, object]:
     assert spec.design is not None
     best = optimise(spec)
     took = time.perf_counter() - begun
-    made = prediction.recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))
+    made = prediction.make_recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))
     place = path_of(name)
     place.parent.mkdir(exist_ok=True)
     place.write_text(to_toml(made), encoding="utf-8")

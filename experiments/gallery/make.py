@@ -79,7 +79,7 @@ def drawn() -> dict[str, Figure]:
     imu = gj.parse_spec(gj.presets.text("two-axis-table"))
     mission = gj.read_spec(ROOT / "experiments" / "missions" / "plans" / "hover.toml")
     coarse = gj.changed(turns, {"rig.table.axis[0].angle.reading_noise": "30 arcsec"})
-    recipe = gj.recipe(spec)
+    recipe = gj.make_recipe(spec)
     with tempfile.TemporaryDirectory() as folder:
         reports = [calibrated(recipe, Path(folder) / f"run{k}", k) for k in range(4)]
     report, lots = reports[0], gj.lot([report.calibrations[0] for report in reports])

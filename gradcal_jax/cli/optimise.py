@@ -172,7 +172,7 @@ def optimise(
         specification, kept, steps=steps, quick=quick, until_met=until_met, checkpoint=checkpoint
     )
     status = best.sentence if not interrupted else f"interrupted; the best plan so far: {best.sentence}"
-    result = prediction.recipe(best, status=status, stability=stability, keep_shapes=keep_shapes)
+    result = prediction.make_recipe(best, status=status, stability=stability, keep_shapes=keep_shapes)
     write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
     if not interrupted:
         kept.unlink(missing_ok=True)
@@ -333,7 +333,7 @@ def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quic
     seconds = sum(end - begin for begin, end in spans)
     remark = f"after {time_text(float(round(seconds)))} with data; the prediction includes these data"
     notes = (f"a plan for the remaining part of a run, {remark}",)
-    result = prediction.recipe(best, stability=recipe.stability, status=status, notes=notes)
+    result = prediction.make_recipe(best, stability=recipe.stability, status=status, notes=notes)
     write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
     if json:
         print(as_json(record_of(best) | {"done": spans, "recipe": str(output)}))
@@ -365,7 +365,7 @@ def write_recipe(spec: "Spec", output: Path, stability: "Stability", *, keep_sha
     from gradcal_jax.information import prediction
     from gradcal_jax.tables.writing import to_toml
 
-    result = prediction.recipe(spec, stability=stability, keep_shapes=keep_shapes)
+    result = prediction.make_recipe(spec, stability=stability, keep_shapes=keep_shapes)
     text = to_toml(result, header=_HEADER)
     if str(output) == "-":
         print(text, end="")
@@ -413,7 +413,7 @@ def show_frontier(
         for point in room.frontier_points(spec, times, steps=steps, watch=show):
             reached.append(point)
             if output is not None and point.plan is not None:
-                write_toml(prediction.recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
+                write_toml(prediction.make_recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
     targets = {
         r.name: limit[1]
         for r in spec.requirement

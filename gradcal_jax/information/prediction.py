@@ -437,7 +437,7 @@ _VERSIONS = ("jax", "numpy", "equinox")
 NOT_OPTIMISED = "not optimised: the plan of the spec"
 
 
-def recipe(
+def make_recipe(
     plan: "Spec | Optimised",
     *,
     resolution: ControllerSteps | None = None,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from gradcal_jax.information.prediction import recipe
+from gradcal_jax.information.prediction import make_recipe
 from gradcal_jax.spec.spec import parse_spec
 from gradcal_jax.tables.writing import to_toml, write_whole
 
@@ -57,7 +57,7 @@ def _rows(results: "xarray.Dataset", folder: Path) -> Iterator[dict[str, Any]]:
         if reason := str(value("failure")):
             yield row | {"search": reason}
             continue
-        made = recipe(parse_spec(str(value("optimised_spec"))), status=str(value("convergence")))
+        made = make_recipe(parse_spec(str(value("optimised_spec"))), status=str(value("convergence")))
         name = "__".join(slug(text.removesuffix(".toml")) for text in named.values()) + ".toml"
         write_whole(folder / name, to_toml(made, header=_HEADER))
         design = made.spec.design

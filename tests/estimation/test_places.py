@@ -96,7 +96,7 @@ def hung(mounting):
 
 
 def test_a_recipe_has_the_places():
-    made = gj.recipe(fixture([{"name": "a"}, {"name": "b", "x": "-x", "y": "-y"}]))
+    made = gj.make_recipe(fixture([{"name": "a"}, {"name": "b", "x": "-x", "y": "-y"}]))
     assert made.prediction is not None
     assert [place.name for place in made.prediction.places] == ["a", "b"]
     assert made.spec.rig.table.place[1].name == "b"

@@ -201,7 +201,7 @@ def test_a_run_goes_on_by_the_plan_of_its_rest(
     spans = [(float(part.start), float(part.end)) for part in again.spec.done]
     np.testing.assert_allclose(spans, done, atol=1e-6)
     with pytest.raises(RunFolderError, match="does not continue the run"):
-        adopt(folder, prediction.recipe(changed(again.spec, {"done": None})))
+        adopt(folder, prediction.make_recipe(changed(again.spec, {"done": None})))
     assert main(["run", str(tmp_path / "rest.toml"), "--resume", str(run), "--json"]) == 0
     log = run_log.log(run)
     assert len(log.stretch_starts) == 2

@@ -153,7 +153,7 @@ def test_a_recipe_and_a_sweep_stand_alone(tmp_path, monkeypatch):
         "[plan]\n", '[[requirement]]\nname = "h"\nquantity = "mission_heading"\nmission = "hover.csv"\n\n[plan]\n', 1
     )
     (tmp_path / "spec.toml").write_text(text, encoding="utf-8")
-    made = gj.recipe(read_spec(tmp_path / "spec.toml"))
+    made = gj.make_recipe(read_spec(tmp_path / "spec.toml"))
     (tmp_path / "hover.csv").unlink()
     monkeypatch.chdir(tmp_path)
     again = parse_recipe(to_toml(made))
@@ -199,7 +199,7 @@ def test_pictures_and_the_page_show_missions(tmp_path):
     assert "deg" in ax.get_ylabel()
     (ax,) = [a for a in draw_comparison([("a", spec), ("b", spec)]).axes if a.get_title() == "h"]
     assert [line.get_label() for line in ax.lines] == ["a", "b"]
-    write_toml(gj.recipe(spec), tmp_path / "recipe.toml")
+    write_toml(gj.make_recipe(spec), tmp_path / "recipe.toml")
     data = report(tmp_path / "recipe.toml", tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     (fact,) = (f for f in data.requirements if f.name == "h")

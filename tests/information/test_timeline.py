@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.hardware.track import track_of
-from gradcal_jax.information.prediction import predict, recipe
+from gradcal_jax.information.prediction import make_recipe, predict
 from gradcal_jax.information.timeline import timeline
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.motion_plan import row_count
@@ -77,7 +77,7 @@ def test_a_rest_that_is_read_as_its_table_is_read_at_its_end_too():
     count = row_count(spec.schedule, spec.rig.table)
     assert count == 8 * 6  # 8 cycles of two rests and two turns, without a rest beside
     assert len(timeline(spec).readings) == count
-    steps = track_of(recipe(spec), [spec.rig.table.axis[0].name]).steps
+    steps = track_of(make_recipe(spec), [spec.rig.table.axis[0].name]).steps
     assert sum(len(step.read_at_s) for step in steps) == count + 1  # and the first
 
 

@@ -29,7 +29,7 @@ def html(request, tmp_path_factory):
     """The page of a simulated run and of its calibration."""
     folder = tmp_path_factory.mktemp("browser")
     if request.param != "a gyro's axis":
-        plan = prediction.recipe(short() if request.param == "an IMU" else triad())
+        plan = prediction.make_recipe(short() if request.param == "an IMU" else triad())
         execute.run(plan, folder / "run", simulate=True, seed=3)
         (found,) = estimate_sensors(plan.spec, [run_log.log(folder / "run")])
         write_calibration(found.calibration, folder / "run" / "calibration.toml")

@@ -25,9 +25,9 @@ from gradcal_jax.identify.thermal import fit_thermal_bias as fit_thermal_bias
 from gradcal_jax.information import posterior as posterior
 from gradcal_jax.information import residual as residual
 from gradcal_jax.information.plan_sentences import check as check
+from gradcal_jax.information.prediction import make_recipe as make_recipe
 from gradcal_jax.information.prediction import monte_carlo as monte_carlo
 from gradcal_jax.information.prediction import predict as predict
-from gradcal_jax.information.prediction import make_recipe as make_recipe
 from gradcal_jax.information.sensitivity import differentiable as differentiable
 from gradcal_jax.information.sensitivity import sensitivity as sensitivity
 from gradcal_jax.information.timeline import timeline as timeline

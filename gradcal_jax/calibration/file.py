@@ -375,7 +375,6 @@ class Calibration(TitledFile):
         """Rates that the data covered for every channel (the second may be below the first: none)."""
         return common_span(channel.valid_rate for channel in self.channel)
 
-
     @property
     def valid_range(self) -> str:
         """The range of temperature and rate that the data covered, in words."""

@@ -10,6 +10,7 @@ from gradcal_jax.units import time_text
 if TYPE_CHECKING:
     from gradcal_jax.records.log import Log
 
+
 def log(
     run: RunPath,
     /,

@@ -465,5 +465,3 @@ def estimate_points(
     noise = {name: np.pad(columns[: size[1]], [(0, size[0] - size[1]), (0, 0)]) for name, columns in omitted.items()}
     fitted = fit_of(built, points.unit, Recorded(rows, (own,), table), options)
     return report_of(fitted, [log], points.unit, options, sources or {}, noise, RecordFaults())
-
-

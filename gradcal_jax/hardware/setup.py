@@ -433,5 +433,3 @@ def require_identity(name: str, entry: Device, identity: roles.Identity) -> None
             f"{name} at {entry.port} has the serial number {identity.serial_number or '(none reported)'}, but the "
             f"rig file states {entry.serial_number}. Connect the right device or correct the rig file."
         )
-
-

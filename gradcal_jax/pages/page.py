@@ -1,5 +1,4 @@
-"""The HTML page of a plan, a run or a calibration: numbers and figures in a template, without external resources.
-"""
+"""The HTML page of a plan, a run or a calibration: numbers and figures in a template, without external resources."""
 
 import os
 from collections.abc import Sequence

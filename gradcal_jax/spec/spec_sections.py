@@ -65,7 +65,6 @@ class Spec(TitledFile):
     def _problems(self) -> Iterator[Problem]:
         return problems_between(self)
 
-
     @property
     def is_one_axis(self) -> bool:
         """Whether there is nothing but a gyro along the only axis of a table: its rate and bias are all that counts."""

@@ -395,7 +395,6 @@ class Prediction(Section):
     """Number of IMUs that can be calibrated in a shift. Only complete runs count; the time to change the IMUs is
     neglected. If a run takes longer than a shift: the number of IMUs times shift/run."""
 
-
     def _shown(self) -> list[str]:
         hidden = [row.name for row in self.parameters if row.std is None]
         counts = {"parameter": self.parameters, "omitted error term": self.omitted, "warning": self.warnings}

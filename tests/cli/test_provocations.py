@@ -179,9 +179,7 @@ assert open("log.nc", "rb").read() == before
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is full")
-@pytest.mark.parametrize(
-    "arguments", [["check", "--files-only", "good.toml"], ["--help"]]
-)
+@pytest.mark.parametrize("arguments", [["check", "--files-only", "good.toml"], ["--help"]])
 def test_a_full_standard_output_is_no_success(arguments, folder):
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
@@ -198,9 +196,7 @@ def test_a_full_standard_output_is_no_success(arguments, folder):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes")
-@pytest.mark.parametrize(
-    "arguments", [["--help"], ["check", "--files-only", "good.toml"]]
-)
+@pytest.mark.parametrize("arguments", [["--help"], ["check", "--files-only", "good.toml"]])
 def test_a_reader_that_goes_away_is_no_success(arguments, folder):
     reading, writing = os.pipe()
     os.close(reading)

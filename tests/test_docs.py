@@ -230,7 +230,6 @@ ELSEWHERE = {
         "tests/cli/test_imu_estimate_cli.py"
     ),
     "run recipe.toml --rig mine/rig.toml -o run1": "tests/cli/test_run_cli.py",
-    "lot unit-*/calibration.toml -o priors.toml --plot lot.png": "tests/cli/test_lot_cli.py",
     "predict mine/spec.toml --sensitivity": "tests/cli/test_design_cli.py",
     "sweep experiments/sweeps/tactical_bench.toml -o results.nc --plot results.png": "tests/cli/test_sweep_cli.py",
 }

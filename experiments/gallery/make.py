@@ -81,8 +81,7 @@ def drawn() -> dict[str, Figure]:
     coarse = gj.changed(turns, {"rig.table.axis[0].angle.reading_noise": "30 arcsec"})
     recipe = gj.make_recipe(spec)
     with tempfile.TemporaryDirectory() as folder:
-        reports = [calibrated(recipe, Path(folder) / f"run{k}", k) for k in range(4)]
-    report, lots = reports[0], gj.lot([report.calibrations[0] for report in reports])
+        report = calibrated(recipe, Path(folder) / "run", 0)
     (calibration,) = report.calibrations
     noise = 2e-4 * np.random.default_rng(0).standard_normal(400_000)
     deviation, fit = gj.allan(noise + np.cumsum(2e-8 * noise / 2e-4), rate=100.0)
@@ -105,8 +104,6 @@ def drawn() -> dict[str, Figure]:
         "draw_allan": plots.draw_allan(deviation, fit),
         "draw_boundary": plots.draw_boundary(gj.instability(noise, rate=100.0)),
         "draw_heading": plots.draw_requirement(mission, mission.requirement[0].name),
-        "draw_lot": plots.draw_lot(lots),
-        "draw_lot_map": plots.draw_lot_map(lots.maps[0]),
         "draw_gravity_left": plots.draw_gravity_left(by_hand()),
         "draw_turns_left": plots.draw_turns_left(by_hand()),
     }

@@ -9,7 +9,7 @@ from typing import Any, Final
 from cyclopts import App, CycloptsError, Group
 
 import gradcal_jax
-from gradcal_jax.cli.calibrated import apply, export, lot, validate
+from gradcal_jax.cli.calibrated import apply, export, validate
 from gradcal_jax.cli.check import check
 from gradcal_jax.cli.demo import demo
 from gradcal_jax.cli.estimate import estimate
@@ -33,7 +33,7 @@ GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
     ("Begin", (demo, start, new, check)),
     ("Predict the result, and find a plan", (predict, optimise, limit)),
     ("Execute a plan", (rig_app, run_command, log)),
-    ("Calibrate", (estimate, apply, validate, export, lot, report)),
+    ("Calibrate", (estimate, apply, validate, export, report)),
     ("Measure the noise of a sensor", (instability, allan)),
     ("Compute many plans", (sweep,)),
 )

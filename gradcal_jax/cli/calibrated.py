@@ -1,4 +1,4 @@
-"""`gradcal apply`, `validate`, `export` and `lot`: uses of a calibration, and of those of many IMUs of a type."""
+"""`gradcal apply`, `validate` and `export`: uses of a calibration."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,21 +14,16 @@ from gradcal_jax.cli.output import (
     JsonNumbers,
     OptionalOutput,
     Output,
-    Plot,
     as_json,
-    drawable,
-    save_figure,
     strong,
     writable,
 )
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity
-from gradcal_jax.tables.display import columns
 from gradcal_jax.tables.display import columns as table
 
 if TYPE_CHECKING:
     from gradcal_jax.calibration.exports import Export
-    from gradcal_jax.estimation.calibrations import Lot
     from gradcal_jax.estimation.validation import Acceptance, AxisValidation
 
 Calibrated = Annotated[Path, Parameter(help="The calibration file.")]
@@ -307,71 +302,3 @@ def export_text(done: "Export") -> str:
     else:
         lines.append("nothing is lost")
     return "\n".join([*lines, *(f"note: {note}" for note in done.notes)])
-
-
-def lot(
-    calibrations: Annotated[tuple[Path, ...], Parameter(negative="")],
-    /,
-    *,
-    output: OptionalOutput = None,
-    force: ForceOutput = False,
-    json: JsonNumbers = False,
-    plot: Plot = None,
-) -> int:
-    """From calibrations of several IMUs of one type, compute the mean of every map and its spread from IMU to IMU.
-
-    The uncertainty of each calibration does not count in the spread. The map of an IMU is described as the mean map and
-    added functions of temperature (shapes), each with a factor for this IMU. The command prints the smallest number of
-    shapes that explains the maps of all IMUs (chi-squared test at 1 %). Further tests detect groups, and outliers (at
-    1 % for the whole lot). The exit status is 1 if there are outliers or groups, or if priors are requested and no map
-    has such shapes.
-
-    Parameters
-    ----------
-    calibrations
-        Calibration files, one for each IMU, estimated with the same spec; three or more.
-    output
-        Write priors for the spec of the next IMU to this file (.toml), if the shapes repeat.
-    plot
-        Draw the maps of all IMUs, the mean map and the shapes that repeat into this file (.png, .svg, .pdf).
-    """
-    from gradcal_jax.calibration import read_calibration
-
-    if output is not None:
-        writable(output, force)
-    drawable(plot)
-    read = [read_calibration(path) for path in calibrations]
-    from gradcal_jax.estimation import calibrations as work
-
-    found = work.lot(read)
-    print(as_json(work.lot_tables(found)) if json else lot_text(found))
-    save_figure(lambda plots: plots.draw_lot(found), plot, quiet=json)
-    status = NOT_AS_WISHED if any(one.strangers or one.groups for one in found.maps) else DONE
-    if output is None:
-        return status
-    if all(one.prior is None for one in found.maps):
-        from gradcal_jax.cli.output import complain
-
-        complain(f"no priors were written to {output}: no map has a shape that repeats in this lot")
-        return NOT_AS_WISHED
-    from gradcal_jax.tables.writing import write_whole
-
-    write_whole(output, work.lot_priors(found))
-    if not json:
-        print(f"wrote {output}")
-    return status
-
-
-def lot_text(found: "Lot") -> str:
-    """A lot for people: a row for each map, then what each says in sentences."""
-    rows = [("map", "IMUs", "mean, rms", "spread, rms", "", "shapes")]
-    for one in found.maps:
-        numbers = f"{one.mean_rms:.4g}", f"{one.spread_rms:.3g}", one.unit
-        name = f"{one.channel} {one.term.replace('_', ' ')}"
-        rows.append((name, f"{len(one.serial_numbers) - len(one.strangers)}", *numbers, one.shapes_in_words))
-    simulated = ", SIMULATED" if found.simulated else ""
-    lines = [strong(f"lot of {len(found.serial_numbers)} IMUs{simulated}"), columns(rows, indent="", right=(1, 2, 3))]
-    for one in found.maps:
-        for sentence in one.findings:
-            lines.append(sentence)
-    return "\n".join([*lines, *(f"note: {note}" for note in found.notes)])

@@ -6,8 +6,6 @@ from gradcal_jax.plots.calibration import draw_gravity_left, draw_loop, draw_res
 from gradcal_jax.plots.calibration_maps import (
     draw_calibrated_scale_factor,
     draw_calibrated_term,
-    draw_lot,
-    draw_lot_map,
 )
 from gradcal_jax.plots.identification import draw_allan, draw_boundary, draw_drift
 from gradcal_jax.plots.residual import draw_curves, draw_map, draw_over_temperature, draw_worst_over_temperature
@@ -36,8 +34,6 @@ __all__ = [
     "draw_gravity_left",
     "draw_heading",
     "draw_loop",
-    "draw_lot",
-    "draw_lot_map",
     "draw_map",
     "draw_over_temperature",
     "draw_planned_rate",

@@ -1,13 +1,12 @@
-"""Maps of a calibration file with one standard deviation, and its residuals; and those of a lot."""
+"""Maps of a calibration file with one standard deviation, and its residuals."""
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.calibration import CalibratedChannel, Calibration
-from gradcal_jax.estimation.calibrations import Lot, LotMap, calibration_map, grid_of
-from gradcal_jax.plots.style import PALETTE, draw_band, new_axes, new_panels, style_of
+from gradcal_jax.estimation.calibrations import calibration_map, grid_of
+from gradcal_jax.plots.style import PALETTE, draw_band, new_axes, style_of
 
 
 def panels_of(calibration: Calibration) -> list[tuple[str, str]]:
@@ -76,42 +75,3 @@ def draw_residual_parts(channel: CalibratedChannel, *, ax: Axes | None = None) -
     ax.axhspan(1.0 - half, 1.0 + half, color=PALETTE[1], alpha=0.2)
     ax.set(xlabel="tenth of the run", ylabel="rms residual, standard deviations", ylim=(0.0, None))
     return ax, line
-
-
-def draw_lot(found: Lot, *, figure: Figure | SubFigure | None = None) -> Figure:
-    """A panel for each map, as `draw_lot_map` draws it, on `figure` or a new one."""
-    wide = min(3, len(found.maps))
-    figure, panels = new_panels(-(-len(found.maps) // wide), wide, (4.6, 3.4), figure)
-    for one, ax in zip(found.maps, panels.ravel(), strict=False):
-        draw_lot_map(one, ax=ax)
-    for ax in panels.ravel()[len(found.maps) :]:
-        ax.set_axis_off()
-    return figure
-
-
-def draw_lot_map(one: LotMap, *, ax: Axes | None = None) -> Axes:
-    """One map of all IMUs over temperature, at a low rate. Outliers are dashed. The band about the mean is the standard
-    deviation from IMU to IMU; each shape that repeats is drawn at one standard deviation from the mean."""
-    ax = new_axes(ax)
-    strangers = {stranger.serial_number for stranger in one.strangers}
-    t, constant = one.temperature_c, len(one.temperature_c) == 1
-    at = range(1, len(one.values) + 1) if constant else t
-    if constant:
-        ax.plot(at, one.values[:, 0], "o", color="0.55", label="IMUs")
-        ax.axhline(one.mean[0], color=PALETTE[0], label="mean ± 1σ of the type")
-        ax.axhspan(one.mean[0] - one.spread[0], one.mean[0] + one.spread[0], color=PALETTE[0], alpha=0.2)
-        ax.set_xticks(list(at), one.serial_numbers, rotation=90, fontsize=6)
-    else:
-        for name, values in zip(one.serial_numbers, one.values, strict=True):
-            stranger = name in strangers
-            (line,) = ax.plot(t, values, linewidth=0.8, color="0.7")
-            if stranger:
-                line.set(color=PALETTE[1], linestyle="--", label=f"{name}, an outlier")
-        ax.plot(t, one.mean, linewidth=2.0, color=PALETTE[0], label="mean ± 1σ of the type")
-        ax.fill_between(t, one.mean - one.spread, one.mean + one.spread, color=PALETTE[0], alpha=0.2)
-        for k, shape in enumerate(one.shapes):
-            ax.plot(t, one.mean + shape, label=f"mean + shape {k + 1}", **style_of(k + 2))
-        ax.set_xlabel("temperature, °C")
-    ax.set(ylabel=f"{one.term.replace('_', ' ')}, {one.unit}", title=one.channel.replace("_", " "))
-    ax.legend(fontsize=7)
-    return ax

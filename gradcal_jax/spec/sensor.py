@@ -211,8 +211,8 @@ class Bias(_ErrorFunction):
     discrepancy: BiasDiscrepancy | None = None
     """Possible structure of the map beyond its basis."""
     shape: Annotated[tuple[BiasShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
-    channel without shapes has a flat prior."""
+    """Instead of `prior`: the prior is a sum of these functions with random factors. A channel without shapes has a
+    flat prior."""
 
 
 class ScaleFactor(_ErrorFunction):
@@ -230,8 +230,8 @@ class ScaleFactor(_ErrorFunction):
     discrepancy: ScaleFactorDiscrepancy | None = None
     """Possible structure of the map beyond its basis."""
     shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`. A
-    channel without shapes has a flat prior."""
+    """Instead of `prior`: the prior is a sum of these functions with random factors. A channel without shapes has a
+    flat prior."""
 
 
 HOST_CLOCK: Final = 1e-6
@@ -407,7 +407,7 @@ class SpecificForceBias(_ErrorTerm):
 
     prior: q.PositiveSpecificForce | None = None
     shape: Annotated[tuple[SpecificForceShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`."""
+    """Instead of `prior`: the prior is a sum of these functions with random factors."""
 
 
 class SpecificForceScale(_ErrorTerm):
@@ -416,7 +416,7 @@ class SpecificForceScale(_ErrorTerm):
     prior: q.PositiveScaleFactor | None = None
     """Standard deviation of each coefficient before the calibration, a ratio; absent: unknown."""
     shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: the prior is a sum of these functions with random factors, as written by `gradcal lot`."""
+    """Instead of `prior`: the prior is a sum of these functions with random factors."""
 
 
 class SecondOrder(_ErrorTerm):

@@ -25,7 +25,6 @@ ARGUMENTS = {
     "instability": "FILE",
     "limit": "FILE",
     "log": "FILE",
-    "lot": "FILE FILE FILE",
     "new": "FILE -o OUT",
     "optimise": "FILE -o OUT",
     "optimise --motion 50min": "FILE",

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
+from gradcal_jax.tables.display import printable
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -89,4 +91,4 @@ def strong(text: str) -> str:
 def complain(text: str) -> None:
     """Print an error on stderr."""
     mark = "gradcal: " if is_plain(sys.stderr) else "\x1b[1;31mgradcal:\x1b[0m "
-    print(mark + text, file=sys.stderr, flush=True)
+    print(mark + printable(text), file=sys.stderr, flush=True)

@@ -20,7 +20,7 @@ from gradcal_jax.cli.output import (
 )
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.tables.display import amount, columns
+from gradcal_jax.tables.display import amount, columns, printable
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
@@ -59,14 +59,19 @@ def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Jso
         shown: Any = None
         while True:
             status = read_status(run)
+            try:
+                text, silent_s = printable(status_text(status)), time.time() - float(status["at_s"])
+                ended = "exit_status" in status
+                good = ended and status["exit_status"] == "success" and status["verified_safe"] is True
+            except (AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError):
+                raise ValueError(f"the status file in {run} was not written by a run of this program") from None
             if json:
                 print(as_json(status))
             elif status["at_s"] != shown:
                 shown = status["at_s"]
-                line.show(status_text(status), number=status.get("state"))
-            silent_s = time.time() - float(status["at_s"])
-            if "exit_status" in status:
-                return DONE if status["exit_status"] == "success" and status["verified_safe"] else FAILED
+                line.show(text, number=status.get("state"))
+            if ended:
+                return DONE if good else FAILED
             if silent_s > _SILENT_S:
                 line.end()
                 complain(

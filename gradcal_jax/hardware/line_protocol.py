@@ -24,7 +24,7 @@ _FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text|char))?\}")
 _VALUE: Final = re.compile(r"\{([a-z]+):(0?\d{0,2}(?:\.\d)?f|g)\}")
 # Further decimals of a device are rounding errors.
 _FINEST_DECIMALS: Final = 3
-_NUMBER: Final = r"([-+]?\d+(?:\.\d*)?)"
+NUMBER: Final = r"[-+]?+\d++(?:\.\d*+)?+"
 _DEVICES: Final = resources.files("gradcal_jax.spec.presets") / "devices"
 
 
@@ -32,7 +32,7 @@ def _listed(value: object) -> object:
     return (value,) if isinstance(value, str) else value
 
 
-Texts = Annotated[tuple[q.Text, ...], BeforeValidator(_listed), Field(max_length=8)]
+Texts = Annotated[tuple[q.AnyText, ...], BeforeValidator(_listed), Field(max_length=8)]
 # A reply may be empty except for its end.
 Replies = Annotated[tuple[Annotated[str, Field(strict=True, max_length=2000)], ...], BeforeValidator(_listed)]
 
@@ -67,7 +67,7 @@ class Line(Section):
     """Waiting time after the port is opened, because opening it restarts many boards."""
     pause_after_command: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
     """Waiting time between a command and the next message."""
-    refusal: q.Text | None = None
+    refusal: q.AnyText | None = None
     """Text with which a reply begins if the device refuses a command."""
     hint: q.Text | None = None
     """What to check if the device does not answer."""
@@ -134,11 +134,11 @@ class LineQuestion(Section):
     """`[ask.NAME]`: a question to the device. If `last` is given, the reply has several lines; otherwise several
     entries of `reply` are alternative forms of one line, and a text field that a form lacks is empty."""
 
-    send: q.Text
+    send: q.AnyText
     """Text of the question."""
     reply: Annotated[Texts, Field(min_length=1)]
     """The reply, with fields in braces; several entries: the lines of one reply, or alternative forms (see above)."""
-    last: q.Text | None = None
+    last: q.AnyText | None = None
     """The last line of a reply that has several lines."""
     bare: q.Flag = False
     """Whether the question is sent without the text at the end of a line (`ends`)."""
@@ -318,6 +318,12 @@ class LineProtocol(Section):
                 if {"{", "}"} & set(_FIELD.sub("", template)):
                     message = "expected fields in braces, such as {air}, {state:text} or {running:char}"
                     yield Problem(("ask", name, key), message, template)
+                elif _runs_together(template):
+                    message = (
+                        "a number ends at a character that no number has: expected one between a number and the next "
+                        "number or digit"
+                    )
+                    yield Problem(("ask", name, key), message, template)
                 elif re.search(r":text\}\{", template):
                     message = (
                         "a text field ends at the character that follows it in the template: expected a character "
@@ -335,6 +341,17 @@ class LineProtocol(Section):
         spoken = [*(question.send for question in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
         if any(ord(letter) > 255 for text in (*spoken, line.prefix, line.ends, line.reply_ends) for letter in text):
             yield Problem((), "only single-byte characters can be sent")
+
+
+def _runs_together(template: str) -> bool:
+    """Whether a number is followed by something that may continue it: digits, a point, another number."""
+    for match in _FIELD.finditer(template):
+        following = template[match.end() : match.end() + 1]
+        after = _FIELD.match(template, match.end())
+        number_follows = after is not None and after[2] is None
+        if match[2] is None and (number_follows or following.isdigit() or following == "."):
+            return True
+    return False
 
 
 class _Role:
@@ -358,25 +375,60 @@ _ROLES: Final[Mapping[str, _Role]] = {
 _SHOWN_BY_THEMSELVES: Final = frozenset({"ramp", "rate", "acceleration"})
 
 
-def reply_pattern(template: str, number: str = _NUMBER, blanks: str = " +", around: str = r" *\1 *") -> re.Pattern[str]:
-    """The pattern of a reply, with the fields as named groups. Matching is linear in a line's length.
+def reply_pattern(template: str, number: str = NUMBER, *, tabs: bool = False, padded: bool = False) -> re.Pattern[str]:
+    """The pattern of a line, with the fields as named groups.
 
-    `blanks` stand for each blank of the template, `around` for commas and colons, about which devices differ.
+    One or more blanks stand for blanks of the template; blanks may also surround commas and colons and, if `padded`,
+    numbers. With `tabs`, tabs are blanks. Every part is possessive and no two neighbours accept the same blank, so that
+    a line that does not match is refused in a time that is linear in its length, whatever the template.
     """
+    blank = r"[ \t]" if tabs else " "
+    parts = ["", *_parts(template, number, blank, padded=padded)]
+    pattern, gap = "", ""
+    for part in parts:
+        if part in (_SOME, _ANY):
+            gap = _SOME if _SOME in (gap, part) else _ANY
+            continue
+        pattern += gap and f"{blank}{gap}"
+        pattern, gap = pattern + part, ""
+    return re.compile(pattern + (gap and f"{blank}{gap}"), re.DOTALL)
 
-    def literal(text: str) -> str:
-        return re.sub("([,:])", around, blanks.join(re.escape(part) for part in text.split(" ")))
 
-    pattern, place = "", 0
+# Possessive repetitions: at least one blank, or any number.
+_SOME: Final = "++"
+_ANY: Final = "*+"
+
+
+def _parts(template: str, number: str, blank: str, *, padded: bool) -> Iterator[str]:
+    """The pattern's parts, and between them the repetitions of blanks."""
+    place = 0
     for match in _FIELD.finditer(template):
-        pattern += literal(template[place : match.start()])
+        yield from _literal(template[place : match.start()])
         place = match.end()
-        if match[2] == "text":
-            group = f"([^{re.escape(template[place])}]*)" if place < len(template) else "(.*)"
+        kind = match[2] or "number"
+        if kind == "text":
+            end = template[place : place + 1]
+            end = blank.strip("[]") if end == " " else re.escape(end)
+            group = f"([^{end}]*+)" if end else "(.*+)"
         else:
-            group = "(.)" if match[2] == "char" else number
-        pattern += group.replace("(", f"(?P<{match[1]}>", 1) if match[1] else group
-    return re.compile(pattern + literal(template[place:]), re.DOTALL)
+            group = "(.)" if kind == "char" else f"({number})"
+        around = padded and kind == "number"
+        if around:
+            yield _ANY
+        yield group.replace("(", f"(?P<{match[1]}>", 1) if match[1] else group
+        if around:
+            yield _ANY
+    yield from _literal(template[place:])
+
+
+def _literal(text: str) -> Iterator[str]:
+    for piece in re.findall(r" +|[,:]|[^ ,:]+", text):
+        if piece[0] == " ":
+            yield _SOME
+        elif piece in ",:":
+            yield from (_ANY, piece, _ANY)
+        else:
+            yield re.escape(piece)
 
 
 def formatted(template: str, values: Mapping[str, float]) -> tuple[str, dict[str, str]]:

@@ -17,7 +17,7 @@ from typing import Any, Final, Literal
 from gradcal_jax.hardware.journal import json_of
 from gradcal_jax.hardware.roles import AxisReading, ChamberReading
 from gradcal_jax.spec.rig import RigFile
-from gradcal_jax.tables.display import summary
+from gradcal_jax.tables.display import printable, summary
 from gradcal_jax.tables.writing import write_whole
 
 
@@ -94,6 +94,7 @@ STATUS: Final = "status.json"
 FORMAT: Final = "gradcal-status/1"
 _ALARM_S: Final = 60.0
 _KNOWS_S: Final = 300.0
+_LONGEST_STATUS: Final = 1_000_000
 # No more often, because a rehearsal goes through hours in a minute.
 _WRITE_S: Final = 0.2
 
@@ -159,8 +160,9 @@ def end_status(folder: Path, why: str, outcomes: list[SafeOutcome]) -> None:
 def read_status(folder: Path) -> dict[str, Any]:
     """The newest status of a run. Raises `ValueError` where there is none."""
     try:
-        status = json.loads((folder / STATUS).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        with (folder / STATUS).open(encoding="utf-8") as file:
+            status = json.loads(printable(file.read(_LONGEST_STATUS)))
+    except (OSError, ValueError, RecursionError):
         status = None
     if not isinstance(status, dict) or status.get("format") != FORMAT:  # pyright: ignore[reportUnknownMemberType]
         raise ValueError(f"{folder} has no {STATUS}: it is not the folder of a run, or its run has not begun")

@@ -34,7 +34,7 @@ NAMES: Final = (
     "time",
 )
 _FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text))?\}")
-_NUMBER: Final = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?|[nN][aA][nN])"
+_NUMBER: Final = r"(?>[-+]?(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d{1,2}+)?|[nN][aA][nN])"
 
 
 class SensorTime(Section):
@@ -108,7 +108,7 @@ class TextSensor(Section):
 
     def pattern(self) -> re.Pattern[str]:
         """The pattern of a line, with the fields as named groups."""
-        return reply_pattern(self.line, rf"[ \t]*{_NUMBER}[ \t]*", r"[ \t]+", r"\1")
+        return reply_pattern(self.line, _NUMBER, tabs=True, padded=True)
 
 
 def text_unit_of(value: object) -> TextSensor:

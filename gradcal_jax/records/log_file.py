@@ -23,6 +23,7 @@ from gradcal_jax.records.log import (
     LogVariable,
     Reason,
 )
+from gradcal_jax.tables.display import printable
 from gradcal_jax.tables.netcdf import NetcdfError, NetcdfVariable, load_netcdf, write_netcdf
 
 _LOG = logging.getLogger(__name__)
@@ -176,7 +177,7 @@ def _from_dataset(dataset: Any) -> Log:
         return np.ascontiguousarray(values.transpose(*variable.dimensions).values, dtype=variable.kind)
 
     def labels(name: str) -> Any:
-        return tuple(str(label) for label in dataset[name].values) if name in dataset.variables else ()
+        return tuple(printable(str(label)) for label in dataset[name].values) if name in dataset.variables else ()
 
     def table(name: str) -> Any:
         return json.loads(str(dataset.attrs.get(name, "null")))
@@ -192,5 +193,5 @@ def _from_dataset(dataset: Any) -> Log:
         rows_removed={str(k): int(v) for k, v in cast("dict[str, Any]", table("rows_removed") or {}).items()},
         findings=tuple(Finding(**item) for item in cast("list[dict[str, Any]]", table("findings") or [])),
         simulated=bool(int(dataset.attrs.get("simulated", 0))),
-        provenance={str(k): str(v) for k, v in cast("dict[str, Any]", table("provenance") or {}).items()},
+        provenance={printable(str(k)): printable(str(v)) for k, v in cast("dict[str, Any]", table("provenance") or {}).items()},
     )

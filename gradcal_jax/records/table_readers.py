@@ -6,6 +6,7 @@ import gzip
 import importlib
 import io
 import itertools
+import math
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -20,6 +21,7 @@ from gradcal_jax.records.log import Floats, LogError, library, naming, quietly
 from gradcal_jax.records.tables import DELIMITERS, Array, Measured, Numbers, Source, TextTable, Where
 from gradcal_jax.tables.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.tables.problems import instead
+from gradcal_jax.tables.sizes import check_size
 
 _LOOKED_AT, _PREAMBLE, _BLOCK = 200, 500, 1 << 14
 """Numbers of lines: those at the start that are searched for rows of several sensors or a checksum; those that may
@@ -177,6 +179,10 @@ def _wheres(sources: Iterable[Source]) -> Iterator[Where]:
 
 def _opened(path: Path, layout: TextTable) -> TextIO:
     if path.suffix.lower() == ".gz":
+        with path.open("rb") as packed:
+            packed.seek(max(0, path.stat().st_size - 4))
+            # The end of a gzip file states its size.
+            _check_size(int.from_bytes(packed.read(4), "little"), path)
         return gzip.open(path, "rt", encoding=layout.encoding)
     return path.open(encoding=layout.encoding)
 
@@ -419,6 +425,13 @@ def _number(text: str) -> float:
         return np.nan
 
 
+def _check_size(declared: int, path: Path) -> None:
+    try:
+        check_size(declared, path.stat().st_size)
+    except ValueError as error:
+        raise LogError(str(error)) from None
+
+
 def _read_npz(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
     wanted = {str(source.column) for source in sources}
 
@@ -426,6 +439,9 @@ def _read_npz(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbe
     kind = "NumPy's .npz (without pickles)"
     with quietly(kind), path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
         # Other arrays are named but not read: they may be large.
+        infos = opened.zip.infolist()
+        declared = sum(info.file_size for info in infos if info.filename.removesuffix(".npy") in wanted)
+        _check_size(declared, path)
         return _of_arrays({str(name): opened[name] if name in wanted else np.empty(0) for name in opened.files})
 
 
@@ -451,7 +467,10 @@ def _read_matlab(path: Path, layout: TextTable, sources: Sequence[Source]) -> Nu
     if start.startswith(b"MATLAB 7.3") or start[:8] == b"\x89HDF\r\n\x1a\n":
         raise LogError("is a MATLAB 7.3 file: save it again with save(…, '-v7')")
     with quietly("MATLAB v5"):
-        arrays: dict[str, Any] = importlib.import_module("scipy.io").loadmat(
+        reader: Any = importlib.import_module("scipy.io")
+        shapes = (shape for _, shape, _ in reader.whosmat(path, appendmat=False))
+        _check_size(sum(8 * math.prod(shape) for shape in shapes), path)
+        arrays: dict[str, Any] = reader.loadmat(
             path, appendmat=False, struct_as_record=False
         )
         numbers = dict(_leaves({k: a for k, a in arrays.items() if not k.startswith("__")}))
@@ -478,6 +497,7 @@ def _read_parquet(path: Path, layout: TextTable, sources: Sequence[Source]) -> N
     with quietly("Parquet"):
         file = parquet.ParquetFile(path)
         wanted = [str(source.column) for source in sources]
+        _check_size(8 * file.metadata.num_rows * len(wanted), path)
         table = file.read(columns=[name for name in file.schema_arrow.names if name in wanted])
         arrays: dict[str, Array] = {str(name): np.empty(0) for name in file.schema_arrow.names}
         for name in table.column_names:

@@ -136,6 +136,9 @@ def _pattern(value: str) -> str:
         re.compile(value)
     except re.error as error:
         raise ValueError(f"is not a regular expression: {error}") from None
+    plain = re.sub(r"\\.|\[[^\]]*\]", "x", value)
+    if len(re.findall(r"[*+]|\{\d*,\}", plain)) > 1 or re.search(r"\)[*+{]|\(\?P?=", plain):
+        raise ValueError("at most one *, + or {n,}, and none behind a group: others can take hours for one line")
     return value
 
 

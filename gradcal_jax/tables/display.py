@@ -8,12 +8,18 @@ from importlib import import_module
 from pathlib import PurePath
 from textwrap import wrap
 from typing import Any, Final
+from unicodedata import category
 
 WIDTH: Final = 80
 LINES: Final = 15
 _NARROWEST: Final = 20
 # Longest sequence whose entries are shown, and the columns for the value of a key within a value.
 _FEW, _INNER = 6, 24
+
+
+def printable(text: str) -> str:
+    """A text of a file as it may be shown: control characters, except ends of lines and tabs, become "?"."""
+    return "".join("?" if category(letter) == "Cc" and letter not in "\n\t" else letter for letter in text)
 
 
 def summary(self: object) -> str:

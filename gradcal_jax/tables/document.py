@@ -21,6 +21,9 @@ from gradcal_jax.tables.section import Section
 Model = TypeVar("Model", bound=Section)
 Result = TypeVar("Result")
 _LARGEST = 20_000_000
+_MOST_PARTS = 50
+_PART = r"(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
+_LONG_KEY: Final = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_MOST_PARTS}}}")
 
 
 class TitledFile(Section):
@@ -64,6 +67,8 @@ def _neighbour(path: Path) -> str:
 
 def read_toml(text: str, source: str = "") -> dict[str, Any]:
     """The tables of a TOML text. Raises `SpecError` with line and column."""
+    if _LONG_KEY.search(text):
+        raise SpecError([Problem((), f"has a key of more than {_MOST_PARTS} parts")], source)
     try:
         return tomllib.loads(text.replace("\r\n", "\n"))
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:

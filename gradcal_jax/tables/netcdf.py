@@ -10,9 +10,12 @@ from typing import Any, BinaryIO, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gradcal_jax.tables.display import printable
+from gradcal_jax.tables.sizes import check_size
 from gradcal_jax.tables.writing import whole
 
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+_MOST_ENTRIES: Final = 10_000
 
 
 class NetcdfError(ValueError):
@@ -33,7 +36,10 @@ def load_netcdf(path: str | Path) -> Any:
             hint = ", but a text file: name it .csv, and describe its columns with --columns" if text else ""
             raise NetcdfError(f"it is not a netCDF 4 file{hint}")
     try:
+        _check(path)
         return _load(path)
+    except NetcdfError:
+        raise
     except Exception as error:  # whatever HDF5 makes of bytes that are no netCDF
         raise NetcdfError(f"it is damaged ({type(error).__name__})") from None
 
@@ -127,6 +133,34 @@ def _signed(opened: BinaryIO) -> bool:
         at = max(512, 2 * at)
         opened.seek(at)
     return begin == _SIGNATURE
+
+
+def _check(path: Path) -> None:
+    """Raise `NetcdfError` for data in other files, and for sizes that the file cannot hold."""
+    h5py: Any = import_module("h5py")
+    declared = 0
+    with h5py.File(path, "r") as file:
+        groups = [file]
+        seen = 0
+        while groups:
+            group = groups.pop()
+            for name in group:
+                seen += 1
+                if seen > _MOST_ENTRIES:
+                    raise NetcdfError(f"it has more than {_MOST_ENTRIES} entries")
+                if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                    raise NetcdfError(f"its entry '{printable(name)}' is a link to another place")
+                entry = group[name]
+                if isinstance(entry, h5py.Group):
+                    groups.append(entry)
+                elif isinstance(entry, h5py.Dataset):
+                    if entry.external or entry.is_virtual:
+                        raise NetcdfError(f"the data of '{printable(name)}' are in another file")
+                    declared += entry.size * entry.dtype.itemsize if entry.shape is not None else 0
+    try:
+        check_size(declared, path.stat().st_size)
+    except ValueError as error:
+        raise NetcdfError(str(error)) from None
 
 
 def _load(path: Path) -> Any:

@@ -9,11 +9,12 @@ import operator
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Strict
+from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Strict
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
 from gradcal_jax import units
+from gradcal_jax.tables.display import printable
 from gradcal_jax.tables.problems import one_of
 
 # SI sizes that no sensor, rig or plan has; inside them no product of a few quantities overflows.
@@ -156,4 +157,15 @@ Whole = Annotated[int, Strict(), Field(ge=0, le=10**9)]
 Count = Annotated[int, Strict(), Field(ge=1, le=10**6)]
 Number = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Flag = Annotated[bool, Strict()]
-Text = Annotated[str, Strict(), Field(min_length=1, max_length=2000)]
+
+
+def _printable(text: str) -> str:
+    """A text that can be shown: a control character in it could steer the terminal."""
+    if printable(text) != text:
+        raise ValueError("expected a text without control characters")
+    return text
+
+
+AnyText = Annotated[str, Strict(), Field(min_length=1, max_length=2000)]
+"""A text that is sent to a device, which may have control characters."""
+Text = Annotated[AnyText, AfterValidator(_printable)]

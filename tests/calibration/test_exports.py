@@ -413,6 +413,18 @@ def test_the_templates_that_are_shipped_fill_in(name):
         ("{% for %}", "line 1"),
         ("{{ serial_number.__class__.__mro__ }}", "__mro__|unsafe"),
         ('{{ 1.0 | unit("parrot") }}', "parrot"),
+        ("{% for i in range(100000) %}{% for j in range(100000) %}{% endfor %}{% endfor %}", "passes"),
+        ('{{ "%1000000000d" | format(1) }}', "widths"),
+        ('{{ "%*d" | format(1000000000, 1) }}', "widths"),
+        ('{{ "{:1000000000}".format(1) }}', "unsafe"),
+        ('{{ "x" * 1000000000 }}', "for numbers"),
+        ("{{ 9**9**9**9 }}", "out of range"),
+        ("{{ range(100000000) | list }}", "too large"),
+        ("{{ 1 | round(1000000000, 'ceil') }}", "digits"),
+        ("{{ serial_number.ljust(1000000000) }}", "unsafe"),
+        ("{% set a = serial_number %}" + "{% set a = a ~ a %}" * 60, "Concat"),
+        ("{% set a = serial_number %}" + '{% set a = "%s%s" | format(a, a) %}' * 60, "characters"),
+        ("{% set a = serial_number %}" + "{% set a = [a, a] %}" * 60, "set is for"),
     ],
 )
 def test_templates_that_cannot_be_filled_in_are_sentences(template, said):

@@ -1,14 +1,20 @@
 """Files that may come from anybody: rig files, lock folders, journals. Nothing is written by them, no traceback."""
 
+import gzip
 import json
+import re
 import struct
 import tempfile
+import time
 import zlib
 from pathlib import Path
 from typing import Any
 
+import h5py
+import numpy as np
 import pytest
 from hardware_bench import parse_journal
+from pydantic import ValidationError
 from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.cli import main
@@ -16,7 +22,12 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
 from gradcal_jax.hardware.run_folder import sessions, steps_done
 from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.records.log import LogError
+from gradcal_jax.records.table_readers import read_table
+from gradcal_jax.records.tables import AngleColumn, TextTable
 from gradcal_jax.spec.rig import TEMPLATE, parse_rig
+from gradcal_jax.tables.document import read_toml
+from gradcal_jax.tables.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.tables.problems import SpecError
 
 
@@ -136,3 +147,84 @@ def test_a_crafted_journal_is_a_sentence(payload: bytes) -> None:
         parse_journal(record(json.dumps(GOOD).encode(), time_s=float("nan")))
     contents = parse_journal(record(json.dumps(GOOD).encode()))
     assert (sessions(contents), steps_done(contents)) == (1, 0)
+
+
+# ------------------------------------------------------------------- sizes, links, and texts that steer a terminal
+
+
+def watched(folder: Path, status: object, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    (folder / "status.json").write_text(json.dumps(status) if not isinstance(status, str) else status)
+    result = main(["watch", str(folder), "--once"])
+    told = capsys.readouterr()
+    return result, told.out + told.err
+
+
+def test_a_crafted_status_is_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good: dict[str, Any] = {
+        "format": "gradcal-status/1", "simulated": True, "state": "safe", "steps": 2, "steps_done": 1, "step": "soak",
+        "axes": {}, "samples": {}, "track_left_s": 1.0, "at_s": 1.0, "exit_status": "success", "reason": "",
+        "verified_safe": True,
+    }  # fmt: skip
+    assert watched(tmp_path, good, capsys)[0] == 0
+    for key, bad in (
+        ("axes", [1]), ("samples", {"a": 1}), ("at_s", "now"), ("steps", None), ("chamber", 7),
+    ):  # fmt: skip
+        assert watched(tmp_path, good | {key: bad}, capsys)[0] == 2
+    assert watched(tmp_path, "[" * 100_000, capsys)[0] == 2
+    result, text = watched(tmp_path, good | {"step": "\x1b]0;owned\x07\x1b[2J"}, capsys)
+    assert result == 0
+    assert "\x1b" not in text
+
+
+def test_a_title_with_control_characters_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    titled = re.sub("(?m)^title .*", r'title = "\\u001b[2J"', TEMPLATE)
+    (tmp_path / "rig.toml").write_text(titled)
+    assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 2
+    (tmp_path / "rig.toml").write_text('"\\u001b[2J" = 1\n' + TEMPLATE)
+    assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 2
+    told = capsys.readouterr()
+    assert "control characters" in told.err
+    assert "\x1b" not in told.out + told.err
+
+
+def test_a_key_of_many_parts_is_refused_at_once() -> None:
+    for text in (".".join("a" * 100_000) + " = 1", "[" + ".".join(['"a"'] * 100_000) + "]", "a = {" + "b." * 9999 + "b=1}"):
+        begun = time.process_time()
+        with pytest.raises(SpecError, match="parts"):
+            read_toml(text)
+        assert time.process_time() - begun < 2.0
+
+
+def test_declared_sizes_are_checked_before_they_are_read(tmp_path: Path) -> None:
+    columns = [AngleColumn(column="x", unit="deg")]
+    np.savez_compressed(tmp_path / "bomb.npz", x=np.zeros(50_000_000))
+    with gzip.open(tmp_path / "bomb.csv.gz", "wb") as file:
+        for _ in range(30):
+            file.write(b"x" + b" " * 10_000_000)
+    with h5py.File(tmp_path / "bomb.nc", "w") as file:
+        file.create_dataset("x", (10**12,), np.float64, chunks=(10**6,))
+    for name in ("bomb.npz", "bomb.csv.gz", "bomb.nc"):
+        with pytest.raises(LogError, match=r"MB of data in a file of|the limit"):
+            read_table(tmp_path / name, TextTable(), columns, netcdf=True)
+
+
+def test_data_of_other_files_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_bytes(bytes(80))
+    with h5py.File(tmp_path / "linked.nc", "w") as file:
+        file["x"] = h5py.ExternalLink("secret.nc", "/x")
+    with h5py.File(tmp_path / "stored.nc", "w") as file:
+        file.create_dataset("x", (10,), np.float64, external=[(str(tmp_path / "secret"), 0, 80)])
+    with h5py.File(tmp_path / "virtual.nc", "w") as file:
+        layout = h5py.VirtualLayout((10,), np.float64)
+        layout[:] = h5py.VirtualSource(str(tmp_path / "secret.nc"), "x", shape=(10,))
+        file.create_virtual_dataset("x", layout)
+    for name, said in (("linked.nc", "link"), ("stored.nc", "another file"), ("virtual.nc", "another file")):
+        with pytest.raises(NetcdfError, match=said):
+            load_netcdf(tmp_path / name)
+
+
+@pytest.mark.parametrize("pattern", ["(a+)+b", "a*a*b", r"(\w*)*$", "(a|a)*b"])
+def test_a_column_map_has_no_pattern_that_takes_hours(pattern: str) -> None:
+    with pytest.raises(ValidationError, match="at most one"):
+        TextTable(lines=pattern)
+    assert TextTable(lines=r"^\[a-z]+,", strip=r"\*[0-9A-F]{2}\s*$").lines is not None

@@ -108,7 +108,8 @@ def _limited(name: str, apply: Callable[..., Any]) -> Callable[..., Any]:
                 raise TypeError(f"a number of the filter {name} is too large")
             if name in ("format", "round") and isinstance(value, str):
                 _check_widths(value)
-        if name == "round" and any(abs(float(value)) > _WIDEST for value in arguments[1:] if not isinstance(value, str)):
+        digits = [value for value in arguments[1:] if not isinstance(value, str)]
+        if name == "round" and any(abs(value) > _WIDEST for value in digits):
             raise TypeError(f"round to at most {_WIDEST} digits")
         result = apply(*arguments, **options)
         if isinstance(result, str) and len(result) > _LONGEST_TEXT:

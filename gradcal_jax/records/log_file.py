@@ -193,5 +193,8 @@ def _from_dataset(dataset: Any) -> Log:
         rows_removed={str(k): int(v) for k, v in cast("dict[str, Any]", table("rows_removed") or {}).items()},
         findings=tuple(Finding(**item) for item in cast("list[dict[str, Any]]", table("findings") or [])),
         simulated=bool(int(dataset.attrs.get("simulated", 0))),
-        provenance={printable(str(k)): printable(str(v)) for k, v in cast("dict[str, Any]", table("provenance") or {}).items()},
+        provenance={
+            printable(str(k)): printable(str(v))
+            for k, v in cast("dict[str, Any]", table("provenance") or {}).items()
+        },
     )

@@ -10,7 +10,7 @@ from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, TextUnitDecod
 from gradcal_jax.hardware.line_protocol import LineProtocol, protocol_of, reply_pattern, shipped
 from gradcal_jax.tables.problems import SpecError
 
-NAMES = "gyro_x gyro_y gyro_z acceleration_x acceleration_y acceleration_z".split()
+NAMES = ["gyro_x", "gyro_y", "gyro_z", "acceleration_x", "acceleration_y", "acceleration_z"]
 SENSORS = {
     "blanks": " ".join(f"{{{name}}}" for name in NAMES),
     "padded": "    ".join(f"{{{name}}}" for name in NAMES),

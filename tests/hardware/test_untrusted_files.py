@@ -188,7 +188,8 @@ def test_a_title_with_control_characters_is_refused(tmp_path: Path, capsys: pyte
 
 
 def test_a_key_of_many_parts_is_refused_at_once() -> None:
-    for text in (".".join("a" * 100_000) + " = 1", "[" + ".".join(['"a"'] * 100_000) + "]", "a = {" + "b." * 9999 + "b=1}"):
+    plain, quoted, inline = ".".join("a" * 100_000), ".".join(['"a"'] * 100_000), "b." * 9999
+    for text in (f"{plain} = 1", f"[{quoted}]", f"a = {{{inline}b = 1}}"):
         begun = time.process_time()
         with pytest.raises(SpecError, match="parts"):
             read_toml(text)

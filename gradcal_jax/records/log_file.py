@@ -194,7 +194,6 @@ def _from_dataset(dataset: Any) -> Log:
         findings=tuple(Finding(**item) for item in cast("list[dict[str, Any]]", table("findings") or [])),
         simulated=bool(int(dataset.attrs.get("simulated", 0))),
         provenance={
-            printable(str(k)): printable(str(v))
-            for k, v in cast("dict[str, Any]", table("provenance") or {}).items()
+            printable(str(k)): printable(str(v)) for k, v in cast("dict[str, Any]", table("provenance") or {}).items()
         },
     )

@@ -470,9 +470,7 @@ def _read_matlab(path: Path, layout: TextTable, sources: Sequence[Source]) -> Nu
         reader: Any = importlib.import_module("scipy.io")
         shapes = (shape for _, shape, _ in reader.whosmat(path, appendmat=False))
         _check_size(sum(8 * math.prod(shape) for shape in shapes), path)
-        arrays: dict[str, Any] = reader.loadmat(
-            path, appendmat=False, struct_as_record=False
-        )
+        arrays: dict[str, Any] = reader.loadmat(path, appendmat=False, struct_as_record=False)
         numbers = dict(_leaves({k: a for k, a in arrays.items() if not k.startswith("__")}))
         return _of_arrays({k: a.ravel() if 1 in a.shape else a for k, a in numbers.items()})
 

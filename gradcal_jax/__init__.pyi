@@ -50,7 +50,7 @@ from gradcal_jax.spec.rig import read_rig as read_rig
 from gradcal_jax.spec.spec import Spec as Spec
 from gradcal_jax.spec.spec import parse_spec as parse_spec
 from gradcal_jax.spec.spec import read_spec as read_spec
-from gradcal_jax.sweeps.dataset import read_dataset as read_dataset
+from gradcal_jax.sweeps.sweep import read_dataset as read_dataset
 from gradcal_jax.sweeps.sweep import sweep as sweep
 from gradcal_jax.sweeps.sweep_file import read_sweep as read_sweep
 from gradcal_jax.tables.problems import SpecError as SpecError

@@ -13,12 +13,9 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import matplotlib.pyplot as plt
-import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax import plots
 from gradcal_jax.cli import main
 from gradcal_jax.recipe.recipe import read_recipe
 
@@ -140,21 +137,6 @@ def test_the_lines_of_python_in_the_readme_print_a_prediction(tmp_path, monkeypa
 def test_the_page_of_notebooks_has_all_there_are():
     linked = set(re.findall(r"\(\.\./(notebooks/[^)]+)\)", TEXTS["docs/notebooks.md"]))
     assert linked == {f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
-
-
-def test_the_gallery_has_a_picture_of_every_function_and_every_notebook():
-    """Each is small, and shows something."""
-    page = TEXTS["docs/gallery.md"]
-    wanted = {name for name in plots.__all__ if name.startswith("draw_")}
-    wanted |= {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")}
-    assert set(re.findall(r"!\[[^\]]*\]\(gallery/([\w-]+)\.png\)", page)) == wanted
-    for name in wanted:
-        path = ROOT / "docs/gallery" / f"{name}.png"
-        assert path.stat().st_size < 60_000
-        assert np.ptp(plt.imread(path)[..., :3]) > 0.3, name
-    assert {path.stem for path in (ROOT / "docs/gallery").glob("*.png")} == wanted
-    for name in (name for name in wanted if name.startswith("draw_")):
-        assert f"`{name}({', '.join(inspect.signature(getattr(plots, name)).parameters)})`" in page
 
 
 def test_the_class_of_one_s_own_in_the_how_to_predicts(capsys):

@@ -101,11 +101,11 @@ def main() -> None:
         return
     import numpy as np
 
-    from gradcal_jax.sweeps.dataset import read_dataset
-    from gradcal_jax.sweeps.points import Points
+    from gradcal_jax.sweeps.sweep import changes_of, points_of, read_dataset
     from gradcal_jax.sweeps.sweep_file import read_sweep
 
-    points = Points(read_sweep(HERE / "sweep.toml"))
+    job = read_sweep(HERE / "sweep.toml")
+    _, points = points_of(job)
     chosen = np.sort(np.random.default_rng(0).choice(len(points), asked.sample, replace=False))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -115,7 +115,7 @@ def main() -> None:
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     peer = subprocess.run(
         [sys.executable, __file__, "--loop"],
-        input=json.dumps([points.changes(int(i)) for i in chosen]),
+        input=json.dumps([changes_of(job, points[int(i)]) for i in chosen]),
         env={**os.environ, **one_thread},
         capture_output=True,
         text=True,

@@ -15,7 +15,6 @@ from gradcal_jax.cli.demo import demo
 from gradcal_jax.cli.estimate import estimate
 from gradcal_jax.cli.instability import allan, instability
 from gradcal_jax.cli.log import log
-from gradcal_jax.cli.many import sweep
 from gradcal_jax.cli.new import new, start
 from gradcal_jax.cli.optimise import optimise
 from gradcal_jax.cli.output import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT, complain, is_plain
@@ -23,6 +22,7 @@ from gradcal_jax.cli.predict import limit, predict
 from gradcal_jax.cli.report import report
 from gradcal_jax.cli.rig import rig_app
 from gradcal_jax.cli.run import run as run_command
+from gradcal_jax.cli.sweep import sweep
 
 _HELP: Final = """Plan and run calibrations of gyros, accelerometers and IMUs, and predict the errors that remain.
 

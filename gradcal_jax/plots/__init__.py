@@ -1,5 +1,5 @@
 """Figures. Functions draw one picture on `ax`, or on a new figure, label axes with units, return their artists and
-never call `show`; `docs/gallery.md` shows each. Some draw figures of several panels: requirements, maps, axes."""
+never call `show`. Some draw figures of several panels: requirements, maps, axes."""
 
 from gradcal_jax.plots import calibration
 from gradcal_jax.plots.calibration import draw_gravity_left, draw_loop, draw_residuals_over_time, draw_turns_left

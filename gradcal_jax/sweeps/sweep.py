@@ -1,251 +1,340 @@
-"""A sweep from its file to labelled results: chunks of points, with finished chunks kept on disk.
+"""A sweep: the plan of a spec predicted (or optimised) at many points, in parallel, as labelled arrays with units.
 
-The chunks follow from the sweep file alone, so the results do not depend on the number of workers, on their machines,
-or on interruptions.
+A point is one task, one record, and one line of the file `OUTPUT.parts`, from which an interrupted sweep resumes. The
+records follow from the sweep file alone, so they depend neither on the workers nor on interruptions.
 """
 
 import hashlib
+import itertools
 import json
+import math
 import os
-import shutil
+import re
+import signal
+import threading
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
+from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+import xarray
+
 import gradcal_jax
-from gradcal_jax.information.verdicts import versions_of
-from gradcal_jax.spec.changes import tables_of
-from gradcal_jax.sweeps.points import Points
-from gradcal_jax.sweeps.pool import JobProgress, Report, Task, TaskRunner, borrowed, unwatched
-from gradcal_jax.sweeps.results import PointResult, results_as_json, results_from_json
+from gradcal_jax.cache import cache_folder
+from gradcal_jax.information import STATISTICS
+from gradcal_jax.information.prediction import requirement_rows
+from gradcal_jax.information.verdicts import UNIT_OF, versions_of
+from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.sweeps.sweep_file import Sweep
-from gradcal_jax.tables.display import summary
 from gradcal_jax.tables.locking import take
-from gradcal_jax.tables.writing import write_whole
+from gradcal_jax.tables.netcdf import NetcdfError, load_netcdf, save_netcdf
+from gradcal_jax.tables.writing import to_toml
 
-CHUNK: Final = {"predict": 64, "optimise": 1}
-"""Points in a chunk: about a second of predictions, or a minute of optimisation."""
+FORMAT: Final = "gradcal-sweep-results/1"
+Record = dict[str, Any]
+Executors = Callable[[], Executor]
+"""Gives the executor of the tasks; a new one after a worker was killed."""
 _VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox", "optimistix")
-
-
-@dataclass(frozen=True)
-class SweepEstimate:
-    """The result of `dry_run`: seconds of the first chunk, of a further one, and in all; of the first chunk's points
-    `failing` have no result."""
-
-    points: int
-    failing: int
-    chunks: int
-    workers: int
-    first_chunk_s: float
-    next_chunk_s: float
-    seconds: float
-    first_failure: str = ""
-
-
-@dataclass(frozen=True)
-class Swept:
-    """All results, in the order of the points; `failed` of them have no numbers; `seconds`: duration of this call."""
-
-    results: tuple[PointResult, ...]
-    seconds: float
-    kept: int
-
-    __repr__ = summary
-
-    @property
-    def failed(self) -> int:
-        """The number of points without a result; each has the reason."""
-        return sum(bool(result.failure) for result in self.results)
+_TRIES: Final = 3
+_ONE_THREAD: Final = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "JAX_PLATFORMS": "cpu",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+    "LOKY_MAX_MEMORY_LEAK_SIZE": "4e9",
+}
 
 
 class SweepIncomplete(RuntimeError):
-    """Workers were lost repeatedly before all was done; finished chunks are kept."""
+    """Workers were lost repeatedly before all was done; finished points are kept."""
 
 
-class Store:
-    """Finished chunks in a folder beside the output, from which an interrupted sweep resumes.
-
-    The folder is locked as long as this object or its process lives. Errors: `ValueError` where it holds another
-    sweep's parts, or another process writes into it.
-    """
-
-    _lock: int | None = None
-
-    def __init__(self, output: Path, identity: dict[str, Any]):
-        self.folder = output.with_name(output.name + ".parts")
-        mark = self.folder / "sweep.json"
-        if mark.is_file():
-            try:
-                there = json.loads(mark.read_text(encoding="utf-8"))
-            except ValueError:
-                there = {}
-            if there != identity:
-                changed = ", ".join(k for k in {**there, **identity} if there.get(k) != identity.get(k))
-                raise ValueError(
-                    f"the folder {self.folder} has parts of another sweep (which differs in {changed}); delete it "
-                    "to start again, or choose another output"
-                )
-        elif self.folder.exists() and any(self.folder.iterdir()):
-            raise ValueError(
-                f"the folder {self.folder} exists and was not made by a sweep; move it away, or choose another output"
-            )
-        else:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            write_whole(mark, json.dumps(identity, indent=1))
-        self._lock = os.open(self.folder / "sweep.lock", os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            take(self._lock)
-        except OSError:
-            self._unlock()
-            raise ValueError(
-                f"another sweep is writing into {self.folder}: wait until it ends, or choose another output"
-            ) from None
-
-    def read(self, chunk: int) -> list[PointResult] | None:
-        """A finished chunk; None where it is absent or damaged."""
-        path = self._path(chunk)
-        try:
-            digest, _, body = path.read_text(encoding="utf-8").partition("\n")
-            return results_from_json(body) if digest == hashlib.sha256(body.encode()).hexdigest() else None
-        except (OSError, ValueError, TypeError):
-            return None
-
-    def write(self, chunk: int, results: list[PointResult]) -> None:
-        """Write a finished chunk, atomically."""
-        body = results_as_json(results)
-        write_whole(self._path(chunk), f"{hashlib.sha256(body.encode()).hexdigest()}\n{body}")
-
-    def remove(self) -> None:
-        """Delete the folder, once its contents are in the output."""
-        self._unlock()
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-    def _unlock(self) -> None:
-        lock, self._lock = self._lock, None
-        if lock is not None:
-            os.close(lock)
-
-    def __del__(self) -> None:
-        self._unlock()
-
-    def _path(self, chunk: int) -> Path:
-        return self.folder / f"chunk-{chunk:06d}.json"
+# --- points -----------------------------------------------------------------------------------------------------------
 
 
-def sweep(job: Sweep, output: str | Path, *, runner: TaskRunner | None = None, progress: Report = unwatched) -> Swept:
-    """Do a sweep and write its results (netCDF, each variable with its unit) to `output`, for `read_dataset`.
+def points_of(job: Sweep) -> tuple[tuple[int, ...], list[tuple[object, ...]]]:
+    """The shape of the results, and for each point one value of every axis; of a grid the last axis is fastest."""
+    axes, samples = job.file.axis, job.file.samples
+    if samples is None:
+        listed = [axis.listed() for axis in axes]
+        return tuple(map(len, listed)), list(itertools.product(*listed))
+    from scipy.stats import qmc
 
-    A call after an interruption resumes where it stopped.
-
-    `runner`: a `LocalPool`, by default one worker a core, or a `cluster.Cluster`. Errors: `ValueError` where `output`
-    exists already, where every point fails, and for the folder of another sweep; `SweepIncomplete` where
-    workers are lost.
-    """
-    from gradcal_jax.sweeps.dataset import dataset_of
-    from gradcal_jax.tables.netcdf import save_netcdf
-
-    begun, output = time.monotonic(), Path(output)
-    identity = identity_of(job)
-    if already_finished(job, output):
-        raise ValueError(f"{output} already has the results of this sweep; nothing remains to do")
-    if output.exists():
-        raise ValueError(f"{output} exists and belongs to another sweep; choose another output, or delete it")
-    if not output.parent.is_dir():
-        raise ValueError(f"the directory {output.parent} does not exist; make it first")
-    points = Points(job)
-    with borrowed(runner) as workers:
-        chunks = chunks_of(len(points), CHUNK[job.file.do])
-        store = Store(output, identity)
-        results: dict[int, PointResult] = {}
-        left: list[int] = []
-        for number, chunk in enumerate(chunks):
-            there = store.read(number)
-            if there is None or [r.point for r in there] != list(chunk):
-                left.append(number)
-            else:
-                results |= {r.point: r for r in there}
-        kept = len(results)
-        base = tables_of(job.base)
-        begun_points = kept
-
-        def tasks() -> Iterator[Task]:
-            nonlocal begun_points
-            for n in left:
-                begun_points += len(chunks[n])
-                progress(JobProgress(job.file.do, len(results), len(points), kept, begun=begun_points))
-                yield Task(n, job.file.do, (base, [(i, points.changes(i)) for i in chunks[n]]))
-
-        lost, reason = 0, ""
-        for number, answer in workers.run(tasks()):
-            if isinstance(answer, Exception):
-                lost, reason = lost + len(chunks[number]), str(answer)
-                continue
-            store.write(number, answer)
-            results |= {r.point: r for r in answer}
-            progress(JobProgress(job.file.do, len(results), len(points), kept, begun=begun_points))
-    if lost:
-        raise SweepIncomplete(
-            f"{lost} of {len(points)} points could not be computed ({reason}); the others are saved in "
-            f"{store.folder}; call the same command again to compute the rest"
-        )
-    ordered = tuple(results[index] for index in range(len(points)))
-    if all(result.failure for result in ordered):
-        store.remove()
-        raise ValueError(
-            f"none of the {len(points)} points has a result; the reason at the first point: {ordered[0].failure}"
-        )
-    save_netcdf(dataset_of(job, points, ordered, identity), output)
-    store.remove()
-    return Swept(ordered, time.monotonic() - begun, kept)
+    kind = qmc.LatinHypercube if samples.method == "latin hypercube" else qmc.Sobol
+    sampler = kind(len(axes), rng=np.random.default_rng(samples.seed))
+    # Of a Sobol sequence a power of two is drawn, so that its balance does not depend on the number of points.
+    count = samples.count if kind is qmc.LatinHypercube else 2 ** math.ceil(math.log2(samples.count))
+    drawn = sampler.random(count)[: samples.count]
+    return (samples.count,), [tuple(a.at(float(u)) for a, u in zip(axes, row, strict=True)) for row in drawn]
 
 
-def already_finished(job: Sweep, output: Path) -> bool:
-    """Whether `output` holds all results of just this sweep."""
-    from gradcal_jax.sweeps.dataset import identity_in
-
-    return output.is_file() and identity_in(output) == identity_of(job)
-
-
-def dry_run(job: Sweep, *, runner: TaskRunner | None = None, progress: Report = unwatched) -> SweepEstimate:
-    """The size of a sweep and its expected duration, by computing the first chunk twice. Nothing is written."""
-    points = Points(job)
-    chunks = chunks_of(len(points), CHUNK[job.file.do])
-    share = (tables_of(job.base), [(i, points.changes(i)) for i in chunks[0]])
-    times, results = [0.0, 0.0], []
-    with borrowed(runner) as workers:
-        progress(JobProgress(job.file.do, 0, len(points)))
-        for k in range(1 if job.file.do == "optimise" else 2):
-            begun = time.monotonic()
-            ((_, results),) = workers.run([Task(0, job.file.do, share)])
-            if isinstance(results, Exception):
-                raise ValueError(f"the first chunk of points cannot be computed: {results}")
-            times[k:] = [time.monotonic() - begun] * (2 - k)
-    failing = [result.failure for result in results if result.failure]
-    rounds = -(-len(chunks) // workers.workers)
-    sizes, seconds = (len(points), len(failing), len(chunks), workers.workers), times[0] + times[1] * (rounds - 1)
-    return SweepEstimate(*sizes, times[0], times[1], seconds, failing[0] if failing else "")
-
-
-def chunks_of(count: int, size: int) -> list[range]:
-    """The numbers of the points, cut into chunks."""
-    return [range(begin, min(begin + size, count)) for begin in range(0, count, size)]
-
-
-def identity_of(job: Sweep) -> dict[str, Any]:
-    """The identity of a sweep: its request, and the versions that compute it."""
-    others = [[*key, tables] for key, tables in sorted(job.sections.items())]
-    request = json.dumps([tables_of(job.file), tables_of(job.base), *others], sort_keys=True, ensure_ascii=False)
+def changes_of(job: Sweep, values: tuple[object, ...]) -> dict[str, object]:
+    """The changes of the base at a point: whole sections of other specs first, then single keys."""
+    of_axes = sorted(zip(job.file.axis, values, strict=True), key=lambda one: one[0].section is None)
     return {
-        "asked": hashlib.sha256(request.encode()).hexdigest(),
-        "points": job.file.count,
-        "chunk": CHUNK[job.file.do],
-        **versions(),
+        key: value if axis.section is None else job.sections[axis.section, str(value)]
+        for axis, value in of_axes
+        for key in axis.changes
     }
 
 
-def versions() -> dict[str, str]:
-    """Versions of this and the packages that compute the numbers."""
-    return {"gradcal_jax": gradcal_jax.__version__, **versions_of(_VERSIONS)}
+# --- one point, in a worker -------------------------------------------------------------------------------------------
+
+
+def evaluate(do: str, base: str, changes: Mapping[str, object]) -> Record:
+    """The record of a point. A point that fails has the reason in it, and nothing else."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    try:
+        spec = changed(_base(base), changes)
+        record = Record(failure="")
+        if do == "optimise":
+            from gradcal_jax.design.optimise import optimise
+
+            best = optimise(spec)
+            spec = best.spec
+            record |= {"convergence": best.sentence, "optimised_spec": to_toml(spec), "objective_before": best.before}
+        record |= {name: getattr(spec.schedule, name) for name in ("duration", "soak", "motion")}
+        for k, row in enumerate(requirement_rows(spec)):
+            values = {f"{k} {name}": getattr(row, name.replace(" ", "_")) for name in STATISTICS}
+            record |= values | {f"{k} verdict": row.verdict or ""}
+        return record
+    except Exception as error:
+        text = " ".join(str(error).split()) or type(error).__name__
+        return {"failure": text if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {text}"}
+
+
+@lru_cache(maxsize=2)
+def _base(text: str) -> Any:
+    return spec_of(json.loads(text))
+
+
+def _begin(parent: int) -> None:
+    """In a worker: a Ctrl-C is for its parent, printed text must not get into the parent's, and it ends with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.dup2(2, 1)
+
+    def end_with_parent() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+@contextmanager
+def local_workers(count: int | None = None) -> Iterator[Executors]:
+    """Processes of this machine, by default one for each core."""
+    import loky
+
+    environment = dict(_ONE_THREAD)
+    if (compiled := cache_folder()) is not None:
+        environment["JAX_COMPILATION_CACHE_DIR"] = str(compiled)
+        environment["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
+    many = count or loky.cpu_count()
+
+    def start() -> Executor:
+        return loky.get_reusable_executor(
+            many, timeout=None, env=environment, initializer=_begin, initargs=(os.getpid(),)
+        )
+
+    try:
+        yield start
+    finally:
+        start().shutdown(kill_workers=True)
+
+
+@contextmanager
+def cluster_workers(address: str, timeout_s: float = 20.0) -> Iterator[Executors]:
+    """Workers of a Dask cluster (extra `cluster`). Errors: `ValueError` where no scheduler answers."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ValueError("install gradcal_jax[cluster] on this machine and on the cluster's workers") from None
+    try:
+        client = Client(address, timeout=timeout_s, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ValueError(f"no Dask scheduler answers at {address} ({error})") from None
+    with client:
+        yield lambda: client.get_executor(pure=False, retries=_TRIES - 1)
+
+
+def completed(workers: Executors, tasks: Mapping[int, tuple[Any, ...]], most: int) -> Iterator[tuple[int, Record]]:
+    """The records of `tasks` as they are done, at most `most` at a time. The work of a killed worker is repeated; what
+    kills several workers is left out."""
+    waiting, tries, flying = deque(tasks), dict.fromkeys(tasks, 0), dict[Any, int]()
+    while waiting or flying:
+        while waiting and len(flying) < most:
+            key = waiting.popleft()
+            flying[workers().submit(evaluate, *tasks[key])] = key
+        for future in wait(flying, return_when=FIRST_COMPLETED).done:
+            key = flying.pop(future)
+            if future.exception() is None:
+                yield key, future.result()
+                continue
+            if not isinstance(future.exception(), BrokenExecutor):
+                raise future.exception()  # of this program: `evaluate` returns the faults of points
+            tries[key] += 1
+            waiting.extendleft([key] if tries[key] < _TRIES else [])
+
+
+# --- what is kept -----------------------------------------------------------------------------------------------------
+
+
+def identity_of(job: Sweep) -> dict[str, Any]:
+    """What decides the results of a sweep: its request, and the versions that compute it."""
+    others = [[*key, tables] for key, tables in sorted(job.sections.items())]
+    request = json.dumps([tables_of(job.file), tables_of(job.base), *others], sort_keys=True, ensure_ascii=False)
+    asked = {"asked": hashlib.sha256(request.encode()).hexdigest(), "points": job.file.count}
+    return asked | {"gradcal_jax": gradcal_jax.__version__, **versions_of(_VERSIONS)}
+
+
+@contextmanager
+def kept_records(path: Path, identity: Mapping[str, Any]) -> Iterator[tuple[dict[int, Record], Callable[..., None]]]:
+    """The records in a file of finished points, and how to add one. The file is locked, and removed where the block
+    ends without an exception. Errors: `ValueError` for the file of another sweep, or one in use."""
+    with path.open("a+", encoding="utf-8") as file:
+        try:
+            take(file.fileno())
+        except OSError:
+            raise ValueError(f"another sweep is writing into {path}: wait, or choose another output") from None
+        file.seek(0)
+        lines = file.read().split("\n")
+        if lines == [""]:
+            file.write(json.dumps(identity) + "\n")
+        elif lines[0] != json.dumps(identity):
+            raise ValueError(f"{path} has points of another sweep: delete it, or choose another output")
+        elif lines[-1]:
+            file.write("\n")  # a line that was torn by a kill is closed, and not read
+        # Only a whole line ends in a line break.
+        records = dict(json.loads(line) for line in lines[1:-1] if line.endswith("}]"))
+
+        def add(key: int, record: Record) -> None:
+            file.write(json.dumps([key, record], allow_nan=False) + "\n")
+            file.flush()
+
+        yield records, add
+    path.unlink()
+
+
+# --- the sweep --------------------------------------------------------------------------------------------------------
+
+
+def sweep(
+    job: Sweep,
+    output: str | Path,
+    *,
+    workers: Executors | None = None,
+    most: int | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> xarray.Dataset:
+    """Do a sweep and write its results (netCDF, each variable with its unit) to `output`; a call after an interruption
+    resumes where it stopped. Errors: `ValueError` where `output` exists, or every point fails; `SweepIncomplete`."""
+    output = Path(output)
+    if output.exists():
+        raise ValueError(f"{output} exists; choose another output, or delete it")
+    if not output.absolute().parent.is_dir():
+        raise ValueError(f"there is no directory {output.parent}; make it first")
+    if workers is None:
+        with local_workers() as own:
+            return sweep(job, output, workers=own, most=most, progress=progress)
+    shape, points = points_of(job)
+    base = json.dumps(tables_of(job.base))
+    with kept_records(output.with_name(f"{output.name}.parts"), identity_of(job)) as (records, add):
+        left = {i: (job.file.do, base, changes_of(job, v)) for i, v in enumerate(points) if i not in records}
+        progress(len(records), len(points))
+        for key, record in completed(workers, left, most or 2 * (os.cpu_count() or 1)):
+            add(key, record)
+            records[key] = record
+            progress(len(records), len(points))
+        if lost := len(points) - len(records):
+            raise SweepIncomplete(f"{lost} of {len(points)} points could not be computed; call again for the rest")
+        ordered = [records[i] for i in range(len(points))]
+        if all(record["failure"] for record in ordered):
+            raise ValueError(f"none of the {len(points)} points has a result; the first: {ordered[0]['failure']}")
+        results = dataset_of(job, shape, points, ordered)
+        save_netcdf(results, output)
+    return results
+
+
+def variable_name(text: str) -> str:
+    """A name that programs can use: letters, digits and underscores."""
+    plain = re.sub(r"\W+", "_", text.strip()).strip("_")
+    return plain if plain and not plain[0].isdigit() else f"v_{plain}"
+
+
+def dataset_of(
+    job: Sweep, shape: tuple[int, ...], points: list[tuple[object, ...]], records: list[Record]
+) -> xarray.Dataset:
+    """The results: dimensions are the axes of a grid, or `point` for drawn points. Requirements give
+    `<name>_<statistic>` (1σ; NaN: no result, or not observable) and `<name>_verdict`; `failure` says why a point has no
+    result."""
+    grid, names = job.file.samples is None, [variable_name(axis.label) for axis in job.file.axis]
+    dims = tuple(names) if grid else ("point",)
+    coordinates, variables = dict[str, Any](), dict[str, Any]()
+    for k, (axis, name) in enumerate(zip(job.file.axis, names, strict=True)):
+        of_axis = axis.listed() if grid else [values[k] for values in points]
+        numbers = [axis.number_of(value) for value in of_axis]
+        attributes = {"long_name": axis.label, "keys": ", ".join(axis.changes), "spacing": axis.spacing}
+        words = None in numbers
+        attributes |= {} if words else {"units": axis.unit or "1"}
+        column = np.array([*map(str, of_axis)] if words else numbers, dtype=object if words else float)
+        coordinates[name] = ((name,) if grid else ("point",), column, attributes)
+
+    def add(name: str, key: str, *, text: bool = False, **attributes: str) -> None:
+        column = [record.get(key) for record in records]
+        values = np.array([v or "" for v in column] if text else column, dtype=object if text else float)
+        variables[name] = (dims, values.reshape(shape), attributes)
+
+    for k, requirement in enumerate(job.base.requirement):
+        name = variable_name(requirement.name)
+        name = f"{name}_{k}" if f"{name}_verdict" in variables else name
+        same = {"units": UNIT_OF[requirement.quantity][0], "requirement": requirement.name}
+        for statistic in STATISTICS:
+            if statistic != "mean of max" or requirement.quantity == "gyro_scale_factor":
+                quantity = requirement.quantity.replace("_", " ")
+                what = f"{requirement.name}: {statistic} of the residual {quantity}, 1 sigma"
+                own = {"statistic": statistic, "decisive": "yes" if statistic == requirement.statistic else "no"}
+                own |= {"long_name": what, "verdict": f"{name}_verdict"}
+                add(f"{name}_{variable_name(statistic)}", f"{k} {statistic}", **same, **own)
+        what = f"{requirement.name}: verdict, if there is a target"
+        add(f"{name}_verdict", f"{k} verdict", text=True, long_name=what)
+    add("duration", "duration", units="s", long_name="the whole plan")
+    add("soak", "soak", units="s", long_name="the part of the plan at constant temperature")
+    add("motion", "motion", units="s", long_name="the part of the plan in which the temperature changes")
+    reason = "reason why the point has no result; empty if it has a result"
+    add("failure", "failure", text=True, long_name=reason)
+    if job.file.do == "optimise":
+        add("convergence", "convergence", text=True, long_name="report of the optimiser")
+        add("optimised_spec", "optimised_spec", text=True, long_name="gradcal-spec/1 with the optimised plan")
+        before = "the objective of the plan in the spec before optimisation, in its unit"
+        add("objective_before", "objective_before", long_name=before)
+    failed = sum(bool(record["failure"]) for record in records)
+    attributes = {
+        "format": FORMAT,
+        "title": job.file.title or "",
+        "status": f"complete: {len(records)} points, {failed} of them failed",
+        "sweep": job.text,
+        "base": to_toml(job.base),
+        "identity": json.dumps(identity_of(job)),
+        "note": "residuals are predictions by the model of the base spec, as one standard deviation",
+    }
+    return xarray.Dataset(variables, coordinates, attributes)
+
+
+def read_dataset(path: str | Path) -> xarray.Dataset:
+    """The results of a sweep. Errors: `ValueError` for another kind of file."""
+    try:
+        results = load_netcdf(path)
+    except NetcdfError as error:
+        raise ValueError(f"{path} is not a result file of a sweep: {error}") from None
+    if results.attrs.get("format") != FORMAT:
+        raise ValueError(f"{path} was not written by gradcal sweep, so it is not a result file")
+    return results

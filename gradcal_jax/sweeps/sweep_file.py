@@ -69,8 +69,6 @@ class Axis(Section):
     """Last value: like `start`, a text with a unit or a plain number."""
     count: Annotated[int, Field(strict=True, ge=2, le=100_000)] | None = None
     """Number of values from start to stop, both included."""
-    step: End | None = None
-    """Distance from one value to the next."""
     spacing: Literal["linear", "logarithmic"] = "linear"
     """Spacing: linear, or logarithmic."""
 
@@ -88,19 +86,15 @@ class Axis(Section):
                 split_key(text)
             except ValueError as error:
                 problems.append(Problem(("key",), str(error), text))
-        limits = [name for name in ("start", "stop", "count", "step") if getattr(self, name) is not None]
+        limits = [name for name in ("start", "stop", "count") if getattr(self, name) is not None]
         if self.values is not None:
             problems += [Problem((name,), 'cannot be combined with "values"', getattr(self, name)) for name in limits]
         elif self.start is None or self.stop is None:
             problems.append(Problem((), 'expected either "values", or both "start" and "stop"', kind="missing"))
-        elif self.count is not None and self.step is not None:
-            problems.append(Problem(("step",), 'cannot be combined with "count"; keep one of them', self.step))
         refuse(*problems)
         if self.values is None:
             try:
                 self.ends()
-                if self.count is not None or self.step is not None:
-                    self.listed()
             except SpecError:
                 raise
             except ValueError as error:
@@ -168,37 +162,17 @@ class Axis(Section):
         """A number as the file writes it, to twelve digits: what is swept can be written again by hand."""
         if self.unit is not None:
             return f"{_short(number)} {self.unit}"
-        whole = all(isinstance(end, int) for end in (self.start, self.stop, self.step or 0))
+        whole = all(isinstance(end, int) for end in (self.start, self.stop))
         return round(number) if whole and abs(number - round(number)) < 1e-9 else float(_short(number))
 
     def listed(self) -> tuple[object, ...]:
         """All values of the axis of a grid. Raises `SpecError` where it has ends alone."""
         if self.values is not None:
             return self.values
-        low, high = self.ends()
-        if self.count is not None:
-            return tuple(self.at(k / (self.count - 1)) for k in range(self.count))
-        if self.step is None:
-            refuse(Problem(("count",), 'a grid needs "count" or "step" between start and stop', kind="missing"))
-        assert self.step is not None
-        if self.spacing == "logarithmic":
-            refuse(Problem(("step",), 'is only for linear spacing; give "count" instead', self.step))
-        step = self._step(self.step)
-        if step == 0.0 or (high - low) / step < 0.0:
-            refuse(Problem(("step",), "must not be zero, and must lead from start to stop", self.step))
-        steps = math.floor((high - low) / step * (1.0 + 1e-12) + 1e-9)
-        if steps >= 100_000:
-            refuse(Problem(("step",), "gives more than 100000 values", self.step))
-        return tuple(self._written(low + k * step) for k in range(steps + 1))
-
-    def _step(self, step: End) -> float:
-        unit = self.unit
-        if not isinstance(step, str) or unit is None:
-            return self._number("step", step)
-        if units.dimension_of(unit) == "temperature":
-            # A step between temperatures is a difference: of kelvins, as many degrees Celsius.
-            return units.parse(step, "temperature difference")
-        return _in(step, unit)
+        if self.count is None:
+            refuse(Problem(("count",), 'a grid needs "count" between start and stop', kind="missing"))
+        assert self.count is not None
+        return tuple(self.at(k / (self.count - 1)) for k in range(self.count))
 
     def number_of(self, value: object) -> float | None:
         """A value in the axis's unit, for the results' coordinate; None for words."""
@@ -261,8 +235,8 @@ class SweepFile(TitledFile):
                 if key in seen:
                     problems.append(Problem(("axis", i, "key"), "another axis also sets this key", key))
                 seen.add(key)
-            if self.samples is None and axis.values is None and axis.count is None and axis.step is None:
-                message = 'a grid needs "count" or "step" between start and stop'
+            if self.samples is None and axis.values is None and axis.count is None:
+                message = 'a grid needs "count" between start and stop'
                 problems.append(Problem(("axis", i, "count"), message, kind="missing"))
         if not problems and self.count > MOST_POINTS:
             problems.append(
@@ -333,7 +307,7 @@ def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str
         return read_toml(read_text(path), str(path)), str(path)
     if name in presets.names():
         return read_toml(presets.text(name), name), name
-    raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal new --list')], source)
+    raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal start --list')], source)
 
 
 def _known(axis: Axis, base: Spec) -> None:

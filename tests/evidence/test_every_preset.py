@@ -17,12 +17,10 @@ from gradcal_jax.spec import presets
 ROOT = Path(__file__).parents[2]
 REPORT = ROOT / "experiments" / "evidence" / "presets.md"
 PRESETS = presets.names()
-# (The optima in designs/engine are run by test_searched_plans.)
 EXPERIMENTS = tuple(
     str(path.relative_to(ROOT))
     for path in sorted((ROOT / "experiments").rglob("*.toml"))
-    if path.parent.name != "engine"
-    and tomllib.loads(path.read_text(encoding="utf-8")).get("format") in ("gradcal-spec/1", "gradcal-recipe/1")
+    if tomllib.loads(path.read_text(encoding="utf-8")).get("format") in ("gradcal-spec/1", "gradcal-recipe/1")
 )
 # In the suite itself: the paper's, one static, one standard, a unit on two axes, and one by hand. Thinned: ramps of
 # some twenty minutes in the place of hours, and requirements ("box") within the temperatures that are left.

@@ -167,20 +167,15 @@ def test_a_recipe_and_a_sweep_stand_alone(tmp_path, monkeypatch):
         'values = ["0.5 deg/h", "1 deg/h"]\n',
         encoding="utf-8",
     )
-    from gradcal_jax.sweeps.dataset import dataset_of
-    from gradcal_jax.sweeps.evaluate import predict_points
-    from gradcal_jax.sweeps.points import Points
+    from gradcal_jax.sweeps.sweep import changes_of, evaluate, points_of
     from gradcal_jax.sweeps.sweep_file import read_sweep
 
     job = read_sweep(tmp_path / "sweep.toml")
-    points = Points(job)
-    results = predict_points(tables_of(job.base), [(i, points.changes(i)) for i in range(len(points))])
-    assert [r.failure for r in results] == ["", ""]
-    data = dataset_of(job, points, tuple(results), {})
-    assert data["h_rms"].attrs["units"] == "deg"
-    assert float(data["h_rms"][0]) == pytest.approx(row.rms)
-    assert float(data["h_rms"][1]) > float(data["h_rms"][0])
-    assert "h_mean_of_max" not in data
+    base = json.dumps(tables_of(job.base))
+    first, second = (evaluate("predict", base, changes_of(job, point)) for point in points_of(job)[1])
+    (at,) = (k for k, r in enumerate(job.base.requirement) if r.name == "h")
+    assert first[f"{at} rms"] == pytest.approx(row.rms)
+    assert second[f"{at} rms"] > first[f"{at} rms"]
 
 
 def test_pictures_and_the_page_show_missions(tmp_path):

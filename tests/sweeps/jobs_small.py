@@ -1,6 +1,5 @@
 """Sweeps that take seconds, and their pieces: a quarter of an hour's ramp, a gyro with five coefficients."""
 
-import os
 from pathlib import Path
 
 SPEC = """
@@ -76,12 +75,3 @@ def written(folder: Path, sweep: str = GRID) -> Path:
     path = folder / "sweep.toml"
     path.write_text(sweep, encoding="utf-8")
     return path
-
-
-def compiled_programs() -> str:
-    """A folder that keeps the workers' compiled programs from one test run to the next."""
-    import tempfile
-
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or tempfile.gettempdir()) / f"gradcal-tests-{os.getuid()}"
-    folder.mkdir(parents=True, exist_ok=True)
-    return str(folder)

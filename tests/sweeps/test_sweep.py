@@ -1,51 +1,68 @@
-"""Sweeps from end to end, in real worker processes: right, the same for any number of workers, and resumed."""
+"""A sweep gives what `predict` gives, whatever is killed on the way; its results carry their units and their file."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-from jobs_small import GRID, SPEC, written
+from jobs_small import GRID, written
 
 import gradcal_jax as gj
-from gradcal_jax.information import STATISTICS
-from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import tables_of
-from gradcal_jax.sweeps.dataset import identity_in, read_dataset
-from gradcal_jax.sweeps.evaluate import predict_points
-from gradcal_jax.sweeps.points import Points
-from gradcal_jax.sweeps.pool import LocalPool, Task
-from gradcal_jax.sweeps.sweep import Store, already_finished, chunks_of, dry_run, identity_of, sweep
-from gradcal_jax.sweeps.sweep_file import read_sweep
+from gradcal_jax.sweeps.sweep import changes_of, evaluate, identity_of, kept_records, local_workers, points_of, sweep
+from gradcal_jax.sweeps.sweep_file import parse_sweep, read_sweep
+
+SAMPLES = """
+format = "gradcal-sweep/1"
+base = "small.toml"
+[[axis]]
+key = "plan.cycle.moves[2].rest"
+start = "3 s"
+stop = "6 s"
+[[axis]]
+name = "walk"
+key = "sensor.angle_random_walk"
+start = "0.05 deg/sqrt(h)"
+stop = "0.5 deg/sqrt(h)"
+spacing = "logarithmic"
+[samples]
+method = "latin hypercube"
+count = 3
+"""
+IMU = """format = "gradcal-sweep/1"
+base = "accelerometer-six-positions"
+[[axis]]
+key = "rig.table.tilt"
+values = ["10 urad", "1 mrad", "a lot"]
+"""
 
 
 @pytest.fixture(scope="module")
 def pool():
-    with LocalPool(1) as workers:
+    with local_workers(1) as workers:
         yield workers
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory, pool):
-    """The grid, once: its folder, its job and its results."""
+    """The grid, once: its job and its results."""
     folder = tmp_path_factory.mktemp("grid")
     job = read_sweep(written(folder))
-    told = []
-    swept = sweep(job, folder / "results.nc", runner=pool, progress=told.append)
-    return folder, job, swept, told
+    sweep(job, folder / "results.nc", workers=pool)
+    assert not (folder / "results.nc.parts").exists()
+    return job, gj.read_dataset(folder / "results.nc")
 
 
 def test_every_point_is_what_predict_says(done):
-    folder, job, *_ = done
-    results = read_dataset(folder / "results.nc")
-    points = Points(job)
+    job, results = done
     assert results.sizes == {"rest": 4, "peak_rate": 3}
-    expected = gj.predict(gj.changed(job.base, points.changes(7)))
-    place = np.unravel_index(7, points.shape)
+    shape, points = points_of(job)
+    expected = gj.predict(gj.changed(job.base, changes_of(job, points[7])))
+    place = np.unravel_index(7, shape)
     scale, bias = expected.requirements
     for name in ("mean_of_max", "max", "mean", "rms"):
         assert results[f"scale_{name}"].values[place] == pytest.approx(getattr(scale, name), rel=1e-12)
@@ -54,241 +71,108 @@ def test_every_point_is_what_predict_says(done):
     assert results["duration"].values[place] == pytest.approx(expected.duration_s)
 
 
-GAP = {
-    "plan.temperature": None,
-    "plan.gradient": None,
-    "plan.programme": [
-        {"soak": "1 min", "at": "0 degC"},
-        {"ramp_to": "10 degC", "rate": "2 K/min"},
-        {"soak": "2 min"},
-        {"ramp_to": "20 degC", "rate": "2 K/min"},
-    ],
-}
-LAG = {"sensor.thermal_lag": "1 min", "plan.cycle.duration": "1 min", "plan.soak": {"duration": "5 min"}}
-USED_SOAK = {"plan.soak": {"duration": "1 min", "used": True}}
-
-
-@pytest.mark.parametrize(
-    ("base", "changes"),
-    [
-        *((SPEC, changes) for changes in ({}, GAP, LAG, USED_SOAK)),
-        *((presets.text(name), {}) for name in ("rig-hand", "paper-static-gradient", "paper-static-standard")),
-    ],
-    ids=["ramp", "two stretches", "lag and idle time", "used soak", "three axes", "standing", "standard"],
-)
-def test_a_worker_predicts_as_predict_does(base, changes):
-    spec = gj.parse_spec(base)
-    expected = gj.predict(gj.changed(spec, changes))
-    (found,) = predict_points(tables_of(spec), [(0, changes)])
-    assert found.failure == ""
-    assert (found.duration_s, found.motion_s) == (expected.duration_s, expected.motion_s)
-    names = {i: requirement.name for i, requirement in enumerate(spec.requirement)}
-    mine = {names[row.requirement]: row for row in found.residuals}
-    assert len(mine) == len(found.residuals) == len(expected.requirements)
-    for row in expected.requirements:
-        values = dict(zip(STATISTICS, mine[row.name].values, strict=True))
-        for name in STATISTICS:
-            said = getattr(row, name.replace(" ", "_"))
-            assert values[name] == (None if said is None else pytest.approx(said, rel=1e-12))
-        assert mine[row.name].verdict == (row.verdict or "")
-
-
 def test_results_carry_their_units_their_file_and_their_failures(done):
-    folder, job, swept, told = done
-    results = read_dataset(folder / "results.nc")
-    assert results["rest"].values.tolist() == [3.0, 4.0, 5.0, 6.0]
-    assert (results["rest"].attrs["units"], results["peak_rate"].attrs["units"]) == ("s", "deg/s")
-    assert (results["scale_max"].attrs["units"], results["bias_max"].attrs["units"]) == ("ppm", "deg/h")
+    job, results = done
+    assert results["scale_mean_of_max"].attrs["units"] == "ppm"
+    assert results["bias_mean"].attrs["units"] == "deg/h"
     assert "bias_mean_of_max" not in results
+    assert results["rest"].attrs["units"] == "s"
+    np.testing.assert_allclose(results["rest"], [3.0, 4.0, 5.0, 6.0])
     assert results.attrs["sweep"] == job.text
     assert gj.parse_spec(results.attrs["base"]) == job.base
-    assert swept.failed == 4
-    failed = results["failure"].sel(peak_rate=110.0).values
-    assert all("exceeds max_rate of axis" in reason for reason in failed)
-    assert np.all(results["failure"].sel(peak_rate=[60.0, 80.0]).values == "")
-    assert np.isnan(results["scale_max"].sel(peak_rate=110.0).values).all()
-    assert np.isfinite(results["scale_max"].sel(peak_rate=[60.0, 80.0]).values).all()
-    assert (told[0].stage, told[0].done, told[-1].done, told[-1].total) == ("predict", 0, 12, 12)
-    assert already_finished(job, folder / "results.nc")
-    assert not (folder / "results.nc.parts").exists()
+    assert json.loads(results.attrs["identity"]) == identity_of(job)
+    failed = results["failure"].values != ""
+    assert failed.sum() == 4
+    assert failed[:, 2].all()
+    assert "exceeds max_rate of axis" in results["failure"].values[0, 2]
+    assert np.isnan(results["scale_mean"].values[failed]).all()
 
 
-@pytest.fixture(scope="module")
-def in_pairs(done, pool):
-    """The same sweep in chunks of two: the bytes of its file."""
-    folder, job, *_ = done
-    chunk = sys.modules["gradcal_jax.sweeps.sweep"].CHUNK
-    usual, chunk["predict"] = chunk["predict"], 2
-    sweep(job, folder / "pairs.nc", runner=pool)
-    chunk["predict"] = usual
-    return (folder / "pairs.nc").read_bytes()
+def test_drawn_points(tmp_path, pool):
+    job = read_sweep(written(tmp_path, SAMPLES))
+    results = sweep(job, tmp_path / "results.nc", workers=pool)
+    assert results.sizes == {"point": 3}
+    _, points = points_of(job)
+    expected = gj.predict(gj.changed(job.base, changes_of(job, points[2]))).requirements[0]
+    assert results["scale_mean_of_max"].values[2] == pytest.approx(expected.mean_of_max, rel=1e-12)
+    assert results["walk"].values[2] == pytest.approx(float(points[2][1].split()[0]))
 
 
-def test_chunks_do_not_change_the_numbers(done, in_pairs):
-    folder, *_ = done
-    assert len(in_pairs) > 1000
-    there, here = (read_dataset(folder / name) for name in ("results.nc", "pairs.nc"))
-    for name in here.data_vars:
-        np.testing.assert_array_equal(here[name].values, there[name].values)
+def test_a_killed_worker_changes_nothing(done, tmp_path):
+    job, results = done
+    shot: list[int] = []
+    with local_workers(2) as pool:
 
-
-def test_the_file_does_not_depend_on_workers_nor_on_a_killed_one(done, in_pairs, monkeypatch):
-    folder, job, *_ = done
-    monkeypatch.setitem(sys.modules["gradcal_jax.sweeps.sweep"].CHUNK, "predict", 2)
-    with LocalPool(2) as two:
-        shot = []
-
-        def shoot(progress):
-            # One of the two is killed as soon as the first chunk is done; its chunk goes to its successor.
-            if progress.stage == "predict" and progress.done > progress.kept and not shot:
-                shot.append(next(iter(two._executor._processes)))
+        def shoot(count, total):
+            if count >= 1 and not shot:
+                shot.append(next(iter(pool()._processes)))
                 os.kill(shot[0], signal.SIGKILL)
 
-        sweep(job, folder / "two.nc", runner=two, progress=shoot)
+        again = sweep(job, tmp_path / "again.nc", workers=pool, progress=shoot)
     assert shot
-    assert (folder / "two.nc").read_bytes() == in_pairs
+    assert again.equals(results)
 
 
-def _children(process: int) -> list[str]:
-    threads = Path(f"/proc/{process}/task")
-    return [c for t in threads.iterdir() for c in (t / "children").read_text().split()] if threads.exists() else []
-
-
-def _runs(process: str) -> bool:
-    stat = Path(f"/proc/{process}/stat")
-    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
-
-
-def test_a_killed_sweep_goes_on_and_ends_the_same(done, in_pairs, tmp_path):
+def test_a_killed_sweep_goes_on_and_ends_the_same(done, tmp_path):
     path, output = written(tmp_path), tmp_path / "results.nc"
-    # The first time it stops after two chunks of the six, to be killed there.
+    # The first time it stops after four points of the twelve, to be killed there.
     script = (
-        "import sys, time; from pathlib import Path; from gradcal_jax.sweeps import sweep as s\n"
-        "s.CHUNK['predict'] = 2\n"
-        "from gradcal_jax.sweeps.sweep_file import read_sweep; from gradcal_jax.sweeps.pool import LocalPool\n"
-        "wait = lambda p: time.sleep(600.0) if sys.argv[3:] and p.done >= 4 else None\n"
-        "s.sweep(read_sweep(sys.argv[1]), Path(sys.argv[2]), runner=LocalPool(1), progress=wait)\n"
+        "import sys, time\nfrom gradcal_jax.sweeps.sweep import local_workers, sweep\n"
+        "from gradcal_jax.sweeps.sweep_file import read_sweep\n"
+        "def wait(done, total):\n    time.sleep(600.0 if sys.argv[3:] and done >= 4 else 0.0)\n"
+        "with local_workers(1) as workers:\n"
+        "    sweep(read_sweep(sys.argv[1]), sys.argv[2], workers=workers, most=1, progress=wait)\n"
     )
     command = [sys.executable, "-c", script, str(path), str(output)]
-    process = subprocess.Popen([*command, "wait"], stderr=subprocess.PIPE)
+    process = subprocess.Popen([*command, "wait"])
     parts = tmp_path / "results.nc.parts"
     deadline = time.monotonic() + 120.0
-    while len(list(parts.glob("chunk-*.json"))) < 2 and time.monotonic() < deadline and process.poll() is None:
-        time.sleep(0.002)
-    workers = _children(process.pid)
-    process.kill()
-    process.communicate()
-    while any(map(_runs, workers)) and time.monotonic() < deadline:
+    while not (parts.exists() and parts.read_text().count("\n") >= 5):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
         time.sleep(0.05)
-    assert not any(map(_runs, workers))
-    kept = sorted(parts.glob("chunk-*.json"))
-    assert len(kept) >= 2
+    process.kill()
+    process.wait()
     assert not output.exists()
-    # A chunk that was torn is not believed.
-    kept[-1].write_bytes(kept[-1].read_bytes()[:-5])
+    # A line that was torn is not believed.
+    parts.write_bytes(parts.read_bytes()[:-9])
     again = subprocess.run(command, capture_output=True, check=False)
     assert again.returncode == 0, again.stderr
-    assert output.read_bytes() == in_pairs
+    assert gj.read_dataset(output).equals(done[1])
 
 
-def test_what_is_kept_is_not_done_again(done, pool, tmp_path, monkeypatch):
-    _, job, swept, _ = done
-    monkeypatch.setitem(sys.modules["gradcal_jax.sweeps.sweep"].CHUNK, "predict", 5)
-    output = tmp_path / "results.nc"
-    first = chunks_of(len(Points(job)), 5)[0]
-    mine = [swept.results[point]._replace(duration_s=1.0) for point in first]
-    Store(output, identity_of(job)).write(0, mine)
-    again = sweep(job, output, runner=pool)
-    assert again.kept == len(first) == 5
-    # The numbers come from the disk, the forged durations among them.
-    whole = sum(not result.failure for result in mine)
-    assert np.count_nonzero(read_dataset(output)["duration"].values == 1.0) == whole == 4
+def test_what_is_kept_is_not_done_again_and_belongs_to_one_sweep(done, pool, tmp_path):
+    job, _ = done
+    parts = tmp_path / "results.nc.parts"
+    forged = evaluate("predict", json.dumps(tables_of(job.base)), {}) | {"duration": 1.0}
+    parts.write_text("".join(json.dumps(line) + "\n" for line in (identity_of(job), [0, forged])))
+    results = sweep(job, tmp_path / "results.nc", workers=pool)
+    assert np.count_nonzero(results["duration"].values == 1.0) == 1
+    (tmp_path / "other.nc.parts").write_text(json.dumps(identity_of(job) | {"asked": "another"}) + "\n")
+    with pytest.raises(ValueError, match="points of another sweep"):
+        sweep(job, tmp_path / "other.nc", workers=pool)
+    with pytest.raises(ValueError, match="exists; choose another output"):
+        sweep(job, tmp_path / "results.nc", workers=pool)
 
 
-def test_the_parts_of_another_sweep_are_refused(done, pool, tmp_path):
-    _, job, *_ = done
-    output = tmp_path / "results.nc"
-    Store(output, identity_of(job) | {"asked": "another"})
-    with pytest.raises(ValueError, match=r"parts of another sweep \(which differs in asked\)"):
-        sweep(job, output, runner=pool)
-    (tmp_path / "other.nc.parts").mkdir()
-    (tmp_path / "other.nc.parts" / "letter.txt").write_text("mine")
-    with pytest.raises(ValueError, match="was not made by a sweep"):
-        sweep(job, tmp_path / "other.nc", runner=pool)
-    (tmp_path / "taken.nc").write_text("mine")
-    with pytest.raises(ValueError, match="exists and belongs to another sweep"):
-        sweep(job, tmp_path / "taken.nc", runner=pool)
-    assert identity_in(tmp_path / "taken.nc") is None
-
-
-STANDARD = """
-[plan]
-method = "standard"
-temperatures = ["0 degC", "10 degC", "20 degC"]
-soak = "10 min"
-integration = "5 min"
-rates = ["-100 deg/s", "0 deg/s", "100 deg/s"]
-"""
-
-
-def test_two_sweeps_do_not_write_into_one_folder(done, tmp_path):
-    """The second one says so; the lock goes with the process that has it."""
-    _, job, *_ = done
-    begun = Store(tmp_path / "a.nc", identity_of(job))
-    with pytest.raises(ValueError, match="another sweep is writing into"):
-        Store(tmp_path / "a.nc", identity_of(job))
-    begun.remove()
-    Store(tmp_path / "a.nc", identity_of(job)).remove()
-
-
-def test_standard_plans_and_drawn_points(tmp_path, pool):
-    path = written(
-        tmp_path,
-        'format = "gradcal-sweep/1"\nbase = "small.toml"\n'
-        '[[axis]]\nkey = "plan.integration"\nstart = "1 min"\nstop = "10 min"\n'
-        '[[axis]]\nname = "walk"\nkey = "sensor.angle_random_walk"\n'
-        'start = "0.05 deg/sqrt(h)"\nstop = "0.5 deg/sqrt(h)"\nspacing = "logarithmic"\n'
-        '[samples]\nmethod = "latin hypercube"\ncount = 5\n',
-    )
-    small = tmp_path / "small.toml"
-    small.write_text(small.read_text(encoding="utf-8").split("[plan]")[0] + STANDARD, encoding="utf-8")
-    job = read_sweep(path)
-    sweep(job, tmp_path / "results.nc", runner=pool)
-    results = read_dataset(tmp_path / "results.nc")
-    assert results.sizes == {"point": 5}
-    assert results["walk"].dims == ("point",)
-    points = Points(job)
-    for index in (0, 4):
-        expected = gj.predict(gj.changed(job.base, points.changes(index))).requirements[0]
-        assert results["scale_mean_of_max"].values[index] == pytest.approx(expected.mean_of_max, rel=1e-12)
-        said = float(points.values(index)[1].split()[0])
-        assert results["walk"].values[index] == pytest.approx(said)
-
-
-def test_a_dry_run_counts_times_and_writes_nothing(done, pool):
-    folder, job, *_ = done
-    before = sorted(folder.iterdir())
-    found = dry_run(job, runner=pool)
-    assert (found.points, found.failing, found.workers, found.chunks) == (12, 4, 1, 1)
-    assert "exceeds max_rate of axis" in found.first_failure
-    assert found.next_chunk_s > 0.0
-    assert 0.0 < found.first_chunk_s <= found.seconds
-    assert sorted(folder.iterdir()) == before
+def test_two_sweeps_do_not_write_into_one_file(tmp_path):
+    second = kept_records(tmp_path / "a.parts", {})
+    with kept_records(tmp_path / "a.parts", {}), pytest.raises(ValueError, match="another sweep is writing into"):
+        second.__enter__()
+    assert not (tmp_path / "a.parts").exists()
 
 
 def test_a_sweep_of_which_no_point_is_a_spec_says_why(tmp_path, pool):
     path = written(tmp_path, GRID.replace('"60 deg/s", "80 deg/s", "110 deg/s"', '"110 deg/s"'))
     with pytest.raises(ValueError, match=r"none of the 4 points has a result.*exceeds max_rate of axis"):
-        sweep(read_sweep(path), tmp_path / "results.nc", runner=pool)
-    assert not (tmp_path / "results.nc.parts").exists()
+        sweep(read_sweep(path), tmp_path / "results.nc", workers=pool)
 
 
-def test_a_point_that_fails_does_not_take_its_neighbours_along(done, pool):
-    _, job, swept, _ = done
-    points = Points(job)
-    base = tables_of(job.base)
-    first, second = 0, 1
-    share = [(first, points.changes(first)), (99, {"plan.gradient": "30 K/min"}), (second, points.changes(second))]
-    ((_, found),) = pool.run([Task(0, "predict", (base, share))])
-    assert "max_heating" in found[1].failure
-    assert (found[0], found[2]) == (swept.results[first], swept.results[second])
+def test_an_imu_is_swept():
+    job = parse_sweep(IMU)
+    base = json.dumps(tables_of(job.base))
+    _, points = points_of(job)
+    first, _, wrong = (evaluate("predict", base, changes_of(job, point)) for point in points)
+    assert "rig.table.tilt" in wrong["failure"]
+    for k, row in enumerate(gj.predict(gj.changed(job.base, changes_of(job, points[0]))).requirements):
+        assert first[f"{k} {row.statistic}"] == pytest.approx(row.decisive, rel=1e-12)

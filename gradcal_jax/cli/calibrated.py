@@ -302,5 +302,3 @@ def export_text(done: "Export") -> str:
     else:
         lines.append("nothing is lost")
     return "\n".join([*lines, *(f"note: {note}" for note in done.notes)])
-
-

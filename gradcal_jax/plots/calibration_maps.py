@@ -75,5 +75,3 @@ def draw_residual_parts(channel: CalibratedChannel, *, ax: Axes | None = None) -
     ax.axhspan(1.0 - half, 1.0 + half, color=PALETTE[1], alpha=0.2)
     ax.set(xlabel="tenth of the run", ylabel="rms residual, standard deviations", ylim=(0.0, None))
     return ax, line
-
-

@@ -186,7 +186,8 @@ class Guard:
     def _start(self) -> None:
         """Start a guard. Raises `HardwareError` where it cannot work."""
         process = subprocess.Popen(
-            [sys.executable, "-m", "gradcal_jax.hardware.guard", str(self._folder), str(_SILENT_S)],
+            # Isolated: a queue.py in the folder where the run was started is not the guard's.
+            [sys.executable, "-I", "-m", "gradcal_jax.hardware.guard", str(self._folder), str(_SILENT_S)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,

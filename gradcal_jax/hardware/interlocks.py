@@ -26,7 +26,7 @@ _PATIENCE_S = 30.0
 
 @dataclass(frozen=True)
 class Situation:
-    """The newest readings, and what was commanded. `imu_age_s`: time since each unit's last bytes. `course_c`: the
+    """The newest readings, and what was commanded. `imu_age_s`: time since each unit's last sample. `course_c`: the
     recipe's lowest and highest temperature of the air over the last while, None before the first command. `range_c`:
     the temperatures that the chamber reports as its limits, and that of its air at the start. `conditions`: whether the
     chamber was commanded to condition. `allowed_dps`: the rates allowed to an axis now by its commands and by the rig.
@@ -131,7 +131,7 @@ def _idle_chamber(bounds: InterlockLimits, now: Situation) -> str:
 
 def _stale(bounds: InterlockLimits, now: Situation) -> str:
     old = ", ".join(f"{name} for {age:.1f} s" for name, age in now.imu_age_s.items() if age > bounds.imu_stale_s)
-    return f"no bytes from {old}" if old else ""
+    return f"no sample from {old}" if old else ""
 
 
 def _disk(bounds: InterlockLimits, now: Situation) -> str:
@@ -184,10 +184,13 @@ class Interlocks:
         self._since.clear()
 
 
-# The window in which the rate of samples is measured is at least so long; what a unit's own clock may be off.
-_WINDOW_S, _RATE_OFF = 60.0, 0.05
-_LEAST_TURN_DEG = 90.0
-_TOGETHER_S = 0.25
+# The rate of samples is measured over at least so long, beside each step's own count.
+_WINDOW_S: Final = 60.0
+# What a unit's own clock may be off, and how late the last samples of a step may be.
+_RATE_OFF: Final = 0.05
+_SLACK_S: Final = 0.5
+_LEAST_TURN_DEG: Final = 90.0
+_TOGETHER_S: Final = 0.25
 
 
 class StepNotDone(Exception):
@@ -207,8 +210,10 @@ class ExecutedStep:
 
 @dataclass
 class _Arrival:
-    """Samples that came together: until when, how many, what lacks before them, and how far the unit turned."""
+    """Samples that came together, the last of them at `time_s`: how many, how many lack before them, whether the unit
+    restarted, and how far it turned."""
 
+    begins_s: float
     time_s: float
     received: int = 0
     missing: int = 0
@@ -217,35 +222,48 @@ class _Arrival:
 
 
 class SampleLosses:
-    """The samples of a unit: the stream is decoded once on arrival, and only their numbers are kept."""
+    """The samples of a unit since `start_s`: the stream is decoded once on arrival, and only numbers are kept.
 
-    def __init__(self, decoder: ImuDecoder, sample_rate_hz: float, gyros: GyroErrors | None) -> None:
-        self._decoder, self._sample_rate_hz, self._gyros = decoder, sample_rate_hz, gyros
+    A sample without any finite rate or force is none.
+    """
+
+    def __init__(self, decoder: ImuDecoder, sample_rate_hz: float, gyros: GyroErrors | None, start_s: float) -> None:
+        self._sample_rate_hz, self._gyros = sample_rate_hz, gyros
         self._arrivals: deque[_Arrival] = deque(maxlen=1 << 16)
         self.received = self.missing = 0
+        self.begin_again(decoder, start_s)
 
-    def begin_again(self, decoder: ImuDecoder) -> None:
+    def begin_again(self, decoder: ImuDecoder, start_s: float) -> None:
         self._decoder = decoder
         self._arrivals.clear()
+        self._arrivals.append(_Arrival(start_s, start_s))
+
+    @property
+    def newest_s(self) -> float:
+        """When the newest sample came, or when the stream was started."""
+        return self._arrivals[-1].time_s
 
     def push(self, data: bytes, time_s: float) -> None:
         batch = self._decoder.push(data, time_s)
-        missing, restarted = int(batch.gap_before.sum()), bool(batch.restarted.any())
-        self.received, self.missing = self.received + len(batch), self.missing + missing
-        if not len(batch):
+        usable = np.isfinite(batch.gyro_dps).any(axis=1) | np.isfinite(batch.acceleration_g).any(axis=1)
+        received, missing, restarted = int(usable.sum()), int(batch.gap_before.sum()), bool(batch.restarted.any())
+        self.received, self.missing = self.received + received, self.missing + missing
+        if not received:
             return
-        newest = self._arrivals[-1] if self._arrivals else None
-        if newest is None or restarted or time_s - newest.time_s > _TOGETHER_S:
-            newest = _Arrival(time_s)
+        newest = self._arrivals[-1]
+        if restarted or time_s - newest.begins_s > _TOGETHER_S or not newest.received:
+            newest = _Arrival(time_s, time_s)
             self._arrivals.append(newest)
-        newest.received += len(batch)
+        newest.time_s = time_s
+        newest.received += received
         newest.missing += missing
         newest.restarted = newest.restarted or restarted
         newest.turned_deg += float(np.nansum(np.linalg.norm(batch.gyro_dps, axis=1))) * self._decoder.sample_s
 
     def between(self, executed: ExecutedStep, share: float, latest_s: float, turned_deg: float | None) -> str:
-        """A sentence where more than a share of a step's samples is missing, the IMU restarted in it or sends at
-        another rate, or where its gyro shows another angle than the table turned (None: unknown).
+        """A sentence where a step lacks samples: more than a share of them is missing, fewer or more came than the
+        unit's rate makes in its time, the IMU restarted, or its gyro shows another angle than the table turned (None:
+        unknown).
 
         `latest_s`: how late the computer may read them.
         """
@@ -256,20 +274,36 @@ class SampleLosses:
         lost, lasted_s = sum(arrival.missing for arrival in inside), executed.ended_s - executed.began_s
         if lost > share * lasted_s * self._sample_rate_hz:
             return f"{lost} of {lasted_s * self._sample_rate_hz:.0f} samples are lost"
-        begins_s = min(executed.began_s, executed.ended_s - _WINDOW_S)
-        begins_s = max([begins_s, *(one.time_s for one in known if one.restarted and one.time_s <= executed.ended_s)])
-        window = [arrival for arrival in known if begins_s <= arrival.time_s <= executed.ended_s]
-        if window and (span_s := window[-1].time_s - window[0].time_s) > 0.0:
-            count = sum(arrival.received + arrival.missing for arrival in window[1:])
-            if abs(count / self._sample_rate_hz - span_s) > _RATE_OFF * span_s + latest_s:
-                return f"the IMU sends {count / span_s:.1f} samples/s, but its setting is {self._sample_rate_hz:g}"
+        restarts = [arrival.time_s for arrival in known if arrival.restarted and arrival.time_s <= executed.ended_s]
+        for begins_s in (executed.began_s, min(executed.began_s, executed.ended_s - _WINDOW_S)):
+            if text := self._miscounted(known, max([begins_s, *restarts]), executed.ended_s, latest_s):
+                return text
         gyros = self._gyros
-        if gyros is None or turned_deg is None or turned_deg < _LEAST_TURN_DEG or not inside:
+        if gyros is None or turned_deg is None or turned_deg < _LEAST_TURN_DEG:
             return ""
         times_s = [executed.began_s, *(arrival.time_s for arrival in inside), executed.ended_s]
         late_s = max(after - before for before, after in itertools.pairwise(times_s))
         shown_deg = sum(arrival.turned_deg for arrival in inside)
         allowed_deg = (gyros.share + late_s / lasted_s) * turned_deg + gyros.bias_dps * lasted_s
-        if math.isfinite(shown_deg) and abs(shown_deg - turned_deg) > allowed_deg:
+        if abs(shown_deg - turned_deg) > allowed_deg:
             return f"the IMU's gyros measured {shown_deg:.0f} deg in total, but the table turned {turned_deg:.0f}"
         return ""
+
+    def _miscounted(self, known: list[_Arrival], begins_s: float, ends_s: float, latest_s: float) -> str:
+        """A sentence where other samples came than the unit's rate makes, from the last arrival before `begins_s` to
+        the first after `ends_s`, or to the end where nothing came any more."""
+        before = [arrival.time_s for arrival in known if arrival.time_s <= begins_s]
+        after = [arrival.time_s for arrival in known if arrival.time_s >= ends_s]
+        first_s = before[-1] if before else known[0].time_s
+        last_s = after[0] if after else ends_s
+        span_s = last_s - first_s
+        counted = [arrival for arrival in known if first_s < arrival.time_s <= last_s]
+        received = sum(arrival.received for arrival in counted)
+        count = received + sum(arrival.missing for arrival in counted)
+        came_s = count / self._sample_rate_hz
+        fewest_s = (1.0 - _RATE_OFF) * span_s - _SLACK_S
+        most_s = (1.0 + _RATE_OFF) * span_s + latest_s
+        if fewest_s <= came_s <= most_s:
+            return ""
+        rate = f"{count / span_s:.1f} samples/s, but its setting is {self._sample_rate_hz:g}"
+        return f"the IMU sent {received} samples in {span_s:.1f} s: {rate}"

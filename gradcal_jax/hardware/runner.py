@@ -98,12 +98,12 @@ class Runner:
         self._chamber = None if chamber is None else ChamberControl(chamber, self.clock, self._event)
         latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
         self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, self._drawn, keep_track=alone)
-        self._imu_heard_s: dict[str, float] = {}
         self._losses: dict[str, SampleLosses] = {}
         # Units that are to be configured anew: one that restarted has the settings that it stores.
         self._unfit: set[str] = set()
         self._settings: dict[str, ImuSettings] = {}
-        self._unconfirmed: list[ExecutedStep] = []
+        self._unconfirmed: deque[ExecutedStep] = deque()
+        self._confirmed: set[int] = set()
         self._tries: dict[int, int] = {}
         self._shortfall: StepNotDone | None = None
         self.ticked_s = time.monotonic()
@@ -169,7 +169,8 @@ class Runner:
                 unit = self.bench.imus[name]
                 settings = self._settings[name] = unit.configure()
                 self._event("configuration", device=name, **event_fields(settings))
-                self._losses[name] = SampleLosses(unit.decoder(), settings.sample_rate_hz, self.track.gyros)
+                rate_hz, now = settings.sample_rate_hz, self.clock.now()
+                self._losses[name] = SampleLosses(unit.decoder(), rate_hz, self.track.gyros, now)
         axes = {name: axis.limits() for name, axis in self.bench.axes.items()}
         if problems := dry_run_of(self.track, self.bench.chamber_limits(), axes).problems:
             raise LimitExceeded("The run was not started. " + " ".join(problems))
@@ -198,8 +199,9 @@ class Runner:
         if guarded:
             start("A watchdog could not be reset", partial(self._feed_watchdogs, guarded))
         for name in self.bench.imus:
-            self.bench.imus[name].start()
-            self._imu_heard_s[name] = self.clock.now()
+            unit = self.bench.imus[name]
+            unit.start()
+            self._losses[name].begin_again(unit.decoder(), self.clock.now())
             # A simulated unit waits on the clock, not on a line.
             start(name, partial(self._carry_bytes, name), waits_on_clock=self.bench.simulated)
 
@@ -223,15 +225,13 @@ class Runner:
                     self.on_new_session(self._steps_done)
                     for device, settings in self._settings.items():
                         self._event("configuration", device=device, **event_fields(settings))
-                    losses.begin_again(unit.decoder())
                     unit.start()
-                self._imu_heard_s[name] = self.clock.now()
+                    losses.begin_again(unit.decoder(), self.clock.now())
                 self._unfit.discard(name)
             data, time_s = unit.read_bytes(0.2)
             if data:
                 self.journal.bytes_of(name, time_s, data, received=True)
                 losses.push(data, time_s)
-                self._imu_heard_s[name] = time_s
 
     def _execute(self) -> None:
         steps = self.track.steps
@@ -258,16 +258,18 @@ class Runner:
             except StepNotDone as shortfall:
                 self._take_back(shortfall)
                 again = True
+        self._require_all_done()
 
     def _seam(self, number: int, why: str) -> None:
         self._event("seam", step=self.track.steps[number].name, why=why)
 
     def _take_back(self, shortfall: StepNotDone) -> None:
         number, name = shortfall.number, self.track.steps[shortfall.number].name
-        self._event("not done", step=name, number=number, why=str(shortfall))
+        self._say_not_done(shortfall)
         self._tries[number] = self._tries.get(number, 0) + 1
         if self._tries[number] == _TRIES:
             what = f"In {_TRIES} attempts, step {name!r} was not executed as the recipe states."
+            self._drop_from(number)
             raise HardwareError(f"{what} The last attempt: {shortfall}.")
         self._axes.stop()
         self._steps_done = number
@@ -279,9 +281,14 @@ class Runner:
             except _Interrupted:
                 self._wait_paused()
             self.clock.sleep(_SLICE_S)
-        self._shortfall = None
-        self._unconfirmed = [executed for executed in self._unconfirmed if executed.number < number]
+        self._drop_from(number)
         self._seam(number, "the step is repeated: it was not executed as the recipe states")
+
+    def _drop_from(self, number: int) -> None:
+        """Steps from this number on are to be executed again."""
+        self._shortfall = None
+        self._unconfirmed = deque(executed for executed in self._unconfirmed if executed.number < number)
+        self._confirmed = {done for done in self._confirmed if done < number}
 
     def _pause_between(self, step: TrackStep) -> None:
         """Stop every axis: nothing turns while a run is paused, not even a spin that the next step continues."""
@@ -293,22 +300,31 @@ class Runner:
             self._wait_paused()
 
     def _confirm_steps(self) -> None:
-        """Wait until a step's samples are in the journal: a step that a resumed run does not repeat must be complete.
+        """Judge the steps whose samples are in the journal: a step that a resumed run does not repeat is complete.
         The first bytes after its end may be a piece of a burst whose other pieces hold the step's last samples."""
-        latest_s = min(self._imu_heard_s.values(), default=math.inf)
-        while self._unconfirmed and self._shortfall is None and self._unconfirmed[0].ended_s + _ARRIVAL_S <= latest_s:
+        while self._unconfirmed and self._shortfall is None and self._has_samples_of(self._unconfirmed[0]):
             self._heard_end_s = min(self._heard_end_s, self.clock.now())
             if self.clock.now() < self._heard_end_s + _PIECES_S:
                 return
             self._heard_end_s = math.inf
-            executed = self._unconfirmed.pop(0)
-            step = self.track.steps[executed.number]
-            limits = self.interlocks.limits
-            for name, losses in self._losses.items() if step.data else ():
-                if lost := losses.between(executed, limits.lost_share, limits.latest_s, step.turned_deg):
-                    self._shortfall = StepNotDone(executed.number, f"{name}: {lost}", name)
-                    return
-            self._event("step done", step=step.name, number=executed.number)
+            self._shortfall = self._shortfall_of(self._unconfirmed[0])
+            if self._shortfall is None:
+                self._confirm(self._unconfirmed.popleft())
+
+    def _has_samples_of(self, executed: ExecutedStep) -> bool:
+        latest_s = min((losses.newest_s for losses in self._losses.values()), default=math.inf)
+        return executed.ended_s + _ARRIVAL_S <= latest_s
+
+    def _shortfall_of(self, executed: ExecutedStep) -> StepNotDone | None:
+        step, limits = self.track.steps[executed.number], self.interlocks.limits
+        for name, losses in self._losses.items() if step.data else ():
+            if lost := losses.between(executed, limits.lost_share, limits.latest_s, step.turned_deg):
+                return StepNotDone(executed.number, f"{name}: {lost}", name)
+        return None
+
+    def _confirm(self, executed: ExecutedStep) -> None:
+        self._confirmed.add(executed.number)
+        self._event("step done", step=self.track.steps[executed.number].name, number=executed.number)
 
     def _await_confirmation(self) -> None:
         until = self.clock.now() + _LONGEST_ARRIVAL_S
@@ -322,6 +338,28 @@ class Runner:
             if self.clock.now() > until:
                 raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: check the IMUs.")
             self.clock.sleep(_SLICE_S)
+
+    def _require_all_done(self) -> None:
+        left = set(range(self.first_step, len(self.track.steps))) - self._confirmed
+        if left:
+            names = ", ".join(repr(self.track.steps[number].name) for number in sorted(left))
+            raise HardwareError(f"The run ended before these steps were confirmed: {names}.")
+
+    def _judge_the_rest(self) -> None:
+        """At the end of a run that did not finish: each executed step is done, or said to be not done."""
+        for executed in self._unconfirmed:
+            shortfall = self._shortfall_of(executed)
+            if shortfall is None and not self._has_samples_of(executed):
+                shortfall = StepNotDone(executed.number, "the run ended before all of its samples had come")
+            if shortfall is None:
+                self._confirm(executed)
+            else:
+                self._say_not_done(shortfall)
+        self._unconfirmed.clear()
+
+    def _say_not_done(self, shortfall: StepNotDone) -> None:
+        name = self.track.steps[shortfall.number].name
+        self._event("not done", step=name, number=shortfall.number, why=str(shortfall))
 
     def _run_step(self, step: TrackStep, again: bool) -> ExecutedStep:
         self._event("step", step=step.name, number=self._steps_done)
@@ -457,7 +495,7 @@ class Runner:
             raise HardwareError(problem)
         self._axes.watch()
         now = self.clock.now()
-        ages = {name: now - heard_s for name, heard_s in self._imu_heard_s.items() if name not in self._unfit}
+        ages = {name: now - losses.newest_s for name, losses in self._losses.items() if name not in self._unfit}
         free = shutil.disk_usage(self.journal.path.parent).free
         chamber, paused_s = self._chamber, None if self._paused_s is None else now - self._paused_s
         situation = Situation(
@@ -564,6 +602,7 @@ class Runner:
         for outcome in outcomes:
             fields = event_fields(outcome)
             self._event("made safe", fields.pop("at_s"), **fields)
+        self._judge_the_rest()
         good = all(outcome.verified for outcome in outcomes)
         self._enter(RunState.SAFE if good else RunState.FAILED)
         return outcomes

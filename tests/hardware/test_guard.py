@@ -126,6 +126,16 @@ def test_a_port_that_is_gone_keeps_no_other_device_from_being_made_safe(
 # ------------------------------------------------------------------------------------------------------- when it acts
 
 
+def test_files_in_the_working_folder_are_not_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "rig.toml").write_text(TEMPLATE.replace("/dev/ttyUSB", "/nowhere/port"))
+    for name in ("queue", "serial", "signal", "json"):
+        (tmp_path / f"{name}.py").write_text(f"open('{name} was imported', 'w')\nraise SystemExit(1)\n")
+    monkeypatch.chdir(tmp_path)
+    with closing(guard.Guard(tmp_path)) as started:
+        assert started.process.poll() is None
+    assert list(tmp_path.glob("*was imported")) == []
+
+
 @pytest.mark.parametrize(
     ("said", "acts"),
     [(b"", False), (b"begun\n", True), (b"begun\ndone\n", False), (b"begun\ndo", True)],

@@ -128,20 +128,16 @@ def _sensitivity(spec: "Spec", source: str, *, json: bool, plot: Path | None) ->
 
 
 def _fixture(prediction: "Prediction") -> list[str]:
-    """The places of a fixture, and the IMUs of a shift."""
+    """The places of a fixture."""
     names = [row.name for row in prediction.requirements]
     rows = [("place", *names)] if names else []
     if names:
         rows += [(of.name, *(amount(of.values.get(n), "").strip() for n in names)) for of in prediction.places]
     units = ", ".join(f"{row.name}: {row.unit}" for row in prediction.requirements)
-    (alone,) = (of.alone or {} for of in prediction.places if of.name == prediction.place)
-    others = ", ".join(amount(alone[row.name], row.unit).strip() for row in prediction.requirements if alone)
     return [
-        f"{len(prediction.places)} IMUs at once: {prediction.minutes_per_imu:.3g} min per IMU, "
-        f"{prediction.imus_per_shift:.4g} IMUs in a shift",
+        f"{len(prediction.places)} IMUs at once",
         *([columns(rows, indent="", right=tuple(range(1, len(names) + 1))), units] if names else []),
-        f"all figures below are for the worst place: {prediction.place}"
-        + (f"; if its IMU is estimated without the others: {others}" if others else ""),
+        f"all figures below are for the worst place: {prediction.place}",
     ]
 
 

@@ -19,8 +19,6 @@ from gradcal_jax.design.free_course import FreeCourse, behind_on_leg, legs_of
 from gradcal_jax.design.plan_objective import (
     Aim,
     ExactObjective,
-    PlanCase,
-    estimated_together,
     hidden_test,
     imu_with_hidden,
     tested_maps,
@@ -37,7 +35,6 @@ from gradcal_jax.design.pose_cycle import (
     Ramp,
     Statistics,
     TableLimits,
-    Together,
     Unnoticed,
     further,
     largest_alike,
@@ -255,7 +252,6 @@ class CyclePlan:
             [statistic for aim, statistic in aims if aim.limiting],
             np.array([aim.limit / aim.per_si for aim, _ in aims]),
             believed=believed,
-            together=self._joint(exact.cases, models[0]),
             weights=exact.weights,
             of_logs=exact.of_logs,
             window=self._window,
@@ -272,17 +268,6 @@ class CyclePlan:
             raise ValueError(f"optimise can change no part of this plan: the table is at rest, and {NO_COURSE}")
         self.value = partial(_value, self.objective, self.slots, self.free_course)
         self.descent = _descent_of(self.value)
-
-    def _joint(self, cases: Sequence[PlanCase], model: ImuModel) -> Together | None:
-        """What all IMUs of a fixture estimate together; None for one IMU."""
-        if not (groups := estimated_together(cases)):
-            return None
-        # Imported where it is used: estimates import SciPy's larger rooms.
-        from gradcal_jax.estimation import shared_parameters
-
-        shared = shared_parameters(model, clock=self.spec.sensor.takes_host_clock)
-        stds = np.concatenate([np.ones(model.calibrated), *(np.asarray(t.stds) for t in model.installation)])
-        return Together(np.flatnonzero(shared), stds[shared] ** -2.0, tuple(c.imus for c in cases), tuple(groups))
 
     def free_ramps(self, z: Any, of: CycleStructure) -> Ramp:
         """The ramps of a free course."""

@@ -41,7 +41,6 @@ from gradcal_jax.model.imu_build import (
     hung_alike,
     imu_posterior,
     information_with_gears,
-    known_together,
 )
 from gradcal_jax.spec.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.spec.changes import changed
@@ -282,40 +281,21 @@ _NEVER = 1e-12
 
 
 class PlanCase(NamedTuple):
-    """A `scenario` (by number) at a place, with its weight, and how many `imus` hang so."""
+    """A scenario at a place, with its weight."""
 
     spec: Spec
     weight: float
-    scenario: int
-    imus: int
 
 
 def cases_of(spec: Spec) -> list[PlanCase]:
     """The spec at each place that hangs differently, in each scenario."""
-    return [
-        PlanCase(one, weight * len(names), k, len(names))
-        for at, names in hung_alike(spec)
-        for k, (one, weight) in enumerate(scenario_specs(at))
-    ]
+    return [PlanCase(one, weight * len(names)) for at, names in hung_alike(spec) for one, weight in scenario_specs(at)]
 
 
-def estimated_together(cases: Sequence[PlanCase]) -> list[list[int]]:
-    """The cases of each scenario, where there are several IMUs."""
-    groups = [[k for k, c in enumerate(cases) if c.scenario == s] for s in range(1 + max(c.scenario for c in cases))]
-    return groups if sum(cases[k].imus for k in groups[0]) > 1 else []
-
-
-def known_after(cases: Sequence[PlanCase]) -> tuple[list[BuiltImu], list[Posterior], str]:
-    """What is known after the plans of cases, by the terms that their specs name, of a fixture by an estimate of all
-    IMUs together; and why not, in a sentence."""
-    builts, apart = [build_imu(case.spec) for case in cases], ""
-    known = [imu_posterior(built) for built in builts]
-    for group in estimated_together(cases):
-        own, alone, counts = zip(*((builts[k], known[k], cases[k].imus) for k in group), strict=True)
-        joint, apart = known_together(own, alone, counts)
-        for k, of in zip(group, joint, strict=True):
-            known[k] = of
-    return builts, [own_of_imu(*of) for of in zip(builts, known, strict=True)], apart
+def known_after(cases: Sequence[PlanCase]) -> tuple[list[BuiltImu], list[Posterior]]:
+    """What is known after the plans of cases, by the terms that their specs name."""
+    builts = [build_imu(case.spec) for case in cases]
+    return builts, [own_of_imu(built, imu_posterior(built)) for built in builts]
 
 
 class Left(NamedTuple):
@@ -362,8 +342,6 @@ class ExactObjective:
         self.spec, self.design = spec, spec.design or Design()
         self.cases = cases_of(spec)
         self.builts = [build_imu(case.spec) for case in self.cases]
-        # Why places are judged as those of an IMU alone, in a sentence.
-        self.apart = ""
         weights = np.array([case.weight for case in self.cases])
         self.weights = weights / np.sum(weights)
         name, notice = self.design.minimise, self.design.notice
@@ -396,7 +374,7 @@ class ExactObjective:
 
     def residuals(self, spec: Spec) -> Residuals:
         """What a spec's plan leaves at each place in each scenario, in the order of the aims."""
-        builts, known, self.apart = known_after(cases_of(spec))
+        builts, known = known_after(cases_of(spec))
         left: list[list[ImuResidual | Left]] = []
         for built, of, quantities in zip(builts, known, self._quantities, strict=True):
             left.append([q.residual(of) for q in quantities])
@@ -458,7 +436,7 @@ class ExactObjective:
 
 def residuals_of_plan(spec: Spec) -> dict[str, ImuResidual]:
     """What a spec's own plan leaves of every requirement, without scenarios; of a fixture where that is worst."""
-    builts, known, _ = known_after([PlanCase(at, 1.0, 0, len(names)) for at, names in hung_alike(spec)])
+    builts, known = known_after([PlanCase(at, 1.0) for at, _ in hung_alike(spec)])
     return {
         r.name: max((imu_residual(*of, r) for of in zip(builts, known, strict=True)), key=ImuResidual.finite_statistic)
         for r in spec.requirement

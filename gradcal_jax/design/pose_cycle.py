@@ -314,37 +314,11 @@ class Unnoticed(NamedTuple):
         return _largest(jnp.stack(chances), sharpness)
 
 
-class Together(NamedTuple):
-    """IMUs on one table: the parameters of the table, which are `shared`, with their `prior` information; of each model
-    the number of IMUs (`counts`), and the `groups` of models that are estimated together."""
-
-    shared: Int[np.ndarray, " s"]
-    prior: Float[np.ndarray, " s"]
-    counts: tuple[int, ...]
-    groups: tuple[list[int], ...]
-
-    def joined(self, each: Sequence[AnyArray]) -> list[AnyArray]:
-        """The information of each model, with what all other IMUs say of the table. The encoders' errors, which are
-        common too, count as every IMU's own."""
-        shared, result = self.shared, list(each)
-        own = np.setdiff1d(np.arange(len(each[0])), shared)
-        left = []
-        for info in each:
-            across = info[own[:, None], shared]
-            of_table = info[shared[:, None], shared] - across.T @ inverse(info[own[:, None], own]) @ across
-            left.append(of_table - jnp.diag(self.prior))
-        for group in self.groups:
-            whole = sum(self.counts[k] * left[k] for k in group)
-            for k in group:
-                result[k] = each[k].at[shared[:, None], shared].add(whole - left[k])
-        return result
-
-
 class CycleObjective:
     """The logarithm of a cycle's residuals over their `targets` (SI): their mean or the worst, over `models` of the
     noise likewise, in a mean with their `weights` (`of_logs`, else of the residuals); and `EXCESS` times what the
     `limiting` ones exceed. `known`: for each model, the information before the plan begins; `geometries`: its table and
-    mountings. `believed`: the parameters that the residuals count, others being zero; `together`: of a fixture.
+    mountings. `believed`: the parameters that the residuals count, others being zero.
 
     Programs take targets as arguments, so that plans for other targets need none of their own."""
 
@@ -359,7 +333,6 @@ class CycleObjective:
         targets: Float[np.ndarray, " m"],
         *,
         believed: Int[np.ndarray, " b"],
-        together: Together | None,
         weights: Float[np.ndarray, " s"],
         of_logs: bool,
         window: int,
@@ -372,7 +345,7 @@ class CycleObjective:
         self.geometries = [jax.tree.map(jnp.asarray, geometry) for geometry in geometries]
         self.statistics, self.window, self.points = (*statistics, *limiting), window, points
         self.targets, self.minimised, self.weights, self.of_logs = targets, len(statistics), weights, of_logs
-        self._believed, self._together = believed, together
+        self._believed = believed
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
 
     def without_targets(self) -> "CycleObjective":
@@ -422,7 +395,7 @@ class CycleObjective:
         for model, geometry, known in zip(self.models, self.geometries, self.known, strict=True):
             on_ramp = partial(self.information, model, geometry, decoded, of)
             each.append(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
-        for info in each if self._together is None else self._together.joined(each):
+        for info in each:
             covariance = inverse(info if len(own) == len(info) else info[own[:, None], own])
             all_logs.append(jnp.log(jnp.stack([s(info, covariance, sharpness) for s in self.statistics]) / over))
         return jnp.stack(all_logs)

@@ -155,8 +155,6 @@ class PoseSearch:
             of |= {"active": active_limits(plan, point), "prices": shadow_prices(plan, point, best.now)}
         better = "" if best.kept else f"the geometric mean of all residuals is smaller by a factor of {best.gain:.2f}, "
         sentence = f"{better}after {self.used} gradients"
-        if len(plan.spec.rig.table.place) > 1:
-            sentence += f"; {self.objective.apart}" if self.objective.apart else "; all IMUs are estimated together"
         return of | {"sentence": sentence}
 
     def run(self) -> Iterator[tuple[float, RepeatedCycle]]:

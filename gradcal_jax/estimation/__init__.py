@@ -25,7 +25,6 @@ from gradcal_jax.estimation.read_motion import (
     standing_with,
     within,
 )
-from gradcal_jax.estimation.several_imus import SeveralImus, posteriors_together, shared_parameters, solve_together
 from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
 from gradcal_jax.estimation.solve import Estimate, Whitened, solve
 from gradcal_jax.estimation.standstill import find_standstills, lost_in_moves, settling

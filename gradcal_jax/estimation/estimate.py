@@ -51,7 +51,6 @@ from gradcal_jax.estimation.fit_of_log import (
     fit_of,
     points_of,
     tests_by_name,
-    together,
 )
 from gradcal_jax.estimation.lag_of_maps import Lag
 from gradcal_jax.estimation.log_rows import Options, count_rows, imu_rows, with_earth, with_options
@@ -270,8 +269,8 @@ def estimate_sensors(
     options: Options | None = None,
     sources: dict[str, str] | None = None,
 ) -> list[SensorEstimate]:
-    """The estimate of every sensor in `units` (default: all) of a log; with several mountings, one log for each. IMUs
-    at the places of a fixture, in one log or in one each, are estimated together."""
+    """The estimate of every sensor in `units` (default: all) of a log; with several mountings, one log for each. Each
+    IMU at a place of a fixture, in one log or in one each, is estimated by itself."""
     options = options or Options()
     if not spec.rig.table.place:
         ready = _prepared(spec, logs, units, options)
@@ -285,7 +284,6 @@ def estimate_sensors(
         for name in units or names
     }
     fits = {name: fitted for ready in each.values() for name, fitted in ready.fits().items()}
-    fits = together(spec, fits) if len(fits) > 1 else fits
     return [each[name].report(name, fitted, sources or {}) for name, fitted in fits.items()]
 
 
@@ -321,7 +319,7 @@ def report_of(
     shown: RecordFaults,
 ) -> SensorEstimate:
     """The estimate of one sensor from the fit of its rows."""
-    built, (rows, messages, points), temperature, fit, smoothness, lag, _ = fitted
+    built, (rows, messages, points), temperature, fit, smoothness, lag = fitted
     stable, model = isinstance(built.spec.plan, StandardPlan), built.model
     done, readings, solution, rates = fit
     if stable and points is None:

@@ -3,7 +3,7 @@
 The motion is read from the log; the rates within a move are first the gyros' own, then corrected by the first estimate.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -274,14 +274,9 @@ class Recorded(NamedTuple):
     messages: tuple[str, ...]
     points: TablePoints | None = None
 
-    def with_message(self, message: str) -> "Recorded":
-        """The same, with a message more."""
-        return self._replace(messages=(*self.messages, message))
-
 
 class FittedRows(NamedTuple):
-    """The fit of one sensor's rows, the temperature of its maps (°C) and their lag; `own_errors`: how many errors that
-    rows have in common are not those of the table."""
+    """The fit of one sensor's rows, the temperature of its maps (°C) and their lag."""
 
     built: BuiltImu
     recorded: Recorded
@@ -289,7 +284,6 @@ class FittedRows(NamedTuple):
     fit: Fit
     smoothness: Smoothness | None
     lag: Lag
-    own_errors: int
 
 
 def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
@@ -337,8 +331,7 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
         fit, lag = _with_errors(fit, others, threshold), Lag(0.0, in_rows=True)
     if options.smoothness == "auto":
         built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
-    own = len(doubts) + lag.in_rows
-    return FittedRows(built, recorded._replace(messages=messages), temperature, fit, smoothness, lag, own)
+    return FittedRows(built, recorded._replace(messages=messages), temperature, fit, smoothness, lag)
 
 
 def _wander(spec: Spec) -> float:
@@ -359,44 +352,6 @@ def _with_errors(fit: Fit, others_c: Sequence[np.ndarray], threshold: float | No
     changes = [readings.at(other_c, parameters) - readings.expected(parameters) for other_c in others_c]
     readings = readings.with_common(np.stack(changes, axis=1))
     return fit._replace(readings=readings, solution=estimation.solve_imu(readings, parameters, threshold=threshold))
-
-
-def _without_own_errors(of: FittedRows) -> FittedRows:
-    """The fit with the errors of the table alone as those that rows have in common: a lag is an IMU's own."""
-    if not of.own_errors or (common := of.fit.readings.common) is None:
-        return of
-    table = common[:, : -of.own_errors]
-    readings = of.fit.readings._replace(common=table if table.shape[1] else None)
-    return of._replace(fit=of.fit._replace(readings=readings), lag=Lag(0.0) if of.lag.in_rows else of.lag)
-
-
-def together(spec: Spec, fits: Mapping[str, FittedRows]) -> dict[str, FittedRows]:
-    """The fits of the IMUs of a fixture, with what all of them say of the table, and messages on it."""
-    fits = {name: _without_own_errors(of) for name, of in fits.items()}
-    try:
-        joint = estimation.solve_together(
-            [of.fit.readings for of in fits.values()],
-            [of.fit.solution for of in fits.values()],
-            clock=spec.sensor.takes_host_clock,
-        )
-    except ValueError as error:
-        message = f"not estimated together with the other IMUs of the fixture: {error}"
-        return {name: of._replace(recorded=of.recorded.with_message(message)) for name, of in fits.items()}
-    common = f"estimated together with {len(fits) - 1} other IMUs, which share the table and its encoders"
-    found: dict[str, FittedRows] = {}
-    for (name, of), solution, test in zip(fits.items(), joint.solutions, joint.agreement, strict=True):
-        messages = [common]
-        if test is not None and not test.passed:
-            messages.append(
-                "contradicts the other IMUs: its estimate of the table differs from theirs (χ² "
-                f"{test.statistic:.4g}, {test.degrees} degrees of freedom): is the IMU fixed firmly, and at the "
-                "correct place? Estimate the others without this IMU"
-            )
-        recorded = of.recorded
-        for message in messages:
-            recorded = recorded.with_message(message)
-        found[name] = of._replace(fit=of.fit._replace(solution=solution), recorded=recorded)
-    return found
 
 
 def tests_by_name(tests: Consistency, channels: dict[str, tuple[Test, Test]]) -> dict[str, Test]:

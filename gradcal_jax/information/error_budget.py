@@ -266,13 +266,9 @@ class CountedPosteriors(NamedTuple):
         return self.any_run if run == "any run" else self.whole
 
 
-def budget_of_imu(
-    built: BuiltImu, known: Posterior, complete: BuiltImu, fit: Posterior | None = None
-) -> CountedPosteriors:
-    """The posteriors of a unit's plan; `complete`: with what the spec omits, after the plan known as in `fit` (default:
-    by itself)."""
-    if fit is None:
-        fit = known if complete is built else imu_posterior(complete)
+def budget_of_imu(built: BuiltImu, known: Posterior, complete: BuiltImu) -> CountedPosteriors:
+    """The posteriors of a unit's plan; `complete`: with what the spec omits."""
+    fit = known if complete is built else imu_posterior(complete)
     turn_on = another_run(systematic_figures(complete.spec), terms_of_imu(complete), complete.model.size)
     every = columns_of_imu(complete)
     own = widened(known, every) if complete is built else own_of_imu(built, known)

@@ -53,7 +53,6 @@ from gradcal_jax.model.imu_build import (
     build_imu,
     hung_alike,
     imu_posterior,
-    known_together,
     unweighted_estimator,
 )
 from gradcal_jax.model.terms import block_diagonal
@@ -100,30 +99,29 @@ def predict(
     built = build_imu(spec)
     known = imu_posterior(built)
     budget = counted_posteriors(built, known)
-    return _prediction(built, known, budget, budget, limits=limits, notices=notices, outlook=outlook)
+    return _prediction(built, known, budget, limits=limits, notices=notices, outlook=outlook)
 
 
 def _prediction(
     built: BuiltImu,
     known: Posterior,
     budget: CountedPosteriors,
-    alone: CountedPosteriors,
     *,
     limits: bool,
     notices: bool,
     outlook: bool,
 ) -> Prediction:
-    """The prediction of an IMU with these posteriors; `alone`: of the IMU alone, which tells what limits it."""
+    """The prediction of an IMU with these posteriors."""
     spec = built.spec
     omitted = tuple(AbsentRow(key=t.key, typical=t.typical, source=t.source) for t in absent_terms(spec))
-    sources = ErrorBudget(alone.built, alone.fit) if limits and spec.requirement else None
+    sources = ErrorBudget(budget.built, budget.fit) if limits and spec.requirement else None
     rows: list[RequirementRow] = []
     for requirement in spec.requirement:
         row = requirement_row(built, budget, requirement)
         more = _risks(budget, requirement, row) if outlook else {}
         if sources is not None:
             axis = (row.limited_by or "").removeprefix("axis ") or None
-            more["limited_by"] = limited_by(_shares(alone, requirement, sources.shares(requirement)), axis)
+            more["limited_by"] = limited_by(_shares(budget, requirement, sources.shares(requirement)), axis)
         rows.append(row.model_copy(update=more))
     return Prediction(
         requirements=tuple(_between(rows, extremes(spec) if limits else [])),
@@ -135,28 +133,17 @@ def _prediction(
 
 
 def _at_places(spec: Spec, place: str | None, **options: bool) -> Prediction:
-    """The prediction of a fixture, whose IMUs are estimated together: of a place, or of the worst by the residual over
-    the target or else over that of the others, with the values of all places and the IMUs of a shift. Places that hang
-    alike are computed once."""
+    """The prediction of a fixture, each of whose IMUs is estimated by itself: of a place, or of the worst by the
+    residual over the target or else over that of the others, with the values of all places. Places that hang alike are
+    computed once."""
     hung = hung_alike(spec)
-    alike, order = [names for _, names in hung], [place.name for place in spec.rig.table.place]
+    alike = [names for _, names in hung]
     builts = [build_imu(at) for at, _ in hung]
-    full = [_complete(built) for built in builts]
-    alone = [imu_posterior(built) for built in builts]
-    own = [budget_of_imu(*of) for of in zip(builts, alone, full, strict=True)]
-    counts = [len(names) for names in alike]
-    known, apart = known_together(builts, alone, counts)
-    fits = [budget.fit for budget in own] if apart else known
-    if not apart and any(one is not other for one, other in zip(builts, full, strict=True)):
-        fits, _ = known_together(full, [budget.fit for budget in own], counts)
-    budgets = [budget_of_imu(*of) for of in zip(builts, known, full, fits, strict=True)]
+    known = [imu_posterior(built) for built in builts]
+    budgets = [counted_posteriors(built, of) for built, of in zip(builts, known, strict=True)]
     rows = [
         [requirement_row(built, budget, requirement) for requirement in spec.requirement]
         for built, budget in zip(builts, budgets, strict=True)
-    ]
-    single = [
-        [requirement_row(built, budget, requirement).judged for requirement in spec.requirement]
-        for built, budget in zip(builts, own, strict=True)
     ]
     least = [min((r.judged for r in of if r.judged is not None), default=0.0) for of in zip(*rows, strict=True)]
 
@@ -170,24 +157,16 @@ def _at_places(spec: Spec, place: str | None, **options: bool) -> Prediction:
 
     named = [k for k, names in enumerate(alike) if place in names]
     shown = named[0] if named else max(range(len(rows)), key=excess)
-    whole = _prediction(builts[shown], known[shown], budgets[shown], own[shown], **options)
+    whole = _prediction(builts[shown], known[shown], budgets[shown], **options)
     values = {
-        name: PlaceRow(
-            name=name,
-            values={row.name: row.judged for row in rows[k]},
-            alone={row.name: value for row, value in zip(rows[k], single[k], strict=True)},
-        )
+        name: PlaceRow(name=name, values={row.name: row.judged for row in rows[k]})
         for k, names in enumerate(alike)
         for name in names
     }
-    runs = float(spec.rig.shift) / whole.duration_s
     return whole.model_copy(
         update={
-            "places": tuple(values[name] for name in order),
+            "places": tuple(values[of.name] for of in spec.rig.table.place),
             "place": place if named else alike[shown][0],
-            "minutes_per_imu": whole.duration_s / 60.0 / len(order),
-            "imus_per_shift": len(order) * (float(np.floor(runs)) if runs >= 1.0 else runs),
-            "warnings": (*whole.warnings, *([apart] if apart else [])),
         }
     )
 

@@ -68,10 +68,6 @@ class Predicted(Section):
     """For a fixture of several IMUs: residuals at every place; all other results are for the worst place."""
     place: Text | None = None
     """For a fixture of several IMUs: name of the worst place."""
-    minutes_per_imu: Size | None = None
-    """Duration of the plan divided by the number of places (min)."""
-    imus_per_shift: Size | None = None
-    """Number of IMUs calibrated in a shift, not counting the time to change the IMUs."""
 
     @classmethod
     def of(cls, prediction: Prediction) -> "Predicted":

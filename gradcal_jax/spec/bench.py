@@ -360,7 +360,5 @@ class Rig(Section):
     """The climatic chamber."""
     resolution: Resolution | None = None
     """Steps of the controllers; a recipe is rounded to these steps."""
-    shift: q.Time = q.Quantity(28800.0, "8 h", "time")
-    """Duration of a shift; `predict` computes from it how many IMUs a fixture calibrates in a shift."""
     simulated_loop: Annotated[tuple[SimulatedLoop, ...], Field(max_length=10)] = ()
     """Hysteresis loops of simulated sensors."""

@@ -355,8 +355,6 @@ class PlaceRow(Section):
     """Name of the place."""
     values: dict[str, Finite | None]
     """Residual of each requirement, by the requirement's name, in the requirement's unit; null: not observable."""
-    alone: dict[str, Finite | None] | None = None
-    """The same if this IMU is estimated without the data of the others."""
 
 
 class Prediction(Section):
@@ -389,11 +387,6 @@ class Prediction(Section):
     """For a fixture of several IMUs: residuals at every place; all other results are for the worst place."""
     place: str | None = None
     """For a fixture of several IMUs: name of the worst place."""
-    minutes_per_imu: Size | None = None
-    """Duration of the plan divided by the number of places (min)."""
-    imus_per_shift: Size | None = None
-    """Number of IMUs that can be calibrated in a shift. Only complete runs count; the time to change the IMUs is
-    neglected. If a run takes longer than a shift: the number of IMUs times shift/run."""
 
     def _shown(self) -> list[str]:
         hidden = [row.name for row in self.parameters if row.std is None]

@@ -6,8 +6,8 @@ from gradcal_jax.estimation.consistency import (
     Test,
     chi_squared_test,
     consistency,
-    contradictions,
     diagnosis,
+    failed_tests,
     split,
     whiteness,
 )

@@ -61,7 +61,7 @@ class Consistency(NamedTuple):
     splits: tuple[Split, ...]
 
 
-def contradictions(tests: Mapping[str, Test]) -> list[str]:
+def failed_tests(tests: Mapping[str, Test]) -> list[str]:
     """The names of the tests that fail, at a level at which by chance any of them does once in a hundred."""
     return [name for name, test in tests.items() if test.probability < _RARE / len(tests)]
 

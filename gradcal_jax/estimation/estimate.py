@@ -362,7 +362,7 @@ def report_of(
     figures = () if options.robust else tuple(figure_tests(*tested))
     beyond_maps |= {one.name: one.test for one in figures}
     of_table = beyond_the_spec(model, model.to_reported @ solution.parameters, prior_deviations(built))
-    failed = estimation.contradictions(tests_by_name(tests, channels) | beyond_maps)
+    failed = estimation.failed_tests(tests_by_name(tests, channels) | beyond_maps)
     contradicted = (*shown.not_valid, *failed, *of_table)
     requirements, beyond = [], list[str]()
     for requirement in built.spec.requirement:

@@ -67,7 +67,8 @@ def test_a_place_of_words_is_its_matrix():
 def test_the_prediction_is_of_every_place_and_of_the_worst():
     """A place that hangs as a spec without places has that spec's values."""
     up = {"x": "+x", "y": "+z", "z": "-y"}
-    found = gj.predict(fixture([{"name": "flat"}, {"name": "up", **up}]))
+    slant = [[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]
+    found = gj.predict(fixture([{"name": "flat"}, {"name": "up", **up}, {"name": "slant", "matrix": slant}]))
     values = {place.name: place.values for place in found.places}
     for name, mounting in (("flat", {}), ("up", up)):
         alone = gj.predict(hung(mounting))

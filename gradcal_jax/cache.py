@@ -1,4 +1,4 @@
-"""The path of the user's cache folder (made if necessary) for JAX's compiled programs and the filter's machine code."""
+"""The path of the user's cache folder (made if necessary) for JAX's compiled programs."""
 
 import os
 from pathlib import Path

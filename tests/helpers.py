@@ -486,9 +486,9 @@ def knowledge(plan, model: SensorModel, lag: float | None = None) -> Posterior:
 
 
 @eqx.filter_jit
-def deviations(steps, columns, prior, contrasts, *, block=None):
+def deviations(steps, columns, prior, contrasts):
     """The engine's road through JAX, compiled once for each size of state and number of readings."""
-    return square_root(jnp.concatenate([whiten(steps, columns, block=block), prior])).deviations(contrasts)
+    return square_root(jnp.concatenate([whiten(steps, columns), prior])).deviations(contrasts)
 
 
 def engine_of(plan, model: SensorModel, lag: float | None = None) -> Engine:

@@ -24,7 +24,6 @@ METHODS = {
     "ours": "gradcal_jax, whiten",
     "ours_32": "gradcal_jax, vectors of 32 bytes at most (AVX2)",
     "ours_16": "gradcal_jax, vectors of 16 bytes (SSE2)",
-    "ours_blocks": "gradcal_jax, the same without machine code",
     "floor": "floor: ΦᵀΦ of white rows",
     "celerite2_terms": "celerite2, semiseparable solver",
     "tinygp_quasisep": "tinygp, quasiseparable matrices",
@@ -35,7 +34,6 @@ METHODS = {
 
 UNIT_METHODS = {
     "ours": "gradcal_jax, gram",
-    "ours_blocks": "gradcal_jax, the same without machine code",
     "floor": "floor: ΦᵀΦ of white rows",
     "tinygp": "tinygp, quasiseparable matrices",
     "filterpy": "FilterPy, parameters in the state",
@@ -252,10 +250,8 @@ SMALL_NOTES = [
     "* celerite2's *kernels* are sums of stationary exponentials and cannot say this model. Its low-level solver can, "
     "with one decay of zero and factors that depend on time; that is what is timed (C++ driver forward, its JAX "
     "operations for the gradient).",
-    "* Ours goes through the readings in machine code, which the machine's C++ compiler made at first use (not timed), "
-    "and makes the product in JAX; a second such pass, backwards, and one more product give the gradient. The "
-    "row below it is what JAX does without a compiler (`GRADCAL_NATIVE=0`), in blocks: each of five passes costs XLA "
-    "about what the floor's product does.",
+    "* Ours goes through the instants in one scan of JAX and makes the product of the rows; a second scan, backwards, "
+    "and some products give the gradient.",
     "* dynamax adds an absolute 1e-9 to the innovation's variance, which in radians is not small: hence its error, and "
     "hence the difference between rad and deg.",
     "* FilterPy has no gradient; the starred figure is its forward time × the N·p + N + 1 runs that one-sided "

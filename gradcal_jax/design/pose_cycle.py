@@ -28,8 +28,7 @@ from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray
 from gradcal_jax.design.criteria import Missed, largest, smooth_statistic
-from gradcal_jax.information import imu_system, kept_of, segments_of
-from gradcal_jax.information.adjoint import gram
+from gradcal_jax.information import gram, imu_system, kept_of, segments_of
 from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.residual import Statistic

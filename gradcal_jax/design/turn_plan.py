@@ -30,7 +30,7 @@ from gradcal_jax.design import (
 )
 from gradcal_jax.design.plan_objective import MISSED, ExactObjective, hidden_test, optimality, with_hidden
 from gradcal_jax.formulas import RAMPED_SHAPES, repetitions
-from gradcal_jax.information import begin_filter, contrasts, noise_states, where_hidden
+from gradcal_jax.information import contrasts, where_hidden
 from gradcal_jax.information.error_budget import counted_criterion
 from gradcal_jax.information.imu_residual import box, heading_contrasts
 from gradcal_jax.information.residual import Statistic, map_of
@@ -476,8 +476,6 @@ class Measure(NamedTuple):
         # Any plan in which everything moves determines the quadrature rule.
         plan = coordinates.decode(np.linspace(0.1, 0.9, coordinates.size))
         lines = [case.trajectory(plan) for case in self.cases]
-        for case, line in zip(self.cases, lines, strict=True):
-            begin_filter(noise_states(line, case.model))
         cases = tuple(replace(c, rule=rule_of(c.model, line)) for c, line in zip(self.cases, lines, strict=True))
         whole, places = coordinates, None
         if isinstance(coordinates, Coordinates):

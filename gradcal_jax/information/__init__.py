@@ -1,6 +1,5 @@
 """From a timeline and an error model to square-root information, the residual map and its Monte Carlo twin."""
 
-from gradcal_jax.information.adjoint import gram, whitened_factor
 from gradcal_jax.information.by_reading import filter_readings, filtered_states
 from gradcal_jax.information.imu_rows import (
     encoder_rows,
@@ -20,8 +19,7 @@ from gradcal_jax.information.montecarlo import (
     simulated_errors,
     wishart_test,
 )
-from gradcal_jax.information.native import begin_filter
-from gradcal_jax.information.noise_steps import NoiseSteps, noise_states, noise_steps
+from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
 from gradcal_jax.information.noticing import (
     gains_of_shares,
     kept,
@@ -44,4 +42,4 @@ from gradcal_jax.information.posterior import (
     unobservable_combinations,
 )
 from gradcal_jax.information.residual import STATISTICS, contrasts, residual, statistic
-from gradcal_jax.information.whitening import FilterState, whiten, whiten_from
+from gradcal_jax.information.whitening import gram, whiten, whitened_factor

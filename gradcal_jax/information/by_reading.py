@@ -1,7 +1,6 @@
-"""The filter of the noise and its derivative in NumPy, reading by reading; see `whitening` and `adjoint`.
+"""The filter of the noise and its adjoint states in NumPy, reading by reading; see `whitening`.
 
-A reading takes about ten microseconds and nothing is compiled: the fastest way for single predictions, and the only one
-without a compiler.
+For what needs a gain or an adjoint state of every single reading; nothing is compiled.
 """
 
 from collections.abc import Iterator

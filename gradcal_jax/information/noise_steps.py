@@ -42,11 +42,6 @@ class NoiseSteps(NamedTuple):
     stays: Bool[AnyArray, " N"] | None = None
 
 
-def noise_states(line: Trajectory, model: SensorModel) -> int:
-    """Number of noise states: the angle, the processes, and the offset of a standstill where the model has one."""
-    return 1 + model.processes.count + int(model.reference.has_offset and not line.rates)
-
-
 def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> NoiseSteps:
     """Steps of the noise alone, the parameters kept out of the state. `rule`: as of `posterior.at_readings`.
 
@@ -56,8 +51,10 @@ def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) 
     """
     p, reference = model.processes, model.reference
     xp = namespace(line, model)
-    n, m, count = noise_states(line, model), p.count, line.piece_count
-    offset = n - 1 - m
+    # States: the angle, the processes, and the offset of a standstill where the model has one.
+    m, count = p.count, line.piece_count
+    offset = int(reference.has_offset and not line.rates)
+    n = 1 + m + offset
 
     varying = line.varying_pieces
     driven = varying.shape[0] and ((xp is not np or np.any(p.rate_gain)) if rule is None else rule.driven)

@@ -20,9 +20,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gradcal_jax.arrays import AnyArray, fixed, namespace, running_sum
-from gradcal_jax.information.adjoint import whitened_factor
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
-from gradcal_jax.information.whitening import SINGLE_PRECISION, whiten
+from gradcal_jax.information.whitening import SINGLE_PRECISION, whiten, whitened_factor
 from gradcal_jax.linalg import column_norms, solve_transposed, triangular_factor
 from gradcal_jax.model import ImuModel, SensorModel
 from gradcal_jax.motion import Rule, Trajectory, gauss_nodes

@@ -1,377 +1,240 @@
-"""Whitening: a Kalman filter of the noise alone, applied to every column of the regressors as to data.
+"""Generalised least squares under state-space noise: whitened rows of regressors, their Gram matrix, its derivative.
 
-With the parameters kept out of the state, `L⁻¹Φ` (`LLᵀ = V` the covariance of all readings) costs O(N·n²·p) with a
-handful of noise states `n`. Written for the state *before* each reading, `P_k` its covariance and `F`, `Q` the step
-that follows reading k,
+With `V = L Lᵀ` the covariance of all readings and `Φ` the regressors, `whiten` returns the rows `L⁻¹Φ`. A Kalman filter
+takes every column of Φ for data: a row is its innovation over the innovation's standard deviation. The parameters stay
+out of the state, so the cost is O(N n² p) with a handful of noise states n.
 
-    S = H P Hᵀ + R,   g = F P Hᵀ/S,   A = F − g H,   P⁺ = F (P − P Hᵀ H P/S) Fᵀ + Q
-    x⁺ = A x + g y,   row = (y − H x)/√S
+**Blocks.** One step of the filter is a few operations on tiny matrices, and most of its time is their overhead. `_lift`
+therefore joins several steps into one, exactly. For a block of r readings and the state x at its begin,
 
-The readings are divided into `B` blocks of `K`, which avoids a sequence of N small steps:
+    y = H x + e,    x⁺ = F x + w,    Cov e = R,    Cov w = Q,    Cov(w, e) = C
 
-1. **Covariances first**, without data. From a *known* state at its start every block, in parallel, computes its map of
-   covariances `P → Ψ (P⁻¹ + TᵀT)⁻¹ Ψᵀ + P₀`. A short recursion over the blocks gives the covariance at every start, and
-   a second pass through the blocks that at every reading: the exact one, not the steady state.
-2. **Then the data**, for which the filter is a linear recurrence with known coefficients. The map of a block is one
-   small product, `x → Ψx + E y`; a short recurrence over the blocks gives every start, and one pass the rows.
+**Derivative.** With `U = V⁻¹Φ`, `dG = dΦᵀU + UᵀdΦ − UᵀdV U`, and `UᵀdV U` is a sum over blocks that is linear in their
+matrices (de Jong's smoother; Durbin and Koopman, Time Series Analysis by State Space Methods, 4.4–4.5). One scan
+backwards gives, for every block, u (its rows of U), ρ (the adjoint of the state after it) and z (its smoothed state):
 
-Nothing is approximated and any timing is allowed. Derivatives of `rowsᵀ rows` do not differentiate the filter: see
-`information.adjoint`. Where machine code is available (`information.native`), it takes the readings one by one instead.
+    UᵀdV U = h + hᵀ,   h = Σ uᵀ(dH z + ½dR u) + ρᵀ(dF z + ½dQ ρ + dC u) + ½ρ₀ᵀ dP₀ ρ₀
+
+This is linear in the tangents, so it serves forward and reverse mode, and it can be differentiated again.
+
+The same lines run in NumPy, where nothing is compiled, and in JAX.
 """
 
-from collections.abc import Iterable
-from functools import partial, reduce
-from operator import add
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace
-from gradcal_jax.information.by_platform import by_platform, like
-from gradcal_jax.information.by_reading import filter_readings
-from gradcal_jax.information.native import native, plain
 from gradcal_jax.information.noise_steps import NoiseSteps
+from gradcal_jax.linalg import dead_of, factor_tangent, scaled_factor, solve_transposed
 
 SINGLE_PRECISION = (
     "a covariance would be wrong in single precision, so none is reported: call jax.config.update('jax_enable_x64', "
-    "True) before the "
-    "first JAX array is made"
+    "True) before the first JAX array is made"
 )
+# Readings of a block in NumPy, whose calls are dear; JAX joins only readings between which no step lies.
+_READINGS = 16
 
 
-class FilterState(NamedTuple):
-    """The filter's state between stretches of readings: the state of every column, and their common covariance."""
+class Blocks(NamedTuple):
+    """The noise in `B` blocks of `r` readings; see the head of the module. `initial`: covariance of the first state."""
 
-    mean: Float[AnyArray, "n p"]
-    covariance: Float[AnyArray, "n n"]
-
-
-def whiten(steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, block: int | None = None) -> Float[AnyArray, "N p"]:
-    """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`, V the covariance of the used readings.
-
-    The row of a reading that is not used is zero. `block`: K, by default about √N, or none in machine code. To
-    differentiate functions of the rows' product, use `gram` or `whitened_factor`: several times faster, and exact for
-    singular noise, too.
-    """
-    zeros = namespace(columns).zeros((steps.observation.shape[1], columns.shape[1]), columns.dtype)
-    return whiten_from(FilterState(zeros, steps.initial), steps, columns, block=block)[0]
-
-
-def whiten_from(
-    state: FilterState, steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, block: int | None = None
-) -> tuple[Float[AnyArray, "N p"], FilterState]:
-    """As `whiten`, from a state and with the next state as second result, for rows in parts."""
-    if block is None and namespace(state, steps, columns) is np:
-        return _by_value(state, steps, columns)
-    if block is None and native(steps, columns, *state) is not None:
-        return _quickly(state, steps, columns)
-    return _in_blocks(state, steps, columns, block)
-
-
-def _in_blocks(
-    state: FilterState, steps: NoiseSteps, columns: Array, block: int | None = None
-) -> tuple[Array, FilterState]:
-    filtered = filter_columns(state, steps, columns, block)
-    return jnp.reshape(filtered.rows, (-1, columns.shape[1]))[: columns.shape[0]], filtered.end
-
-
-def _by_value(state: FilterState, steps: NoiseSteps, columns: np.ndarray) -> tuple[np.ndarray, FilterState]:
-    """For NumPy's arrays: by machine code where it is available or pays."""
-    code = plain(len(state.mean), len(columns))
-    if code is not None:
-        rows, *after = code(*state, steps, columns)
-        return rows, FilterState(*after)
-    readings = filter_readings(*state, steps, columns)
-    return readings.rows, FilterState(readings.mean, readings.covariance)
-
-
-def _natively(state: FilterState, steps: NoiseSteps, columns: Array) -> tuple[Array, FilterState]:
-    code = native(steps, columns, *state)
-    assert code is not None
-    rows, *after = code.whiten(*state, steps, columns)
-    return rows, FilterState(*after)
-
-
-_filter_by_platform = by_platform("gradcal_filter", _natively, _in_blocks)
-
-
-@jax.custom_jvp
-def _quickly(state: FilterState, steps: NoiseSteps, columns: Array) -> tuple[Array, FilterState]:
-    return _filter_by_platform(jax.tree.map(like, (columns, state)), state, steps, columns)
-
-
-@_quickly.defjvp
-def _quickly_jvp(primals, tangents):
-    return jax.jvp(partial(whiten_from, block=block_length(len(primals[2]))), primals, tangents)
-
-
-# --- small matrices with arrays as entries: `(i, j, …)` ------------------------------------------------------
-
-
-def total(terms: Iterable[Array]) -> Array:
-    """Sum of at least one term."""
-    return reduce(add, terms)
-
-
-def times(a: Float[Array, "i k *s"], b: Float[Array, "k j *s"]) -> Float[Array, "i j *s"]:
-    """`A B`, entry by entry over the last axes: n terms, each one array operation."""
-    return total(a[:, k, None] * b[None, k] for k in range(b.shape[0]))
-
-
-def applied(a: Float[Array, "i k *s"], x: Float[Array, " k *s"]) -> Float[Array, " i *s"]:
-    """`A x` for a vector whose entries are arrays like A's."""
-    return total(a[:, k] * x[None, k] for k in range(x.shape[0]))
-
-
-def transposed(a: Float[Array, "i j *s"]) -> Float[Array, "j i *s"]:
-    return jnp.swapaxes(a, 0, 1)
-
-
-def act(a: Float[Array, "i k *s"], x: Float[Array, "k *s p"]) -> Float[Array, "i *s p"]:
-    """`A x` for columns that stand on a last axis of x's entries."""
-    return total(a[:, k, ..., None] * x[None, k] for k in range(x.shape[0]))
-
-
-def _congruence(a: Array, covariance: Array) -> Array:
-    return times(times(a, covariance), transposed(a))
-
-
-def _innovation(covariance: Array, h: Array, variance: Array | float, used: Array | bool = True):
-    """`P Hᵀ` and `1/(H P Hᵀ + R)`; zero where there is no reading, or one without variance."""
-    cross = applied(covariance, h)
-    spread = jnp.sum(h * cross, axis=0) + variance
-    useful = used & (spread > 0.0)
-    return cross, jnp.where(useful, 1.0, 0.0) / jnp.where(useful, spread, 1.0)
-
-
-def _updated(covariance: Array, cross: Array, reciprocal: Array) -> Array:
-    """`P − P Hᵀ (H P Hᵀ + R)⁻¹ H P`."""
-    return covariance - (cross * reciprocal[None])[:, None] * cross[None]
-
-
-def _root(x: Array) -> Array:
-    """Square root whose derivative at 0 is 0."""
-    alive = x > 0.0
-    return jnp.where(alive, jnp.sqrt(jnp.where(alive, x, 1.0)), 0.0)
-
-
-# --- the filter, block by block ---------------------------------------------------------------------------------------
-
-
-class Steps(NamedTuple):
-    """Noise steps cut into blocks, time within a block first: `transition`, `noise` of the step after each reading."""
-
-    observation: Float[Array, "K n B"]
-    variance: Float[Array, "K B"]
-    used: Array
-    transition: Float[Array, "K n n B"]
-    noise: Float[Array, "K n n B"]
+    transition: Float[AnyArray, "B n n"]
+    process_noise: Float[AnyArray, "B n n"]
+    observation: Float[AnyArray, "B r n"]
+    reading_noise: Float[AnyArray, "B r r"]
+    cross_noise: Float[AnyArray, "B n r"]
+    initial: Float[AnyArray, "n n"]
 
 
 class Filtered(NamedTuple):
-    """The filter's pass over all columns. Arrays by reading, time within a block first except for the large ones:
+    """State and covariance at the begin of every block, its gain, and W with `WᵀW = S⁻¹`, S of its innovations."""
 
-    `states` x before each reading, of which `starts` are the blocks'; `covariance` P then, `cross` P Hᵀ; `closed` A,
-    `gain` g, `per_std` 1/√S; `through` Ψ of each block; `end`: after the last reading.
-    """
-
-    steps: Steps
-    rows: Float[Array, "B K p"]
-    states: Float[Array, "n B K p"] | None
-    covariance: Float[Array, "K n n B"]
-    closed: Float[Array, "K n n B"]
-    gain: Float[Array, "K n B"]
-    per_std: Float[Array, "K B"]
-    through: Float[Array, "n n B"]
-    end: FilterState
+    state: Float[AnyArray, "B n p"]
+    covariance: Float[AnyArray, "B n n"]
+    gain: Float[AnyArray, "B n r"]
+    whitener: Float[AnyArray, "B r r"]
 
 
-def cut(x: Array, length: int, fill: float | bool | np.ndarray, *, later: bool = False) -> Array:
-    """`(N, …)` to `(K, …, B)`, padded at the end; `later`: shifted by one step, for the step after a reading."""
-    blocks = -(-x.shape[0] // length)
-    x = x[1:] if later else x
-    if missing := blocks * length - x.shape[0]:
-        rest = jnp.broadcast_to(jnp.asarray(fill, x.dtype), (missing, *x.shape[1:]))
-        x = jnp.concatenate([x, rest])
-    return jnp.moveaxis(jnp.reshape(x, (blocks, length, *x.shape[1:])), (1, 0), (0, -1))
+def whiten(steps: NoiseSteps, columns: Float[AnyArray, "N p"]) -> Float[AnyArray, "N p"]:
+    """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`; the row of a reading that is not used is zero."""
+    blocks, data, place = _in_blocks(steps, columns)
+    return _filter(blocks, data)[0][place]
 
 
-def block_length(count: int, asked: int | None = None) -> int:
-    """The number near √N with the least padding."""
-    if asked:
-        return asked
-    root = max(1.0, count**0.5)
-    near = range(max(1, round(0.8 * root)), max(2, round(1.3 * root) + 1))
-    return min(near, key=lambda k: (-count % k, abs(k - root)))
+def gram(steps: NoiseSteps, columns: Float[AnyArray, "N p"]) -> Float[AnyArray, "p p"]:
+    """`columnsᵀ V⁻¹ columns`. This squares the rows' condition number."""
+    blocks, data, _ = _in_blocks(steps, jnp.asarray(columns))
+    return _gram_and_rows(blocks, data)[0]
 
 
-def filter_columns(
-    state: FilterState, steps: NoiseSteps, columns: Float[Array, "N p"], block: int | None, *, keep: bool = False
-) -> Filtered:
-    """The whole filter; `keep`: with the states before the readings."""
-    # Untraced arrays may be NumPy's.
-    steps = jax.tree.map(jnp.asarray, steps)
-    length = block_length(columns.shape[0], block)
-    cut_steps = cut_up(steps, length)
-    first = steps.transition[0]
-    before, end = _covariances(cut_steps, first @ state.covariance @ first.T + steps.covariance[0])
-    closed, gain, per_std = gains(cut_steps, before)
-    through, effect = to_the_ends(closed, gain)
-    data = cut_rows(columns, length)
-    starts, mean = over_blocks(through, effect, data, first @ state.mean)
-    rows, states = _rows(cut_steps, closed, gain, per_std, data, starts, keep)
-    return Filtered(cut_steps, rows, states, before, closed, gain, per_std, through, FilterState(mean, end))
+def whitened_factor(
+    steps: NoiseSteps, columns: Float[AnyArray, "N p"], below: Float[AnyArray, "q p"]
+) -> tuple[Float[AnyArray, "p p"], Float[AnyArray, " p"], Float[AnyArray, "p p"]]:
+    """R, upper triangular, and columns' lengths: `diag(scale) RᵀR diag(scale) = columnsᵀ V⁻¹ columns + belowᵀ below`;
+    and `(RᵀR)⁻¹`, not finite for singular R. Computed from the rows themselves, which keeps their condition number;
+    `scale` counts as a constant."""
+    blocks, data, _ = _in_blocks(steps, jnp.asarray(columns))
+    product, rows = _gram_and_rows(blocks, data)
+    return _factor(product + below.T @ below, rows, jax.lax.stop_gradient(below))
 
 
-def cut_up(steps: NoiseSteps, length: int) -> Steps:
-    """Steps in blocks of `length` readings."""
-    return Steps(
-        cut(steps.observation, length, 0.0),
-        cut(steps.reading_variance, length, 1.0),
-        cut(steps.used, length, False),
-        cut(steps.transition, length, np.eye(steps.observation.shape[1]), later=True),
-        cut(steps.covariance, length, 0.0, later=True),
-    )
+def _in_blocks(steps: NoiseSteps, columns: AnyArray) -> tuple[Blocks, AnyArray, tuple[np.ndarray, np.ndarray]]:
+    """The noise and the columns in blocks, and the block and the place in it of every reading."""
+    if namespace(steps, columns) is np:
+        number = np.arange(len(columns))
+        blocks, data = _lift(steps, columns, _READINGS)
+        return blocks, data, (number // _READINGS, number % _READINGS)
+    # Readings of one instant (of several channels) are one reading of a vector.
+    fresh = np.ones(len(columns), bool) if steps.stays is None else ~np.asarray(steps.stays)
+    fresh[:1] = True
+    instant = np.cumsum(fresh) - 1
+    first = np.flatnonzero(fresh)
+    place = instant, np.arange(len(columns)) - first[instant]
+    sizes = len(first), int(np.max(place[1], initial=0)) + 1
+
+    def at_instants(x: AnyArray) -> AnyArray:
+        kept = jnp.where(jnp.reshape(steps.used, (-1,) + (1,) * (x.ndim - 1)), x, 0.0)
+        return jnp.zeros((*sizes, *x.shape[1:]), x.dtype).at[place].set(kept, unique_indices=True)
+
+    observation, variance, data = map(at_instants, (steps.observation, steps.reading_variance, columns))
+    f, q = (jnp.asarray(x)[first] for x in (steps.transition, steps.covariance))
+    own = q @ _t(observation)
+    noise = observation @ own + variance[:, :, None] * jnp.eye(sizes[1], dtype=own.dtype)[None]
+    return Blocks(f, q, observation @ f, noise, own, jnp.asarray(steps.initial)), data, place
 
 
-def cut_rows(x: Float[Array, " N *s"], length: int) -> Float[Array, "B K *s"]:
-    """Rows in blocks, padded with zeros at the end."""
-    if missing := -x.shape[0] % length:
-        x = jnp.concatenate([x, jnp.zeros((missing, *x.shape[1:]), x.dtype)])
-    return jnp.reshape(x, (-1, length, *x.shape[1:]))
+def _lift(steps: NoiseSteps, columns: np.ndarray, size: int) -> tuple[Blocks, np.ndarray]:
+    """Blocks of `size` steps. Readings that are not used, and those of padding, see nothing and have no noise."""
+    count, n = steps.observation.shape
+    blocks = -(-count // size)
+
+    def cut(x: np.ndarray, fill: Any = 0.0) -> np.ndarray:
+        rest = np.broadcast_to(fill, (blocks * size - count, *x.shape[1:]))
+        return np.concatenate([x, rest]).reshape(blocks, size, *x.shape[1:])
+
+    used = cut(steps.used)
+    observation, data = (cut(x) * used[..., None] for x in (steps.observation, columns))
+    variance = cut(steps.reading_variance) * used
+    transition, noise = cut(steps.transition, np.eye(n)), cut(steps.covariance)
+    # Of the state at the present step: its response to that at the block's begin, and its covariance with all readings.
+    response, covariance = np.tile(np.eye(n), (blocks, 1, 1)), np.zeros((blocks, n, n))
+    seen, within, cross = np.zeros((blocks, size, n)), np.zeros((blocks, size, size)), np.zeros((blocks, n, size))
+    for k in range(size):
+        f, h = transition[:, k], observation[:, k, None]
+        response, cross = f @ response, f @ cross
+        covariance = f @ covariance @ _t(f) + noise[:, k]
+        own = covariance @ _t(h)
+        seen[:, k] = (h @ response)[:, 0]
+        within[:, k] = within[:, :, k] = (h @ cross)[:, 0]
+        within[:, k, k] = (h @ own)[:, 0, 0] + variance[:, k]
+        cross[:, :, k] = own[..., 0]
+    return Blocks(response, covariance, seen, within, cross, np.asarray(steps.initial)), data
 
 
-def to_the_ends(closed: Float[Array, "K n n B"], gain: Float[Array, "K n B"]) -> tuple[Array, Array]:
-    """Ψ of each block `(n, n, B)`, and E, the effect of each reading on the state at its block's end `(K, n, B)`."""
-
-    def step(onward, now):
-        a, g = now
-        return times(onward, a), applied(onward, g)
-
-    n, blocks = gain.shape[1:]
-    none = jnp.broadcast_to(jnp.eye(n, dtype=gain.dtype)[:, :, None], (n, n, blocks))
-    return jax.lax.scan(step, none, (closed, gain), reverse=True)
-
-
-def _covariances(steps: Steps, start: Float[Array, "n n"]) -> tuple[Float[Array, "K n n B"], Float[Array, "n n"]]:
-    """Covariance before every reading, and after the last step."""
-    n = start.shape[0]
-
-    def from_known(carry, now: Steps):
-        covariance, response, noisy = carry
-        cross, reciprocal = _innovation(covariance, now.observation, now.variance, now.used)
-        seen = applied(transposed(response), now.observation)
-        response = response - (cross * reciprocal[None])[:, None] * seen[None]
-        after = _congruence(now.transition, _updated(covariance, cross, reciprocal)) + now.noise
-        hit = jnp.any((now.observation != 0.0) & noisy, axis=0)
-        exact = jnp.where(now.used & (now.variance == 0.0) & ~hit, 1.0, 0.0)
-        noisy = _noisy(now, noisy)
-        return (after, times(now.transition, response), noisy), (_root(reciprocal)[None] * seen, exact[None] * seen)
-
-    # The state is known *after* the block's first reading: if it were known before, a reading without noise would have
-    # no variance, and its information about the block's start would be lost. Readings without noise that follow at the
-    # same instant (of other channels) are exact in the known state, too: these rows are kept as constraints.
-    first, others = jax.tree.map(lambda x: x[0], steps), jax.tree.map(lambda x: x[1:], steps)
-    begun = (first.noise, first.transition, _noisy(first, jnp.zeros(first.observation.shape, bool)))
-    (own, response, _), (rows, exact) = jax.lax.scan(from_known, begun, others)
-
-    def across(covariance, now):
-        exact, triangle, response, own, h, variance, used = now
-        after = _updated(covariance, *_innovation(covariance, h, variance, used))
-        for of, noise in ((exact, 0.0), (triangle, 1.0)):
-            for i in range(n):
-                after = _updated(after, *_innovation(after, of[i], noise))
-        return response @ after @ response.T + own, covariance
-
-    triangles = (_triangle(exact), _triangle(rows))
-    by_block = (*triangles, response, own, first.observation, first.variance, first.used)
-    end, starts = jax.lax.scan(across, start, [jnp.moveaxis(x, -1, 0) for x in by_block])
-
-    def step(covariance, now: Steps):
-        updated = _updated(covariance, *_innovation(covariance, now.observation, now.variance, now.used))
-        return _congruence(now.transition, updated) + now.noise, covariance
-
-    _, before = jax.lax.scan(step, jnp.moveaxis(starts, 0, -1), steps)
-    return before, end
-
-
-def _noisy(now: Steps, noisy: Array) -> Array:
-    """Which states noise has reached after a step `(n, B)`."""
-    moved = jnp.any((now.transition != 0.0) & noisy[None], axis=1)
-    return moved | (jnp.diagonal(now.noise, axis1=0, axis2=1).T > 0.0)
-
-
-def _triangle(rows: Float[Array, "K n B"]) -> Float[Array, "n n B"]:
-    """T with `TᵀT = AᵀA` for each block's `rows` A: Gram–Schmidt, twice.
-
-    A column that depends on those before (a state that the block does not observe) has a zero on the diagonal.
-    """
-    count, n, blocks = rows.shape
-    eps = jnp.finfo(rows.dtype).eps
-    basis = jnp.zeros((count, 0, blocks), rows.dtype)
-    triangle = []
-    for j in range(n):
-        column = rows[:, j]
-        whole = jnp.sum(column * column, axis=0)
-        above = jnp.zeros((j, blocks), rows.dtype)
-        for _ in range(2 if j else 0):
-            share = jnp.sum(basis * column[:, None], axis=0)
-            above, column = above + share, column - jnp.sum(basis * share[None], axis=1)
-        square = jnp.sum(column * column, axis=0)
-        norm = _root(jnp.where(square > (1e3 * eps) ** 2 * whole, square, 0.0))
-        unit = column * jnp.where(norm > 0.0, 1.0 / jnp.where(norm > 0.0, norm, 1.0), 0.0)[None]
-        basis = jnp.concatenate([basis, unit[:, None]], axis=1)
-        triangle.append(jnp.concatenate([above, norm[None], jnp.zeros((n - 1 - j, blocks), rows.dtype)]))
-    return jnp.stack(triangle, axis=1)
-
-
-def gains(steps: Steps, before: Array) -> tuple[Array, Array, Array]:
-    """`A`, `g` and `1/√S` of every reading, from the covariance before it."""
-
-    def of_readings(now: Steps, covariance):
-        cross, reciprocal = _innovation(covariance, now.observation, now.variance, now.used)
-        gain = applied(now.transition, cross) * reciprocal[None]
-        return now.transition - gain[:, None] * now.observation[None], gain, _root(reciprocal)
-
-    return jax.vmap(of_readings)(steps, before)
-
-
-def over_blocks(
-    through: Float[Array, "n n B"],
-    effect: Float[Array, "K n B"],
-    data: Float[Array, "B K p"],
-    start: Float[Array, "n p"],
-    *,
-    reverse: bool = False,
-) -> tuple[Float[Array, "n B p"], Float[Array, "n p"]]:
-    """`x⁺ = Ψx + E y`, one step for each block: x at the start of every block, and after the last."""
-    added = jnp.transpose(effect, (2, 1, 0)) @ data
-
-    def step(x, now):
-        through, added = now
-        return times(through, x) + added, x
-
-    end, starts = jax.lax.scan(step, start, (jnp.moveaxis(through, -1, 0), added), reverse=reverse)
-    return jnp.moveaxis(starts, 0, 1), end
-
-
-def _rows(steps: Steps, closed: Array, gain: Array, per_std: Array, data: Array, starts: Array, keep: bool):
-    """The pass over the data: whitened rows, and the states before the readings if `keep`."""
+def _filter(blocks: Blocks, data: Float[AnyArray, "B r p"]) -> tuple[Float[AnyArray, "B r p"], Filtered]:
+    """Whitened rows of every block, and the values that a smoother needs."""
 
     def step(carry, now):
-        x, rows, states = carry
-        k, a, g, h, w = now
-        y = jax.lax.dynamic_index_in_dim(data, k, 1, keepdims=False)
-        row = w[:, None] * (y - jnp.sum(h[..., None] * x, axis=0))
-        if keep:
-            states = jax.lax.dynamic_update_index_in_dim(states, x, k, 2)
-        rows = jax.lax.dynamic_update_index_in_dim(rows, row, k, 1)
-        return (act(a, x) + g[..., None] * y[None], rows, states), None
+        state, covariance = carry
+        f, q, h, r, c, y = now
+        cross = covariance @ h.T
+        whitener = _whitener(h @ cross + r)
+        gain = (f @ cross + c) @ whitener.T
+        row = whitener @ (y - h @ state)
+        after = f @ state + gain @ row, f @ covariance @ f.T + q - gain @ gain.T
+        return after, (row, Filtered(state, covariance, gain, whitener))
 
-    kept = jnp.zeros((starts.shape[0], *data.shape), data.dtype) if keep else None
-    now = (jnp.arange(data.shape[1]), closed, gain, steps.observation, per_std)
-    (_, rows, states), _ = jax.lax.scan(step, (starts, jnp.zeros_like(data), kept), now)
-    return rows, states
+    begin = namespace(data).zeros((len(blocks.initial), data.shape[-1]), data.dtype), blocks.initial
+    return _scan(step, begin, (*blocks[:5], data))
+
+
+def _whitener(covariance: Float[AnyArray, "r r"]) -> Float[AnyArray, "r r"]:
+    """W with `WᵀW` the inverse of a covariance, apart from readings without variance, which tell nothing."""
+    xp = namespace(covariance)
+    none = xp.where(xp.diagonal(covariance) > 0.0, 0.0, 1.0).astype(covariance.dtype)
+    factor = xp.linalg.cholesky(covariance + xp.diag(none))
+    return solve_transposed(factor.T, xp.diag(1.0 - none))
+
+
+@jax.custom_jvp
+def _gram_and_rows(blocks: Blocks, data: AnyArray) -> tuple[Float[AnyArray, "p p"], Float[AnyArray, "rows p"]]:
+    """The rows count as constant."""
+    return _product(_filter(blocks, data)[0])
+
+
+def _product(rows: Float[AnyArray, "B r p"]) -> tuple[Float[AnyArray, "p p"], Float[AnyArray, "rows p"]]:
+    flat = _flat(rows)
+    return flat.T @ flat, flat
+
+
+@_gram_and_rows.defjvp
+def _gram_and_rows_jvp(primals, tangents):
+    (blocks, data), (changes, d_data) = primals, tangents
+    rows, filtered = _filter(blocks, data)
+    u, rho, z, first = _smooth(blocks, rows, filtered)
+    product, flat = _product(rows)
+    # Half of the derivative: the other half is its transpose.
+    of_readings = d_data - changes.observation @ z - 0.5 * changes.reading_noise @ u
+    of_states = changes.transition @ z + 0.5 * changes.process_noise @ rho + changes.cross_noise @ u
+    half = _flat(u).T @ _flat(of_readings) - _flat(rho).T @ _flat(of_states)
+    half = half - 0.5 * first.T @ changes.initial @ first
+    return (product, flat), (half + half.T, jnp.zeros_like(flat))
+
+
+def _smooth(blocks: Blocks, rows: Float[AnyArray, "B r p"], filtered: Filtered):
+    """u `(B, r, p)`, ρ after and z at the begin of every block `(B, n, p)`, and ρ of the first state `(n, p)`."""
+
+    def step(rho, now):
+        f, h, row, (state, covariance, gain, whitener) = now
+        u = whitener.T @ (row - gain.T @ rho)
+        before = f.T @ rho + h.T @ u
+        return before, (u, rho, state + covariance @ before)
+
+    nothing = jnp.zeros((len(blocks.initial), rows.shape[-1]), rows.dtype)
+    over = (blocks.transition, blocks.observation, rows, filtered)
+    first, (u, rho, z) = jax.lax.scan(step, nothing, over, reverse=True)
+    return u, rho, z, first
+
+
+def _flat(x: Float[AnyArray, "B k p"]) -> Float[AnyArray, "rows p"]:
+    return jnp.reshape(x, (-1, x.shape[-1]))
+
+
+@jax.custom_jvp
+def _factor(product: AnyArray, rows: AnyArray, below: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """`whitened_factor` of `product = rowsᵀ rows + belowᵀ below`, whose derivative counts alone."""
+    return _with_inverse(*scaled_factor(rows, below))[:3]
+
+
+@_factor.defjvp
+def _factor_jvp(primals, tangents):
+    factor, scale, inverse, safe = _with_inverse(*scaled_factor(*primals[1:]))
+    change = tangents[0] / (scale[:, None] * scale[None, :])
+    return (factor, scale, inverse), (factor_tangent(factor, change), jnp.zeros_like(scale), -safe @ change @ safe)
+
+
+def _with_inverse(factor: AnyArray, scale: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
+    """The arguments, `(RᵀR)⁻¹`, and the same with ones for zeros on the diagonal, so that no derivative is NaN."""
+    dead = dead_of(factor)
+    half = solve_transposed(factor + jnp.diag(jnp.where(dead, 1.0, 0.0)), jnp.eye(len(factor), dtype=factor.dtype))
+    safe = half.T @ half
+    return factor, scale, safe + jnp.diag(jnp.where(dead, jnp.inf, 0.0)), safe
+
+
+def _scan(step, begin: Any, over: Any) -> Any:
+    """The stacked results of `step(carry, row) -> (carry, result)`: `jax.lax.scan`, or a loop of NumPy."""
+    if namespace(begin, over) is jnp:
+        return jax.lax.scan(step, begin, over)[1]
+    results = []
+    for row in zip(*over, strict=True):
+        begin, result = step(begin, row)
+        results.append(result)
+    return jax.tree.map(lambda *of: np.stack(of), *results)
+
+
+def _t(matrices: AnyArray) -> AnyArray:
+    return namespace(matrices).swapaxes(matrices, -1, -2)

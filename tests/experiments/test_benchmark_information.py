@@ -12,7 +12,6 @@ import pytest
 BENCHMARKS = Path(__file__).resolve().parents[2] / "experiments" / "benchmarks"
 PACKAGES = {
     "ours": None,
-    "ours_blocks": None,
     "celerite2_terms": "celerite2",
     "tinygp_quasisep": "tinygp",
     "dynamax_augmented": "dynamax",

@@ -1,18 +1,12 @@
-"""The filter in NumPy, reading by reading, is the filter in machine code and in blocks, and so is its derivative."""
-
-import os
-import subprocess
-import sys
-from pathlib import Path
+"""The filter in blocks is the filter reading by reading, and its derivatives are differences."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gradcal_jax.information import NoiseSteps, adjoint, whiten_from
+from gradcal_jax.information import NoiseSteps, gram, whiten
 from gradcal_jax.information.by_reading import adjoint_parts, filter_readings
-from gradcal_jax.information.compiled import compiler as find_compiler
-from gradcal_jax.information.whitening import FilterState, block_length
 
 
 def random_system(n: int, p: int, count: int) -> tuple[NoiseSteps, np.ndarray]:
@@ -35,84 +29,85 @@ def assert_close(found, wanted, tolerance=1e-10):
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=tolerance * float(np.max(np.abs(wanted))))
 
 
-@pytest.mark.parametrize(
-    "sizes", [(1, 1, 3), (2, 16, 61), (4, 3, 40), pytest.param((9, 11, 30), marks=pytest.mark.evidence)]
-)
-def test_rows_state_and_derivative_are_those_of_the_blocks(sizes):
+def quick(steps: NoiseSteps, columns: np.ndarray, *, traced: bool) -> np.ndarray:
+    """Whitened rows in blocks, by NumPy or JAX."""
+    if traced:
+        steps, columns = jax.tree.map(jnp.asarray, (steps, columns))
+    return np.asarray(whiten(steps, columns))
+
+
+@pytest.mark.parametrize("traced", [False, True])
+@pytest.mark.parametrize("sizes", [(1, 1, 3), (2, 16, 61), (4, 3, 40), (9, 11, 30)])
+def test_rows_in_blocks_have_the_product_of_rows_by_reading(sizes, traced):
     n, p, count = sizes
     steps, columns = random_system(*sizes)
-    start = np.random.default_rng(1).standard_normal((n, p))
-    found = filter_readings(start, steps.initial, steps, columns)
-    state, *known = jax.tree.map(jax.numpy.asarray, (FilterState(start, steps.initial), steps, columns))
-    rows, after = jax.jit(whiten_from, static_argnames="block")(state, *known, block=block_length(count))
-    assert_close(found.rows, rows)
-    assert_close(found.mean, after.mean)
-    assert_close(found.covariance, after.covariance)
-    assert not found.rows[~steps.used].any()
-    assert not found.rows[count // 2].any()
+    expected = filter_readings(np.zeros((n, p)), steps.initial, steps, columns).rows
+    rows = quick(steps, columns, traced=traced)
+    assert_close(rows.T @ rows, expected.T @ expected)
+    assert not rows[~steps.used].any()
+    assert not rows[count // 2].any()
 
-    found = filter_readings(np.zeros((n, p)), steps.initial, steps, columns)
+
+@pytest.mark.parametrize("sizes", [(1, 1, 3), (2, 16, 61), (4, 3, 40)])
+def test_adjoint_states_give_the_derivative_of_the_product(sizes):
+    n, p, count = sizes
+    steps, columns = random_system(*sizes)
     weights = np.random.default_rng(2).standard_normal((p, p))
+    known = jax.tree.map(jnp.asarray, steps)
 
     def weighed(covariance, variance, initial):
-        now = known[0]._replace(covariance=covariance, reading_variance=variance, initial=initial)
-        return jax.numpy.sum(weights * adjoint.gram(now, known[1]))
+        now = known._replace(covariance=covariance, reading_variance=variance, initial=initial)
+        return jnp.sum(weights * gram(now, jnp.asarray(columns)))
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GRADCAL_NATIVE", "0")
-        wanted = jax.jit(jax.grad(weighed, (0, 1, 2)))(known[0].covariance, known[0].reading_variance, known[0].initial)
-    # ∂(weights · rowsᵀrows) by the adjoint states: −ρ W ρᵀ, −uᵀ W u.
+    wanted = jax.jit(jax.grad(weighed, (0, 1, 2)))(known.covariance, known.reading_variance, known.initial)
+    # ∂(weights · rowsᵀrows) by the adjoint states: −ρ W ρᵀ, −uᵀ W u. No step precedes a reading that stays.
     inner = (weights + weights.T) / 2
+    found = filter_readings(np.zeros((n, p)), steps.initial, steps, columns)
     parts = sorted(adjoint_parts(steps, found), key=lambda part: part[0].start)
     us, rhos = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
     first = steps.transition[0].T @ rhos[0]
-    mine = -rhos @ inner @ rhos.swapaxes(1, 2), -np.sum((us @ inner) * us, axis=1), -first @ inner @ first.T
-    for own, theirs in zip(mine, wanted, strict=True):
-        assert_close(own, theirs)
+    of_covariance = -rhos @ inner @ rhos.swapaxes(1, 2)
+    of_covariance[steps.stays] = 0.0
+    # Only the symmetric part of a covariance's derivative has a meaning.
+    assert_close(of_covariance, (wanted[0] + wanted[0].swapaxes(1, 2)) / 2)
+    assert_close(-np.sum((us @ inner) * us, axis=1), wanted[1])
+    assert_close(-first @ inner @ first.T, wanted[2])
 
 
-JOB = """
-import sys
-import numpy as np
-sys.path.insert(0, {here!r})
-from test_by_reading import random_system
-from gradcal_jax.information import native, whiten
-native._WORTH, native._BESIDE = {worth}, {beside}
-for _ in range({times}):
-    rows = whiten(*random_system(2, 3, 90))
-    print(float(np.sum(rows**2)))
-"""
+def moved(steps: NoiseSteps, columns: np.ndarray, size) -> tuple[NoiseSteps, jax.Array]:
+    """A system along one direction, in everything that can be differentiated."""
+    rng = np.random.default_rng(5)
+    count, n = steps.observation.shape
+    alive = np.where(steps.stays, 0.0, 1.0)[:, None, None]
+    root = rng.standard_normal((count, n, n))
+    first = rng.standard_normal((n, n))
+    at = NoiseSteps(
+        steps.transition + size * alive * rng.standard_normal((count, n, n)),
+        steps.covariance + size * alive * (root @ root.swapaxes(1, 2)),
+        steps.observation + size * np.sign(steps.reading_variance)[:, None] * rng.standard_normal((count, n)),
+        steps.reading_variance * (1.0 + size * rng.uniform(size=count)),
+        jnp.asarray(steps.used),
+        steps.initial + size * (first @ first.T),
+        steps.stays,
+    )
+    return at, columns + size * rng.standard_normal(columns.shape)
 
 
-@pytest.mark.skipif(find_compiler() is None, reason="this machine has no C++ compiler")
-@pytest.mark.parametrize(("worth", "beside"), [(200, 200), (10**9, 200), (200, 100)])
-def test_the_compiler_is_asked_once_its_work_is_worth_while_and_never_when_it_is_at_hand(tmp_path, worth, beside):
-    """Beside NumPy, which goes on until it is done, or in its place: in any case once, for all later processes."""
-    calls, command = tmp_path / "calls", tmp_path / "compiler"
-    command.write_text(f'#!/bin/sh\necho "$*" >> {calls}\nexec {" ".join(find_compiler() or [])} "$@"\n')
-    command.chmod(0o755)
+def test_forward_and_reverse_mode_and_second_derivatives_are_differences():
+    steps, columns = random_system(3, 4, 37)
+    weights = np.random.default_rng(3).standard_normal((4, 4))
 
-    def run(times: int) -> tuple[list[float], int]:
-        calls.write_text("")
-        job = JOB.format(here=str(Path(__file__).parent), times=times, worth=worth, beside=beside)
-        done = subprocess.run(
-            [sys.executable, "-c", job],
-            env=os.environ | {"XDG_CACHE_HOME": str(tmp_path), "JAX_PLATFORMS": "cpu", "CXX": str(command)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        return [float(line) for line in done.stdout.split()], calls.read_text().count(" -o ")
+    def along(size):
+        return jnp.sum(weights * gram(*moved(steps, columns, size)))
 
-    few, compiled = run(beside // 90)
-    assert compiled == 0
-    assert len(set(few)) == 1
-    more, compiled = run(3)
-    assert compiled == 1
-    assert more == pytest.approx([few[0]] * 3, rel=1e-12)
-    at_hand, compiled = run(1)
-    assert compiled == 0
-    assert at_hand == pytest.approx(more[:1], rel=1e-12)
-    # The third of them waited for the compiler.
-    assert worth > 200 or at_hand[0] == more[2]
+    value = jax.jit(along)
+    step = 2e-4
+    points = {k: float(value(k * step)) for k in (-2, -1, 0, 1, 2)}
+    slope = (8.0 * (points[1] - points[-1]) - (points[2] - points[-2])) / (12.0 * step)
+    curvature = (16.0 * (points[1] + points[-1]) - points[2] - points[-2] - 30.0 * points[0]) / (12.0 * step**2)
+    scale = sum(abs(of) for of in points.values())
+    for mode in (jax.jacfwd, jax.grad):
+        assert jax.jit(mode(along))(0.0) == pytest.approx(slope, rel=1e-7, abs=1e-9 * scale)
+    for outer in (jax.jacfwd, jax.grad):
+        for inner in (jax.jacfwd, jax.grad):
+            assert jax.jit(outer(inner(along)))(0.0) == pytest.approx(curvature, rel=1e-5, abs=1e-6 * scale)

@@ -4,7 +4,6 @@ celerite2 cannot: its states decay one by one, and an integral that begins anew 
 is no such decay. dynamax could, and would hold N covariances of 144 × 144 for its result alone, 5 GB.
 """
 
-import os
 import time
 
 import numpy as np
@@ -127,11 +126,6 @@ def _ours(problem: UnitProblem) -> dict:
     return _by_jax(problem, information)
 
 
-def _in_blocks(problem: UnitProblem) -> dict:
-    os.environ["GRADCAL_NATIVE"] = "0"
-    return _ours(problem)
-
-
 def _floor(problem: UnitProblem) -> dict:
     import jax.numpy as jnp
 
@@ -193,4 +187,4 @@ def _filterpy(problem: UnitProblem) -> dict:
     return {"forward": forward, "version": version, "share": rows / count}
 
 
-_METHODS = {"ours": _ours, "ours_blocks": _in_blocks, "floor": _floor, "tinygp": _tinygp, "filterpy": _filterpy}
+_METHODS = {"ours": _ours, "floor": _floor, "tinygp": _tinygp, "filterpy": _filterpy}

@@ -1,8 +1,8 @@
 """What is recorded of a case, computed by the code at hand; `record.py` writes it, `test_numbers.py` compares it."""
 
 import gzip
-import hashlib
 import json
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from gradcal_jax.spec.spec import spec_of
 HERE = Path(__file__).resolve().parent
 Tables = dict[str, Any]
 TARGETS = ("ardupilot", "px4", "kalibr", "matrices", "c-header", "csv")
+NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?(?=f?(?![\w.]))")
 STATISTICS = ("mean of max", "max", "mean", "rms")
 
 
@@ -107,7 +108,7 @@ def measurements() -> Log:
 
 
 def calibration(tables: Tables) -> Tables:
-    """Every export as the hash of its text, with losses and notes; and the measurements corrected."""
+    """Every export as its numbers with its losses; and the measurements corrected."""
     of = parse_calibration(tomlkit.dumps(tables))
     exports = {target: exported(of, target) for target in TARGETS}
     log = apply(of, measurements()).log
@@ -118,23 +119,29 @@ def calibration(tables: Tables) -> Tables:
 
 
 def exported(of: Any, target: str) -> Tables:
-    """One export, or the sentence with which it is refused."""
+    """Numbers and losses of one export, or the sentence with which it is refused."""
     options: Tables = {"temperature_c": 25.0 if target in ("kalibr", "matrices") else None}
     options |= {"device_id": 4321} if target == "px4" else {}
     try:
         done = export(of, target, **options)
     except ValueError as error:
         return {"refused": str(error)}
-    # Exports said less when these were recorded: nothing of lags in losses and csv, nothing of losses in a C header.
-    lines = [line for line in done.text.splitlines(keepends=True) if not line.startswith(" * lost: ")]
-    if target == "csv":
-        lines = [line if line.startswith("#") else line.rpartition(",")[0] + "\n" for line in lines]
-    return {
-        "sha256": hashlib.sha256("".join(lines).encode()).hexdigest(),
-        "lines": len(lines),
-        "losses": [[*loss] for loss in done.losses if ": lag of " not in loss.what],
-        "notes": list(done.notes),
-    }
+    losses = [[*loss] for loss in done.losses if ": lag of " not in loss.what]
+    return {"numbers": numbers(done.text, target), "losses": losses}
+
+
+def numbers(text: str, target: str) -> list[list[float]]:
+    """The numbers of every line of an export that has any, without those of comments and words."""
+    found = []
+    for line in text.splitlines():
+        if line.lstrip().startswith(("#", "/*", "*")):
+            continue
+        if target == "csv":
+            line = ",".join(line.split(",")[4:6])
+        row = [float(number) for number in NUMBER.findall(line)]
+        if row:
+            found.append(row)
+    return found
 
 
 def estimate(name: str, tables: Tables) -> Tables:

@@ -15,10 +15,10 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1]
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 # Most programs run for less time than XLA takes to optimise them. (An unknown flag ends the process: the emitters are
 # those of JAX 0.10.)
-os.environ.setdefault(
-    "XLA_FLAGS",
-    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-    + (" --xla_cpu_use_fusion_emitters=false" if version("jax").startswith("0.10.") else ""),
+os.environ["XLA_FLAGS"] = (
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
+    + ("--xla_cpu_use_fusion_emitters=false " if version("jax").startswith("0.10.") else "")
+    + os.environ.get("XLA_FLAGS", "")
 )
 # As in the command line: OpenBLAS's threads, which share out products of some tens of columns, wait for one another.
 # With several workers on few cores that took four times as long as an estimate.

@@ -50,7 +50,7 @@ def test_rows_in_blocks_have_the_product_of_rows_by_reading(sizes, traced):
 
 @pytest.mark.parametrize("sizes", [(1, 1, 3), (2, 16, 61), (4, 3, 40)])
 def test_adjoint_states_give_the_derivative_of_the_product(sizes):
-    n, p, count = sizes
+    n, p, _ = sizes
     steps, columns = random_system(*sizes)
     weights = np.random.default_rng(2).standard_normal((p, p))
     known = jax.tree.map(jnp.asarray, steps)

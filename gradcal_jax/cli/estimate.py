@@ -64,7 +64,6 @@ def estimate(
     temperature: str | None = None,
     gravity: str | None = None,
     parameters: Path | None = None,
-    points: Path | None = None,
     source: Recording = WHOLE,
     force: ForceOutput = False,
     json: JsonNumbers = False,
@@ -128,16 +127,13 @@ def estimate(
     parameters
         Also write the bias over temperature to this file, as parameters of the flight controller (PX4, ArduPilot) that
         wrote the log.
-    points
-        If LOG is a table of points instead of a log: its point map (gradcal-points/1); the map names the columns of
-        temperature, rate of the table, output and standard deviation; see gradcal new point-map.
     plot
         Draw the fit into this file (.png, .svg, .pdf).
     """
     in_use: dict[str, object] = {"--spec": spec, "--recipe": recipe, "--axis": axis, "--table-axis": table_axis}
     in_use |= {"--earth-rate": earth_rate, "--latitude": latitude, "--smoothness": smoothness != "spec"}
     in_use |= {"--robust": robust, "--lag": lag != "auto", "--read-every": read_every}
-    in_use |= {"--neighbours": neighbours, "--parameters": parameters, "--points": points, "a second log": more}
+    in_use |= {"--neighbours": neighbours, "--parameters": parameters, "a second log": more}
     if gravity is not None:
         _refuse(in_use, ("--latitude",), "not for an IMU that was turned by hand (--gravity)")
     options = _options(earth_rate, latitude, lag, smoothness, clock, read_every, neighbours, temperature)
@@ -150,17 +146,7 @@ def estimate(
     model = None if spec is None and recipe is None else _spec(spec, recipe)
     if len(axis) > 1 and model is not None:
         raise ValueError("a table with one axis turns only one axis of an IMU: give --axis only once")
-    table_of_points, logs = None, list["Log"]()
-    if points is not None:
-        from gradcal_jax.records.points import read_points
-
-        if model is None or source != WHOLE or axis or unit or more or temperature is not None:
-            raise ValueError(
-                "--points needs the spec (--spec), and cannot be used with options that select a part of a log"
-            )
-        table_of_points = read_points(log, points)
-        names = [table_of_points.unit]
-    elif model is None:
+    if model is None:
         logs = load_all(log, source)
         if more or any(one.table_axes for one in logs) or temperature is not None:
             raise ValueError("give either the spec (--spec) or the recipe that was run (--recipe)")
@@ -169,7 +155,7 @@ def estimate(
         logs = [load(path, source, unit=unit[0] if unit else None) for path in (log, *more)]
         of_all = dict.fromkeys(name for one in logs for name in one.units)
         names = unit or (tuple(of_all) if model.rig.table.place else logs[0].units)
-    firmware = logs[0].provenance.get("firmware") if logs else None
+    firmware = logs[0].provenance.get("firmware")
     if parameters is not None:
         if firmware is None:
             raise ValueError(
@@ -178,15 +164,13 @@ def estimate(
         writable(parameters, force)
     files = _files(output, names, force)
     use_float64()
-    from gradcal_jax.estimation.estimate import EstimateReport, estimate_log, estimate_rows
-    from gradcal_jax.estimation.log_flow import estimate_points, estimate_warm_up
+    from gradcal_jax.estimation.estimate import estimate_log, estimate_rows
+    from gradcal_jax.estimation.log_flow import estimate_warm_up
     from gradcal_jax.estimation.log_rows import Options
 
     sources = {"log": ", ".join(path.name for path in (log, *more)), "spec": (spec or recipe or Path()).name}
     chosen = Options(**options, table_axis=table_axis, robust=robust)
-    if table_of_points is not None and model is not None:
-        report = EstimateReport((estimate_points(model, table_of_points, options=chosen, sources=sources),))
-    elif model is None:
+    if model is None:
         report = estimate_warm_up(logs, axes=axis, units=unit, options=chosen, sources=sources)
     else:
         only = axis[0] if axis else None
@@ -196,7 +180,7 @@ def estimate(
     else:
         paths = [log, *more] if len(logs) == 1 + len(more) else [log] * len(logs)
         heads = [described(one, str(path)) for one, path in zip(logs, paths, strict=True)]
-        print("\n".join(heads) or f"{log}: a table of points")
+        print("\n".join(heads))
         print("\n".join(map(text_of_estimate, report.sensors)))
         print("\n".join(line for row in report.discrepancies for line in discrepancy_lines(row)))
     _write(report.calibrations, files, json)

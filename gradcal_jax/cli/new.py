@@ -10,7 +10,6 @@ from gradcal_jax.cli.output import DONE, Flag, Force, Output, writable
 from gradcal_jax.tables.display import columns
 
 _COLUMN_MAP: Final = "column-map"
-_POINT_MAP: Final = "point-map"
 _TEMPLATES: Final = {
     "export-gains": "Template for export: offsets and gains for a flight controller",
     "export-tracker": "Template for export: matrices for a body or head tracker, in JSON",
@@ -31,25 +30,25 @@ def new(
     Parameters
     ----------
     preset
-        The name of the example: a preset of a spec, column-map, point-map, or a template for export; --list lists all
+        The name of the example: a preset of a spec, column-map, or a template for export; --list lists all
         names.
     output
         The file to write; "-" prints the example instead.
     listing
         List all examples.
     """
-    from gradcal_jax.records import column_guess, points
+    from gradcal_jax.records import column_guess
     from gradcal_jax.spec import presets
 
     if listing:
         rows = [(name, presets.title(name)) for name in presets.names()]
         rows += [(_COLUMN_MAP, "Column map of a recording, for --columns")]
         rows += _TEMPLATES.items()
-        print(columns([*rows, (_POINT_MAP, "Point map of a table of points, for --points")], indent=""))
+        print(columns(rows, indent=""))
         return DONE
     if preset is None:
         raise ValueError("name the preset; gradcal new --list lists all presets")
-    examples = {_COLUMN_MAP: column_guess.EXAMPLE, _POINT_MAP: points.EXAMPLE}
+    examples = {_COLUMN_MAP: column_guess.EXAMPLE}
     examples |= {preset: presets.template(f"{preset}.j2")} if preset in _TEMPLATES else {}
     text = examples[preset] if preset in examples else presets.text(preset)
     if output is None or output == "-":
@@ -69,12 +68,11 @@ def new(
 
         if omitted := omitted_lines(spec_in(Path(output))):
             print("\n".join(omitted))
-    following = {
-        _COLUMN_MAP: f"gradcal allan LOG --columns {output}",
-        _POINT_MAP: f"gradcal estimate TABLE --points {output} --spec SPEC",
-    }.get(
-        preset, f"gradcal export CALIBRATION --template {output}" if preset in _TEMPLATES else f"gradcal check {output}"
-    )
+    following = f"gradcal check {output}"
+    if preset == _COLUMN_MAP:
+        following = f"gradcal allan LOG --columns {output}"
+    elif preset in _TEMPLATES:
+        following = f"gradcal export CALIBRATION --template {output}"
     print(f"wrote {output}; next: {following}")
     return DONE
 

@@ -319,10 +319,10 @@ def report_of(
     shown: RecordFaults,
 ) -> SensorEstimate:
     """The estimate of one sensor from the fit of its rows."""
-    built, (rows, messages, points), temperature, fit, smoothness, lag = fitted
+    built, (rows, messages), temperature, fit, smoothness, lag = fitted
     stable, model = isinstance(built.spec.plan, StandardPlan), built.model
     done, readings, solution, rates = fit
-    if stable and points is None:
+    if stable:
         messages = *messages, *points_of(built, rows).sentences
     at = segments_of(done.motion, model)
     half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
@@ -390,7 +390,7 @@ def report_of(
     if options.neighbours_k is not None:
         neighbours = estimation.neighbours_of(readings, solution, options.neighbours_k)
         alone = () if neighbours else ("no move has a rest directly before and after it: no moves can be averaged",)
-    counts = _counts(logs, name, done) if points is None else {"used": int(np.count_nonzero(~points.line.gap))}
+    counts = _counts(logs, name, done)
     beside_tests = lag, path, smoothness, neighbours, counts, structure, bias_curves(readings, solution)
     report = SensorEstimate(
         name, built, done, solution, calibration, requirements, tests, channels, *seen, (), *beside_tests

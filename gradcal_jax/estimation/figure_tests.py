@@ -65,7 +65,7 @@ class AngleColumns(NamedTuple):
 
 def angle_columns(spec: Spec, readings: ImuReadings) -> list[AngleColumns]:
     """Of every axis of the table, without the waves that the spec has; none where no angle is read at rest."""
-    if readings.done.motion.line.rates or readings.free or readings.sigma is not None:
+    if readings.done.motion.line.rates or readings.free:
         return []
     ends = np.stack(readings.done.motion.angles())
     errors, places = [], []

@@ -113,16 +113,15 @@ def fitted_twice(
     rows: ImuRows,
     temperature: np.ndarray,
     threshold: float | None = None,
-    points: TablePoints | None = None,
     *,
     checked: bool = True,
 ) -> Fit:
-    """The fit with a `temperature` (degC) for each row. `points`: the rows are those of a table of points; `checked`:
-    whether readings of another unit or table are refused, which a lag may make of the right ones.
+    """The fit with a `temperature` (degC) for each row. `checked`: whether readings of another unit or table are
+    refused, which a lag may make of the right ones.
 
     A rate-dependent scale factor of a per cent would be estimated at wrong rates if they were not corrected.
     """
-    fit = _read(built, name, rows, rows, temperature, threshold, points, checked=checked)
+    fit = _read(built, name, rows, rows, temperature, threshold, checked=checked)
     # Angles that no encoder tells are estimated.
     first, rows = fit.solution, rows._replace(angles=fit.readings.log.angles)
     held = tuple(calibrated_channels(built, built.model.to_reported @ first.parameters, _EVERYWHERE))
@@ -133,7 +132,7 @@ def fitted_twice(
     far = np.nanmax(np.abs(rates - rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
     fastest = np.nanmax(np.abs(rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
     seen = rows._replace(rates=np.where(far <= SCALE_FACTOR_ERROR * fastest, rates, rows.rates))
-    return _read(built, name, rows, seen, temperature, threshold, points, felt, first, checked=checked)
+    return _read(built, name, rows, seen, temperature, threshold, felt, first, checked=checked)
 
 
 def with_chosen_smoothness(built: BuiltImu, fit: Fit, threshold: float | None) -> tuple[BuiltImu, Fit, Smoothness]:
@@ -152,7 +151,6 @@ def _read(
     seen: ImuRows,
     temperature: np.ndarray,
     threshold: float | None,
-    points: TablePoints | None,
     felt: np.ndarray | None = None,
     first: ImuEstimate | None = None,
     *,
@@ -163,24 +161,21 @@ def _read(
     estimate, until they stand still. Errors: `LogError` where they do not, and for readings of another unit or
     table."""
     free, plan = built.spec.rig.table.by_gravity, built.spec.plan
-    own = None if points is None else points.sigma
     number, about = 0, None if first is None else first.parameters
     corrected_by = None if first is None else (first.parameters, first.known)
     while True:
         try:
-            done = _executed(built, seen, points)
+            done = _executed(built, seen)
             done = done._replace(motion=replace(done.motion, history=course_before(built.spec)))
         except ValueError as error:
             raise LogError(f"{name}: {error}") from None
         readings = estimation.readings_of(
             built.model, done, rows, temperature, 0 if built.rough else built.points, felt, corrected_by, free=free
         )
-        if own is not None:
-            readings = readings._replace(sigma=own * done.motion.line.duration)
         readings = readings.with_common(
             errors_of_gears(built.spec, readings, None if first is None else first.parameters)
         )
-        if isinstance(plan, StandardPlan) and plan.estimator == "least squares" and own is None:
+        if isinstance(plan, StandardPlan) and plan.estimator == "least squares":
             solution = estimation.estimate_unweighted(readings)
         else:
             solution = estimation.solve_imu(readings, about, threshold=threshold)
@@ -224,11 +219,11 @@ def _likely(built: BuiltImu, name: str, fit: Fit) -> Fit:
     return fit
 
 
-def _executed(built: BuiltImu, seen: ImuRows, points: TablePoints | None) -> ExecutedImu:
+def _executed(built: BuiltImu, seen: ImuRows) -> ExecutedImu:
     """The executed motion by the rates of `seen`. Raises `ValueError`."""
     encoder, geometry = built.model.encoder, built.motion.geometry
-    if points is not None or isinstance(built.spec.plan, StandardPlan):
-        return estimation.motion_at_points(points or points_of(built, seen), seen, geometry)
+    if isinstance(built.spec.plan, StandardPlan):
+        return estimation.motion_at_points(points_of(built, seen), seen, geometry)
     if read_by_events(built.spec):
         return estimation.motion_by_readings(seen, geometry)
     spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
@@ -268,11 +263,10 @@ def planned_moves(built: BuiltImu) -> list[list[PlannedMove]]:
 
 
 class Recorded(NamedTuple):
-    """The rows of one sensor, and messages on them. `points`: they are those of a table of points."""
+    """The rows of one sensor, and messages on them."""
 
     rows: ImuRows
     messages: tuple[str, ...]
-    points: TablePoints | None = None
 
 
 class FittedRows(NamedTuple):
@@ -297,7 +291,7 @@ def fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> 
 
 
 def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) -> FittedRows:
-    rows, messages, points = recorded
+    rows, messages = recorded
     temperature_of = LateTemperatures(rows, _wander(built.spec))
     refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), built.model.channels)
     threshold = options.threshold if options.robust else None
@@ -321,7 +315,7 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
     if fit is not None and threshold is None:
         fit = _likely(built, name, fit)
     else:
-        fit = fitted_twice(built, name, rows, temperature, threshold, points)
+        fit = fitted_twice(built, name, rows, temperature, threshold)
         fit = _with_errors(fit, [temperature + doubt for doubt in doubts], threshold)
     possible = float(built.spec.sensor.temperature_lag or 0.0) if options.lag == "auto" and _may_lag(built) else 0.0
     if possible and not (stable or lag.seconds):

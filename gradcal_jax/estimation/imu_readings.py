@@ -146,7 +146,6 @@ class ImuReadings(NamedTuple):
     points: int
     observed: np.ndarray
     added: np.ndarray | None
-    sigma: np.ndarray | None = None
     free: bool = False
     common: np.ndarray | None = None
 
@@ -366,16 +365,7 @@ class ImuReadings(NamedTuple):
         return np.stack(found, axis=2)
 
     def _system(self, nodes: BodyNodes) -> tuple[NoiseSteps, np.ndarray]:
-        steps, columns = imu_system(self.done.motion, self.model, nodes)
-        if self.sigma is None:
-            return steps, columns
-        # What follows the channels' integrals and processes are errors of the reference.
-        own = slice(self.model.own_states)
-        transition, covariance, initial = (np.array(x) for x in (steps.transition, steps.covariance, steps.initial))
-        transition[:, own], covariance[:, own, own], initial[own, own] = 0.0, 0.0, 0.0
-        variance = steps.reading_variance + self.by_steps(self.sigma) ** 2
-        own_noise = {"transition": transition, "covariance": covariance, "initial": initial}
-        return steps._replace(reading_variance=variance, **own_noise), columns
+        return imu_system(self.done.motion, self.model, nodes)
 
     def _nodes(self, geometry: Geometry, error_of=None, parameters: np.ndarray | None = None) -> BodyNodes:
         """The nodes on a table of this geometry, for sensors with the misalignments of `parameters`."""

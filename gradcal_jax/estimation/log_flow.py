@@ -1,6 +1,6 @@
-"""The functions that start from a log or an array: `instability`, `allan`, `estimate`, an estimate from a table of
-points, the turns of a table by hand, and B(T) with covariance from a record at rest during warm-up, without a spec (the
-static gradient method for vehicles). They read and write no files, and load most of SciPy.
+"""The functions that start from a log or an array: `instability`, `allan`, `estimate`, and B(T) with covariance
+from a record at rest during warm-up, without a spec (the static gradient method for vehicles). They read and write no
+files, and load most of SciPy.
 
 A flight controller heats up after it is switched on; PX4 and ArduPilot fit a cubic to its bias and subtract it. Here
 the same cubic is estimated by the one measurement model, with a spec from the record: angle random walk from the Allan
@@ -16,13 +16,9 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from gradcal_jax import estimation, identify
-from gradcal_jax import motion as trajectory
 from gradcal_jax.calibration import Calibration, Covariance, Noise
-from gradcal_jax.estimation import TablePoints
-from gradcal_jax.estimation.contradictions import RecordFaults
-from gradcal_jax.estimation.estimate import EstimateReport, SensorEstimate, estimate_log, report_of
-from gradcal_jax.estimation.fit_of_log import Recorded, fit_of
-from gradcal_jax.estimation.log_rows import Options, imu_rows, with_earth
+from gradcal_jax.estimation.estimate import EstimateReport, SensorEstimate, estimate_log
+from gradcal_jax.estimation.log_rows import Options
 from gradcal_jax.identify import instability as noise
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.identify.instability import (
@@ -34,14 +30,8 @@ from gradcal_jax.identify.instability import (
     samples_per_row,
     too_noisy,
 )
-from gradcal_jax.information.error_budget import omitted_noise_of_imu
-from gradcal_jax.model.imu_build import build_imu
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.records.log_from import log_from
-from gradcal_jax.records.points import RatePoints
-from gradcal_jax.spec.changes import changed
-from gradcal_jax.spec.plan import StandardPlan
-from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.sensor import GyroTriad
 from gradcal_jax.spec.spec import expect_spec, parse_spec
 from gradcal_jax.spec.spec_sections import Spec
@@ -412,56 +402,3 @@ def _slow_noise(rest: RestRecord, walk: float, centre: float, scale: float) -> i
         walk,
         width_s=width * interval,
     )
-
-
-def estimate_points(
-    spec: Spec, points: RatePoints, *, options: Options | None = None, sources: dict[str, str] | None = None
-) -> SensorEstimate:
-    """The calibration of one gyro from a table of points (temperature, reference rate, output, σ), by the spec's model.
-
-    Points are independent except for the reference's error; their noise is their own σ or, without it, the spec's.
-    Errors: `LogError` for a spec without a standard plan or of other channels, and for too few points.
-    """
-    if not isinstance(spec.plan, StandardPlan):
-        raise LogError('a table of points needs the standard method: give a spec with method = "standard"')
-    if spec.sensor.accelerometer is not None or spec.sensor.gyro is None or spec.sensor.gyro.axes != (points.axis,):
-        raise LogError(f"the points are for gyro {points.axis}: give a spec of that gyro alone")
-    count = len(points.output_rad_per_s)
-    if count < 2:
-        raise LogError(f"{points.source}: {count} points are too few")
-    omitted = omitted_noise_of_imu(build_imu(spec))
-    spec, options = changed(spec, {"plan.points": "independent"}), options or Options()
-    built = build_imu(spec if options.earth_rate is None else with_earth(spec, options.earth_rate))
-    schedule = spec.schedule
-    assert isinstance(schedule, StandardSchedule)
-    # A point is two rows, of its begin and its end, at one temperature; as much time lies between two points.
-    both = lambda x: np.repeat(x, 2)  # noqa: E731
-    time = schedule.integration * np.arange(2.0 * count)
-    warm = both(points.temperature_c)
-    log = Log(
-        time, both(points.output_rad_per_s)[None, :, None], (points.unit,), (points.axis,),
-        warm[None], (points.axis,),
-        table_rate_rad_per_s=both(points.reference_rad_per_s)[:, None],
-        simulated=points.simulated, provenance={"source": points.source},
-    )  # fmt: skip
-    between = np.arange(2 * count - 1) % 2 == 1
-    line = trajectory.held(
-        time[:-1], np.diff(time), np.where(between, 0.0, both(points.reference_rad_per_s)[:-1]), warm[:-1], warm[1:],
-        read=~between, at_rest=between, moving=~between, gap=between, rates=True, points="independent",
-    )  # fmt: skip
-    rows, _ = imu_rows(built, [log], points.unit, options)
-    own = (
-        "the order and times of the points are not known: each has independent noise from the spec, and common "
-        "errors (the clock, the turn-on bias) are not in the covariance"
-    )
-    if points.sigma_rad_per_s is not None:
-        own = "the sigma of the points replaces the noise of the spec, and includes no errors that the points share"
-    sigma = points.sigma_rad_per_s
-    own_sigma = None if sigma is None else np.where(between, 0.0, both(sigma)[:-1])
-    table = TablePoints(line, np.arange(2 * count), own_sigma)
-    rows = rows._replace(temperature_c=warm)
-    # What the spec omits counts as in the plan, whose points are of one run.
-    size = built.model.size, built.model.calibrated
-    noise = {name: np.pad(columns[: size[1]], [(0, size[0] - size[1]), (0, 0)]) for name, columns in omitted.items()}
-    fitted = fit_of(built, points.unit, Recorded(rows, (own,), table), options)
-    return report_of(fitted, [log], points.unit, options, sources or {}, noise, RecordFaults())

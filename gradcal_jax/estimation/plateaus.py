@@ -26,12 +26,11 @@ _HELD_OVER_S, _STABLE_K = 1.0, 1.0
 
 class TablePoints(NamedTuple):
     """The executed points of a table: `line` of `P` pieces, between points gaps; `rows` `(P + 1,)`: piece k is rows
-    `rows[k] + 1 … rows[k+1]`; `sigma` `(P,)`: of each piece's mean rate, rad/s, if known. `missing`: planned points
+    `rows[k] + 1 … rows[k+1]`. `missing`: planned points
     (°C, rad/s) that the log lacks; `unplanned`: the number of its points that are not in the plan."""
 
     line: Trajectory
     rows: np.ndarray
-    sigma: np.ndarray | None = None
     missing: tuple[tuple[float, float], ...] = ()
     unplanned: int = 0
 
@@ -118,7 +117,7 @@ def plateaus(
         time_s[at[:-1]], np.diff(time_s[at]), np.where(between, 0.0, mean(table_rate_rad_per_s)), temperature,
         temperature, read=~between, at_rest=between, moving=~between, gap=between, rates=True, points=points,
     )  # fmt: skip
-    return TablePoints(line, at, None, missing, int(np.count_nonzero(others[last] >= 0)))
+    return TablePoints(line, at, missing, int(np.count_nonzero(others[last] >= 0)))
 
 
 def _held_elsewhere(time: np.ndarray, rate: np.ndarray, free: np.ndarray) -> np.ndarray:

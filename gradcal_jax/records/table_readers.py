@@ -1,4 +1,4 @@
-"""Tables of numbers: CSV and other text (also `.gz`), NumPy's `.npz` and `.npy`, MATLAB v5 files, Parquet, netCDF."""
+"""Tables of numbers: CSV and other text (also `.gz`), NumPy's `.npz` and `.npy`, MATLAB v5 files, Parquet."""
 
 import array
 import csv
@@ -16,10 +16,8 @@ from typing import Any, Final, TextIO, cast
 
 import numpy as np
 
-from gradcal_jax import units
 from gradcal_jax.records.log import Floats, LogError, library, naming, quietly
 from gradcal_jax.records.tables import DELIMITERS, Array, Measured, Numbers, Source, TextTable, Where
-from gradcal_jax.tables.netcdf import NetcdfError, load_netcdf
 from gradcal_jax.tables.problems import instead
 from gradcal_jax.tables.sizes import check_size
 
@@ -68,10 +66,10 @@ _WAYS: Final = {
 
 
 def read_table(
-    path: Path, layout: TextTable, sources: Sequence[Source], *, where: Where | None = None, netcdf: bool = False
+    path: Path, layout: TextTable, sources: Sequence[Source], *, where: Where | None = None
 ) -> Numbers:
     """The columns of a file, whose ending tells its kind: .csv, .txt, .tsv, .dat, .log, .asc (text; also with .gz
-    behind it), .npz, .npy, .mat (MATLAB up to version 7), .parquet, and .nc where `netcdf`; of the rows `where` alone.
+    behind it), .npz, .npy, .mat (MATLAB up to version 7), .parquet; of the rows `where` alone.
     Errors: `LogError` that names the file.
     """
     kind = path.suffix.lower()
@@ -84,7 +82,6 @@ def read_table(
         ".mat": _read_matlab,
         ".parquet": _read_parquet,
         **dict.fromkeys(_TEXT, partial(_read_text_table, where=where)),
-        **({".nc": _read_netcdf} if netcdf else {}),
     }
     if kind not in readers:
         known = ", ".join([*sorted(readers), ".csv.gz"])
@@ -503,32 +500,6 @@ def _read_parquet(path: Path, layout: TextTable, sources: Sequence[Source]) -> N
             # Stamps of a date are counts of its resolution: nanoseconds as a rule.
             arrays[name] = values.astype(np.int64) if values.dtype.kind == "M" else values
         return _of_arrays(arrays)
-
-
-def _read_netcdf(path: Path, layout: TextTable, sources: Sequence[Source]) -> Numbers:
-    try:
-        dataset = load_netcdf(path)
-    except NetcdfError as error:
-        raise LogError(f"cannot be read as a netCDF file: {error}") from None
-    for source in sources:
-        stated = dataset[source.column].attrs.get("units") if source.column in dataset.variables else None
-        if isinstance(source, Measured) and stated is not None and not _same_unit(str(stated), source.unit):
-            raise LogError(
-                f"{source.words()} has the unit '{stated}' by its attribute, and '{source.unit}' by the column map: "
-                "which of the two is correct?"
-            )
-    return _of_arrays({str(name): dataset[name].values for name in dataset.variables})
-
-
-def _same_unit(stated: str, unit: str) -> bool:
-    """Whether two names of units mean the same; an unknown name passes."""
-    for dimension in ("angular rate", "temperature", "time", "angle"):
-        try:
-            ours = units.parse(f"1 {unit}", dimension)
-            return bool(np.isclose(ours, units.parse(f"1 {stated}", dimension), rtol=1e-9))
-        except units.UnitError:
-            continue
-    return True
 
 
 def _of_arrays(arrays: Mapping[str, Array]) -> Numbers:

@@ -20,7 +20,6 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "timeline": ("tables.timeline", "Timeline"),
     "prediction": ("tables.contracts", "Prediction"),
     "columns": ("records.importers", "ColumnMap"),
-    "points": ("records.points", "PointMap"),
     "log": ("records.log_contents", "LogContents"),
     "calibration": ("calibration", "Calibration"),
     "recipe": ("recipe.recipe", "Recipe"),

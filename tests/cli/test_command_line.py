@@ -92,7 +92,6 @@ def test_new_prints_and_lists(capsys):
         "export-gains",
         "export-tracker",
         "export-ins",
-        "point-map",
     ]
 
 

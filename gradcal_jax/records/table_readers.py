@@ -65,9 +65,7 @@ _WAYS: Final = {
 }
 
 
-def read_table(
-    path: Path, layout: TextTable, sources: Sequence[Source], *, where: Where | None = None
-) -> Numbers:
+def read_table(path: Path, layout: TextTable, sources: Sequence[Source], *, where: Where | None = None) -> Numbers:
     """The columns of a file, whose ending tells its kind: .csv, .txt, .tsv, .dat, .log, .asc (text; also with .gz
     behind it), .npz, .npy, .mat (MATLAB up to version 7), .parquet; of the rows `where` alone.
     Errors: `LogError` that names the file.

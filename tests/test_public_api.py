@@ -99,32 +99,6 @@ def test_whatever_public_names_give_tells_the_shapes_of_its_arrays():
     assert silent == []
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("UnitSpec", "Spec"),
-        ("read_unit_spec", "read_spec"),
-        ("parse_unit_spec", "parse_spec"),
-        ("estimate_units", "estimate"),
-        ("UnitCalibration", "Calibration"),
-        ("read_any_calibration", "read_calibration"),
-        ("write_unit_calibration", "write_calibration"),
-        ("apply_unit", "apply"),
-        ("export_unit", "export"),
-    ],
-)
-def test_an_old_name_is_the_new_one_and_warns(old, new):
-    with pytest.warns(DeprecationWarning, match=rf"gradcal_jax\.{old} is now gradcal_jax\.{new};"):
-        assert getattr(gj, old) is getattr(gj, new)
-    assert old not in gj.__all__
-
-
-@pytest.mark.parametrize("gone", ["compare", "recipes", "read_catalogue", "unobservable"])
-def test_a_name_that_is_gone_says_what_takes_its_place(gone):
-    with pytest.raises(AttributeError, match=f"no attribute '{gone}': in its place"):
-        getattr(gj, gone)
-
-
 def test_functions_have_the_names_of_commands():
     commands = {name for name in build() if not name.startswith("-")}
     assert commands - AT_A_TERMINAL <= set(gj.__all__)

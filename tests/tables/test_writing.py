@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gradcal_jax.spec import changes, presets
+from gradcal_jax.spec.changes import changed, split_key, tables_of
+from gradcal_jax.spec import presets
 from gradcal_jax.spec import spec as spec_file
-from gradcal_jax.spec.changes import split_key
 from gradcal_jax.tables import writing
 from gradcal_jax.tables.problems import SpecError, dotted
 from gradcal_jax.tables.quantity import Quantity
@@ -22,7 +22,7 @@ PAPER = spec_file.parse_spec(presets.text("paper-dynamic-gradient"))
 def test_a_spec_written_back_is_the_same_spec_with_the_same_texts(name, tmp_path):
     document = tomllib.loads(presets.text(name))
     spec = spec_file.spec_of(document)
-    assert changes.tables_of(spec) == document
+    assert tables_of(spec) == document
     writing.write_toml(spec, tmp_path / "copy.toml", header="written back")
     text = (tmp_path / "copy.toml").read_text(encoding="utf-8")
     assert text.startswith("# written back\n")
@@ -54,12 +54,12 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path):
 def test_a_number_without_a_unit_is_refused_as_in_a_file(key, number):
     """0.02 for an angle was 0.02 rad, silently."""
     with pytest.raises(SpecError, match="as text with a unit") as caught:
-        changes.changed(PAPER, {key: number})
+        changed(PAPER, {key: number})
     assert {problem.dotted for problem in caught.value.problems} == {key}
 
 
 def test_changes_reach_into_lists_and_new_tables_and_remove():
-    spec = changes.changed(
+    spec = changed(
         PAPER,
         {
             "plan.cycle.moves[1].turn": "720 deg",
@@ -94,7 +94,7 @@ def test_changes_reach_into_lists_and_new_tables_and_remove():
 )
 def test_impossible_changes_are_refused_by_key(changes, key):
     with pytest.raises(SpecError) as caught:
-        changes.changed(PAPER, changes)
+        changed(PAPER, changes)
     assert key in {problem.dotted for problem in caught.value.problems}
 
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gradcal_jax.spec.changes import changed, split_key, tables_of
 from gradcal_jax.spec import presets
 from gradcal_jax.spec import spec as spec_file
+from gradcal_jax.spec.changes import changed, split_key, tables_of
 from gradcal_jax.tables import writing
 from gradcal_jax.tables.problems import SpecError, dotted
 from gradcal_jax.tables.quantity import Quantity

@@ -46,7 +46,6 @@ MOVING: dict[str, dict[str, object]] = {
     # More starts and another seed where those found better: there are many local optima.
     "cycle-length-free": {"design.free": [*FREE, "cycle"], "design.starts": 64},
     "bias-unknown": {"sensor.gyro.bias": BIAS, "design.seed": 1},
-    "notices-5ppm": {"design.notice": hidden("5 ppm") | {"power": "99 %"}, "design.starts": 64},
     "whole-turns": {"design.whole_turns": True, "rig.table.axis[0].angle.harmonics": HARMONICS},
     "realistic-budget": REALISTIC,
     "headline_discrepancy": {"sensor.gyro.scale_factor.discrepancy": hidden("5 ppm")},

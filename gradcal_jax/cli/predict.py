@@ -75,15 +75,12 @@ def predict(
 def _predicted(spec: "Spec", path: Path, json: bool, plot: Path | None, monte_carlo: int | None, seed: int) -> int:
     from gradcal_jax.information import prediction as predictions
 
-    rows, tests, limits = (), {}, not json or bool(spec.sensor.uncertain_figures())
-    prediction = predictions.predict(spec, limits=limits, notices=True, outlook=True)
+    rows, limits = [], not json or bool(spec.sensor.uncertain_figures())
+    prediction = predictions.predict(spec, limits=limits, outlook=True)
     if monte_carlo is not None:
-        rows, tests = predictions.monte_carlo(spec, monte_carlo, seed)
+        rows = predictions.monte_carlo(spec, monte_carlo, seed)
     if json and monte_carlo is not None:
         simulated = {"runs": monte_carlo, "seed": seed, "requirements": [row._asdict() for row in rows]}
-        simulated["covariance"] = {
-            axis: test._asdict() | {"consistent": test.consistent} for axis, test in tests.items()
-        }
         print(as_json({"prediction": prediction.model_dump(mode="json"), "monte_carlo": simulated}))
     elif json:
         print(prediction.model_dump_json(indent=2))
@@ -92,10 +89,10 @@ def _predicted(spec: "Spec", path: Path, json: bool, plot: Path | None, monte_ca
         omitted = omitted_lines(spec)
         print("\n".join(["", *omitted])) if omitted else None
         if monte_carlo is not None:
-            print(_simulated(rows, tests, monte_carlo, seed))
+            print(_simulated(rows, monte_carlo, seed))
     save_figure(lambda plots: plots.draw_prediction(spec), plot, quiet=json)
     met = all(row.verdict in (None, "met") for row in prediction.requirements)
-    return DONE if met and all(test.consistent for test in tests.values()) else NOT_AS_WISHED
+    return DONE if met else NOT_AS_WISHED
 
 
 def _compared(plans: "list[tuple[str, Spec]]", json: bool, plot: Path | None) -> int:
@@ -144,7 +141,7 @@ def _fixture(prediction: "Prediction") -> list[str]:
 def prediction_text(prediction: "Prediction", name: str) -> str:
     """A prediction as text: ppm, deg/h, hours."""
     from gradcal_jax.pages.coefficients import coefficient_table, parameters
-    from gradcal_jax.tables.contracts import notice_sentences, requirement_table
+    from gradcal_jax.tables.contracts import requirement_table
 
     times = times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s)
     lines = [strong(prediction.title or name), times, ""]
@@ -158,7 +155,6 @@ def prediction_text(prediction: "Prediction", name: str) -> str:
         lines.append("the spec has no [[requirement]]; the parameters' standard deviations are:")
     table, right = coefficient_table(parameters(prediction, None, {}))
     lines += ["", columns(table, indent="", right=right)]
-    lines += notice_sentences(prediction.notices)
     lines += [f"note: {warning}" for warning in prediction.warnings]
     return "\n".join(lines)
 
@@ -263,20 +259,12 @@ def own_noise_lines(row: "RequirementRow", name: str) -> list[str]:
     return lines
 
 
-def _simulated(rows, tests, runs: int, seed: int) -> str:
-    table: list[tuple[str, ...]] = [("simulated", "predicted", f"of {runs} runs")]
-    several = len(tests) > 1
+def _simulated(rows: "list[TwinRow]", runs: int, seed: int) -> str:
+    table: list[tuple[str, ...]] = [("simulated", "predicted", f"of {runs} runs, seed {seed}")]
+    several = len({row.axis for row in rows}) > 1
     for row in rows:
         table.append((_named(row, several), amount(row.predicted, row.unit), amount(row.simulated, row.unit)))
-    lines = ["", columns(table, indent="")]
-    for axis, test in tests.items():
-        where = f" (axis {axis})" if several else ""
-        verdict = "is consistent" if test.consistent else "is NOT consistent"
-        lines.append(
-            f"the covariance of {runs} simulated runs (seed {seed}) {verdict} with the prediction{where}: "
-            f"likelihood ratio {test.statistic:.1f}, 99.9 % range {test.low:.1f} to {test.high:.1f}"
-        )
-    return "\n".join(lines)
+    return "\n".join(["", columns(table, indent="")])
 
 
 def limit(spec: Path, /, *, json: Json = False) -> int:

@@ -9,7 +9,7 @@ from gradcal_jax.design.coordinates import (
     Limits,
     make_coordinates,
 )
-from gradcal_jax.design.criteria import Criterion, Missed, Optimality, criterion, polynomial_grid
+from gradcal_jax.design.criteria import Criterion, Optimality, criterion, polynomial_grid
 from gradcal_jax.design.limit import Limit, Turning, limit
 from gradcal_jax.design.noise_floor import (
     PRIOR_OF_WALK,

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, fixed, namespace
-from gradcal_jax.information import SquareRootInformation, kept, missed
+from gradcal_jax.information import SquareRootInformation
 from gradcal_jax.information.residual import Quantity, Statistic, contrasts
 from gradcal_jax.linalg import solve_transposed
 from gradcal_jax.model import SensorModel
@@ -81,29 +81,6 @@ class Optimality(eqx.Module):
         if self.kind == "E":
             return xp.sqrt(xp.linalg.eigvalsh(covariance)[-1])
         return xp.exp(xp.linalg.slogdet(covariance)[1] / (2 * count))
-
-
-class Missed(eqx.Module):
-    """The probability that the χ² test does not notice a hidden map, its `std` that of each coefficient.
-
-    `prior_std`: standard deviation of the same coefficients, the parameters `where`, in the model. The test uses all of
-    them, so the reported power, of the observable directions only, is no smaller. `below`: `information.quantiles`.
-    """
-
-    prior_std: Float[AnyArray, ""]
-    std: Float[AnyArray, ""]
-    below: Float[AnyArray, " j"]
-    where: tuple[int, int] = eqx.field(static=True)
-
-    def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):
-        """In (0, 1)."""
-        del sharpness
-        return self.chance(kept(info, slice(*self.where), self.prior_std))
-
-    def chance(self, share: Float[AnyArray, " k"]):
-        """The same from the shares that are `kept` of the prior variance."""
-        ratio = (self.std / self.prior_std) ** 2
-        return missed(share / (share + ratio * (1.0 - share)), self.below)
 
 
 def polynomial_grid(at: Float[np.ndarray, " n"], degree: int) -> tuple[Float[np.ndarray, " m"], np.ndarray]:

@@ -19,9 +19,6 @@ from gradcal_jax.design.free_course import FreeCourse, behind_on_leg, legs_of
 from gradcal_jax.design.plan_objective import (
     Aim,
     ExactObjective,
-    hidden_test,
-    imu_with_hidden,
-    tested_maps,
 )
 from gradcal_jax.design.pose_cycle import (
     SHAPE,
@@ -35,7 +32,6 @@ from gradcal_jax.design.pose_cycle import (
     Ramp,
     Statistics,
     TableLimits,
-    Unnoticed,
     further,
     largest_alike,
     structure_of,
@@ -45,7 +41,7 @@ from gradcal_jax.information import imu_system, whiten
 from gradcal_jax.information.error_budget import columns_of_imu
 from gradcal_jax.information.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.information.residual import Statistic
-from gradcal_jax.model import SCALE_FACTOR, Hysteresis, ImuModel, SensorModel, TemperatureDifference
+from gradcal_jax.model import Hysteresis, ImuModel, TemperatureDifference
 from gradcal_jax.model.imu_build import BuiltImu, course_before, executed_motion, geometry, waves_of
 from gradcal_jax.recipe.rounding import steps_of
 from gradcal_jax.recipe.tracks import makeable_acceleration
@@ -193,27 +189,21 @@ class CyclePlan:
     def __init__(self, spec: Spec) -> None:
         self.exact = exact = ExactObjective(spec)
         self.spec, self.design, builts = spec, exact.design, exact.builts
-        self.built, notice = builts[0], self.design.notice
-        plain = self.built.model
-        models = [b.model if notice is None else imu_with_hidden(b.spec, b.model) for b in builts]
+        self.built = builts[0]
+        models = [b.model for b in builts]
         if len({model.size for model in models}) > 1:
             raise ValueError(
                 "a design.scenario changes the set of parameters: every scenario must have the spec's parameters"
             )
         self._executed = executed_motion(self.built)
         known = [_gram(m.prior_rows()) + _past(b._replace(model=m)) for b, m in zip(builts, models, strict=True)]
-        believed, self._points = np.arange(plain.size), self.built.points
-        aims: list[tuple[Aim, Statistics | Unnoticed]] = []
+        self._points = self.built.points
+        aims: list[tuple[Aim, Statistics]] = []
         unseen = columns_of_imu(self.built)
         for r, aim in zip(spec.requirement, exact.aims, strict=False):
             if aim.counted or aim.limiting:
                 quantity = quantity_of(self.built, r, None if len(r.grid) == 1 else _SEARCH_GRID)
                 aims.append((aim, _statistics_of(quantity, aim.statistic, unseen)))
-        if notice is not None:
-            believed, begins = _believed(plain, models[0])
-            tests = tuple(hidden_test(model, notice, begin) for model, begin in begins)
-            aims.append((exact.aims[-1], Unnoticed(tests, believed)))
-            self._points = max(self._points, tested_maps(spec)[SCALE_FACTOR].temperature_degree + 1)
         self.turns_free = "cycle" in self.design.free or not self.design.free
         self._stands = isinstance(spec.plan, MotionPlan) and spec.plan.cycle is None
         self._schedule = spec.executable_schedule if self._stands else spec.plain_schedule
@@ -251,7 +241,6 @@ class CyclePlan:
             [statistic for aim, statistic in aims if aim.counted],
             [statistic for aim, statistic in aims if aim.limiting],
             np.array([aim.limit / aim.per_si for aim, _ in aims]),
-            believed=believed,
             weights=exact.weights,
             of_logs=exact.of_logs,
             window=self._window,
@@ -568,13 +557,3 @@ def _past(built: BuiltImu) -> np.ndarray:
     if done is None:
         return np.zeros((built.model.size, built.model.size))
     return _gram(whiten(*imu_system(done, built.model, built._replace(motion=done).body_nodes())))
-
-
-def _believed(plain: ImuModel, hidden: ImuModel) -> tuple[np.ndarray, list[tuple[SensorModel, int]]]:
-    """Where a model's own parameters are in that with hidden maps, and where those of each gyro begin there."""
-    own, gyros, begin = [], [], 0
-    for one, other in zip(plain.channels, hidden.channels, strict=True):
-        own.append(begin + np.arange(one.model.size))
-        gyros += [(other.model, begin)] if one.kind == "gyro" else []
-        begin += other.model.size
-    return np.concatenate([*own, np.arange(begin, hidden.size)]), gyros

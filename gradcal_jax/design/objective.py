@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.design.coordinates import Coordinates
-from gradcal_jax.design.criteria import EXACT, Criterion, Missed, Optimality, largest
+from gradcal_jax.design.criteria import EXACT, Criterion, Optimality, largest
 from gradcal_jax.design.other_plans import ProgrammeCoordinates, StandardCoordinates
 from gradcal_jax.information import information
 from gradcal_jax.model import SensorModel
@@ -23,19 +23,15 @@ AnyCoordinates = Coordinates | ProgrammeCoordinates | StandardCoordinates
 
 
 class Case(eqx.Module):
-    """A sensor and rig that the plan must serve: its minimised and its limited criteria, and its weight.
-
-    `believed`: number of leading parameters that the criteria count; they take the others, which only the χ² test sees,
-    to be zero. None: all count. `past`: the trajectory before the plan.
-    """
+    """A sensor and rig that the plan must serve: its minimised and its limited criteria, and its weight. `past`: the
+    trajectory before the plan."""
 
     model: SensorModel
     thermal_lag: Float[AnyArray, ""] | None
-    minimised: tuple[Criterion | Optimality | Missed, ...]
-    limited: tuple[Criterion | Missed, ...]
+    minimised: tuple[Criterion | Optimality, ...]
+    limited: tuple[Criterion, ...]
     weight: Float[AnyArray, ""]
     rule: Rule | None = eqx.field(static=True, default=None)
-    believed: int | None = eqx.field(static=True, default=None)
     past: Past | None = None
 
     def trajectory(self, schedule: Schedule) -> Trajectory:
@@ -46,12 +42,8 @@ class Case(eqx.Module):
     def values(self, schedule: Schedule, sharpness):
         """Values of the minimised and of the limited criteria, SI."""
         info = information(self.trajectory(schedule), self.model, self.rule)
-        sure = info if self.believed is None else info.leading(self.believed)
-
-        def of(every: tuple[Criterion | Optimality | Missed, ...]) -> list[Any]:
-            return [c(info if isinstance(c, Missed) else sure, sharpness) for c in every]
-
-        return of(self.minimised), of(self.limited)
+        minimised = [of(info, sharpness) for of in self.minimised]
+        return minimised, [of(info, sharpness) for of in self.limited]
 
 
 class Objective(eqx.Module):

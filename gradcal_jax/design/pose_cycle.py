@@ -27,8 +27,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray
-from gradcal_jax.design.criteria import Missed, largest, smooth_statistic
-from gradcal_jax.information import gram, imu_system, kept_of, segments_of
+from gradcal_jax.design.criteria import largest, smooth_statistic
+from gradcal_jax.information import gram, imu_system, segments_of
 from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.residual import Statistic
@@ -294,30 +294,11 @@ class Statistics(NamedTuple):
         return jnp.sqrt(jnp.mean(together**2)) if self.together else _largest(together, sharpness)
 
 
-class Unnoticed(NamedTuple):
-    """The largest chance that a test misses a hidden map; each map is tested with the parameters `believed` and its
-    own."""
-
-    tests: tuple[Missed, ...]
-    believed: Int[np.ndarray, " b"]
-
-    def __call__(self, info: AnyArray, covariance: AnyArray, sharpness) -> AnyArray:
-        del covariance
-        chances = []
-        for test in self.tests:
-            own = np.arange(*test.where)
-            every = np.union1d(self.believed, own)
-            at = np.searchsorted(every, own)
-            covariance = inverse(info[every[:, None], every])[at[:, None], at]
-            chances.append(test.chance(kept_of(covariance / test.prior_std**2)))
-        return _largest(jnp.stack(chances), sharpness)
-
-
 class CycleObjective:
     """The logarithm of a cycle's residuals over their `targets` (SI): their mean or the worst, over `models` of the
     noise likewise, in a mean with their `weights` (`of_logs`, else of the residuals); and `EXCESS` times what the
     `limiting` ones exceed. `known`: for each model, the information before the plan begins; `geometries`: its table and
-    mountings. `believed`: the parameters that the residuals count, others being zero.
+    mountings.
 
     Programs take targets as arguments, so that plans for other targets need none of their own."""
 
@@ -327,11 +308,10 @@ class CycleObjective:
         geometries: Sequence[Geometry],
         models: Sequence[ImuModel],
         known: Sequence[Float[np.ndarray, "p p"]],
-        statistics: Sequence[Statistics | Unnoticed],
-        limiting: Sequence[Statistics | Unnoticed],
+        statistics: Sequence[Statistics],
+        limiting: Sequence[Statistics],
         targets: Float[np.ndarray, " m"],
         *,
-        believed: Int[np.ndarray, " b"],
         weights: Float[np.ndarray, " s"],
         of_logs: bool,
         window: int,
@@ -344,7 +324,6 @@ class CycleObjective:
         self.geometries = [jax.tree.map(jnp.asarray, geometry) for geometry in geometries]
         self.statistics, self.window, self.points = (*statistics, *limiting), window, points
         self.targets, self.minimised, self.weights, self.of_logs = targets, len(statistics), weights, of_logs
-        self._believed = believed
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
 
     def without_targets(self) -> "CycleObjective":
@@ -390,12 +369,12 @@ class CycleObjective:
     ) -> Float[AnyArray, "s m"]:
         """The logarithm of every statistic over its target in every model of the noise."""
         over = jnp.asarray(self.targets if targets is None else targets)
-        all_logs, each, own = [], [], self._believed
+        all_logs, each = [], []
         for model, geometry, known in zip(self.models, self.geometries, self.known, strict=True):
             on_ramp = partial(self.information, model, geometry, decoded, of)
             each.append(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
         for info in each:
-            covariance = inverse(info if len(own) == len(info) else info[own[:, None], own])
+            covariance = inverse(info)
             all_logs.append(jnp.log(jnp.stack([s(info, covariance, sharpness) for s in self.statistics]) / over))
         return jnp.stack(all_logs)
 

@@ -28,9 +28,9 @@ from gradcal_jax.design import (
     make_coordinates,
     polynomial_grid,
 )
-from gradcal_jax.design.plan_objective import MISSED, ExactObjective, hidden_test, optimality, with_hidden
+from gradcal_jax.design.plan_objective import ExactObjective, optimality
 from gradcal_jax.formulas import RAMPED_SHAPES, repetitions
-from gradcal_jax.information import contrasts, where_hidden
+from gradcal_jax.information import contrasts
 from gradcal_jax.information.error_budget import counted_criterion
 from gradcal_jax.information.imu_residual import box, heading_contrasts
 from gradcal_jax.information.residual import Statistic, map_of
@@ -527,20 +527,16 @@ def measure(spec: Spec) -> Measure:
             # Whole turns cancel the encoder's harmonics; while turns are not yet whole, these only disturb the search.
             one = changed(one, {"rig.table.axis[0].angle.harmonics": None})
         built = assemble(one)
-        model, believed = built.model, None
+        model = built.model
         criteria: dict[str, Any] = {}
         for r, aim in zip(spec.requirement, exact.aims, strict=False):
             if aim.counted or aim.limiting:
                 criteria[r.name] = counted_criterion(criterion_of(model, r, aim.statistic, _GRID), whole)
         if design.minimise in OPTIMALITIES:
             criteria[design.minimise] = optimality(model, design.minimise)
-        if design.notice is not None:
-            if where_hidden(model, SCALE_FACTOR) is None:
-                model, believed = with_hidden(one, model, SCALE_FACTOR), model.size
-            criteria[MISSED] = hidden_test(model, design.notice, 0)
         own, limits = (tuple(criteria[aim.name] for aim in of) for of in (counted, limiting))
         lag = None if built.thermal_lag is None else np.asarray(built.thermal_lag)
-        cases.append(Case(model, lag, own, limits, np.asarray(case.weight), believed=believed, past=built.past))
+        cases.append(Case(model, lag, own, limits, np.asarray(case.weight), past=built.past))
     # A criterion is SI.
     factors = np.array([aim.per_si / aim.limit for aim in counted])
     targets = np.array([aim.limit / aim.per_si for aim in limiting])

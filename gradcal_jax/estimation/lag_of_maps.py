@@ -8,8 +8,8 @@ import numpy as np
 from scipy import optimize
 
 from gradcal_jax.estimation import ExecutedImu, ImuEstimate, ImuReadings, ImuRows, chi_squared_test
+from gradcal_jax.estimation.structure import not_negligible
 from gradcal_jax.formulas import BRIDGED_S, followed
-from gradcal_jax.information.noticing import not_negligible
 from gradcal_jax.information.posterior import OBSERVABLE
 
 _LONGEST_S: Final = 1800.0

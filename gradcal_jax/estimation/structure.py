@@ -1,9 +1,9 @@
-"""Test of a log for structure that the model of a map lacks: the χ² test whose power a plan predicts, the degrees that
-the data require, and the size of the discrepancy.
+"""Test of a log for structure that the model of a map lacks: the χ² test, the degrees that the data require, and the
+size of the discrepancy.
 
 An orthogonal projection removes all other estimated parameters, with their priors, from the whitened columns G of the
 polynomials beyond the map and from the data d. Then with `G = U S Vᵀ`, `y = Uᵀd` is `N(0, 1 + σ²m)` component by
-component, `m = S²` being the gains (see `information.noticing`), where the coefficients are `N(0, σ²)`; without a
+component, `m = S²` being the gains, where the coefficients are `N(0, σ²)`; without a
 hidden map `Σ y²` is χ². Of σ²:
 
 * the estimate is where the marginal likelihood `−½ Σ [ln(1 + σ²m) + y²/(1 + σ²m)]` of all units together is largest
@@ -19,13 +19,22 @@ from scipy import optimize, special
 
 from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.solve import Whitened
-from gradcal_jax.information import not_negligible
 from gradcal_jax.information.posterior import OBSERVABLE
 from gradcal_jax.model import Discrepancy
 
 _TAILS = (0.975, 0.025)
 # The largest σ²·m of the search; no log distinguishes larger ones.
 _LARGEST = 1e12
+
+
+# Components whose gain is below this share of the largest gain would only add noise to the test.
+_SEEN = 1e-4
+
+
+def not_negligible(gain: np.ndarray) -> np.ndarray:
+    """The components in the test: those with a gain that is not negligible beside the largest."""
+    largest = np.max(gain, initial=0.0)
+    return gain > max(_SEEN * largest, np.finfo(float).tiny)
 
 
 class Components(NamedTuple):

@@ -14,23 +14,10 @@ from gradcal_jax.information.imu_rows import (
     segments_of,
 )
 from gradcal_jax.information.montecarlo import (
-    WishartTest,
     simulate_noise,
     simulated_errors,
-    wishart_test,
 )
 from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
-from gradcal_jax.information.noticing import (
-    gains_of_shares,
-    kept,
-    kept_of,
-    missed,
-    not_negligible,
-    noticed_from,
-    power,
-    quantiles,
-    where_hidden,
-)
 from gradcal_jax.information.posterior import (
     Posterior,
     SquareRootInformation,

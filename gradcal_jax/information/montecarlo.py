@@ -11,7 +11,6 @@ import numpy as np
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.posterior import LeastSquares, Posterior, posterior, square_root
 from gradcal_jax.information.whitening import whiten
-from gradcal_jax.tables.display import summary
 
 
 class Twin(NamedTuple):
@@ -90,37 +89,3 @@ def _roots(covariances: np.ndarray) -> np.ndarray:
     safe = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariances / (safe[:, :, None] * safe[:, None, :]))
     return scale[:, :, None] * vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-
-
-class WishartTest(NamedTuple):
-    """Test of an empirical covariance against the predicted one: `statistic` within `low … high`."""
-
-    statistic: float
-    low: float
-    high: float
-
-    __repr__ = summary
-
-    @property
-    def consistent(self) -> bool:
-        return self.low <= self.statistic <= self.high
-
-
-def wishart_test(errors: np.ndarray, predicted: Posterior, confidence: float = 0.999) -> WishartTest:
-    """Likelihood-ratio test that `runs` errors of zero mean have the predicted covariance.
-
-    With the errors whitened by the prediction and S their mean square, `−2 ln Λ = runs·(tr S − ln det S − p)` is
-    chi-square with p(p+1)/2 degrees of freedom, after Bartlett's factor (Muirhead, Aspects of Multivariate
-    Statistical Theory, 8.4).
-    """
-    # Imported where it is used: the import takes half a second, and few calls need the test.
-    from scipy.special import chdtri
-
-    runs, p = errors.shape
-    white = np.linalg.lstsq(predicted.spread, errors.T, rcond=None)[0]
-    mean_square = white @ white.T / runs
-    log_ratio = runs * (np.trace(mean_square) - np.linalg.slogdet(mean_square)[1] - p)
-    bartlett = 1.0 - (2 * p**2 + 3 * p - 1) / (6.0 * runs * (p + 1))
-    degrees = p * (p + 1) / 2
-    tail = (1.0 - confidence) / 2
-    return WishartTest(float(bartlett * log_ratio), float(chdtri(degrees, 1.0 - tail)), float(chdtri(degrees, tail)))

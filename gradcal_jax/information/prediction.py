@@ -6,15 +6,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 import gradcal_jax
-from gradcal_jax.design.plan_objective import extremes, noticing
+from gradcal_jax.design.plan_objective import extremes
 from gradcal_jax.information import (
     STATISTICS,
     Posterior,
-    WishartTest,
     estimator_of_means,
     imu_system,
     simulated_errors,
-    wishart_test,
 )
 from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
 from gradcal_jax.information.error_budget import (
@@ -73,13 +71,11 @@ if TYPE_CHECKING:
 _GRID = 41
 
 
-def predict(
-    spec: Spec, *, limits: bool = False, notices: bool = False, outlook: bool = False, place: str | None = None
-) -> Prediction:
+def predict(spec: Spec, *, limits: bool = False, outlook: bool = False, place: str | None = None) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
     `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`.
-    `notices`: also which hidden structure of the maps the plan would notice. `outlook`: also the chance that a sensor
+    `outlook`: also the chance that a sensor
     meets a target, and the risks of a second run that checks it. The covariance is the exact one of generalised least
     squares under the spec's noise (`gradcal_jax.information`); verdicts and risks also count every term that the spec
     omits, at its class's typical figure. What cannot be observed is None, with a warning. `place`: of a fixture, the
@@ -95,11 +91,11 @@ def predict(
     """
     spec = expect_spec(spec)
     if spec.rig.table.place:
-        return _at_places(spec, place, limits=limits, notices=notices, outlook=outlook)
+        return _at_places(spec, place, limits=limits, outlook=outlook)
     built = build_imu(spec)
     known = imu_posterior(built)
     budget = counted_posteriors(built, known)
-    return _prediction(built, known, budget, limits=limits, notices=notices, outlook=outlook)
+    return _prediction(built, known, budget, limits=limits, outlook=outlook)
 
 
 def _prediction(
@@ -108,7 +104,6 @@ def _prediction(
     budget: CountedPosteriors,
     *,
     limits: bool,
-    notices: bool,
     outlook: bool,
 ) -> Prediction:
     """The prediction of an IMU with these posteriors."""
@@ -125,7 +120,6 @@ def _prediction(
         rows.append(row.model_copy(update=more))
     return Prediction(
         requirements=tuple(_between(rows, extremes(spec) if limits else [])),
-        notices=noticing(built) if notices else (),
         warnings=tuple(plan_warnings(built, known)),
         omitted=omitted,
         **_of_plan(built, known),
@@ -372,10 +366,8 @@ class TwinRow(NamedTuple):
     __repr__ = summary
 
 
-def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], dict[str, WishartTest]]:
-    """Simulate `runs` calibrations of a spec's plan. Returns a row for each requirement (ppm, deg/h; in its own unit),
-    and for all channels together the test of the sample covariance against the predicted one (likelihood ratio of a
-    Wishart matrix).
+def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> list[TwinRow]:
+    """Simulate `runs` calibrations of a spec's plan. Returns a row for each requirement (ppm, deg/h; in its own unit).
 
     Errors: `ValueError` for fewer runs than parameters, and where the plan leaves something unobservable.
     """
@@ -399,9 +391,7 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> tuple[list[TwinRow], di
         one, other = quantity.residual(known), quantity.residual(found, whole=True)
         values = (of.finite_statistic() for of in (one, other))
         rows.append(TwinRow(requirement.name, requirement.axis, one.unit, *values))
-    own = model.calibrated if plain is not None else model.size
-    believed = Posterior(known.spread[:own], known.hidden[:own])
-    return rows, {"all": wishart_test(twin.errors[:, beside : beside + own], believed)}
+    return rows
 
 
 def _enough(runs: int, parameters: int) -> None:
@@ -445,7 +435,7 @@ def make_recipe(
     steps = resolution or steps_of(spec)
     executable = rounded(spec, steps, keep_shapes=keep_shapes)
     chamber, motion = tracks_of(executable.spec, None if steps.acceleration is None else float(steps.acceleration))
-    rows = Predicted.of(predict(executable.spec, limits=True, notices=True))
+    rows = Predicted.of(predict(executable.spec, limits=True))
     fields: dict[str, Any] = {
         "format": FORMAT,
         "title": spec.title,

@@ -17,7 +17,6 @@ from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.requirements import MapFact, RequirementFact, requirements_of
 from gradcal_jax.pages.run_history import RunHistory, history_of
 from gradcal_jax.pages.sources import Sources, assumptions, provenance_rows
-from gradcal_jax.tables.contracts import notice_sentences
 from gradcal_jax.tables.display import summary
 from gradcal_jax.units import DEG_PER_S
 
@@ -156,7 +155,7 @@ def report_data_of(sources: Sources) -> ReportData:
     left = requirements_of(sources)
     notes = [*sources.notes]
     if prediction is not None:
-        notes += [*notice_sentences(prediction.notices), *prediction.warnings]
+        notes += prediction.warnings
     notes += [] if recipe is None else recipe.notes
     if left.differing:
         notes.append(

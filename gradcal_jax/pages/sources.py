@@ -58,7 +58,7 @@ class Sources:
             return self.recipe.prediction
         from gradcal_jax.information.prediction import predict
 
-        return predict(whole, limits=True, notices=True, place=self._place)
+        return predict(whole, limits=True, place=self._place)
 
     @property
     def _whole(self) -> Spec | None:

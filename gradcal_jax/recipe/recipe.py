@@ -23,7 +23,6 @@ from gradcal_jax.spec.mission import missions_from
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.contracts import (
-    NoticeRow,
     ParameterRow,
     PlaceRow,
     Prediction,
@@ -60,8 +59,6 @@ class Predicted(Section):
     """Residuals, one entry for each requirement."""
     parameters: tuple[PredictedParameter, ...] = ()
     """Coefficients with their standard deviations."""
-    notices: tuple[NoticeRow, ...] = ()
-    """How well tests of the log detect structure that the model lacks."""
     warnings: tuple[Text, ...] = ()
     """Warnings, in sentences."""
     places: tuple[PlaceRow, ...] = ()

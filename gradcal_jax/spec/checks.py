@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 from gradcal_jax.spec.bench import Chamber, Mounting, RigTable
-from gradcal_jax.spec.design import design_problems, notice_problems
+from gradcal_jax.spec.design import design_problems
 from gradcal_jax.spec.motion_plan import PlanStep, plan_schedule, resolve_steps, row_count
 from gradcal_jax.spec.plan import ChamberCourse, RampItem, StandardPlan
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
@@ -392,10 +392,7 @@ def _without_encoder(spec: "Spec") -> Iterator[Problem]:
 def _design(spec: "Spec") -> Iterator[Problem]:
     assert spec.design is not None
     names = [requirement.name for requirement in spec.requirement]
-    problems = [*design_problems(spec.design, names, of_axis=spec.turns_one_gyro)]
-    if spec.design.notice is not None:
-        scale = None if spec.sensor.gyro is None else spec.sensor.gyro.scale_factor
-        problems += [p.under("notice") for p in notice_problems(spec.design.notice, scale)]
+    problems = design_problems(spec.design, names, of_axis=spec.turns_one_gyro)
     yield from (p.under("design") for p in problems)
 
 

@@ -4,16 +4,14 @@ Two kinds of search. Of a gyro along the only axis of a table that is read: the 
 the set points (`free`). Of every other IMU: a cycle of turns and poses. Keys of the other kind are refused.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, Final, Literal, cast
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from gradcal_jax.spec.bases import Degree, RatePolynomial, TemperaturePolynomial
-from gradcal_jax.spec.sensor import ScaleFactor
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem, hint, one_of
-from gradcal_jax.tables.section import Section, refuse
+from gradcal_jax.tables.section import Section
 
 TIMES = ("motion time", "total time")
 """What can be minimised instead of a requirement's residual; the targets are then limits."""
@@ -42,22 +40,6 @@ class Scenario(Section):
     """Keys of [sensor] that this scenario changes, with their values."""
     rig: dict[str, Any] = Field(default_factory=dict)
     """Keys of [rig] that this scenario changes, with their values."""
-
-
-class Notice(Section):
-    """Structure that a design must detect: polynomials of the scale factor beyond the model, up to these degrees."""
-
-    standard_deviation: q.PositiveScaleFactor
-    """Standard deviation of each hidden coefficient, a ratio."""
-    temperature_degree: Degree | None = None
-    """Highest degree in temperature of the polynomials to detect. Absent: the `temperature_degree` of the scale
-    factor's `discrepancy`; if the scale factor has none, the degree of the map plus two."""
-    rate_degree: Degree | None = None
-    """Highest degree in rate of the polynomials to detect. Absent: the same default as for temperature."""
-    power: q.Probability = q.Quantity(0.9, "90 %", "scale factor")
-    """Required probability of detection, as a ratio."""
-    false_alarm: q.FalseAlarm = q.Quantity(0.01, "1 %", "scale factor")
-    """False-alarm probability of the test with which `estimate` looks for hidden structure in the log, as a ratio."""
 
 
 ALL = "all requirements"
@@ -89,8 +71,6 @@ class Design(Section):
     """Number of searches from different plans."""
     seed: q.Whole = 0
     """Seed of the search."""
-    notice: Notice | None = None
-    """The structure that the design must detect; for an IMU, in the scale factor of each gyro."""
     whole_turns: q.Flag = False
     """Whether every turn must be a whole number of revolutions, so that the encoder's periodic errors cancel."""
     robust: Literal["mean", "worst"] = "mean"
@@ -104,18 +84,6 @@ class Design(Section):
     """Shortest rest."""
     longest_rest: q.Time = q.Quantity(120.0, "2 min", "time")
     """Longest rest."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _gone(cls, value: object) -> object:
-        table = dict(cast("Mapping[str, object]", value)) if isinstance(value, Mapping) else dict[str, object]()
-        if "min_distinct_rates" in table:
-            message = (
-                "no longer exists: distinct rates do not ensure that the log reveals a wrong model; state what the "
-                'plan must detect, such as notice = { standard_deviation = "10 ppm", power = "90 %" }'
-            )
-            refuse(Problem(("min_distinct_rates",), message, table["min_distinct_rates"]))
-        return cast("object", value)
 
 
 # Keys that one of the two kinds of search alone reads.
@@ -150,26 +118,3 @@ def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> I
             yield Problem(("moves",), f"must be at most {_MOVES_OF_AXIS} turns in each visit", design.moves)
         elif not of_axis and design.moves < 2:
             yield Problem(("moves",), "must be at least 2", design.moves)
-
-
-def notice_problems(notice: Notice, scale: ScaleFactor | None) -> Iterator[Problem]:
-    """A hidden map that cannot be noticed; keys relative to `notice`. `scale`: the sensor's scale factor."""
-    if scale is None or not isinstance(scale.temperature, TemperaturePolynomial):
-        yield Problem((), "needs a scale factor that is a polynomial in temperature; this sensor has none")
-        return
-    if not isinstance(scale.rate, RatePolynomial):
-        yield Problem((), "needs a scale factor that is a polynomial in rate; this sensor's scale factor is not")
-        return
-    own = {"temperature_degree": scale.temperature.degree, "rate_degree": scale.rate.degree}
-    for name, degree in own.items():
-        hidden = getattr(notice, name)
-        if hidden is None:
-            continue
-        if scale.discrepancy is not None and hidden != getattr(scale.discrepancy, name):
-            message = "must equal the degree in the scale factor's discrepancy (the default): leave this key out"
-            yield Problem((name,), message, hidden)
-        elif hidden <= degree:
-            message = (
-                f"must exceed the degree of the map, {degree}: structure up to this degree is estimated, not hidden"
-            )
-            yield Problem((name,), message, hidden)

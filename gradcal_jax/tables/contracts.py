@@ -5,7 +5,6 @@ infinite.
 """
 
 from collections.abc import Sequence
-from itertools import groupby
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -286,68 +285,6 @@ class ParameterRow(Section):
     """Unit of the coefficient."""
 
 
-class NoticeRow(Section):
-    """How well a test of the log detects structure that the model lacks (the next polynomials of the map)."""
-
-    quantity: Literal["scale_factor", "bias"]
-    """The map concerned."""
-    axis: Axis = "x"
-    """Axis of the sensor."""
-    unit: Literal["ppm", "deg/h"]
-    """Unit of `standard_deviation` and `sure_from`."""
-    temperature_degree: int
-    """Highest degree of the hidden polynomials in temperature."""
-    rate_degree: int | None = None
-    """Highest degree of the hidden polynomials in rate; null: they depend on temperature alone."""
-    components: int
-    """Degrees of freedom of the test: the number of observable combinations of the hidden coefficients."""
-    false_alarm: Size
-    """Probability that the test rejects a correct model."""
-    standard_deviation: Size | None = None
-    """Size of the hidden coefficients for which `power` is computed; null: the spec states no size."""
-    power: Size | None = None
-    """Probability that the test detects hidden coefficients of this size."""
-    sure_power: Size
-    """Probability from which a detection counts as certain."""
-    sure_from: Size | None = None
-    """Smallest size of the hidden coefficients that the test detects with probability `sure_power`; null: there is no
-    such size."""
-
-    @property
-    def sentence(self) -> str:
-        """In words."""
-        return notice_sentences([self])[0]
-
-
-def _shape(row: NoticeRow) -> tuple[str, int, int]:
-    return row.quantity, row.temperature_degree, -1 if row.rate_degree is None else row.rate_degree
-
-
-def notice_sentences(rows: Sequence[NoticeRow]) -> list[str]:
-    """In words, what tests of a log detect: one sentence for each map, with the sizes of all axes."""
-
-    def sizes(of: Sequence[NoticeRow], attribute: str) -> str:
-        values = [f"{getattr(row, attribute):.4g} {row.unit}" for row in of]
-        return ", ".join(f"{v} ({row.axis})" if len(rows) > 1 else v for v, row in zip(values, of, strict=True))
-
-    sentences: list[str] = []
-    for (what, degree, rate), group in groupby(sorted(rows, key=_shape), _shape):
-        of = list(group)
-        hidden = f"structure of the {what.replace('_', ' ')} that the model lacks (polynomials up to degree {degree}"
-        hidden += " in temperature)" if rate < 0 else f" in temperature and {rate} in rate)"
-        if seen := [row for row in of if row.sure_from is not None]:
-            words = f"{hidden}: a test of the log detects this with {seen[0].sure_power:.0%} probability if each "
-            words += f"coefficient is at least {sizes(seen, 'sure_from')}"
-            if stated := [row for row in seen if row.power is not None]:
-                powers = ", ".join(f"{row.power:.0%}" for row in stated)
-                words += f", and with {powers} if each is {sizes(stated, 'standard_deviation')}"
-            sentences.append(f"{words}; false alarms: {of[0].false_alarm:.2g}")
-        if len(seen) < len(of):
-            where = ", ".join(row.axis for row in of if row.sure_from is None)
-            sentences.append(f"{hidden}: no test of the log detects it" + f" (axis {where})" * (len(of) > 1))
-    return sentences
-
-
 class PlaceRow(Section):
     """The residuals of the IMU at one place of a fixture."""
 
@@ -377,8 +314,6 @@ class Prediction(Section):
     covariance: tuple[tuple[Finite | None, ...], ...] | None
     """Covariance of the coefficients, in the units of `parameters`; null entries belong to coefficients that cannot be
     observed."""
-    notices: tuple[NoticeRow, ...] = ()
-    """How well tests of the log detect structure that the model lacks."""
     warnings: tuple[str, ...] = ()
     """Warnings, in sentences."""
     omitted: tuple[AbsentRow, ...] = ()

@@ -5,15 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from search_problem import SPEC, keeps_limits, targets_met
+from search_problem import SPEC
 
-from gradcal_jax.design.optimise import run_search
 from gradcal_jax.design.plan_objective import extremes, scenario_specs
-from gradcal_jax.design.searching import Optimised
 from gradcal_jax.design.turn_plan import measure, structures
 from gradcal_jax.design.turn_search import belief_of
 from gradcal_jax.information.prediction import predict
-from gradcal_jax.model.build import assemble
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import parse_spec, spec_of
 from gradcal_jax.spec.spec_sections import Spec
@@ -80,67 +77,6 @@ def test_cases_in_a_loop_are_the_cases_one_by_one(spec):
 HIDDEN = {"standard_deviation": "20 ppm", "temperature_degree": 3, "rate_degree": 3}
 
 
-@pytest.mark.long
-def test_a_search_finds_a_plan_that_notices_what_its_file_s_own_does_not(spec):
-    (row,) = predict(changed(spec, {"design.notice": HIDDEN}), notices=True).notices
-    notice = HIDDEN | {"standard_deviation": f"{0.5 * row.sure_from:.4g} ppm", "power": "90 %"}
-    must = changed(spec, {"design.notice": notice, "design.starts": 1})
-    assert not keeps_limits(must)
-    *_, best = run_search(must, steps=40)
-    assert isinstance(best, Optimised)
-    assert predict(best.spec, notices=True).notices[0].power > 0.89
-    assert best.now == pytest.approx(predict(best.spec).requirements[0].decisive)
-
-
-@pytest.mark.evidence
-def test_a_design_notices_what_it_must_and_pays_for_it(spec):
-    *_, free = run_search(spec, steps=40)
-    (row,) = predict(changed(free.spec, {"design.notice": HIDDEN}), notices=True).notices
-    assert row.standard_deviation == pytest.approx(20.0)
-    # Twice as small as what the plan is sure to notice.
-    notice = HIDDEN | {"standard_deviation": f"{0.5 * row.sure_from:.4g} ppm", "power": "90 %"}
-    must = changed(spec, {"design.notice": notice})
-    *_, best = run_search(must, steps=40)
-    assert isinstance(best, Optimised)
-    (seen,) = predict(best.spec, notices=True).notices
-    assert seen.power > 0.89 > predict(changed(free.spec, {"design.notice": notice}), notices=True).notices[0].power
-    # Both are local optima of a few steps: to a per cent.
-    assert best.now >= 0.99 * free.now
-    assert best.now == pytest.approx(predict(best.spec).requirements[0].decisive)
-
-
-def test_the_plan_as_it_was_counts_only_where_it_notices(spec):
-    (row,) = predict(changed(spec, {"design.notice": HIDDEN}), notices=True).notices
-    for share, keeps in ((2.0, True), (0.5, False)):
-        notice = HIDDEN | {"standard_deviation": f"{share * row.sure_from:.6g} ppm"}
-        must = changed(spec, {"design.notice": notice})
-        assert keeps_limits(must) == keeps
-        assert targets_met(changed(must, {"requirement[0].target": "1000000 ppm"})) == keeps
-        # Where a time is minimised, a plan that misses it is none.
-        target = {"requirement[0].target": "1000000 ppm", "design.minimise": "motion time"}
-        of = measure(changed(must, target))
-        (own,) = predict(must, notices=True).notices
-        assert of.limits == ()
-        assert (of.exact(assemble(must).schedule) <= 1.0) == keeps
-        # The test that is reported leaves out what the plan does not show.
-        assert of.exact(assemble(must).schedule) >= (1.0 - own.power) / 0.1
-
-
-def test_the_probability_to_miss_has_a_gradient_in_the_plan(spec):
-    must = changed(spec, {"design.notice": HIDDEN})
-    of = measure(must)
-    coordinates = structures(must, [])[0].coordinates
-    at = of.compiled(coordinates)
-    point, step = np.random.default_rng(5).standard_normal(at.size), 1e-5
-    slopes = at(point).of_z
-    assert slopes.shape[0] == 2
-    direction = slopes[1] / np.linalg.norm(slopes[1])
-    difference = (at(point + step * direction).logs[1] - at(point - step * direction).logs[1]) / (2 * step)
-    assert slopes[1] @ direction == pytest.approx(difference, rel=1e-6)
-    # What is believed has no discrepancy: the objective is the plan's without one.
-    assert np.exp(at(point).logs[0]) == pytest.approx(measure(spec).exact(coordinates.decode(point)), rel=1e-9)
-
-
 def test_what_is_believed_is_said(spec):
     assert "exactly the structure" in belief_of(spec)
     assert belief_of(changed(spec, {"sensor.gyro.scale_factor.discrepancy": HIDDEN})) == ""
@@ -149,7 +85,6 @@ def test_what_is_believed_is_said(spec):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"design.min_distinct_rates": 6}, "no longer exists"),
         ({"sensor.gyro.drift[0].uncertain": "factor 0.5"}, "above 1"),
         ({"sensor.gyro.drift[0].uncertain": "about 2"}, "factor 2"),
         ({"sensor.gyro.drift[0].uncertain": 3}, "a table that gives"),
@@ -163,15 +98,6 @@ def test_what_is_believed_is_said(spec):
             "the stated value",
         ),
         ({"sensor.gyro.drift[0].uncertain": {"correlation_time": ["3 parsec", "20 min"]}}, "not understood"),
-        ({"design.notice": {"standard_deviation": "10 ppm", "power": "100 %"}}, "below 100 %"),
-        ({"design.notice": {"standard_deviation": "10 ppm", "rate_degree": 1}}, "exceed"),
-        (
-            {
-                "design.notice": {"standard_deviation": "10 ppm", "rate_degree": 5},
-                "sensor.gyro.scale_factor.discrepancy": HIDDEN,
-            },
-            "discrepancy",
-        ),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(spec, changes, says):

@@ -6,7 +6,6 @@ from logs_zoo import spec_of
 from simulated_log import simulate_log
 
 from gradcal_jax.estimation.estimate import estimate_log, estimate_rows
-from gradcal_jax.information.prediction import predict
 from gradcal_jax.model.build import assemble
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import parse_spec
@@ -43,8 +42,7 @@ def logs_of(spec, hidden_ppm: float):
 
 
 def test_structure_is_noticed_measured_and_written_for_the_spec(spec):
-    (row,) = [r for r in predict(spec, notices=True).notices if r.quantity == "scale_factor"]
-    size = 4.0 * row.sure_from
+    size = 500.0
     report = estimate_log(spec, [logs_of(spec, size)])
     tests = [t for one in report.sensors for _, t in one.structure if t.quantity == "scale_factor"]
     assert len(tests) == UNITS

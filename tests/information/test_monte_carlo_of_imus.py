@@ -1,10 +1,7 @@
-"""Simulated calibrations of an IMU are as good as predicted, and a prediction that is wrong by a tenth is found."""
-
-import sys
+"""Simulated calibrations of an IMU are as good as predicted."""
 
 import pytest
 
-from gradcal_jax.information import Posterior, wishart_test
 from gradcal_jax.information.prediction import monte_carlo
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
@@ -18,20 +15,11 @@ def test_simulated_calibrations_of_an_imu_are_as_predicted(name: str) -> None:
     if geared:
         sizes = {"scale_error": "200 ppm", "backlash": "0.02 deg"}
         spec = changed(spec, {f"rig.table.axis[{k}].angle.{of}": size for k in (0, 1) for of, size in sizes.items()})
-    rows, tests = monte_carlo(spec, 400, seed=1)
+    rows = monte_carlo(spec, 400, seed=1)
     assert [row.name for row in rows] == [requirement.name for requirement in spec.requirement]
     for row in rows:
         # Of 400 runs a mean square is known to 7 %.
         assert row.simulated == pytest.approx(row.predicted, rel=0.15)
-    assert tests["all"].consistent
-
-
-def test_a_prediction_that_is_wrong_by_a_tenth_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    def spoilt(errors, predicted):
-        return wishart_test(errors, Posterior(1.1 * predicted.spread, predicted.hidden))
-
-    monkeypatch.setattr(sys.modules["gradcal_jax.information.prediction"], "wishart_test", spoilt)
-    assert not monte_carlo(parse_spec(presets.text("ferraris")), 400, seed=1)[1]["all"].consistent
 
 
 def test_too_few_runs_are_refused() -> None:

@@ -7,7 +7,7 @@ import pytest
 from helpers import SCENES, core
 from scipy.stats import chi2
 
-from gradcal_jax.information import at_readings, noise_steps, simulated_errors, wishart_test
+from gradcal_jax.information import at_readings, noise_steps, simulated_errors
 
 RUNS = 2000
 
@@ -19,9 +19,13 @@ def monte_carlo_errors(line, model, runs: int, seed: int = 0):
 
 def check(line, model, runs: int, seed: int = 1) -> None:
     result = monte_carlo_errors(line, model, runs, seed=seed)
-    test = wishart_test(result.errors, result.predicted)
-    assert test.consistent, test
     p = result.errors.shape[1]
+    white = np.linalg.lstsq(result.predicted.spread, result.errors.T, rcond=None)[0]
+    # The sum of squares is χ², which a covariance that is wrong by a tenth exceeds by far.
+    assert chi2.ppf(5e-4, runs * p) < np.sum(white**2) < chi2.ppf(1.0 - 5e-4, runs * p)
+    # The eigenvalues of a Wishart matrix lie between (1 ± √(p/runs))², and beyond that by a few n^(−2/3).
+    values = np.linalg.eigvalsh(white @ white.T / runs)
+    assert np.all(np.abs(np.sqrt(values) - 1.0) < np.sqrt(p / runs) + 5.0 / np.sqrt(runs))
     mean = np.linalg.lstsq(result.predicted.spread, result.errors.mean(0), rcond=None)[0]
     assert runs * np.sum(mean**2) < chi2.ppf(0.999, p)
 
@@ -30,16 +34,6 @@ def test_the_empirical_covariance_is_the_predicted_one():
     scene = replace(SCENES["gap"], timing=1e-4)
     plan, model = core(scene)
     check(plan.trajectory(), model, RUNS)
-
-
-def test_the_test_notices_ten_per_cent():
-    """A test that accepts everything would prove nothing: errors 10 % too large are refused, and so is a bias."""
-    plan, model = core(SCENES["gap"])
-    result = monte_carlo_errors(plan.trajectory(), model, RUNS, seed=2)
-    assert wishart_test(result.errors, result.predicted).consistent
-    assert not wishart_test(1.1 * result.errors, result.predicted).consistent
-    shifted = result.errors + 0.3 * result.predicted.deviations(np.eye(result.errors.shape[1]))
-    assert not wishart_test(shifted, result.predicted).consistent
 
 
 def test_what_cannot_be_observed_is_refused():

@@ -54,9 +54,9 @@ JUDGED = ("verdict", "with_typical", "another_run", "worst", "specific_risk", "c
 
 def judgement(tables: Tables) -> Tables:
     """What verdicts count on a spec of one axis: by requirement the judged values and chances, and the share of every
-    error; the power of tests for more structure; typical figures of omitted terms."""
+    error; typical figures of omitted terms."""
     spec = spec_of(tables)
-    answer, shares = predict(spec, notices=True, outlook=True), counted_shares(spec)
+    answer, shares = predict(spec, outlook=True), counted_shares(spec)
     found: Tables = {}
     for row in answer.requirements:
         one = {name: value for name in JUDGED if (value := getattr(row, name)) is not None}
@@ -67,9 +67,7 @@ def judgement(tables: Tables) -> Tables:
         if row.name in shares:
             one["shares"] = {name: share for name, share in shares[row.name].items() if abs(share) > 1e-9}
         found[row.name] = one
-    fields = ("quantity", "temperature_degree", "rate_degree", "components", "sure_from", "power")
-    notices = [{name: getattr(row, name) for name in fields} for row in answer.notices]
-    return {"requirements": found, "notices": notices, "omitted": sorted(t.typical for t in answer.omitted)}
+    return {"requirements": found, "omitted": sorted(t.typical for t in answer.omitted)}
 
 
 def rows(answer: Any) -> Tables:

@@ -23,7 +23,6 @@ from gradcal_jax.pages.coefficients import agreement, coefficient_table, hidden_
 from gradcal_jax.pages.numbers import figures
 from gradcal_jax.pages.sources import stated_figures
 from gradcal_jax.spec import presets
-from gradcal_jax.tables.contracts import notice_sentences
 
 # The paper's method at a coarser ramp: a third of the cycles.
 SPEC = gj.changed(
@@ -49,7 +48,7 @@ def found():
 
 def test_every_number_is_the_prediction_s_and_every_warning_is_on_the_page(written):
     data, html, _ = written
-    predicted = gj.predict(SPEC, limits=True, notices=True)
+    predicted = gj.predict(SPEC, limits=True)
     assert [row.predicted for row in data.requirements] == [row.judged for row in predicted.requirements]
     assert [row.verdict for row in data.requirements] == [row.verdict for row in predicted.requirements]
     assert [row.limited_by for row in data.requirements] == [row.limited_by for row in predicted.requirements]
@@ -62,7 +61,7 @@ def test_every_number_is_the_prediction_s_and_every_warning_is_on_the_page(writt
     assert shown.unit == "ug"
     for words in ("accelerometer z never points down: add a pose", 'turn "spin" by 180 deg', "k2"):
         assert words in unescape(html)
-    for said in (*predicted.warnings, *notice_sentences(predicted.notices)):
+    for said in predicted.warnings:
         assert said in unescape(html)
 
 

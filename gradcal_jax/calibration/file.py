@@ -282,9 +282,6 @@ class Result(Section):
     """Whether the limit is met: "met", "missed", "not covered", "unobservable" or "not valid"."""
     coverage: q.Number | None = None
     """Number of standard deviations that must be within the target."""
-    risk: Annotated[q.Number, Field(gt=0.0, le=0.5)] | None = None
-    """Largest allowed probability that a sensor passes although its error exceeds the target; absent: simple
-    acceptance."""
     rule: q.Text | None = None
     """Rule of the verdict, in words."""
 

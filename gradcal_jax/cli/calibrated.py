@@ -255,11 +255,10 @@ def _acceptance_text(row: "Acceptance") -> str:
     """A verdict, with its rule and the measured error."""
     from gradcal_jax.pages.numbers import percent
 
-    limit = "none is accepted" if row.acceptance is None else f"at most {row.acceptance:.4g} {row.unit} is accepted"
     return (
         f"{row.name}, axis {row.axis}: {strong(row.verdict)}, {row.rule}\n"
         f"  where the risk is largest: {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ, from the scatter; errors of the "
-        f"table that all moves have in common are not included); {limit}; specific risk {percent(row.specific_risk)}"
+        f"table that all moves have in common are not included); specific risk {percent(row.specific_risk)}"
     )
 
 

@@ -76,7 +76,7 @@ def _predicted(spec: "Spec", path: Path, json: bool, plot: Path | None, monte_ca
     from gradcal_jax.information import prediction as predictions
 
     rows, limits = [], not json or bool(spec.sensor.uncertain_figures())
-    prediction = predictions.predict(spec, limits=limits, outlook=True)
+    prediction = predictions.predict(spec, limits=limits)
     if monte_carlo is not None:
         rows = predictions.monte_carlo(spec, monte_carlo, seed)
     if json and monte_carlo is not None:
@@ -218,17 +218,6 @@ def _judged(row: "RequirementRow", several: bool) -> list[str]:
         if row.specific_risk is not None:
             lines.append(
                 f"  probability that the error at the worst point exceeds the target: {percent(row.specific_risk)}"
-            )
-        if row.chance is not None and row.chance_everywhere is not None:
-            own = "" if row.statistic == "max" else f"; that its {row.statistic} meets it: {percent(row.chance, 1e-3)}"
-            lines.append(
-                f"  probability that a sensor meets the target everywhere: {percent(row.chance_everywhere, 1e-3)}{own}"
-            )
-        if row.check is not None:
-            lines.append(
-                f"  if every sensor is checked by a second run: {percent(row.check.accepted)} pass; "
-                f"{percent(row.check.false_accept)} pass although out of limits; {percent(row.check.false_reject)} "
-                "fail although within limits"
             )
     return lines
 

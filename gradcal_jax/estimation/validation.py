@@ -18,7 +18,7 @@ import numpy as np
 from gradcal_jax import estimation, formulas
 from gradcal_jax.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, Result, correction
 from gradcal_jax.estimation.log_rows import BRANCHES, branch_of, count_rows, table_axis_of, table_readings, usable_rows
-from gradcal_jax.information.conformity import acceptance_limit, specific_risk
+from gradcal_jax.information.verdicts import specific_risk
 from gradcal_jax.motion import EARTH_RATE
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.tables.display import summary
@@ -49,11 +49,11 @@ class Cell(NamedTuple):
 
 
 class Acceptance(NamedTuple):
-    """The acceptance of a requirement of the calibration by measured errors (JCGM 106, 8.2 and 8.3), in `unit`.
+    """The acceptance of a requirement of the calibration by measured errors (simple acceptance, JCGM 106, 8.2), in
+    `unit`.
 
     `error`, `std`: mean error of the cell with the largest risk, and its standard uncertainty by the scatter within the
-    cell; `specific_risk`: the chance that the error there is beyond the target; `acceptance`: the largest error that is
-    accepted there, None where none is; `verdict`: "met" or "missed".
+    cell; `specific_risk`: the chance that the error there is beyond the target; `verdict`: "met" or "missed".
     """
 
     name: str
@@ -63,7 +63,6 @@ class Acceptance(NamedTuple):
     error: float
     std: float
     specific_risk: float
-    acceptance: float | None
     verdict: str
     rule: str
 
@@ -124,9 +123,8 @@ def validate(
 
 
 def acceptances(calibration: Calibration, validations: list[AxisValidation]) -> list[Acceptance]:
-    """Verdicts on the targets in the calibration: every cell's mean error must be within the target (simple acceptance)
-    or, where the requirement has a risk, within the acceptance limit for that risk of an error beyond the target. Cells
-    of a single move or rest have no scatter, and are left out."""
+    """Verdicts on the targets in the calibration: every cell's mean error must be within the target. Cells of a single
+    move or rest have no scatter, and are left out."""
     rows: list[Acceptance] = []
     by_axis = {one.axis: one for one in validations}
     for result in calibration.result:
@@ -145,18 +143,10 @@ def _judged(result: Result, cell: Cell) -> Acceptance:
     target, error = float(result.target or 0.0), cell.after
     # The scatter is the population's standard deviation about its own mean.
     std = cell.scatter / float(np.sqrt(cell.how_many - 1))
-    limit = target if result.risk is None else acceptance_limit(std, target, result.risk)
-    met = limit is not None and abs(error) <= limit
-    if result.risk is None:
-        rule = f"simple acceptance: the mean error within {target:g} {result.unit}"
-    else:
-        rule = (
-            f"guarded acceptance: the probability of an error beyond {target:g} {result.unit} is at most "
-            f"{100.0 * result.risk:g} %"
-        )
-    verdict = "met" if met else "missed"
+    rule = f"simple acceptance: the mean error within {target:g} {result.unit}"
+    verdict = "met" if abs(error) <= target else "missed"
     risk = specific_risk(error, std, target)
-    return Acceptance(result.name, result.axis, result.unit, target, error, std, risk, limit, verdict, rule)
+    return Acceptance(result.name, result.axis, result.unit, target, error, std, risk, verdict, rule)
 
 
 def _standstills(log: Log, unit: int) -> tuple[np.ndarray, list[str]]:

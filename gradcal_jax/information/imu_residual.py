@@ -17,7 +17,6 @@ from gradcal_jax.model import (
     TEMPERATURE_GRADIENT,
     Channel,
     ChannelKind,
-    Discrepancy,
     Hysteresis,
     ImuModel,
     Map,
@@ -307,42 +306,6 @@ def quantity_of(built: BuiltImu, requirement: Requirement, most: int | None = No
 def imu_residual(built: BuiltImu, known: Posterior, requirement: Requirement) -> ImuResidual:
     """The residual of a requirement's quantity."""
     return quantity_of(built, requirement).residual(known)
-
-
-def errors_of(model: ImuModel, known: Posterior, quantity: RequiredQuantity) -> np.ndarray:
-    """A root `(m, s, n_T, n_ω, r)` of the covariance of all errors of a quantity (SI), in the states of its service."""
-    hidden = [
-        (model.where(c.kind, c.axis, term.name), float(term.std) ** 2)
-        for c in model.channels
-        for term in c.model.terms
-        if isinstance(term, Discrepancy)
-    ]
-    # A calibration does not carry the discrepancy's estimate, whose covariance is prior less posterior.
-    carried = np.zeros((model.size, 0))
-    if hidden:
-        where = np.concatenate([np.arange(model.size)[at] for at, _ in hidden])
-        prior = np.concatenate([np.full(at.stop - at.start, variance) for at, variance in hidden])
-        values, vectors = np.linalg.eigh(np.diag(prior) - known.spread[where] @ known.spread[where].T)
-        carried = np.zeros((model.size, len(where)))
-        carried[where] = vectors * np.sqrt(np.maximum(values, 0.0))
-    count, roots = len(quantity.elements), []
-    for k, element in enumerate(quantity.elements):
-        beside = np.zeros(count)
-        beside[k] = quantity.beside
-        states = [
-            np.concatenate(
-                [
-                    np.asarray(state.rows) @ known.spread[element.where],
-                    np.asarray(state.alone) @ carried[element.where],
-                    np.broadcast_to(beside, (len(state.beyond), count)),
-                ],
-                axis=1,
-            )
-            for state in element.states()
-        ]
-        roots.append(np.stack(states))
-    shape = len(quantity.temperatures), len(quantity.rates)
-    return np.stack(roots).reshape(count, -1, *shape, roots[0].shape[-1])
 
 
 def _elements(

@@ -14,7 +14,6 @@ from gradcal_jax.information import (
     imu_system,
     simulated_errors,
 )
-from gradcal_jax.information.conformity import acceptance_limit, chance_of_keeping, global_risks, specific_risk
 from gradcal_jax.information.error_budget import (
     CountedPosteriors,
     ErrorBudget,
@@ -25,7 +24,6 @@ from gradcal_jax.information.error_budget import (
 from gradcal_jax.information.gears import rows_of_gears
 from gradcal_jax.information.imu_residual import (
     ImuResidual,
-    errors_of,
     imu_residual,
     mission_table,
     own_noise_of,
@@ -33,14 +31,14 @@ from gradcal_jax.information.imu_residual import (
     together,
 )
 from gradcal_jax.information.plan_sentences import plan_warnings
-from gradcal_jax.information.residual import Statistic, statistic_of_each
+from gradcal_jax.information.residual import Statistic
 from gradcal_jax.information.verdicts import (
     UNIT_OF,
     decision_rule,
     finite,
     limit_of,
-    mission_weights,
     run_of,
+    specific_risk,
     target_of,
     verdict_of,
     versions_of,
@@ -61,26 +59,22 @@ from gradcal_jax.spec.absent import absent_terms, with_typical
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.contracts import AbsentRow, CheckRow, ParameterRow, PlaceRow, Prediction, RequirementRow
+from gradcal_jax.tables.contracts import AbsentRow, ParameterRow, PlaceRow, Prediction, RequirementRow
 from gradcal_jax.tables.display import summary
 
 if TYPE_CHECKING:
     from gradcal_jax.design.searching import Optimised
 
-# The chances of keeping a target are computed on a grid of at most this many temperatures and rates.
-_GRID = 41
 
-
-def predict(spec: Spec, *, limits: bool = False, outlook: bool = False, place: str | None = None) -> Prediction:
+def predict(spec: Spec, *, limits: bool = False, place: str | None = None) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
-    `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`.
-    `outlook`: also the chance that a sensor
-    meets a target, and the risks of a second run that checks it. The covariance is the exact one of generalised least
-    squares under the spec's noise (`gradcal_jax.information`); verdicts and risks also count every term that the spec
-    omits, at its class's typical figure. What cannot be observed is None, with a warning. `place`: of a fixture, the
-    place of which all else is beside the residuals of every place (None: the worst). Errors: `SpecError` for a plan
-    that turns several axes of a sensor as if each had a table of its own.
+    `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`. The
+    covariance is the exact one of generalised least squares under the spec's noise (`gradcal_jax.information`);
+    verdicts and the risk also count every term that the spec omits, at its class's typical figure. What cannot be
+    observed is None, with a warning. `place`: of a fixture, the place of which all else is beside the residuals of
+    every place (None: the worst). Errors: `SpecError` for a plan that turns several axes of a sensor as if each had a
+    table of its own.
 
     >>> from gradcal_jax import parse_spec, presets
     >>> predict(parse_spec(presets.text("paper-static-gradient")))  # doctest: +ELLIPSIS
@@ -91,11 +85,11 @@ def predict(spec: Spec, *, limits: bool = False, outlook: bool = False, place: s
     """
     spec = expect_spec(spec)
     if spec.rig.table.place:
-        return _at_places(spec, place, limits=limits, outlook=outlook)
+        return _at_places(spec, place, limits=limits)
     built = build_imu(spec)
     known = imu_posterior(built)
     budget = counted_posteriors(built, known)
-    return _prediction(built, known, budget, limits=limits, outlook=outlook)
+    return _prediction(built, known, budget, limits=limits)
 
 
 def _prediction(
@@ -104,7 +98,6 @@ def _prediction(
     budget: CountedPosteriors,
     *,
     limits: bool,
-    outlook: bool,
 ) -> Prediction:
     """The prediction of an IMU with these posteriors."""
     spec = built.spec
@@ -113,7 +106,7 @@ def _prediction(
     rows: list[RequirementRow] = []
     for requirement in spec.requirement:
         row = requirement_row(built, budget, requirement)
-        more = _risks(budget, requirement, row) if outlook else {}
+        more: dict[str, Any] = {}
         if sources is not None:
             axis = (row.limited_by or "").removeprefix("axis ") or None
             more["limited_by"] = limited_by(_shares(budget, requirement, sources.shares(requirement)), axis)
@@ -286,7 +279,6 @@ def decided(requirement: Requirement, of: Callable[[Statistic], float]) -> dict[
         "worst": worst,
         "verdict": verdict_of(requirement, of),
         "coverage": requirement.coverage,
-        "risk": None if requirement.risk is None else float(requirement.risk),
         "rule": decision_rule(requirement) or None,
         "specific_risk": None if target is None or worst is None else specific_risk(0.0, worst, target),
     }
@@ -317,41 +309,6 @@ def _shares(
     for name, share in unseen.items():
         shares[name] = shares.get(name, 0.0) + share
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
-
-
-def _risks(budget: CountedPosteriors, requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
-    """The chances that a sensor keeps the target (on a grid of at most 41 a side), and the risks of a second run.
-
-    That run is as uncertain as the first and independent of it. Errors that both runs share (the sensor's clock, the
-    encoder's error by angle) do not show in a second run, and are not in its risks.
-    """
-    if row.target is None or not row.worst:
-        return {}
-    quantity, name = quantity_of(budget.built, requirement, _GRID), requirement.statistic
-    weight = mission_weights(requirement, name)[..., None]
-
-    def summed(errors: np.ndarray) -> np.ndarray:
-        return together(requirement, np.stack([statistic_of_each(name, of * weight) for of in errors]))
-
-    root = errors_of(budget.built.model, budget.judged(run_of(requirement)), quantity)
-    chances = chance_of_keeping(root, summed, float(requirement.target or 0.0))
-    return _checked(requirement, row) | dict(zip(("chance", "chance_everywhere"), chances, strict=True))
-
-
-def _checked(requirement: Requirement, row: RequirementRow) -> dict[str, Any]:
-    """The risks of a second run that checks the first one: as uncertain as that and independent of it."""
-    assert row.target is not None
-    assert row.worst is not None
-    acceptance: float | None = row.target
-    if requirement.risk is not None:
-        acceptance = acceptance_limit(row.worst, row.target, float(requirement.risk))
-    if acceptance is None:
-        return {
-            "check": CheckRow(
-                accepted=0.0, false_accept=0.0, false_reject=1.0 - specific_risk(0.0, row.worst, row.target)
-            )
-        }
-    return {"check": CheckRow(**global_risks(row.worst, row.worst, row.target, acceptance)._asdict())}
 
 
 class TwinRow(NamedTuple):

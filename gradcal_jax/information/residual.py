@@ -107,17 +107,12 @@ def statistic(name: Statistic, values: np.ndarray) -> float:
 
     "mean of max": mean over rate of the maximum over temperature (the paper's figure); the others are of all points.
     """
-    return float(statistic_of_each(name, values))
-
-
-def statistic_of_each(name: Statistic, values: np.ndarray) -> np.ndarray:
-    """As `statistic`, for many maps `(n_T, n_ω, …)`."""
     if name == "mean of max":
-        return np.asarray(np.mean(np.max(values, axis=0), axis=0))
+        return float(np.mean(np.max(values, axis=0)))
     if name == "max":
-        return np.asarray(np.max(values, axis=(0, 1)))
+        return float(np.max(values))
     if name == "mean":
-        return np.asarray(np.mean(values, axis=(0, 1)))
+        return float(np.mean(values))
     if name == "rms":
-        return np.asarray(np.sqrt(np.mean(values**2, axis=(0, 1))))
+        return float(np.sqrt(np.mean(values**2)))
     raise ValueError(f"unknown statistic {name!r}; known: {', '.join(STATISTICS)}")

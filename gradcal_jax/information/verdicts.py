@@ -4,13 +4,12 @@ calibration files that all estimators write."""
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
-from math import sqrt
+from math import erfc, sqrt
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
 import gradcal_jax
-from gradcal_jax.information.conformity import coverage_of_risk
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
 from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad
@@ -53,29 +52,26 @@ def target_of(requirement: Requirement) -> float | None:
 
 
 def limit_of(requirement: Requirement) -> tuple[Statistic, float] | None:
-    """The limit that a target sets to the residual map (1σ): a statistic, and its largest allowed value (`UNIT_OF`).
-
-    Simple acceptance: the requirement's own statistic, `target / coverage`. Guarded: the maximum, by the risk.
-    """
+    """The limit that a target sets to the residual map (1σ): the requirement's own statistic, and its largest allowed
+    value (`UNIT_OF`), `target / coverage` (simple acceptance, JCGM 106, 8.2)."""
     target = target_of(requirement)
-    if target is None:
-        return None
-    if requirement.risk is None:
-        return requirement.statistic, target / requirement.coverage
-    return "max", target / coverage_of_risk(float(requirement.risk))
+    return None if target is None else (requirement.statistic, target / requirement.coverage)
 
 
 def decision_rule(requirement: Requirement) -> str:
     """The decision rule of a target, in words. Empty without one."""
     if requirement.target is None:
         return ""
-    if requirement.risk is None:
-        of = f"{requirement.coverage:g} × " if requirement.coverage != 1.0 else ""
-        return f"simple acceptance: {of}{requirement.statistic} (1σ) within {requirement.target}"
-    return (
-        f"guarded acceptance: the probability of an error beyond {requirement.target} at the worst point is at most "
-        f"{requirement.risk}"
-    )
+    of = f"{requirement.coverage:g} × " if requirement.coverage != 1.0 else ""
+    return f"simple acceptance: {of}{requirement.statistic} (1σ) within {requirement.target}"
+
+
+def specific_risk(y: float, u: float, limit: float) -> float:
+    """Probability that an error with estimate `y` and standard uncertainty `u` lies beyond ±`limit` (JCGM 106, 7.2)."""
+    if u == 0.0:
+        return float(abs(y) > limit)
+    below, above = ((limit + sign * y) / (sqrt(2.0) * u) for sign in (1.0, -1.0))
+    return 0.5 * (erfc(below) + erfc(above))
 
 
 def verdict_of(
@@ -194,7 +190,7 @@ def result_of_requirement(row: "RequirementRow") -> "Result":
     values: dict[str, Any] = {"value": row.judged, "worst": row.worst, "target": row.target, "verdict": row.verdict}
     values["named"] = None if row.decisive == row.judged else row.decisive
     if row.target is not None:
-        values |= {"coverage": row.coverage, "rule": row.rule, "risk": row.risk}
+        values |= {"coverage": row.coverage, "rule": row.rule}
     return Result(
         name=row.name,
         axis=row.axis,

@@ -17,9 +17,8 @@ import numpy as np
 import gradcal_jax
 from gradcal_jax.calibration import LOG_HASH, CalibratedChannel, Calibration, Result
 from gradcal_jax.estimation.calibrations import calibration_map
-from gradcal_jax.information.conformity import specific_risk
 from gradcal_jax.information.prediction import counted_shares
-from gradcal_jax.information.verdicts import finite
+from gradcal_jax.information.verdicts import finite, specific_risk
 from gradcal_jax.pages.numbers import figures, one_sign, percent, with_uncertainty
 from gradcal_jax.pages.requirements import SUMMED
 from gradcal_jax.pages.sources import Sources, stated_figures

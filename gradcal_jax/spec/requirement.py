@@ -12,7 +12,6 @@ from gradcal_jax.tables.problems import Problem, one_of
 from gradcal_jax.tables.section import Section, chosen_by
 
 Coverage = Annotated[float, Strict(), Field(gt=0.0, le=10.0, allow_inf_nan=False)]
-Risk = Annotated[q.Quantity, q.Of("scale factor", above="0 %", at_most="50 %")]
 Points = Annotated[int, Field(strict=True, ge=2, le=5001)]
 
 
@@ -36,9 +35,6 @@ class _OfElements(Section):
     """Limit on the error; absent: there is no verdict."""
     coverage: Coverage = 1.0
     """Number of standard deviations that must be within the target."""
-    risk: Risk | None = None
-    """Largest allowed probability that a sensor passes although its error exceeds the target; absent: a sensor passes
-    if the number of standard deviations in `coverage` is within the target (simple acceptance)."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.axis not in self.ELEMENTS:

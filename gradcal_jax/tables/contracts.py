@@ -152,18 +152,6 @@ class HarmonicRow(Section):
     """Standard deviation of the cosine part and of the sine part (rad)."""
 
 
-class CheckRow(Section):
-    """Probabilities of the outcomes if one sensor's calibration is tested by a second run of the same plan; predicted
-    before both runs."""
-
-    accepted: Size
-    """Probability that the calibration is accepted."""
-    false_accept: Size
-    """Probability that the calibration is accepted although its error exceeds the target (global risk)."""
-    false_reject: Size
-    """Probability that the calibration is rejected although its error is within the target (global risk)."""
-
-
 class MissionRow(Section):
     """One mission of a requirement on the heading."""
 
@@ -182,7 +170,7 @@ class MissionRow(Section):
 class RequirementRow(Section):
     """The error that remains after the calibration in the quantity of a requirement (the residual; one standard
     deviation), in `unit`. A figure is null if this plan cannot observe it, or if it was not requested. The statistics
-    are for this run, with the terms that the spec names. The verdict and the risks also include the terms that the spec
+    are for this run, with the terms that the spec names. The verdict and the risk also include the terms that the spec
     omits (`with_typical`) and the bias of another power-on (`another_run`)."""
 
     name: str
@@ -216,19 +204,10 @@ class RequirementRow(Section):
     requirement."""
     coverage: Size = 1.0
     """Number of standard deviations that must be within the target."""
-    risk: Size | None = None
-    """Largest allowed probability that a sensor passes although its error exceeds the target; null: simple
-    acceptance."""
     rule: str | None = None
     """Rule of the verdict, in words."""
     specific_risk: Size | None = None
     """Probability that the error exceeds the target at the worst temperature and rate of the requirement."""
-    chance: Size | None = None
-    """Probability that the requirement's statistic of the error of a sensor is within the target."""
-    chance_everywhere: Size | None = None
-    """Probability that the error of a sensor meets the target at every temperature and rate of the requirement."""
-    check: CheckRow | None = None
-    """Probabilities (global risks by JCGM 106) if the calibration is tested by a second run."""
     limited_by: str | None = None
     """The largest sources of the residual, in words."""
     uncertain: tuple[Size, Size] | None = None

@@ -8,11 +8,8 @@ import tomlkit
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
-from gradcal_jax.information.conformity import global_risks
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import tables_of
-from gradcal_jax.spec.spec import parse_spec
-from gradcal_jax.tables.contracts import CheckRow
 from gradcal_jax.tables.schemas import schema
 from gradcal_jax.tables.writing import to_toml
 
@@ -132,23 +129,6 @@ def test_a_move_whose_angle_follows_from_rate_and_duration_is_written_with_its_s
     assert tables_of(spec)["plan"]["cycle"]["moves"][-2:] == moves[-2:]
 
 
-OUTLOOK = "check", "chance", "chance_everywhere"
-
-
 def numbers(row):
     """Sums of floats depend on where arrays lie in memory, in their last digit."""
     return {key: value for key, value in row.items() if isinstance(value, float)}
-
-
-def test_a_second_run_that_checks_an_imu_has_its_risks():
-    """As of an axis: both runs are as uncertain, and independent."""
-    spec = parse_spec(presets.text("two-axis-table"))
-    plain, told = gj.predict(spec), gj.predict(spec, outlook=True)
-    for before, row in zip(plain.requirements, told.requirements, strict=True):
-        assert (row.check is None) == (row.target is None)
-        plain_row, told_row = before.model_dump(), row.model_dump() | dict.fromkeys(OUTLOOK)
-        assert numbers(told_row) == pytest.approx(numbers(plain_row), rel=1e-12)
-        assert {**told_row, **numbers(plain_row)} == plain_row
-        if row.check is not None and row.worst:
-            assert row.chance_everywhere <= row.chance
-            assert row.check == CheckRow(**global_risks(row.worst, row.worst, row.target, row.target)._asdict())

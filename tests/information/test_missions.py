@@ -97,14 +97,11 @@ def test_shares_and_elasticities_add_up():
     )
 
 
-def test_twin_and_risks_count_missions():
+def test_simulated_calibrations_count_missions():
     spec = with_requirements(heading(hover(), spin(weight=2.0), target="1 deg", coverage=2.0), NORTH)
     rows = prediction.monte_carlo(spec, 400, 0)
     for row in rows:
         assert row.simulated == pytest.approx(row.predicted, rel=0.12)
-    row = next(r for r in gj.predict(spec, outlook=True).requirements if r.name == "h")
-    assert row.verdict == "met"
-    assert 0.9 < row.chance_everywhere <= row.chance <= 1.0
 
 
 @pytest.mark.parametrize("more", [pytest.param([], marks=pytest.mark.evidence), ["gradient"]])

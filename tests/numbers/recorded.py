@@ -49,19 +49,17 @@ def prediction(tables: Tables) -> Tables:
     return found
 
 
-JUDGED = ("verdict", "with_typical", "another_run", "worst", "specific_risk", "chance", "chance_everywhere", "own")
+JUDGED = ("verdict", "with_typical", "another_run", "worst", "specific_risk", "own")
 
 
 def judgement(tables: Tables) -> Tables:
     """What verdicts count on a spec of one axis: by requirement the judged values and chances, and the share of every
     error; typical figures of omitted terms."""
     spec = spec_of(tables)
-    answer, shares = predict(spec, outlook=True), counted_shares(spec)
+    answer, shares = predict(spec), counted_shares(spec)
     found: Tables = {}
     for row in answer.requirements:
         one = {name: value for name in JUDGED if (value := getattr(row, name)) is not None}
-        if row.check is not None:
-            one["check"] = row.check.model_dump()
         if row.own_sources is not None:
             one["own_sources"] = row.own_sources
         if row.name in shares:

@@ -131,7 +131,7 @@ def test_no_verdict_rests_on_what_a_spec_leaves_out():
         "sensor.sample_clock_error", "sensor.scale_factor_instability", "sensor.temperature_error", "sensor.thermal_lag"
     )
     bare = gj.changed(bare, {"requirement[0].target": "200 ppm"})
-    row = gj.predict(bare, outlook=True).requirements[0]
+    row = gj.predict(bare).requirements[0]
     assert row.verdict == "missed"
     assert row.with_typical > 200.0 > row.mean_of_max
     assert row.with_typical == gj.predict(with_typical(bare)).requirements[0].mean_of_max

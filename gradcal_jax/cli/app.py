@@ -13,28 +13,28 @@ from gradcal_jax.cli.calibrated import apply, export, validate
 from gradcal_jax.cli.check import check
 from gradcal_jax.cli.demo import demo
 from gradcal_jax.cli.estimate import estimate
-from gradcal_jax.cli.instability import allan, instability
 from gradcal_jax.cli.log import log
-from gradcal_jax.cli.new import new, start
+from gradcal_jax.cli.noise import noise
 from gradcal_jax.cli.optimise import optimise
 from gradcal_jax.cli.output import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT, complain, is_plain
 from gradcal_jax.cli.predict import limit, predict
 from gradcal_jax.cli.report import report
 from gradcal_jax.cli.rig import rig_app
 from gradcal_jax.cli.run import run as run_command
+from gradcal_jax.cli.start import start
 from gradcal_jax.cli.sweep import sweep
 
 _HELP: Final = """Plan and run calibrations of gyros, accelerometers and IMUs, and predict the errors that remain.
 
-A spec file describes sensor, rig and plan. Begin with `gradcal start`, or `gradcal new --list`.
+A spec file describes sensor, rig and plan. Begin with `gradcal start`.
 """
 
 GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
-    ("Begin", (demo, start, new, check)),
+    ("Begin", (demo, start, check)),
     ("Predict the result, and find a plan", (predict, optimise, limit)),
     ("Execute a plan", (rig_app, run_command, log)),
     ("Calibrate", (estimate, apply, validate, export, report)),
-    ("Measure the noise of a sensor", (instability, allan)),
+    ("Measure the noise of a sensor", (noise,)),
     ("Compute many plans", (sweep,)),
 )
 """The commands in the order of work, as `gradcal --help` lists them."""

@@ -8,7 +8,6 @@ from cyclopts import Parameter
 from gradcal_jax.cli.output import (
     DONE,
     NOT_AS_WISHED,
-    Flag,
     ForceOutput,
     Json,
     JsonNumbers,
@@ -19,8 +18,8 @@ from gradcal_jax.cli.output import (
     writable,
 )
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.cli.recordings import WHOLE, LogFile, Recording, described, load, quantity
-from gradcal_jax.tables.display import columns as table
+from gradcal_jax.cli.recordings import Columns, LogFile, Rows, Unit, described, load, quantity
+from gradcal_jax.tables.table import Column, Table
 
 if TYPE_CHECKING:
     from gradcal_jax.calibration.exports import Export
@@ -35,8 +34,9 @@ def apply(
     /,
     *,
     output: Output,
-    unit: str | None = None,
-    source: Recording = WHOLE,
+    unit: Unit = None,
+    columns: Columns = None,
+    rows: Rows = None,
     force: ForceOutput = False,
     json: Json = False,
 ) -> int:
@@ -50,8 +50,6 @@ def apply(
     ----------
     output
         The corrected log (.nc).
-    unit
-        Which IMU of the log; by default the one with the calibration's serial number, or the only one.
     json
         Print the name of the corrected log, and the number of rows outside the range of the calibration, as JSON.
     """
@@ -61,15 +59,15 @@ def apply(
 
     content = read_calibration(calibration)
     writable(output, force)
-    recorded = load(log, source, unit=unit)
+    recorded = load(log, columns, rows, unit=unit)
     number = _unit(recorded, content.serial_number, unit)
     corrected = correct(content, recorded, number)
     write_log(corrected.log, output)
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
     if json:
-        rows = {"rows": corrected.log.counts(0), "outside": outside, "not_calibrated": list(corrected.left_alone)}
-        rows |= {"unknown_branch": corrected.unknown_branch, "not_taken_off": list(corrected.left_in)}
-        print(as_json({"log": str(output), "simulated": corrected.log.simulated, **rows}))
+        record = {"rows": corrected.log.counts(0), "outside": outside, "not_calibrated": list(corrected.left_alone)}
+        record |= {"unknown_branch": corrected.unknown_branch, "not_taken_off": list(corrected.left_in)}
+        print(as_json({"log": str(output), "simulated": corrected.log.simulated, **record}))
     else:
         print(described(corrected.log, str(log)))
         for what, count in outside.items():
@@ -97,14 +95,12 @@ def validate(
     log: LogFile,
     /,
     *,
-    unit: str | None = None,
-    table_axis: str | None = None,
+    unit: Unit = None,
     earth_rate: str | None = None,
     gravity: str | None = None,
     parts: int = 3,
-    bins: str | None = None,
-    branches: Flag = False,
-    source: Recording = WHOLE,
+    columns: Columns = None,
+    rows: Rows = None,
     json: JsonNumbers = False,
 ) -> int:
     """Test a calibration on a different log, and print the remaining errors by temperature and rate.
@@ -115,59 +111,45 @@ def validate(
 
     Parameters
     ----------
-    unit
-        Which IMU of the log; by default the one with the calibration's serial number, or the only one.
-    table_axis
-        The axis of the table about which the sensor was turned.
     earth_rate
         The Earth's rate along the sensor's axis, such as "10.4 deg/h"; it is subtracted from the rates.
     gravity
         Local gravity, such as "9.8123 m/s^2", for accelerometers; by default standard gravity.
     parts
         Print the errors for this number of temperature ranges.
-    bins
-        Width of the temperature ranges, such as "2 K", instead of --parts.
-    branches
-        Print the errors of heating and of cooling separately.
     """
     from gradcal_jax.calibration import read_calibration
 
     if parts < 1:
         raise ValueError(f"--parts must be 1 or more, not {parts}")
-    width = None if bins is None else quantity(bins, "temperature difference", "--bins")
-    if width is not None and width <= 0.0:
-        raise ValueError(f"--bins must be positive, not {bins}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
     place = {} if gravity is None else {"gravity": quantity(gravity, "acceleration", "--gravity")}
     content = read_calibration(calibration)
-    recorded = load(log, source, unit=unit)
+    recorded = load(log, columns, rows, unit=unit)
     use_float64()
     from gradcal_jax.estimation import validation as work
 
     name = _unit(recorded, content.serial_number, unit)
-    rows = work.validate(
+    axes = work.validate(
         content,
         recorded,
         unit=name,
         temperature_parts=parts,
-        bin_k=width,
-        by_branch=branches,
         earth_rate=earth,
-        table_axis=table_axis,
         **place,
     )
-    judged = work.acceptances(content, rows)
+    judged = work.acceptances(content, axes)
     if json:
         simulated = recorded.simulated or content.simulated
         verdicts = [row._asdict() for row in judged]
-        print(as_json({"simulated": simulated, "axes": work.validation_rows(rows), "requirements": verdicts}))
+        print(as_json({"simulated": simulated, "axes": work.validation_rows(axes), "requirements": verdicts}))
     else:
         print(described(recorded, str(log)))
-        for row in rows:
+        for row in axes:
             print("\n" + _validation_text(row))
         for one in judged:
             print("\n" + _acceptance_text(one))
-    pairs = [pair for row in rows for pair in (row.scale_factor_ppm, row.bias_deg_per_h, row.gravity_ug) if pair]
+    pairs = [pair for row in axes for pair in (row.scale_factor_ppm, row.bias_deg_per_h, row.gravity_ug) if pair]
     worse = [pair for pair in pairs if pair[1] > pair[0]]
     return NOT_AS_WISHED if worse or any(row.verdict != "met" for row in judged) else DONE
 
@@ -193,7 +175,7 @@ def export(
     format
         The format: ardupilot, px4, kalibr, matrices, c-header or csv. Leave --format out if you use --template.
     template
-        Your own template in the Jinja language; gradcal new export-gains writes an example.
+        Your own template in the Jinja language; gradcal start export-gains writes an example.
     output
         The file to write; by default the text is printed, and the list of losses goes to stderr.
     temperature
@@ -252,13 +234,12 @@ def _unit(log, serial_number: str, unit: str | None) -> str | int:
 
 
 def _acceptance_text(row: "Acceptance") -> str:
-    """A verdict, with its rule and the measured error."""
-    from gradcal_jax.pages.numbers import percent
-
+    """A verdict, with the measured error."""
+    risk = f"the target is exceeded with a probability of {100.0 * row.specific_risk:.2g} %"
     return (
-        f"{row.name}, axis {row.axis}: {strong(row.verdict)}, {row.rule}\n"
-        f"  where the risk is largest: {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ, from the scatter; errors of the "
-        f"table that all moves have in common are not included); specific risk {percent(row.specific_risk)}"
+        f"{row.name}, axis {row.axis}: {strong(row.verdict)}\n"
+        f"  {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ, from the scatter; errors that all moves have in common "
+        f"are not included); {risk}"
     )
 
 
@@ -279,15 +260,14 @@ def _validation_text(row: "AxisValidation") -> str:
         before, after = row.gravity_ug
         what = "error of the norm of gravity at rest"
         lines.append(f"{what}: {before:.5g} ug rms without, {after:.4g} ug with the calibration")
-    shown = [("temperature", "mean rate", "how many", "without", "with", "scatter", "")]
+    cells: list[tuple[str | float | None, ...]] = []
     for cell in row.cells:
         warm = cell.temperature_c
         where = "not known" if warm is None else f"{warm[0]:.1f} … {warm[1]:.1f} °C"
-        where += "" if cell.branch is None else f", {cell.branch}"
         rate = "at rest" if cell.rate_dps is None else f"{cell.rate_dps[0]:.4g} … {cell.rate_dps[1]:.4g} deg/s"
-        numbers = (f"{cell.before:.5g}", f"{cell.after:.4g}", f"{cell.scatter:.3g}")
-        shown.append((where, rate, str(cell.how_many), *numbers, cell.unit))
-    lines.append(table(shown, right=(2, 3, 4, 5)))
+        cells.append((where, rate, cell.how_many, cell.before, cell.after, cell.scatter, cell.unit))
+    heads = ["temperature", "mean rate", "how many", "without", "with", Column("scatter", "", 3), "unit"]
+    lines.append(Table.of(heads, cells).text(indent="  "))
     return "\n".join([*lines, *(f"note: {message}" for message in row.messages)])
 
 
@@ -295,9 +275,8 @@ def export_text(done: "Export") -> str:
     """The losses of an export, and its notes."""
     lines: list[str] = []
     if done.losses:
-        shown = [("channel", "what is lost", "at most", "")]
-        shown += [(loss.channel, loss.what, f"{loss.value:.4g}", loss.unit) for loss in done.losses]
-        lines.append(table(shown, indent="", right=(2,)))
+        losses = [(loss.channel, loss.what, loss.value, loss.unit) for loss in done.losses]
+        lines.append(Table.of(["channel", "what is lost", "at most", "unit"], losses).text())
     else:
         lines.append("nothing is lost")
     return "\n".join([*lines, *(f"note: {note}" for note in done.notes)])

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gradcal_jax.cli.output import DONE, Json, OptionalOutput, RunPath, as_json
-from gradcal_jax.cli.recordings import Recording, load
+from gradcal_jax.cli.recordings import Columns, load
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ def log(
     output: OptionalOutput = None,
     unit: str | None = None,
     recording: Path | None = None,
-    columns: Path | None = None,
+    columns: Columns = None,
     json: Json = False,
 ) -> int:
     """Write the log of a run: the samples decoded from the raw bytes, the angles, the temperatures and the standstills.
@@ -33,8 +33,6 @@ def log(
     recording
         A recording that the IMU's own logger made during this run; its clock is aligned with the clock of the run by
         comparing the motion.
-    columns
-        The column map of the recording (gradcal-columns/1); see gradcal new column-map.
     json
         Print the contents of the log as JSON.
     """
@@ -43,17 +41,14 @@ def log(
 
     if columns is not None and recording is None:
         raise ValueError("--columns states the column map of a --recording, but --recording is missing")
-    recorded = None if recording is None else load(recording, Recording(columns=columns), unit=unit)
+    recorded = None if recording is None else load(recording, columns, unit=unit)
     RunFolder(run).notes()
     target = output or run / "log.nc"
     names = [unit] if unit is not None or recorded is not None else units_in(run)
-    several = len(names) > 1
-    printed = [
-        _written(run, name, recorded, target.with_stem(f"{target.stem}-{name}") if several else target, quiet=json)
-        for name in names
-    ]
+    files = {name: target if len(names) == 1 else target.with_stem(f"{target.stem}-{name}") for name in names}
+    printed = [_written(run, name, recorded, path, quiet=json) for name, path in files.items()]
     if json:
-        print(as_json(printed if several else printed[0]))
+        print(as_json(printed if len(names) > 1 else printed[0]))
     return DONE
 
 
@@ -78,10 +73,5 @@ def _written(run: Path, unit: str | None, recorded: "Log | None", target: Path, 
     )
     for finding in findings:
         print(f"note: {finding.message}")
-    rates, stds = (
-        [1e6 * float(word) for word in provenance[key].split(", ")] for key in ("clock_rate_error", "clock_rate_std")
-    )
-    each = ", ".join(f"{rate:+.3f} ± {std:.1g} ppm" for rate, std in zip(rates, stds, strict=True))
-    print(f"sensor clock against computer clock: {each} (1σ)")
     print(f"wrote {target}")
     return record

@@ -1,5 +1,5 @@
 """`gradcal optimise`: the plan of least residual within the limits of sensor, rig and time, for several times
-(`--motion`), for the rest of a run, or as it is (`--steps 0`), as a recipe."""
+(`--motion`), or as it is (`--steps 0`), as a recipe."""
 
 import math
 import signal
@@ -29,12 +29,11 @@ from gradcal_jax.cli.output import (
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.tables.display import amount, columns
-from gradcal_jax.units import parse, time_text
+from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.design.optimise import FrontierPoint
     from gradcal_jax.design.searching import Optimised, SearchStep
-    from gradcal_jax.recipe.tracks import Stability
     from gradcal_jax.spec.spec_sections import Spec
 
 
@@ -48,15 +47,8 @@ def optimise(
     steps: int | None = None,
     quick: Flag = False,
     until_met: Flag = False,
-    resume: Flag = False,
     motion: str | None = None,
     points: int | None = None,
-    keep_shapes: Flag = False,
-    stable_within: str | None = None,
-    stable_for: str | None = None,
-    timeout: str | None = None,
-    time: str | None = None,
-    pause: str | None = None,
     force: Force = False,
 ) -> int:
     """Minimise the error that a plan leaves, within the limits of sensor, rig and time; write the new plan as a recipe.
@@ -67,11 +59,6 @@ def optimise(
     of the temperature programme. After Ctrl-C, the search ends and writes the best plan so far; a second Ctrl-C stops
     at once. The exit status is 1 if the search did not converge.
 
-    If SPEC is the folder of an interrupted run, plan its remaining part: every prediction includes the data of the part
-    that was executed, and the temperature ramp begins where the chamber stopped. The IMU must not have been switched
-    off since the interruption, because both parts are assumed to have the same turn-on bias. To continue the run:
-    gradcal run NEW --resume RUN.
-
     The figures of a recipe are rounded to the controllers' steps in [rig.resolution] of the spec. The default steps are
     0.1 K, 0.1 s, 0.01 deg/s and 0.001 deg; temperature slopes are always rounded to 0.01 K/min. `gradcal check` prints
     a recipe as a table.
@@ -79,7 +66,7 @@ def optimise(
     Parameters
     ----------
     spec
-        The spec file, a recipe, or the folder of an interrupted run.
+        The spec file, or a recipe.
     output
         The recipe file to write; with --motion, the folder for the recipes (optional). With --steps 0, "-" prints the
         recipe instead.
@@ -96,86 +83,45 @@ def optimise(
     until_met
         Stop at the first plan that meets every target with a margin of 10 %. If the plan in the spec already meets
         them, do not search.
-    resume
-        Continue an interrupted search of the same spec; the state of the search is saved next to the output.
     motion
         Find the best residual for each of these durations (not counting soaks), and the shortest plan for each target:
         50min..300min, or a list such as 60min,100min,3h.
     points
         If --motion is a range: the number of durations in it, including both ends, with logarithmic spacing; by default
         5.
-    keep_shapes
-        Keep the shapes of the turns, for a table that can follow any shape; by default, every turn in the recipe is a
-        trapezoid.
-    stable_within
-        When a step of the recipe waits for a stable temperature, the temperature must stay within this tolerance of its
-        goal, such as "0.5 K".
-    stable_for
-        The time for which the temperature must stay within the tolerance, such as "5 min".
-    timeout
-        If the first temperature of the recipe is not stable after this time, such as "4 h", the run ends.
-    time
-        For an interrupted run: the duration of its remaining part, not counting waits for stable temperatures, such as
-        "40 min"; by default the remaining time of the recipe.
-    pause
-        For an interrupted run: the time between its interruption and its continuation, by default "30 min"; the drifts
-        continue through this pause.
     """
     drawable(plot)
     if (steps is not None and 0 < steps < 20) or (steps or 0) < 0:
         raise ValueError(f"--steps: expected 0 (write the plan in the spec as a recipe) or at least 20; got {steps}")
-    of_recipe = {"--keep-shapes": keep_shapes, "--stable-within": stable_within, "--stable-for": stable_for}
-    of_recipe |= {"--timeout": timeout}
-    of_search = {"--until-met": until_met, "--resume": resume}
-    if spec.is_dir():
-        others = {"--steps": steps, "--motion": motion, "--points": points, "--plot": plot}
-        _refuse("if SPEC is the folder of a run", of_recipe | of_search | others)
-        if output is None:
-            raise ValueError("name the recipe to write, such as -o rest.toml")
-        writable(output, force)
-        return plan_the_rest(spec, output, time=time, pause=pause or "30 min", quick=quick, json=json)
-    specification = _read(spec)
-    _refuse("unless SPEC is the folder of a run", {"--time": time, "--pause": pause})
+    from gradcal_jax.recipe.recipe import spec_in
+
+    specification = spec_in(spec)
     if motion is not None:
-        _refuse("with --motion", of_recipe | of_search | {"--quick": quick})
+        _refuse("with --motion", {"--until-met": until_met, "--quick": quick})
         times = durations(motion, 5 if points is None else points)
         use_float64()
         return show_frontier(specification, str(spec), times, output, steps, json=json, plot=plot)
     _refuse("without --motion", {"--points": points})
     if steps == 0:
-        _refuse("with --steps 0", of_search | {"--quick": quick, "--plot": plot})
+        _refuse("with --steps 0", {"--until-met": until_met, "--quick": quick, "--plot": plot})
     if output is None:
         raise ValueError("name the recipe to write, such as -o recipe.toml")
-    stability = stability_of(
-        {
-            "within": ("temperature difference", stable_within),
-            "for_at_least": ("time", stable_for),
-            "first_timeout": ("time", timeout),
-        }
-    )
     if str(output) != "-":
-        writable(output, force or resume)
+        writable(output, force)
     elif steps != 0 or json:
         raise ValueError("-o - prints the recipe: use this option with --steps 0, and without --json")
     use_float64()
     if steps == 0:
-        write_recipe(specification, output, stability, keep_shapes=keep_shapes, json=json)
+        write_recipe(specification, output, json=json)
         return DONE
-    from gradcal_jax.design import searching
     from gradcal_jax.design.searching import record_of
     from gradcal_jax.information import prediction
     from gradcal_jax.tables.writing import write_toml
 
-    kept = output.with_name(output.name + ".search.npz")
-    checkpoint = searching.read_checkpoint(kept, specification) if resume else None
-    best, interrupted = search_and_watch(
-        specification, kept, steps=steps, quick=quick, until_met=until_met, checkpoint=checkpoint
-    )
+    best, interrupted = search_and_watch(specification, steps=steps, quick=quick, until_met=until_met)
     status = best.sentence if not interrupted else f"interrupted; the best plan so far: {best.sentence}"
-    result = prediction.make_recipe(best, status=status, stability=stability, keep_shapes=keep_shapes)
+    result = prediction.make_recipe(best, status=status)
     write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
-    if not interrupted:
-        kept.unlink(missing_ok=True)
     if json:
         print(as_json(record_of(best) | {"status": status, "recipe": str(output)}))
     else:
@@ -184,36 +130,9 @@ def optimise(
     drawn = [("before", specification), ("optimised", best.spec)]
     save_figure(lambda plots: plots.draw_comparison(drawn), plot, quiet=json)
     if interrupted:
-        again = f"; to continue: gradcal optimise {spec} -o {output} --resume" if kept.exists() else ""
-        complain(f"interrupted{again}")
+        complain("interrupted")
         return INTERRUPTED
     return DONE if best.converged else NOT_AS_WISHED
-
-
-def _read(path: Path) -> "Spec":
-    """The spec in a file or recipe; moves beyond the table's travel are made to fit."""
-    import tomllib
-
-    from gradcal_jax.recipe.recipe import spec_in
-    from gradcal_jax.spec.mission import missions_from
-    from gradcal_jax.spec.spec import spec_of
-    from gradcal_jax.spec.travel import lies_in_travel, within_travel
-    from gradcal_jax.tables.problems import SpecError
-
-    try:
-        return spec_in(path)
-    except SpecError as error:
-        if not lies_in_travel(error):
-            raise
-        with missions_from(path.parent):
-            mended = spec_of(within_travel(tomllib.loads(path.read_text(encoding="utf-8"))), str(path))
-        complain(
-            f"{error}\n"
-            "The search starts from a plan in which these moves were changed to fit: turns go in the other direction, "
-            "or only as far as the travel allows; a start angle beyond the travel is moved to its end; and a last turn "
-            "goes back to the start angle."
-        )
-        return mended
 
 
 def _refuse(where: str, options: Mapping[str, object]) -> None:
@@ -222,27 +141,21 @@ def _refuse(where: str, options: Mapping[str, object]) -> None:
         raise ValueError(f"{', '.join(given)}: no effect {where}; leave {'it' if len(given) == 1 else 'them'} out")
 
 
-def search_and_watch(
-    spec: "Spec", kept: Path | None = None, *, quick: bool = False, **options: Any
-) -> tuple["Optimised", bool]:
-    """The best plan, with a line of progress; and whether Ctrl-C ended the search. `kept`: file of its checkpoints;
-    `options`: of `optimise.optimise.run_search`."""
-    from gradcal_jax.design import searching
+def search_and_watch(spec: "Spec", *, quick: bool = False, **options: Any) -> tuple["Optimised", bool]:
+    """The best plan, with a line of progress; and whether Ctrl-C ended the search. `options`: of
+    `design.optimise.run_search`."""
     from gradcal_jax.design.optimise import run_search
     from gradcal_jax.design.searching import Optimised
 
     best: Optimised | None = None
-    of_spec = "" if kept is None else searching.fingerprint(spec)
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
         if not spec.turns_one_gyro:
             line.show("compiling the objective and its gradient: 10 to 30 s")
         for event in run_search(spec, quick=quick, stop=lambda: interrupt.asked, **options):
             if isinstance(event, Optimised):
                 best = event
-                continue
-            if kept is not None and event.checkpoint:
-                searching.write_checkpoint(kept, of_spec, event.checkpoint)
-            line.show(progress_of(event), event.share, number=amount(event.best, event.unit))
+            else:
+                line.show(progress_of(event), event.share, number=amount(event.best, event.unit))
     assert best is not None
     return best, interrupt.asked
 
@@ -309,63 +222,18 @@ class _Interrupt:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def plan_the_rest(run: Path, output: Path, *, time: str | None, pause: str, quick: bool, json: bool) -> int:
-    """Search for the best plan of the rest of an interrupted run, and write it as a recipe. The part that was done by
-    the journal counts in every prediction. `time`, `pause`: options of the command."""
-    from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume, stretches_of
-    from gradcal_jax.tables.writing import write_toml
-
-    folder = RunFolder(run)
-    left_s, pause_s = None if time is None else parse(time, "time"), parse(pause, "time")
-    prepare_resume(folder)
-    recipe = folder.recipe()
-    done = stretches_of(folder)
-    use_float64()
-    from gradcal_jax.design.optimise import rest_of
-    from gradcal_jax.design.searching import record_of
-    from gradcal_jax.information import prediction
-
-    spans = [(part.start_s, part.end_s) for part in done]
-    rest = rest_of(recipe.spec, spans, left_s=left_s, pause_s=pause_s)
-    best, interrupted = search_and_watch(rest, quick=quick)
-    status = f"interrupted; the best plan so far: {best.sentence}" if interrupted else ""
-    code = INTERRUPTED if interrupted else DONE if best.converged else NOT_AS_WISHED
-    seconds = sum(end - begin for begin, end in spans)
-    remark = f"after {time_text(float(round(seconds)))} with data; the prediction includes these data"
-    notes = (f"a plan for the remaining part of a run, {remark}",)
-    result = prediction.make_recipe(best, stability=recipe.stability, status=status, notes=notes)
-    write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
-    if json:
-        print(as_json(record_of(best) | {"done": spans, "recipe": str(output)}))
-    else:
-        print(optimum_text(best))
-        print(
-            f"wrote {output}, a plan for the remaining part, {remark}; next step: gradcal run {output} --resume {run}"
-        )
-    return code
-
-
 _HEADER: Final = (
     "Made by gradcal; `gradcal check` prints it as a table. To change the plan, change the spec and make the "
     "recipe again."
 )
 
 
-def stability_of(wishes: Mapping[str, tuple[str, str | None]]) -> "Stability":
-    """When a temperature counts as stable: for each key the kind of quantity, and its text or None."""
-    from gradcal_jax.recipe.tracks import Stability
-    from gradcal_jax.tables.quantity import Quantity
-
-    given = {name: Quantity.read(text, kind) for name, (kind, text) in wishes.items() if text is not None}
-    return Stability.model_validate(given)
-
-
-def write_recipe(spec: "Spec", output: Path, stability: "Stability", *, keep_shapes: bool, json: bool) -> None:
+def write_recipe(spec: "Spec", output: Path, *, json: bool) -> None:
     """Write the recipe of a spec's own plan, or print it for the name "-"."""
     from gradcal_jax.information import prediction
     from gradcal_jax.tables.writing import to_toml
 
-    result = prediction.make_recipe(spec, stability=stability, keep_shapes=keep_shapes)
+    result = prediction.make_recipe(spec)
     text = to_toml(result, header=_HEADER)
     if str(output) == "-":
         print(text, end="")

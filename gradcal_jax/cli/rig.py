@@ -18,9 +18,8 @@ from gradcal_jax.cli.output import (
     complain,
     strong,
 )
-from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.tables.display import amount, columns, printable
+from gradcal_jax.tables.display import columns, printable
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
@@ -32,9 +31,8 @@ _SILENT_S = 60.0
 _LOOKS_S = 1.0
 
 
-def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Json = False) -> int:
-    """Show the state of a run until the run ends: step, actual and planned temperature, angles, samples, errors that
-    remain.
+def watch(run: RunPath, /, *, once: Flag = False, json: Json = False) -> int:
+    """Show the state of a run until the run ends: step, actual and planned temperature, angles, samples.
 
     The command only reads the status file of the run, so you can end the command at any time. The exit status is 3 if
     the run ended badly or does not respond.
@@ -43,18 +41,11 @@ def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Jso
     ----------
     once
         Show the state once, and do not wait for the end of the run.
-    known
-        Print only the errors that would remain with the data so far (according to the journal), and after the whole
-        run.
     json
         Print the state once, as JSON.
     """
     from gradcal_jax.hardware.supervision import read_status
 
-    if known:
-        rows = _known(run)
-        print(as_json(rows) if json else known_text(rows))
-        return DONE
     with MovingLine(sys.stdout) as line:
         shown: Any = None
         while True:
@@ -84,29 +75,6 @@ def watch(run: RunPath, /, *, once: Flag = False, known: Flag = False, json: Jso
             time.sleep(_LOOKS_S)
 
 
-def _known(run: Path) -> list[dict[str, Any]]:
-    from gradcal_jax.hardware.run_folder import RunFolder, goes_on_at, stretches_of
-
-    folder = RunFolder(run)
-    spec, spans = folder.recipe().spec, [(part.start_s, part.end_s) for part in stretches_of(folder)]
-    use_float64()
-    from gradcal_jax.design.optimise import known_so_far
-
-    return [row._asdict() for row in known_so_far(spec, spans, goes_on_at(folder))]
-
-
-def known_text(rows: list[dict[str, Any]]) -> str:
-    """The residuals so far and at the end, by requirement, in one line."""
-    unobserved = {None: "cannot be observed"}
-    amounts = [
-        [unobserved.get(row[when]) or amount(row[when], row["unit"]) for when in ("now", "at_end")] for row in rows
-    ]
-    return "; ".join(
-        f"{row['name']}, axis {row['axis']}: now {now}, at the end {at_end}"
-        for row, (now, at_end) in zip(rows, amounts, strict=True)
-    )
-
-
 def status_text(status: dict[str, Any]) -> str:
     """A status in one line."""
     steps, done = status["steps"], status["steps_done"]
@@ -124,7 +92,6 @@ def status_text(status: dict[str, Any]) -> str:
         parts += [f"FAULT {fault}" for fault in axis["faults"]]
     for name, (received, missing) in status["samples"].items():
         parts.append(f"{name} {received} samples" + (f", {missing} missing" if missing else ""))
-    parts.append(known_text(status.get("known", [])))
     if "exit_status" in status:
         parts.append(f"ended: {status['exit_status']}" + (f", {status['reason']}" if status["reason"] else ""))
     else:

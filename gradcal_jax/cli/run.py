@@ -1,13 +1,11 @@
 """`gradcal run`: execute a recipe on a rig, or rehearse it on simulated devices."""
 
-import json as json_module
-import subprocess
 import sys
 import threading
 from dataclasses import asdict
 from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gradcal_jax.cli.output import DONE, FAILED, INTERRUPTED, Flag, Json, OptionalOutput, as_json, complain
 from gradcal_jax.cli.progress import MovingLine
@@ -36,8 +34,6 @@ def run(
     sample_rate: str = "125 Hz",
     dry_run: Flag = False,
     yes: Flag = False,
-    operator: str = "",
-    unit: str = "",
     note: str = "",
     units: int = 1,
     json: Json = False,
@@ -58,8 +54,7 @@ def run(
     output
         The folder for the files of the run; it is created.
     resume
-        Continue the run in this folder. Name a recipe only if `gradcal optimise RUN` has made one for the remaining
-        part. Name a rig file only to compare it with the rig file of the run.
+        Continue the run in this folder. Name a rig file only to compare it with the rig file of the run.
     simulate
         Use simulated devices instead of a rig.
     speed
@@ -72,11 +67,6 @@ def run(
         Read the limits of the rig's devices, print the commands for each device, and end; nothing moves.
     yes
         Begin without asking the operator to confirm the checklist.
-    operator
-        Name of the operator; the name is stored with the run and in the log of the run, like the texts of --unit and
-        --note.
-    unit
-        Name of the IMU on the table.
     note
         A note that is stored with the run.
     units
@@ -85,9 +75,9 @@ def run(
         Print only the result of the run, as JSON.
     """
     if resume is not None:
-        if output is not None or simulate:
+        if recipe is not None or output is not None or simulate:
             raise ValueError("--resume needs only the folder: the run continues with its own rig, or in simulation")
-        return _resume(resume, recipe, rig, json)
+        return _resume(resume, rig, json)
     if recipe is not None and dry_run:
         if rig is None:
             raise ValueError("name the rig file with --rig RIG")
@@ -108,11 +98,11 @@ def run(
     rate = parse(sample_rate, "frequency")
     if simulate and not json:
         print(_REHEARSAL)
-    about = {name: text for name, text in (("operator", operator), ("on the table", unit), ("note", note)) if text}
+    about = {"note": note} if note else {}
     if bench is not None and not (yes or json) and not _confirmed(executable, bench, about):
         complain("the run did not begin; nothing was moved")
         return INTERRUPTED
-    with _Watcher(simulate, quiet=json, virtual=simulate and speed is None) as watcher:
+    with _Watcher(simulate, quiet=json) as watcher:
         simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate, "units": units}
         result = execute(executable, output, rig=bench, about=about, **simulation, **watcher.attends())
     return _say(output, result, json)
@@ -186,23 +176,18 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
     return sys.stdin.readline() == "\n"
 
 
-def _resume(path: Path, recipe: Path | None, rig: Path | None, json: bool) -> int:
+def _resume(path: Path, rig: Path | None, json: bool) -> int:
     from gradcal_jax.hardware.execute import resume
-    from gradcal_jax.hardware.run_folder import RunFolder, adopt, prepare_resume
-    from gradcal_jax.recipe.recipe import read_recipe
+    from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
     from gradcal_jax.spec.rig import read_rig
 
     folder = RunFolder(path)
     bench = None if rig is None else read_rig(rig)
-    if recipe is not None:
-        prepare_resume(folder, bench)
-        adopt(folder, read_recipe(recipe))
     first, notes = prepare_resume(folder, bench), folder.notes()
     simulated = bool(notes["simulated"])
-    virtual = simulated and notes["simulation"].get("speed") is None
     if not json:
         print(f"continuing with step {first + 1}" + (f"\n{_REHEARSAL}" if simulated else ""))
-    with _Watcher(simulated, quiet=json, virtual=virtual) as watcher:
+    with _Watcher(simulated, quiet=json) as watcher:
         result = resume(path, rig=bench, **watcher.attends())
     return _say(path, result, json)
 
@@ -238,11 +223,10 @@ class _Watcher:
     It has a thread of its own, so that a stopped terminal (Ctrl-S) stops no move and no interlock.
     """
 
-    def __init__(self, simulated: bool, *, quiet: bool, virtual: bool = False) -> None:
+    def __init__(self, simulated: bool, *, quiet: bool) -> None:
         from gradcal_jax.hardware.transport import Terminal
 
         self._simulated = simulated
-        self._virtual = virtual
         self._quiet = quiet
         # A terminal on which the operator can be asked to turn an axis.
         seen = sys.stdin.isatty() and sys.stdout.isatty()
@@ -272,8 +256,6 @@ class _Watcher:
             "handle_signals": threading.current_thread() is threading.main_thread(),
             "terminal": self._terminal,
         }
-        if not self._virtual:
-            attends["knows"] = _known
         return attends
 
     def _attend(self, runner: "Runner") -> None:
@@ -318,16 +300,6 @@ class _Watcher:
     def _go_on(self) -> None:
         if self._runner is not None:
             self._runner.request("resume", "Enter")
-
-
-def _known(folder: Path) -> Any:
-    """The residuals so far, computed by a separate process: this one must not wait."""
-    program = "import os, sys; os.nice(19); from gradcal_jax.cli import main; sys.exit(main())"
-    command = [sys.executable, "-c", program, "rig", "watch", str(folder), "--known", "--json"]
-    result = subprocess.run(
-        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, timeout=600.0
-    )
-    return json_module.loads(result.stdout)
 
 
 def progress_text(progress: "RunProgress", simulated: bool) -> str:

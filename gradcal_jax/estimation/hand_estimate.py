@@ -285,8 +285,7 @@ def _words(
         )
     if earth_up == 0.0:
         yield (
-            "the acceleration sensitivities include the Earth's rate along the vertical, up to 15 deg/h at 1 g; "
-            "--latitude subtracts this rate"
+            "the acceleration sensitivities include the Earth's rate along the vertical, up to 15 deg/h at 1 g"
         )
     yield f"the accelerometers' scale factors are no more accurate than the stated gravity, {gravity:.6g} m/s²"
 

@@ -294,8 +294,8 @@ def with_earth(spec: Spec, earth_rate: float) -> Spec:
     along = "" if gyro is None or not spec.is_one_axis else str(getattr(hung, gyro.axes[0]))
     if along not in ("+z", "-z"):
         raise ValueError(
-            "--earth-rate and --latitude are only for one gyro along the only axis of a table, if this axis is "
-            "vertical; for other specs, state [rig.site] latitude"
+            "an Earth's rate is only for one gyro along the only axis of a table, if this axis is vertical; for other "
+            "specs, state [rig.site] latitude"
         )
     up = earth_rate if along == "+z" else -earth_rate
     latitude = math.asin(max(-1.0, min(up / EARTH_RATE, 1.0)))
@@ -355,8 +355,8 @@ def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:
     if not log.table_axes:
         return None
     raise LogError(
-        f"which of the table's axes ({', '.join(log.table_axes)}) turns the sensor about {axis}? Name it with "
-        "--table-axis"
+        f"which of the table's axes ({', '.join(log.table_axes)}) turns the sensor about {axis}? Give it the "
+        "same name in spec and log"
     )
 
 

@@ -364,7 +364,7 @@ def instability(
     if angle_random_walk is None and walk <= fit.angle_random_walk.standard_error:
         raise LogError(
             f"the Allan deviation of axis {rest.axis} shows no angle random walk, but the bound needs one: "
-            'state the figure of the data sheet with --random-walk, such as "0.1 deg/sqrt(h)"'
+            "record more often, or for longer"
         )
     times = identify.integration_times(max(shortest_s, interval), longest, interval, count=count)
     times = times[times <= room * (1 + 1e-12)]

@@ -1,261 +1,176 @@
-"""The HTML page of a plan, a run or a calibration: numbers and figures in a template, without external resources."""
+"""The HTML page of a plan, a run or a calibration: sections of sentences, tables and figures, without external
+resources."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 import gradcal_jax
-from gradcal_jax.calibration import FRAME_OF_CASE
-from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.pages.coefficients import coefficient_table, hidden_values, symbols
-from gradcal_jax.pages.figures import calibration_pictures, map_pictures, pose_picture, track_pictures
-from gradcal_jax.pages.numbers import figures, one_sign, unbroken_options
-from gradcal_jax.pages.report_data import ReportData, report_data_of
-from gradcal_jax.pages.requirements import RequirementFact
+from gradcal_jax.pages.assumptions import assumptions, provenance_rows
+from gradcal_jax.pages.certificate import certificate_part
+from gradcal_jax.pages.figures import calibration_pictures, plan_pictures, residual_pictures
+from gradcal_jax.pages.history import RunHistory, history_of
+from gradcal_jax.pages.residuals import outcome_table, residuals_of
+from gradcal_jax.pages.section import Part, Section
 from gradcal_jax.pages.sources import Sources, read_sources
-from gradcal_jax.pages.templates import page_file, page_templates
+from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path, terms, tests
 from gradcal_jax.recipe.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
-from gradcal_jax.recipe.recipe import Recipe
-from gradcal_jax.spec.schedule import StandardSchedule
-from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.spec.rig import read_rig
+from gradcal_jax.tables.table import Table
 from gradcal_jax.tables.writing import write_whole
-from gradcal_jax.units import DEG_PER_S, count_text, time_text, times_text
+from gradcal_jax.units import times_text
 
-# Moves of a cycle that a page shows.
-_MOST_MOVES: Final = 80
-
-
-def page(sources: Sources, data: ReportData) -> str:
-    """The whole page as HTML, in one file: styles and figures inside, and no script."""
-    template = page_templates(figures=figures, sentence=sentence, options=unbroken_options).get_template("page.html")
-    spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
-    targets = {r.name: r.target / r.coverage for r in data.requirements if r.target is not None}
-    tracks = [] if spec is None or spec.is_one_axis else [pose_picture(spec)]
-    tracks += track_pictures(recipe, data.history)
-    context: dict[str, Any] = {
-        "data": data,
-        "recipe": recipe,
-        "calibration_name": sources.calibration_name,
-        "css": page_file("style.css"),
-        "heading": _heading(data, sources),
-        "words": _words(data, sources),
-        "map_groups": map_pictures(data.maps, targets),
-        "tracks": tracks,
-        "calibration_pictures": [] if calibration is None else calibration_pictures(calibration),
-        "chamber_head": ["segment", *CHAMBER_HEAD[1:]],
-        "chamber": [] if recipe is None else chamber_rows(recipe),
-    }
-    return one_sign(template.render(**context))
+# The worst verdict of all requirements is that of the page.
+_VERDICTS: Final = {
+    "not valid": "Not valid: the data contradict the model, so no stated uncertainty is valid.",
+    "unobservable": "Unobservable: a requirement cannot be observed.",
+    "not covered": "Not covered: the data do not cover all temperatures and rates of a requirement.",
+    "missed": "Missed: a residual exceeds its target.",
+    "met": "Met: every target is met.",
+}
 
 
-def sentence(text: str) -> str:
-    """Text that begins with a capital and ends with a full stop."""
-    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
+def report(sources: str | Path | Sequence[str | Path], output: str | Path, *, before: str | Path | None = None) -> Any:
+    """Make one HTML page of a plan, a run or a calibration: plan, prediction, run, estimate and how to apply it.
+
+    `sources`: the folder of a run (a calibration in it is taken with it), a recipe or a spec, a calibration, or those
+    of them that belong together. `before`: a spec or recipe whose plan to compare with. The page replaces `output`; it
+    has no external resources.
+
+    Returns the verdict, and every table of the page by section as plain data: ppm, deg/h, °C and deg/s, 1σ. Errors:
+    `ValueError` for sources that cannot be read or do not belong on one page.
+    """
+    paths = [sources] if isinstance(sources, str | Path) else sources
+    return write_page(
+        read_sources([Path(path) for path in paths], before=None if before is None else Path(before)), output
+    )
 
 
-def _heading(data: ReportData, sources: Sources) -> str:
-    """The title of the page, with sensor and date if there is a calibration."""
-    if sources.calibration is None:
-        return data.title
-    begun = "" if data.history is None else str(data.history.begun)[:10]
-    return ", ".join(filter(None, (f"Calibration report: {sources.calibration.serial_number}", begun)))
-
-
-def _words(data: ReportData, sources: Sources) -> dict[str, Any]:
-    """Rows of cells and sentences for the template."""
-    spec, recipe, calibration = sources.spec, sources.recipe, sources.calibration
-    (head, *cells), numbers = coefficient_table(data.parameters)
-    return {
-        "plan": None if spec is None else _plan(spec),
-        "verdict": _verdict(data),
-        "chamber": [] if recipe is None else chamber_words(recipe),
-        "motion": [] if recipe is None else [block_heading(block) for block in recipe.motion],
-        "optimised": [] if recipe is None else _optimised(recipe),
-        "walks": spec is not None and spec.sensor.gyro is not None and bool(spec.sensor.gyro.rate_random_walk),
-        "thermometer_off": "temperature_offset" in hidden_values(sources.hidden_truth, calibration),
-        "mounted": calibration is not None and calibration.frame == FRAME_OF_CASE,
-        "converged": recipe is None or (recipe.optimisation or {}).get("converged", True),
-        "done": _done(data),
-        "waited": [
-            (row.step, time_text(row.waited_s), f"{figures(row.temperature_c)} °C")
-            for row in (() if data.history is None else data.history.waited)
-        ],
-        "devices": [] if data.history is None else [tuple(device) for device in data.history.devices],
-        "terms": [
-            [
-                (t.name, figures(t.value), "not observable" if t.std is None else figures(t.std, 3), t.unit, t.computed)
-                for t in axis.terms
-            ]
-            for axis in data.axes
-        ],
-        "fit": [
-            (name, figures(value), str(degrees), figures(chance, 2))
-            if degrees
-            else (name, "–", "0", "too few readings")
-            for name, value, degrees, chance in data.fit
-        ],
-        "table": _table_errors(sources),
-        "order": "" if calibration is None else calibration.order,
-        "basis": symbols(spec, calibration)
-        + ("" if data.axes else " Uncertainty of each coefficient after this plan."),
-        "exports": [(row.target, row.command, "; ".join(row.largest) or "nothing") for row in data.exports],
-        "provenance": [*data.provenance, ("page made", _time_and_version())],
-        "parameters": {"head": head, "rows": cells, "numbers": numbers},
-        **_requirements(data),
-    }
-
-
-def _plan(spec: Spec) -> dict[str, Any]:
-    """The times of a plan, and the moves of its cycle."""
-    schedule = spec.schedule
-    lasts = times_text(schedule.duration, schedule.soak, schedule.motion)
-    if isinstance(schedule, StandardSchedule):
-        return {"times": f"{lasts}. {schedule.readings} points.", "moves": [], "more": ""}
-    cycles = sum(stretch.cycles for stretch in schedule.stretches)
-    hung = len(spec.rig.table.mounting)
-    left = len(schedule.steps) - _MOST_MOVES
-    lasts += f". A cycle of {time_text(schedule.period)}, repeated {count_text(cycles, 'time')}" if cycles else ""
-    return {
-        "times": lasts + (f", in {hung} mountings." if hung > 1 else "."),
-        "moves": [
-            (
-                spec.rig.table.axis[step.axis].name if step.axis >= 0 else "",
-                step.move.shape,
-                time_text(step.move.duration),
-                f"{figures(step.move.angle * DEG_PER_S, 6)} deg" if step.axis >= 0 else "",
-                f"{figures(step.move.fastest * DEG_PER_S)} deg/s" if step.axis >= 0 else "",
-                str(step.move.repeat) if step.move.repeat > 1 else "",
-            )
-            for step in schedule.steps[:_MOST_MOVES]
-        ],
-        "more": f"… and {left} more moves; gradcal check --timeline segments prints all of them." if left > 0 else "",
-    }
-
-
-def _verdict(data: ReportData) -> str:
-    achieved = any(row.achieved is not None for row in data.requirements)
-    with_target = [row for row in data.requirements if row.target is not None]
-    done = "achieved" if achieved else "predicted"
-    if data.verdict == "not valid":
-        failed = [test.replace("_", " ") for test in data.contradicted]
-        return f"Not valid: the data contradict the model ({'; '.join(failed)}), so no stated uncertainty is valid."
-    if data.verdict == "met":
-        return f"Met: every target is met by the {done} residuals ({_against(with_target)})."
-    if data.verdict == "missed":
-        missed = [row for row in with_target if row.verdict == "missed"]
-        return f"Missed: a {done} residual exceeds its target ({_against(missed)})."
-    names = ", ".join(dict.fromkeys(row.name for row in data.requirements if row.verdict == data.verdict))
-    if data.verdict == "not covered":
-        return f"Not covered: the data do not cover all temperatures and rates of {names}, so there is no verdict."
-    if data.verdict == "unobservable":
-        return f"Unobservable: this plan cannot observe {names}."
-    return "No requirement has a target, so there is no verdict."
-
-
-def _against(rows: list[RequirementFact]) -> str:
-    parts: list[str] = []
-    for row in rows:
-        value = row.predicted if row.achieved is None else row.achieved
-        assert row.target is not None
-        text = "not observable" if value is None else f"{figures(value)} {row.unit}"
-        parts.append(f"{row.name}: {text} against {figures(row.target)} {row.unit}")
-    return "; ".join(parts)
-
-
-def _requirements(data: ReportData) -> dict[str, Any]:
-    rows = data.requirements
-    several = len({row.axis for row in rows} & set("xyz")) > 1
-    fields = {
-        "before": "before",
-        "predicted": "predicted",
-        "achieved": "achieved",
-        "from the named terms alone": "named",
-        "no plan leaves less than": "limit",
-        "own noise of the IMU, which remains": "own",
-        "target": "target",
-        "verdict": "verdict",
-        "limited by": "limited_by",
-    }
-    kept = {head: name for head, name in fields.items() if any(getattr(row, name) not in (None, "") for row in rows)}
-    cells: list[list[str]] = []
-    for row in rows:
-        name = f"{row.name} ({_box(row)})".replace(f"{row.name} ({row.name}, ", f"{row.name} (")
-        name += f", axis {row.axis}" if several else ""
-        cells.append([name, row.statistic, *(_cell(getattr(row, field), row.unit) for field in kept.values())])
-    return {"requirement_head": ["requirement", "statistic", *kept], "requirement_rows": cells}
-
-
-def _cell(value: float | str | None, unit: str) -> str:
-    if value is None or isinstance(value, str):
-        return value or ""
-    return f"{figures(value)}\N{NO-BREAK SPACE}{unit}"
-
-
-def _box(row: RequirementFact) -> str:
-    words = row.quantity.replace("_", " ")
-    if row.temperature_c is None:
-        return words
-    words = "" if words == row.name else words + ", "
-    words += f"{figures(row.temperature_c[0])} to {figures(row.temperature_c[1])} °C"
-    if row.rate_dps is None:
-        return words
-    return words + f", {figures(row.rate_dps[0])} to {figures(row.rate_dps[1])} deg/s"
-
-
-def _table_errors(sources: Sources) -> dict[str, Any] | None:
-    """The estimated errors of the table, beside the spec's uncertainty and a simulation's true values."""
+def write_page(
+    sources: Sources,
+    output: str | Path,
+    *,
+    certificate: Mapping[str, str] | None = None,
+    rig: Path | None = None,
+) -> dict[str, Any]:
+    """Write the page of `sources`, with a `certificate` in front where its number, customer and dates are stated;
+    returns its tables as plain data."""
+    history = None if sources.run is None else history_of(sources.run)
+    parts = [Part(_heading(sources, history), _sections(sources, history))]
+    if certificate is not None:
+        parts.insert(0, certificate_part(sources, None if rig is None else read_rig(rig), certificate))
     calibration = sources.calibration
-    if calibration is None or not calibration.table:
-        return None
-    hidden = hidden_values(sources.hidden_truth, calibration)
-    rows: list[tuple[str, ...]] = []
-    for error in calibration.table:
-        unit, factor = UNITS_OF_TERMS.get(error.unit, (error.unit, 1.0))
-        numbers = (error.value, error.standard_deviation, error.prior, *([hidden.get(error.name)] if hidden else []))
-        shown = ("" if number is None else figures(number * factor) for number in numbers)
-        rows.append((error.name.replace("_", " "), *shown, unit))
-    head = ["error of the table", "estimate", "1σ", "known to", *(["hidden truth"] if hidden else []), "unit"]
-    return {"head": head, "rows": rows, "numbers": tuple(range(1, len(head) - 1))}
+    simulated = any(of is not None and of.simulated for of in (history, calibration))
+    kind = _verdict(sources)
+    verdict = {"kind": kind, "words": _VERDICTS.get(kind, "No requirement has a target, so there is no verdict.")}
+    context = {"heading": parts[0].heading, "parts": parts, "simulated": simulated, "verdict": verdict}
+    write_whole(output, _template("template.html").render(**context, css=_text("style.css")))
+    sections = {section.title: section.json() for part in parts for section in part.sections}
+    return {"title": parts[-1].heading, "simulated": simulated, "verdict": kind or None, "sections": sections}
 
 
-def _optimised(recipe: Recipe) -> list[str]:
-    record = recipe.optimisation
-    if not record:
-        return []
-    unit = record.get("unit", "")
-    lines: list[str] = []
-    now, before = record.get("now"), record.get("before")
-    if isinstance(now, float | int):
-        begun = f"{figures(float(before))} {unit} → " if isinstance(before, float | int) else ""
-        lines.append(f"{record.get('objective', 'objective')}: {begun}{figures(float(now))} {unit}.")
-    if record.get("structure"):
-        lines.append(sentence(str(record["structure"])))
-    if record.get("active_limits"):
-        lines.append(f"Limits that the plan reaches: {'; '.join(map(str, record['active_limits']))}.")
-    return lines
+def _heading(sources: Sources, history: RunHistory | None) -> str:
+    if sources.calibration is not None:
+        begun = "" if history is None else f", {history.begun[:10]}"
+        return f"Calibration report: {sources.calibration.serial_number}{begun}"
+    titled = (of.title for of in (sources.recipe, sources.spec) if of is not None and of.title)
+    return next(titled, "Calibration plan")
 
 
-def _done(data: ReportData) -> list[str]:
-    history = data.history
-    if history is None:
-        return []
-    parts = "in one part" if history.sessions == 1 else f"in {history.sessions} parts"
-    waited = sum(row.waited_s for row in history.waited)
-    lines = [
-        f"Run begun {history.begun}, {parts}: {history.status}, {count_text(history.steps, 'step')}, "
-        f"{time_text(history.duration_s)} in total, including {time_text(waited)} of waiting for stable "
-        "temperatures.",
-        "Every device was verified to be safe at the end."
-        if history.verified_safe
-        else "NOT every device was verified to be safe at the end.",
+def _verdict(sources: Sources) -> str:
+    """The worst verdict; empty where no requirement has a target."""
+    of = sources.calibration.result if sources.calibration is not None else sources.prediction.requirements
+    verdicts = {row.verdict for row in of}
+    return next((word for word in _VERDICTS if word in verdicts), "")
+
+
+def _sections(sources: Sources, history: RunHistory | None) -> list[Section]:
+    found = residuals_of(sources)
+    targets = {
+        r.requirement.name: float(r.requirement.target) / r.requirement.coverage
+        for r in found
+        if r.requirement.target is not None
+    }
+    before = "the priors of the spec" if sources.before is None else f"the plan in {sources.before_name}"
+    notes = [f"Note: {note}." for note in _notes(sources)]
+    about = "What remains of each error within the stated range: the named statistic of one standard deviation (1σ)."
+    sections = [
+        Section("Requirements", [f"{about} Before: {before}.", *notes], [outcome_table(sources, found)]),
+        Section("Residuals", pictures=list(residual_pictures(found, targets))),
+        _plan(sources, history),
     ]
-    if history.seams:
-        lines.append(f"The run was paused or resumed {count_text(history.seams, 'time')}.")
-    if history.damaged_bytes:
-        lines.append(f"{history.damaged_bytes} bytes of the journal belong to no valid record.")
-    return lines
+    if history is not None:
+        sections.append(Section("Run", history.sentences, [history.waited, history.devices]))
+    sections += _calibrated(sources)
+    stated = Table.of(["term", "figure"], assumptions(sources.spec, sources.calibration))
+    sections.append(Section("Assumptions", [], [stated]))
+    made = [*provenance_rows(sources), ("page made", _time_and_version())]
+    sections.append(Section("Provenance", [], [Table.of(["what", "value"], made)]))
+    return [section for section in sections if not section.is_empty]
+
+
+def _notes(sources: Sources) -> list[str]:
+    notes = [*sources.notes]
+    if sources.spec is not None:
+        notes += sources.prediction.warnings
+    if sources.recipe is not None:
+        notes += sources.recipe.notes
+    calibration = sources.calibration
+    if calibration is not None:
+        if calibration.contradicted:
+            notes.append(f"the data contradict the model: {', '.join(calibration.contradicted)}")
+        if calibration.unobservable:
+            notes.append(f"the data do not observe: {', '.join(calibration.unobservable)}")
+    return list(dict.fromkeys(note.rstrip(".") for note in notes))
+
+
+def _plan(sources: Sources, history: RunHistory | None) -> Section:
+    spec, recipe = sources.spec, sources.recipe
+    text: list[str] = []
+    tables: list[Table] = []
+    if spec is not None:
+        schedule = spec.schedule
+        text.append(times_text(schedule.duration, schedule.soak, schedule.motion) + ".")
+    if recipe is not None:
+        text.append(f"{recipe.status}.")
+        tables.append(Table.of(["segment", *CHAMBER_HEAD[1:]], chamber_rows(recipe)))
+        text += [f"{words}." for words in chamber_words(recipe)]
+        text += [f"Table, {block_heading(block)}." for block in recipe.motion]
+        text.append("gradcal check prints every move of the recipe as a table.")
+    return Section("Plan", text, tables, pictures=list(plan_pictures(spec, recipe, history)))
+
+
+def _calibrated(sources: Sources) -> list[Section]:
+    """The sections of a calibration, or of the coefficients of a plan alone."""
+    calibration, planned = sources.calibration, None if sources.spec is None else sources.prediction
+    if calibration is None:
+        return [
+            Section("Coefficients", ["Uncertainty of each coefficient after this plan."], [coefficients(planned, None)])
+        ]
+    words = (
+        "The p-value is the probability that the noise of the spec alone causes a statistic of this size or larger. If "
+        "it is below 1 %, the model lacks an effect that is in the data."
+    )
+    tables = [terms(calibration), tests(calibration), of_path(calibration), errors_of_table(calibration)]
+    name = sources.calibration_name
+    commands = [
+        f"gradcal apply {name} LOG -o corrected.nc",
+        f"gradcal validate {name} ANOTHER_LOG",
+        f"gradcal export {name} --format c-header -o calibration.h",
+    ]
+    return [
+        Section(
+            "Calibration",
+            [f"{calibration.valid_range}.", words],
+            [table for table in tables if table.rows],
+            pictures=list(calibration_pictures(calibration)),
+        ),
+        Section("Coefficients", [], [coefficients(planned, calibration)]),
+        Section("How to apply it", [f"{calibration.order}."], commands=commands),
+    ]
 
 
 def _time_and_version() -> str:
@@ -264,34 +179,13 @@ def _time_and_version() -> str:
     return f"{now:%Y-%m-%d %H:%M} UTC by gradcal {gradcal_jax.__version__}"
 
 
-def report(
-    sources: str | Path | Sequence[str | Path],
-    output: str | Path,
-    *,
-    before: str | Path | None = None,
-    limits: str | Path | None = None,
-) -> ReportData:
-    """Make one HTML page of a plan, a run or a calibration: plan, prediction, run, estimate and how to apply it.
-
-    `sources`: the folder of a run (a calibration in it is taken with it), a recipe or a spec, a calibration, or those
-    of them that belong together. `before`: a spec or recipe whose plan to compare with.
-    `limits`: the output of `gradcal limit --json`. The page
-    replaces `output`; it has no external resources.
-
-    Returns every number of the page, once (`pages.report_data.ReportData`): ppm, deg/h, °C and deg/s, 1σ. Terms are
-    those of IEEE 952, 1431 and 1780. Errors: `ValueError` for sources that cannot be read or do not belong on one page.
-    """
-    paths = [sources] if isinstance(sources, str | Path) else sources
-    documents = read_sources(
-        [Path(source) for source in paths],
-        before=None if before is None else Path(before),
-        limits=None if limits is None else Path(limits),
-    )
-    return write_page(documents, output)
+def _text(name: str) -> str:
+    """The text of a file of this room."""
+    return (resources.files(__name__.rsplit(".", 1)[0]) / name).read_text(encoding="utf-8")
 
 
-def write_page(sources: Sources, output: str | Path) -> ReportData:
-    """Write the page of `sources`."""
-    data = report_data_of(sources)
-    write_whole(output, page(sources, data))
-    return data
+def _template(name: str) -> Any:
+    from jinja2 import Environment, StrictUndefined
+
+    room = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return room.from_string(_text(name))

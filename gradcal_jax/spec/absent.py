@@ -29,7 +29,7 @@ _OF_TABLE: Final = frozenset({"rate_accuracy", "tilt", "azimuth"})
 EARTH: Final = "rig.site.latitude"
 EARTH_IS_UNKNOWN: Final = (
     "the Earth's rate along the axis is not stated, so the bias includes up to 15.04 deg/h of this rate: give "
-    "[rig.site] latitude, or call `gradcal estimate` with --latitude (for an axis that points up) or --earth-rate"
+    "[rig.site] latitude"
 )
 
 

@@ -30,8 +30,8 @@ def spec(tmp_path):
 
 def test_the_package_runs_as_a_module_too():
     as_module = [sys.executable, "-m", "gradcal_jax"]
-    done = subprocess.run([*as_module, "new", "--list"], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, gradcal("new", "--list").stdout)
+    done = subprocess.run([*as_module, "start", "--list"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, gradcal("start", "--list").stdout)
     wrong = subprocess.run([*as_module, "predict", "no.toml"], capture_output=True, text=True, check=False)
     assert wrong.returncode == 2
     assert wrong.stderr.startswith("gradcal: no.toml")
@@ -49,7 +49,7 @@ HEAVY = ("jax", "jaxlib", "equinox", "xarray", "matplotlib", "scipy", "h5netcdf"
         "import gradcal_jax.cli",
         "import gradcal_jax.cli.app; gradcal_jax.cli.app.build()",
         "from gradcal_jax.cli import main; main(['--help'])",
-        "from gradcal_jax.cli import main; main(['new', '--list'])",
+        "from gradcal_jax.cli import main; main(['start', '--list'])",
         "from gradcal_jax.cli import main; main(['schema', 'spec'])",
         "from gradcal_jax.cli import main; main(['check', '--files-only', SPEC])",
     ],
@@ -71,20 +71,20 @@ def test_the_help_of_all_commands_needs_neither_arrays_nor_files():
 
 def test_new_writes_a_spec_that_checks_and_refuses_to_overwrite(tmp_path, capsys):
     goal = tmp_path / "my.toml"
-    assert main(["new", "rig-hand", "-o", str(goal)]) == 0
+    assert main(["start", "rig-hand", "-o", str(goal)]) == 0
     assert goal.read_text(encoding="utf-8") == presets.text("rig-hand")
     assert main(["check", "--files-only", str(goal)]) == 0
-    assert main(["new", "tactical-mems", "-o", str(goal)]) == 2
+    assert main(["start", "tactical-mems", "-o", str(goal)]) == 2
     assert goal.read_text(encoding="utf-8") == presets.text("rig-hand")
     assert "--force" in capsys.readouterr().err
-    assert main(["new", "tactical-mems", "-o", str(goal), "--force"]) == 0
+    assert main(["start", "tactical-mems", "-o", str(goal), "--force"]) == 0
     assert goal.read_text(encoding="utf-8") == presets.text("tactical-mems")
 
 
 def test_new_prints_and_lists(capsys):
-    assert main(["new", "paper-static-gradient", "-o", "-"]) == 0
+    assert main(["start", "paper-static-gradient", "-o", "-"]) == 0
     assert capsys.readouterr().out == presets.text("paper-static-gradient")
-    assert main(["new", "--list"]) == 0
+    assert main(["start", "--list"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(" ")[0] for line in lines if not line.startswith(" ")] == [
         *presets.names(),
@@ -98,11 +98,10 @@ def test_new_prints_and_lists(capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["new"], "--list"),
-        (["new", "rig-hand"], "-o my.toml"),
-        (["new", "rig-hnd", "-o", "-"], 'nearest: "rig-hand"'),
-        (["new", "rig-hand", "-o", "DIR"], "directory"),
-        (["new", "rig-hand", "-o", "DIR/no/such/place.toml"], "make it first"),
+        (["start"], "-o mine"),
+        (["start", "rig-hnd", "-o", "-"], 'nearest: "rig-hand"'),
+        (["start", "rig-hand", "-o", "DIR"], "directory"),
+        (["start", "rig-hand", "-o", "DIR/no/such/place.toml"], "make it first"),
         (["check"], "FILE"),
         (["check", "DIR"], "directory"),
         (["check", "DIR/none.toml"], "does not exist"),
@@ -171,7 +170,7 @@ def test_a_terminal_of_few_letters_gets_no_traceback(spec):
 
 
 def test_a_reader_that_leaves_early_is_no_success_and_no_complaint():
-    command = [*GRADCAL, "new", "rig-hand", "-o", "-"]
+    command = [*GRADCAL, "start", "rig-hand", "-o", "-"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         complaint = process.stderr.read()

@@ -9,8 +9,6 @@ from simulated_log import simulate_log
 from gradcal_jax.estimation.contradictions import lacks_of
 from gradcal_jax.estimation.estimate import estimate_log, estimate_rows, estimate_sensors
 from gradcal_jax.information.prediction import requirement_rows
-from gradcal_jax.pages.report_data import report_data_of
-from gradcal_jax.pages.sources import Sources
 from gradcal_jax.records.log import Log, part_of
 
 
@@ -29,7 +27,6 @@ def test_an_axis_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predic
     assert f"of the plan's {planned:.4g} s (60%); predicted for the executed part" in calibration.lacks
     assert calibration.lacks in said
     assert calibration.lacks in estimate_rows(report)["units"][0]["messages"]
-    assert calibration.lacks in report_data_of(Sources(calibration=calibration)).notes
     # What the executed part predicts is what is estimated from it.
     predicted = requirement_rows(spec, float(part.time_s[-1]))
     (verdicts,) = report.verdicts.values()
@@ -52,7 +49,6 @@ def test_a_unit_s_log_that_ends_early_says_what_it_lacks_and_what_the_rest_predi
     assert lacks is not None
     assert "(85%); predicted for the executed part" in lacks
     assert report.messages[0] == lacks
-    assert lacks in report_data_of(Sources(calibration=report.calibration)).notes
     for before, after in zip(requirement_rows(spec, float(part.time_s[-1])), report.requirements, strict=True):
         assert after.decisive == pytest.approx(before.decisive, rel=0.1)
 

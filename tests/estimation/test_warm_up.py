@@ -67,7 +67,8 @@ def test_px4_from_its_log_to_its_parameters(tmp_path, capsys):
         ("sensor_gyro", 1, sensor_gyro(stamps + 777, output(units[1], time, temperature, 2), temperature, 3670026)),
     )
     out, parameters = tmp_path / "cal.toml", tmp_path / "tc.params"
-    assert main(["estimate", str(path), "-o", str(out), "--parameters", str(parameters)]) in (0, 1)
+    assert main(["estimate", str(path), "-o", str(out)]) in (0, 1)
+    assert main(["export", str(out), "--format", "px4", "-o", str(parameters)]) == 0
     said = capsys.readouterr().out
     assert "Earth's" in said
     assert "IMU 1310988" in said
@@ -102,7 +103,8 @@ def test_ardupilot_from_its_log_to_its_parameters(tmp_path):
     logged = raw - np.stack([ardupilot_correction(old, 1, axis, temperature) for axis in "XYZ"], axis=1)
     path = dataflash(tmp_path / "cal.bin", imu_rows((time * 1e6).astype(np.int64), 0, logged, temperature), old)
     out, parameters = tmp_path / "cal.toml", tmp_path / "tcal.parm"
-    assert main(["estimate", str(path), "-o", str(out), "--parameters", str(parameters)]) in (0, 1)
+    assert main(["estimate", str(path), "-o", str(out)]) in (0, 1)
+    assert main(["export", str(out), "--format", "ardupilot", "-o", str(parameters)]) == 0
     values = numbers(parameters)
     assert values["INS_TCAL1_ENABLE"] == 1.0
     taken = np.stack([ardupilot_correction(values, 1, axis, FIT) for axis in "XYZ"], axis=1)
@@ -147,8 +149,6 @@ def test_what_is_no_warm_up_is_said(tmp_path, capsys):
     asked = ["estimate", str(table), "--columns", str(columns)]
     assert main(asked) == 2
     assert "no temperature" in capsys.readouterr().err
-    assert main([*asked, "--parameters", str(tmp_path / "p")]) == 2
-    assert "logs of PX4 (.ulg) and ArduPilot (.bin)" in capsys.readouterr().err
 
 
 def test_a_table_with_a_column_map_is_a_warm_up_too(tmp_path, capsys):

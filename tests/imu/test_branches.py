@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.cli.predict import omitted_lines
+from gradcal_jax.cli.check import omitted_lines
 from gradcal_jax.information.plan_sentences import check
 from gradcal_jax.model.imu_build import build_imu, imu_posterior
 from gradcal_jax.spec import presets

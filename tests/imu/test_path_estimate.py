@@ -1,6 +1,5 @@
 """Estimates of units with a loop over temperature: what is said, offered, written and drawn."""
 
-import json
 import tomllib
 from dataclasses import replace
 from functools import lru_cache
@@ -262,10 +261,6 @@ def test_validation_by_branch_and_by_bins_shows_the_loop(tmp_path, capsys):
     left = np.array([cells[t, "heating"].after - cells[t, "cooling"].after for t in warm])
     assert np.sqrt(np.mean(left[15:] ** 2)) < 0.5 * np.sqrt(np.mean(loop[15:] ** 2))
     assert all(cell.branch is None for cell in gj.validate(calibration, log)[0].cells)
-    write_calibration(calibration, tmp_path / "calibration.toml")
-    write_log(log, tmp_path / "log.nc")
-    main(["validate", str(tmp_path / "calibration.toml"), str(tmp_path / "log.nc"), "--branches", "--bins", "20 K"])
-    assert "20.0 … 40.0 °C, heating" in capsys.readouterr().out
 
 
 def test_noise_is_stated_by_branch_and_by_bins(tmp_path, capsys):
@@ -282,18 +277,6 @@ def test_noise_is_stated_by_branch_and_by_bins(tmp_path, capsys):
     with pytest.raises(LogError, match="no usable row lies between 70 and 80 °C, heating"):
         rest.within((70.0, 80.0), "heating")
     assert temperature_ranges(rest, 1, 2.0)[0] == (-20.0, -18.0)
-    write_log(log, tmp_path / "log.nc")
-    main(["instability", str(tmp_path / "log.nc"), "--axis", "x", "--branches", "--json"])
-    (whole,) = json.loads(capsys.readouterr().out)["channels"]
-    assert [part["branch"] for part in whole["ranges"]] == ["heating", "cooling"]
-    assert whole["branch"] is None
-    main(["allan", str(tmp_path / "log.nc"), "--axis", "x", "--branches", "--bins", "40 K", "--json"])
-    found = json.loads(capsys.readouterr().out)
-    assert [one["part"] for one in found["channels"]][:3] == ["", "heating", "cooling"]
-    assert len(found["channels"]) + len(found["problems"]) == 9
-    for one in found["channels"]:
-        walk = one["coefficients"]["angle_random_walk_deg_per_sqrt_h"]
-        assert walk["value"] == pytest.approx(0.1, abs=0.01 + 3.0 * walk["standard_error"])
 
 
 @pytest.mark.parametrize("law", ["dT/dt delayed by", "a lag of the bias of", "a transient from power-on of"])

@@ -111,10 +111,10 @@ def test_keys_of_a_unit_are_changed_as_those_of_an_axis_and_moves_are_written_as
 
 def test_new_writes_a_preset_of_a_unit_that_check_accepts(tmp_path, capsys):
     goal = str(tmp_path / "mine.toml")
-    assert main(["new", "--list"]) == 0
+    assert main(["start", "--list"]) == 0
     listed = [line.split(" ")[0] for line in capsys.readouterr().out.splitlines()]
     assert [name for name in listed if name in presets.names()] == list(presets.names())
-    assert main(["new", "ferraris", "-o", goal]) == 0
+    assert main(["start", "ferraris", "-o", goal]) == 0
     assert main(["check", goal]) == 0
     assert "the spec has no errors" in capsys.readouterr().out
     with pytest.raises(ValueError, match='nearest: "ferraris"'):

@@ -1,13 +1,11 @@
 """Sensitivities of a unit's plan: homogeneous in all sizes together, known limits, and the prediction itself."""
 
 import functools
-import json
 import math
 
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.cli import main
 from gradcal_jax.information.sensitivity import RATES, TIME, sensitive_figures
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import tables_of
@@ -110,11 +108,3 @@ def test_what_cannot_be_observed_or_is_not_required_is_said():
         gj.sensitivity(gj.changed(SIX, {"requirement": None}))
 
 
-def test_the_command_prints_and_draws_them(tmp_path, capsys):
-    path, picture = tmp_path / "six.toml", tmp_path / "six.svg"
-    gj.write_toml(SIX, path)
-    assert main(["predict", str(path), "--sensitivity", "--json", "--plot", str(picture)]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["residuals"]["accelerometer bias"] == [pytest.approx(81.8, rel=1e-2), "ug"]
-    assert {"requirement", "figure", "percent"} == set(said["percent_per_percent"][0])
-    assert "tilt of the base" in picture.read_text(encoding="utf-8") or "<svg" in picture.read_text(encoding="utf-8")

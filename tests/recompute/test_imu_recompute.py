@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import gradcal_jax as gj
-from gradcal_jax.cli import main
 from gradcal_jax.spec import presets
 from gradcal_jax.tables.schemas import schema
 
@@ -159,18 +158,3 @@ def both(s, t, tau):
     return tau**2 * np.exp(-gap / tau) * np.expm1(-a / tau) * np.expm1(-b / tau)
 
 
-def test_the_timeline_of_a_unit_as_text_is_short_and_its_csv_has_every_segment(tmp_path, capsys):
-    path = str(tmp_path / "unit.toml")
-    gj.write_toml(spec_of("ferraris"), path)
-    assert main(["check", path, "--timeline", "segments"]) == 0
-    said = capsys.readouterr().out
-    assert "spin: cosine ramps, +360 deg" in said
-    assert "+0.00 +1.00 +0.00" in said
-    assert main(["check", path, "--timeline", "readings"]) == 0
-    assert "gyros, accelerometers" in capsys.readouterr().out
-    assert main(["check", path, "--timeline", "segments", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert main(["check", path, "--timeline", "segments", "--csv"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 1 + len(document["segments"])
-    assert len({line.count(",") for line in lines}) == 1

@@ -5,7 +5,6 @@ import tomllib
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.cli.optimise import _read
 from gradcal_jax.spec.begin import PRESETS, files_of
 from gradcal_jax.spec.travel import lies_in_travel, within_travel
 from gradcal_jax.tables.writing import tables_to_toml
@@ -51,14 +50,6 @@ def test_moves_are_made_to_fit(preset, travel):
         if preset == "one-axis-table" and travel != "400 deg":
             assert max(seen) - min(seen) > 1.99 * float(axis.travel)
         assert at == pytest.approx(spec.schedule.start[k], abs=1e-6)
-
-
-def test_optimise_reads_a_plan_that_does_not_fit(tmp_path, capsys):
-    path = tmp_path / "spec.toml"
-    path.write_text(tables_to_toml(tables("one-axis-table", "170 deg")), encoding="utf-8")
-    spec = _read(path)
-    assert max(abs(s.move.angle) for s in spec.schedule.steps) == pytest.approx(340.0 * 0.017453292519943295)
-    assert "The search starts from a plan in which these moves were changed to fit" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("travel", ["60 deg", "100 deg"])

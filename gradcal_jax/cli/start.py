@@ -1,4 +1,4 @@
-"""`gradcal new` and `gradcal start`: a commented spec, rig file or column map to start from."""
+"""`gradcal start`: a commented spec, rig file or column map to start from."""
 
 import sys
 from pathlib import Path
@@ -6,92 +6,78 @@ from typing import Annotated, Final
 
 from cyclopts import Parameter
 
-from gradcal_jax.cli.output import DONE, Flag, Force, Output, writable
+from gradcal_jax.cli.output import DONE, Force, writable
 from gradcal_jax.tables.display import columns
 
 _COLUMN_MAP: Final = "column-map"
 _TEMPLATES: Final = {
     "export-gains": "Template for export: offsets and gains for a flight controller",
     "export-tracker": "Template for export: matrices for a body or head tracker, in JSON",
-    "export-ins": "Template for export: noise and errors for an inertial navigation filter",
 }
 
 
-def new(
-    preset: str | None = None,
+def start(
+    example: str | None = None,
     /,
     *,
-    output: Annotated[str | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)] = None,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)] = None,
+    preset: str | None = None,
     listing: Annotated[bool, Parameter(name="--list", negative="")] = False,
     force: Force = False,
 ) -> int:
-    """Write a commented example of a spec, of a column map for recordings of other programs, or of an export template.
-
-    Parameters
-    ----------
-    preset
-        The name of the example: a preset of a spec, column-map, or a template for export; --list lists all
-        names.
-    output
-        The file to write; "-" prints the example instead.
-    listing
-        List all examples.
-    """
-    from gradcal_jax.records import column_guess
-    from gradcal_jax.spec import presets
-
-    if listing:
-        rows = [(name, presets.title(name)) for name in presets.names()]
-        rows += [(_COLUMN_MAP, "Column map of a recording, for --columns")]
-        rows += _TEMPLATES.items()
-        print(columns(rows, indent=""))
-        return DONE
-    if preset is None:
-        raise ValueError("name the preset; gradcal new --list lists all presets")
-    examples = {_COLUMN_MAP: column_guess.EXAMPLE}
-    examples |= {preset: presets.template(f"{preset}.j2")} if preset in _TEMPLATES else {}
-    text = examples[preset] if preset in examples else presets.text(preset)
-    if output is None or output == "-":
-        if output is None:
-            raise ValueError(
-                f"name the file to write: gradcal new {preset} -o my.toml (or -o - to print the text instead)"
-            )
-        sys.stdout.write(text)
-        return DONE
-    from gradcal_jax.tables.writing import write_whole
-
-    writable(Path(output), force)
-    write_whole(output, text)
-    if preset not in examples:
-        from gradcal_jax.cli.predict import omitted_lines
-        from gradcal_jax.recipe.recipe import spec_in
-
-        if omitted := omitted_lines(spec_in(Path(output))):
-            print("\n".join(omitted))
-    following = f"gradcal check {output}"
-    if preset == _COLUMN_MAP:
-        following = f"gradcal allan LOG --columns {output}"
-    elif preset in _TEMPLATES:
-        following = f"gradcal export CALIBRATION --template {output}"
-    print(f"wrote {output}; next: {following}")
-    return DONE
-
-
-def start(*, output: Output, preset: str | None = None, force: Flag = False) -> int:
-    """Ask questions about the sensor and the rig, and write a commented spec with a plan, a rig file and a column map.
+    """Ask questions about the sensor and the rig, and write a commented spec with a plan, a rig file and a column map;
+    or write one example.
 
     An empty line accepts the answer in brackets; "<" returns to the previous question.
 
     Parameters
     ----------
+    example
+        Ask no questions, but write this example to the file OUTPUT; --list prints all names.
     output
-        The folder for spec.toml, rig.toml and columns.toml; it is created if necessary.
+        The folder for spec.toml, rig.toml and columns.toml, which is created if necessary; for an example, the file
+        ("-" prints it instead).
     preset
         Ask no questions, but use the prepared answers of drone-imu, bmi088, tactical-imu, drone-gyro, tactical-gyro or
         no-encoder.
-    force
-        Overwrite existing files.
+    listing
+        List all examples.
     """
+    if listing:
+        from gradcal_jax.spec import presets
+
+        rows = [(name, presets.title(name)) for name in presets.names()]
+        rows += [(_COLUMN_MAP, "Column map of a recording, for --columns"), *_TEMPLATES.items()]
+        print(columns(rows, indent=""))
+        return DONE
+    if output is None:
+        raise ValueError("name the folder (or, for an example, the file) to write, such as -o mine")
+    if example is not None:
+        return _example(example, output, force)
+    return _folder(output, preset, force)
+
+
+def _example(name: str, output: Path, force: bool) -> int:
+    from gradcal_jax.records import column_guess
+    from gradcal_jax.spec import presets
+    from gradcal_jax.tables.writing import write_whole
+
+    if name == _COLUMN_MAP:
+        text, following = column_guess.EXAMPLE, f"gradcal noise LOG --columns {output}"
+    elif name in _TEMPLATES:
+        text, following = presets.template(f"{name}.j2"), f"gradcal export CALIBRATION --template {output}"
+    else:
+        text, following = presets.text(name), f"gradcal check {output}"
+    if str(output) == "-":
+        sys.stdout.write(text)
+        return DONE
+    writable(output, force)
+    write_whole(output, text)
+    print(f"wrote {output}; next: {following}")
+    return DONE
+
+
+def _folder(output: Path, preset: str | None, force: bool) -> int:
     from gradcal_jax.spec import begin
     from gradcal_jax.spec.spec import parse_spec
     from gradcal_jax.tables.writing import write_whole
@@ -113,13 +99,6 @@ def start(*, output: Output, preset: str | None = None, force: Flag = False) -> 
     for name, text in texts.items():
         write_whole(output / name, text)
     print(f"wrote {', '.join(str(output / name) for name in texts)}")
-    typical = begin.typical_terms(answers)
-    if typical:
-        print(
-            "no question was asked about these terms; for each, spec.toml has a typical figure of the class, and its "
-            "source:"
-        )
-        print("\n".join(f"  {line}" for line in typical))
     print("next, in this order:")
     print("\n".join(f"  {line}" for line in _next(answers, str(output))))
     return DONE
@@ -145,7 +124,7 @@ def _next(answers: dict[str, str], folder: str) -> list[str]:
         f"gradcal rig check {folder}/rig.toml",
         f"gradcal run {folder}/recipe.toml --rig {folder}/rig.toml -o {folder}/run",
         f"gradcal log {folder}/run{own}",
-        f"gradcal estimate {folder}/run/log.nc --recipe {folder}/recipe.toml -o {folder}/run/calibration.toml",
+        f"gradcal estimate {folder}/run/log.nc --spec {folder}/recipe.toml -o {folder}/run/calibration.toml",
         f"gradcal report {folder}/run -o {folder}/report.html --before {folder}/spec.toml",
         f"gradcal export {folder}/run/calibration.toml --format c-header -o {folder}/calibration.h",
     ]
@@ -165,11 +144,7 @@ def _asked() -> dict[str, str]:
             continue
         usual = answers.get(question.name, "")
         print(f"{len(done) + 1}. {asked(question)}" + f" [{usual}] " * bool(usual), end=" " * (not usual), flush=True)
-        try:
-            line = sys.stdin.readline()
-        except KeyboardInterrupt:
-            print()
-            raise
+        line = sys.stdin.readline()
         if not line:
             print()
             raise ValueError(f"the answers ended at question {len(done) + 1}: {asked(question)}")

@@ -1,0 +1,156 @@
+"""`gradcal noise`: a sensor's noise from a record at rest, by its Allan deviation and by the Direct Bound."""
+
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from gradcal_jax.cli.output import (
+    DONE,
+    NOT_AS_WISHED,
+    ForceOutput,
+    JsonNumbers,
+    OptionalOutput,
+    Plot,
+    as_json,
+    drawable,
+    save_figure,
+    strong,
+    writable,
+)
+from gradcal_jax.cli.precision import use_float64
+from gradcal_jax.cli.recordings import Columns, LogFile, Rows, Unit, described, load, quantity, span
+
+if TYPE_CHECKING:
+    from gradcal_jax.identify import AllanFit
+    from gradcal_jax.identify.instability import Instability
+    from gradcal_jax.records.log import Log
+
+Axes = Annotated[
+    tuple[str, ...], Parameter(name="--axis", negative="", help="Which axis; may be repeated; by default all.")
+]
+
+
+def noise(
+    log: LogFile,
+    /,
+    *,
+    axis: Axes = (),
+    unit: Unit = None,
+    lag: str = "auto",
+    without: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    columns: Columns = None,
+    rows: Rows = None,
+    sensor_rate: str | None = None,
+    output: OptionalOutput = None,
+    force: ForceOutput = False,
+    json: JsonNumbers = False,
+    plot: Plot = None,
+) -> int:
+    """Print the noise of a record at rest: the coefficients of the Allan deviation, and a Gauss-Markov process that
+    bounds the drift (the Direct Bound of Z. Berman), as a part of a spec.
+
+    The bias over temperature is subtracted first, as a cubic, if the temperature changes by 5 K or more. The exit
+    status is 1 if the record shows no drift in addition to the angle random walk, or if the angle random walk is larger
+    than that of any gyro: check the units.
+
+    Parameters
+    ----------
+    lag
+        Lag of the bias behind the temperature: a time, "none", "fit", or "auto" (fitted, and used if it fits better).
+    without
+        A time span of the record to leave out, such as "123 s..130 s"; may be repeated.
+    sensor_rate
+        If each row is a single sample, but not every sample has a row: the sample rate of the sensor, such as "400 Hz".
+        If each row is the mean of several samples: "means".
+    output
+        Also write the noise of all gyros and accelerometers to this file, for kalibr (imu.yaml).
+    plot
+        Draw the Allan deviation, its fit and the curve of the Direct Bound into this file (.png, .svg, .pdf).
+    """
+    drawable(plot)
+    lag_s = lag if lag in ("auto", "fit", "none") else quantity(lag, "time", "--lag")
+    left_out = [span(text, "--without") for text in without]
+    if output is not None:
+        writable(output, force)
+    recorded = load(log, columns, rows, unit=unit)
+    if sensor_rate is not None:
+        recorded = _at_rate(recorded, sensor_rate)
+    use_float64()
+    from gradcal_jax.identify import instability as work
+
+    of_unit = 0 if unit is None else unit
+    found: list[tuple[Instability, AllanFit]] = []
+    drawn = []
+    for name in work.axes_asked_for(recorded, axis):
+        rest = work.at_rest(recorded, name, of_unit, bias_degree=None, lag=lag_s, without=left_out)
+        rest.walk_of_sensor(0.0)  # asks before anything is printed
+        deviation, fit = work.allan_of(rest)
+        drawn.append((rest, deviation, fit))
+        found.append((work.instability(rest), fit))
+    if json:
+        channels = [
+            {**work.instability_row(bound), "allan": work.allan_row(*one)}
+            for (bound, _), one in zip(found, drawn, strict=True)
+        ]
+        print(as_json({"simulated": recorded.simulated, "channels": channels}))
+    else:
+        print(described(recorded, str(log)))
+        for bound, fit in found:
+            print("\n" + _text(bound, fit))
+    if output is not None:
+        from gradcal_jax.tables.writing import write_whole
+
+        channels = work.noise_of_imu(recorded, of_unit, lag=lag_s)
+        name = f"{log.name}{' (simulated)' * recorded.simulated}"
+        write_whole(output, work.noise_file(channels, "kalibr", 1.0 / recorded.sample_interval_s, name))
+        if not json:
+            print(f"wrote {output}")
+    bounds = [bound for bound, _ in found]
+    save_figure(lambda plots: plots.identification.draw_allan_and_bound(drawn, bounds), plot, quiet=json)
+    wished = [bound.bound.drift_shows and work.plausible(work.of_sensor(bound.rest, fit)) for bound, fit in found]
+    return DONE if all(wished) else NOT_AS_WISHED
+
+
+def _at_rate(log: "Log", rate: str) -> "Log":
+    """The log with the stated rate of the sensor."""
+    from dataclasses import replace
+
+    from gradcal_jax.records.log import SENSOR_RATE
+
+    if rate != "means" and not quantity(rate, "frequency", "--sensor-rate") > 0.0:
+        raise ValueError(f"--sensor-rate {rate!r}: must be positive")
+    return replace(log, provenance={**log.provenance, SENSOR_RATE: rate})
+
+
+def _text(result: "Instability", of_rows: "AllanFit") -> str:
+    """The noise of one axis."""
+    from gradcal_jax.identify import instability as work
+    from gradcal_jax.tables.table import Column, Table
+    from gradcal_jax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H
+
+    bound, rest = result.bound, result.rest
+    fit = work.of_sensor(rest, of_rows)
+    coefficients = (
+        ("Q quantisation", fit.quantisation, ARCSEC, "arcsec"),
+        ("N angle random walk", fit.angle_random_walk, DEG_PER_SQRT_H, "deg/sqrt(h)"),
+        ("B bias instability", fit.bias_instability, DEG_PER_H, "deg/h"),
+        ("K rate random walk", fit.rate_random_walk, DEG_PER_H * 60.0, "deg/h/sqrt(h)"),
+    )
+    rows = [
+        (name, of.value * factor, of.standard_error * factor, unit, "" if of.shows else "not significant")
+        for name, of, factor, unit in coefficients
+    ]
+    heads = ["coefficient", "value", Column("standard error", "", 2), "unit", "remark"]
+    lines = [strong(f"axis {rest.axis}, IMU {rest.unit}"), Table.of(heads, rows).text()]
+    if bound.drift_shows:
+        lines.append(
+            f"the drift is bounded by {bound.drift_std * DEG_PER_H:.4g} deg/h with a correlation time of "
+            f"{bound.correlation_time_s:.4g} s, at {bound.margin:g} sigma"
+        )
+        first, last = result.deciding_span_s
+        lines.append(
+            f"the record from {first:.6g} s to {last:.6g} s determines the bound; to leave this part out: "
+            f'--without "{first:.6g} s..{last:.6g} s"'
+        )
+    messages = (*rest.messages, *work.allan_notes(fit), *bound.messages)
+    return "\n".join([*lines, *(f"note: {message}" for message in messages), "", result.drift_block()])

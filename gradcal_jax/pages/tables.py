@@ -1,0 +1,99 @@
+"""Tables of results, which terminal, page and certificate share."""
+
+from collections.abc import Sequence
+
+from gradcal_jax.calibration import Calibration
+from gradcal_jax.estimation.calibrations import standard_terms
+from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
+from gradcal_jax.information.verdicts import coefficient_rows
+from gradcal_jax.recipe.recipe import Predicted
+from gradcal_jax.tables.contracts import Prediction, RequirementRow
+from gradcal_jax.tables.display import amount
+from gradcal_jax.tables.table import Column, Table
+
+_ONE_SIGMA = Column("1σ", "", 3)
+
+
+def outcomes(rows: Sequence[RequirementRow]) -> Table:
+    """A row for each requirement: the residual that its verdict judges (1σ), the target, and what limits it."""
+    several = len({row.axis for row in rows} & {"x", "y", "z"}) > 1
+    cells = [
+        (
+            f"{row.name}, axis {row.axis}" if several else row.name,
+            row.statistic,
+            amount(row.judged, row.unit),
+            "" if row.target is None else amount(row.target, row.unit),
+            row.verdict or "",
+            row.limited_by or "",
+        )
+        for row in rows
+    ]
+    return Table.of(["requirement", "statistic", "residual 1σ", "target", "verdict", "limited by"], cells)
+
+
+def coefficients(planned: Predicted | Prediction | None, calibration: Calibration | None) -> Table:
+    """Every coefficient with one standard deviation: of a calibration by its data, with errors that no residual shows,
+    and as predicted by its plan."""
+    predicted = {} if planned is None else {row.name: row for row in planned.parameters}
+    if calibration is None:
+        rows = []
+        for name, row in predicted.items():
+            unit, factor = UNITS_OF_TERMS.get(row.unit, (row.unit, 1.0))
+            rows.append((name, "not observable" if row.std is None else f"{row.std * factor:.3g}", unit))
+        return Table.of(["coefficient", "1σ", "unit"], rows)
+    cells = []
+    for of in coefficient_rows(calibration):
+        unit, factor = UNITS_OF_TERMS.get(of["unit"], (of["unit"], 1.0))
+        std = of["std_counted"]
+        known = of["name"] in predicted and predicted[of["name"]].std is not None
+        before = predicted[of["name"]].std * factor if known else None
+        cells.append((of["name"], of["value"] * factor, None if std is None else std * factor, before, unit))
+    if not predicted:
+        cells = [(*row[:3], row[4]) for row in cells]
+        return Table.of(["coefficient", Column("value", "", 6), _ONE_SIGMA, "unit"], cells)
+    heads = ["coefficient", Column("value", "", 6), _ONE_SIGMA, Column("1σ predicted", "", 3), "unit"]
+    return Table.of(heads, cells)
+
+
+def terms(calibration: Calibration) -> Table:
+    """The calibration in the vocabulary of IEEE 952, 1431 and 1780."""
+    rows = [
+        (channel.label, term.name, term.value, term.std, term.unit, term.computed)
+        for channel in calibration.channel
+        for term in standard_terms(calibration, channel)
+    ]
+    return Table.of(["channel", "term", "value", _ONE_SIGMA, "unit", "computed as"], rows)
+
+
+def tests(calibration: Calibration) -> Table:
+    """The tests of the fit."""
+    rows = [
+        (
+            test.name.replace("_", " "),
+            test.statistic,
+            test.degrees,
+            f"{test.chance:.2g}" if test.degrees else "too few readings",
+        )
+        for test in calibration.fit
+    ]
+    return Table.of(["test of the fit", "statistic", "degrees", "p-value"], rows)
+
+
+def errors_of_table(calibration: Calibration) -> Table:
+    """The errors of the table that were estimated from the same log."""
+    rows = []
+    for error in calibration.table:
+        unit, factor = UNITS_OF_TERMS.get(error.unit, (error.unit, 1.0))
+        sizes = (error.value * factor, error.standard_deviation * factor, error.prior * factor)
+        rows.append((error.name.replace("_", " "), *sizes, unit))
+    return Table.of(["error of the table", "value", _ONE_SIGMA, Column("known to", "", 3), "unit"], rows)
+
+
+def of_path(calibration: Calibration) -> Table:
+    """What depends on the path of the temperature, in addition to the maps."""
+    rows = []
+    for one in calibration.path:
+        unit, factor = UNITS_OF_TERMS.get(one.unit, (one.unit, 1.0))
+        name = f"{one.channel} {one.name}".replace("_", " ")
+        rows.append((name, one.value * factor, one.standard_deviation * factor, unit))
+    return Table.of(["in addition to the maps", "value", _ONE_SIGMA, "unit"], rows)

@@ -1,0 +1,89 @@
+"""One table for terminal, notebook, page and certificate: columns with units, rows of numbers and words."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any, Final, NamedTuple
+
+from gradcal_jax.tables.display import columns as aligned
+
+Cell = str | float | None
+_ABSENT: Final = "–"
+
+
+class Column(NamedTuple):
+    """The name of a column, the unit of its numbers, and their significant digits."""
+
+    name: str
+    unit: str = ""
+    digits: int = 4
+
+    @property
+    def head(self) -> str:
+        return f"{self.name}, {self.unit}" if self.unit else self.name
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of numbers (in the unit of their column) and words; None: there is no such value."""
+
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    @classmethod
+    def of(cls, heads: Iterable[str | Column], rows: Iterable[Sequence[Cell]]) -> "Table":
+        """A table from names of columns (or columns) and rows."""
+        columns = tuple(head if isinstance(head, Column) else Column(head) for head in heads)
+        return cls(columns, tuple(tuple(row) for row in rows))
+
+    def cells(self) -> list[tuple[str, ...]]:
+        """Every row in words."""
+        return [tuple(shown(cell, at.digits) for at, cell in zip(self.columns, row, strict=True)) for row in self.rows]
+
+    def text(self, *, indent: str = "") -> str:
+        """For a terminal: aligned columns, with numbers at the right."""
+        heads = tuple(column.head for column in self.columns)
+        return aligned([heads, *self.cells()], indent=indent, right=self._numeric())
+
+    def html(self) -> str:
+        """For a page; on a narrow screen, each cell has the name of its column before it."""
+        heads = [escape(column.head) for column in self.columns]
+        numeric = self._numeric()
+        marks = [' class="number"' if k in numeric else "" for k in range(len(heads))]
+        lines = ["<table><thead><tr>"]
+        lines += [f'<th scope="col"{mark}>{head}</th>' for mark, head in zip(marks, heads, strict=True)]
+        lines.append("</tr></thead><tbody>")
+        for row in self.cells():
+            parts = zip(marks, heads, row, strict=True)
+            cells = [f'<td data-label="{head}"{mark}><span>{escape(cell)}</span></td>' for mark, head, cell in parts]
+            lines.append(f"<tr>{''.join(cells)}</tr>")
+        lines.append("</tbody></table>")
+        return "\n".join(lines)
+
+    _repr_html_ = html
+
+    def json(self) -> list[dict[str, Any]]:
+        """For other programs: an object for each row."""
+        names = [column.name for column in self.columns]
+        return [dict(zip(names, row, strict=True)) for row in self.rows]
+
+    def _numeric(self) -> tuple[int, ...]:
+        """The columns of numbers."""
+        found: list[int] = []
+        for k in range(len(self.columns)):
+            kinds = {type(row[k]) for row in self.rows if row[k] is not None}
+            if kinds and kinds <= {float, int}:
+                found.append(k)
+        return tuple(found)
+
+
+def shown(cell: Cell, digits: int = 4) -> str:
+    """A cell in words: numbers to significant digits, without powers of ten below a million."""
+    if cell is None:
+        return _ABSENT
+    if isinstance(cell, str):
+        return cell
+    if isinstance(cell, int):
+        return str(cell)
+    text = f"{cell:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(cell) < 1e9 else text

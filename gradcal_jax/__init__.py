@@ -17,7 +17,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 # What the package logs goes to handlers of the program that uses it, or nowhere.
 logging.getLogger(__name__).addHandler(logging.NullHandler())

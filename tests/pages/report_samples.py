@@ -65,13 +65,8 @@ def spec(**changes: object) -> Spec:
 
 def recipe() -> Recipe:
     """Of `spec`, as it stands."""
-<<<<<<< HEAD
-    result = {"objective": "all rates (mean of max)", "unit": "ppm", "now": 3.25}
-    return predictions.make_recipe(spec(), optimisation=result)
-=======
     record = {"objective": "all rates (mean of max)", "unit": "ppm", "now": 3.25}
     return predictions.make_recipe(spec(), optimisation=record)
->>>>>>> 02c71c3a (Fifteen commands of at most twelve options, one table for terminal, page and certificate, one page with the certificate as its first part)
 
 
 def rehearse(made: Recipe, folder: Path, seed: int = 3) -> dict[str, Any]:

@@ -13,6 +13,7 @@ _COLUMN_MAP: Final = "column-map"
 _TEMPLATES: Final = {
     "export-gains": "Template for export: offsets and gains for a flight controller",
     "export-tracker": "Template for export: matrices for a body or head tracker, in JSON",
+    "export-ins": "Template for export: noise and errors for an inertial navigation filter",
 }
 
 

@@ -284,9 +284,7 @@ def _words(
             "or ages"
         )
     if earth_up == 0.0:
-        yield (
-            "the acceleration sensitivities include the Earth's rate along the vertical, up to 15 deg/h at 1 g"
-        )
+        yield ("the acceleration sensitivities include the Earth's rate along the vertical, up to 15 deg/h at 1 g")
     yield f"the accelerometers' scale factors are no more accurate than the stated gravity, {gravity:.6g} m/s²"
 
 

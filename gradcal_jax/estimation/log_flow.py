@@ -210,8 +210,7 @@ def _unit(
     """The calibration of all axes of a unit, and the estimate of each."""
     log, sensors, noises = _marked(log, unit), list[SensorEstimate](), list[GyroTriad]()
     before = [
-        f"the vehicle's rate is assumed to be zero, so the bias includes up to {_EARTH:.0f} deg/h of the Earth's "
-        "rate"
+        f"the vehicle's rate is assumed to be zero, so the bias includes up to {_EARTH:.0f} deg/h of the Earth's rate"
     ] * (not options.earth_rate)
     for axis in axes or log.axes:
         spec, words = warm_up_spec(log, axis, unit)

@@ -106,5 +106,3 @@ def test_what_cannot_be_observed_or_is_not_required_is_said():
         gj.sensitivity(blind)
     with pytest.raises(ValueError, match=r"no \[\[requirement\]\]"):
         gj.sensitivity(gj.changed(SIX, {"requirement": None}))
-
-

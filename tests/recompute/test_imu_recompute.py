@@ -156,5 +156,3 @@ def both(s, t, tau):
     gap = second["start"] - first["start"] - first["duration"]
     a, b = first["duration"], second["duration"]
     return tau**2 * np.exp(-gap / tau) * np.expm1(-a / tau) * np.expm1(-b / tau)
-
-

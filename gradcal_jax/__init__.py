@@ -37,6 +37,8 @@ __all__ = list(_HOME_OF_NAME)
 def __getattr__(name: str) -> Any:
     if name == "plots":
         return importlib.import_module("gradcal_jax.plots")
+    if name == "presets":
+        return importlib.import_module("gradcal_jax.spec.presets")
     if name not in _HOME_OF_NAME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF_NAME[name]}"), name)

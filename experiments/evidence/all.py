@@ -48,11 +48,8 @@ ALL = (
     Report("presets", ("tests/evidence/test_every_preset.py",), RUNS),
     Report("random_plans", ("tests/evidence/test_random_plans.py",), RUNS),
     Report("tests_of_the_fit", ("tests/evidence/test_started_rigs.py",), RUNS),
-    Report("started_truths", ("tests/evidence/test_started_truths.py",), RUNS),
-    Report("searched_plans", ("tests/evidence/test_searched_plans.py",), (*RUNS, "design")),
     Report("loops", ("tests/evidence/test_loops.py",), RUNS),
     Report("gravity", ("tests/evidence/test_gravity_as_encoder.py",), RUNS),
-    Report("fixtures", ("tests/evidence/test_fixtures.py",), RUNS),
     Report("hardware", ("tests/hardware",), RUNS),
     Report("proofs", ("tests", "--ignore=tests/evidence", "--ignore=tests/hardware"), (*RUNS, "design", "identify")),
 )

@@ -181,7 +181,7 @@ def write_table(path: Path) -> None:
 
 def figures_1_and_2(out: Path) -> None:
     for number, name in ((1, "static_standard"), (2, "static_gradient")):
-        axes, _ = plots.draw_temperature(gj.timeline(spec(name)))
+        axes, _ = plots.draw_temperature(spec(name))
         axes.set_title(f"Figure {number}: {name.replace('_', ', ')} method")
         plots.save(axes.figure, out / f"figure{number}.png")
 

@@ -12,7 +12,6 @@ from gradcal_jax.plots.residual import draw_curves, draw_map, draw_over_temperat
 from gradcal_jax.plots.spec import (
     draw_comparison,
     draw_heading,
-    draw_planned_rate,
     draw_planned_temperature,
     draw_poses,
     draw_prediction,
@@ -36,7 +35,6 @@ __all__ = [
     "draw_loop",
     "draw_map",
     "draw_over_temperature",
-    "draw_planned_rate",
     "draw_planned_temperature",
     "draw_poses",
     "draw_prediction",

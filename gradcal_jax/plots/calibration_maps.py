@@ -63,15 +63,3 @@ def draw_residuals(channel: CalibratedChannel, *, ax: Axes | None = None) -> tup
     ax.set(xlabel="residual in standard deviations (ends: all beyond 4)", ylabel="readings")
     ax.legend()
     return ax, line
-
-
-def draw_residual_parts(channel: CalibratedChannel, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """The rms of the residuals in each tenth of the run, and the 95 % band of a true model."""
-    ax = new_axes(ax)
-    assert channel.residuals is not None
-    rms = np.array(channel.residuals.rms)
-    (line,) = ax.plot(np.arange(1, len(rms) + 1), rms, marker="o", **style_of(0))
-    half = 1.96 / np.sqrt(2.0 * sum(channel.residuals.counts) / len(rms))
-    ax.axhspan(1.0 - half, 1.0 + half, color=PALETTE[1], alpha=0.2)
-    ax.set(xlabel="tenth of the run", ylabel="rms residual, standard deviations", ylim=(0.0, None))
-    return ax, line

@@ -47,15 +47,6 @@ def draw_boundary(instability: Instability, *, ax: Axes | None = None) -> tuple[
     return ax, line
 
 
-def draw_instability(channels: Sequence[Instability]) -> Figure:
-    """For each channel the drifts with their bound, and the boundary of bounding processes."""
-    figure, all_axes = new_panels(len(channels), 2, (5.2, 4.0))
-    for (left, right), one in zip(all_axes, channels, strict=True):
-        draw_drift(one, ax=left)
-        draw_boundary(one, ax=right)
-    return figure
-
-
 def draw_allan(allan: AllanDeviation, fit: AllanFit, *, title: str = "", ax: Axes | None = None) -> tuple[Axes, Line2D]:
     """The overlapping Allan deviation with its confidence interval and the fitted model."""
     ax = new_axes(ax)

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 import gradcal_jax as gj
 from gradcal_jax import plots
-from gradcal_jax.information.timeline import timeline
 
 TEMPERATURE = np.linspace(-30.0, 70.0, 21)
 RATE = np.linspace(-300.0, 300.0, 31)
@@ -48,7 +47,7 @@ def test_without_axes_every_function_makes_a_figure_of_its_own(bias_spec):
         plots.draw_map(TEMPERATURE, RATE, BOWL, "ppm").axes,
         plots.draw_worst_over_temperature(RATE, BOWL, "ppm")[0],
         plots.draw_over_temperature(TEMPERATURE, BOWL[:, :1], "deg/h")[0],
-        plots.draw_temperature(timeline(bias_spec))[0],
+        plots.draw_temperature(bias_spec)[0],
     ]
     assert len({id(ax.figure) for ax in drawn}) == len(drawn)
     for ax in drawn:
@@ -104,7 +103,7 @@ def test_styles_repeat_only_after_both_colour_and_dash_have(axes):
 
 
 def test_the_temperature_track_goes_as_the_plan_does(axes, bias_spec):
-    ax, line = plots.draw_temperature(timeline(bias_spec), label="gradient", ax=axes)
+    ax, line = plots.draw_temperature(bias_spec, ax=axes)
     assert ax is axes
     hours, temperature = line.get_data()
     assert (hours[0], hours[-1]) == (0.0, pytest.approx(160.0 / 60.0))

@@ -36,7 +36,6 @@ class Restrict:
     """
 
     family: str | None = None
-    axes: int | None = None
     temperature: str | None = None
     estimator: str | None = None
     bases: tuple[str, ...] = BASES
@@ -133,7 +132,6 @@ def _gradient(rng: np.random.Generator, family: str, wanted: Restrict) -> tuple[
     plan: Table = {"method": "gradient"}
     by_hand = family == "hand"
     if family == "static gradient":
-        plan["read_every"] = _text(_between(rng, 3, 20, 2), "s")
         moving, cycle = 0.0, None
     else:
         cycle, moving = _cycle(rng, wanted, by_hand)
@@ -243,19 +241,14 @@ def _seconds(text: str | None) -> float:
 
 def _cycle(rng: np.random.Generator, wanted: Restrict, by_hand: bool) -> tuple[Table, float]:
     """A cycle and what its own moves take (s)."""
-    count = wanted.axes or _one(rng, (1, 1, 1, 2, 3))
-    axes = sorted(str(a) for a in rng.permutation(["x", "y", "z"])[:count])
     end_reads = _chance(rng, 0.2) if wanted.rests_read_at_end is None else wanted.rests_read_at_end
     # The first rest is read while it lasts, so that there is a reading in any case.
     rest = lambda: _rest(rng, end_reads)  # noqa: E731
     moves: list[Table] = [{"rest": _text(_between(rng, 4, 12, 2), "s"), "read_every": _text(_one(rng, (1, 2)), "s")}]
-    turns = max(2 * count, int(rng.integers(2, 6)))
+    turns = int(rng.integers(2, 6))
     moving = _seconds(moves[0]["rest"])
-    for k in range(turns):
-        axis = axes[k % count]
+    for _ in range(turns):
         turn, seconds = _by_hand(rng) if by_hand else _turn(rng)
-        if axis != "x" or _chance(rng, 0.1):
-            turn["axis"] = axis
         moves.append(turn)
         moving += seconds
         if _chance(rng, 0.75):
@@ -266,7 +259,7 @@ def _cycle(rng: np.random.Generator, wanted: Restrict, by_hand: bool) -> tuple[T
         others: Table = {"duration": _text(_between(rng, 10, 60, 2), "s")}
         if _chance(rng, 0.7):
             others["read"] = _chance(rng, 0.75)
-            if others["read"] and _chance(rng, 0.5):
+            if others["read"]:
                 others["read_every"] = _text(_one(rng, (1, 2.5, 4)), "s")
         cycle["other_axes"] = others
     if _chance(rng, 0.15):
@@ -278,8 +271,7 @@ def _cycle(rng: np.random.Generator, wanted: Restrict, by_hand: bool) -> tuple[T
 def _rest(rng: np.random.Generator, end_reads: bool) -> Table:
     rest: Table = {"rest": _text(_between(rng, 2, 12, 2), "s")}
     if end_reads and _chance(rng, 0.6):
-        if _chance(rng, 0.5):
-            rest["read"] = "end"
+        rest["read"] = "end"
     elif _chance(rng, 0.75):
         rest["read_every"] = _text(_one(rng, (1, 1, 2, 0.7)), "s")
     else:
@@ -340,32 +332,33 @@ def _by_hand(rng: np.random.Generator) -> tuple[Table, float]:
 
 def _sensor(rng: np.random.Generator, family: str, wanted: Restrict, frame: _Frame) -> Table:
     grade = {"consumer": 10.0, "tactical": 0.7, "hand": 0.7}.get(family, 1.0)
-    sensor: Table = {"quantity": "gyro", "angle_random_walk": _text(_size(rng, 0.1 * grade), "deg/sqrt(h)")}
+    sensor: Table = {}
+    gyro: Table = {"axes": ["x"], "angle_random_walk": _text(_size(rng, 0.1 * grade), "deg/sqrt(h)")}
     both = family in ("tactical", "consumer", "hand")
     static = "static" in family
     has_bias = static or both or _chance(rng, 0.35)
     has_scale = not static and (has_bias is False or both or _chance(rng, 0.7))
     noisy = _chance(rng, 0.7 if frame.standard else 0.93) if wanted.processes is None else wanted.processes
     if noisy:
-        _processes(rng, sensor, grade, static)
+        _processes(rng, sensor, gyro, grade, static)
     if _chance(rng, 0.35):
-        sensor["turn_on_bias"] = _text(_size(rng, 10 * grade), "deg/h")
+        gyro["turn_on_bias"] = _text(_size(rng, 10 * grade), "deg/h")
         if frame.standard and not has_bias and not noisy:
-            del sensor["turn_on_bias"]
+            del gyro["turn_on_bias"]
     if _chance(rng, 0.4):
         sensor["thermal_lag"] = _text(_between(rng, 60, 400, 2), "s")
     if has_bias and _chance(rng, 0.25) and not frame.unweighted:
-        sensor["bias_temperature_gradient"] = {}
+        gyro["bias_temperature_gradient"] = {}
         if frame.standard or _chance(rng, 0.7):
-            sensor["bias_temperature_gradient"]["prior"] = _text(_size(rng, 5), "deg/h/(K/min)")
+            gyro["bias_temperature_gradient"]["prior"] = _text(_size(rng, 5), "deg/h/(K/min)")
     if has_bias:
-        sensor["bias"] = _bias(rng, wanted, frame, grade)
+        gyro["bias"] = _bias(rng, wanted, frame, grade)
     if has_scale:
-        sensor["scale_factor"] = _scale_factor(rng, wanted, frame, grade)
-    return sensor
+        gyro["scale_factor"] = _scale_factor(rng, wanted, frame, grade)
+    return sensor | {"gyro": gyro}
 
 
-def _processes(rng: np.random.Generator, sensor: Table, grade: float, static: bool) -> None:
+def _processes(rng: np.random.Generator, sensor: Table, gyro: Table, grade: float, static: bool) -> None:
     drifts = _one(rng, (0, 1, 1, 2, 3))
     rows = lambda n, size, unit: [  # noqa: E731
         {
@@ -375,11 +368,11 @@ def _processes(rng: np.random.Generator, sensor: Table, grade: float, static: bo
         for _ in range(n)
     ]
     if drifts:
-        sensor["drift"] = rows(drifts, 1.0 * grade, "deg/h")
+        gyro["drift"] = rows(drifts, 1.0 * grade, "deg/h")
     if _chance(rng, 0.25):
-        sensor["rate_random_walk"] = _text(_size(rng, 1.0 * grade), "deg/h/sqrt(h)")
+        gyro["rate_random_walk"] = _text(_size(rng, 1.0 * grade), "deg/h/sqrt(h)")
     if not static and _chance(rng, 0.4):
-        sensor["scale_factor_instability"] = rows(_one(rng, (1, 1, 2)), 20 * grade, "ppm")
+        gyro["scale_factor_instability"] = rows(_one(rng, (1, 1, 2)), 20 * grade, "ppm")
     if _chance(rng, 0.3):
         error: Table = {"standard_deviation": _text(_size(rng, 0.1), "K")}
         if _chance(rng, 0.6):
@@ -389,7 +382,7 @@ def _processes(rng: np.random.Generator, sensor: Table, grade: float, static: bo
             error["bias_slope"] = _text(_size(rng, 5 * grade), "deg/h/K")
         if slopes != "bias":
             error["scale_factor_slope"] = _text(_size(rng, 15 * grade), "ppm/K")
-        sensor["temperature_error"] = error
+        gyro["temperature_error"] = error
     if not static and _chance(rng, 0.4):
         sensor["sample_clock_error"] = _text(_size(rng, 20 * grade), "ppm")
 
@@ -490,7 +483,11 @@ def _pieces(rng: np.random.Generator, kind: str, low: float, high: float, unit: 
 
 
 def _rig(rng: np.random.Generator, family: str, frame: _Frame) -> Table:
-    table: Table = {
+    table: Table = {"standing": "read", "mounting": [{"x": "+z", "y": "+x", "z": "+y"}]}
+    angle: Table = {"read_every": _text(_between(rng, 3, 20, 2), "s")}
+    axis: Table = {
+        "name": "x",
+        "direction": [0.0, 0.0, 1.0],
         "max_rate": _text(frame.max_rate, "deg/s"),
         "max_acceleration": "600 deg/s^2",
         "travel": "unlimited",
@@ -501,7 +498,6 @@ def _rig(rng: np.random.Generator, family: str, frame: _Frame) -> Table:
         if _chance(rng, 0.8):
             table["rate_accuracy"] = _text(_size(rng, 100), "ppm")
     else:
-        angle: Table = {}
         if _chance(rng, 0.85):
             angle["reading_noise"] = _text(_size(rng, 0.02, 6.0), "deg")
         if _chance(rng, 0.45):
@@ -511,9 +507,8 @@ def _rig(rng: np.random.Generator, family: str, frame: _Frame) -> Table:
         if family != "static gradient" and _chance(rng, 0.35):
             orders = sorted(int(n) for n in rng.permutation([1, 2, 3, 5, 36])[: int(rng.integers(1, 4))])
             angle["harmonics"] = [{"order": n, "amplitude": _text(_size(rng, 15), "arcsec")} for n in orders]
-        table["angle"] = angle
     return {
-        "table": table,
+        "table": table | {"axis": [axis | {"angle": angle}]},
         "chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "10 K/min", "max_cooling": "10 K/min"},
     }
 
@@ -523,23 +518,24 @@ def _requirements(rng: np.random.Generator, sensor: Table, frame: _Frame) -> lis
     if float(box[0].split()[0]) >= float(box[1].split()[0]):
         box = [_text(frame.low - 3.0, "degC", 3), _text(frame.high + 3.0, "degC", 3)]
     rows: list[Table] = []
-    if "scale_factor" in sensor:
+    gyro = sensor["gyro"]
+    if "scale_factor" in gyro:
         top = 0.9 * frame.max_rate
         rows.append(
             {
                 "name": "scale factor",
-                "quantity": "scale_factor",
+                "quantity": "gyro_scale_factor",
                 "temperature": box,
                 "rate": [_text(-top, "deg/s"), _text(_one(rng, (top, 0.4 * top)), "deg/s")],
                 "statistic": _one(rng, ("mean of max", "max", "mean", "rms")),
                 "grid": [int(rng.integers(4, 9)), int(rng.integers(4, 11))],
             }
         )
-    if "bias" in sensor:
+    if "bias" in gyro:
         rows.append(
             {
                 "name": "bias",
-                "quantity": "bias",
+                "quantity": "gyro_bias",
                 "temperature": box,
                 "statistic": _one(rng, ("max", "mean", "rms")),
                 "grid": [int(rng.integers(4, 12))],

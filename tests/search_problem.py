@@ -24,28 +24,35 @@ def targets_met(spec: Spec) -> bool:
 
 SPEC = """
 format = "gradcal-spec/1"
-[sensor]
-quantity          = "gyro"
+[sensor.gyro]
+axes = ["x"]
 angle_random_walk = "0.1 deg/sqrt(h)"
-[[sensor.drift]]
+[[sensor.gyro.drift]]
 standard_deviation = "1 deg/h"
 correlation_time   = "120 s"
-[sensor.scale_factor]
+[sensor.gyro.scale_factor]
 temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
 rate        = { basis = "polynomial", degree = 1, scale = "300 deg/s" }
 [rig.table]
+standing = "read"
+mounting = { x = "+z", y = "+x", z = "+y" }
+[[rig.table.axis]]
+name = "x"
+direction = [0.0, 0.0, 1.0]
 max_rate         = "300 deg/s"
 max_acceleration = "300 deg/s^2"
 travel           = "unlimited"
-[rig.table.angle]
+[rig.table.axis.angle]
 reading_noise = "0.05 deg"
+read_every = "20 s"
 [rig.chamber]
 range       = ["-40 degC", "85 degC"]
 max_heating = "2 K/min"
 max_cooling = "1.5 K/min"
 [[requirement]]
 name        = "full range"
-quantity    = "scale_factor"
+quantity    = "gyro_scale_factor"
+axis = "x"
 temperature = ["-30 degC", "70 degC"]
 rate        = ["-300 deg/s", "300 deg/s"]
 statistic   = "mean of max"

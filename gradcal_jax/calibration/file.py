@@ -9,19 +9,12 @@ y" for its misalignment. Signals are true inputs, in the frame that the file nam
 its input along its own axis of sensitivity. "temperature rate" is dT/dt. Coefficients are those of the paper: `a{k}`
 multiplies the k-th power of `(T − centre)/scale` in a bias, `b{j}{i}` the j-th power of `(ω − centre)/scale` and the
 i-th of the temperature's in a scale factor; other bases count their functions. Numbers without a unit are SI.
-
-**Version 2** added misalignments after the scale factor: the same sum with s = input. They are converted as it is
-read, exactly at the middle temperature. **Version 1**, which is converted, too, had two forms, of a gyro's axes
-(`[[axis]]` with maps of its own) and of a whole IMU (`quantity = "unit"`, with one range for all channels). Faults of
-an old file stay faults, which the validation reports.
 """
 
-import contextlib
-import copy
 import itertools
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -416,15 +409,14 @@ class Calibration(TitledFile):
 
 def is_calibration(document: Mapping[str, Any]) -> bool:
     """Whether tables are those of a calibration file."""
-    return document.get("format") in (FORMAT, *OLD_FORMATS)
+    return document.get("format") == FORMAT
 
 
 def parse_calibration(text: str, source: str = "") -> Calibration:
     """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
 
-    def read(document: dict[str, Any], _: Any) -> Calibration:
-        calibration = model_of(Calibration, upgraded(document), FORMAT, source)
-        return _multiplied(calibration) if document.get("format") in OLD_FORMATS else calibration
+    def read(document: dict[str, Any], source: str) -> Calibration:
+        return model_of(Calibration, document, FORMAT, source)
 
     return from_text(read, text, source)
 
@@ -432,8 +424,7 @@ def parse_calibration(text: str, source: str = "") -> Calibration:
 def read_calibration(path: str | Path) -> Calibration:
     """Read a calibration file: coefficients and covariance in SI (rad/s, m/s², ratios), range of validity, residuals.
 
-    Files of gradcal-calibration/1 and /2 are read as the same calibration in today's form. Errors: `SpecError` with
-    every fault.
+    Errors: `SpecError` with every fault.
     """
     return parse_calibration(read_text(path), str(path))
 
@@ -465,48 +456,6 @@ _SIMULATED: Final = "\nSIMULATED: made from simulated data, not from a real sens
 
 
 FORMAT: Final = "gradcal-calibration/3"
-OLD_FORMATS: Final = ("gradcal-calibration/1", "gradcal-calibration/2")
-_GRADIENT: Final = "bias_temperature_gradient"
-Tables = dict[str, Any]
-
-
-def upgraded(document: Mapping[str, Any]) -> Tables:
-    """The tables of a calibration in today's form; tables of other formats, and what is not understood, as they are."""
-    tables = dict(document) | ({"format": FORMAT} if document.get("format") in OLD_FORMATS else {})
-    if document.get("format") == OLD_FORMATS[0]:
-        with contextlib.suppress(AttributeError, KeyError, TypeError):
-            old = copy.deepcopy(tables)
-            return _FORMS[old.pop("quantity")](old)
-    return tables
-
-
-def _multiplied(calibration: Calibration) -> Calibration:
-    """A calibration whose misalignments were added after the scale factor, `(1 + M) ω_i + m_ij ω_j`, with those that
-    the scale factor multiplies: the same correction at the middle of the channel's temperatures, at slow rates."""
-    channels: list[CalibratedChannel] = []
-    gains: dict[str, float] = {}
-    for channel in calibration.channel:
-        middle = 0.5 * float(sum(map(float, channel.valid_temperature)))
-        own = [term for term in channel.term if term.signals == (channel.input,)]
-        gain = 1.0 + sum(float(term_values(term, np.array([middle]))[0]) for term in own)
-        terms: list[CalibratedTerm] = []
-        for term in channel.term:
-            if channel.misaligns(term) and gain:
-                gains |= {f"{channel.name}.{name}": gain for name in term.coefficients}
-                term = term.model_copy(update={"coefficients": {n: v / gain for n, v in term.coefficients.items()}})
-            terms.append(term)
-        channels.append(channel.model_copy(update={"term": tuple(terms)}))
-    changed: dict[str, Any] = {"channel": tuple(channels), "order": ORDER}
-    if (known := calibration.covariance) is not None:
-        by = 1.0 / np.array([gains.get(name, 1.0) for name in known.names])
-        matrix = by[:, None] * np.array(known.matrix).reshape(len(by), -1) * by
-        rows: list[list[float]] = matrix.tolist()
-        changed["covariance"] = known.model_copy(update={"matrix": tuple(map(tuple, rows))})
-    unseen = [
-        e.model_copy(update={"coefficients": {n: v / gains.get(n, 1.0) for n, v in e.coefficients.items()}})
-        for e in calibration.unseen
-    ]
-    return calibration.model_copy(update=changed | {"unseen": tuple(unseen)})
 
 
 def term_values(term: CalibratedTerm, temperature_c: Floats, rate: Floats | None = None) -> Floats:
@@ -527,54 +476,6 @@ def at_rates(term: CalibratedTerm, of_temperature: Floats, rate: Floats) -> Floa
     if term.rate is None:
         return of_temperature[:, 0]
     return (of_temperature * term.rate.values(rate)).sum(axis=-1)
-
-
-def _from_unit(tables: Tables) -> Tables:
-    shared = {key: tables.pop(key) for key in ("valid_temperature", "valid_rate", "thermal_lag") if key in tables}
-    return tables | {"channel": [channel | shared for channel in tables["channel"]]}
-
-
-def _from_axes(tables: Tables) -> Tables:
-    whole: dict[str, list[Any]] = {"fit": [], "contradicted": [], "unobservable": [], "unseen": []}
-    channels: list[Tables] = []
-    names: list[str] = []
-    blocks: list[Any] = []
-    matrix: list[list[Any]] = []
-    for axis in tables.pop("axis"):
-        label = axis.pop("name")
-        name = f"gyro_{label}"
-        own: Tables = {key: axis.pop(key, ()) for key in whole}
-        whole["fit"] += [test | {"name": f"{name}: {test['name']}"} for test in own["fit"]]
-        whole["unseen"] += [
-            error | {"coefficients": {f"{name}.{n}": v for n, v in error["coefficients"].items()}}
-            for error in own["unseen"]
-        ]
-        for key in ("contradicted", "unobservable"):
-            whole[key] += [f"{name}: {words}" for words in own[key]]
-        if (covariance := axis.pop("covariance", None)) is not None:
-            names += [f"{name}.{coefficient}" for coefficient in covariance["names"]]
-            blocks.append(covariance["matrix"])
-        channels.append({"kind": "gyro", "axis": label, "term": list(_terms(axis, f"rate {label}")), **axis})
-    size = sum(map(len, blocks))
-    for block in blocks:
-        before = len(matrix)
-        matrix += [[*[0.0] * before, *row, *[0.0] * (size - before - len(block))] for row in block]
-    known: Tables = {"covariance": {"names": names, "matrix": matrix}} if blocks else {}
-    return tables | {"channel": channels} | known | {key: rows for key, rows in whole.items() if rows}
-
-
-_FORMS: Final[Mapping[Any, Callable[[Tables], Tables]]] = {"unit": _from_unit, "gyro": _from_axes}
-
-
-def _terms(axis: Tables, rate: str) -> Iterator[Tables]:
-    for name, unit, signals in (("bias", "rad/s", []), ("scale_factor", "1", [rate])):
-        if (part := axis.pop(name, None)) is not None:
-            values = part["coefficients"]
-            ordered = {key: values[key] for key in sorted(values, key=function_of)}
-            yield {"name": name, "unit": unit, "signals": signals, **part, "coefficients": ordered}
-    if (value := axis.pop(_GRADIENT, None)) is not None:
-        values = {_GRADIENT: value}
-        yield {"name": _GRADIENT, "unit": "rad/K", "signals": ["temperature rate"], "coefficients": values}
 
 
 def function_of(name: str) -> list[int]:

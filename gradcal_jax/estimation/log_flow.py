@@ -337,38 +337,46 @@ def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
 format = "gradcal-spec/1"
 title  = "warm-up at rest"
 [sensor]
-quantity          = "gyro"
+temperature_offset = "0 K"
+[sensor.gyro]
+axes = ["x"]
 angle_random_walk = "{number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h)"
 drift             = [{processes}]
 rate_random_walk   = "0 deg/h/sqrt(h)"
-temperature_offset = "0 K"
-[sensor.bias]
+[sensor.gyro.bias]
 temperature = {{ basis = "polynomial", degree = {DEGREE}, centre = "{centre} degC", scale = "{scale} K" }}
-[rig]
-earth_rate = "unknown"
+[rig.site]
+latitude = "unknown"
 [rig.table]
+standing = "read"
+mounting = {{ x = "+z", y = "+x", z = "+y" }}
+[[rig.table.axis]]
+name = "x"
+direction = [0.0, 0.0, 1.0]
 max_rate         = "1 deg/s"
 max_acceleration = "1 deg/s^2"
-[rig.table.angle]
+[rig.table.axis.angle]
 reading_noise = "0 deg"
+read_every = "1 s"
 [rig.chamber]
 range       = ["{low - 1:.1f} degC", "{high + 1:.1f} degC"]
 max_heating = "10 K/min"
 max_cooling = "10 K/min"
 [[requirement]]
 name        = "bias, on average"
-quantity    = "bias"
+quantity    = "gyro_bias"
+axis = "x"
 temperature = ["{low:.1f} degC", "{high:.1f} degC"]
 [[requirement]]
 name        = "bias, at worst"
-quantity    = "bias"
+quantity    = "gyro_bias"
+axis = "x"
 temperature = ["{low:.1f} degC", "{high:.1f} degC"]
 statistic   = "max"
 [plan]
 method      = "gradient"
 temperature = ["{low:.1f} degC", "{high:.1f} degC"]
 gradient    = "1 K/min"
-read_every  = "1 s"
 """
     words = (
         f"axis {axis}: noise from the record: angle random walk {number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h), "

@@ -5,19 +5,17 @@ changed by hand, and is refused. Nothing here imports JAX: `information.predicti
 package has all that a runner needs of it.
 """
 
-import contextlib
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import Any, Final, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from gradcal_jax import units
 from gradcal_jax.recipe.rounding import ControllerSteps
 from gradcal_jax.recipe.tracks import ChamberTrack, MotionBlock, Stability, tracks_of
-from gradcal_jax.spec.axis_as_imu import is_of_axis
 from gradcal_jax.spec.changes import differences, tables_of
 from gradcal_jax.spec.mission import missions_from
 from gradcal_jax.spec.spec import spec_of
@@ -188,43 +186,7 @@ def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:
     if document.get("format") == "gradcal-spec/1":
         message = "this file is a spec; make a recipe from it: gradcal optimise SPEC --steps 0 -o recipe.toml"
         raise SpecError([Problem(("format",), message, document["format"])], source)
-    spec = document.get("spec")
-    of_axis = isinstance(spec, Mapping) and is_of_axis(cast("Mapping[str, Any]", spec))
-    return model_of(Recipe, _of_imu(document, source) if of_axis else document, FORMAT, source)
-
-
-def _of_imu(document: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """The tables of a recipe of one axis, as earlier versions wrote them, in the general form. Its angles may differ by
-    a step of the controller, since those of turns were rounded, and the table's are."""
-    try:
-        spec = spec_of(document["spec"])
-        steps = ControllerSteps.model_validate(document.get("resolution", {}))
-    except SpecError as error:
-        raise SpecError((p.under("spec") for p in error.problems), source) from None
-    except ValidationError:
-        return dict(document)  # said where the recipe is validated
-    name = spec.rig.table.axis[0].name
-    _, motion = tracks_of(spec, None if steps.acceleration is None else float(steps.acceleration))
-    blocks = [block.model_dump(mode="json", exclude_unset=True) for block in motion]
-    written = [dict(block) for block in document.get("motion", ())]
-    for block, old in zip(blocks, written, strict=False):
-        old |= {key: block[key] for key in ("start", "read_every_after") if key in block}
-        own = block["moves"] + [{}] * len(old.get("moves", ()))
-        old["moves"] = [
-            was | _rounded_angle(now, was, steps) for now, was in zip(own, old.get("moves", ()), strict=False)
-        ]
-    rows = dict(document.get("prediction", {}))
-    rows["parameters"] = [{**row, "name": f"gyro_{name}.{row['name']}"} for row in rows.get("parameters", ())]
-    return {**document, "spec": tables_of(spec), "motion": written, "prediction": rows}
-
-
-def _rounded_angle(now: Mapping[str, Any], was: Mapping[str, Any], steps: ControllerSteps) -> dict[str, Any]:
-    """The angle of a move, where it is less than a step of the controller from the one of the file."""
-    with contextlib.suppress(KeyError, TypeError, ValueError):
-        difference = units.parse(now["angle"], "angle") - units.parse(was["angle"], "angle")
-        if abs(difference) <= 1.001 * float(steps.angle):
-            return {"angle": now["angle"]}
-    return {}
+    return model_of(Recipe, document, FORMAT, source)
 
 
 def is_recipe(document: Mapping[str, Any]) -> bool:

@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, cast
 
-from gradcal_jax.spec.axis_as_imu import change_of_imu
 from gradcal_jax.spec.moves import AXES, Axis
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
@@ -43,9 +42,7 @@ def tables_of(spec: Section) -> dict[str, Any]:
 def changed(spec: Spec, changes: Mapping[str, object], source: str = "") -> Spec:
     """A new spec with some keys set, such as {"rig.chamber.max_heating": "2 K/min"}; None removes a key.
 
-    Values are as in the file: text with units. Of one gyro on a table of one axis the keys of [sensor.gyro] and
-    [[rig.table.axis]] may be told as those of [sensor] and [rig.table], as in files of earlier versions. Errors:
-    `SpecError` for unknown keys and bad values.
+    Values are as in the file: text with units. Errors: `SpecError` for unknown keys and bad values.
 
     >>> from gradcal_jax import parse_spec, presets
     >>> spec = parse_spec(presets.text("paper-static-gradient"))
@@ -84,7 +81,7 @@ def patched(spec: Spec, changes: Mapping[str, object], source: str = "") -> dict
     problems: list[Problem] = []
     for text, value in changes.items():
         try:
-            _put(tables, *change_of_imu(tables, split_key(text), value))
+            _put(tables, split_key(text), value)
         except SpecError as error:
             problems += error.problems
         except ValueError as error:

@@ -1,18 +1,12 @@
-"""Reads a spec (gradcal-spec/1) from a file, a text or tables; its model is in `spec_sections`.
-
-Files of one gyro axis, as earlier versions wrote them, are converted as they are read.
-"""
+"""Reads a spec (gradcal-spec/1) from a file, a text or tables; its model is in `spec_sections`."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gradcal_jax.spec.axis_as_imu import convert, is_of_axis, keys_of_axis
 from gradcal_jax.spec.mission import missions_from
 from gradcal_jax.spec.spec_sections import FORMAT, Spec, hidden_problems
 from gradcal_jax.tables.document import from_text, model_of, read_text
-from gradcal_jax.tables.problems import SpecError
-from gradcal_jax.tables.section import refuse
 
 
 def expect_spec(value: object) -> Spec:
@@ -50,15 +44,4 @@ def parse_spec(text: str, source: str = "") -> Spec:
 
 def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
     """A spec from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
-    if not is_of_axis(document) or (isinstance(document.get("format"), str) and document["format"] != FORMAT):
-        return model_of(Spec, document, FORMAT, source, lambda found: hidden_problems(document, found))
-    tables, problems = convert(document)
-    try:
-        spec = model_of(Spec, tables, FORMAT, source, lambda found: hidden_problems(tables, found))
-        refuse(*problems)
-    except SpecError as error:
-        # What has no counterpart in the general form is not said twice.
-        own = {problem.key for problem in problems}
-        named = (keys_of_axis(problem) for problem in error.problems)
-        raise SpecError([*problems, *(p for p in named if p.key not in own)], source) from None
-    return spec
+    return model_of(Spec, document, FORMAT, source, lambda found: hidden_problems(document, found))

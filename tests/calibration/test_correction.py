@@ -26,7 +26,12 @@ from gradcal_jax.calibration.correction import apply, correct, term_values
 from gradcal_jax.records.log import Log, LogError, Reason
 from gradcal_jax.records.log_file import read_log, write_log
 
-GRADIENT = "bias_temperature_gradient = 2e-3\n"
+GRADIENT = """[[channel.term]]
+name = "bias_temperature_gradient"
+unit = "rad/K"
+signals = ["temperature rate"]
+coefficients = { bias_temperature_gradient = 2e-3 }
+"""
 
 
 def log_of(calibration, rows=500, seed=0, **more):
@@ -136,7 +141,7 @@ def test_what_is_applied_lags_within_a_stretch_and_not_across_hours():
 
 
 def test_the_bias_of_a_changing_temperature_is_taken_off():
-    found = parse_calibration(HEAD + axis_text("x", more=GRADIENT))
+    found = parse_calibration(HEAD + axis_text("x", terms=GRADIENT))
     time, truth = np.arange(0.0, 600.0, 0.5), np.full(1200, 0.3)
     temperature = 20.0 + time / 60.0
     said = gyro(found, truth, temperature) + 2e-3 / 60.0

@@ -28,7 +28,7 @@ CHANGES = {
     "plan.temperature": ["23 degC", "24 degC"],
     "plan.gradient": "2 K/min",
     "plan.soak.duration": "2 s",
-    "rig.table.travel": "360 deg",  # all of which a plan may use
+    "rig.table.axis[0].travel": "360 deg",  # all of which a plan may use
     "plan.cycle.moves": [
         {"rest": "3 s", "read_every": "1 s"},
         {"turns": 1, "peak_rate": "200 deg/s", "shape": "linear ramps"},

@@ -18,7 +18,7 @@ key    = "plan.gradient"
 values = ["1 K/min", "5 K/min"]
 [[axis]]
 name   = "walk"
-key    = "sensor.angle_random_walk"
+key    = "sensor.gyro.angle_random_walk"
 start  = "0.05 deg/sqrt(h)"
 stop   = "0.2 deg/sqrt(h)"
 count  = 3

@@ -18,9 +18,9 @@ SPEC = read_spec(Path(__file__).parents[2] / "experiments/designs/headline.toml"
 HIDDEN = {"standard_deviation": "5 ppm", "temperature_degree": 5, "rate_degree": 4}
 CHANGES = {
     "cubic": {},
-    "hidden": {"sensor.scale_factor.discrepancy": HIDDEN},
+    "hidden": {"sensor.gyro.scale_factor.discrepancy": HIDDEN},
     "bins": {
-        "sensor.scale_factor.temperature": {"basis": "bins", "edges": ["-30 degC", "0 degC", "40 degC", "70 degC"]}
+        "sensor.gyro.scale_factor.temperature": {"basis": "bins", "edges": ["-30 degC", "0 degC", "40 degC", "70 degC"]}
     },
 }
 

@@ -226,15 +226,21 @@ drift = [{ standard_deviation = "1 deg/h", correlation_time = "120 s" }]
 """
 UNSTEADY = 'scale_factor_instability = [{ standard_deviation = "3 ppm", correlation_time = "20 min" }]\n'
 AXIS = """format = "gradcal-spec/1"
-[sensor]
-quantity = "gyro"
+[sensor.gyro]
+axes = ["x"]
 {clock}{gyro}{maps}
 [rig.table]
+standing = "read"
+mounting = { x = "+z", y = "+x", z = "+y" }
+[[rig.table.axis]]
+name = "x"
+direction = [0.0, 0.0, 1.0]
 max_rate = "300 deg/s"
 max_acceleration = "1500 deg/s^2"
-[rig.table.angle]
+[rig.table.axis.angle]
 reading_noise = "0.05 deg"
 standstill_offset = "0.01 deg"
+read_every = "rest"
 """
 UNIT = """format = "gradcal-spec/1"
 [sensor]

@@ -14,9 +14,9 @@ from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.tables.problems import SpecError
 
 SLOW = {
-    "sensor.drift": [{"standard_deviation": "1 deg/h", "correlation_time": "40 min"}],
-    "sensor.turn_on_bias": "5 deg/h",
-    "sensor.rate_random_walk": "1 deg/h/sqrt(h)",
+    "sensor.gyro.drift": [{"standard_deviation": "1 deg/h", "correlation_time": "40 min"}],
+    "sensor.gyro.turn_on_bias": "5 deg/h",
+    "sensor.gyro.rate_random_walk": "1 deg/h/sqrt(h)",
     "sensor.sample_clock_error": "20 ppm",
 }
 
@@ -54,10 +54,11 @@ def test_two_halves_of_a_plan_are_worth_what_the_plan_is(spec):
 
 def test_an_offset_of_the_standstill_is_drawn_anew_after_the_pause(spec):
     offset = changed(
-        spec, {"rig.table.angle.standstill_offset": "0.02 deg", "rig.table.angle.reading_noise": "0.001 deg"}
+        spec,
+        {"rig.table.axis[0].angle.standstill_offset": "0.02 deg", "rig.table.axis[0].angle.reading_noise": "0.001 deg"},
     )
     half = with_done(offset, [(0.0, 1500.0)])
-    without = changed(half, {"rig.table.angle.standstill_offset": "0 deg"})
+    without = changed(half, {"rig.table.axis[0].angle.standstill_offset": "0 deg"})
     assert left_by(half) > 2.0 * left_by(without)
 
 
@@ -115,7 +116,7 @@ def test_what_cannot_be_planned_anew_is_refused(spec):
         with_done(spec, [(600.0, 500.0)])
     plan = tables_of(changed(spec, {"plan.cycle.moves[1].peak_rate": "300 deg/s"}))["plan"]
     done = {"plan": plan, "start": "0 s", "end": "900 s", "pause": "1 h"}
-    slower = changed(spec, {"rig.table.max_rate": "250 deg/s"})
+    slower = changed(spec, {"rig.table.axis[0].max_rate": "250 deg/s"})
     with pytest.raises(SpecError, match=r"done\[0\].plan"):
         changed(slower, {"done": [done]})
 

@@ -106,12 +106,21 @@ def test_what_cannot_be_is_refused_in_a_sentence(spec, changes, says):
 
 
 SCENARIOS = [
-    {"weight": 2.0, "rig": {"table": {"angle": {"standstill_offset": "0.01 deg"}, "max_rate": "250 deg/s"}}},
-    {"rig": {"table": {"mounting_accuracy": "0.1 deg", "rate_accuracy": "100 ppm"}}},
+    {
+        "weight": 2.0,
+        "rig": {"table": {"axis[0]": {"angle": {"standstill_offset": "0.01 deg"}, "max_rate": "250 deg/s"}}},
+    },
+    {"rig": {"table": {"mounting[0]": {"accuracy": "0.1 deg"}, "rate_accuracy": "100 ppm"}}},
     {"rig": {"chamber": {"max_heating": "3 K/min"}}},
-    {"name": "north", "rig": {"earth_rate": "7.5 deg/h"}},
-    {"sensor": {"angle_random_walk": "0.2 deg/sqrt(h)", "thermal_lag": "90 s", "sample_clock_error": "20 ppm"}},
-    {"sensor": {"scale_factor": {"prior": "1000 ppm"}}},
+    {"name": "north", "rig": {"site": {"latitude": "29.91 deg"}}},
+    {
+        "sensor": {
+            "gyro": {"angle_random_walk": "0.2 deg/sqrt(h)"},
+            "thermal_lag": "90 s",
+            "sample_clock_error": "20 ppm",
+        }
+    },
+    {"sensor": {"gyro": {"scale_factor": {"prior": "1000 ppm"}}}},
 ]
 
 

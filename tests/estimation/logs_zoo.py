@@ -8,35 +8,43 @@ from gradcal_jax.spec.spec import Spec, parse_spec
 GRADIENT = """
 format = "gradcal-spec/1"
 title = "short ramp"
-[sensor]
-quantity = "gyro"
+[sensor.gyro]
+axes = ["x"]
 angle_random_walk = "0.5 deg/sqrt(h)"
-[[sensor.drift]]
+[[sensor.gyro.drift]]
 standard_deviation = "5 deg/h"
 correlation_time = "60 s"
-[sensor.bias]
+[sensor.gyro.bias]
 temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "20 K" }
-[sensor.scale_factor]
+[sensor.gyro.scale_factor]
 temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "20 K" }
 rate = { basis = "polynomial", degree = 1, scale = "300 deg/s" }
 [rig.table]
+standing = "read"
+mounting = { x = "+z", y = "+x", z = "+y" }
+[[rig.table.axis]]
+name = "x"
+direction = [0.0, 0.0, 1.0]
 max_rate = "300 deg/s"
 max_acceleration = "600 deg/s^2"
-[rig.table.angle]
+[rig.table.axis.angle]
 reading_noise = "1 arcsec"
+read_every = "1 s"
 [rig.chamber]
 range = ["-40 degC", "85 degC"]
 max_heating = "5 K/min"
 max_cooling = "5 K/min"
 [[requirement]]
 name = "map"
-quantity = "scale_factor"
+quantity = "gyro_scale_factor"
+axis = "x"
 temperature = ["0 degC", "40 degC"]
 rate = ["-300 deg/s", "300 deg/s"]
 target = "2000 ppm"
 [[requirement]]
 name = "bias"
-quantity = "bias"
+quantity = "gyro_bias"
+axis = "x"
 temperature = ["0 degC", "40 degC"]
 [plan]
 method = "gradient"

@@ -384,7 +384,7 @@ def test_without_a_table_only_the_bias_is_seen():
 
 
 def test_a_log_that_determines_no_coefficient_has_a_calibration_without_covariance():
-    one_cycle = {"plan.temperature": ["20 degC", "26 degC"], "sensor.scale_factor.temperature.degree": 1}
+    one_cycle = {"plan.temperature": ["20 degC", "26 degC"], "sensor.gyro.scale_factor.temperature.degree": 1}
     spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), one_cycle)
     report = estimate_log(spec, [simulate_log(spec, sample_rate_hz=10.0).log])
     assert report.calibrations[0].covariance.names == ()

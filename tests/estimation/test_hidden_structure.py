@@ -27,8 +27,8 @@ def logs_of(spec, hidden_ppm: float):
     higher = changed(
         spec,
         {
-            "sensor.scale_factor.temperature.degree": degrees[0] + 2,
-            "sensor.scale_factor.rate.degree": degrees[1] + 2,
+            "sensor.gyro.scale_factor.temperature.degree": degrees[0] + 2,
+            "sensor.gyro.scale_factor.rate.degree": degrees[1] + 2,
         },
     )
     model = assemble(higher).model

@@ -15,8 +15,8 @@ from gradcal_jax.records.log import LogError
 from gradcal_jax.tables.quantity import Quantity
 
 CHANGES = {
-    "sensor.scale_factor.temperature.degree": 1,
-    "sensor.scale_factor.rate.degree": 1,
+    "sensor.gyro.scale_factor.temperature.degree": 1,
+    "sensor.gyro.scale_factor.rate.degree": 1,
     "plan.cycle.moves": [
         {"rest": "12 s", "read_every": "1 s"},
         {"turn": "1800 deg", "peak_rate": "200 deg/s", "shape": "cosine ramps"},

@@ -84,33 +84,39 @@ AXIS_MOVES = (
 )  # fmt: skip
 
 _AXIS = """format = "gradcal-spec/1"
-[sensor]
-quantity = "gyro"
+[sensor.gyro]
+axes = ["x"]
 angle_random_walk = "0.1 deg/sqrt(h)"
 drift = [{{ standard_deviation = "1 deg/h", correlation_time = "120 s" }}]
 {terms}
-[sensor.bias]
+[sensor.gyro.bias]
 temperature = {{ basis = "polynomial", degree = 3, centre = "20 degC", scale = "50 K" }}
 prior = "400 deg/h"
-[sensor.scale_factor]
+[sensor.gyro.scale_factor]
 temperature = {{ basis = "polynomial", degree = 2, centre = "20 degC", scale = "50 K" }}
 rate = {{ basis = "polynomial", degree = 2, scale = "200 deg/s" }}
 prior = "5000 ppm"
 [rig.table]
+standing = "read"
+mounting = {{ x = "+z", y = "+x", z = "+y"{mounting} }}
+[[rig.table.axis]]
+name = "x"
+direction = [0.0, 0.0, 1.0]
 max_rate = "300 deg/s"
 max_acceleration = "400 deg/s^2"
-{mounting}
-[rig.table.angle]
+[rig.table.axis.angle]
 reading_noise = "0.002 deg"
 standstill_offset = "0.004 deg"
 {encoder}
+read_every = "1 s"
 [rig.chamber]
 range = ["-40 degC", "85 degC"]
 max_heating = "5 K/min"
 max_cooling = "5 K/min"
 [[requirement]]
 name = "M"
-quantity = "scale_factor"
+quantity = "gyro_scale_factor"
+axis = "x"
 temperature = ["-18 degC", "56 degC"]
 rate = ["-200 deg/s", "200 deg/s"]
 statistic = "mean of max"
@@ -118,7 +124,8 @@ grid = [41, 41]
 target = "{scale}"
 [[requirement]]
 name = "B"
-quantity = "bias"
+quantity = "gyro_bias"
+axis = "x"
 temperature = ["-18 degC", "56 degC"]
 statistic = "mean"
 grid = [41]
@@ -193,7 +200,7 @@ def axis_scene(full: bool, seed: int = 1, both_ways: bool | None = None) -> Scen
     clock = 5.0 * PPM * rng.standard_normal() if full else 0.0
     spec = _AXIS.format(
         terms=_FULL_AXIS if full else "", encoder=_FULL_ENCODER if full else "",
-        mounting='mounting_accuracy = "1 mrad"' if full else "",
+        mounting=', accuracy = "1 mrad"' if full else "",
         scale="150 ppm" if full else "60 ppm", bias="10 deg/h" if full else "2 deg/h",
         programme=BOTH_WAYS if both else ONE_WAY,
     )  # fmt: skip

@@ -83,9 +83,9 @@ def axis_plan(rng: np.random.Generator) -> Tables:
     cycle: Tables = {"moves": moves}
     if rng.random() < 0.5:
         cycle["other_axes"] = {"duration": _of(rng, 10, 40, "s"), "read": bool(rng.integers(2))}
-    sensor: Tables = {
-        "quantity": "gyro",
-        "clock": "host",  # with which a run compares the unit's
+    sensor: Tables = {"clock": "host"}  # with which a run compares the unit's
+    gyro: Tables = {
+        "axes": ["x"],
         "angle_random_walk": _of(rng, 0.05, 0.3, "deg/sqrt(h)"),
         "drift": [{"standard_deviation": _of(rng, 0.5, 3.0, "deg/h"), "correlation_time": _of(rng, 60, 400, "s")}],
         "bias": {"temperature": _WARM, "prior": "400 deg/h"},
@@ -93,18 +93,25 @@ def axis_plan(rng: np.random.Generator) -> Tables:
     }
     if rng.random() < 0.4:
         sensor["sample_clock_error"] = "10 ppm"
-    angle = {"reading_noise": _of(rng, 0.002, 0.05, "deg")}
+    angle = {"reading_noise": _of(rng, 0.002, 0.05, "deg"), "read_every": "1 s"}
     if rng.random() < 0.6:
         angle["standstill_offset"] = _of(rng, 0.002, 0.02, "deg")
+    axis = {
+        "name": "x",
+        "direction": [0.0, 0.0, 1.0],
+        "max_rate": "300 deg/s",
+        "max_acceleration": "1500 deg/s^2",
+        "angle": angle,
+    }
     return {
         "format": "gradcal-spec/1",
-        "sensor": sensor,
+        "sensor": sensor | {"gyro": gyro},
         "rig": {
-            "table": {"max_rate": "300 deg/s", "max_acceleration": "1500 deg/s^2", "angle": angle},
+            "table": {"standing": "read", "mounting": {"x": "+z", "y": "+x", "z": "+y"}, "axis": [axis]},
             "chamber": _CHAMBER,
         },
         "requirement": [
-            {"name": "bias", "quantity": "bias", "temperature": ["16 degC", "25 degC"], "statistic": "max"}
+            {"name": "bias", "quantity": "gyro_bias", "temperature": ["16 degC", "25 degC"], "statistic": "max"}
         ],
         "plan": {"method": "gradient"} | _course(rng) | {"cycle": cycle},
     }

@@ -25,7 +25,7 @@ def columns(name: str | None) -> list[float]:
     found = []
     for size in SIZES:
         hidden = {"standard_deviation": f"{size} ppm", "temperature_degree": 5, "rate_degree": 5}
-        counted = changed(spec, {"sensor.scale_factor.discrepancy": hidden if size else None})
+        counted = changed(spec, {"sensor.gyro.scale_factor.discrepancy": hidden if size else None})
         found.append(predict(counted).requirements[0].mean_of_max)
     return found
 

@@ -33,8 +33,8 @@ from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec_sections import Spec
 
 SMALL = {
-    "sensor.scale_factor.temperature.degree": 1,
-    "sensor.scale_factor.rate.degree": 1,
+    "sensor.gyro.scale_factor.temperature.degree": 1,
+    "sensor.gyro.scale_factor.rate.degree": 1,
     "sensor.sample_clock_error": "20 ppm",
     "requirement": None,
 }

@@ -103,7 +103,7 @@ def test_a_run_goes_on_by_the_recipe_that_was_made_for_its_rest(tmp_path: Path) 
     assert part.end_s == pytest.approx(made.spec.schedule.duration - 60.0, abs=6.0)
     with pytest.raises(RunFolderError, match="does not continue the run"):
         adopt(folder, made)
-    other = changed(rest(made, folder).spec, {"sensor.angle_random_walk": "0.2 deg/sqrt(h)"})
+    other = changed(rest(made, folder).spec, {"sensor.gyro.angle_random_walk": "0.2 deg/sqrt(h)"})
     with pytest.raises(RunFolderError, match="does not continue the run"):
         adopt(folder, rest(made, folder).model_copy(update={"spec": other}))
     new = rest(made, folder)

@@ -31,16 +31,6 @@ _TURN = {"turn": "720 deg", "shape": "cosine ramps", "duration": "10 s", "peak_r
 _BACK = _TURN | {"turn": "-720 deg"}
 
 
-def scalar():
-    rest = {"rest": "10 s", "read_every": "1 s"}
-    return {
-        "format": "gradcal-spec/1",
-        "sensor": {"quantity": "gyro", **_GYRO},
-        "rig": {"table": _TABLE | {"angle": _ANGLE}, "chamber": _CHAMBER},
-        "plan": _PLAN | {"cycle": {"moves": [rest, _TURN, rest, _BACK]}},
-    }
-
-
 def unit(standing: str):
     """The same gyro as the unit's z along a vertical axis, on the equator: the Earth's rate is not along it."""
     axis = _TABLE | {"name": "spin", "direction": [0.0, 0.0, 1.0], "angle": _ANGLE}
@@ -55,14 +45,6 @@ def unit(standing: str):
 
 def sigmas(prediction) -> dict[str, float]:
     return {row.name.split(".")[-1]: row.std for row in prediction.parameters}
-
-
-def test_one_axis_that_is_read_while_it_stands_is_the_scalar_plan():
-    wanted = sigmas(gj.predict(spec_of(scalar())))
-    found = sigmas(predict(spec_of(unit("read"))))
-    assert set(found) == set(wanted)
-    for name, std in wanted.items():
-        assert found[name] == pytest.approx(std, rel=1e-9), name
 
 
 def test_a_table_that_holds_knows_the_bias_better():

@@ -15,12 +15,12 @@ from gradcal_jax.spec.spec import parse_spec
 
 # Everything that has a figure of its own: walk, lag, offset, clock.
 MORE = {
-    "sensor.rate_random_walk": "2 deg/h/sqrt(h)",
+    "sensor.gyro.rate_random_walk": "2 deg/h/sqrt(h)",
     "sensor.thermal_lag": "90 s",
     "sensor.sample_clock_error": "20 ppm",
     "sensor.clock": "sensor",
-    "rig.table.angle.standstill_offset": "20 arcsec",
-    "rig.table.angle.timing_error": "1 ms",
+    "rig.table.axis[0].angle.standstill_offset": "20 arcsec",
+    "rig.table.axis[0].angle.timing_error": "1 ms",
 }
 
 
@@ -54,13 +54,13 @@ def test_its_value_is_what_predict_says_and_jit_changes_nothing(spec, residual):
 @pytest.mark.parametrize(
     ("name", "key", "nominal", "unit"),
     [
-        ("angle random walk", "sensor.angle_random_walk", 0.1, "deg/sqrt(h)"),
-        ("bias instability", "sensor.drift[0].standard_deviation", 1.0, "deg/h"),
-        ("rate random walk", "sensor.rate_random_walk", 2.0, "deg/h/sqrt(h)"),
+        ("angle random walk", "sensor.gyro.angle_random_walk", 0.1, "deg/sqrt(h)"),
+        ("bias instability", "sensor.gyro.drift[0].standard_deviation", 1.0, "deg/h"),
+        ("rate random walk", "sensor.gyro.rate_random_walk", 2.0, "deg/h/sqrt(h)"),
         ("thermal lag", "sensor.thermal_lag", 90.0, "s"),
         ("sample clock", "sensor.sample_clock_error", 20.0, "ppm"),
-        ("standstill offset", "rig.table.angle.standstill_offset", 20.0, "arcsec"),
-        ("timing error", "rig.table.angle.timing_error", 1.0, "ms"),
+        ("standstill offset", "rig.table.axis[0].angle.standstill_offset", 20.0, "arcsec"),
+        ("timing error", "rig.table.axis[0].angle.timing_error", 1.0, "ms"),
     ],
 )
 def test_slopes_are_differences_of_predictions_of_changed_files(spec, residual, slopes, name, key, nominal, unit):

@@ -91,7 +91,7 @@ def test_shares_and_elasticities_add_up():
         assert sum(shares.values()) == pytest.approx(1.0, abs=0.01)
     # Twice the drift alone, by differences.
     found = {r.figure: r.percent for r in sensitivity(spec).rows if r.requirement == "h"}
-    more = changed(spec, {"sensor.drift[0].standard_deviation": "0.5005 deg/h"})
+    more = changed(spec, {"sensor.gyro.drift[0].standard_deviation": "0.5005 deg/h"})
     assert np.log(row_of(more).rms / row_of(spec).rms) / np.log(1.001) == pytest.approx(
         found["bias instability"], abs=2e-3
     )
@@ -159,7 +159,7 @@ def test_a_recipe_and_a_sweep_stand_alone(tmp_path, monkeypatch):
     assert row_of(again.spec).rms == pytest.approx(row.rms)
     (tmp_path / "recipe.toml").write_text(to_toml(made), encoding="utf-8")
     (tmp_path / "sweep.toml").write_text(
-        'format = "gradcal-sweep/1"\nbase = "recipe.toml"\n[[axis]]\nkey = "sensor.drift[0].standard_deviation"\n'
+        'format = "gradcal-sweep/1"\nbase = "recipe.toml"\n[[axis]]\nkey = "sensor.gyro.drift[0].standard_deviation"\n'
         'values = ["0.5 deg/h", "1 deg/h"]\n',
         encoding="utf-8",
     )
@@ -200,12 +200,14 @@ def test_pictures_and_the_page_show_missions(tmp_path):
 
 
 def test_a_mission_alone_in_a_design_says_what_it_lacks():
-    flat = changed(read_spec(FOLDER / "ppm.toml"), {"sensor.bias.prior": None, "sensor.scale_factor.prior": None})
+    flat = changed(
+        read_spec(FOLDER / "ppm.toml"), {"sensor.gyro.bias.prior": None, "sensor.gyro.scale_factor.prior": None}
+    )
     tables = tables_of(flat)
     tables["requirement"] = [heading(spin(), after="5 min")]
     tables["design"] |= {"minimise": "h"}
     assert np.isfinite(row_of(spec_of(tables)).rms)
     hidden = {"standard_deviation": "20 ppm", "temperature_degree": 5, "rate_degree": 5}
-    more = changed(spec_of(tables), {"sensor.scale_factor.discrepancy": hidden})
+    more = changed(spec_of(tables), {"sensor.gyro.scale_factor.discrepancy": hidden})
     assert row_of(more).rms > row_of(spec_of(tables)).rms
     assert json.loads(gj.predict(more).model_dump_json())["requirements"][0]["missions"][0]["file"] == "spin.csv"

@@ -12,8 +12,8 @@ from gradcal_jax.spec.changes import tables_of
 DEG_PER_H = np.radians(1.0) / 3600.0
 SMALL = {
     "plan.temperature": ["20 degC", "40 degC"],
-    "sensor.scale_factor.temperature.degree": 1,
-    "sensor.scale_factor.prior": "1000 ppm",
+    "sensor.gyro.scale_factor.temperature.degree": 1,
+    "sensor.gyro.scale_factor.prior": "1000 ppm",
 }
 
 

@@ -18,7 +18,6 @@ from gradcal_jax.information.prediction import counted_shares, predict
 from gradcal_jax.information.sensitivity import sensitivity
 from gradcal_jax.records.log import Log
 from gradcal_jax.records.log_file import read_log
-from gradcal_jax.spec.axis_as_imu import convert, turned_axes
 from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.spec.spec import spec_of
 
@@ -35,18 +34,9 @@ def read(kind: str) -> dict[str, Any]:
 
 
 def prediction(tables: Tables) -> Tables:
-    """Statistics of every requirement, and the standard deviation of every parameter; of a spec of one axis by the
-    names that a plan of single axes had."""
-    if "quantity" not in tables["sensor"]:
-        answer = predict(spec_of(tables))
-        return {"requirements": rows(answer), "parameters": {f"{p.name} / {p.axis}": p.std for p in answer.parameters}}
-    found: Tables = {"requirements": {}, "parameters": {}}
-    for axis in turned_axes(tables):
-        # A plan of several axes is none of a table, and is read for each alone.
-        answer = predict(spec_of(convert(tables, axis)[0]))
-        found["requirements"] |= rows(answer)
-        found["parameters"] |= {f"{p.name.removeprefix(f'gyro_{axis}.')} / {axis}": p.std for p in answer.parameters}
-    return found
+    """Statistics of every requirement, and the standard deviation of every parameter."""
+    answer = predict(spec_of(tables))
+    return {"requirements": rows(answer), "parameters": {f"{p.name} / {p.axis}": p.std for p in answer.parameters}}
 
 
 JUDGED = ("verdict", "with_typical", "another_run", "worst", "specific_risk", "own")
@@ -79,10 +69,9 @@ def rows(answer: Any) -> Tables:
 def elasticities(tables: Tables) -> Tables:
     """Per cent of each requirement's residual for one per cent of each figure. Raises `ValueError` where refused."""
     found: dict[str, dict[str, float]] = {}
-    for axis in turned_axes(tables):
-        for row in sensitivity(spec_of(convert(tables, axis)[0])).rows:
-            of = found.setdefault(row.requirement, {})
-            of[row.figure] = row.percent
+    for row in sensitivity(spec_of(tables)).rows:
+        of = found.setdefault(row.requirement, {})
+        of[row.figure] = row.percent
     return found
 
 

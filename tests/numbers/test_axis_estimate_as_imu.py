@@ -69,7 +69,7 @@ def test_a_log_gives_the_calibration_that_the_estimator_of_an_axis_gave(name: st
 
 def test_an_imu_is_tested_for_more_structure_and_what_it_lacks_is_measured() -> None:
     spec = spec_of()
-    higher = changed(spec, {"sensor.scale_factor.temperature.degree": 3})
+    higher = changed(spec, {"sensor.gyro.scale_factor.temperature.degree": 3})
     (quiet,) = estimate_sensors(as_imu(spec), [simulate_log(spec, sample_rate_hz=20.0, seed=5).log])
     assert not any(test.noticed for _, test in quiet.structure)
     made = simulate_log(higher, sample_rate_hz=20.0, seed=6)

@@ -27,14 +27,14 @@ def spec(**changes: object) -> Spec:
         parse_spec(presets.text("paper-dynamic-gradient")),
         {
             "title": "A small plan <of & for> a page",
-            "sensor.scale_factor.temperature.degree": 1,
-            "sensor.scale_factor.rate.degree": 1,
-            "sensor.scale_factor.prior": "5000 ppm",
-            "sensor.bias": {
+            "sensor.gyro.scale_factor.temperature.degree": 1,
+            "sensor.gyro.scale_factor.rate.degree": 1,
+            "sensor.gyro.scale_factor.prior": "5000 ppm",
+            "sensor.gyro.bias": {
                 "temperature": {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"},
                 "prior": "200 deg/h",
             },
-            "rig.table.max_acceleration": "300 deg/s^2",
+            "rig.table.axis[0].max_acceleration": "300 deg/s^2",
             "requirement": [
                 {
                     "name": "all rates",

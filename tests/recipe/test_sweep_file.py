@@ -26,7 +26,7 @@ def values(text):
         (RESTS + 'start = "9 s"\nstop = "0.1 min"\nstep = "-1 s"', ("9 s", "8 s", "7 s", "6 s")),
         (RESTS + 'values = ["5 s", "1 min"]', ("5 s", "1 min")),
         ('[[axis]]\nkey = "plan.cycle.moves[0].repeat"\nstart = 1\nstop = 3\ncount = 3', (1, 2, 3)),
-        ('[[axis]]\nkey = "sensor.scale_factor.temperature.centre"\nstart = "0 degC"\nstop = "20 degC"\ncount = 3',
+        ('[[axis]]\nkey = "sensor.gyro.scale_factor.temperature.centre"\nstart = "0 degC"\nstop = "20 degC"\ncount = 3',
          ("0 degC", "10 degC", "20 degC")),
     ],
 )  # fmt: skip
@@ -79,7 +79,10 @@ def test_drawn_points_fill_the_box_and_follow_the_seed(method):
          'give one of them a different "name"'),
         (GRADIENT + "cuont = 3", 'nearest: "count"'),
         (GRADIENT + "count = 2000\n" + RESTS + 'start = "5 s"\nstop = "25 s"\ncount = 2000', "at most 1000000"),
-        ('[change]\n"sensor.drift[3].standard_deviation" = "1 deg/h"\n' + GRADIENT + "count = 3", "the list has 1"),
+        (
+            '[change]\n"sensor.gyro.drift[3].standard_deviation" = "1 deg/h"\n' + GRADIENT + "count = 3",
+            "the list has 1",
+        ),
     ],
 )  # fmt: skip
 def test_a_wrong_file_is_told_what_to_do(text, said):

@@ -21,7 +21,6 @@ from random_specs import random_spec
 from gradcal_jax.information.prediction import predict
 from gradcal_jax.information.timeline import timeline
 from gradcal_jax.spec import presets
-from gradcal_jax.spec.axis_as_imu import convert, turned_axes
 from gradcal_jax.spec.motion_plan import PlanSchedule, row_count
 from gradcal_jax.spec.spec import spec_of
 
@@ -50,15 +49,12 @@ def difference(found, expected) -> float:
     "seed", [pytest.param(k, marks=[] if k in ALWAYS else pytest.mark.evidence) for k in range(212)]
 )
 def test_a_program_that_has_the_timeline_alone_finds_the_same_standard_deviations(seed):
-    tables = random_spec(np.random.default_rng(seed))
-    for axis in turned_axes(tables):
-        # A plan of several axes is none of a table, and is read for each alone.
-        spec = spec_of(convert(tables, axis)[0])
-        expected = {axis: [p.std for p in predict(spec).parameters]}
-        written = json.loads(timeline_text(spec))
-        if isinstance(spec.schedule, PlanSchedule):
-            assert len(written["readings"]) == row_count(spec.schedule, spec.rig.table)
-        assert difference(recompute.sigmas(written), expected) < TOLERANCE
+    spec = spec_of(random_spec(np.random.default_rng(seed)))
+    expected = {"x": [p.std for p in predict(spec).parameters]}
+    written = json.loads(timeline_text(spec))
+    if isinstance(spec.schedule, PlanSchedule):
+        assert len(written["readings"]) == row_count(spec.schedule, spec.rig.table)
+    assert difference(recompute.sigmas(written), expected) < TOLERANCE
 
 
 def test_shapes_in_the_place_of_priors_are_in_the_timeline():
@@ -75,7 +71,7 @@ def test_shapes_in_the_place_of_priors_are_in_the_timeline():
         rows = [*shapes, *(0.01 * np.eye(len(shapes[0]))).tolist()]
         gyro[key]["shape"] = [{"coefficients": [f"{x} {unit}" for x in row]} for row in rows]
     spec = spec_of(tables)
-    expected = {axis: [p.std for p in predict(spec).parameters] for axis in turned_axes(tables)}
+    expected = {"x": [p.std for p in predict(spec).parameters]}
     assert difference(recompute.sigmas(json.loads(timeline_text(spec))), expected) < TOLERANCE
     assert min(a / b for a, b in zip(next(iter(expected.values())), plain, strict=True)) < 0.2
 
@@ -95,42 +91,53 @@ def test_the_recomputation_shares_nothing_with_the_package():
 EVERYTHING = {
     "format": "gradcal-spec/1",
     "sensor": {
-        "quantity": "gyro",
-        "angle_random_walk": "0.1 deg/sqrt(h)",
-        "rate_random_walk": "5 deg/h/sqrt(h)",
-        "turn_on_bias": "40 deg/h",
         "thermal_lag": "90 s",
         "sample_clock_error": "20 ppm",
-        "drift": [{"standard_deviation": "3 deg/h", "correlation_time": "120 s"}],
-        "scale_factor_instability": [{"standard_deviation": "20 ppm", "correlation_time": "600 s"}],
-        "temperature_error": {
-            "standard_deviation": "0.1 K",
-            "bias_slope": "5 deg/h/K",
-            "scale_factor_slope": "9 ppm/K",
-        },
-        "bias_temperature_gradient": {"prior": "5 deg/h/(K/min)"},
-        "bias": {
-            "temperature": {"basis": "polynomial", "degree": 1, "scale": "50 K"},
-            "prior": "50 deg/h",
-            "discrepancy": {"standard_deviation": "2 deg/h", "temperature_degree": 2},
-        },
-        "scale_factor": {
-            "temperature": {"basis": "bins", "edges": ["-10 degC", "15 degC", "50 degC"]},
-            "rate": {"basis": "b-spline", "degree": 2, "knots": ["-300 deg/s", "20 deg/s", "300 deg/s"]},
-            "prior": "5000 ppm",
-            "smoothness": "200 ppm",
+        "gyro": {
+            "axes": ["x"],
+            "angle_random_walk": "0.1 deg/sqrt(h)",
+            "rate_random_walk": "5 deg/h/sqrt(h)",
+            "turn_on_bias": "40 deg/h",
+            "drift": [{"standard_deviation": "3 deg/h", "correlation_time": "120 s"}],
+            "scale_factor_instability": [{"standard_deviation": "20 ppm", "correlation_time": "600 s"}],
+            "temperature_error": {
+                "standard_deviation": "0.1 K",
+                "bias_slope": "5 deg/h/K",
+                "scale_factor_slope": "9 ppm/K",
+            },
+            "bias_temperature_gradient": {"prior": "5 deg/h/(K/min)"},
+            "bias": {
+                "temperature": {"basis": "polynomial", "degree": 1, "scale": "50 K"},
+                "prior": "50 deg/h",
+                "discrepancy": {"standard_deviation": "2 deg/h", "temperature_degree": 2},
+            },
+            "scale_factor": {
+                "temperature": {"basis": "bins", "edges": ["-10 degC", "15 degC", "50 degC"]},
+                "rate": {"basis": "b-spline", "degree": 2, "knots": ["-300 deg/s", "20 deg/s", "300 deg/s"]},
+                "prior": "5000 ppm",
+                "smoothness": "200 ppm",
+            },
         },
     },
     "rig": {
         "table": {
-            "max_rate": "300 deg/s",
-            "max_acceleration": "600 deg/s^2",
-            "angle": {
-                "reading_noise": "5 arcsec",
-                "standstill_offset": "20 arcsec",
-                "timing_error": "1 ms",
-                "harmonics": [{"order": 1, "amplitude": "20 arcsec"}],
-            },
+            "standing": "read",
+            "mounting": [{"x": "+z", "y": "+x", "z": "+y"}],
+            "axis": [
+                {
+                    "name": "x",
+                    "direction": [0.0, 0.0, 1.0],
+                    "max_rate": "300 deg/s",
+                    "max_acceleration": "600 deg/s^2",
+                    "angle": {
+                        "read_every": "2 s",
+                        "reading_noise": "5 arcsec",
+                        "standstill_offset": "20 arcsec",
+                        "timing_error": "1 ms",
+                        "harmonics": [{"order": 1, "amplitude": "20 arcsec"}],
+                    },
+                }
+            ],
         },
         "chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "9 K/min", "max_cooling": "9 K/min"},
     },
@@ -146,7 +153,7 @@ EVERYTHING = {
             "moves": [
                 {"rest": "4 s", "read_every": "2 s"},
                 {"peak_rate": "150 deg/s", "duration": "7 s", "shape": "linear ramps", "read_every": "3 s"},
-                {"rest": "3 s"},
+                {"rest": "3 s", "read": "end"},
                 {"turn": "-700 deg", "duration": "9 s", "shape": "cosine ramps"},
             ]
         },
@@ -257,7 +264,7 @@ def turning_point_by_a_break():
         "ramp": "4.5 s",
         "peak_rate": "94.136 deg/s",
     }
-    tables["sensor"]["scale_factor"]["rate"] = {
+    tables["sensor"]["gyro"]["scale_factor"]["rate"] = {
         "basis": "bins",
         "edges": ["-300 deg/s", "94.126 deg/s", "300 deg/s"],
     }
@@ -267,9 +274,11 @@ def turning_point_by_a_break():
 def long_rest_behind_a_step():
     """A lag of 20 s that decays within 40 min from one reading to the next."""
     tables = copy.deepcopy(EVERYTHING)
-    del tables["sensor"]["scale_factor"], tables["rig"]["table"]["angle"]["harmonics"]
+    angle = tables["rig"]["table"]["axis"][0]["angle"]
+    del tables["sensor"]["gyro"]["scale_factor"], angle["harmonics"]
+    angle["read_every"] = "2000 s"
     tables["sensor"]["thermal_lag"] = "20 s"
-    tables["sensor"]["bias"] = {
+    tables["sensor"]["gyro"]["bias"] = {
         "temperature": {"basis": "polynomial", "degree": 3, "scale": "20 K"},
         "prior": "50 deg/h",
     }
@@ -280,7 +289,6 @@ def long_rest_behind_a_step():
             {"step_to": "30 degC", "used": True},
             {"soak": "40 min", "used": True},
         ],
-        "read_every": "2000 s",
     }
     return tables
 
@@ -291,6 +299,7 @@ def by_hand():
     tables["rig"]["table"] |= {"drive": "hand", "answer_time": "4 s"}
     turn = {"shape": "hand", "duration": "9 s", "unevenness": 0.3}
     rest = {"rest": "5 s", "read": "none"}
+    tables["rig"]["table"]["axis"][0]["angle"]["read_every"] = "rest"
     tables["plan"]["cycle"]["moves"] = [rest, turn | {"turns": 1}, rest, turn | {"turn": "-500 deg"}]
     return tables
 

@@ -1,5 +1,4 @@
-"""Calibrations with any bases, and of an IMU with known errors, for the tests of this folder. The texts of axes are in
-the form of version 1."""
+"""Calibrations with any bases, and of an IMU with known errors, for the tests of this folder."""
 
 import imu_twin
 import numpy as np
@@ -16,7 +15,8 @@ SPLINE_T = 'temperature = { basis = "b-spline", knots = ["-30 degC", "0 degC", "
 BINS_W = 'rate = { basis = "bins", edges = ["-300 deg/s", "0 deg/s", "300 deg/s"] }'
 
 
-def axis_text(name, temperature=POLYNOMIAL_T, rate=POLYNOMIAL_W, seed=0, size=3e-3, n_t=4, n_w=4, more=""):
+def axis_text(name, temperature=POLYNOMIAL_T, rate=POLYNOMIAL_W, seed=0, size=3e-3, n_t=4, n_w=4, more="", terms=""):
+    """A gyro's channel: `more` are keys of the channel, `terms` further terms."""
     rng = np.random.default_rng(seed)
     a = [f"a{i}" if "poly" in temperature else f"a_spline{i}" for i in range(n_t)]
     both = "poly" in temperature and "poly" in rate
@@ -27,17 +27,18 @@ def axis_text(name, temperature=POLYNOMIAL_T, rate=POLYNOMIAL_W, seed=0, size=3e
         for i in range(n_t)
         for j in range(n_w)
     ]
-    lines = ["[[axis]]", f'name = "{name}"', 'valid_temperature = ["-30 degC", "70 degC"]']
-    lines += ['valid_rate = ["-300 deg/s", "300 deg/s"]', more, "[axis.bias]", temperature, "[axis.bias.coefficients]"]
+    lines = ["[[channel]]", 'kind = "gyro"', f'axis = "{name}"', 'valid_temperature = ["-30 degC", "70 degC"]']
+    lines += ['valid_rate = ["-300 deg/s", "300 deg/s"]', more]
+    lines += ["[[channel.term]]", 'name = "bias"', 'unit = "rad/s"', temperature, "[channel.term.coefficients]"]
     lines += [f"{n} = {v!r}" for n, v in zip(a, (1e-3 * rng.standard_normal(n_t)).tolist(), strict=True)]
-    lines += ["[axis.scale_factor]", temperature, rate, "[axis.scale_factor.coefficients]"]
+    lines += ["[[channel.term]]", 'name = "scale_factor"', 'unit = "1"', f'signals = ["rate {name}"]']
+    lines += [temperature, rate, "[channel.term.coefficients]"]
     lines += [f"{n} = {v!r}" for n, v in zip(b, (size * rng.standard_normal(n_t * n_w)).tolist(), strict=True)]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, terms]) + "\n"
 
 
-HEAD = """format = "gradcal-calibration/1"
+HEAD = """format = "gradcal-calibration/3"
 serial_number = "SN-7"
-quantity = "gyro"
 simulated = true
 frame = "the sensor's own axes"
 order = "measured = (1 + M(T, rate)) * rate + B(T)"

@@ -40,7 +40,7 @@ def test_every_term_that_is_taken_out_is_listed_and_every_one_that_is_named_is_n
 
 
 def test_zero_and_an_empty_list_are_named_terms():
-    spec = gj.changed(gj.parse_spec(BARE), {"sensor.sample_clock_error": "0 ppm", "sensor.drift": []})
+    spec = gj.changed(gj.parse_spec(BARE), {"sensor.sample_clock_error": "0 ppm", "sensor.gyro.drift": []})
     assert not {"sensor.sample_clock_error", "sensor.gyro.drift"} & set(keys(spec))
 
 
@@ -108,11 +108,14 @@ def test_with_typical_figures_nothing_is_absent_and_nothing_that_was_named_chang
 def test_the_grade_is_said_or_follows_the_drift_then_the_random_walk():
     spec = gj.parse_spec(BARE)
     assert sensor_grade(spec.sensor)[::2] == ("consumer", "its drift")
-    assert sensor_grade(spec_without("sensor.drift").sensor)[::2] == ("consumer", "its angle random walk")
-    fine = gj.changed(spec, {"sensor.drift": None, "sensor.angle_random_walk": "0.001 deg/sqrt(h)"})
+    assert sensor_grade(spec_without("sensor.gyro.drift").sensor)[::2] == ("consumer", "its angle random walk")
+    fine = gj.changed(spec, {"sensor.gyro.drift": None, "sensor.gyro.angle_random_walk": "0.001 deg/sqrt(h)"})
     assert sensor_grade(fine.sensor).name == "navigation"
     assert sensor_grade(gj.changed(fine, {"sensor.grade": "tactical"}).sensor)[::2] == ("tactical", "sensor.grade")
-    arcsec = {"rig.table.angle.reading_noise": "1 arcsec", "rig.table.angle.standstill_offset": "20 arcsec"}
+    arcsec = {
+        "rig.table.axis[0].angle.reading_noise": "1 arcsec",
+        "rig.table.axis[0].angle.standstill_offset": "20 arcsec",
+    }
     assert (table_grade(spec).name, table_grade(gj.changed(spec, arcsec)).name) == ("coarse", "middle")
 
 
@@ -128,7 +131,10 @@ def test_the_data_say_of_every_class_the_same_terms_and_where_each_figure_comes_
 def test_no_verdict_rests_on_what_a_spec_leaves_out():
     """The specs of the repro folder in small: within the target as written, missed with what its class has."""
     bare = spec_without(
-        "sensor.sample_clock_error", "sensor.scale_factor_instability", "sensor.temperature_error", "sensor.thermal_lag"
+        "sensor.sample_clock_error",
+        "sensor.gyro.scale_factor_instability",
+        "sensor.gyro.temperature_error",
+        "sensor.thermal_lag",
     )
     bare = gj.changed(bare, {"requirement[0].target": "200 ppm"})
     row = gj.predict(bare).requirements[0]

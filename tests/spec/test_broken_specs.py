@@ -50,7 +50,6 @@ WHY = {
     "programme_item_unknown": 'nearest: "ramp_to"',
     "design_minimises_nothing_known": 'nearest: "full"',
     "design_frees_unknown": 'nearest: "rest"',
-    "sensor_accelerometer": "[sensor.accelerometer]",
     "basis_centre_in_kelvin": "degC",
     "rig_max_rate_too_low": 'max_rate of axis "x", 90 deg/s',
     "plan_gradient_too_steep": "rig.chamber.max_heating, 2 K/min",

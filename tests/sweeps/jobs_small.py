@@ -4,39 +4,47 @@ from pathlib import Path
 
 SPEC = """
 format = "gradcal-spec/1"
-[sensor]
-quantity          = "gyro"
+[sensor.gyro]
+axes = ["x"]
 angle_random_walk = "0.1 deg/sqrt(h)"
-[[sensor.drift]]
+[[sensor.gyro.drift]]
 standard_deviation = "1 deg/h"
 correlation_time   = "120 s"
-[sensor.bias]
+[sensor.gyro.bias]
 temperature = { basis = "polynomial", degree = 1, centre = "10 degC", scale = "10 K" }
-[sensor.scale_factor]
+[sensor.gyro.scale_factor]
 temperature = { basis = "polynomial", degree = 1, centre = "10 degC", scale = "10 K" }
 rate        = { basis = "polynomial", degree = 1, scale = "100 deg/s" }
 [rig.table]
+standing = "read"
+rate_accuracy    = "100 ppm"
+mounting = { x = "+z", y = "+x", z = "+y" }
+[[rig.table.axis]]
+name = "x"
+direction = [0.0, 0.0, 1.0]
 max_rate         = "100 deg/s"
 max_acceleration = "200 deg/s^2"
 travel           = "unlimited"
-rate_accuracy    = "100 ppm"
-[rig.table.angle]
+[rig.table.axis.angle]
 reading_noise     = "0.02 deg"
 standstill_offset = "0.01 deg"
+read_every = "1 s"
 [rig.chamber]
 range       = ["-40 degC", "85 degC"]
 max_heating = "3 K/min"
 max_cooling = "3 K/min"
 [[requirement]]
 name        = "scale"
-quantity    = "scale_factor"
+quantity    = "gyro_scale_factor"
+axis = "x"
 temperature = ["0 degC", "20 degC"]
 rate        = ["-100 deg/s", "100 deg/s"]
 target      = "250 ppm"
 grid        = [11, 9]
 [[requirement]]
 name        = "bias"
-quantity    = "bias"
+quantity    = "gyro_bias"
+axis = "x"
 temperature = ["0 degC", "20 degC"]
 grid        = [11]
 [plan]
@@ -44,7 +52,7 @@ method      = "gradient"
 temperature = ["0 degC", "20 degC"]
 gradient    = "2 K/min"
 [plan.cycle]
-other_axes = { duration = "20 s", read = true }
+other_axes = { duration = "20 s", read = true, read_every = "1 s" }
 moves = [
   { rest = "5 s", read_every = "1 s" },
   { turn = "360 deg", peak_rate = "80 deg/s", shape = "cosine ramps" },

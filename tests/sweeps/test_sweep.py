@@ -25,7 +25,7 @@ start = "3 s"
 stop = "6 s"
 [[axis]]
 name = "walk"
-key = "sensor.angle_random_walk"
+key = "sensor.gyro.angle_random_walk"
 start = "0.05 deg/sqrt(h)"
 stop = "0.5 deg/sqrt(h)"
 spacing = "logarithmic"

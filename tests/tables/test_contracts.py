@@ -32,7 +32,7 @@ def test_every_preset_satisfies_the_schema_of_specs_and_slips_do_not(name):
     validator = jsonschema.Draft202012Validator(schema("spec"))
     validator.validate(document)
     assert validator.is_valid({**document, "sensr": {}}) is False
-    assert validator.is_valid({**document, "sensor": {"quantity": "gyro"}}) is False
+    assert validator.is_valid({**document, "sensor": {"angle": "gyro"}}) is False
     document["plan"]["soak"] = 3
     assert validator.is_valid(document) is False
 

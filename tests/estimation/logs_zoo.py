@@ -63,9 +63,7 @@ moves = [
 """
 
 STANDARD = (
-    GRADIENT[: GRADIENT.index("[plan]")].replace(
-        'max_rate = "300 deg/s"', 'max_rate = "300 deg/s"\nrate_accuracy = "50 ppm"'
-    )
+    GRADIENT[: GRADIENT.index("[plan]")].replace('standing = "read"', 'standing = "read"\nrate_accuracy = "50 ppm"')
     + """[plan]
 method = "standard"
 temperatures = ["0 degC", "20 degC", "40 degC"]

@@ -16,7 +16,7 @@ from gradcal_jax.spec.spec import parse_spec
 
 # What the short plan leaves is far below these.
 WIDE = GRADIENT.replace('target = "2000 ppm"', 'target = "9 %"').replace(
-    'name = "bias"\nquantity = "bias"', 'name = "bias"\nquantity = "bias"\ntarget = "9000 deg/h"'
+    'name = "bias"\nquantity = "gyro_bias"', 'name = "bias"\nquantity = "gyro_bias"\ntarget = "9000 deg/h"'
 )
 
 

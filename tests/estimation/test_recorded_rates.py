@@ -38,7 +38,8 @@ STEPS = parse_spec(CONSTANT)
 RATES = parse_spec(
     CONSTANT[: CONSTANT.index("[plan]")]
     .replace('"2 deg/sqrt(h)"', '"6 deg/sqrt(h)"')
-    .replace('max_rate = "300 deg/s"', 'max_rate = "720 deg/s"\nrate_accuracy = "500 ppm"')
+    .replace('max_rate = "300 deg/s"', 'max_rate = "720 deg/s"')
+    .replace('standing = "read"', 'standing = "read"\nrate_accuracy = "500 ppm"')
     + """[plan]
 method = "standard"
 temperatures = ["20 degC"]

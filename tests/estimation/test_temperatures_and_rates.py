@@ -20,8 +20,11 @@ FOLLOWED = (
   { soak = "1 min", at = "0 degC" }, { ramp_to = "30 degC", rate = "2 K/min" },
   { ramp_to = "0 degC", rate = "2 K/min" } ]""",
     )
-    .replace("angle_random_walk", 'thermal_lag = "2 min"\nangle_random_walk')
-    .replace("[sensor.bias]", '[sensor.bias_temperature_gradient]\nprior = "5 deg/h/(K/min)"\n[sensor.bias]')
+    .replace("[sensor.gyro]", '[sensor]\nthermal_lag = "2 min"\n[sensor.gyro]')
+    .replace(
+        "[sensor.gyro.bias]",
+        '[sensor.gyro.bias_temperature_gradient]\nprior = "5 deg/h/(K/min)"\n[sensor.gyro.bias]',
+    )
 )
 
 

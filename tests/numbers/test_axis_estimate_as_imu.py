@@ -25,12 +25,12 @@ from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.spec_sections import Spec
 
 UNWEIGHTED = STANDARD.replace('"standard"', '"standard"\nestimator = "least squares"')
-STATIC = GRADIENT[: GRADIENT.index("[plan.cycle]")] + 'read_every = "2 s"\n'
+STATIC = GRADIENT[: GRADIENT.index("[plan.cycle]")].replace('read_every = "1 s"', 'read_every = "2 s"')
 BEFORE = json.loads((Path(__file__).parent / "axis_estimator.json").read_text(encoding="utf-8"))
 CASES = {
     "moves without rests": GRADIENT,
     "unread rests": GRADIENT.replace('"5 s", read_every = "1 s"', '"5 s", read = "none"'),
-    "standing": STATIC[: STATIC.index("[sensor.scale_factor]")] + STATIC[STATIC.index("[rig.table]") :],
+    "standing": STATIC[: STATIC.index("[sensor.gyro.scale_factor]")] + STATIC[STATIC.index("[rig.table]") :],
     "standard": STANDARD,
     "standard, unweighted": UNWEIGHTED,
 }
@@ -44,7 +44,9 @@ def text_of(name: str) -> str:
     text = CASES[name]
     if name == "standing":
         text = text.replace('[[requirement]]\nname = "map"', '[[requirement]]\nname = "other"')
-        text = text.replace('quantity = "scale_factor"', 'quantity = "bias"').replace('target = "2000 ppm"\n', "")
+        text = text.replace('quantity = "gyro_scale_factor"', 'quantity = "gyro_bias"').replace(
+            'target = "2000 ppm"\n', ""
+        )
         text = text.replace('rate = ["-300 deg/s", "300 deg/s"]\n', "")
     return text
 

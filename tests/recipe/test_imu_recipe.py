@@ -1,7 +1,6 @@
 """Recipes of whole units: plans rounded to what the controllers of several axes accept, and read back."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,10 +8,10 @@ import pytest
 from made_recipe import made_of
 
 from gradcal_jax.recipe.bench_tables import block_heading, move_rows
-from gradcal_jax.recipe.recipe import parse_recipe, spec_in
+from gradcal_jax.recipe.recipe import parse_recipe
 from gradcal_jax.recipe.rounding import ControllerSteps, rounded
 from gradcal_jax.spec import presets
-from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import parse_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.problems import SpecError
@@ -81,14 +80,6 @@ def test_poses_off_the_grid_do_not_wander(seed: int) -> None:
         assert at[said.axis] == pytest.approx(exact[said.axis], abs=0.5001 * step)
         assert at[said.axis] / step == pytest.approx(round(at[said.axis] / step), abs=1e-4)
     assert rounded(made).changes == ()
-
-
-def test_a_move_that_names_the_only_axis_is_as_it_was() -> None:
-    """The moves of a recipe of the earlier form name no axis, and those of its rounded plan do."""
-    spec = spec_in(Path(__file__).parents[2] / "experiments" / "demo" / "recipe.toml")
-    made = rounded(spec)
-    assert any("axis" in move for move in tables_of(made.spec)["plan"]["cycle"]["moves"])
-    assert made.changes == ()
 
 
 def test_coarse_controllers_keep_an_axis_that_hardly_turns() -> None:

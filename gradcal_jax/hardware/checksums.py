@@ -3,15 +3,10 @@
 Drivers and simulated devices share this module only, so that both cannot have the same mistake in a codec.
 """
 
-import binascii
-import zlib
-from functools import cache, reduce
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
-
-_BIT_REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
-
 
 def crc16_modbus(data: bytes) -> bytes:
     """Modbus RTU check: polynomial A001 reflected, start FFFF; two bytes, low byte first."""
@@ -23,57 +18,64 @@ def crc16_modbus(data: bytes) -> bytes:
     return register.to_bytes(2, "little")
 
 
-def crc32_mpeg2(data: bytes) -> int:
-    """CRC-32/MPEG-2 (polynomial 04C11DB7, start FFFFFFFF, no reflection, no final inversion) of STIM300 datagrams.
-
-    It is the ordinary CRC-32 of the bit-reversed bytes, un-inverted and bit-reversed: the C loop of `zlib` is about
-    fourteen times as fast as a table in Python.
-    """
-    ordinary = zlib.crc32(data.translate(_BIT_REVERSED)) ^ 0xFFFFFFFF
-    return int.from_bytes(ordinary.to_bytes(4, "little").translate(_BIT_REVERSED), "big")
-
-
-def crc32_mpeg2_of_rows(rows: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """`crc32_mpeg2` of every row, `(n, k) -> (n,)`.
+class CrcOfRows:
+    """A CRC by its parameters, of every row of `length` bytes and of `zeros` zero bytes that are not sent.
 
     A CRC is affine over exclusive or: that of a message is that of as many zeros, changed by what each byte in its
-    place changes alone. A block of datagrams is one look into a table of places and bytes.
+    place changes alone. A block of frames is one look into a table of places and bytes.
+
+    poly     polynomial without its highest power, not reflected
+    init     value before the first byte
+    xorout   value by which the result is changed
+    reflect  whether bytes and result are reflected
     """
-    table, of_zeros = _crc32_by_place(rows.shape[1])
-    return np.bitwise_xor.reduce(table[np.arange(rows.shape[1]), rows], axis=1) ^ of_zeros
 
+    def __init__(
+        self, length: int, width: int, poly: int, init: int, xorout: int, *, reflect: bool = False, zeros: int = 0
+    ) -> None:
+        self._width, self._reflect = np.uint64(width), reflect
+        self._mask = np.uint64(2**width - 1)
+        if reflect:
+            poly, init = (int(f"{value:0{width}b}"[::-1], 2) for value in (poly, init))
+        self._of_byte = self._table(poly)
+        change = self._of_byte
+        for _ in range(zeros):
+            change = self._advanced(change)
+        self._by_place = np.empty((length, 256), np.uint64)
+        for place in reversed(range(length)):
+            self._by_place[place] = change
+            change = self._advanced(change)
+        start = np.array([init], np.uint64)
+        for _ in range(length + zeros):
+            start = self._advanced(start)
+        self._constant = start[0] ^ np.uint64(xorout)
 
-@cache
-def _crc32_by_place(length: int) -> tuple[NDArray[np.uint32], np.uint32]:
-    """`(length, 256)`: what a byte in a place changes of the CRC of zeros; and that CRC."""
-    of_zeros = crc32_mpeg2(bytes(length))
-    changes = [
-        [crc32_mpeg2(bytes(place) + bytes([byte]) + bytes(length - place - 1)) ^ of_zeros for byte in range(256)]
-        for place in range(length)
-    ]
-    return np.array(changes, np.uint32).reshape(length, 256), np.uint32(of_zeros)
+    def __call__(self, rows: NDArray[np.uint8]) -> NDArray[np.uint64]:
+        """`(n, length) -> (n,)`."""
+        register = np.full(len(rows), self._constant)
+        for place, changes in enumerate(self._by_place):
+            register ^= changes[rows[:, place]]
+        return register
 
-
-def crc8_stim300(data: bytes) -> int:
-    """CRC-8 of STIM300 Utility Mode: polynomial 07, start FF, over everything up to and including the last comma."""
-    register = 0xFF
-    for byte in data:
-        register ^= byte
+    def _table(self, poly: int) -> NDArray[np.uint64]:
+        """`(256,)`: the register after one byte, from zero."""
+        high = np.uint64(1) if self._reflect else np.uint64(1) << self._width - np.uint64(1)
+        register = np.arange(256, dtype=np.uint64)
+        if not self._reflect:
+            register = register << self._width - np.uint64(8)
         for _ in range(8):
-            register = (register << 1 ^ 0x07 * (register >> 7)) & 0xFF
-    return register
+            carry = (register & high) != 0
+            shifted = register >> np.uint64(1) if self._reflect else register << np.uint64(1) & self._mask
+            register = np.where(carry, shifted ^ np.uint64(poly), shifted)
+        return register
 
-
-def crc16_vectornav(data: bytes) -> int:
-    """CRC-16 of VectorNav binary packets (polynomial 1021, start 0); zero over a packet with its CRC, without the sync
-    byte."""
-    return binascii.crc_hqx(data, 0)
+    def _advanced(self, register: NDArray[np.uint64]) -> NDArray[np.uint64]:
+        """The register after a zero byte."""
+        if self._reflect:
+            return register >> np.uint64(8) ^ self._of_byte[(register & np.uint64(255)).astype(np.int64)]
+        top = (register >> self._width - np.uint64(8)).astype(np.int64)
+        return (register << np.uint64(8) & self._mask) ^ self._of_byte[top]
 
 
 def xor8(data: bytes) -> int:
     return reduce(lambda left, right: left ^ right, data, 0)
-
-
-def lrc_zaber(data: bytes) -> int:
-    """Two's complement of the byte sum, low byte (Zaber ASCII, of the characters after the first)."""
-    return -sum(data) & 0xFF

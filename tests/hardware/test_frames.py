@@ -1,0 +1,245 @@
+"""Binary frames by description: golden bytes of the makers' documents, and streams that are cut and damaged."""
+
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gradcal_jax.hardware.checksums import CrcOfRows
+from gradcal_jax.hardware.drivers.frames import FrameDecoder, FramesConfig
+from gradcal_jax.hardware.frames import FORMAT, framed_sensor_of
+from gradcal_jax.hardware.line_protocol import shipped
+from gradcal_jax.hardware.roles import ImuBatch, join
+from gradcal_jax.tables.problems import SpecError
+
+# Data set of the maker's tests: reference time, its difference, acceleration, gyro, and two more fields.
+MICROSTRAIN = (
+    "7565804C0AD5000000055EE67CC00AD6000000014E434A000E043D9EE88D387FDB00BF7AAF030E05BB0C1E30BB572E68BBAA24AE0E07BC8AAC"
+    "80BC72C50EBCC4E2C10E083EEE3D9FBD66DADDC0AFDEF59196"
+)
+MICROSTRAIN_CHANGES = {"sync": "7565804C0AD5", "length": 82, "check": {"at": 80}}
+VECTORNAV = (
+    "FA0501001C00 00CA9A3B00000000 CDCCCC3DCDCC4CBE0AE81CC1 0AD7233C0AD7A3BC8FC2F53C 0000CC41 5ADA"
+)
+STIM300 = (
+    "a5 00 40 00 ff e0 00 00 10 00 00 00 00 00 00 00 00 08 00 00 00 19 80 19 80 19 80 00 19 80 19 80 19 80 00 0a 01 fa"
+    "b8 f2 2b 26"
+)
+# A frame of a unit with another datagram (AF): rates, accelerations, inclinations, temperatures, auxiliary.
+STIM300_OF_A_UNIT = (
+    "af000124fffad600035b00 ffe7a6ffdd36081c5200 ff7e70feba0c3ffa1d00 23a023c023a000 2319230a231c00 239523b6239500"
+    "ffef0200 e1 01fa c64942c6"
+)
+STIM300_CHANGES: dict[str, Any] = {
+    "sync": "AF", "length": 63, "check": {"at": 59, "zeros": 1}, "counter": {"at": 56},
+    "temperature": {"at": 31}, "second_temperature": {"at": 38}, "status": False,
+}  # fmt: skip
+KVH = "FE81FF55BC646C1E3C3FF9813B3C1E78BC065FB7BB2FBD793F7E980077470014168D8B1D"
+
+
+def decoder(name: str, changes: dict[str, Any] | None = None) -> FrameDecoder:
+    return FrameDecoder(framed_sensor_of(name, changes))
+
+
+def one(name: str, text: str, changes: dict[str, Any] | None = None) -> ImuBatch:
+    batch = decoder(name, changes).push(bytes.fromhex(text), 1.0)
+    assert len(batch) == 1
+    return batch
+
+
+def test_golden_frames() -> None:
+    kept = one("microstrain", MICROSTRAIN, MICROSTRAIN_CHANGES)
+    assert np.radians(kept.gyro_dps[0]) == pytest.approx([-0.002138, -0.003283, -0.005192], abs=5e-7)
+    assert kept.acceleration_g[0] == pytest.approx([0.077592, 0.000061, -0.979233], abs=5e-7)
+    kept = one("vectornav", VECTORNAV)
+    assert np.radians(kept.gyro_dps[0]) == pytest.approx([0.01, -0.02, 0.03])
+    assert kept.acceleration_g[0] * 9.80665 == pytest.approx([0.1, -0.2, -9.80665])
+    assert kept.temperature_c[0].tolist() == [25.5] * 3
+    kept = one("stim300", STIM300)
+    assert kept.gyro_dps[0].tolist() == [1.0, -0.5, 0.25]
+    assert kept.acceleration_g[0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-15)
+    assert (kept.temperature_c[0].tolist(), kept.second_c[0]) == ([25.5] * 3, 25.5)
+    kept = one("stim300", STIM300_OF_A_UNIT, STIM300_CHANGES)
+    assert kept.gyro_dps[0].tolist() == [0.017822265625, -0.0806884765625, 0.05242919921875]
+    assert kept.acceleration_g[0] == pytest.approx([-0.011890411, -0.016986847, 1.013828278], abs=1e-9)
+    assert kept.temperature_c[0].tolist() == [35.625, 35.75, 35.625]
+    kept = one("kvh-1750", KVH)
+    assert kept.acceleration_g[0, 2] == pytest.approx(0.99451, abs=1e-5)
+    assert kept.temperature_c[0, 0] == 20.0
+
+
+@pytest.mark.parametrize(
+    ("width", "poly", "init", "xorout", "reflect", "check"),
+    [
+        (32, 0x04C11DB7, 0xFFFFFFFF, 0, False, 0x0376E6E7),
+        (32, 0x04C11DB7, 0xFFFFFFFF, 0xFFFFFFFF, True, 0xCBF43926),
+        (16, 0x1021, 0, 0, False, 0x31C3),
+        (16, 0x8005, 0xFFFF, 0, True, 0x4B37),
+        (8, 0x07, 0, 0, False, 0xF4),
+    ],
+)
+def test_crcs_of_the_catalogue(width: int, poly: int, init: int, xorout: int, reflect: bool, check: int) -> None:
+    row = np.frombuffer(b"123456789", np.uint8)
+    crc = CrcOfRows(9, width, poly, init, xorout, reflect=reflect)
+    assert crc(np.array([row, row])).tolist() == [check, check]
+
+
+# ---------------------------------------------------------------------------------------------------- made streams
+
+
+def stream(count: int, name: str = "stim300", changes: dict[str, Any] | None = None, first: int = 0) -> list[bytes]:
+    """Frames of a description with values that differ, and with the stamps that are due."""
+    unit = framed_sensor_of(name, changes)
+    rows = np.random.default_rng(first + 5).integers(0, 255, (count, unit.length), np.uint8)
+    rows[:, : len(unit.sync) // 2] = np.frombuffer(bytes.fromhex(unit.sync), np.uint8)
+    numbers = np.arange(first, first + count)
+    if unit.counter is not None:
+        step = round(float(unit.counter.rate or unit.rate) / float(unit.rate))
+        rows[:, unit.counter.at] = numbers * step % (unit.counter.modulus or 256)
+    if unit.time is not None:
+        ticks = (numbers * 1e9 / float(unit.rate)).astype(">u8" if unit.order == "big" else "<u8")
+        rows[:, unit.time.at : unit.time.at + 8] = ticks[:, None].view(np.uint8)
+    for column in unit.columns.values():
+        if column.type == "f32":
+            values = np.tile(np.arange(column.values) + 0.5, (count, 1)) + numbers[:, None] % 7
+            data = values.astype(">f4" if unit.order == "big" else "<f4")
+            rows[:, column.at : column.at + 4 * column.values] = data.view(np.uint8)
+    if unit.status is not None:
+        rows[:, list(unit.status.at)] = 0
+    check, covered = unit.check, rows[:, unit.check.start : unit.check.at]
+    if check.kind == "fletcher":
+        sums = np.cumsum(covered, axis=1, dtype=np.uint8)
+        rows[:, check.at] = sums[:, -1]
+        rows[:, check.at + 1] = sums.sum(axis=1, dtype=np.uint8)
+    else:
+        init, poly = int(check.init, 16), int(check.poly, 16)
+        crc = CrcOfRows(covered.shape[1], check.width, poly, init, int(check.xorout, 16), zeros=check.zeros)
+        rows[:, check.at :] = crc(covered).astype(f">u{check.width // 8}")[:, None].view(np.uint8)
+    return [row.tobytes() for row in rows]
+
+
+def pushed(unit: FrameDecoder, frames: list[bytes], rate_hz: float = 125.0) -> ImuBatch:
+    """Frames that come one by one, when they are due."""
+    return join([unit.push(frame, number / rate_hz) for number, frame in enumerate(frames)])
+
+
+DESCRIBED = shipped(FORMAT)
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_lost_doubled_damaged_and_late_frames(name: str) -> None:
+    frames = stream(200, name)
+    rate = float(framed_sensor_of(name).rate)
+    whole = pushed(decoder(name), frames, rate)
+    assert len(whole) == 200
+    assert not whole.gap_before.any()
+    # Lost, once and for a while.
+    lost = pushed(decoder(name), [frame for number, frame in enumerate(frames) if number not in (50, 120, 121, 122)], rate)
+    assert (len(lost), lost.gap_before.sum(), lost.gap_before[50]) == (196, 4, 1)
+    # Doubled, once and always; late.
+    unit = decoder(name)
+    once = pushed(unit, [*frames[:60], frames[59], *frames[60:]], rate)
+    assert (len(once), once.gap_before.sum(), unit.repeated_datagrams) == (200, 0, 1)
+    always = pushed(decoder(name), [frame for frame in frames for _ in range(2)], 2 * rate)
+    assert (len(always), always.gap_before.sum()) == (200, 0)
+    # Damaged: each bit of a frame.
+    for bit in range(0, 8 * len(frames[50]), 7):
+        damaged = bytearray(frames[50])
+        damaged[bit // 8] ^= 1 << bit % 8
+        unit = decoder(name)
+        batch = pushed(unit, [*frames[49:50], bytes(damaged), *frames[51:53]], rate)
+        assert (len(batch), batch.gap_before.sum()) == (3, 1)
+        assert unit.bad_bytes == len(frames[50])
+    # A byte too few, and one too many.
+    for changed in (frames[50][:20] + frames[50][21:], frames[50][:20] + b"\x00" + frames[50][20:]):
+        batch = pushed(decoder(name), [*frames[49:50], changed, *frames[51:53]], rate)
+        assert (len(batch), batch.gap_before.sum()) == (3, 1)
+    assert len(pushed(decoder(name), [bytes(len(frames[0]))] * 100, rate)) == 0
+
+
+@given(st.binary(max_size=60), st.lists(st.integers(0, 600), max_size=6))
+@settings(max_examples=50, deadline=None)
+def test_samples_do_not_depend_on_how_the_stream_was_cut(noise: bytes, cuts: list[int]) -> None:
+    frames = stream(8)
+    data = noise + b"".join(frames[:4]) + noise + b"".join(frames[4:])
+    whole, unit = decoder("stim300").push(data, 0.0), decoder("stim300")
+    places = sorted({0, len(data), *(min(cut, len(data)) for cut in cuts)})
+    parts = join([unit.push(data[begin:end], 0.0) for begin, end in zip(places, places[1:], strict=False)])
+    assert len(whole) == len(parts) == 8
+    np.testing.assert_array_equal(whole.gyro_dps, parts.gyro_dps)
+    np.testing.assert_array_equal(whole.device_time_s, parts.device_time_s)
+
+
+def test_a_whole_round_that_is_lost_is_counted_by_the_clock_of_the_host() -> None:
+    frames = stream(400)
+    unit = decoder("stim300")
+    assert unit.round_samples == 16
+    kept = [unit.push(frame, number / 125.0) for number, frame in enumerate(frames) if not 200 <= number < 250]
+    assert join(kept).gap_before.sum() == 50 % 16
+    unit = decoder("stim300")
+    noisy = {200: frames[200][:20]}
+    sent = [(number, noisy.get(number, frame)) for number, frame in enumerate(frames) if not 201 <= number < 250]
+    batch = join([unit.push(frame, number / 125.0) for number, frame in sent])
+    assert batch.gap_before.sum() == 50
+    assert batch.disturbed.sum() == 1
+
+
+def test_a_unit_that_starts_again_in_a_stream_is_seen() -> None:
+    frames = stream(40)
+    starting = stream(3, changes={"status": False}, first=40)
+    rows = [bytearray(frame) for frame in starting]
+    crc = CrcOfRows(38, 32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
+    for row in rows:
+        row[10] = 0x40
+        row[38:] = int(crc(np.frombuffer(bytes(row[:38]), np.uint8)[None])[0]).to_bytes(4, "big")
+    batch = pushed(decoder("stim300"), [*frames, *map(bytes, rows)])
+    assert batch.restarted.sum() == 1
+    assert batch.restarted[40]
+
+
+def test_bytes_that_look_like_the_beginning_of_a_frame_take_little_time() -> None:
+    unit = decoder("stim300")
+    begun = time.process_time()
+    for _ in range(1000):
+        unit.push(b"\xa5" * 4096, 0.0)
+    assert time.process_time() - begun < 20.0
+    assert unit.bad_bytes > 4_000_000
+
+
+def test_constant_output_is_no_repetition() -> None:
+    frame = bytearray(stream(1)[0])
+    crc = CrcOfRows(38, 32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
+    sent: list[bytes] = []
+    for number in (*range(20), *range(25, 60)):
+        frame[35] = number * 16 % 256
+        frame[38:] = int(crc(np.frombuffer(bytes(frame[:38]), np.uint8)[None])[0]).to_bytes(4, "big")
+        sent.append(bytes(frame))
+    unit = decoder("stim300")
+    assert len(pushed(unit, sent)) == 55
+    assert unit.repeated_datagrams == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"length": 40}, "ends at byte 42"),
+        ({"gyro": {"at": 40}}, "ends at byte 49"),
+        ({"gyro": {"unit": "deg"}}, "gyro"),
+        ({"time": {"at": 0, "type": "u8"}}, "not both"),
+        ({"rate": "300 Hz"}, "multiple"),
+        ({"sync": "A"}, "sync"),
+        ({"gyro": False, "acceleration": False}, "gyro or acceleration"),
+        ({"length": 10**6}, "length"),
+    ],
+)
+def test_a_description_that_cannot_be_right_is_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(SpecError, match=words):
+        framed_sensor_of("stim300", changes)
+
+
+def test_a_line_that_is_too_slow_is_refused() -> None:
+    with pytest.raises(ValueError, match="need 840000 bits/s"):
+        FramesConfig("stim300", {"rate": "2000 Hz"}, baudrate=115200)

@@ -8,6 +8,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
+
 def crc16_modbus(data: bytes) -> bytes:
     """Modbus RTU check: polynomial A001 reflected, start FFFF; two bytes, low byte first."""
     register = 0xFFFF

@@ -14,6 +14,7 @@ from gradcal_jax.hardware.errors import ChecksumError, FramingError, Rejected, p
 # Unit, function and an exception's code; and the longest message.
 _SHORTEST_TCP, _LONGEST_TCP = 3, 254
 _LONGEST_LINE = 4096
+_LONGEST_MODBUS = 261
 
 
 class NotThisReply(Exception):
@@ -72,18 +73,21 @@ class LengthFramer(Framer):
         """The length of the frame at `head`; 0 when that needs more bytes, None when no frame begins there."""
 
     def push(self, data: bytes) -> list[bytes]:
-        self._buffer += data
+        data = self._buffer + data
         frames: list[bytes] = []
-        while self._buffer:
-            length = self._length(self._buffer)
+        place = 0
+        while place < len(data):
+            head = data[place : place + _LONGEST_MODBUS]
+            length = self._length(head)
             if length is None:
-                self._buffer = self._buffer[1:]
+                place += 1
                 self.bad_bytes += 1
-            elif 0 < length <= len(self._buffer):
-                frames.append(self._buffer[:length])
-                self._buffer = self._buffer[length:]
+            elif 0 < length <= len(head):
+                frames.append(head[:length])
+                place += length
             else:
                 break
+        self._buffer = data[place:]
         return frames
 
 

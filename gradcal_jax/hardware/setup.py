@@ -61,8 +61,6 @@ class Driver:
     module: str
     device_class: str
     config_class: str
-    text: bool = True
-    """Whether its messages are lines, whose end may be a setting of the device."""
 
     def load(self) -> types.ModuleType:
         return importlib.import_module(self.module)
@@ -76,17 +74,11 @@ class Driver:
 
 _HERE: Final = f"{__package__}.drivers"
 DRIVERS: Final[Mapping[str, Driver]] = {
-    "espec": Driver("chamber", f"{_HERE}.lines", "lines_device", "EspecConfig"),
-    "weiss": Driver("chamber", f"{_HERE}.weiss", "WeissChamber", "WeissConfig"),
-    "registers": Driver("chamber", f"{_HERE}.registers", "RegistersChamber", "RegistersConfig", text=False),
-    "lines": Driver(None, f"{_HERE}.lines", "lines_device", "LinesConfig", text=False),
-    "zaber": Driver("axis", f"{_HERE}.zaber", "ZaberAxis", "ZaberConfig"),
-    "odrive": Driver("axis", f"{_HERE}.odrive", "ODriveAxis", "ODriveConfig"),
-    "switch": Driver("axis", f"{_HERE}.switch", "SwitchAxis", "SwitchConfig"),
+    "registers": Driver("chamber", f"{_HERE}.registers", "RegistersChamber", "RegistersConfig"),
+    "lines": Driver(None, f"{_HERE}.lines", "lines_device", "LinesConfig"),
     OPERATOR: Driver("axis", f"{_HERE}.operator", "OperatorAxis", "OperatorConfig"),
-    "stim300": Driver("imu", f"{_HERE}.stim300", "Stim300Stream", "Stim300Config"),
-    "text_unit": Driver("imu", f"{_HERE}.text_unit", "TextUnitStream", "TextUnitConfig", text=False),
-    "vectornav": Driver("imu", f"{_HERE}.vectornav", "VectorNavStream", "VectorNavConfig"),
+    "frames": Driver("imu", f"{_HERE}.frames", "FramesStream", "FramesConfig"),
+    "text_unit": Driver("imu", f"{_HERE}.text_unit", "TextUnitStream", "TextUnitConfig"),
 }
 """The drivers that come with this program; `driver_of` knows those of other packages, too."""
 
@@ -148,9 +140,7 @@ _LINE_OPTIONS: Final[Mapping[str, Any]] = {
     "bytesize": Literal[7, 8],
     "parity": Literal["N", "E", "O"],
     "stopbits": Literal[1, 2],
-    "terminator": Literal["CR", "LF", "CRLF"],
 }
-_TERMINATORS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n"}
 
 
 def option_names(driver: str) -> dict[str, str]:
@@ -171,8 +161,7 @@ def _options_of(driver: Driver, *, line: bool = True) -> type[Section]:
         spelt, dimension, _ = _spelt(name)
         fields[spelt] = (Annotated[Quantity, Of(dimension)] if dimension else kind, None)
     for name, choices in _LINE_OPTIONS.items() if line else ():
-        if driver.text or name != "terminator":
-            fields.setdefault(name, (choices, None))
+        fields.setdefault(name, (choices, None))
     return create_model("Options", __base__=_Options, **fields)
 
 
@@ -298,7 +287,7 @@ def open_rig(
     *,
     terminal: Terminal | None = None,
 ) -> Bench:
-    """Open every port of a rig. `recorder_of` gives the recorder of a port, for transcripts; `terminal` is the
+    """Open every port of a rig. `recorder_of` gives the recorder of a port; `terminal` is the
     operator's, absent where there is none.
 
     Raises:
@@ -317,8 +306,6 @@ def open_rig(
             options = {} if isinstance(device, OperatorPlace) else device.options
             settings: dict[str, Any] = dict(getattr(config, "line_settings", {}))
             settings |= {name: options[name] for name in _LINE_OPTIONS if name in options}
-            if "terminator" in settings:
-                settings["terminator"] = _TERMINATORS[settings["terminator"]]
             settings["baudrate"] = config.baudrate
             line = lines[same_port(url)] = Transport(url, clock=clock, recorder=recorder, **settings)
         bench._ports.callback(line.close)  # pyright: ignore[reportPrivateUsage]

@@ -118,8 +118,7 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
     """Bytes to and from one port.
 
     `url` is a device path, `COM3`, or any URL of `serial.serial_for_url`, such as `socket://192.168.0.7:10001`.
-    `terminator`, if not None, replaces the driver's line end in every text written. `read` returns the waiting bytes,
-    as soon as there are any. All methods raise `Disconnected` once the port is gone.
+    `read` returns the waiting bytes, as soon as there are any. All methods raise `Disconnected` once the port is gone.
     """
 
     def __init__(
@@ -131,13 +130,11 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
         bytesize: int = 8,
         parity: Parity = "N",
         stopbits: int = 1,
-        terminator: bytes = b"",
         recorder: Recorder | None = None,
     ) -> None:
         self.url = url
         self._clock = clock
         self._recorder = recorder
-        self._terminator = terminator
         self._lock = PortLock(url)
         try:
             port: Any = serial.serial_for_url(url, do_not_open=True)
@@ -167,7 +164,7 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
             raise _refused(self.url, problem) from None
 
     def write(self, data: bytes) -> None:
-        data, now = self._ended(data), self._clock.now()
+        now = self._clock.now()
         try:
             self._port.write(data)
         except serial.SerialTimeoutException:
@@ -179,9 +176,6 @@ class Transport(contextlib.AbstractContextManager["Transport"]):
             raise self._gone(problem) from None
         finally:
             self._record(now, ">", data)
-
-    def _ended(self, data: bytes) -> bytes:
-        return data.rstrip(b"\r\n") + self._terminator if self._terminator else data
 
     def read(self, timeout_s: float) -> bytes:
         return self.read_stamped(timeout_s)[0]

@@ -14,29 +14,29 @@ from typing import Any, Final, NamedTuple
 
 from gradcal_jax import units
 from gradcal_jax.calibration.text_template import rendered
-from gradcal_jax.hardware import line_protocol, register_protocol
+from gradcal_jax.hardware import frames, line_protocol, register_protocol
 from gradcal_jax.records.column_guess import EXAMPLE
 from gradcal_jax.spec import presets, started_spec
 from gradcal_jax.spec.absent import grades
 from gradcal_jax.tables.display import columns
 from gradcal_jax.tables.problems import instead
 
-TABLES: Final = ("grbl", "zaber", "odrive", "hand", "switch", "none")
+TABLES: Final = ("grbl", "aerosmith-like", "hand", "none")
 """What may turn the table; "none": there is no table."""
-STREAMS: Final = ("stim300", "vectornav", "text", "own")
+STREAMS: Final = (*line_protocol.shipped(frames.FORMAT), "text", "own")
 """How samples reach the computer; "own": the IMU has its own logger."""
 
 
 def chambers() -> tuple[str, ...]:
-    """Names of chambers: drivers and descriptions; "none": there is none."""
-    return ("espec", "weiss", *_described_chambers(), "none")
+    """Names of descriptions of chambers; "none": there is none."""
+    return (*_described_chambers(), "none")
 
 
 def _described_chambers() -> dict[str, str]:
     """The chambers that are described, each with its driver."""
     lines = [name for name in line_protocol.shipped() if line_protocol.protocol_of(name).role == "chamber"]
     registers = line_protocol.shipped(register_protocol.FORMAT)
-    return {name: "lines" for name in lines if name != "espec"} | dict.fromkeys(registers, "registers")
+    return dict.fromkeys(lines, "lines") | dict.fromkeys(registers, "registers")
 
 
 def rig_text(answers: Mapping[str, str], known: Mapping[str, tuple[Any, ...]], axes: tuple[str, ...]) -> str:
@@ -121,7 +121,7 @@ def preset(name: str) -> dict[str, str]:
 
 def asked(question: Question) -> str:
     """The words of a question."""
-    options = {"grades": grades, "tables": lambda: TABLES, "chambers": chambers}
+    options = {"grades": grades, "tables": lambda: TABLES, "streams": lambda: STREAMS, "chambers": chambers}
     shown = {name: ", ".join(known()) for name, known in options.items() if f"{{{name}}}" in question.asks}
     return question.asks.format(**shown)
 
@@ -227,13 +227,5 @@ def _refuse_impossible(answers: Answers, known: Mapping[str, tuple[Any, ...]]) -
             'without an encoder, the angles come from the accelerometers of an IMU: answer "imu" to "What '
             "is calibrated\", or state the error of the table's angle"
         )
-    if table == "switch" and not math.isinf(known["angle"][0]):
-        raise ValueError(
-            'a motor that is only switched on and off reports no angle: answer "none" to the question about the error '
-            "of the table's angle"
-        )
-    if kind != "gyro" and axes == "2" and table not in ("zaber", "odrive"):
-        presets_of = {"hand": "; for a gimbal that is turned by hand: gradcal new gimbal-by-hand"}
-        raise ValueError(
-            f"for a table of two axes, `gradcal start` knows zaber and odrive, not {table}{presets_of.get(table, '')}"
-        )
+    if kind != "gyro" and axes == "2" and table == "hand":
+        raise ValueError("for a gimbal that is turned by hand: gradcal new gimbal-by-hand")

@@ -51,7 +51,7 @@ class ChamberDevice(Section):
     """`[chamber]`: the device that controls the temperature."""
 
     driver: Text
-    """Name of the driver: espec, weiss, or "registers" or "lines" with a protocol."""
+    """Name of the driver: "registers" or "lines", with a protocol."""
     port: Port
     """Port of the device: a device path, COM3, or a socket:// or rfc2217:// address."""
     safe: Literal["standby", "hold", "ambient"]
@@ -100,7 +100,7 @@ class AxisDevice(Section):
     name: Name
     """Name of the device in runs and logs."""
     driver: Text
-    """Name of the driver: zaber, odrive, switch, "lines" with a protocol, or operator."""
+    """Name of the driver: "lines" with a protocol, or operator."""
     port: Port
     """Port of the device; "terminal" for an operator."""
     safe: Literal["hold", "controlled stop", "unpower"]
@@ -140,7 +140,7 @@ class ImuDevice(Section):
     name: Name
     """Name of the device in runs and logs."""
     driver: Text
-    """Name of the driver: stim300, vectornav or text_unit."""
+    """Name of the driver: frames or text_unit, with a protocol."""
     port: Port
     """Port of the IMU."""
     serial_number: Text | None = None

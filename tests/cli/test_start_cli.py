@@ -78,7 +78,7 @@ def test_an_imu_is_started_with_a_plan_that_meets_its_limits_on_its_own_hardware
     prediction = gj.predict(spec)
     assert [row.verdict for row in prediction.requirements] == ["met"] * 4
     rig, answers = gj.read_rig(out / "rig.toml"), PRESETS[preset]
-    assert [axis.driver for axis in rig.axis] == ["lines" if answers["table"] == "grbl" else answers["table"]] * len(
+    assert [axis.driver for axis in rig.axis] == ["operator" if answers["table"] == "hand" else "lines"] * len(
         spec.rig.table.axis
     )
     # An IMU that logs by itself has no entry, and its recording is in the next commands.
@@ -93,7 +93,7 @@ def test_an_imu_is_started_with_a_plan_that_meets_its_limits_on_its_own_hardware
 def test_the_sheet_is_the_sensor_s_own(tmp_path, monkeypatch):
     """Its figures are in the budget and in the prior; nothing of another sensor is."""
     answers = "my imu\nimu\n\n0.3 deg/sqrt(h)\n400 deg/s\n2 deg/s, 0.02 deg/s/K, 80 ppm/K\n100 deg/h\n"
-    answers += "0.05 m/s/sqrt(h), 10 mg, 0.1 mg/K\ntext\nzaber\n2\n" + "\n" * 10
+    answers += "0.05 m/s/sqrt(h), 10 mg, 0.1 mg/K\ntext\naerosmith-like\n2\n" + "\n" * 10
     monkeypatch.setattr("sys.stdin", io.StringIO(answers))
     assert main(["start", "-o", str(tmp_path)]) == 0
     gyro = gj.read_spec(tmp_path / "spec.toml").sensor.gyro
@@ -138,7 +138,7 @@ def test_questions_are_asked_enter_takes_what_is_usual_and_back_goes_back(tmp_pa
         ('a"b\n', "without quotes"),
         (SENSOR.format("x", "gyro") + "\n" * 7 + "20 degC, 25 degC, 1 K/min\n\n", "at least 10 K"),
         (SENSOR.format("x", "gyro") + "\n\n\n\nnone" + "\n" * 9, "the angles come from the accelerometers"),
-        (SENSOR.format("x", "imu") + "0.1 m/s/sqrt(h), 10 mg, 0.1 mg/K\n\n\n2" + "\n" * 15, "knows zaber and odrive"),
+        (SENSOR.format("x", "imu") + "0.1 m/s/sqrt(h), 10 mg, 0.1 mg/K\n\nhand\n2" + "\n" * 15, "gimbal-by-hand"),
     ],
 )
 def test_answers_that_are_not_understood_are_sentences_and_nothing_is_written(
@@ -154,7 +154,9 @@ def test_answers_that_are_not_understood_are_sentences_and_nothing_is_written(
     ("preset", "table", "travel"),
     [
         *itertools.product(("drone-imu",), ("grbl", "hand"), ("25 deg", "170 deg", "200 deg", "400 deg", "unlimited")),
-        *itertools.product(("tactical-imu",), ("odrive",), ("95 deg", "170 deg", "200 deg", "400 deg", "unlimited")),
+        *itertools.product(
+            ("tactical-imu",), ("aerosmith-like",), ("95 deg", "170 deg", "200 deg", "400 deg", "unlimited")
+        ),
     ],
 )
 def test_the_plan_of_an_imu_fits_any_travel(preset, table, travel):

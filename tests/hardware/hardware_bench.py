@@ -8,23 +8,20 @@ from typing import Any
 
 import numpy as np
 from simulated_devices.espec import EspecOptions, SimulatedEspec
+from simulated_devices.frames import SimulatedFrames
 from simulated_devices.gyro import Mounting, SensorTruth, SimulatedSensor
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
 from simulated_devices.line_clock import CountedTransport
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
-from simulated_devices.odrive import ODriveOptions, SimulatedODrive
 from simulated_devices.port import SimulatedPort
-from simulated_devices.stim300 import SimulatedStim300, Stim300Options
-from simulated_devices.vectornav import SimulatedVectorNav, VectorNavOptions
 from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
-from simulated_devices.weiss import SimulatedWeiss, WeissOptions
-from simulated_devices.zaber import SimulatedZaber, ZaberOptions
 
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers import lines, odrive, registers, stim300, vectornav, weiss, zaber
+from gradcal_jax.hardware.drivers import frames, lines, registers
 from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
 from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.hardware.simulate.lab import unit_options
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.transport import Transport
 from gradcal_jax.recipe.recipe import Predicted, Recipe, RecipeOrigin
@@ -36,6 +33,9 @@ from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.rig import TEMPLATE, parse_rig
 from gradcal_jax.spec.spec import Spec, parse_spec
 from gradcal_jax.tables.quantity import Quantity
+
+# The simulated board takes accelerations that no stepper motor does, so that tests are short, and starts at once.
+BOARD_CHANGES: dict[str, Any] = {"limits": {"max_acceleration": "2000 deg/s^2"}, "line": {"boot": "0 s"}}
 
 
 def fit_clock(device_time_s: Any, host_time_s: Any, *, resolution_s: float = 0.0) -> ClockMap:
@@ -55,11 +55,13 @@ def served(device: Any, clock: Clock, baudrate: int, **options: Any) -> Iterator
             transport.close()
 
 
+
+
 def espec_config(
     *, pause: str = "0.1 s", after: str = "1 s", reply_timeout_s: float = 0.3, **changes: Any
-) -> lines.EspecConfig:
+) -> lines.LinesConfig:
     line = {"pause": pause, "pause_after_command": after, **changes.pop("line", {})}
-    return lines.EspecConfig(changes={"line": line, **changes}, reply_timeout_s=reply_timeout_s)
+    return lines.LinesConfig(protocol="espec", changes={"line": line, **changes}, reply_timeout_s=reply_timeout_s)
 
 
 @contextmanager
@@ -76,20 +78,6 @@ def espec_bench(
         yield lines.LinesChamber(lines.open_exchange(transport, clock, config), config), device, port
 
 
-@contextmanager
-def weiss_bench(
-    clock: Clock,
-    options: WeissOptions | None = None,
-    config: weiss.WeissConfig | None = None,
-    truth: ChamberTruth | None = None,
-    **port_options: Any,
-) -> Iterator[tuple[weiss.WeissChamber, SimulatedWeiss, SimulatedPort]]:
-    device = SimulatedWeiss(ChamberPlant(truth or ChamberTruth(), clock.now()), clock, options)
-    config = config or weiss.WeissConfig(
-        reply_timeout_s=0.3, acknowledge_timeout_s=0.1, description_silence_s=0.1, product_channel="MV01"
-    )
-    with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield weiss.WeissChamber(weiss.open_exchange(transport, clock, config), config), device, port
 
 
 def f4_config(reply_timeout_s: float = 0.2, changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
@@ -167,32 +155,8 @@ grbl_bench = _lines_bench("grbl", SimulatedGrbl, _axis)
 aerosmith_bench = _lines_bench("aerosmith-like", SimulatedAerosmith, _axis)
 
 
-@contextmanager
-def zaber_bench(
-    clock: Clock,
-    options: ZaberOptions | None = None,
-    config: zaber.ZaberConfig | None = None,
-    plant: AxisPlant | None = None,
-    **port_options: Any,
-) -> Iterator[tuple[zaber.ZaberAxis, SimulatedZaber, SimulatedPort]]:
-    device = SimulatedZaber([plant or AxisPlant(None, clock.now())], clock, options)
-    config = config or zaber.ZaberConfig(reply_timeout_s=0.2)
-    with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield zaber.ZaberAxis(zaber.open_exchange(transport, clock, config), config), device, port
 
 
-@contextmanager
-def odrive_bench(
-    clock: Clock,
-    options: ODriveOptions | None = None,
-    config: odrive.ODriveConfig | None = None,
-    truth: AxisTruth | None = None,
-    **port_options: Any,
-) -> Iterator[tuple[odrive.ODriveAxis, SimulatedODrive, SimulatedPort]]:
-    device = SimulatedODrive([AxisPlant(truth, clock.now())], clock, options)
-    config = config or odrive.ODriveConfig(reply_timeout_s=0.2)
-    with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield odrive.ODriveAxis(odrive.open_exchange(transport, clock, config), config), device, port
 
 
 def sensor_on_table(
@@ -216,53 +180,45 @@ def sensor_on_table(
     )
 
 
-@contextmanager
-def stim300_bench(
-    clock: Clock,
-    options: Stim300Options | None = None,
-    config: stim300.Stim300Config | None = None,
-    sensor: SimulatedSensor | None = None,
-    **port_options: Any,
-) -> Iterator[tuple[stim300.Stim300Stream, SimulatedStim300, SimulatedPort]]:
-    config = config or stim300.Stim300Config(reply_timeout_s=0.3)
-    device = SimulatedStim300(sensor or sensor_on_table(clock), clock, options)
-    with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield stim300.Stim300Stream(transport, clock, config), device, port
+
+
+
+
 
 
 @contextmanager
-def vectornav_bench(
+def frames_bench(
     clock: Clock,
-    options: VectorNavOptions | None = None,
-    config: vectornav.VectorNavConfig | None = None,
     sensor: SimulatedSensor | None = None,
+    rate_hz: float = 125.0,
+    burst_s: float = 0.016,
     **port_options: Any,
-) -> Iterator[tuple[vectornav.VectorNavStream, SimulatedVectorNav, SimulatedPort]]:
-    config = config or vectornav.VectorNavConfig(reply_timeout_s=0.3)
-    device = SimulatedVectorNav(sensor or sensor_on_table(clock), clock, options)
+) -> Iterator[tuple[frames.FramesStream, SimulatedFrames, SimulatedPort]]:
+    config = frames.FramesConfig(**unit_options(rate_hz))
+    sensor = sensor or sensor_on_table(clock, sample_rate_hz=rate_hz)
+    device = SimulatedFrames(sensor, clock, rate_hz=rate_hz, burst_s=burst_s)
     with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield vectornav.VectorNavStream(transport, clock, config), device, port
+        yield frames.FramesStream(transport, clock, config), device, port
 
 
 class Rig:
-    """A simulated rig under the template's rig file, with an ODrive (or a Zaber stage) as its table. The unit sends its
-    samples every `burst_s`."""
+    """A simulated rig under the template's rig file. The unit sends its samples every `burst_s`. The board is opened
+    without its waiting time."""
 
-    def __init__(
-        self, clock: Clock, truth: SensorTruth | None = None, *, stage: bool = False, burst_s: float = 0.128
-    ) -> None:
+    def __init__(self, clock: Clock, truth: SensorTruth | None = None, *, burst_s: float = 0.128) -> None:
         plant = ChamberPlant(ChamberTruth(start_c=24.8, load_time_constant_s=60.0), clock.now())
         axis = AxisPlant(None, clock.now())
         self.chamber = SimulatedEspec(plant, clock)
         self.axis = axis
-        self.table: Any = SimulatedZaber([axis], clock) if stage else SimulatedODrive([axis], clock)
+        self.table = SimulatedGrbl(axis, clock)
         self.sensor = sensor_on_table(clock, truth, axis=axis, chamber=plant)
-        self.imu = SimulatedStim300(self.sensor, clock, Stim300Options(rate_code=0, burst_s=burst_s))
+        self.imu = SimulatedFrames(self.sensor, clock, burst_s=burst_s)
         self.ports = [SimulatedPort(device, clock) for device in (self.chamber, self.table, self.imu)]
-        text = TEMPLATE if stage else TEMPLATE.replace('"zaber" ', '"odrive" ')
+        text = TEMPLATE
         for index, port in enumerate(self.ports):
             text = text.replace(f"/dev/ttyUSB{index}", port.open().url)
         self.rig = parse_rig(text)
+        self.rig.axis[0].options.update({"changes": BOARD_CHANGES, "max_acceleration": "2000 deg/s^2"})
 
     def __enter__(self) -> "Rig":
         return self

@@ -27,11 +27,10 @@ Shown by tests, without figures:
 * a guard that is killed is announced and replaced, a run that hangs is ended, and where a run's folder is moved or
   removed before the run is killed, the rig is made safe (`test_guard`);
 * commands of every chamber, axis and unit that are lost, doubled, damaged or late once are noticed (`test_chambers`,
-  `test_axes_and_imus`, `test_weiss_ramps`);
+  `test_axes_and_imus`, `test_frames`);
 * somebody at the terminal of `gradcal run` turns a gimbal by hand, mistypes, pauses, gives up and goes on
   (`test_operator`, on a pseudo-terminal of its own);
-* minimalmodbus and the vendor's zaber.serial speak with the simulated F4 and the simulated stage (`test_chambers`,
-  `test_axes_and_imus`).
+* minimalmodbus speaks with the simulated F4 (`test_chambers`).
 """
 
 

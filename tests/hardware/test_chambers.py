@@ -23,7 +23,6 @@ from hardware_bench import (
     f4t_scpi_bench,
     julabo_bench,
     thermotron_bench,
-    weiss_bench,
 )
 from simulated_devices.espec import EspecOptions, SimulatedEspec
 from simulated_devices.faults import Faults
@@ -31,12 +30,9 @@ from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
 from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
-from simulated_devices.weiss import WeissOptions
 
-from gradcal_jax.hardware.chamber_control import ChamberControl
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.registers import RegistersChamber, open_exchange
-from gradcal_jax.hardware.drivers.weiss import WeissConfig
 from gradcal_jax.hardware.errors import (
     Disconnected,
     FramingError,
@@ -50,14 +46,12 @@ from gradcal_jax.hardware.framing import NotThisReply, Tcp, parse_words, parse_w
 from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
 from gradcal_jax.hardware.setup import DRIVERS, configs_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.track import Course
 from gradcal_jax.hardware.transport import Transport
 from gradcal_jax.spec.rig import rig_of
 from gradcal_jax.tables.problems import SpecError
 
 BENCHES = {
     "espec": espec_bench,
-    "weiss": weiss_bench,
     "watlow_f4": f4_bench,
     "watlow_f4t": f4t_bench,
     "thermotron": thermotron_bench,
@@ -100,7 +94,7 @@ def test_every_chamber_holds_settles_and_goes_safe(bench) -> None:
         assert port.lost_bytes == 0
 
 
-@pytest.mark.parametrize("make", [weiss_bench, thermotron_bench, cts_bench, f4t_bench])
+@pytest.mark.parametrize("make", [thermotron_bench, cts_bench, f4t_bench])
 def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(make) -> None:
     clock = LineClock()
     with make(clock) as (chamber, device, _):
@@ -122,26 +116,6 @@ def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(make) -> None:
         assert chamber.read().setpoint_c == -40.0
 
 
-def test_a_ramp_that_the_controller_would_round_is_made_by_set_points() -> None:
-    """The Weiss's 2.2 K/min for 2.16 would be 2 % of the slope."""
-    clock = LineClock()
-    with weiss_bench(clock) as (chamber, device, _):
-        chamber.hold(14.8)
-        clock.sleep(5400.0)
-        told: list[dict] = []
-        control = ChamberControl(chamber, clock, lambda name, **data: told.append(data))
-        began_s = clock.now()
-        control.follow(Course(0.0, 26.9, 2.16))
-        assert told[-1]["by"] == "steps of the runner"
-        while clock.now() < began_s + 240.0:
-            control.step_soft_ramp()
-            clock.sleep(5.0)
-        assert device.plant.set_point_c(clock.now()) == pytest.approx(14.8 + 2.16 * 4.0, abs=0.15)
-        # One that it makes as planned is its own.
-        control.hold(20.0)
-        clock.sleep(3600.0)
-        control.follow(Course(0.0, 30.0, 1.0))
-        assert "by" not in told[-1]
 
 
 def test_every_chamber_refuses_what_lies_outside_its_own_limits(bench) -> None:
@@ -242,23 +216,6 @@ def test_reboot_in_a_run_shows_in_the_reading(bench) -> None:
         assert not chamber.read().conditioning
 
 
-def test_every_chamber_ends_its_lines_as_the_device_is_set(bench) -> None:
-    """The rig file's `terminator` is what is written, and any end of a reply is understood."""
-    with bench(LineClock()) as (chamber, device, _):
-        if bench not in (espec_bench, weiss_bench):
-            return  # binary, or its protocol says so
-        chamber._exchange.transport._terminator = b"\n"
-        heard, receive = [], device.receive
-
-        def with_line_feeds(data: bytes) -> list[bytes]:
-            heard.append(data)
-            own = b"\r" if bench is weiss_bench else b"\r\n"
-            return [reply.replace(own, b"\n") for reply in receive(data.replace(b"\n", own))]
-
-        device.receive = with_line_feeds
-        chamber.hold(30.0)
-        assert chamber.read().setpoint_c == 30.0
-        assert all(data.endswith(b"\n") and b"\r" not in data for data in heard)
 
 
 @pytest.mark.parametrize("decimals", [0, 1, 2])
@@ -335,54 +292,10 @@ def test_chamber_that_acknowledges_and_does_nothing_is_noticed() -> None:
 # --- Weiss ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("numbers", [14, 16, 11])
-@pytest.mark.parametrize("acknowledges", [True, False])
-def test_weiss_layouts_acknowledgements_and_options_left_alone(numbers: int, acknowledges: bool) -> None:
-    clock = LineClock()
-    options = WeissOptions(
-        numbers=numbers,
-        acknowledges=acknowledges,
-        joined_description=acknowledges,
-        strict=True,
-        digital="0010001" + "0" * 25,
-    )
-    with weiss_bench(clock, options) as (chamber, device, _):
-        chamber.hold(-12.3)
-        reading = chamber.read()
-        assert (reading.setpoint_c, reading.conditioning) == (-12.3, True)
-        assert device.digital == "0110001" + "0" * 25
-        assert device.nominal["CV02"] == 50.0
-        chamber.standby()
-        assert device.digital == "0010001" + "0" * 25
-        assert device.throttle_violations == 0
 
 
-def test_weiss_that_does_not_describe_itself_needs_its_layout_from_the_rig_file() -> None:
-    clock = LineClock()
-    options = WeissOptions(numbers=11, describes_itself=False)
-    with weiss_bench(clock, options) as (chamber, _, _), pytest.raises(ReplyTimeout, match="read_layout"):
-        chamber.identify()
-    config = WeissConfig(
-        reply_timeout_s=0.3,
-        acknowledge_timeout_s=0.1,
-        read_layout="CV01 CV01 CV02 CV02 SV01 SV02 SV03 MV01 MV02 MV03 MV04",
-        write_layout="CV01 CV02 SV01 SV02 SV03",
-        lowest_c=-40.0,
-        highest_c=100.0,
-    )
-    with weiss_bench(clock, options, config) as (chamber, _, _):
-        chamber.hold(55.0)
-        assert chamber.read().setpoint_c == 55.0
-        with pytest.raises(LimitExceeded):
-            chamber.hold(-41.0)
 
 
-def test_weiss_error_text_is_a_refusal() -> None:
-    with weiss_bench(LineClock()) as (chamber, device, _):
-        chamber.identify()
-        device.options.highest_c = 50.0  # the chamber now knows a narrower limit than it described
-        with pytest.raises(Rejected, match="CV01 out of range"):
-            chamber.hold(60.0)
 
 
 # --- Watlow F4 --------------------------------------------------------------------------------------------------------

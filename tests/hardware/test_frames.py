@@ -1,5 +1,6 @@
 """Binary frames by description: golden bytes of the makers' documents, and streams that are cut and damaged."""
 
+import itertools
 import time
 from typing import Any
 
@@ -137,7 +138,8 @@ def test_lost_doubled_damaged_and_late_frames(name: str) -> None:
     assert len(whole) == 200
     assert not whole.gap_before.any()
     # Lost, once and for a while.
-    lost = pushed(decoder(name), [frame for number, frame in enumerate(frames) if number not in (50, 120, 121, 122)], rate)
+    kept = [frame for number, frame in enumerate(frames) if number not in (50, 120, 121, 122)]
+    lost = pushed(decoder(name), kept, rate)
     assert (len(lost), lost.gap_before.sum(), lost.gap_before[50]) == (196, 4, 1)
     # Doubled, once and always; late.
     unit = decoder(name)
@@ -167,7 +169,7 @@ def test_samples_do_not_depend_on_how_the_stream_was_cut(noise: bytes, cuts: lis
     data = noise + b"".join(frames[:4]) + noise + b"".join(frames[4:])
     whole, unit = decoder("stim300").push(data, 0.0), decoder("stim300")
     places = sorted({0, len(data), *(min(cut, len(data)) for cut in cuts)})
-    parts = join([unit.push(data[begin:end], 0.0) for begin, end in zip(places, places[1:], strict=False)])
+    parts = join([unit.push(data[begin:end], 0.0) for begin, end in itertools.pairwise(places)])
     assert len(whole) == len(parts) == 8
     np.testing.assert_array_equal(whole.gyro_dps, parts.gyro_dps)
     np.testing.assert_array_equal(whole.device_time_s, parts.device_time_s)

@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hardware_bench import chunks_of, sensor_on_table
+from hardware_bench import BOARD_CHANGES, chunks_of, sensor_on_table
 from hardware_evidence import record
 from hardware_processes import laboratory, start_run
 from simulated_devices.espec import SimulatedEspec
-from simulated_devices.odrive import SimulatedODrive
+from simulated_devices.frames import SimulatedFrames
+from simulated_devices.line_tables import SimulatedGrbl
 from simulated_devices.port import SimulatedPort
-from simulated_devices.stim300 import SimulatedStim300, Stim300Options
 
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.journal import Journal, read_journal
@@ -33,6 +33,7 @@ from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import DRIVERS, config_of, open_rig
+from gradcal_jax.hardware.simulate.lab import unit_options
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, track_of
 from gradcal_jax.recipe.recipe import Recipe
@@ -40,7 +41,7 @@ from gradcal_jax.records.run_log import log as log_of_run
 from gradcal_jax.spec.rig import read_rig, rig_of
 from gradcal_jax.tables.writing import write_toml
 
-RATE_HZ, BAUDRATE = 2000.0, 1_843_200
+RATE_HZ = 2000.0
 UNITS = ("unit1", "unit2", "unit3")
 CYCLE_S = 20.0
 
@@ -49,25 +50,28 @@ def serve(folder: Path) -> None:
     clock = RealClock()
     chamber = ChamberPlant(ChamberTruth(), clock.now())
     axis = AxisPlant(None, clock.now())
-    options = Stim300Options(baudrate=BAUDRATE, burst_s=0.016)
     units = [
-        SimulatedStim300(
-            sensor_on_table(clock, axis=axis, chamber=chamber, seed=seed, sample_rate_hz=RATE_HZ), clock, options
+        SimulatedFrames(
+            sensor_on_table(clock, axis=axis, chamber=chamber, seed=seed, sample_rate_hz=RATE_HZ),
+            clock,
+            rate_hz=RATE_HZ,
         )
         for seed, _ in enumerate(UNITS)
     ]
     with ExitStack() as stack:
-        devices = (SimulatedEspec(chamber, clock), SimulatedODrive([axis], clock), *units)
+        devices = (SimulatedEspec(chamber, clock), SimulatedGrbl(axis, clock), *units)
         ports = [stack.enter_context(SimulatedPort(device, clock)) for device in devices]
-        settings = {"sample_rate": f"{RATE_HZ:g} Hz", "baudrate": BAUDRATE}
+        settings = unit_options(RATE_HZ)
+        table = {"protocol": "grbl", "changes": BOARD_CHANGES}
         rig = {
             "format": "gradcal-rig/1",
-            "chamber": {"driver": "espec", "port": ports[0].url, "safe": "standby"},
+            "chamber": {"driver": "lines", "port": ports[0].url, "safe": "standby", "options": {"protocol": "espec"}},
             "axis": [
-                {"name": "table", "driver": "odrive", "port": ports[1].url, "safe": "hold", "gravity_loaded": False}
+                {"name": "table", "driver": "lines", "port": ports[1].url, "safe": "hold", "gravity_loaded": False}
+                | {"options": table}
             ],
             "imu": [
-                {"name": name, "driver": "stim300", "port": port.url, "options": settings}
+                {"name": name, "driver": "frames", "port": port.url, "options": settings}
                 for name, port in zip(UNITS, ports[2:], strict=True)
             ],
         }

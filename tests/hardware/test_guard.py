@@ -66,7 +66,7 @@ def test_the_rig_is_safe_before_the_journal_is_opened(tmp_path: Path, monkeypatc
         left_turning(rig, tmp_path, clock)
 
         def opened(path: Path) -> Journal:
-            found.append((rig.chamber.mode, rig.table.axes[0].plant.state(clock.now())[1]))
+            found.append((rig.chamber.mode, rig.axis.state(clock.now())[1]))
             return Journal(path)
 
         monkeypatch.setattr(guard, "Journal", opened)
@@ -95,7 +95,7 @@ def test_a_full_disk_keeps_no_device_from_being_made_safe(
         monkeypatch.setattr(os, "write", full)
         outcomes = guard.make_folder_safe(tmp_path, deadline_s=10.0)
         assert rig.chamber.mode == "STANDBY"
-        assert rig.table.axes[0].plant.state(clock.now())[1] == 0.0
+        assert rig.axis.state(clock.now())[1] == 0.0
     assert [(outcome.name, outcome.verified) for outcome in outcomes] == [
         ("table", True), ("chamber", True), ("unit1", True)
     ]  # fmt: skip
@@ -114,7 +114,7 @@ def test_a_port_that_is_gone_keeps_no_other_device_from_being_made_safe(
         rig.ports[2].unplug()
         outcomes = {outcome.name: outcome for outcome in guard.make_folder_safe(tmp_path, deadline_s=10.0)}
         assert rig.chamber.mode == "STANDBY"
-        assert rig.table.axes[0].plant.state(clock.now())[1] == 0.0
+        assert rig.axis.state(clock.now())[1] == 0.0
     assert {name: outcome.verified for name, outcome in outcomes.items()} == {
         "table": True, "chamber": True, "unit1": False
     }  # fmt: skip
@@ -173,15 +173,15 @@ def test_the_folder_may_go_away_before_the_run_is_killed(fate: str, tmp_path: Pa
     clock, folder = RealClock(), tmp_path / "run"
     folder.mkdir()
     with Rig(clock) as rig:
-        limit = rig.table.axes[0].values["trap_traj.config.vel_limit"]
+        limit = rig.table.settings[120]
         write_toml(rig.rig, folder / "rig.toml")
         process = guard_of(folder)
         assert process.stdin is not None
         with process.stdin:
-            process.stdin.write(b'begun\nbefore ["table", "trap_traj.config.vel_limit", "%g"]\n' % limit)
+            process.stdin.write(b'begun\nbefore ["table", "acceleration", "%g"]\n' % limit)
             process.stdin.flush()
             left_turning(rig, folder, clock)
-            rig.table.axes[0].values["trap_traj.config.vel_limit"] = 0.125
+            rig.table.settings[120] = 12.5
             (folder.rename(tmp_path / "elsewhere") if fate == "moved" else shutil.rmtree(folder))
         assert process.wait(timeout=60.0) == 0
         assert process.stdout is not None
@@ -189,7 +189,7 @@ def test_the_folder_may_go_away_before_the_run_is_killed(fate: str, tmp_path: Pa
         assert rig.chamber.mode == "STANDBY"
         assert rig.axis.state(clock.now())[1] == 0.0
         # What the run had changed of a device is as it was, though this process never changed it.
-        assert rig.table.axes[0].values["trap_traj.config.vel_limit"] == limit
+        assert rig.table.settings[120] == limit
     if fate == "moved":
         verified = [event.data.get("verified") for event in by_guard(tmp_path / "elsewhere" / "journal")]
         assert verified == [None, True, True, True]
@@ -370,7 +370,7 @@ def test_the_guard_survives_every_exception_of_one_port(
     clock, opener, raises = RealClock(), serial.serial_for_url, list[BaseException]()
     problems = every_exception()
     assert len(problems) > 60
-    with Rig(clock, stage=True) as rig:
+    with Rig(clock) as rig:
         spoilt = rig.rig.chamber
         assert spoilt is not None
 

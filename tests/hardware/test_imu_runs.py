@@ -271,8 +271,8 @@ def test_gyros_feel_rotation_by_their_g_sensitivity(tmp_path: Path, measured: bo
 
 def one_axis_rig() -> RigFile:
     return parse_rig(
-        'format = "gradcal-rig/1"\n[[axis]]\nname = "turn"\ndriver = "zaber"\nport = "/dev/ttyUSB9"\nsafe = "hold"\n'
-        "gravity_loaded = false\n"
+        'format = "gradcal-rig/1"\n[[axis]]\nname = "turn"\ndriver = "lines"\nport = "/dev/ttyUSB9"\nsafe = "hold"\n'
+        "gravity_loaded = false\noptions = { protocol = 'grbl' }\n"
     )
 
 

@@ -261,7 +261,7 @@ def test_abort_at_random_instants_leaves_everything_verified_safe() -> None:
             outcomes = make_safe(bench, clock, deadline_s=10.0)
             assert [outcome.name for outcome in outcomes] == ["table", "chamber", "unit1"]
             assert all(outcome.verified for outcome in outcomes), outcomes
-            assert rig.table.axes[0].plant.state(clock.now())[1] == 0.0
+            assert rig.axis.state(clock.now())[1] == 0.0
             assert rig.chamber.mode == "STANDBY"
             assert not rig.chamber.plant.conditioning
 
@@ -277,7 +277,7 @@ def test_a_device_that_never_answers_keeps_nobody_else_waiting() -> None:
         assert outcomes["table"].verified
         assert outcomes["table"].took_s < 3.0
         assert not outcomes["chamber"].verified
-        assert rig.table.axes[0].plant.state(clock.now())[1] == 0.0
+        assert rig.axis.state(clock.now())[1] == 0.0
 
 
 def test_a_bad_line_is_tried_again_until_the_device_is_safe() -> None:
@@ -291,7 +291,7 @@ def test_a_bad_line_is_tried_again_until_the_device_is_safe() -> None:
         outcomes = {outcome.name: outcome for outcome in make_safe(bench, clock, deadline_s=20.0)}
         assert outcomes["table"].verified
         assert outcomes["table"].tries > 1
-        assert rig.table.axes[0].plant.state(clock.now())[1] == 0.0
+        assert rig.axis.state(clock.now())[1] == 0.0
 
 
 # --- clocks -----------------------------------------------------------------------------------------------------------
@@ -369,7 +369,7 @@ def test_a_command_that_goes_on_does_not_undo_what_was_made_safe() -> None:
 
     clock, goes_on = RealClock(), threading.Event()
     chamber = Slow(ChamberPlant(ChamberTruth(), clock.now()), clock, -40.0, 90.0)
-    rig = rig_of({"format": "gradcal-rig/1", "chamber": {"driver": "espec", "port": "COM1", "safe": "standby"}})
+    rig = rig_of({"format": "gradcal-rig/1", "chamber": {"driver": "simulated", "port": "COM1", "safe": "standby"}})
     control = ChamberControl(chamber, clock, lambda *_, **__: None)
     told = threading.Thread(target=control.hold, args=(60.0,))
     told.start()
@@ -389,7 +389,7 @@ def test_a_search_for_the_reference_that_goes_on_does_not_undo_a_stop() -> None:
 
     clock, searching = RealClock(), threading.Event()
     axis = Slow(AxisPlant(None, clock.now()), clock, AxisLimits(100.0, 100.0, None, None, 0.001, False))
-    table = {"name": "a", "driver": "zaber", "port": "COM1", "safe": "hold", "gravity_loaded": False}
+    table = {"name": "a", "driver": "simulated", "port": "COM1", "safe": "hold", "gravity_loaded": False}
     rig = rig_of({"format": "gradcal-rig/1", "axis": [table]})
     control = AxisControl({"a": axis}, clock, lambda *_, **__: None)
 

@@ -21,7 +21,7 @@ from hardware_processes import laboratory
 from journal_log import log_of
 from killing import SAFE, STANDING, STARTING, TURNING, WAITING, Killer, Watched, require_seams
 
-from gradcal_jax.hardware.drivers import stim300
+from gradcal_jax.hardware.drivers import frames
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, exit_status
 from gradcal_jax.hardware.setup import config_of
@@ -147,7 +147,7 @@ def overflows(contents: JournalContents, folder: RunFolder) -> list[float]:
     decoder, bad = None, 0
     for entry in contents.records:
         if isinstance(entry, Event) and entry.name == "configuration":
-            decoder = stim300.decoder_of(config_of(device, "imu", ("imu", 0)), entry.data["registers"])
+            decoder = frames.decoder_of(config_of(device, "imu", ("imu", 0)), entry.data["registers"])
             bad = 0
         elif isinstance(entry, Chunk) and entry.line == device.name and entry.received and decoder is not None:
             gaps = decoder.push(entry.data, entry.time_s).gap_before

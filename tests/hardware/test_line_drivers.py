@@ -217,7 +217,7 @@ def test_a_run_on_devices_that_are_described_alone(chamber: str, table: str, tmp
     simulated = {"thermotron-3800": SimulatedThermotron, "cts": SimulatedCts, "julabo": SimulatedJulabo}
     simulated["watlow-f4t-scpi"] = SimulatedF4TScpi
     tables = {"grbl": SimulatedGrbl, "aerosmith-like": SimulatedAerosmith}
-    with Rig(clock, stage=True) as lab:
+    with Rig(clock) as lab:
         air, axis = simulated[chamber](lab.chamber.plant, clock), tables[table](lab.axis, clock)
         with SimulatedPort(air, clock) as at_chamber, SimulatedPort(axis, clock) as at_table:
             # A pseudo-terminal has no parity, and refuses one now and then.

@@ -16,15 +16,13 @@ from gradcal_jax.tables.problems import SpecError
 def rig_with(driver: str, options: dict[str, Any], port: str = "COM1") -> Any:
     # Lines are as a protocol has them: of a bath, here.
     text = {"format": "gradcal-text/1", "line": "{gyro_x}", "rate": "100 Hz"}
-    protocols = {"lines": "julabo", "registers": "watlow-f4", "text_unit": text}
+    protocols = {"lines": "julabo", "registers": "watlow-f4", "text_unit": text, "frames": "stim300"}
     own: dict[str, Any] = {"protocol": protocols[driver]} if driver in protocols else {}
     entry: dict[str, Any] = {"driver": driver, "port": port, "options": own | options}
     role = DRIVERS[driver].role or "chamber"
     if role == "chamber":
         return rig_of({"format": "gradcal-rig/1", "chamber": {**entry, "safe": "hold"}})
-    # A motor that is switched off holds nothing.
-    safe = "unpower" if driver == "switch" else "hold"
-    axis = {"safe": safe, "gravity_loaded": False} if role == "axis" else {}
+    axis = {"safe": "hold", "gravity_loaded": False} if role == "axis" else {}
     return rig_of({"format": "gradcal-rig/1", role: [{**entry, "name": "a", **axis}]})
 
 
@@ -32,11 +30,6 @@ def rig_with(driver: str, options: dict[str, Any], port: str = "COM1") -> Any:
 def test_every_serial_device_has_the_settings_of_its_line(driver: str) -> None:
     line = {"bytesize": 7, "parity": "E", "stopbits": 2}
     configs_of(rig_with(driver, line))
-    if not DRIVERS[driver].text:
-        with pytest.raises(SpecError, match="terminator"):
-            configs_of(rig_with(driver, {"terminator": "CR"}))
-    else:
-        configs_of(rig_with(driver, {"terminator": "CR"}))
     for name, wrong in (("parity", "X"), ("stopbits", 3), ("bytesize", "8")):
         with pytest.raises(SpecError, match=name):
             configs_of(rig_with(driver, {name: wrong}))
@@ -50,17 +43,17 @@ def test_they_reach_the_port() -> None:
             heard.append(data)
             return []
 
-    options = {"stopbits": 2, "terminator": "CR", "reply_timeout": "0.1 s"}
+    options = {"stopbits": 2, "reply_timeout": "0.1 s"}
     with (
         SimulatedPort(Listener(), RealClock()) as port,
-        open_rig(rig_with("espec", options, port.url), RealClock()) as bench,
+        open_rig(rig_with("lines", {"protocol": "espec"} | options, port.url), RealClock()) as bench,
     ):
         assert isinstance(bench.chamber, LinesChamber)
         line = bench.chamber._exchange.transport._port
         assert (line.bytesize, line.stopbits, line.parity) == (8, 2, "N")
         with pytest.raises(ReplyTimeout):
             bench.chamber.read()
-    assert heard[0] == b"TEMP?\r"
+    assert heard[0] == b"TEMP?\r\n"
 
 
 def test_the_line_is_as_the_protocol_has_it_unless_the_rig_file_says_otherwise() -> None:

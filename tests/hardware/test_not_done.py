@@ -23,11 +23,10 @@ from gradcal_jax.hardware.track import track_of
 
 
 @contextmanager
-def lab(folder: Path, *, stage: bool = False, limits: InterlockLimits | None = None) -> Iterator[tuple[Rig, Runner]]:
+def lab(folder: Path, *, limits: InterlockLimits | None = None) -> Iterator[tuple[Rig, Runner]]:
     clock = LineClock()
     folder.mkdir(exist_ok=True)
-    with Rig(clock, stage=stage) as rig, Journal(folder / "journal") as journal:
-        rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
+    with Rig(clock) as rig, Journal(folder / "journal") as journal:
         bench = open_rig(rig.rig, clock)
         track = track_of(short_recipe(2.0), ["table"])
         rules = Interlocks(limits or InterlockLimits())
@@ -101,16 +100,18 @@ def test_a_host_that_is_always_late_ends_the_run_with_a_sentence(tmp_path: Path)
 
 
 def test_a_turn_that_a_stage_swallowed_is_not_done(tmp_path: Path) -> None:
-    with lab(tmp_path, stage=True) as (rig, runner):
-        move, swallowed = rig.table._move, []
+    with lab(tmp_path) as (rig, runner):
+        jog, swallowed = rig.table._jog, []
 
-        def once_lame(stage: Any, rest: str, now: float, busy: bool) -> tuple[bool, str]:
-            if rest.startswith("abs") and not swallowed and len(events(tmp_path, "step begins")) > 1:
-                swallowed.append(rest)
-                return True, "0"
-            return move(stage, rest, now, busy)
+        def once_lame(at_s: float, goal: float, rate_dps: float) -> None:
+            if not swallowed and len(events(tmp_path, "step begins")) > 1:
+                # The board says that it moves, and soon that it does not.
+                swallowed.append(goal)
+                rig.table._state = "Jog"
+                return
+            jog(at_s, goal, rate_dps)
 
-        rig.table._move = once_lame
+        rig.table._jog = once_lame
         result = runner.run()
         assert (result.exit_status, len(swallowed)) == ("success", 1), result.reason
     (amiss,) = events(tmp_path, "not done")
@@ -155,7 +156,7 @@ def test_a_chamber_that_agrees_with_itself_and_stays_where_it_is_does_not_pass(t
 @pytest.mark.parametrize("stage", [False, True])
 @pytest.mark.parametrize("when", ["in a turn", "at rest"])
 def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path: Path, stage: bool, when: str) -> None:
-    with lab(tmp_path, stage=stage) as (rig, runner):
+    with lab(tmp_path) as (rig, runner):
         ran: list[float] = []
 
         def run_away() -> None:
@@ -192,7 +193,7 @@ def test_nothing_ends_done_that_was_not_done(tmp_path: Path, stage: bool) -> Non
     A run that ends "success" was executed as written; of every other one all devices are safe, and it says why.
     """
     random = np.random.default_rng(int(stage))
-    with lab(tmp_path / "whole", stage=stage) as (rig, runner):
+    with lab(tmp_path / "whole") as (rig, runner):
         told = [counted(port) for port in rig.ports]
         assert runner.run().exit_status == "success"
     sizes = dict(zip(("chamber", "table", "unit"), map(len, told), strict=True))
@@ -202,7 +203,7 @@ def test_nothing_ends_done_that_was_not_done(tmp_path: Path, stage: bool) -> Non
     ended: collections.Counter[tuple[str, str]] = collections.Counter()
     for number, (what, size) in enumerate(mishaps):
         folder = tmp_path / f"run{number}"
-        with lab(folder, stage=stage) as (rig, runner):
+        with lab(folder) as (rig, runner):
             if what in sizes:
                 counted(rig.ports[list(sizes).index(what)], int(size))
             elif what == "host":

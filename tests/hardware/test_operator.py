@@ -17,13 +17,13 @@ import pytest
 from hardware_bench import served, unpredicted
 from journal_log import log_of
 from simulated_devices.line_clock import LineClock
+from simulated_devices.line_tables import SimulatedGrbl
 from simulated_devices.operator import OperatorOptions, SimulatedOperator
 from simulated_devices.port_lab import SimulatedLab
-from simulated_devices.zaber import SimulatedZaber
 
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
-from gradcal_jax.hardware.drivers import operator, zaber
+from gradcal_jax.hardware.drivers import lines, operator
 from gradcal_jax.hardware.dry_run import dry_run_of
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded
 from gradcal_jax.hardware.execute import run, run_session
@@ -194,15 +194,15 @@ def test_an_encoder_is_read_and_its_motor_is_left_alone() -> None:
     # The encoder's zero lies two turns away from where the gimbal's mark is.
     plant = AxisPlant(AxisTruth(reading_noise_deg=0.001), clock.now())
     plant.set_zero(clock.now(), 720.0)
-    stage = SimulatedZaber([plant], clock)
+    board = SimulatedGrbl(plant, clock)
     person = SimulatedOperator({"x": plant}, clock, OperatorOptions(types_angles=False))
-    with served(person, clock, 9600) as (_, text), served(stage, clock, 115200) as (_, line):
-        settings = zaber.ZaberConfig(reply_timeout_s=0.2)
-        encoder = zaber.ZaberAxis(zaber.open_exchange(line, clock, settings), settings)
+    with served(person, clock, 9600) as (_, text), served(board, clock, 115200) as (_, line):
+        settings = lines.LinesConfig(protocol="grbl", changes={"line": {"boot": "0 s"}}, reply_timeout_s=0.2)
+        encoder = lines.lines_device(lines.open_exchange(line, clock, settings), settings)
         config = operator.OperatorConfig()
         console = operator.open_exchange(text, clock, config)
         axis = operator.OperatorAxis(console, config, clock, "x", encoder)
-        assert "encoder of zaber" in axis.identify().model
+        assert "encoder of lines" in axis.identify().model
         asked: list[str] = []
         ask = encoder._ask
         encoder._ask = lambda words, **how: asked.append(words) or ask(words, **how)  # type: ignore[method-assign]
@@ -253,7 +253,7 @@ def test_the_templates_gimbal_is_a_rig() -> None:
     ("change", "said"),
     [
         (("gravity_loaded = false", "gravity_loaded = true"), "gravity turns this axis if nothing holds it"),
-        (('driver = "operator"', 'driver = "zaber"'), '"terminal" is only for the driver "operator"'),
+        (('driver = "operator"', 'driver = "lines"'), '"terminal" is only for the driver "operator"'),
         (
             ("gravity_loaded = false", 'gravity_loaded = false\nencoder = { driver = "operator", port = "/dev/a" }'),
             "an encoder is only for",
@@ -261,7 +261,7 @@ def test_the_templates_gimbal_is_a_rig() -> None:
         (
             (
                 'port = "terminal"',
-                'port = "/dev/a"\nencoder = { driver = "zaber", port = "/dev/a" }',
+                'port = "/dev/a"\nencoder = { driver = "lines", port = "/dev/a" }',
             ),
             "two devices use this port",
         ),

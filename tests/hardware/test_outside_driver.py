@@ -75,7 +75,7 @@ def acme_rig(port: str) -> RigFile:
 
 def test_without_the_package_the_driver_is_unknown() -> None:
     assert driver_of("acme") is None
-    with pytest.raises(SpecError, match='expected "espec"'):
+    with pytest.raises(SpecError, match='expected "registers"'):
         configs_of(acme_rig("COM1"))
 
 
@@ -85,8 +85,9 @@ def test_rig_check_and_guard_know_it(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "acme" in driver_names("chamber")
     assert "acme_unit" in driver_names("imu")
     assert "acme" not in driver_names("axis")
+    text = TEMPLATE.replace('"lines" ', '"acme" ', 1).replace('protocol = "espec"', 'lowes = "3 degC"')
     with pytest.raises(SpecError, match=r'nearest: "lowest"'):
-        configs_of(parse_rig(TEMPLATE.replace('"espec" ', '"acme"') + '[chamber.options]\nlowes = "3 degC"\n'))
+        configs_of(parse_rig(text))
     device = SimulatedAcme(ChamberPlant(ChamberTruth(), clock.now()), clock)
     with SimulatedPort(device, clock) as port:
         rig = acme_rig(port.url)
@@ -114,7 +115,7 @@ def test_the_guards_own_process_knows_it(site: Path, tmp_path: Path) -> None:
 def test_run_and_log_know_it(tmp_path: Path) -> None:
     clock = LineClock()
     made = short_recipe(changes={"rig.table.axis[0].max_acceleration": "300 deg/s^2"})
-    with Rig(clock, stage=True) as lab:
+    with Rig(clock) as lab:
         acme = SimulatedAcme(lab.chamber.plant, clock)
         lab.ports[0].device = acme
         chamber = {"driver": "acme", "port": lab.ports[0].url, "safe": "standby"}

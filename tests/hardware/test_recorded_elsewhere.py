@@ -46,7 +46,7 @@ SLOWER = {"rig.table.axis[0].max_acceleration": "300 deg/s^2"}
 
 def run_without_a_unit(folder: Path, made: Recipe) -> RememberingPlant:
     clock = LineClock()
-    with Rig(clock, stage=True) as lab:
+    with Rig(clock) as lab:
         plant = RememberingPlant(None, clock.now())
         lab.table.stages[0].plant = plant
         rig = lab.rig.model_copy(update={"imu": ()})

@@ -6,14 +6,13 @@ from pathlib import Path
 import pytest
 from hardware_bench import sensor_on_table
 from simulated_devices.espec import SimulatedEspec
+from simulated_devices.frames import SimulatedFrames
 from simulated_devices.line_clock import LineClock
+from simulated_devices.line_tables import SimulatedGrbl
 from simulated_devices.port import SimulatedPort
-from simulated_devices.stim300 import SimulatedStim300
-from simulated_devices.zaber import SimulatedZaber
 
-from gradcal_jax.hardware.drivers.lines import EspecConfig
-from gradcal_jax.hardware.drivers.stim300 import Stim300Config
-from gradcal_jax.hardware.drivers.zaber import ZaberConfig
+from gradcal_jax.hardware.drivers.frames import FramesConfig
+from gradcal_jax.hardware.drivers.lines import LinesConfig
 from gradcal_jax.hardware.errors import PortRefused
 from gradcal_jax.hardware.journal import Direction
 from gradcal_jax.hardware.setup import DRIVERS, check_rig, configs_of, open_rig, option_names
@@ -25,9 +24,9 @@ from gradcal_jax.tables.problems import SpecError
 def test_template_is_a_rig_and_its_options_reach_the_drivers() -> None:
     rig = parse_rig(TEMPLATE)
     configs = configs_of(rig)
-    assert configs["chamber",] == EspecConfig()
-    assert configs["axis", 0] == ZaberConfig(max_rate_dps=300.0, max_acceleration_dps2=300.0)
-    assert configs["imu", 0] == Stim300Config(sample_rate_hz=125.0)
+    assert configs["chamber",] == LinesConfig(protocol="espec")
+    assert configs["axis", 0] == LinesConfig(protocol="grbl", max_rate_dps=300.0, max_acceleration_dps2=300.0)
+    assert configs["imu", 0] == FramesConfig("stim300")
 
 
 def test_every_option_of_every_driver_can_be_written() -> None:
@@ -42,12 +41,12 @@ def test_everything_wrong_with_a_rig_is_said_at_once() -> None:
     text = """
 format = "gradcal-rig/1"
 [chamber]
-driver = "espek"
+driver = "linez"
 port = "/dev/a"
 safe = "standby"
 [[axis]]
 name = "table"
-driver = "zaber"
+driver = "lines"
 port = "/dev/b"
 safe = "hold"
 gravity_loaded = false
@@ -55,26 +54,26 @@ gravity_loaded = false
 max_rat = "300 deg/s"
 max_acceleration = 300
 zero = "3 s"
-device = "one"
+direction = "one"
 [[imu]]
 name = "unit"
-driver = "stim300"
+driver = "frames"
 port = "/dev/c"
 [imu.options]
-sample_rate = "130 Hz"
+protocol = "stim301"
 """
     with pytest.raises(SpecError) as caught:
         configs_of(parse_rig(text))
     message = str(caught.value)
     for fragment in (
-        'chamber.driver = "espek"',
-        'nearest: "espec"',
+        'chamber.driver = "linez"',
+        'nearest: "lines"',
         "axis[0].options.max_rat",
         'nearest: "max_rate"',
         "axis[0].options.max_acceleration = 300: expected an angular acceleration as text with a unit",
         "axis[0].options.zero",
-        'axis[0].options.device = "one": expected a whole number',
-        "imu[0].options: sample_rate is 130 Hz",
+        'axis[0].options.direction = "one"',
+        "imu[0].options: expected the name of a",
     ):
         assert fragment in message
 
@@ -121,21 +120,21 @@ def test_a_rig_is_opened_checked_and_closed(tmp_path: Path) -> None:
     plants = [AxisPlant(), AxisPlant()]
     with (
         SimulatedPort(SimulatedEspec(ChamberPlant(ChamberTruth()), clock), clock) as chamber,
-        SimulatedPort(SimulatedZaber(plants, clock), clock) as stages,
-        SimulatedPort(SimulatedStim300(sensor_on_table(clock), clock), clock) as imu,
+        SimulatedPort(SimulatedGrbl(plants[0], clock), clock) as outer,
+        SimulatedPort(SimulatedGrbl(plants[1], clock), clock) as inner,
+        SimulatedPort(SimulatedFrames(sensor_on_table(clock), clock), clock) as imu,
     ):
         path = tmp_path / "rig.toml"
-        text = TEMPLATE.replace("/dev/ttyUSB0", chamber.url).replace("/dev/ttyUSB1", stages.url)
-        text = text.replace("/dev/ttyUSB2", imu.url).replace("# serial_number", "serial_number")
+        text = TEMPLATE.replace("/dev/ttyUSB0", chamber.url).replace("/dev/ttyUSB1", outer.url)
+        text = text.replace("/dev/ttyUSB2", imu.url)
         text += f"""
 [[axis]]
 name = "inner"
-driver = "zaber"
-port = "{stages.url}"
+driver = "lines"
+port = "{inner.url}"
 safe = "hold"
 gravity_loaded = false
-[axis.options]
-device = 2
+options = {{ protocol = "grbl" }}
 """
         path.write_text(text)
         rig = read_rig(path)
@@ -144,18 +143,17 @@ device = 2
             reports = check_rig(bench)
             assert [report.problem for report in reports] == ["", "", "", ""]
             assert [report.name for report in reports] == ["chamber", "table", "inner", "unit1"]
-            assert reports[1].identity.serial_number != reports[2].identity.serial_number
             bench.axes["inner"].home()
             bench.axes["inner"].move_to(30.0, 50.0, 100.0)
             clock.sleep(5.0)
-            assert plants[1].state(clock.now())[0] == pytest.approx(30.0, abs=0.001)
+            assert plants[1].state(clock.now())[0] == pytest.approx(30.0, abs=0.01)
             assert plants[0].state(clock.now())[0] == 0.0
             with pytest.raises(PortRefused, match="in use"):
                 open_rig(rig, clock)
         assert b"TEMP?" in records[chamber.url].data
-        # Another unit on the cable is noticed; the rest of the rig is still reported.
-        other = parse_rig(text.replace("N25582405002002", "N999"))
+        # Another device on the cable is noticed; the rest of the rig is still reported.
+        other = parse_rig(text.replace('safe    = "standby"', 'safe    = "standby"\nserial_number = "N999"'))
         with open_rig(other, clock) as bench, clock.party():
             problems = [report.problem for report in check_rig(bench)]
-        assert problems[:3] == ["", "", ""]
-        assert "N999" in problems[3]
+        assert problems[1:] == ["", "", ""]
+        assert "N999" in problems[0]

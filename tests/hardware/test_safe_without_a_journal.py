@@ -26,11 +26,11 @@ SPINS = Track((TrackStep("spin", 60.0, temperature_c=40.0, moves=(SPIN,)),))
 
 
 @contextmanager
-def spinning(folder: Path, *, stage: bool) -> Iterator[tuple[Rig, Runner]]:
+def spinning(folder: Path) -> Iterator[tuple[Rig, Runner]]:
     """A run that records all of its lines."""
     clock = RealClock()
     with ExitStack() as stack:
-        rig, journal = stack.enter_context(Rig(clock, stage=stage)), stack.enter_context(Journal(folder / "journal"))
+        rig, journal = stack.enter_context(Rig(clock)), stack.enter_context(Journal(folder / "journal"))
         bench = stack.enter_context(open_rig(rig.rig, clock, lambda url: journal.recorder(f"port {url}")))
         yield rig, Runner(SPINS, bench, journal, clock, safe_deadline_s=10.0, chamber_every_s=0.5)
 
@@ -67,7 +67,7 @@ def limited(folder: Path, stage: bool) -> None:
         most = (folder / "journal").stat().st_size + 1000
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, resource.RLIM_INFINITY))
 
-    with spinning(folder, stage=stage) as (rig, runner):
+    with spinning(folder) as (rig, runner):
         result, took_s = run_with(rig, runner, limit)
     print(json.dumps({"how": result.exit_status, "why": result.reason, "safe": result.verified_safe, "s": took_s}))
 
@@ -88,7 +88,7 @@ def test_a_stick_that_is_pulled_ends_a_spin_safely(
     tmp_path: Path, stage: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pulled, write = threading.Event(), os.write
-    with spinning(tmp_path, stage=stage) as (rig, runner):
+    with spinning(tmp_path) as (rig, runner):
         file = (tmp_path / "journal").stat()
 
         def gone(handle: int, data: bytes) -> int:
@@ -105,7 +105,7 @@ def test_a_stick_that_is_pulled_ends_a_spin_safely(
 
 def test_a_disk_that_hangs_keeps_no_stop_off_the_wire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hangs, awake, write = threading.Event(), threading.Event(), os.write
-    with spinning(tmp_path, stage=True) as (rig, runner):
+    with spinning(tmp_path) as (rig, runner):
         file = (tmp_path / "journal").stat()
 
         def stuck(handle: int, data: bytes) -> int:
@@ -127,14 +127,14 @@ def test_a_disk_that_hangs_keeps_no_stop_off_the_wire(tmp_path: Path, monkeypatc
 @pytest.mark.parametrize("problem", [OSError(28, "full"), ValueError("closed"), RuntimeError("any"), MemoryError()])
 def test_bytes_are_sent_and_received_whatever_a_recorder_raises(problem: Exception) -> None:
     clock = RealClock()
-    with Rig(clock, stage=True) as rig:
+    with Rig(clock) as rig:
 
         def fails(*_: object) -> None:
             raise problem
 
         with Transport(rig.ports[1].url, clock=clock, recorder=fails) as line:
-            line.write(b"/1 1 get pos\n")
-            assert line.read(2.0).startswith(b"@01 1 OK IDLE")
+            line.write(b"?")
+            assert line.read(2.0).startswith(b"<Alarm|MPos:")
 
 
 if __name__ == "__main__":

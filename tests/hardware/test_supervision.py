@@ -45,7 +45,7 @@ def commands(lab: Rig) -> list[str]:
 
 
 def test_a_dry_run_says_what_every_device_is_told_and_tells_them_nothing(made: Path, tmp_path: Path, capsys) -> None:
-    with Rig(RealClock(), stage=True) as lab:
+    with Rig(RealClock()) as lab:
         write_toml(lab.rig, tmp_path / "rig.toml")
         asked = ["run", str(made), "--rig", str(tmp_path / "rig.toml"), "--dry-run"]
         assert main(asked) == 0
@@ -75,9 +75,9 @@ def test_slopes_are_said_as_the_chamber_makes_them() -> None:
 
 
 def test_what_is_said_of_a_slope_is_what_the_driver_makes_of_it() -> None:
-    from hardware_bench import cts_bench, thermotron_bench, weiss_bench
+    from hardware_bench import cts_bench, thermotron_bench
 
-    for bench in (weiss_bench, thermotron_bench, cts_bench):
+    for bench in (thermotron_bench, cts_bench):
         clock = LineClock()
         with bench(clock) as (chamber, _, _):
             chamber.hold(20.0)
@@ -89,7 +89,7 @@ def test_what_is_said_of_a_slope_is_what_the_driver_makes_of_it() -> None:
 @pytest.mark.long
 def test_a_rig_is_tried_for_a_recipe_and_moves_only_where_it_is_said(made: Path, tmp_path: Path, capsys) -> None:
     clock = RealClock()
-    with Rig(clock, stage=True) as lab:
+    with Rig(clock) as lab:
         write_toml(lab.rig, tmp_path / "rig.toml")
         asked = ["rig", "check", str(tmp_path / "rig.toml"), "--recipe", str(made)]
         assert main(asked) == 0
@@ -123,7 +123,7 @@ class Keyboard(io.StringIO):
 
 
 def test_the_list_is_confirmed_or_nothing_begins(made: Path, tmp_path: Path, capsys, monkeypatch) -> None:
-    with Rig(RealClock(), stage=True) as lab:
+    with Rig(RealClock()) as lab:
         write_toml(with_alarm(lab.rig, tmp_path / "heard"), tmp_path / "rig.toml")
         monkeypatch.setattr(sys, "stdin", Keyboard("no\n"))
         asked = ["run", str(made), "--rig", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "run"), "--unit", "SN 7"]
@@ -145,7 +145,7 @@ def test_the_list_is_confirmed_or_nothing_begins(made: Path, tmp_path: Path, cap
 def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: Path, capsys) -> None:
     clock = LineClock()
     seen: list[dict[str, Any]] = []
-    with Rig(clock, stage=True) as lab:
+    with Rig(clock) as lab:
         about = {"operator": "A. Person", "note": "second try"}
         run = new_folder(tmp_path / "run", short_recipe(changes=SLOWER), lab.rig, simulated={}, about=about)
 
@@ -180,7 +180,7 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: P
 
 def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path: Path) -> None:
     clock = LineClock()
-    with Rig(clock, stage=True) as lab:
+    with Rig(clock) as lab:
         rig = with_alarm(lab.rig, tmp_path / "heard")
         run = new_folder(tmp_path / "run", short_recipe(changes=SLOWER), rig, simulated={})
 
@@ -197,7 +197,8 @@ def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path: Pat
 
 
 def test_the_guard_of_a_run_that_was_killed_calls_it_too(tmp_path: Path) -> None:
-    rig = rig_of({"format": "gradcal-rig/1", "chamber": {"driver": "espec", "port": "COM199", "safe": "standby"}})
+    chamber = {"driver": "lines", "port": "COM199", "safe": "standby", "options": {"protocol": "espec"}}
+    rig = rig_of({"format": "gradcal-rig/1", "chamber": chamber})
     write_toml(with_alarm(rig, tmp_path / "heard"), tmp_path / "rig.toml")
     command = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(tmp_path)]
     guard = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)

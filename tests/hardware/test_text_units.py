@@ -151,7 +151,7 @@ def board(rig: Rig, clock: Any, **options: Any) -> SimulatedPort:
 @pytest.mark.long
 def test_a_run_with_a_board_that_prints_text(tmp_path: Path) -> None:
     clock = LineClock()
-    with Rig(clock, stage=True) as rig, board(rig, clock) as port:
+    with Rig(clock) as rig, board(rig, clock) as port:
         described = with_board(rig.rig, port.url)
         run = new_folder(tmp_path / "run", short_recipe(2.0), described, simulated={})
         result = run_session(run, described, clock, simulated=True)
@@ -168,13 +168,13 @@ def test_a_run_with_a_board_that_prints_text(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"line": "$IMU,{gyro_x},{gyro_y},{gyro_z},{time}"}, "printed '$IMU,"),
+        ({"line": "$IMU,{gyro_x},{gyro_y},{gyro_z},{time}"}, "but the description expects"),
         ({"checksum": "none"}, "but the description expects"),
     ],
 )
 def test_a_check_shows_what_is_printed_and_what_was_expected(change: dict[str, Any], words: str) -> None:
     clock = RealClock()
-    with Rig(clock, stage=True) as rig, board(rig, clock) as port:
+    with Rig(clock) as rig, board(rig, clock) as port:
         (report,) = (one for one in check_each(with_board(rig.rig, port.url, **change), clock) if one.name == "unit1")
     assert words in report.problem
     assert "Compare them character by character" in report.problem
@@ -182,9 +182,9 @@ def test_a_check_shows_what_is_printed_and_what_was_expected(change: dict[str, A
 
 def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for() -> None:
     clock = RealClock()
-    with Rig(clock, stage=True) as rig, board(rig, clock, boot_s=3.0) as port:
+    with Rig(clock) as rig, board(rig, clock, boot_s=3.0) as port:
         for boot, good in (("0 s", False), ("3 s", True)):
             rig_file = with_board(rig.rig, port.url, boot=boot, timeout="1 s")
             (report,) = (one for one in check_each(rig_file, clock) if one.name == "unit1")
             assert report.good is good, report.problem
-            assert good or "printed nothing in 1 s" in report.problem
+            assert good or "sent nothing in 1 s" in report.problem

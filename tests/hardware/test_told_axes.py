@@ -1,87 +1,30 @@
 """Axes whose angle nothing reads: a person who says that it stands, and a motor that is told to turn and to stop."""
 
 import math
-import time
 
 import pytest
 from simulated_devices.line_clock import LineClock
 from test_operator import gimbal
 
-from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.drivers.operator import OperatorAxis, OperatorConfig
-from gradcal_jax.hardware.drivers.switch import SwitchAxis, SwitchConfig, open_exchange
-from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
-from gradcal_jax.hardware.roles import AxisLimits, AxisSafe
+from gradcal_jax.hardware.roles import AxisLimits
 from gradcal_jax.hardware.simulate.lab import SimulatedAxis, SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 
 TOLD = AxisLimits(300.0, 400.0, None, None, 0.01, hardware_watchdog=False, told=True)
 
 
-class Motor:
-    """The other end of a line: what it is told, and when; it answers with `says`."""
-
-    def __init__(self, says: bytes = b"") -> None:
-        self.told: list[tuple[float, str]] = []
-        self.says, self.url, self.late = says, "a line", ""
-
-    def write(self, data: bytes) -> None:
-        self.told.append((time.monotonic(), data.decode().strip()))
-
-    def read(self, timeout_s: float) -> bytes:
-        return self.says
-
-    def drain(self, quiet_s: float = 0.0) -> bytes:
-        return b""
-
-    def close(self) -> None: ...
 
 
-def switched(motor: Motor, **config) -> SwitchAxis:
-    options = SwitchConfig(**{"rate_dps": 600.0, "coast_s": 0.05, **config})
-    return SwitchAxis(open_exchange(motor, RealClock(), options), options)
 
 
-def test_a_motor_is_told_to_turn_and_in_time_to_stop():
-    motor = Motor()
-    axis = switched(motor)
-    axis.move_to(180.0, 600.0, 1000.0)
-    assert axis.read().moving
-    time.sleep(0.5)
-    reading = axis.read()
-    assert (reading.moving, reading.position_deg) == (False, 180.0)
-    axis.move_to(0.0, 600.0, 1000.0)
-    time.sleep(0.5)
-    words = [word for _, word in motor.told]
-    assert words == ["forward", "stop", "backward", "stop"]
-    for begin, end in ((0, 1), (2, 3)):
-        assert motor.told[end][0] - motor.told[begin][0] == pytest.approx(0.3, abs=0.1)
 
 
-def test_a_stop_in_between_is_not_followed_by_another():
-    motor = Motor()
-    axis = switched(motor)
-    axis.move_to(300.0, 600.0, 1000.0)
-    axis.stop()
-    time.sleep(0.7)
-    assert [word for _, word in motor.told] == ["forward", "stop"]
 
 
-def test_what_a_switched_motor_cannot_do_is_refused():
-    axis = switched(Motor())
-    with pytest.raises(Rejected):
-        axis.spin(10.0, 10.0)
-    with pytest.raises(LimitExceeded):
-        axis.move_to(10.0, 700.0, 10.0)
-    assert "unpower" in SwitchConfig().lacks_for("hold")
-    assert not SwitchConfig().lacks_for("unpower")
 
 
-def test_only_a_motor_that_answers_is_known_to_be_safe():
-    assert not switched(Motor()).safe(AxisSafe.UNPOWER).verified
-    assert switched(Motor(b"ok\r\n"), answer="ok").safe(AxisSafe.UNPOWER).verified
-    with pytest.raises(NotVerified, match="did not confirm 'stop'"):
-        switched(Motor(b"what?\n"), answer="ok").stop()
 
 
 def test_a_person_without_a_dial_says_that_it_stands():

@@ -1,4 +1,4 @@
-"""The serial line: exclusive, timed, recorded; what happens when it vanishes; replayed transcripts."""
+"""The serial line: exclusive, timed, recorded; what happens when it vanishes."""
 
 import errno
 import os
@@ -13,19 +13,12 @@ from pathlib import Path
 
 import pytest
 from hardware_bench import espec_bench, espec_config, served
-from hypothesis import given
-from hypothesis import strategies as st
-from simulated_devices import transcripts
-from simulated_devices.espec import SimulatedEspec
-from simulated_devices.line_clock import CountedTransport, LineClock
+from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
-from simulated_devices.replay import ReplayedDevice
 
-from gradcal_jax.hardware import transcript
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers import lines
-from gradcal_jax.hardware.errors import Disconnected, PortRefused, printable
-from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
+from gradcal_jax.hardware.errors import Disconnected, PortRefused
 from gradcal_jax.hardware.transport import PortLock, Transport
 
 
@@ -117,12 +110,16 @@ def test_missing_port_is_refused_in_a_sentence() -> None:
 
 
 @pytest.mark.parametrize("on_socket", [False, True])
-def test_bytes_go_round_and_are_recorded(on_socket: bool, tmp_path: Path) -> None:
+def test_bytes_go_round_and_are_recorded(on_socket: bool) -> None:
     message = bytes(range(256))
+    entries: list[tuple[str, bytes]] = []
+
+    def record(_: float, direction: str, data: bytes) -> None:
+        entries.append((direction, data))
+
     with (
-        transcript.Transcript(tmp_path / "line.txt") as record,
         SimulatedPort(Echo(), RealClock(), on_socket=on_socket) as port,
-        Transport(port.url, clock=RealClock(), recorder=record.recorder("line")) as line,
+        Transport(port.url, clock=RealClock(), recorder=record) as line,
     ):
         line.write(message)
         heard = b""
@@ -132,10 +129,8 @@ def test_bytes_go_round_and_are_recorded(on_socket: bool, tmp_path: Path) -> Non
         started = time.monotonic()
         assert line.read(0.2) == b""
         assert 0.15 < time.monotonic() - started < 1.0
-    entries = transcripts.read(tmp_path / "line.txt")
-    assert entries[0].direction == ">"
-    assert entries[0].data == message
-    assert b"".join(entry.data for entry in entries[1:]) == message
+    assert entries[0] == (">", message)
+    assert b"".join(data for _, data in entries[1:]) == message
 
 
 def test_unplugged_line_raises_disconnected_everywhere() -> None:
@@ -181,70 +176,17 @@ def test_stream_that_nobody_reads_is_dropped_and_counted_not_waited_for() -> Non
         assert len(line.drain(0.05)) + port.lost_bytes == 300_000
 
 
-@given(st.binary(max_size=200))
-def test_transcript_text_keeps_every_byte(data: bytes) -> None:
-    text = printable(data, len(data))
-    assert text.isascii()
-    assert "\n" not in text
-    assert transcripts.decode(text) == data
 
 
-def test_transcript_opens_however_it_was_torn(tmp_path: Path) -> None:
-    path = tmp_path / "torn.txt"
-    with transcript.Transcript(path) as record:
-        for index in range(5):
-            record.recorder("line")(index + 0.5, ">", f"TEMP?{index}\r\n".encode())
-            record.recorder("line")(index + 0.75, "<", b"\x80\\26.4\r\n")
-    whole = path.read_text()
-    entries = transcripts.read(path)
-    assert len(entries) == 10
-    for length in range(len(transcript.HEADER) + 1, len(whole)):
-        torn = transcripts.parse(whole[:length].splitlines(keepends=True))
-        assert torn[:-1] == entries[: max(len(torn) - 1, 0)]
-    with pytest.raises(ValueError, match="first line"):
-        transcripts.parse(["hello\n"])
-    with pytest.raises(ValueError, match="Line 2"):
-        transcripts.parse([transcript.HEADER + "\n", "nonsense\n", "1.0 line > x\n"])
 
 
-def test_recorded_conversation_becomes_a_device(tmp_path: Path) -> None:
-    """Record a driver against a simulated chamber, then run the same driver against the record alone."""
-    path = tmp_path / "field.txt"
-    clock = LineClock()
-    config = espec_config()
-
-    def conversation(transport: Transport) -> tuple[object, ...]:
-        chamber = lines.LinesChamber(lines.open_exchange(transport, clock, config), config)
-        chamber.hold(40.0)
-        return chamber.identify(), chamber.limits(), chamber.read().setpoint_c
-
-    device = SimulatedEspec(ChamberPlant(ChamberTruth()), clock)
-    with (
-        transcript.Transcript(path) as record,
-        SimulatedPort(device, clock) as port,
-        CountedTransport(port.url, clock=clock, recorder=record.recorder("line")) as line,
-        clock.party(),
-    ):
-        live = conversation(line)
-    replayed = ReplayedDevice(transcripts.read(path))
-    with served(replayed, clock, 9600) as (_, line):
-        assert conversation(line) == live
-    assert replayed.finished
-    assert replayed.unexpected == []
 
 
-def test_replay_names_what_the_driver_says_differently(tmp_path: Path) -> None:
-    replayed = ReplayedDevice(
-        [transcripts.TranscriptEntry(0.0, ">", b"TEMP?\r\n"), transcripts.TranscriptEntry(0.1, "<", b"20.0\r\n")]
-    )
-    assert replayed.receive(b"ROM?\r\n") == []
-    assert replayed.unexpected == [b"ROM?\r\n"]
-    assert not replayed.finished
 
 
 def test_importing_the_room_needs_no_jax() -> None:
     names = (
-        "import sys; import gradcal_jax.hardware.drivers.stim300, gradcal_jax.hardware.simulate.lab, "
+        "import sys; import gradcal_jax.hardware.drivers.frames, gradcal_jax.hardware.simulate.lab, "
         "gradcal_jax.hardware.drivers.lines; print([m for m in ('jax', 'equinox', 'xarray', 'matplotlib', 'scipy') "
         "if m in sys.modules])"
     )

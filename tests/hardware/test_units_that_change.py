@@ -21,8 +21,7 @@ from gradcal_jax.hardware.track import track_of
 @contextmanager
 def lab(folder: Path) -> Iterator[tuple[Rig, Runner]]:
     clock = LineClock()
-    with Rig(clock, stage=True) as rig, Journal(folder / "journal") as journal:
-        rig.rig.axis[0].options["max_acceleration"] = "2000 deg/s^2"
+    with Rig(clock) as rig, Journal(folder / "journal") as journal:
         track = track_of(short_recipe(2.0), ["table"])
         with open_rig(rig.rig, clock) as bench:
             yield rig, Runner(track, bench, journal, clock, safe_deadline_s=10.0, wait_when_paused=False)
@@ -36,18 +35,15 @@ def events(folder: Path, name: str) -> list[Event]:
     return [event for event in read_journal(folder / "journal").events if event.name == name]
 
 
-@pytest.mark.parametrize("rate_code", [1, 3])
-def test_a_unit_that_restarts_at_another_rate_is_configured_again(tmp_path: Path, rate_code: int) -> None:
+def test_a_unit_that_restarts_is_configured_again(tmp_path: Path) -> None:
     with lab(tmp_path) as (rig, runner):
 
         def restart() -> None:
-            rig.imu.options.rate_code = rate_code
             rig.imu.reboot()
 
         once(runner, in_second_step_with_data, restart)
         result = runner.run()
         assert result.exit_status == "success", result.reason
-        assert rig.imu._registers["im"] == "0"
     assert len(events(tmp_path, "configuration")) == 2
     (amiss, *_) = events(tmp_path, "not done")
     assert "unit1" in amiss.data["why"]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hardware_bench import Rig, cts_bench, espec_bench, espec_config, grbl_bench, short_recipe, zaber_bench
+from hardware_bench import Rig, cts_bench, espec_bench, espec_config, grbl_bench, short_recipe
 from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
@@ -44,7 +44,7 @@ def test_after_the_guard_the_status_says_how_it_ended(tmp_path: Path, capsys: py
     clock = RealClock()
     status = {"format": "gradcal-status/1", "at_s": time.time(), "simulated": False, "state": "running", "step": "turn"}
     status |= {"steps": 2, "steps_done": 1, "axes": {}, "samples": {}, "track_left_s": 100.0}
-    with Rig(clock, stage=True) as rig:
+    with Rig(clock) as rig:
         write_toml(rig.rig, tmp_path / "rig.toml")
         (tmp_path / "status.json").write_text(json.dumps(status))
         guard.make_folder_safe(tmp_path, deadline_s=10.0)
@@ -71,7 +71,7 @@ def test_a_start_that_commanded_nothing_leaves_the_ports_to_the_next_one(
     done, begun = Guard.done, Guard.begun
     monkeypatch.setattr(Guard, "done", lambda self: (told.append("done"), done(self)))
     monkeypatch.setattr(Guard, "begun", lambda self: (told.append("begun"), begun(self)))
-    with Rig(clock, stage=True) as rig:
+    with Rig(clock) as rig:
         tables = rig.rig.model_dump(mode="json", exclude_unset=True)
         tables["chamber"]["options"] = {"reply_timeout": "0.1 s"}
         run = new_folder(tmp_path / "run", short_recipe(1.0), rig_of(tables), simulated={})
@@ -84,7 +84,7 @@ def test_a_start_that_commanded_nothing_leaves_the_ports_to_the_next_one(
 
 def test_a_taken_port_names_the_guard_that_holds_it(tmp_path: Path) -> None:
     clock = RealClock()
-    with Rig(clock, stage=True) as rig:
+    with Rig(clock) as rig:
         write_toml(rig.rig, tmp_path / "rig.toml")
         rig.ports[0].faults = lambda message: []
         words = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(tmp_path)]
@@ -123,14 +123,14 @@ def test_a_device_that_is_asked_nothing_by_its_limits_has_to_answer_all_the_same
 
 
 def test_two_names_of_one_adapter_are_one_port(tmp_path: Path) -> None:
-    with Rig(RealClock(), stage=True) as rig:
+    with Rig(RealClock()) as rig:
         by_id = tmp_path / "by-id"
         by_id.symlink_to(rig.ports[1].url)
-        axis = {"driver": "zaber", "safe": "hold", "gravity_loaded": False}
+        axis = {"driver": "lines", "safe": "hold", "gravity_loaded": False, "options": {"protocol": "grbl"}}
         one, two = (axis | {"name": name, "port": str(port)} for name, port in (("a", rig.ports[1].url), ("b", by_id)))
         with open_rig(rig_of({**FORMAT, "axis": [one, two]}), RealClock()) as bench:
             assert bench.axes["a"].read().position_deg == bench.axes["b"].read().position_deg == 0.0
-        chamber = {"driver": "espec", "port": str(by_id), "safe": "standby"}
+        chamber = {"driver": "lines", "port": str(by_id), "safe": "standby", "options": {"protocol": "espec"}}
         with pytest.raises(SpecError, match="two devices use this port"):
             rig_of({**FORMAT, "chamber": chamber, "axis": [one]})
 
@@ -180,7 +180,7 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_given_its_time() -> No
 
 
 def test_without_a_terminal_the_list_is_not_confirmed_by_itself(tmp_path: Path, capsys, monkeypatch) -> None:
-    with Rig(RealClock(), stage=True) as rig:
+    with Rig(RealClock()) as rig:
         write_toml(rig.rig, tmp_path / "rig.toml")
         write_toml(short_recipe(), tmp_path / "recipe.toml")
         with open(os.devnull) as nothing:
@@ -199,7 +199,7 @@ def test_without_a_terminal_the_list_is_not_confirmed_by_itself(tmp_path: Path, 
 
 
 def test_a_run_that_never_began_is_not_called_sound(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with Rig(RealClock(), stage=True) as rig:
+    with Rig(RealClock()) as rig:
         tables = rig.rig.model_dump(mode="json", exclude_unset=True)
         tables["axis"][0]["serial_number"] = "another one"
         write_toml(rig_of(tables), tmp_path / "rig.toml")
@@ -225,7 +225,7 @@ def test_a_pause_states_its_reason(tmp_path: Path) -> None:
             assert progress.why == "the operator heard something"
             threading.Timer(0.5, lambda: runners[0].request("resume")).start()
 
-    with Rig(clock, stage=True) as rig:
+    with Rig(clock) as rig:
         changes = {"rig.table.axis[0].max_acceleration": "300 deg/s^2"}
         run = new_folder(tmp_path / "run", short_recipe(2.0, changes=changes), rig.rig, simulated={})
         more = {"on_progress": look, "with_runner": runners.append, "wait_when_paused": True}
@@ -237,7 +237,7 @@ def test_a_pause_states_its_reason(tmp_path: Path) -> None:
 
 def test_a_cable_that_is_in_again_is_used_to_make_safe() -> None:
     clock = RealClock()
-    with Rig(clock, stage=True) as rig, open_rig(rig.rig, clock) as bench:
+    with Rig(clock) as rig, open_rig(rig.rig, clock) as bench:
         bench.axes["table"].spin(60.0, 300.0)
         rig.ports[1].unplug()
         with pytest.raises(Disconnected):
@@ -255,9 +255,10 @@ def test_a_refusal_names_device_and_port() -> None:
         device._command = lambda text: "PROTECT ON"
         with pytest.raises(Rejected, match=f"ESPEC at {port.url} was sent 'TEMP, S40.0.*PROTECT ON"):
             chamber.hold(40.0)
-    with zaber_bench(LineClock()) as (axis, device, port):
-        device._move = lambda *_: (False, "BADDATA")
-        with pytest.raises(Rejected, match=f"The Zaber stage at {port.url} refuses"):
+    with grbl_bench(LineClock()) as (axis, device, port):
+        axis.home()
+        device._jog_line = lambda _: b"error:15\r\n"
+        with pytest.raises(Rejected, match=f"GRBL at {port.url} was sent .*error:15"):
             axis.spin(10.0, 100.0)
 
 
@@ -327,7 +328,7 @@ def test_a_late_reply_is_not_taken_for_the_answer_to_the_next_question() -> None
 
 def test_late_replies_are_said_by_check_and_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     seen: list[str] = []
-    with Rig(RealClock(), stage=True) as rig:
+    with Rig(RealClock()) as rig:
         tables = rig.rig.model_dump(mode="json", exclude_unset=True)
         tables["chamber"]["options"] = {"reply_timeout": "0.2 s"}
         write_toml(rig_of(tables), tmp_path / "rig.toml")

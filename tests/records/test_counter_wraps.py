@@ -16,13 +16,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from gradcal_jax.hardware import checksums
-from gradcal_jax.hardware.drivers.stim300 import GapCounter, Stim300Decoder
+from gradcal_jax.hardware.checksums import CrcOfRows
+from gradcal_jax.hardware.drivers.frames import FrameDecoder
+from gradcal_jax.hardware.drivers.listening import GapCounter
+from gradcal_jax.hardware.frames import framed_sensor_of
 from gradcal_jax.hardware.roles import ImuBatch, join
 from gradcal_jax.records import spool as spool_module
 from gradcal_jax.records.counter_wraps import Doubt, resolve_wraps
 from gradcal_jax.records.spool import SampleSpool
 
+CRC = CrcOfRows(38, 32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
 SAMPLE_S = 0.008
 ROUND = 16
 ROUND_S = ROUND * SAMPLE_S
@@ -234,7 +237,7 @@ def test_datagrams_that_come_twice_count_once_whatever_was_lost_between(
             sent.append(datagram(came[-1 - back]))
             repeated += 1
     data = b"".join(sent)
-    decoder = Stim300Decoder()
+    decoder = FrameDecoder(framed_sensor_of("stim300"))
     places = sorted({0, len(data), *((42 * whole + part) % len(data) for whole, part in cuts)})
     batches = [decoder.push(data[a:b], 0.0) for a, b in itertools.pairwise(places)]
     samples = join(batches)
@@ -248,7 +251,8 @@ def datagram(index: int) -> bytes:
     """Rates that differ from sample to sample, as a unit's do."""
     body = golden.STIM300_A5[:2] + index.to_bytes(2, "big") + golden.STIM300_A5[4:35]
     body += bytes([16 * index % 256]) + golden.STIM300_A5[36:38]
-    return body + checksums.crc32_mpeg2(body + bytes(2)).to_bytes(4, "big")
+    crc = CRC(np.frombuffer(body, np.uint8)[None])[0]
+    return body + int(crc).to_bytes(4, "big")
 
 
 @pytest.mark.long

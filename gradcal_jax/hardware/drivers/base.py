@@ -6,13 +6,11 @@ A description has `fields` (readings as the device's own text, by name), `state`
 """
 
 import math
-import tomllib
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources
 from typing import Any, Generic, Literal, TypeVar
 
 from gradcal_jax import units
@@ -26,13 +24,6 @@ Config = TypeVar("Config")
 _BETWEEN_LOOKS_S = 0.2
 _OVER_S, _SETTLED_K = 0.4, 2.0
 _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
-
-
-def codes_of(driver: str) -> Mapping[str, Any]:
-    """The texts of a driver's codes, by code as it is written in `spec/device_codes.toml`. To be read when a driver is
-    loaded, before anything moves."""
-    text = resources.files("gradcal_jax.spec").joinpath("device_codes.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)[driver]
 
 
 class ExchangeDriver(Generic[Config]):

@@ -18,7 +18,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, Literal
+from typing import Literal
 
 from gradcal_jax import units
 from gradcal_jax.hardware.checksums import xor8
@@ -69,13 +69,6 @@ class LinesConfig(DescribedOptions, AxisOptions):
         if safe != AxisSafe.UNPOWER.value or {"off", "powered"} <= {*self.described.tell, *self.described.state}:
             return ""
         return 'its protocol lacks [tell.off], or [state.powered] that shows its effect: add both, or choose "hold"'
-
-
-@dataclass(frozen=True)
-class EspecConfig(LinesConfig):
-    """Of the driver "espec": the protocol of that name."""
-
-    protocol: Any = "espec"
 
 
 class Codec:

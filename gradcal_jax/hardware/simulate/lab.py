@@ -7,7 +7,7 @@ gravity is the reference nothing is read, and axes stop some degrees off. The op
 there are several mountings; at the places of a fixture sits one each.
 
 The devices have the methods of their roles and no lines. They wait on the run's clock alone, so that a run in virtual
-time takes as long as its computation. A unit gives the raw bytes of a STIM300.
+time takes as long as its computation. A unit gives the bytes that the description "stim300" has.
 """
 
 import math
@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.hardware import roles
-from gradcal_jax.hardware.checksums import crc32_mpeg2_of_rows
+from gradcal_jax.hardware.checksums import CrcOfRows
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers.base import AxisDriver, AxisOptions, ChamberDriver
+from gradcal_jax.hardware.drivers.frames import FrameDecoder, FramesConfig
 from gradcal_jax.hardware.drivers.operator import OperatorAxis, OperatorConfig
-from gradcal_jax.hardware.drivers.stim300 import Stim300Config, Stim300Decoder, decoder_of
 from gradcal_jax.hardware.setup import Bench
 from gradcal_jax.hardware.simulate.draws import draw_places, draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SampledSensor, SensorSamples, SimulatedImu
@@ -36,9 +36,9 @@ from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.units import to_unit
 
 RATES_HZ: Final = (125.0, 250.0, 500.0, 1000.0, 2000.0)
-# Identifier of rates, forces and temperatures, and the bytes that its CRC includes and the line does not.
+# The unit sends the frames of the description "stim300": their first byte and their checksum.
 _IDENTIFIER: Final = 0xA5
-_UNSENT: Final = 2
+_CRC: Final = CrcOfRows(38, 32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
 _LATENCY_US: Final = 506
 
 
@@ -55,8 +55,7 @@ def datagrams(samples: SensorSamples, first: int, rate_hz: float) -> NDArray[np.
     rates = none + np.uint8(_IDENTIFIER), _int24(gyro), _overload(gyro)
     accelerations = _int24(samples.acceleration_g * 2.0**19), none
     bodies = np.concatenate([*rates, *accelerations, gyros, none, forces, none, counter, latency], axis=1)
-    crc = crc32_mpeg2_of_rows(np.hstack([bodies, np.zeros((count, _UNSENT), np.uint8)]))
-    return np.hstack([bodies, crc.astype(">u4")[:, None].view(np.uint8)])
+    return np.hstack([bodies, _CRC(bodies).astype(">u4")[:, None].view(np.uint8)])
 
 
 def _int16(values: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -85,7 +84,6 @@ _ZERO: Final = re.compile(r"([\w-]+): bring it to its zero mark")
 _HOME_S, _HANGS_S, _HOMES_AT_DPS = 5.0, 120.0, 30.0
 # Where a motor without feedback stops, about its goal (standard deviation), deg.
 _STOPS_OFF_DEG = 5.0
-_RANGES: Final = "400,400,400,10,10,10,1.7,1.7,1.7,NA"
 
 
 class SimulatedChamber(ChamberDriver[ChamberPlant]):
@@ -265,22 +263,22 @@ class SimulatedPerson:
 
 
 class SimulatedStream:
-    """Role `ImuStream`: a STIM300 whose bytes reach the computer every `burst_s`."""
+    """Role `ImuStream`: a unit of the driver "frames" whose bytes reach the computer every `burst_s`."""
 
-    def __init__(self, sensor: SampledSensor, clock: Clock, config: Stim300Config, burst_s: float, serial: str) -> None:
+    def __init__(self, sensor: SampledSensor, clock: Clock, config: FramesConfig, burst_s: float, serial: str) -> None:
         self.sensor, self._clock, self._config, self._burst_s = sensor, clock, config, burst_s
         self.serial = serial
         self.settings = roles.KeptSettings()
-        self._registers = {"irng": _RANGES, "it": f"{config.baudrate},1,N,1,0,0"}
+        self._rate_hz = float(config.described.rate)
 
     def identify(self) -> roles.Identity:
-        return roles.Identity("stim300", "simulated", self.serial)
+        return roles.Identity("frames", "simulated", self.serial)
 
     def configure(self) -> roles.ImuSettings:
-        return roles.ImuSettings(self._config.sample_rate_hz, self._registers)
+        return roles.ImuSettings(self._rate_hz, {})
 
     def start(self) -> None:
-        self.sensor.restart(self._clock.now(), self._config.sample_rate_hz)
+        self.sensor.restart(self._clock.now(), self._rate_hz)
 
     def stop(self) -> None: ...
 
@@ -289,15 +287,23 @@ class SimulatedStream:
         self._clock.sleep_until(self.sensor.next_time_s(ahead))
         now = self._clock.now()
         first, samples = self.sensor.taken, self.sensor.take(self.sensor.due(now))
-        return datagrams(samples, first, self._config.sample_rate_hz).tobytes(), now
+        return datagrams(samples, first, self._rate_hz).tobytes(), now
 
-    def decoder(self) -> Stim300Decoder:
-        return decoder_of(self._config, self._registers)
+    def decoder(self) -> FrameDecoder:
+        return FrameDecoder(self._config.described)
 
 
 # Bits/s. 2000 datagrams/s of rates, forces and temperatures leave no margin on the usual line.
 _BAUDRATE: Final = 921_600
 _BAUDRATE_AT_FULL_RATE: Final = 1_843_200
+
+
+def unit_options(sample_rate_hz: float) -> dict[str, Any]:
+    """The options of a unit in the rig file."""
+    baudrate = _BAUDRATE if sample_rate_hz < RATES_HZ[-1] else _BAUDRATE_AT_FULL_RATE
+    return {"protocol": "stim300", "changes": {"rate": f"{sample_rate_hz:g} Hz"}, "baudrate": baudrate}
+
+
 _AXIS_STEP_DEG: Final = 360.0 / 1_152_000
 
 
@@ -366,10 +372,9 @@ class SimulatedLab:
         axes, by_hand = spec.rig.table.axis, spec.rig.table.drive == "hand"
         typed = not read_at_rest(tracks_of(spec)[1])
         cold, hot = (float(end) for end in spec.rig.chamber.range)
-        baudrate = _BAUDRATE if sample_rate_hz < RATES_HZ[-1] else _BAUDRATE_AT_FULL_RATE
-        settings = {"sample_rate": f"{sample_rate_hz:g} Hz", "baudrate": baudrate}
+        settings = unit_options(sample_rate_hz)
         table = {"driver": "simulated", "port": "/simulated/table", "safe": "hold", "gravity_loaded": False}
-        unit = {"driver": "stim300", "options": settings}
+        unit = {"driver": "frames", "options": settings}
         tables: dict[str, Any] = {
             "format": "gradcal-rig/1",
             "title": "simulated laboratory",
@@ -397,7 +402,7 @@ class SimulatedLab:
             config = OperatorConfig(*ends, angle="none" if told else "typed")
             by_person = OperatorAxis(person, config, clock, axis.name, None if typed or told else driven)
             self.bench.axes[axis.name] = by_person if by_hand else driven
-        config = Stim300Config(baudrate=baudrate, sample_rate_hz=sample_rate_hz)
+        config = FramesConfig(**settings)
         for number, (name, sensor) in enumerate(self.units.items(), start=1):
             self.bench.imus[name] = SimulatedStream(sensor, clock, config, burst_s, f"SIMULATED{number}")
         if len(spec.rig.table.mounting) > 1:

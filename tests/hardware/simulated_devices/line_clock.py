@@ -61,7 +61,7 @@ class CountedTransport(Transport):
         self._link.change(attached=True)
 
     def write(self, data: bytes) -> None:
-        self._link.change(to_device=len(self._ended(data)), host_is_there=True)
+        self._link.change(to_device=len(data), host_is_there=True)
         self._silent = False
         Transport.write(self, data)
 

@@ -1,5 +1,5 @@
-"""ACME's unit speaks as a STIM300 does."""
+"""ACME's unit sends frames, and is described in the rig file."""
 
-from gradcal_jax.hardware.drivers.stim300 import Stim300Config, Stim300Stream, decoder_of
+from gradcal_jax.hardware.drivers.frames import FramesConfig, FramesStream, decoder_of
 
-__all__ = ["Stim300Config", "Stim300Stream", "decoder_of"]
+__all__ = ["FramesConfig", "FramesStream", "decoder_of"]

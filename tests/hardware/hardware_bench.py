@@ -55,8 +55,6 @@ def served(device: Any, clock: Clock, baudrate: int, **options: Any) -> Iterator
             transport.close()
 
 
-
-
 def espec_config(
     *, pause: str = "0.1 s", after: str = "1 s", reply_timeout_s: float = 0.3, **changes: Any
 ) -> lines.LinesConfig:
@@ -76,8 +74,6 @@ def espec_bench(
     config = config or espec_config()
     with served(device, clock, config.baudrate, **port_options) as (port, transport):
         yield lines.LinesChamber(lines.open_exchange(transport, clock, config), config), device, port
-
-
 
 
 def f4_config(reply_timeout_s: float = 0.2, changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
@@ -155,10 +151,6 @@ grbl_bench = _lines_bench("grbl", SimulatedGrbl, _axis)
 aerosmith_bench = _lines_bench("aerosmith-like", SimulatedAerosmith, _axis)
 
 
-
-
-
-
 def sensor_on_table(
     clock: Clock,
     truth: SensorTruth | None = None,
@@ -178,12 +170,6 @@ def sensor_on_table(
         seed=seed,
         start_s=clock.now(),
     )
-
-
-
-
-
-
 
 
 @contextmanager

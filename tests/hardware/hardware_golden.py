@@ -32,9 +32,7 @@ MODBUS_TERMINATE = bytes_of("01 06 04 C1 00 01 18 C6")
 MODBUS_EXCEPTION = bytes_of("01 83 02 C0 F1")
 
 
-
 STIM300_A5 = bytes_of(
     "a5 00 40 00 ff e0 00 00 10 00 00 00 00 00 00 00 00 08 00 00 00 19 80 19 80 19 80 00 19 80 19 80 19 80 00 "
     "0a 01 fa b8 f2 2b 26"
 )
-

@@ -1,6 +1,5 @@
 """Motion and IMU drivers against their simulated peers: behaviour, refusals, faults of the line, gaps."""
 
-
 import numpy as np
 import pytest
 from hardware_bench import (
@@ -33,15 +32,11 @@ def axis_bench(request: pytest.FixtureRequest):
     return AXES[request.param]
 
 
-
-
 def wait_until_still(axis: MotionAxis, clock: LineClock) -> float:
     began = clock.now()
     while axis.read().moving:
         clock.sleep(0.05)
     return clock.now() - began
-
-
 
 
 # --- axes -------------------------------------------------------------------------------------------------------------
@@ -152,36 +147,6 @@ def test_no_axis_is_put_off_by_a_bad_line(axis_bench, way: str) -> None:
         assert sum(faults.count.values()) > 10
 
 
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
 # --- IMUs -------------------------------------------------------------------------------------------------------------
 
 
@@ -230,8 +195,6 @@ def test_damaged_datagrams_are_counted_as_gaps_and_never_decoded() -> None:
         assert len(samples) + lost == round(spanned) + 1
 
 
-
-
 def read_for_ever(unit: ImuStream) -> None:
     while True:
         unit.read_bytes(0.1)
@@ -245,18 +208,6 @@ def test_unplugged_imu_raises() -> None:
         port.unplug()
         with pytest.raises(Disconnected):
             read_for_ever(unit)
-
-
-
-
-
-
-
-
-
-
-
-
 
 
 def test_transport_is_named_in_every_message_about_silence() -> None:

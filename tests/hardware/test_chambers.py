@@ -116,8 +116,6 @@ def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(make) -> None:
         assert chamber.read().setpoint_c == -40.0
 
 
-
-
 def test_every_chamber_refuses_what_lies_outside_its_own_limits(bench) -> None:
     with bench(LineClock()) as (chamber, _, _):
         before = chamber.read().setpoint_c
@@ -216,8 +214,6 @@ def test_reboot_in_a_run_shows_in_the_reading(bench) -> None:
         assert not chamber.read().conditioning
 
 
-
-
 @pytest.mark.parametrize("decimals", [0, 1, 2])
 @pytest.mark.parametrize("blanks", [True, False])
 def test_espec_replies_with_any_number_of_decimals_and_with_blanks(decimals: int, blanks: bool) -> None:
@@ -290,12 +286,6 @@ def test_chamber_that_acknowledges_and_does_nothing_is_noticed() -> None:
 
 
 # --- Weiss ------------------------------------------------------------------------------------------------------------
-
-
-
-
-
-
 
 
 # --- Watlow F4 --------------------------------------------------------------------------------------------------------

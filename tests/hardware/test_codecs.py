@@ -29,12 +29,6 @@ from gradcal_jax.hardware.line_protocol import formatted, reply_pattern
 # --- checksums -------------------------------------------------------------------------------------------------------
 
 
-
-
-
-
-
-
 # --- ESPEC ------------------------------------------------------------------------------------------------------------
 
 ESPEC = lines.LinesConfig(protocol="espec").described
@@ -79,21 +73,6 @@ def test_espec_reads_no_temperature_that_is_not_written_as_one(frame: bytes) -> 
         espec_temperatures(frame)
 
 
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
 # --- Watlow F4 --------------------------------------------------------------------------------------------------------
 
 
@@ -119,30 +98,6 @@ def test_modbus_golden_vectors() -> None:
         words_in(golden.MODBUS_EXCEPTION)
     with pytest.raises(NotThisReply):
         words_in(golden.MODBUS_WRITE_25)
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
 
 
 # --- damage: every single bit of every golden message -----------------------------------------------------------------
@@ -184,10 +139,6 @@ def test_no_flipped_modbus_echo_or_exception_is_accepted() -> None:
                 words_in(frame)
 
 
-
-
-
-
 def test_flipped_espec_replies_keep_their_form_or_are_refused() -> None:
     """There is no checksum: what a flip can do is counted here, and plausibility and read-back must catch it."""
     frame = golden.ESPEC["TEMP?"][1]
@@ -198,8 +149,6 @@ def test_flipped_espec_replies_keep_their_form_or_are_refused() -> None:
 
 
 # --- streams: splits, garbage, truncation -----------------------------------------------------------------------------
-
-
 
 
 def pieces(stream: bytes, cuts: list[int]) -> list[bytes]:
@@ -220,12 +169,6 @@ def test_lines_do_not_depend_on_how_the_stream_was_cut(where: list[int]) -> None
     assert [frame for piece in pieces(stream, where) for frame in framer.push(piece)] == replies
 
 
-
-
-
-
-
-
 @settings(max_examples=60, deadline=None)
 @given(cuts, st.lists(st.sampled_from([b"\x00", b"\xff\x02", b"\x55\x03\x02"]), max_size=3).map(b"".join))
 def test_modbus_frames_do_not_depend_on_cuts(where: list[int], noise: bytes) -> None:
@@ -244,20 +187,6 @@ def test_overlong_line_is_dropped_up_to_its_end() -> None:
     assert framer.push(b"x" * 4090) == []
     assert framer.push(b"x" * 15 + b"\r") == []
     assert framer.push(b"\nnext\r\n") == [b"next"]
-
-
-
-
-
-
-
-
-
-
-
-
-
-
 
 
 @settings(max_examples=60, deadline=None)
@@ -282,5 +211,3 @@ def test_modbus_tcp_messages_come_out_whole_however_they_are_cut(noise: bytes, d
     for frame in ModbusTcpFramer().push(sent[:2] + bytes(2) + noise):
         with suppress(FramingError, NotThisReply, Rejected):
             parse_words(Tcp(1), frame, sent, 2)
-
-

@@ -15,18 +15,6 @@ from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 TOLD = AxisLimits(300.0, 400.0, None, None, 0.01, hardware_watchdog=False, told=True)
 
 
-
-
-
-
-
-
-
-
-
-
-
-
 def test_a_person_without_a_dial_says_that_it_stands():
     clock = LineClock()
     with gimbal(clock, angle="none") as (axis, person, plant):

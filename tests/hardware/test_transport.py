@@ -176,14 +176,6 @@ def test_stream_that_nobody_reads_is_dropped_and_counted_not_waited_for() -> Non
         assert len(line.drain(0.05)) + port.lost_bytes == 300_000
 
 
-
-
-
-
-
-
-
-
 def test_importing_the_room_needs_no_jax() -> None:
     names = (
         "import sys; import gradcal_jax.hardware.drivers.frames, gradcal_jax.hardware.simulate.lab, "

@@ -43,7 +43,7 @@ from gradcal_jax.spec.design import ALL, OPTIMALITIES, Design
 from gradcal_jax.spec.motion_plan import MotionPlan
 from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.plan import RampItem, StandardPlan
-from gradcal_jax.spec.requirement import MissionHeadingRequirement, NorthRequirement, Requirement
+from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.sensor import GyroTriad
 from gradcal_jax.spec.spec_sections import Spec
@@ -553,8 +553,8 @@ def criterion_of(
     quantity = SCALE_FACTOR if requirement.quantity.endswith("scale_factor") else BIAS
     if most is not None and not isinstance(requirement, MissionHeadingRequirement):
         at, between = _few_places(map_of(model, quantity), *at)
-    if isinstance(requirement, MissionHeadingRequirement | NorthRequirement):
-        of = heading_contrasts(model, requirement, at[0])
+    if isinstance(requirement, MissionHeadingRequirement):
+        of = heading_contrasts(model, requirement)
     else:
         of = contrasts(model, quantity, *(g.ravel() for g in np.meshgrid(*at, indexing="ij")))
     # Such that the unweighted statistic of missions is the weighted one.

@@ -451,7 +451,7 @@ class TurnSearch:
         elif not np.isfinite(last.value):
             hint = "state finer steps in [rig.resolution]"
             name = design_of(spec).minimise
-            if any(r.name == name and r.quantity in ("heading", "north") for r in spec.requirement):
+            if any(r.name == name and r.quantity == "mission_heading" for r in spec.requirement):
                 hint = "add priors for the maps, or targets for other requirements: a mission alone is not enough"
             sentence = (
                 f"after rounding to the controllers' steps, some requirements are not observable: {hint}; {sentence}"

@@ -12,7 +12,6 @@ from gradcal_jax.information.residual import Contrasts, Statistic
 from gradcal_jax.information.verdicts import UNIT_OF, finite, mission_weights
 from gradcal_jax.model import (
     AXIS_NAMES,
-    BIAS,
     SCALE_FACTOR,
     TEMPERATURE_GRADIENT,
     Channel,
@@ -34,18 +33,13 @@ from gradcal_jax.model.imu_build import (
     SPECIFIC_FORCE_BIAS,
     BuiltImu,
 )
-from gradcal_jax.motion import EARTH_RATE
 from gradcal_jax.spec.requirement import (
     AccelerometerBiasRequirement,
     GyroBiasRequirement,
     GyroScaleFactorRequirement,
     MisalignmentRequirement,
     MissionHeadingRequirement,
-    NorthRequirement,
-    PositionRequirement,
     Requirement,
-    TiltRequirement,
-    TurnRequirement,
 )
 from gradcal_jax.tables.contracts import MissionRow
 from gradcal_jax.units import DEG_PER_H, PPM, G
@@ -54,11 +48,6 @@ from gradcal_jax.units import DEG_PER_H, PPM, G
 _CURVE = 61
 # The sensor's clock is the same in the calibration and in the mission: the calibration's part counts it.
 _NOT_OWN = ("sample clock", "turn-on bias")
-
-
-def earth_gain(requirement: NorthRequirement) -> float:
-    """Error of north (rad) for an error of the rate (rad/s) of a gyro that points east, at the latitude."""
-    return 1.0 / (EARTH_RATE * float(np.cos(float(requirement.latitude))))
 
 
 def flights_of(requirement: MissionHeadingRequirement) -> list[tuple[Flight, float]]:
@@ -96,21 +85,15 @@ class OwnNoise(NamedTuple):
 
 
 def own_noise_of(built: BuiltImu, requirement: Requirement) -> OwnNoise | None:
-    """The noise in a heading or north (deg) that no calibration removes, the same for every gyro; over several missions
-    the weighted root mean square, or the maximum. None for a requirement on anything else."""
+    """The noise in a heading (deg) that no calibration removes, the same for every gyro; over several missions the
+    weighted root mean square, or the maximum. None for a requirement on anything else."""
     gyro = next((c for c in built.model.channels if c.kind == "gyro"), None)
     if gyro is None:
         return None
-    if isinstance(requirement, NorthRequirement):
-        time = float(requirement.after)
-        still = Flight(np.array([0.0, time]), np.zeros(2), np.zeros(2))
-        by_source = [own_noise(built, gyro, still, time)]
-        factor, share = float(np.degrees(earth_gain(requirement))) / time, np.ones(1)
-    elif isinstance(requirement, MissionHeadingRequirement):
-        by_source = [own_noise(built, gyro, flight, time) for flight, time in flights_of(requirement)]
-        factor, share = float(np.degrees(1.0)), np.array([mission.weight for mission in requirement.mission])
-    else:
+    if not isinstance(requirement, MissionHeadingRequirement):
         return None
+    by_source = [own_noise(built, gyro, flight, time) for flight, time in flights_of(requirement)]
+    factor, share = float(np.degrees(1.0)), np.array([mission.weight for mission in requirement.mission])
     table = factor * np.array([list(one.values()) for one in by_source])
     each = np.sqrt(np.sum(table**2, axis=1))
     share = np.eye(len(each))[np.argmax(each)] if requirement.statistic == "max" else share / share.sum()
@@ -313,22 +296,16 @@ def _elements(
 ) -> Iterator[QuantityElement]:
     """Each element of a quantity, temperatures first."""
     model = built.model
-    if isinstance(requirement, PositionRequirement | TiltRequirement | TurnRequirement):
-        for label, rows in _navigation(built, requirement, temperatures):
-            if requirement.axis in ("all", "worst", label):
-                yield QuantityElement(label, slice(None), _plain(rows))
-    elif isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
+    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         own: ChannelKind = "gyro" if requirement.quantity == "gyro_misalignment" else "accelerometer"
         for label, rows in internal_misalignments(model, own, temperatures, built.about):
             if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
                 yield QuantityElement(label, slice(None), _plain(rows))
-    elif isinstance(requirement, MissionHeadingRequirement | NorthRequirement):
+    elif isinstance(requirement, MissionHeadingRequirement):
         for c in model.channels:
             axis = AXIS_NAMES[c.axis]
             if c.kind == "gyro" and requirement.axis in ("all", "worst", axis):
-                yield QuantityElement(
-                    axis, model.where(c.kind, c.axis), heading_contrasts(c.model, requirement, temperatures)
-                )
+                yield QuantityElement(axis, model.where(c.kind, c.axis), heading_contrasts(c.model, requirement))
     else:
         kind, terms = _TERMS[requirement.quantity]
         for c in model.channels:
@@ -452,12 +429,8 @@ def _plain(rows: np.ndarray) -> Contrasts:
     return Contrasts(rows, np.zeros_like(rows), np.zeros(len(rows)))
 
 
-def heading_contrasts(
-    model: SensorModel, requirement: MissionHeadingRequirement | NorthRequirement, temperatures: np.ndarray
-) -> Contrasts:
-    """The error of a gyro's heading at the end of every mission, or of north at every temperature, rad."""
-    if isinstance(requirement, NorthRequirement):
-        return contrasts(model, BIAS, temperatures, np.zeros(len(temperatures))).times(earth_gain(requirement))
+def heading_contrasts(model: SensorModel, requirement: MissionHeadingRequirement) -> Contrasts:
+    """The error of a gyro's heading at the end of every mission, rad."""
     rows = [mission_rows(model, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
     return mission_contrasts(model, np.stack(rows))
 
@@ -513,45 +486,3 @@ def internal_misalignments(
         if kind == "accelerometer":
             apart = of(kind, i, j) - of(kind, j, i) - of("gyro", i, j) + of("gyro", j, i)
             yield f"{name} to the gyros", 0.5 * apart
-
-
-def _navigation(built: BuiltImu, requirement, temperatures: np.ndarray):
-    """Errors of navigation as linear functions of the calibration's errors; level, z up, at the site.
-
-    At rest for t: along a horizontal axis ½t² of the accelerometer's error and, by the tilt that the gyros' errors
-    build up, gt³/6 of the gyro's about the other (the Earth's rate and Schuler's period left out: t is short).
-    """
-    model, site = built.model, built.spec.rig.site
-    g = site.gravity_m_per_s2
-    earth = EARTH_RATE * np.array([0.0, np.cos(site.latitude_rad), np.sin(site.latitude_rad)])
-
-    def force(i: int) -> np.ndarray:
-        rows = _row(model, "accelerometer", i, SPECIFIC_FORCE_BIAS, temperatures)
-        return rows + g * _row(model, "accelerometer", i, MISALIGNMENT.format("z"), temperatures, built.about)
-
-    def rate(i: int) -> np.ndarray:
-        rows = _row(model, "gyro", i, "bias", temperatures)
-        rows = rows + g * _row(model, "gyro", i, G_SENSITIVITY.format("z"), temperatures)
-        rows = rows + earth[i] * _row(model, "gyro", i, SCALE_FACTOR, temperatures, built.about)
-        for j in range(3):
-            if j != i:
-                across = _row(model, "gyro", i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures, built.about)
-                rows = rows + earth[j] * across
-        return rows
-
-    if isinstance(requirement, TiltRequirement):
-        for i in (0, 1):
-            yield AXIS_NAMES[i], force(i) / g
-    elif isinstance(requirement, PositionRequirement):
-        t = float(requirement.after)
-        for i, about, sign in ((0, 1, 1.0), (1, 0, -1.0)):
-            yield AXIS_NAMES[i], 0.5 * t**2 * force(i) + sign * g * t**3 / 6.0 * rate(about)
-    else:
-        turn, pace = float(requirement.turn), float(requirement.rate)
-        channel = model.channel("gyro", 2)
-        scale = None if channel is None else channel.model.map(SCALE_FACTOR)
-        if scale is not None:
-            whole = turn / pace * rate(2) + turn * _row(model, "gyro", 2, SCALE_FACTOR, temperatures, built.about)
-            at_pace, at_rest = (scale.values(temperatures, np.full(len(temperatures), w)) for w in (pace, 0.0))
-            whole[:, model.where("gyro", 2, SCALE_FACTOR)] += turn * (at_pace - at_rest)
-            yield "z", whole

@@ -16,12 +16,10 @@ from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
-PrintedUnit = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
+PrintedUnit = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "deg"]
 UNIT_OF: Final[dict[str, tuple[PrintedUnit, float]]] = {
     "scale_factor": ("ppm", PPM),
     "bias": ("deg/h", DEG_PER_H),
-    "north": ("deg", float(np.degrees(1.0))),
-    "heading": ("deg", float(np.degrees(1.0))),
     "mission_heading": ("deg", float(np.degrees(1.0))),
     "gyro_bias": ("deg/h", DEG_PER_H),
     "gyro_scale_factor": ("ppm", PPM),
@@ -31,8 +29,6 @@ UNIT_OF: Final[dict[str, tuple[PrintedUnit, float]]] = {
     "accelerometer_scale_factor": ("ppm", PPM),
     "accelerometer_misalignment": ("urad", 1e6),
     "second_order": ("ug/g^2", 1e6 * G),
-    "position": ("m", 1.0),
-    "tilt": ("urad", 1e6),
 }
 """For each quantity: its unit in output, and the number of these units in one SI unit."""
 

@@ -192,11 +192,7 @@ _NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
     **{f"accelerometer_{n}": (f"accelerometer.{n}",) for n in ("bias", "scale_factor", "misalignment")},
     "g_sensitivity": ("gyro.g_sensitivity",),
     "second_order": ("accelerometer.second_order",),
-    "position": ("gyro.bias", "accelerometer.bias"),
-    "tilt": ("accelerometer.bias",),
-    "heading": ("gyro.scale_factor",),
     "mission_heading": ("gyro",),
-    "north": ("gyro.bias",),
 }
 """The tables of [sensor] that a quantity needs."""
 
@@ -211,17 +207,10 @@ def _table_of(spec: "Spec", dotted: str) -> Any:
 
 def _needed_axes(requirement: Requirement) -> list[tuple[str, str]]:
     """Sensors without which a requirement's quantity would count as known exactly."""
-    kinds, axes = _NEEDED_AXES.get(requirement.quantity, ((), ""))
-    if getattr(requirement, "relative_to", "") == "internal":
-        kinds, axes = ("gyro", *(("accelerometer",) if requirement.quantity.startswith("accelerometer") else ())), "xyz"
-    return [(kind, axis) for kind in kinds for axis in axes]
-
-
-_NEEDED_AXES: Final[Mapping[str, tuple[tuple[str, ...], str]]] = {
-    "heading": (("gyro",), "z"),
-    "tilt": (("accelerometer",), "xy"),
-    "position": (("gyro", "accelerometer"), "xy"),
-}
+    if getattr(requirement, "relative_to", "") != "internal":
+        return []
+    kinds = ("gyro", *(("accelerometer",) if requirement.quantity.startswith("accelerometer") else ()))
+    return [(kind, axis) for kind in kinds for axis in "xyz"]
 
 
 def _inside(box: tuple[Quantity, Quantity], span: tuple[float, float] | None, key: Key) -> list[Problem]:

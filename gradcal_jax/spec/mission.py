@@ -9,10 +9,7 @@ rows a mission is linear. Once read, a requirement has the text of the table its
 or a spec in another folder needs no other file.
 """
 
-import csv
-import math
-import re
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
@@ -23,7 +20,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from gradcal_jax import units
 from gradcal_jax.tables.document import read_text
-from gradcal_jax.tables.problems import Problem, SpecError, instead
+from gradcal_jax.tables.problems import Problem, SpecError
 from gradcal_jax.tables.quantity import Number, Text
 from gradcal_jax.tables.section import Section
 
@@ -33,12 +30,6 @@ _COLUMNS: Final[Mapping[str, tuple[str, float, float]]] = {
     "rate": ("angular rate", -1e4, 1e4),
     "temperature": ("temperature", -273.15, 2000.0),
 }
-_HEAD: Final = re.compile(r"\s*([^()\[\]]*?)\s*(?:\((.*)\)|\[(.*)\])\s*")
-_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?")
-_COMMA: Final = re.compile(r"[+-]?\d+,\d+")
-_MOST_ROWS: Final = 500_000
-# Of the faults of one table.
-_MOST_FAULTS: Final = 5
 _FOLDER: ContextVar[Path] = ContextVar("folder of mission files", default=Path())
 
 
@@ -89,111 +80,60 @@ class Mission(Section):
             raise SpecError([Problem(("file",), error.problems[0].message, name)]) from None
 
     def _problems(self) -> Iterable[Problem]:
-        return [Problem((), f"{self.file}, {fault}") for fault in self._parsed if isinstance(fault, str)]
-
-    @property
-    def _parsed(self) -> tuple[MissionRows | str, ...]:
-        return _parse(self.table)
+        try:
+            _parse(self.table)
+        except ValueError as error:
+            yield Problem((), f"{self.file}: {error}")
 
     @property
     def rows(self) -> MissionRows:
         """The table in SI (°C)."""
-        return cast("MissionRows", self._parsed[0])
+        return _parse(self.table)
 
 
 # Cached, because a spec is built again for every change.
 @lru_cache(maxsize=64)
-def _parse(text: str) -> tuple[MissionRows | str, ...]:
-    return tuple(_rows_or_faults(text))
-
-
-def _rows_or_faults(text: str) -> Iterator[MissionRows | str]:
-    """The rows, or sentences that begin with the number of the faulty line."""
-    lines = ((k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#"))
-    at, head = next(lines, (1, ""))
-    columns = list(_columns(head))
-    faults = [f"line {at}: {fault}" for fault in columns if isinstance(fault, str)]
-    if faults:
-        yield from faults
-        return
-    places = cast("list[tuple[int, float, float]]", columns)
-    count = len(_fields(head))
-    series: list[list[float]] = [[], [], []]
-    numbers: list[int] = []
-    for number, line in lines:
-        row = _row(_fields(line), places, count)
-        if not isinstance(row, str) and series[0] and row[0] <= series[0][-1]:
-            row = f"the time is not later than that of line {numbers[-1]}; rows must be in order of time"
-        if not isinstance(row, str) and len(numbers) >= _MOST_ROWS:
-            row = f"there are more than {_MOST_ROWS} rows; average them to a smaller number"
-        if isinstance(row, str):
-            yield f"line {number}: {row}"
-            faults.append(row)
-            if len(faults) >= _MOST_FAULTS or len(numbers) >= _MOST_ROWS:
-                return
-            continue
-        numbers.append(number)
-        for column, value in zip(series, row, strict=True):
-            column.append(value)
-    if faults:
-        return
-    if len(numbers) < 2:
-        yield f"line {at}: there are fewer than two rows after the header"
-        return
-    time, rate, temperature = series
-    yield MissionRows(tuple(t - time[0] for t in time), tuple(rate), tuple(temperature), tuple(numbers))
-
-
-def _fields(line: str) -> list[str]:
-    try:
-        return [field.strip() for field in next(csv.reader([line], skipinitialspace=True), list[str]())]
-    except csv.Error:
-        return [field.strip() for field in line.split(",")]
-
-
-def _columns(head: str) -> Iterator[tuple[int, float, float] | str]:
-    """For time, rate and temperature the column, the SI value of 0 and of one unit; or the problem."""
-    fields = _fields(head)
-    named = [match.groups() if (match := _HEAD.fullmatch(field)) else (field, None, None) for field in fields]
-    names = [str(name) for name, _, _ in named]
-    for column, (dimension, _, _) in _COLUMNS.items():
-        example = units.DIMENSIONS[dimension].usual
-        if names.count(column) != 1:
-            if column in names:
-                yield f"{names.count(column)} columns are named '{column}'"
-            elif len(fields) == 1 and (";" in head or "\t" in head):
-                yield "columns must be separated by commas"
-                return
-            else:
-                yield f"there is no column '{column} ({example})'; {instead(column, names)}"
-            continue
-        place = names.index(column)
-        unit = named[place][1] or named[place][2]
-        if not unit:
-            yield f"column '{column}' has no unit; write it in the header, such as '{column} ({example})'"
-            continue
+def _parse(text: str) -> MissionRows:
+    """The rows of a table. Errors: `ValueError` with the line that is no row of plausible numbers in order of time."""
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    if len(lines) < 3:
+        raise ValueError("expected a header and two or more rows")
+    columns = _columns(lines[0][1])
+    rows: list[list[float]] = []
+    for number, line in lines[1:]:
         try:
-            zero = units.parse(f"0 {unit}", dimension)
-            yield place, zero, units.parse(f"1 {unit}", dimension) - zero
-        except units.UnitError as error:
-            yield f"column '{column} ({unit})': {error}"
+            row = _row(line.split(","), columns)
+        except (ValueError, IndexError):
+            raise ValueError(f"line {number}: expected plausible numbers, separated by commas, with points") from None
+        if rows and row[0] <= rows[-1][0]:
+            raise ValueError(f"line {number}: rows must be in order of time")
+        rows.append(row)
+    time, rate, temperature = zip(*rows, strict=True)
+    return MissionRows(tuple(t - time[0] for t in time), rate, temperature, tuple(k for k, _ in lines[1:]))
 
 
-def _row(fields: list[str], places: list[tuple[int, float, float]], count: int) -> list[float] | str:
-    """Time, rate and temperature of a row; or its problem."""
-    if len(fields) != count:
-        words = f"this line has {len(fields)} columns, and the header has {count}"
-        return f"{words}; write numbers with a decimal point, not a comma"
+def _columns(head: str) -> list[tuple[int, float, float]]:
+    """For time, rate and temperature the column, the SI value of 0 and of one unit."""
+    names = [field.strip() for field in head.split(",")]
+    columns: list[tuple[int, float, float]] = []
+    for column, (dimension, _, _) in _COLUMNS.items():
+        places = [k for k, name in enumerate(names) if name.startswith(f"{column} (") and name.endswith(")")]
+        if len(places) != 1:
+            example = units.DIMENSIONS[dimension].usual
+            raise ValueError(f"the header needs one column '{column} ({example})', separated by commas")
+        unit = names[places[0]].removeprefix(f"{column} (").removesuffix(")")
+        zero = units.parse(f"0 {unit}", dimension)
+        columns.append((places[0], zero, units.parse(f"1 {unit}", dimension) - zero))
+    return columns
+
+
+def _row(fields: list[str], columns: list[tuple[int, float, float]]) -> list[float]:
+    """Time, rate and temperature in SI (°C)."""
     row: list[float] = []
-    for (place, zero, factor), (column, (_, least, most)) in zip(places, _COLUMNS.items(), strict=True):
-        text = fields[place]
-        if not _NUMBER.fullmatch(text):
-            if _COMMA.fullmatch(text):
-                return f"{column} is '{text}', with a decimal comma; write a decimal point"
-            return f"{column} is '{text[:40]}', which is not a number" if text else f"{column} is empty"
-        value = float(text) * factor + zero
-        if not (math.isfinite(value) and least <= value <= most):
-            return f"{column} is {text}, which is not plausible for a mission"
+    for (place, zero, factor), (_, least, most) in zip(columns, _COLUMNS.values(), strict=True):
+        value = float(fields[place]) * factor + zero
+        if not least <= value <= most:
+            raise ValueError
         row.append(value)
     return row
 

@@ -154,41 +154,6 @@ class SecondOrderRequirement(_OverTemperature):
     target: q.PositiveSecondOrder | None = None
 
 
-class PositionRequirement(_OverTemperature, _OfRuns):
-    """Horizontal position error of free-inertial navigation at rest with a level IMU; only the errors of the
-    calibration count."""
-
-    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
-
-    quantity: Literal["position"]
-    after: q.Time
-    """Duration of the navigation."""
-    target: q.PositiveLength | None = None
-
-
-class TiltRequirement(_OverTemperature, _OfRuns):
-    """Error of the vertical that a level IMU determines with its accelerometers, in the worse of two horizontal
-    directions."""
-
-    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y")
-
-    quantity: Literal["tilt"]
-    target: q.PositiveAngle | None = None
-
-
-class TurnRequirement(_OverTemperature, _OfRuns):
-    """Heading error after a turn about the z axis of a level IMU."""
-
-    ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "z")
-
-    quantity: Literal["heading"]
-    turn: q.PositiveAngle
-    """Angle of the turn."""
-    rate: q.PositiveRate
-    """Rate of the turn."""
-    target: q.PositiveAngle | None = None
-
-
 class MissionHeadingRequirement(_OfElements):
     """Error of the integrated rate of a gyro at the end of a `mission`, or at the time `after` in the mission. For
     several missions, the weighted root mean square or the maximum counts. `target` limits only the contribution of the
@@ -231,19 +196,6 @@ class MissionHeadingRequirement(_OfElements):
         return q.Quantity.of(min(every), "deg/s"), q.Quantity.of(max(every), "deg/s")
 
 
-class NorthRequirement(_OverTemperature):
-    """Error of the direction to north that a gyro finds at rest (a gyrocompass): the error of its bias divided by the
-    horizontal Earth rate at the `latitude`."""
-
-    quantity: Literal["north"]
-    latitude: Annotated[q.Quantity, q.Of("angle", at_least="-89 deg", at_most="89 deg")]
-    """Latitude at which north is determined."""
-    after: q.Time
-    """Duration of the rest in which north is determined; the effect of the sensor's own noise depends on this
-    duration."""
-    target: q.PositiveAngle | None = None
-
-
 Requirement = (
     GyroBiasRequirement
     | GyroScaleFactorRequirement
@@ -252,11 +204,7 @@ Requirement = (
     | AccelerometerBiasRequirement
     | AccelerometerScaleFactorRequirement
     | SecondOrderRequirement
-    | PositionRequirement
-    | TiltRequirement
-    | TurnRequirement
     | MissionHeadingRequirement
-    | NorthRequirement
 )
 _CLASSES: Final = {name: of for of in get_args(Requirement) for name in get_args(of.__annotations__["quantity"])}
 Requirements = Annotated[tuple[Annotated[Requirement, chosen_by("quantity", _CLASSES)], ...], Field(max_length=100)]

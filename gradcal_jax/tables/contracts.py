@@ -18,8 +18,7 @@ Size = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Axis = Literal["x", "y", "z"]
 ImuQuantity = Literal[
     "gyro_bias", "gyro_scale_factor", "gyro_misalignment", "g_sensitivity", "accelerometer_bias",
-    "accelerometer_scale_factor", "accelerometer_misalignment", "second_order", "position", "tilt", "heading",
-    "mission_heading", "north",
+    "accelerometer_scale_factor", "accelerometer_misalignment", "second_order", "mission_heading",
 ]  # fmt: skip
 
 Functions = Literal["monomial", "legendre", "chebyshev", "b-spline", "bins"]
@@ -177,7 +176,7 @@ class RequirementRow(Section):
     """Name of the requirement."""
     quantity: Literal["scale_factor", "bias"] | ImuQuantity
     """Quantity that the requirement limits."""
-    unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "m", "deg"]
+    unit: Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "deg"]
     """Unit of all figures."""
     axis: Axis | Literal["all", "worst"] = "x"
     """Axis; for an IMU, also how the elements of the quantity are combined."""
@@ -221,7 +220,7 @@ class RequirementRow(Section):
     worst: Size | None = None
     """Largest standard deviation, over temperature and rate, of the quantity that the verdict judges."""
     own: Size | None = None
-    """For heading and north: the contribution of the IMU's own noise (root sum of squares); no calibration removes
+    """For a heading: the contribution of the IMU's own noise (root sum of squares); no calibration removes
     it."""
     own_sources: dict[str, Size] | None = None
     """Contributions of single noise sources to `own`, by name."""

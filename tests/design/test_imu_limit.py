@@ -168,7 +168,6 @@ def test_what_has_no_proof_is_refused_with_what_has_one(pytestconfig):
         mode="json", exclude_unset=True
     )
     document["requirement"] = [
-        {"name": "rest", "quantity": "position", "after": "60 s", "temperature": ["-30 degC", "70 degC"]},
         {"name": "m", "quantity": "gyro_misalignment", "relative_to": "internal", "temperature": ["0 degC", "1 degC"]},
     ]
     with pytest.raises(ValueError, match="proven for biases, polynomial scale factors"):

@@ -176,7 +176,6 @@ def test_every_fault_is_named_by_its_key_and_said_in_words(where, value, key, wo
     [
         ({"sensor.gyro": GONE, "sensor.accelerometer": GONE}, "nothing to calibrate"),
         ({"sensor.gyro.axes": ["x", "y"], "requirement": [{"name": "h", "quantity": "gyro_bias", "axis": "z"}]}, "no such axis"),
-        ({"requirement": [{"name": "p", "quantity": "position", "after": "60 s", "axis": "z"}]}, "expected"),
         ({"plan.cycle.moves": [{"turn": "360 deg", "axis": "spin"}]}, "has no rest"),
         ({"plan.cycle.moves": [{"turn": "9 deg", "axis": "spin", "ramp": "1 s", "peek_rate": "1 deg/s"}]}, "moves[0].peek_rate"),
     ],
@@ -197,10 +196,6 @@ def test_faults_of_several_keys_together(edits, words):
 @pytest.mark.parametrize(
     ("requirement", "kind", "axes", "words"),
     [
-        ({"quantity": "heading", "turn": "90 deg", "rate": "10 deg/s"}, "gyro", ["x", "y"], "gyro z"),
-        ({"quantity": "position", "after": "60 s"}, "accelerometer", ["y", "z"], "accelerometer x"),
-        ({"quantity": "position", "after": "60 s", "axis": "x"}, "gyro", ["x", "z"], "gyro y"),
-        ({"quantity": "tilt"}, "accelerometer", ["z"], "accelerometer x, accelerometer y"),
         ({"quantity": "gyro_misalignment", "relative_to": "internal"}, "gyro", ["x", "y"], "gyro z"),
     ],
     ids=lambda v: str(v)[:30],

@@ -97,14 +97,8 @@ def test_the_summary_statistics_are_eight_requirements(plan):
         assert parameter.std == pytest.approx(ours[parameter.name], rel=1e-9)
 
 
-@pytest.mark.parametrize(("plan", "metres", "ppm"), [("hand", "1.56", "34"), ("hand2", "0.955", "27")])
-def test_navigation_and_instability_of_the_scale_factor(plan, metres, ppm):
-    document = copy.deepcopy(shipped(plan))
-    position = {"name": "rest", "quantity": "position", "after": "60 s", "temperature": ["-30 degC", "70 degC"]}
-    document["requirement"] = [{**position, "axis": "x"}]
-    (row,) = predict(spec_of(document)).requirements
-    digits = len(metres.split(".")[1])
-    assert f"{row.mean:.{digits}f}" == metres
+@pytest.mark.parametrize(("plan", "ppm"), [("hand", "34"), ("hand2", "27")])
+def test_instability_of_the_scale_factor(plan, ppm):
     document = copy.deepcopy(shipped(plan))
     document["requirement"] = [r for r in document["requirement"] if r["quantity"] == "gyro_scale_factor"]
     drift = {"standard_deviation": "20 ppm", "correlation_time": "20 min"}

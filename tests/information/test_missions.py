@@ -22,7 +22,7 @@ from gradcal_jax.tables.writing import to_toml
 FOLDER = Path(__file__).parents[2] / "experiments/missions"
 HOVER = "time (s), rate (deg/s), temperature (degC)\n0, 0, 20\n100, 30, 25\n200, -20, 26\n600, 0, 30\n"
 SPIN = "time (s), rate (deg/s), temperature (degC)\n0, 100, 30\n300, 100, 35\n"
-NORTH = {"name": "n", "quantity": "north", "latitude": "60 deg", "after": "5 min", "temperature": ["0 degC", "40 degC"]}
+BIAS = {"name": "n", "quantity": "gyro_bias", "temperature": ["0 degC", "40 degC"]}
 
 
 def with_requirements(*rows, design=None):
@@ -63,16 +63,6 @@ def test_several_missions_are_weighed():
     assert measure(spec).exact(build.assemble(spec).schedule) == pytest.approx(both.rms, rel=1e-9)
 
 
-def test_north_is_the_bias_over_the_earths_rate():
-    bias = {"name": "b", "quantity": "gyro_bias", "temperature": ["0 degC", "40 degC"], "statistic": "mean"}
-    spec = with_requirements(NORTH, bias)
-    north, plain = row_of(spec, "n"), row_of(spec, "b")
-    across = 15.041067 * 0.5  # deg/h at 60 deg
-    assert north.mean == pytest.approx(np.degrees(plain.mean / across), rel=1e-6)
-    assert north.unit == "deg"
-    assert plain.own is None
-
-
 def test_a_mission_is_asked_for_at_its_time():
     whole = row_of(with_requirements(heading(hover())))
     cut = row_of(with_requirements(heading(hover(), after="100 s")))
@@ -83,7 +73,7 @@ def test_a_mission_is_asked_for_at_its_time():
 
 
 def test_shares_and_elasticities_add_up():
-    spec = with_requirements(heading(hover(weight=2.0), spin()), NORTH)
+    spec = with_requirements(heading(hover(weight=2.0), spin()), BIAS)
     built = build_imu(spec)
     sources = ErrorBudget(built, imu_posterior(built))
     for requirement in built.spec.requirement:
@@ -98,7 +88,7 @@ def test_shares_and_elasticities_add_up():
 
 
 def test_simulated_calibrations_count_missions():
-    spec = with_requirements(heading(hover(), spin(weight=2.0), target="1 deg", coverage=2.0), NORTH)
+    spec = with_requirements(heading(hover(), spin(weight=2.0), target="1 deg", coverage=2.0), BIAS)
     rows = prediction.monte_carlo(spec, 400, 0)
     for row in rows:
         assert row.simulated == pytest.approx(row.predicted, rel=0.12)
@@ -107,7 +97,7 @@ def test_simulated_calibrations_count_missions():
 @pytest.mark.parametrize("more", [pytest.param([], marks=pytest.mark.evidence), ["gradient"]])
 def test_a_limit_lies_below_the_plan_whatever_is_free(more):
     design = {"free": ["duration", "peak_rate", *more], "minimise": "h"}
-    spec = with_requirements(heading(hover()), heading(spin(), name="s"), NORTH, design=design)
+    spec = with_requirements(heading(hover()), heading(spin(), name="s"), BIAS, design=design)
     spec = spec_of(tables_of(spec) | {"requirement": tables_of(spec)["requirement"][1:]})
     found = {row.name: row for row in limit(spec)}
     for name in ("h", "s", "n"):
@@ -119,7 +109,7 @@ def test_a_limit_lies_below_the_plan_whatever_is_free(more):
 def test_the_limit_of_the_bias_holds_for_a_plan_that_does_nothing_else(drift):
     """An axis that stands and is read all the time, nearly without noise of the angle, comes near it from above."""
     tables = tables_of(read_spec(FOLDER / "ppm.toml"))
-    tables["requirement"] = [NORTH]
+    tables["requirement"] = [BIAS]
     del tables["sensor"]["gyro"]["scale_factor"]
     tables["sensor"]["gyro"]["drift"] = [{"standard_deviation": drift, "correlation_time": "300 s"}]
     angle = tables["rig"]["table"]["axis"][0]["angle"]
@@ -179,7 +169,7 @@ def test_pictures_and_the_page_show_missions(tmp_path):
     from gradcal_jax.plots import draw_comparison, draw_prediction
     from gradcal_jax.tables.writing import write_toml
 
-    spec = with_requirements(heading(hover(), target="2 deg"), heading(hover(), spin(), name="two"), NORTH)
+    spec = with_requirements(heading(hover(), target="2 deg"), heading(hover(), spin(), name="two"), BIAS)
     figure = draw_prediction(spec)
     (ax,) = [a for a in figure.axes if a.get_title() == "h"]
     row = row_of(spec)

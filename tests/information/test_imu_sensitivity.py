@@ -14,7 +14,8 @@ SIX = gj.parse_spec(presets.text("accelerometer-six-positions"))
 BARE = {
     "sensor.accelerometer.drift": None, "sensor.accelerometer.second_order": None, "rig.table.tilt": None,
     "rig.table.azimuth": None, "rig.table.axis[0].orthogonality": None, "rig.table.axis[0].angle": None,
-    "rig.table.axis[1].angle": None, "rig.site.gravity_accuracy": None, "requirement": tables_of(SIX)["requirement"][:3],
+    "rig.table.axis[1].angle": None, "rig.site.gravity_accuracy": None,
+    "requirement": tables_of(SIX)["requirement"][:3],
 } | {f"sensor.accelerometer.{name}.prior": None for name in ("bias", "scale_factor", "misalignment")}  # fmt: skip
 
 

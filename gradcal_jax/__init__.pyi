@@ -29,7 +29,6 @@ from gradcal_jax.information.prediction import monte_carlo as monte_carlo
 from gradcal_jax.information.prediction import predict as predict
 from gradcal_jax.information.sensitivity import differentiable as differentiable
 from gradcal_jax.information.sensitivity import sensitivity as sensitivity
-from gradcal_jax.information.timeline import timeline as timeline
 from gradcal_jax.model import SensorModel as SensorModel
 from gradcal_jax.motion import gradient_plan as gradient_plan
 from gradcal_jax.motion import programme as programme

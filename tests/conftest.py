@@ -54,7 +54,6 @@ _OF_SPECS = {
     "gears",
     "sensitivity",
     "verdicts",
-    "timeline",
     "plan_sentences",
     "cycle_plan",
     "turn_plan",

@@ -17,7 +17,6 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "lines": ("hardware.line_protocol", "LineProtocol"),
     "registers": ("hardware.register_protocol", "RegisterProtocol"),
     "text": ("hardware.text_unit", "TextSensor"),
-    "timeline": ("tables.timeline", "Timeline"),
     "prediction": ("tables.contracts", "Prediction"),
     "columns": ("records.importers", "ColumnMap"),
     "log": ("records.log_contents", "LogContents"),
@@ -26,7 +25,7 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "sweep": ("sweeps.sweep_file", "SweepFile"),
 }
 # Versions other than 1.
-_VERSIONS: Final[Mapping[str, str]] = {"timeline": "3", "calibration": "2"}
+_VERSIONS: Final[Mapping[str, str]] = {"calibration": "2"}
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 

@@ -14,7 +14,6 @@ from gradcal_jax.design.plan_limit import limit
 from gradcal_jax.design.turn_plan import motion_time
 from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError, adopt, stretches_of
 from gradcal_jax.information import imu_system, prediction, whiten
-from gradcal_jax.information.timeline import timeline
 from gradcal_jax.model.imu_build import build_imu, executed_motion, executed_parts, imu_posterior
 from gradcal_jax.motion import TableMotion, TablePart, body_nodes
 from gradcal_jax.recipe.recipe import read_recipe
@@ -171,8 +170,6 @@ def test_what_cannot_be_planned_anew_is_a_sentence(spec: Spec) -> None:
     rest = with_done(spec, [(0.0, spec.schedule.duration)])
     with pytest.raises(ValueError, match="a limit needs a plan that starts a run"):
         limit(rest)
-    with pytest.raises(ValueError, match="a timeline needs a plan that starts a run"):
-        timeline(rest)
 
 
 @pytest.mark.long

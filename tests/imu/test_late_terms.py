@@ -1,12 +1,10 @@
 """Terms that follow the temperature late, against masses that are stepped sample by sample: dT/dt by a lag, a second
 thermometer, maps with lags of their own."""
 
-import json
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pytest
 from loop_scene import errors_on_branches, recorded
@@ -27,7 +25,6 @@ from gradcal_jax.records.log_file import read_log, write_log
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.problems import SpecError
-from gradcal_jax.tables.schemas import schema
 
 HOUR = np.pi / 180.0 / 3600.0
 LINEAR = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "30 K"}
@@ -137,19 +134,6 @@ def test_columns_are_the_integrals_of_the_definition(lag):
             assert own == pytest.approx(dense[kept], rel=1e-5, abs=1e-6 * size), name
             compared += 1
     assert compared == 10
-
-
-def test_a_timeline_and_the_names_of_the_terms():
-    document = json.loads(gj.timeline(spec_with(SENSOR)).model_dump_json())
-    jsonschema.Draft202012Validator(schema("timeline")).validate(document)
-    gyro, force = document["channels"]
-    assert [(row["kind"], row["time_constant"]) for row in gyro["path"]] == [
-        ("temperature difference", lag) for lag in (*LAGS, SECOND_S, LAGS[1], SECOND_S)
-    ]
-    assert [row["gain"] for row in force["path"]] == [pytest.approx(-1.0 / LAGS[1]), 1.0]
-    assert [row["signals"] for row in gyro["path"]] == [[], [], [], ["rate z"], ["rate z"]]
-    assert [row["lag"] for row in gyro["terms"]] == [BIAS_S, SCALE_S]
-    assert force["path"][1]["unit"] == "m/s^2/K"
 
 
 def test_a_plan_that_goes_on_keeps_the_lags():

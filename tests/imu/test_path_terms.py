@@ -1,16 +1,13 @@
 """Terms of the path of temperature, against a play that is stepped sample by sample, and dense integrals."""
 
-import json
 from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import jsonschema
 import numpy as np
 import pytest
 
-import gradcal_jax as gj
 from gradcal_jax.estimation.executed_nodes import turning_points
 from gradcal_jax.formulas import play_states
 from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior
@@ -18,7 +15,6 @@ from gradcal_jax.motion import TableMotion, body_nodes
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.problems import SpecError
-from gradcal_jax.tables.schemas import schema
 
 DEG = np.pi / 180.0
 HOUR = DEG / 3600.0
@@ -270,24 +266,6 @@ def test_a_plan_that_goes_on_keeps_the_state_of_the_play():
     tables["sensor"]["gyro"]["turn_on_transient"] = [{"time_constant": "5 min", "prior": "3 deg/h"}]
     with pytest.raises(SpecError, match="since power-on is not known"):
         spec_of(tables)
-
-
-def test_a_timeline_lists_the_terms_of_the_path():
-    document = json.loads(gj.timeline(spec_with({"gyro": GYRO, "accelerometer": FORCE})).model_dump_json())
-    jsonschema.Draft202012Validator(schema("timeline")).validate(document)
-    gyro, force = (channel["path"] for channel in document["channels"])
-    kinds = ["hysteresis"] * 3 + ["temperature gradient", "transient"]
-    assert [row["kind"] for row in gyro] == kinds
-    assert gyro[1] == {
-        "kind": "hysteresis", "signals": [], "unit": "rad/s/K", "width": 9.0, "time_constant": None, "gain": None,
-        "parameters": ["gyro_z.hysteresis_9K", "gyro_z.hysteresis_9K_start"],
-        "stds": pytest.approx([2.0 * HOUR, 3.0 * 9.0 * 2.0 * HOUR]),
-    }  # fmt: skip
-    assert [row["signals"] for row in force] == [[], ["force z"]]
-    varies = {"standard_deviation": "1 deg/h/K", "degree": 3, "centre": "22 degC", "scale": "14 K"}
-    first, _ = GYRO["hysteresis"]
-    with pytest.raises(ValueError, match="a timeline cannot contain the over_temperature of a hysteresis"):
-        gj.timeline(spec_with({"gyro": GYRO | {"hysteresis": [first | {"over_temperature": varies}]}}))
 
 
 def test_two_entries_of_one_width_are_refused():

@@ -54,18 +54,6 @@ def test_a_table_that_holds_knows_the_bias_better():
     assert all(held[name] <= read[name] * (1.0 + 1e-9) for name in read)
 
 
-def test_the_timeline_lists_every_reading_of_a_table_that_is_read():
-    timeline = gj.timeline(spec_of(unit("read")))
-    turns, rests = ([s for s in timeline.segments if (s.shape == "rest") == rest] for rest in (False, True))
-    assert sorted({round(s.angle, 6) for s in turns}) == [-12.566371, 12.566371]
-    of_rests = [s for s in rests if s.used]
-    every = sum(max(1, round(s.duration)) for s in of_rests)
-    assert len(timeline.readings) == pytest.approx(every + len(turns), rel=0.02)
-    held = gj.timeline(spec_of(unit("held")))
-    assert held.standing == "held"
-    assert len(held.readings) < len(timeline.readings) / 5
-
-
 def test_axes_are_read_together():
     document = copy.deepcopy(shipped("hand"))
     document["rig"]["table"]["standing"] = "read"

@@ -106,6 +106,3 @@ def test_a_class_that_nobody_defined_is_a_sentence(axis):
     spec = gj.changed(axis, {"sensor.gyro.own": [{"term": "Nowhere", "prior": 1.0}]})
     with pytest.raises(ValueError, match=r'gradcal_jax\.model\.OwnTerm has no subclass "Nowhere"'):
         gj.predict(spec)
-    whole = gj.parse_spec(gj.presets.text("two-axis-table"))
-    with pytest.raises(ValueError, match="a timeline cannot contain"):
-        gj.timeline(gj.changed(whole, {"sensor.gyro.own": [{"term": "FallingOff", "prior": 1.0}]}))

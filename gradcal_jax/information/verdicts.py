@@ -102,7 +102,7 @@ def finite(value: float | None) -> float | None:
 
 def section_of(triad: GyroTriad | AccelerometerTriad, term: str) -> str:
     """The key of [sensor.gyro] or [sensor.accelerometer] from which a term was built."""
-    return next(key for key in type(triad).model_fields if term.startswith(key) or key == "cross_coupling")
+    return next(key for key in type(triad).model_fields if term.startswith(key))
 
 
 def deviations_of(covariance: "Covariance | None") -> dict[str, float]:

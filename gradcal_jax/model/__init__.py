@@ -49,6 +49,7 @@ from gradcal_jax.model.terms import (
     GradientOfBias,
     Map,
     OwnTerm,
+    ProductTerm,
     RotationSensitivity,
     SignalMap,
     Term,

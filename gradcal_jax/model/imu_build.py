@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, combinations_with_replacement
+from itertools import combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +37,7 @@ from gradcal_jax.model import (
     OwnTerm,
     PathTerm,
     Polynomial,
+    ProductTerm,
     RotationSensitivity,
     SignalMap,
     TemperatureDifference,
@@ -64,7 +65,7 @@ from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.spec.temperature_path import PlayOfBias
+from gradcal_jax.spec.temperature_path import OwnError, PlayOfBias
 
 # Names of terms, for requirements and sentences; a gyro's maps have the names of a single axis.
 MISALIGNMENT = "misalignment_{}"
@@ -278,27 +279,22 @@ def _installation(spec: Spec) -> tuple[model.InstallationTerm, ...]:
     return tuple(terms)
 
 
-# The axes to which the terms of a section belong: none, the other axes, all of them, pairs of them.
+# The axes to which the terms of a section belong: none, the other axes, all of them.
 _OVER: dict[str, Callable[[str], Iterable[tuple[str, ...]]]] = {
     "itself": lambda _: [()],
     "others": lambda axis: [(b,) for b in AXIS_NAMES if b != axis],
     "all": lambda _: [(b,) for b in AXIS_NAMES],
-    "pairs": lambda _: combinations(AXIS_NAMES, 2),
 }
 # Section, axes, signals ({own}: the channel's axis), name, symbol, SI unit.
 _OF_GYRO = (
     ("misalignment", "others", ("rate {}",), MISALIGNMENT, "m_{}", "rad"),
     ("g_sensitivity", "all", ("force {}",), G_SENSITIVITY, "g_{}", "rad/s/(m/s^2)"),
-    ("g_squared", "all", ("force {}",) * 2, "g_squared_{}", "gg_{}", "rad/s/(m/s^2)^2"),
 )
 _OF_ACCELEROMETER = (
     ("bias", "itself", (), SPECIFIC_FORCE_BIAS, "a", "m/s^2"),
     ("scale_factor", "itself", ("force {own}",), model.SCALE_FACTOR, "s", "1"),
     ("misalignment", "others", ("force {}",), MISALIGNMENT, "m_{}", "rad"),
     ("second_order", "itself", ("force {own}",) * 2, SECOND_ORDER, "k2", "1/(m/s^2)"),
-    ("third_order", "itself", ("force {own}",) * 3, "third_order", "k3", "1/(m/s^2)^2"),
-    ("asymmetry", "itself", ("|force {own}|",), "asymmetry", "asymmetry", "1"),
-    ("cross_coupling", "pairs", ("force {}", "force {1}"), "cross_{}{}", "k_{}{}", "1/(m/s^2)"),
     ("lever_arm", "all", ("size {own}{}",), "lever_arm_{}", "r_{}", "m"),
 )
 
@@ -379,7 +375,14 @@ def _path_terms(
             assert sensor.second_thermometer is not None
             other = OtherTemperature(SECOND, float(sensor.second_thermometer.lag))
             terms.append(differs(float(second.prior), f"{head}{DIFFERENCE}", other, 1.0))
-    return terms + [own_term(one.term, float(one.prior), one.name or one.term) for one in triad.own]
+    return terms + [_own_term(one) for one in triad.own]
+
+
+def _own_term(one: OwnError) -> OwnTerm:
+    if one.term is not None:
+        return own_term(one.term, float(one.prior), one.name or one.term)
+    name = one.name or " ".join(one.factors)
+    return ProductTerm(std=np.asarray(float(one.prior)), name=name, factors=one.factors)
 
 
 def _accelerometer(

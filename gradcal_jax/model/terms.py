@@ -512,6 +512,8 @@ def make_map(
     )
 
 
+SLOPE: Final = "dT/dt"
+"""Name of the temperature's change in a product of factors."""
 ENTRY_POINTS: Final = "gradcal.terms"
 """Entry points by which other packages add terms: each names a module that defines them."""
 _KNOWN: dict[str, "type[OwnTerm]"] = {}
@@ -549,6 +551,19 @@ class OwnTerm(Term):
         # Functions are written by jax.numpy, and where nothing is differentiated the nodes are NumPy's.
         of = np.asarray if isinstance(nodes.temperature_change, np.ndarray) else lambda values: values
         return nodes.integrals(lambda g: g.sums(*map(of, self.values(g))), self.size)
+
+
+class ProductTerm(OwnTerm):
+    """The product of `factors`, for `[[sensor.gyro.own]] factors = […]`: signals of the motion such as "rate x",
+    "force y" or "|force z|", and "dT/dt" (K/s)."""
+
+    factors: tuple[str, ...] = eqx.field(static=True, default=())
+
+    def values(self, nodes: SharedNodes) -> tuple[Float[AnyArray, "k m 1"], Float[AnyArray, "U q 1"]]:
+        of_path = constant_function(nodes.temperature)
+        for _ in range(self.factors.count(SLOPE)):
+            of_path = of_path * nodes.slope[..., None]
+        return of_path, nodes.product(tuple(factor for factor in self.factors if factor != SLOPE))
 
 
 def constant_function(like: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s 1"]:

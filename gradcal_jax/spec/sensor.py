@@ -390,12 +390,6 @@ class AccelerationSensitivity(_ErrorTerm):
         return math.sqrt(2.0) * float(self.prior or 0.0) * float(self.lever_arm or 0.0)
 
 
-class SquaredSensitivity(_ErrorTerm):
-    """Bias of a gyro in proportion to the square of the specific force along each axis."""
-
-    prior: q.PositiveSquareSensitivity | None = None
-
-
 class SpecificForceDrift(_Process):
     """Instability of an accelerometer's bias: a first-order Gauss–Markov process."""
 
@@ -411,7 +405,7 @@ class SpecificForceBias(_ErrorTerm):
 
 
 class SpecificForceScale(_ErrorTerm):
-    """An accelerometer's scale factor, or its asymmetry, over temperature."""
+    """An accelerometer's scale factor over temperature."""
 
     prior: q.PositiveScaleFactor | None = None
     """Standard deviation of each coefficient before the calibration, a ratio; absent: unknown."""
@@ -420,15 +414,9 @@ class SpecificForceScale(_ErrorTerm):
 
 
 class SecondOrder(_ErrorTerm):
-    """An accelerometer's K2, or its cross-coupling of two axes, over temperature."""
+    """An accelerometer's K2 over temperature."""
 
     prior: q.PositiveSecondOrder | None = None
-
-
-class ThirdOrder(_ErrorTerm):
-    """An accelerometer's K3 over temperature."""
-
-    prior: q.PositiveThirdOrder | None = None
 
 
 class LeverArm(Section):
@@ -448,11 +436,9 @@ class GyroTriad(_Gyro, path_terms.TemperaturePath):
     """Directions of the input axes."""
     g_sensitivity: AccelerationSensitivity | None = None
     """Bias in proportion to the specific force."""
-    g_squared: SquaredSensitivity | None = None
-    """Bias in proportion to the square of the specific force."""
 
     def _problems(self) -> Iterator[Problem]:
-        sections = (self.bias, self.scale_factor, self.misalignment, self.g_sensitivity, self.g_squared)
+        sections = (self.bias, self.scale_factor, self.misalignment, self.g_sensitivity)
         if all(section is None for section in sections):
             message = "there is nothing to calibrate; add [sensor.gyro.bias], [sensor.gyro.scale_factor] or both"
             yield Problem((), message)
@@ -492,16 +478,10 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     """Directions of the input axes."""
     second_order: SecondOrder | None = None
     """K2: output in proportion to the square of the force."""
-    third_order: ThirdOrder | None = None
-    """K3: output in proportion to the cube of the force."""
-    asymmetry: SpecificForceScale | None = None
-    """Scale factor for positive forces minus that for negative forces."""
     read_on_moves_below: q.PositiveRate | None = None
     """Largest rate of moves during which accelerometers are also read; absent: they are read only at rest."""
     lever_arm: LeverArm | None = None
     """Positions of the accelerometers relative to the intersection of the table's axes."""
-    cross_coupling: SecondOrder | None = None
-    """Output in proportion to products of the force along two axes."""
 
     def _problems(self) -> Iterator[Problem]:
         if self.lever_arm is not None and self.read_on_moves_below is None:
@@ -510,12 +490,6 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
                 'also read them on slow moves, as in read_on_moves_below = "5 deg/s"'
             )
             yield Problem(("lever_arm",), message)
-        if self.asymmetry is not None and self.read_on_moves_below is not None:
-            message = (
-                "is observable only if accelerometers are read only at rest: remove this key, or remove "
-                "read_on_moves_below"
-            )
-            yield Problem(("asymmetry",), message)
 
 
 class BodyFrame(Section):

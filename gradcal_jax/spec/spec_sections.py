@@ -73,7 +73,7 @@ class Spec(TitledFile):
         several = len(table.axis) > 1 or len(table.mounting) > 1 or hung.rotation is not None
         if gyro is None or self.sensor.accelerometer is not None or several:
             return False
-        signals = (gyro.misalignment, gyro.g_sensitivity, gyro.g_squared)
+        signals = (gyro.misalignment, gyro.g_sensitivity)
         along = {a: abs(first.unit_vector["xyz".index(getattr(hung, a)[1])]) for a in gyro.axes}
         return all(signal is None for signal in signals) and all(part == 1.0 for part in along.values())
 

@@ -150,15 +150,25 @@ class SecondThermometer(Section):
     because logs have its readings."""
 
 
-class OwnError(Section):
-    """An estimated error term of your own: a subclass of `gradcal_jax.model.OwnTerm`."""
+Factor = Annotated[str, Field(pattern=r"^((rate|force) [xyz]|\|(rate|force) [xyz]\||dT/dt)$")]
 
-    term: q.Text
+
+class OwnError(Section):
+    """An estimated error term of your own: a product of `factors`, or a subclass of `gradcal_jax.model.OwnTerm`."""
+
+    term: q.Text | None = None
     """Name of the class."""
+    factors: tuple[Factor, ...] = ()
+    """The factors of the product, such as ["force x", "|force y|"] or ["rate z", "dT/dt"], in SI units (rad/s, m/s²,
+    K/s)."""
     prior: Annotated[q.Number, Field(gt=0.0)]
-    """Standard deviation of each parameter of the term before the calibration, in the SI unit of the class."""
+    """Standard deviation of each parameter of the term before the calibration, in SI units."""
     name: q.Text | None = None
-    """Name of the parameters; absent: the name of the class."""
+    """Name of the parameters; absent: the name of the class, or the factors."""
+
+    def _problems(self) -> Iterator[Problem]:
+        if (self.term is None) == (not self.factors):
+            yield Problem((), "give either the factors of a product, or the term of a class")
 
 
 Plays = Annotated[tuple[PlayOfBias, ...], Field(max_length=10)]

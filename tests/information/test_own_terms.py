@@ -102,6 +102,18 @@ def test_an_estimate_finds_its_parameter(axis):
     assert note.endswith("a term of your own, is lost")
 
 
+def test_a_product_of_factors_is_a_term(axis):
+    """As the class above."""
+    by_class = gj.predict(gj.changed(axis, {"sensor.gyro.own": [{"term": "SlopeTimesRate", "prior": 50e-6 * 60.0}]}))
+    product = {"factors": ["rate x", "dT/dt"], "prior": 50e-6 * 60.0}
+    ours = gj.predict(gj.changed(axis, {"sensor.gyro.own": [product]}))
+    assert ours.requirements[0].mean_of_max == pytest.approx(by_class.requirements[0].mean_of_max, rel=1e-12)
+    with pytest.raises(gj.SpecError, match="factors"):
+        gj.changed(axis, {"sensor.gyro.own": [{"factors": ["rate w"], "prior": 1.0}]})
+    with pytest.raises(gj.SpecError, match="give either"):
+        gj.changed(axis, {"sensor.gyro.own": [{"prior": 1.0}]})
+
+
 def test_a_class_that_nobody_defined_is_a_sentence(axis):
     spec = gj.changed(axis, {"sensor.gyro.own": [{"term": "Nowhere", "prior": 1.0}]})
     with pytest.raises(ValueError, match=r'gradcal_jax\.model\.OwnTerm has no subclass "Nowhere"'):

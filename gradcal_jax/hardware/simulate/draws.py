@@ -53,16 +53,12 @@ _ERRORS: Final[dict[Kind, tuple[tuple[str, float, str, list[list[str]]], ...]]] 
         ("scale_factor", 1e-3, "", []),
         ("misalignment", 1e-3, "inputs", _OTHERS),
         ("g_sensitivity", np.radians(10.0) / 3600.0 / 9.8, "force", [[f"g_{a}" for a in _XYZ]] * 3),
-        ("g_squared", np.radians(0.1) / 3600.0 / 9.8**2, "force squared", [[f"gg_{a}" for a in _XYZ]] * 3),
     ),
     "accelerometer": (
         ("bias", 5e-3 * 9.8, "one", [["a"]] * 3),
         ("scale_factor", 1e-3, "own", [["s"]] * 3),
         ("misalignment", 1e-3, "inputs", _OTHERS),
         ("second_order", 1e-4 / 9.8, "own squared", [["k2"]] * 3),
-        ("third_order", 1e-5 / 9.8**2, "own cubed", [["k3"]] * 3),
-        ("asymmetry", 1e-3, "own size", [["asymmetry"]] * 3),
-        ("cross_coupling", 1e-4 / 9.8, "products", [["k_xy", "k_xz", "k_yz"]] * 3),
     ),
 }
 

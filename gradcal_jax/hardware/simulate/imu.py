@@ -223,15 +223,11 @@ FACTORS: Final[Mapping[str, Callable[[Vectors, Vectors], NDArray[np.float64]]]] 
     "one": lambda own, force: np.ones((len(own), 1, 1)),
     "own": lambda own, force: own[..., None],
     "own squared": lambda own, force: own[..., None] ** 2,
-    "own cubed": lambda own, force: own[..., None] ** 3,
-    "own size": lambda own, force: np.abs(own)[..., None],
     "inputs": lambda own, force: own[:, None],
     "force": lambda own, force: force[:, None],
-    "force squared": lambda own, force: force[:, None] ** 2,
-    "products": lambda own, force: (force[:, [0, 0, 1]] * force[:, [1, 2, 2]])[:, None],
 }
 """The factors `(n, 3 or 1, k)` of an error, for each sensor axis or the same for all, as functions of the inputs of
-three sensors and of the specific force, `(n, 3)` each. The products are xy, xz and yz."""
+three sensors and of the specific force, `(n, 3)` each."""
 
 
 @dataclass(frozen=True)

@@ -38,10 +38,6 @@ class SquareRootInformation(NamedTuple):
     scale: Float[AnyArray, " p"]
     inverse: Float[AnyArray, "p p"] | None = None
 
-    def leading(self, count: int) -> "SquareRootInformation":
-        """The information of the first parameters if all others are known to be zero."""
-        return SquareRootInformation(self.factor[:count, :count], self.scale[:count])
-
     def covariance(self) -> Float[AnyArray, "p p"]:
         """Covariance of all parameters; not finite for unobservable ones."""
         inverse, xp = self.inverse, namespace(self.factor)

@@ -181,11 +181,7 @@ def write_table(path: Path) -> None:
 
 def figures_1_and_2(out: Path) -> None:
     for number, name in ((1, "static_standard"), (2, "static_gradient")):
-<<<<<<< HEAD
         axes, _ = plots.draw_temperature(spec(name))
-=======
-        axes, _ = plots.draw_temperature(spec(name))
->>>>>>> 60899998 (gradcal-timeline goes: the core's own arrays are recomputed by dense least squares)
         axes.set_title(f"Figure {number}: {name.replace('_', ', ')} method")
         plots.save(axes.figure, out / f"figure{number}.png")
 

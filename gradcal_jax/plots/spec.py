@@ -18,6 +18,7 @@ from gradcal_jax.plots.residual import boxes_of, draw_curves, draw_map
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, new_figure, new_panels, style_of
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
+from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from gradcal_jax.spec.mission import missions_from
-from gradcal_jax.spec.spec_sections import FORMAT, Spec, hidden_problems
+from gradcal_jax.spec.spec_sections import FORMAT, Spec
 from gradcal_jax.tables.document import from_text, model_of, read_text
 
 
@@ -44,4 +44,4 @@ def parse_spec(text: str, source: str = "") -> Spec:
 
 def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:
     """A spec from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
-    return model_of(Spec, document, FORMAT, source, lambda found: hidden_problems(document, found))
+    return model_of(Spec, document, FORMAT, source)

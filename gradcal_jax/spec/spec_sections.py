@@ -1,12 +1,11 @@
 """gradcal-spec/1: `[sensor.gyro]` and `[sensor.accelerometer]` on a table of one to three axes."""
 
-import contextlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from functools import cache, cached_property
-from typing import Annotated, Any, Final, Literal, cast
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Annotated, Final, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field
 
 from gradcal_jax.spec.bench import Rig
 from gradcal_jax.spec.checks import problems_between
@@ -17,7 +16,7 @@ from gradcal_jax.spec.requirement import Requirements
 from gradcal_jax.spec.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.spec.sensor import Sensor
 from gradcal_jax.tables.document import TitledFile
-from gradcal_jax.tables.problems import Key, Problem
+from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Quantity, SizeOfTime, Text, Time
 from gradcal_jax.tables.section import Section
 
@@ -127,43 +126,3 @@ class Spec(TitledFile):
                 '"hand" and holds its angle). Other plans can be predicted, but not executed yet'
             )
         return schedule
-
-
-@cache
-def _sections() -> Mapping[str, TypeAdapter[Any]]:
-    """The readers of the sections, one by one."""
-    return {
-        name: TypeAdapter[Any](cast("Any", Annotated)[(field.annotation, Field(), *field.metadata)])
-        for name, field in Spec.model_fields.items()
-        if name not in TitledFile.model_fields
-    }
-
-
-def hidden_problems(document: Mapping[str, Any], problems: Sequence[Problem]) -> list[Problem]:
-    """Problems between the sections that can be read by themselves, of tables that have other problems."""
-    kept = {"requirement": (), "done": (), **_without_unknown_keys(document, problems)}
-    sections: dict[str, Any] = dict.fromkeys(_sections())
-    for name in sections.keys() & kept.keys():
-        with contextlib.suppress(ValidationError):
-            sections[name] = _sections()[name].validate_python(kept[name])
-    reported = {problem.key for problem in problems}
-    return [p for p in problems_between(Spec.model_construct(**sections)) if p.key not in reported]
-
-
-def _without_unknown_keys(document: Mapping[str, Any], problems: Sequence[Problem]) -> dict[str, Any]:
-    """The document less its unknown keys; a section with a likely slip for a known key is left out whole."""
-    unknown = {problem.key for problem in problems if problem.kind == "unknown"}
-    slips = {problem.key[0] for problem in problems if problem.kind == "unknown" and "nearest" in problem.message}
-    kept = {name: value for name, value in document.items() if name not in slips}
-    return cast("dict[str, Any]", _pruned(kept, (), unknown))
-
-
-def _pruned(value: object, key: Key, unknown: set[Key]) -> object:
-    if isinstance(value, Mapping):
-        table = cast("Mapping[str, object]", value)
-        return {
-            name: _pruned(entry, (*key, name), unknown) for name, entry in table.items() if (*key, name) not in unknown
-        }
-    if isinstance(value, list):
-        return [_pruned(entry, (*key, i), unknown) for i, entry in enumerate(cast("list[object]", value))]
-    return value

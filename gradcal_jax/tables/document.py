@@ -6,7 +6,7 @@ known to be valid TOML, so that it only follows strings, comments and brackets.
 
 import re
 import tomllib
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -88,28 +88,16 @@ def format_problem(document: Mapping[str, Any], expected: str) -> Problem | None
     return Problem(("format",), f'{wanted} "{expected}"', version)
 
 
-def model_of(
-    kind: type[Model],
-    document: Mapping[str, Any],
-    expected: str,
-    source: str,
-    further: Callable[[list[Problem]], Sequence[Problem]] | None = None,
-) -> Model:
-    """A document of the format `expected` as the model of it. Raises `SpecError` that lists everything wrong.
-
-    A wrong kind or version of file is the only problem reported. With `further`, which adds to the list of problems,
-    this is so for a wrong `format`; without it, for a missing one, too.
-    """
+def model_of(kind: type[Model], document: Mapping[str, Any], expected: str, source: str) -> Model:
+    """A document of the format `expected` as the model of it. Raises `SpecError` that lists everything wrong; a missing
+    or wrong format is the only problem reported."""
     problem = format_problem(document, expected)
-    if problem is not None and (further is None or isinstance(document.get("format"), str)):
+    if problem is not None:
         raise SpecError([problem], source)
     try:
         return kind.model_validate(document)
     except ValidationError as error:
-        problems = [p for p in from_validation(error) if p.key != ("format",)]
-    if problem is not None:
-        problems.insert(0, problem)
-    raise SpecError([*problems, *(further(problems) if further else ())], source)
+        raise SpecError(from_validation(error), source) from None
 
 
 def parsed(kind: type[Model], text: str, expected: str, source: str) -> Model:

@@ -9,7 +9,7 @@ without shape and duration is a limit: a short turn does not reach it.
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Final, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_serializer
 from pydantic.json_schema import JsonSchemaValue
@@ -23,8 +23,6 @@ from gradcal_jax.tables.problems import Problem, SpecError, from_validation, hin
 from gradcal_jax.tables.quantity import Angle, Count, PositiveRate, Quantity, Temperature, Text, Time
 from gradcal_jax.tables.section import Section, chosen_by, read_by, refuse, refuse_misspelt
 
-BEYOND_TRAVEL: Final = "travel"
-"""Kind of the problem that a move goes beyond an axis's travel; `files.spec.travel` corrects such moves."""
 _SLACK = 1e-6
 _HELD = 'has no effect if the table holds its angle at rest: leave this key out, or set rig.table.standing = "read"'
 _ONE_REST = "during a rest, all axes rest: leave this key out"
@@ -443,7 +441,7 @@ def _travel(schedule: PlanSchedule, rig: Rig) -> Iterator[Problem]:
         for source, (_, reach, cycle) in sorted(farthest.items()):
             later = f" in cycle {cycle + 1} (each cycle ends {math.degrees(net):.6g} deg further)" if cycle else ""
             message = f'takes axis "{axis.name}" {math.degrees(abs(reach)):.6g} deg from zero{later}; {free}'
-            yield Problem(("cycle", "moves", source), message, kind=BEYOND_TRAVEL)
+            yield Problem(("cycle", "moves", source), message)
 
 
 def _beyond_drive(drive: str, key: tuple[str | int, ...], shape: str) -> Problem:

@@ -442,7 +442,7 @@ def _fit(
     first = np.linalg.solve(np.linalg.cholesky(covariance), left)
     test, beyond = chi_squared_test(float(first @ first), free), 0.0
     for _ in range(0 if test.passed else 3):
-        beyond = _beyond(*rows(p), added, priors, free)
+        beyond = _beyond(*rows(p), added, p / priors, priors, free)
         p = best(p, beyond)
     known, unseen = known_of(p, beyond)
     hidden = np.sum(unseen**2, axis=1) > _TAKES_PART
@@ -451,14 +451,21 @@ def _fit(
 
 
 def _beyond(
-    left: np.ndarray, by: np.ndarray, covariance: np.ndarray, added: np.ndarray, priors: np.ndarray, free: int
+    left: np.ndarray,
+    by: np.ndarray,
+    covariance: np.ndarray,
+    added: np.ndarray,
+    from_prior: np.ndarray,
+    priors: np.ndarray,
+    free: int,
 ) -> float:
-    """The added standard deviation of these rows for which χ² of the best fit has its expected value."""
+    """The added standard deviation of these rows for which χ² of the best fit has its expected value. `from_prior`: the
+    parameters about which all is linear, over the `priors`."""
 
     def excess(log_std: float) -> float:
         root = np.linalg.cholesky(covariance + np.diag(added * np.exp(2.0 * log_std)))
         table = np.concatenate([solve_triangular(root, by, lower=True), np.diag(1.0 / priors)])
-        known = np.concatenate([solve_triangular(root, left, lower=True), np.zeros(len(priors))])
+        known = np.concatenate([solve_triangular(root, left, lower=True), from_prior])
         after = known - table @ np.linalg.lstsq(table, known, rcond=None)[0]
         return float(after @ after) / max(free, 1) - 1.0
 

@@ -295,3 +295,20 @@ def test_a_hundred_and_twenty_units_err_as_their_covariance_says(earth):
     for k in range(2):
         low, high = stats.chi2.ppf([0.005, 0.995], degrees[k])
         assert low < chi[k] < high, chi / degrees
+
+
+def test_turns_that_contradict_the_model_enlarge_the_covariance_and_are_said():
+    """Gains that wander by 3 % with the time, and biases by 40 deg/h: no constant scale factor turns gravity as the
+    accelerometers see it. A first pass then explains the turns by a rate of the Earth that no prior allows."""
+    rng = np.random.default_rng(1)
+    truth = drawn(rng)
+    log = held(truth, rng, first=4.0, rest=4.0)
+    wandering = 1.0 + 0.03 * np.sin(log.time_s / 7.0)
+    drift = np.repeat(2e-4 * rng.standard_normal((len(wandering) // 200 + 1, 3)), 200, axis=0)[: len(wandering)]
+    log = replace(log, rate_rad_per_s=log.rate_rad_per_s * wandering[None, :, None] + drift[None])
+    (report,) = estimate_by_hand(log, G, options=AT)
+    assert not report.tests["gyros: turns of gravity"].passed
+    assert report.solution.gyro.beyond > 0.01
+    assert any("gravity's direction after a turn" in message for message in report.messages)
+    square, size = squared(report, truth, "gyro")
+    assert square < stats.chi2.isf(1e-3, size)

@@ -28,6 +28,7 @@ from gradcal_jax.design.pose_cycle import (
     CycleObjective,
     CycleStructure,
     GridElement,
+    READINGS_OF_A_REST,
     PoseTurn,
     Ramp,
     Statistics,
@@ -163,6 +164,8 @@ _SAMPLES_ON_A_PATH = 12
 _BEFORE, _MEMORY, _LONGEST_WINDOW = 0.5, 1.2, 4
 # Cycles of a table that stands for the whole course at most, and their length in the longest correlation time.
 _STANDING, _OF_MEMORY = 48, 0.5
+# Readings that stand for all those of a cycle of a table that stands.
+_READINGS_OF_A_STAY = 8
 # What is left of the time for rounding, s: of a course of the file, and of a free one.
 _LEFT, _LEFT_OF_COURSE = 1e-3, 0.2
 _SLACK = 1e-9
@@ -246,6 +249,7 @@ class CyclePlan:
             window=self._window,
             points=self._points,
             waves=waves_of(spec),
+            readings=_READINGS_OF_A_STAY if self._stands else READINGS_OF_A_REST,
             worst=exact.worst,
             worst_model=self.design.robust == "worst",
         )
@@ -523,6 +527,7 @@ def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
     usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
     slow = 0.0 if forces is None else float(forces.read_on_moves_below or 0.0) * (1.0 + _SLACK)
     step, steepest = steps_of(spec).acceleration, [float(a.max_acceleration) for a in axes]
+    read = spec.rig.table.standing == "read"
     return TableLimits(
         np.array([min(float(a.max_rate), usable) for a in axes]),
         np.array([makeable_acceleration(a, None if step is None else float(step), a) for a in steepest]),
@@ -532,6 +537,7 @@ def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
         float(design.shortest_rest),
         max(float(design.longest_rest), *(t.rest for t in start)),
         slow,
+        float(axes[0].angle.read_every) if read else math.inf,
     )
 
 

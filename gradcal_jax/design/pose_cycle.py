@@ -15,6 +15,7 @@ and with J cycles the information is `G_(W−1) + Σ_j S_jᵀ D S_j`, j = 0 … 
 As S is a polynomial of j, its singular values over j leave degree + 1 products in place of J.
 """
 
+import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
@@ -54,6 +55,10 @@ _NODES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 # Sizes of a coordinate's unit, so that the objective's curvature is alike in all: of a pose (rad), of the logits of a
 # rate's share of its limit, and of a rest's share of the time.
 _UNITS = np.array([[4.0], [20.0], [15.0]])
+# Readings that stand for all those of a rest in a search, each with the weight of its share of them.
+READINGS_OF_A_REST = 2
+# Relative and absolute rounding of a number of readings.
+_ROUNDING = 1e-9
 # What a limit that is exceeded costs, in multiples of the logarithm of what it leaves over its target: more than any
 # limit's price, so that the optimum keeps all.
 EXCESS = 10.0
@@ -77,7 +82,7 @@ class TableLimits(NamedTuple):
 
     `rates` rad/s, `accelerations` rad/s², `reach` `(L, 2)` rad: lowest and highest angle. `start` rad: angles at which
     a cycle begins. `largest` rad: of one turn. `shortest`, `longest` s: rests. `slow` rad/s: up to which accelerometers
-    are read on a move.
+    are read on a move. `read_every` s: spacing of the readings of a rest; infinite: one at its end.
     """
 
     rates: Float[np.ndarray, " L"]
@@ -88,6 +93,7 @@ class TableLimits(NamedTuple):
     shortest: float
     longest: float
     slow: float
+    read_every: float = math.inf
 
 
 class Ramp(NamedTuple):
@@ -299,6 +305,10 @@ class CycleObjective:
     noise likewise, in a mean with their `weights` (`of_logs`, else of the residuals); and `EXCESS` times what the
     `limiting` ones exceed. `known`: for each model, the information before the plan begins; `geometries`: its table and
     mountings.
+    `readings`: how many stand for all those of a rest.
+
+    With a sharpness that is the number `math.inf` the readings of rests are those of a prediction; any other one is
+    soft, and so is the number of readings, which grows with the rest.
 
     Programs take targets as arguments, so that plans for other targets need none of their own."""
 
@@ -317,6 +327,7 @@ class CycleObjective:
         window: int,
         points: int,
         waves: int,
+        readings: int,
         worst: bool,
         worst_model: bool,
     ) -> None:
@@ -325,6 +336,7 @@ class CycleObjective:
         self.statistics, self.window, self.points = (*statistics, *limiting), window, points
         self.targets, self.minimised, self.weights, self.of_logs = targets, len(statistics), weights, of_logs
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
+        self.readings = readings if math.isfinite(coordinates.limits.read_every) else 1
 
     def without_targets(self) -> "CycleObjective":
         """The same with targets of 1, for programs that take them as arguments."""
@@ -371,7 +383,7 @@ class CycleObjective:
         over = jnp.asarray(self.targets if targets is None else targets)
         all_logs, each = [], []
         for model, geometry, known in zip(self.models, self.geometries, self.known, strict=True):
-            on_ramp = partial(self.information, model, geometry, decoded, of)
+            on_ramp = partial(self.information, model, geometry, decoded, of, exact=_is_exact(sharpness))
             each.append(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
         for info in each:
             covariance = inverse(info)
@@ -379,10 +391,10 @@ class CycleObjective:
         return jnp.stack(all_logs)
 
     def information(
-        self, model: ImuModel, geometry: Geometry, decoded: Decoded, of: CycleStructure, ramp: Ramp
+        self, model: ImuModel, geometry: Geometry, decoded: Decoded, of: CycleStructure, ramp: Ramp, *, exact: bool
     ) -> Float[AnyArray, "p p"]:
-        """The information of all cycles on one ramp."""
-        motion, at = self._motion(ramp, decoded, of, model, geometry)
+        """The information of all cycles on one ramp; `exact`: with the readings of a prediction."""
+        motion, at = self._motion(ramp, decoded, of, model, geometry, exact)
         steps, columns = imu_system(motion, model, body_nodes(motion, self.points), at)
         if self.window == 1:
             return gram(steps, columns)
@@ -393,21 +405,25 @@ class CycleObjective:
         return ramp.first * first + jnp.sum(jnp.swapaxes(ramp.further, 1, 2) @ (added @ ramp.further), axis=0)
 
     def _motion(
-        self, ramp: Ramp, decoded: Decoded, of: CycleStructure, model: ImuModel, geometry: Geometry
+        self, ramp: Ramp, decoded: Decoded, of: CycleStructure, model: ImuModel, geometry: Geometry, exact: bool
     ) -> tuple[TableMotion, Segments]:
         k, window = self.coordinates.slots, self.window
         limits = self.coordinates.limits
+        rests = self._rests(decoded.rest, exact)
         moves = []
         for _ in range(k):
-            moves += [turn(SHAPE, 1.0, 4.0, ramp=1.0), rest(1.0, read_at_end=True)]
+            moves.append(turn(SHAPE, 1.0, 4.0, ramp=1.0))
+            moves += [rest(1.0, read_at_end=True)] * rests.duration.shape[1]
         # Only what is discrete is taken from this schedule; all its numbers are replaced.
-        line = gradient_plan(programme(0.0, [(5.0 * k * window, 0.0)]), tuple(moves), read_every=None)
+        whole = math.fsum(move.duration for move in moves)
+        line = gradient_plan(programme(0.0, [(whole * window, 0.0)]), tuple(moves), read_every=None)
+        none = jnp.zeros(rests.duration.shape)
         numbers = [
-            jnp.reshape(jnp.stack(pair, axis=1), (2 * k,))
-            for pair in (
-                (decoded.turning, decoded.rest),
-                (decoded.rate, jnp.zeros(k)),
-                (decoded.ramp, jnp.zeros(k)),
+            jnp.reshape(jnp.concatenate([of_turn[:, None], of_rests], axis=1), (-1,))
+            for of_turn, of_rests in (
+                (decoded.turning, rests.duration),
+                (decoded.rate, none),
+                (decoded.ramp, none),
             )
         ]
         course = replace(
@@ -417,10 +433,12 @@ class CycleObjective:
             slopes=jnp.reshape(ramp.slope, (1,)),
         )
         of_line = replace(line, duration=numbers[0], peak_rate=numbers[1], ramp=numbers[2], programme=course)
-        track = of_line.trajectory(None)
         move = np.asarray(line.pieces.move)
+        share = jnp.reshape(jnp.concatenate([jnp.ones((k, 1)), rests.share], axis=1), (-1,))[move]
+        track = replace(of_line.trajectory(None), share=share)
         count = len(move) // window
-        slot, turns = move // 2, move % 2 == 0
+        each = 1 + rests.duration.shape[1]
+        slot, turns = move // each, move % each == 0
         axis = jnp.where(turns, of.axis[slot], -1)
         example = np.arange(count)
         kind = np.arange(len(move)) % count
@@ -432,7 +450,25 @@ class CycleObjective:
         start = np.asarray(limits.start)
         path = history, model.others, ramp.behind
         motion = TableMotion(track, axis, mounting, geometry, start, kind, example, nodes, *path)
-        return motion, self._segments(line, turns, of, model)
+        return motion, self._segments(line, turns, slot, track.duration, of, model)
+
+    def _rests(self, rest: Float[AnyArray, " K"], exact: bool) -> "_Rests":
+        """The rests of a cycle, divided at their readings, of which the last one is at the end of the rest."""
+        every = self.coordinates.limits.read_every
+        if math.isinf(every):
+            return _Rests(rest[:, None], jnp.ones((len(rest), 1)))
+        if exact:
+            most = math.floor(self.coordinates.limits.longest / every + 1.0)
+            count = jnp.minimum(jnp.floor(rest / every * (1.0 + _ROUNDING) + _ROUNDING), most)
+            spaced = jnp.where(jnp.arange(most)[None] < count[:, None], every, 0.0)
+            left = rest - count * every
+            left = jnp.where(left > _ROUNDING * rest, left, 0.0)
+            duration = jnp.concatenate([spaced, left[:, None]], axis=1)
+            return _Rests(duration, jnp.ones(duration.shape))
+        # A whole number of readings lies between the rest over their spacing and one more.
+        count = 0.5 + jnp.hypot(0.5, rest / every)
+        share = jnp.tile(count[:, None] / self.readings, (1, self.readings))
+        return _Rests(jnp.tile(rest[:, None] / self.readings, (1, self.readings)), share)
 
     def _nodes(self, turns: np.ndarray, varying: np.ndarray) -> np.ndarray:
         """Quadrature nodes of the pieces of a cycle."""
@@ -441,8 +477,16 @@ class CycleObjective:
         ramps, flat = (nodes_for(turned, self.waves) for turned in (in_ramp, limits.largest))
         return np.where(~turns, 1, np.where(varying, ramps, flat))
 
-    def _segments(self, line: Schedule, turns: np.ndarray, of: CycleStructure, model: ImuModel) -> Segments:
-        """The segments and rows of the cycles; those of empty slots are not used."""
+    def _segments(
+        self,
+        line: Schedule,
+        turns: np.ndarray,
+        slot_of_piece: np.ndarray,
+        duration: Float[AnyArray, " P"],
+        of: CycleStructure,
+        model: ImuModel,
+    ) -> Segments:
+        """The segments and rows of the cycles; those of empty slots, or without any time, are not used."""
         moving = replace(line, peak_rate=np.where(np.asarray(line.peak_rate) > 0.0, self.coordinates.limits.slow, 0.0))
         still = moving.trajectory(None)
         each = np.arange(len(turns))
@@ -451,14 +495,27 @@ class CycleObjective:
             np.asarray(self.coordinates.limits.start), each, each, each,
         )  # fmt: skip
         at = segments_of(plain, model)
-        slot = np.asarray(line.pieces.move)[at.first] // 2
+        slot = slot_of_piece[at.first]
         moves = at.axis >= 0
         axis = jnp.where(moves, of.axis[slot], -1)
         there = jnp.where(moves, of.axis[slot] >= 0, of.rests[slot])
+        there = there & (at.sums(duration) > 0.0)
         used = jnp.asarray(at.used) & there[at.row_segment]
         forces = np.array([c.kind != "gyro" for c in model.channels])[at.row_channel] & moves[at.row_segment]
         used = used & (~forces | of.slow[slot[at.row_segment]])
         return at._replace(axis=axis, used=used)
+
+
+class _Rests(NamedTuple):
+    """Rests divided at their readings: of each part `(K, m)` the `duration` (s), and the `share`: for how many readings
+    that at its end stands."""
+
+    duration: AnyArray
+    share: AnyArray
+
+
+def _is_exact(sharpness) -> bool:
+    return isinstance(sharpness, float) and math.isinf(sharpness)
 
 
 def _largest(values: AnyArray, sharpness) -> AnyArray:

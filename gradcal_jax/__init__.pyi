@@ -9,7 +9,6 @@ from gradcal_jax.calibration.correction import apply as apply
 from gradcal_jax.calibration.exports import export as export
 from gradcal_jax.design.optimise import frontier as frontier
 from gradcal_jax.design.optimise import optimise as optimise
-from gradcal_jax.design.optimise import replan as replan
 from gradcal_jax.design.plan_limit import limit as limit
 from gradcal_jax.estimation.hand_estimate import estimate_by_hand as estimate_by_hand
 from gradcal_jax.estimation.log_flow import allan as allan

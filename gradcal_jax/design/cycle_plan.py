@@ -21,6 +21,7 @@ from gradcal_jax.design.plan_objective import (
     ExactObjective,
 )
 from gradcal_jax.design.pose_cycle import (
+    READINGS_OF_A_REST,
     SHAPE,
     STEEPNESS,
     WINDOW,
@@ -28,7 +29,6 @@ from gradcal_jax.design.pose_cycle import (
     CycleObjective,
     CycleStructure,
     GridElement,
-    READINGS_OF_A_REST,
     PoseTurn,
     Ramp,
     Statistics,
@@ -38,12 +38,11 @@ from gradcal_jax.design.pose_cycle import (
     structure_of,
 )
 from gradcal_jax.design.turn_search import programme_keys
-from gradcal_jax.information import imu_system, whiten
 from gradcal_jax.information.error_budget import columns_of_imu
 from gradcal_jax.information.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.model import Hysteresis, ImuModel, TemperatureDifference
-from gradcal_jax.model.imu_build import BuiltImu, course_before, executed_motion, geometry, waves_of
+from gradcal_jax.model.imu_build import course_before, geometry, waves_of
 from gradcal_jax.recipe.rounding import steps_of
 from gradcal_jax.recipe.tracks import makeable_acceleration
 from gradcal_jax.spec.changes import changed
@@ -198,8 +197,7 @@ class CyclePlan:
             raise ValueError(
                 "a design.scenario changes the set of parameters: every scenario must have the spec's parameters"
             )
-        self._executed = executed_motion(self.built)
-        known = [_gram(m.prior_rows()) + _past(b._replace(model=m)) for b, m in zip(builts, models, strict=True)]
+        known = [_gram(m.prior_rows()) for m in models]
         self._points = self.built.points
         aims: list[tuple[Aim, Statistics]] = []
         unseen = columns_of_imu(self.built)
@@ -281,7 +279,7 @@ class CyclePlan:
             return None
         first, *rest = schedule.segments
         ramps = rest if first.kind == "soak" and not first.used else schedule.segments
-        fixed = any(s.kind != "ramp" or not s.used for s in ramps) or not ramps or bool(spec.done)
+        fixed = any(s.kind != "ramp" or not s.used for s in ramps) or not ramps
         if fixed or len(spec.rig.table.mounting) > 1:
             if "programme" in free:
                 raise ValueError(NO_COURSE)
@@ -361,9 +359,6 @@ class CyclePlan:
         of_path, lags = model.knows_path, tuple(of.lag for of in model.others)
         samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
         past = [] if (before := course_before(self.spec)) is None else before.tolist()
-        if self._executed is not None:
-            begin, end = self._executed.line.ends()
-            past += [*begin[:1].tolist(), *end.tolist()]
         for part in _parts(self._schedule, counts, period):
             mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0] - part.slope * lag
             step, number = part.slope * period, len(part.temperatures)
@@ -373,7 +368,6 @@ class CyclePlan:
                 before = self._window - 1
                 history = np.array([*past, *part.history]) if of_path else np.zeros(0)
                 begun, behind = part.begun_s + period * (at - before), np.zeros(len(lags))
-                # Executed parts before the plan leave no lag in the search; what is reported counts it.
                 for s in self._schedule.segments:
                     if s.end > part.begun_s + _SLACK:
                         late = behind_on_leg(behind, lags, np.asarray(s.slope), begun - s.start)
@@ -555,11 +549,3 @@ def _statistics_of(quantity: RequiredQuantity, of: Statistic, unseen: Mapping[st
 
 def _gram(rows: np.ndarray) -> np.ndarray:
     return rows.T @ rows
-
-
-def _past(built: BuiltImu) -> np.ndarray:
-    """The information of what was executed before; a search takes its drifts as independent of the plan's."""
-    done = executed_motion(built)
-    if done is None:
-        return np.zeros((built.model.size, built.model.size))
-    return _gram(whiten(*imu_system(done, built.model, built._replace(motion=done).body_nodes())))

@@ -17,14 +17,13 @@ from gradcal_jax.design.criteria import EXACT, Criterion, Optimality, largest
 from gradcal_jax.design.other_plans import ProgrammeCoordinates, StandardCoordinates
 from gradcal_jax.information import information
 from gradcal_jax.model import SensorModel
-from gradcal_jax.motion import Past, Rule, Schedule, Trajectory
+from gradcal_jax.motion import Rule, Schedule, Trajectory
 
 AnyCoordinates = Coordinates | ProgrammeCoordinates | StandardCoordinates
 
 
 class Case(eqx.Module):
-    """A sensor and rig that the plan must serve: its minimised and its limited criteria, and its weight. `past`: the
-    trajectory before the plan."""
+    """A sensor and rig that the plan must serve: its minimised and its limited criteria, and its weight."""
 
     model: SensorModel
     thermal_lag: Float[AnyArray, ""] | None
@@ -32,12 +31,10 @@ class Case(eqx.Module):
     limited: tuple[Criterion, ...]
     weight: Float[AnyArray, ""]
     rule: Rule | None = eqx.field(static=True, default=None)
-    past: Past | None = None
 
     def trajectory(self, schedule: Schedule) -> Trajectory:
-        """The trajectory of the plan, after the past one where there is one."""
-        line = schedule.trajectory(self.thermal_lag)
-        return line if self.past is None else self.past.then(line)
+        """The trajectory of the plan."""
+        return schedule.trajectory(self.thermal_lag)
 
     def values(self, schedule: Schedule, sharpness):
         """Values of the minimised and of the limited criteria, SI."""

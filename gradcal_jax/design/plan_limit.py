@@ -72,7 +72,7 @@ from gradcal_jax.motion import programme
 from gradcal_jax.spec.absent import with_typical
 from gradcal_jax.spec.design import TIMES
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, Requirement
-from gradcal_jax.spec.spec import expect_spec, goes_on
+from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
 from gradcal_jax.units import time_text
@@ -129,8 +129,6 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     Errors: `ValueError` where there is no requirement, no proof for one, or another kind of plan.
     """
     spec = expect_spec(spec)
-    if spec.done:
-        raise goes_on("a limit")
     if not spec.requirement:
         raise ValueError("a limit is proven for requirements; the spec has none: add a [[requirement]]")
     if spec.turns_one_gyro and spec.gradient_schedule.steps:

@@ -536,7 +536,7 @@ def measure(spec: Spec) -> Measure:
             criteria[design.minimise] = optimality(model, design.minimise)
         own, limits = (tuple(criteria[aim.name] for aim in of) for of in (counted, limiting))
         lag = None if built.thermal_lag is None else np.asarray(built.thermal_lag)
-        cases.append(Case(model, lag, own, limits, np.asarray(case.weight), past=built.past))
+        cases.append(Case(model, lag, own, limits, np.asarray(case.weight)))
     # A criterion is SI.
     factors = np.array([aim.per_si / aim.limit for aim in counted])
     targets = np.array([aim.limit / aim.per_si for aim in limiting])

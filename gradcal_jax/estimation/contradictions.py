@@ -355,7 +355,7 @@ def lacks_of(spec: Spec, logs: Sequence[Log]) -> str | None:
     """A sentence on the part of a spec's plan that its logs lack, beside the prediction of the rest; None: they hold it
     all, or the plan is one of points, of which each that is missing is named."""
     schedule = spec.schedule
-    if isinstance(schedule, StandardSchedule) or spec.done:
+    if isinstance(schedule, StandardSchedule):
         return None
     planned = sum(stretch.duration for stretch in schedule.stretches)
     recorded = sum(_recorded_s(log) for log in logs)

@@ -37,7 +37,7 @@ from gradcal_jax.hardware.run_folder import (
 from gradcal_jax.hardware.runner import Runner
 from gradcal_jax.hardware.setup import Bench, configs_of, open_rig
 from gradcal_jax.hardware.simulate.lab import RATES_HZ, SimulatedLab
-from gradcal_jax.hardware.supervision import Knows, RunProgress, RunResult, RunState, StatusFile, sound_alarm
+from gradcal_jax.hardware.supervision import RunProgress, RunResult, RunState, StatusFile, sound_alarm
 from gradcal_jax.hardware.track import track_of
 from gradcal_jax.hardware.transport import Terminal
 from gradcal_jax.recipe.recipe import Recipe
@@ -55,7 +55,6 @@ class Attended(TypedDict, total=False):
     wait_when_paused: bool
     handle_signals: bool
     terminal: Terminal | None
-    knows: Knows
 
 
 def run(
@@ -164,8 +163,8 @@ def run_session(
 
     `bench`: the open devices, where they are not at the ports of the rig file. `guard`: a process beside this one makes
     the rig safe where this one does not. `with_runner` is called with the runner before it starts. Without
-    `wait_when_paused`, which needs an operator, a reason to pause ends the run. `knows` gives the knowledge so far, for
-    the status. Raises `HardwareError` where the run cannot start; later problems are in the result.
+    `wait_when_paused`, which needs an operator, a reason to pause ends the run. Raises `HardwareError` where the run
+    cannot start; later problems are in the result.
     """
     recipe = folder.recipe()
     track = track_of(recipe, [axis.name for axis in rig.axis])
@@ -182,11 +181,10 @@ def run_session(
 
         bench = stack.enter_context(bench or open_rig(rig, clock, recorder_of, terminal=attended.get("terminal")))
         number = 0 if resumed is None else sessions(resumed)
-        numbers, recipes = itertools.count(number), len(folder.recipes())
+        numbers = itertools.count(number)
 
         def new_session(first_step: int) -> None:
-            part = {"first_step": first_step, "recipe": recipes - 1}
-            begin_session(journal, clock.now(), next(numbers), rig, simulated=simulated, **part)
+            begin_session(journal, clock.now(), next(numbers), rig, simulated=simulated, first_step=first_step)
 
         new_session(first_step)
         if journal.problem:
@@ -202,7 +200,7 @@ def run_session(
         if resumed is not None and number:
             with clock.party():
                 require_same_devices(bench, resumed)
-        status = stack.enter_context(StatusFile(folder.path, simulated=simulated, knows=attended.get("knows")))
+        status = stack.enter_context(StatusFile(folder.path, simulated=simulated))
 
         def show(progress: RunProgress) -> None:
             status.show(progress)

@@ -1,7 +1,6 @@
 """The folder of a run: recipe and rig as executed, the journal, and what resuming needs to know.
 
     recipe.toml, rig.toml    at the beginning of the run
-    recipe-2.toml, …         after replanning
     run.json                 time, version, simulated or not, the recipe's fingerprint, the rig, operator and notes
     status.json              the status of the run, or how it ended (see `supervision`)
     journal                  raw bytes and events of all sessions of the run
@@ -14,7 +13,7 @@ A run consists of *sessions*: an event with its number begins each. A run that e
 import json
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, cast
@@ -44,12 +43,8 @@ class RunFolder:
     def journal_path(self) -> Path:
         return self.path / "journal"
 
-    def recipes(self) -> list[str]:
-        """The files of the recipes of the run, the newest last."""
-        return [Path(str(name)).name for name in self.notes().get("recipes", ["recipe.toml"])]
-
     def recipe(self) -> Recipe:
-        return read_recipe(self.path / self.recipes()[-1])
+        return read_recipe(self.path / "recipe.toml")
 
     def rig(self) -> RigFile:
         return read_rig(self.path / "rig.toml")
@@ -134,10 +129,10 @@ def rig_as_run(contents: JournalContents, rig: RigFile) -> RigFile:
 
 
 def begin_session(
-    journal: Journal, now_s: float, number: int, rig: RigFile, *, simulated: bool, first_step: int, recipe: int = 0
+    journal: Journal, now_s: float, number: int, rig: RigFile, *, simulated: bool, first_step: int
 ) -> None:
     """Write the event that begins a session, with the wall clock beside the monotonic one."""
-    part: dict[str, Any] = {"number": number, "first_step": first_step, "recipe": recipe, "wall_clock_s": time.time()}
+    part: dict[str, Any] = {"number": number, "first_step": first_step, "wall_clock_s": time.time()}
     journal.event(now_s, SESSION, **part, simulated=simulated, version=version("gradcal_jax"), rig=rig_tables(rig))
 
 
@@ -145,13 +140,11 @@ def sessions(contents: JournalContents) -> int:
     return sum(event.name == SESSION for event in contents.events)
 
 
-def steps_done(contents: JournalContents, recipe: int = 0) -> int:
-    """The step of the recipe of that number at which to resume: one after the last that is done."""
-    done, current = 0, 0
+def steps_done(contents: JournalContents) -> int:
+    """The step of the recipe at which to resume: one after the last that is done."""
+    done = 0
     for event in contents.events:
-        if event.name == SESSION:
-            current = int(event.data.get("recipe", 0))
-        elif event.name == "step done" and current == recipe:
+        if event.name == "step done":
             done = max(done, int(event.data["number"]) + 1)
     return done
 
@@ -193,7 +186,7 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
     contents = folder.events()
     if exit_status(contents) == "success":
         raise RunFolderError(f"The run in {folder.path} is complete; make its log with `gradcal log {folder.path}`.")
-    return steps_done(contents, len(folder.recipes()) - 1)
+    return steps_done(contents)
 
 
 def _differences(then: Any, now: Any, key: str = "") -> list[str]:
@@ -227,103 +220,8 @@ def require_same_devices(bench: Bench, contents: JournalContents) -> None:
             )
 
 
-_SAME_S = 1e-3
-# A recipe may begin this far from the end of the stretches done.
-_PLANNED_S = 0.2
-
-
-@dataclass(frozen=True)
-class StretchDone:
-    """Data without a break: from `start_s` to `end_s` of the plan's clock, which began and ended at times of the
-    run's."""
-
-    start_s: float
-    end_s: float
-    began_s: float
-    ended_s: float
-
-
 def breaks_off(event: Event) -> bool:
     """Whether a run is interrupted or ends here: from now on a person may be at the rig."""
     return event.name in ("interlock", "ending", "not done") or (
         event.name == "state" and event.data["state"] == "paused"
     )
-
-
-def stretches_done(contents: JournalContents, track: Track, recipe: int = 0) -> list[StretchDone]:
-    """The stretches of the run's recipe of that number (replanning adds a recipe), in order."""
-    starts = [0.0]
-    for step in track.steps:
-        starts.append(starts[-1] + step.duration_s)
-    stretches: list[StretchDone] = []
-    open_step: tuple[int, float] | None = None
-    current, first, latest_s = 0, 0, 0.0
-
-    def close(time_s: float) -> None:
-        nonlocal open_step
-        if open_step is not None:
-            number, begins_s = open_step
-            lasted_s = min(time_s - begins_s, track.steps[number].duration_s)
-            part = StretchDone(starts[number], starts[number] + lasted_s, begins_s, begins_s + lasted_s)
-            before = stretches[-1] if stretches else None
-            flows = before is not None and abs(before.end_s - part.start_s) + abs(before.ended_s - begins_s) < _SAME_S
-            if before is not None and flows:
-                stretches[-1] = replace(before, end_s=part.end_s, ended_s=part.ended_s)
-            elif lasted_s > 0.0:
-                stretches.append(part)
-        open_step = None
-
-    for event in contents.events:
-        if event.name in (SESSION, "step") or breaks_off(event):
-            close(latest_s if event.name == SESSION else event.time_s)
-        latest_s = max(latest_s, event.time_s)
-        if event.name == SESSION:
-            current, first, latest_s = int(event.data.get("recipe", 0)), len(stretches), event.time_s
-        elif current != recipe:
-            continue
-        elif event.name == "step begins" and event.data.get("data"):
-            number = int(event.data["number"])
-            open_step = (number, float(event.data["begins_s"])) if 0 <= number < len(track.steps) else None
-        elif event.name == "not done":
-            bad_s = starts[min(max(int(event.data["number"]), 0), len(track.steps))]
-            cuts = [(part, max(0.0, part.end_s - bad_s)) for part in stretches[first:]]
-            parts = [replace(part, end_s=part.end_s - cut, ended_s=part.ended_s - cut) for part, cut in cuts]
-            stretches[first:] = [part for part in parts if part.end_s > part.start_s]
-    close(latest_s)
-    return stretches
-
-
-def stretches_of(folder: RunFolder) -> list[StretchDone]:
-    return stretches_done(folder.events(), folder.track(), len(folder.recipes()) - 1)
-
-
-def goes_on_at(folder: RunFolder) -> float:
-    """Where a run will continue, on its plan's clock (s): while it is under way, the end of its last stretch."""
-    contents, recipe = folder.events(), len(folder.recipes()) - 1
-    done = stretches_done(contents, folder.track(), recipe)
-    if done and exit_status(contents) == "lost":
-        return done[-1].end_s
-    return sum(step.duration_s for step in folder.track().steps[: steps_done(contents, recipe)])
-
-
-def adopt(folder: RunFolder, recipe: Recipe) -> None:
-    """Make this recipe, by `gradcal optimise RUN`, the run's recipe from now on.
-
-    Raises `RunFolderError` where the run cannot continue, or where the recipe does not begin at the run's present step.
-    """
-    prepare_resume(folder)
-    before = folder.recipe()
-    stands = stretches_of(folder)
-    parts = recipe.spec.done[-len(stands) :] if stands else ()
-    apart = [abs(float(part.end) - one.end_s) for part, one in zip(parts, stands, strict=False)]
-    if len(parts) != len(stands) or max(apart, default=0.0) > _PLANNED_S or recipe.spec.sensor != before.spec.sensor:
-        raise RunFolderError(
-            f"The recipe does not continue the run in {folder.path}: make it with `gradcal optimise {folder.path}`."
-        )
-    folder.track(recipe)
-    names = folder.recipes()
-    name = f"recipe-{len(names) + 1}.toml"
-    write_toml(recipe, folder.path / name)
-    # Atomic: until this file is there, the run uses the recipe before.
-    notes = folder.notes() | {"recipe": recipe.fingerprint, "recipes": [*names, name]}
-    write_whole(folder.path / "run.json", json.dumps(notes, indent=2) + "\n")

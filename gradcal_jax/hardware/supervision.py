@@ -7,7 +7,7 @@ import json
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from enum import Enum
@@ -93,20 +93,14 @@ class RunProgress:
 STATUS: Final = "status.json"
 FORMAT: Final = "gradcal-status/1"
 _ALARM_S: Final = 60.0
-_KNOWS_S: Final = 300.0
 _LONGEST_STATUS: Final = 1_000_000
 # No more often, because a rehearsal goes through hours in a minute.
 _WRITE_S: Final = 0.2
 
-Knows = Callable[[Path], Any]
-"""The knowledge from a run so far, as plain data; called every few minutes, in a separate thread."""
-
 
 class StatusFile:
-    def __init__(self, folder: Path, *, simulated: bool, knows: Knows | None = None) -> None:
+    def __init__(self, folder: Path, *, simulated: bool) -> None:
         self._path = folder / STATUS
-        self._knows = knows
-        self._known: dict[str, Any] = {}
         self._head = {"format": FORMAT, "simulated": simulated}
         self._status: dict[str, Any] = {}
         self._over = threading.Event()
@@ -114,8 +108,6 @@ class StatusFile:
 
     def __enter__(self) -> "StatusFile":
         self._writer.start()
-        if self._knows is not None:
-            threading.Thread(target=self._ask_on, args=(self._knows,), daemon=True, name="what is known").start()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -130,13 +122,6 @@ class StatusFile:
         ended = {"exit_status": result.exit_status, "reason": result.reason, "verified_safe": result.verified_safe}
         self._status = {**self._status, "at_s": time.time(), "state": state, "steps_done": result.steps_done, **ended}
 
-    def _ask_on(self, knows: Knows) -> None:
-        while True:
-            with suppress(OSError, ValueError, subprocess.SubprocessError):
-                self._known = {"known": knows(self._path.parent)}
-            if self._over.wait(_KNOWS_S):
-                return
-
     def _write_on(self) -> None:
         over, written = False, self._status
         while not over:
@@ -145,7 +130,7 @@ class StatusFile:
                 written = self._status
                 # The journal reports a full disk.
                 with suppress(OSError):
-                    write_whole(self._path, json.dumps(json_of(self._head | written | self._known), indent=1) + "\n")
+                    write_whole(self._path, json.dumps(json_of(self._head | written), indent=1) + "\n")
 
 
 def end_status(folder: Path, why: str, outcomes: list[SafeOutcome]) -> None:

@@ -41,7 +41,7 @@ from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.motion import Rule, Schedule, rule_of
 from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.requirement import Requirement
-from gradcal_jax.spec.spec import expect_spec, goes_on
+from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
 from gradcal_jax.units import dimension_of, format_quantity, parse, unit_of
@@ -90,8 +90,6 @@ def sensitivity(spec: Spec) -> Sensitivities:
     Errors: `ValueError` for a spec without requirements, or with one that the plan cannot observe.
     """
     spec = expect_spec(spec)
-    if spec.done:
-        raise goes_on("a sensitivity")
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there are no sensitivities: add a requirement")
     built = build_imu(spec)
@@ -337,8 +335,6 @@ def differentiable(spec: Spec) -> Differentiable | DifferentiableCycle:
     stands.
     """
     spec = expect_spec(spec)
-    if spec.done:
-        raise goes_on("a function of the plan's figures")
     if not spec.requirement:
         raise ValueError("the spec has no [[requirement]], so there is no result to compute: add a requirement")
     if not spec.turns_one_gyro:

@@ -10,9 +10,9 @@ from gradcal_jax import model
 from gradcal_jax import motion as trajectory
 from gradcal_jax.information.gears import gears_of
 from gradcal_jax.model import Map, OtherTemperature, OwnTerm, PathTerm, Processes, Reference, SensorModel, SignalMap
-from gradcal_jax.motion import Move, Past, Schedule
+from gradcal_jax.motion import Move, Schedule
 from gradcal_jax.spec.bases import PolynomialKeys, SplineKeys
-from gradcal_jax.spec.motion_plan import PlanSchedule, plan_schedule
+from gradcal_jax.spec.motion_plan import PlanSchedule
 from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
@@ -27,8 +27,7 @@ _CORRELATION_TIMES_A_PIECE = 3.0
 class Assembled(NamedTuple):
     """A spec of one gyro along the only axis of a table in the core's terms.
 
-    `sources`: the indices of the model's noise processes by the name of their error source. `past`: the motion before
-    the plan begins.
+    `sources`: the indices of the model's noise processes by the name of their error source.
     """
 
     spec: Spec
@@ -36,12 +35,10 @@ class Assembled(NamedTuple):
     schedule: Schedule
     thermal_lag: float | None
     sources: dict[str, tuple[int, ...]]
-    past: Past | None
 
     def trajectory(self) -> trajectory.Trajectory:
-        """The motion before the plan and of the plan."""
-        line = self.schedule.trajectory(self.thermal_lag)
-        return line if self.past is None else self.past.then(line)
+        """The motion of the plan."""
+        return self.schedule.trajectory(self.thermal_lag)
 
 
 def assemble(spec: Spec) -> Assembled:
@@ -69,15 +66,7 @@ def assemble(spec: Spec) -> Assembled:
     channel = gyro_channel(gyro, gyro.axes[0], processes, reference, harmonics=harmonics, backlash=backlash)
     lag = spec.sensor.lag
     schedule = table_schedule(spec.schedule, spec)
-    past: Past | None = None
-    for part in spec.done:
-        line = (
-            table_schedule(plan_schedule(part.plan, spec.rig), spec)
-            .trajectory(lag)
-            .between(float(part.start), float(part.end))
-        )
-        past = Past(line if past is None else past.then(line), np.asarray(float(part.pause)))
-    return Assembled(spec, channel, schedule, lag, sources, past)
+    return Assembled(spec, channel, schedule, lag, sources)
 
 
 def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> Schedule:

@@ -59,7 +59,7 @@ from gradcal_jax.motion import Geometry, Schedule, TableMotion, TablePart
 from gradcal_jax.spec import sensor as sensor_file
 from gradcal_jax.spec.bench import Rig
 from gradcal_jax.spec.memory import too_large
-from gradcal_jax.spec.motion_plan import PlanSchedule, plan_schedule
+from gradcal_jax.spec.motion_plan import PlanSchedule
 from gradcal_jax.spec.places import specs_at_places
 from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.schedule import StandardSchedule
@@ -95,7 +95,7 @@ _SLACK = 1e-9
 
 
 class BuiltImu(NamedTuple):
-    """An IMU's spec in the core's terms. `motion`: of the executed parts before the plan, and of the plan. `points`:
+    """An IMU's spec in the core's terms. `motion`: of the plan. `points`:
     quadrature points along a piece for functions of temperature, which are smooth there (`rough`: not along the pieces
     of a log). `sources`: for each kind of channel the indices of its noise processes by the name of their error source.
     `until_s`: where the plan is broken off, on its clock. `about` `(p,)`: the parameters of an estimate, by which its
@@ -146,35 +146,14 @@ def build_imu(
     rough = model_.knows_path or any(b.breaks for b in bases)
     if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
         return BuiltImu(spec, model_, like.motion, points, rough, sources, until_s, gears=like.gears)
-    parts = executed_parts(spec)
     plan = _part(spec.schedule, spec, change)
     if until_s < np.inf:
         broken = plan.between(-np.inf, until_s, whole=_reads_segments(spec))
-        if broken is None and not parts:
+        if broken is None:
             raise ValueError(f"no part of the plan was executed before {until_s:.6g} s")
         plan = broken
-    parts = [*parts, *([] if plan is None else [(plan, 0.0)])]
     gears = gears_of(spec) if like is None else like.gears
-    return BuiltImu(spec, model_, _motion(parts, spec, model_), points, rough, sources, until_s, gears=gears)
-
-
-def executed_parts(spec: Spec) -> list[tuple[TablePart, float]]:
-    """The executed parts of a spec, each with the pause after it (s)."""
-    parts: list[tuple[TablePart, float]] = []
-    for one in spec.done:
-        whole = _part(plan_schedule(one.plan, spec.rig), spec)
-        part = whole.between(float(one.start), float(one.end), whole=_reads_segments(spec))
-        if part is not None:
-            parts.append((part, float(one.pause)))
-        elif parts:
-            parts[-1] = parts[-1][0], parts[-1][1] + float(one.pause)
-    return parts
-
-
-def executed_motion(built: BuiltImu) -> TableMotion | None:
-    """The motion of the executed parts alone; None without any."""
-    parts = executed_parts(built.spec)
-    return _motion(parts, built.spec, built.model) if parts else None
+    return BuiltImu(spec, model_, _motion(plan, spec, model_), points, rough, sources, until_s, gears=gears)
 
 
 def _reads_segments(spec: Spec) -> bool:
@@ -183,10 +162,8 @@ def _reads_segments(spec: Spec) -> bool:
 
 
 def course_before(spec: Spec) -> np.ndarray | None:
-    """Turning points of the temperature (°C) before the spec's plan or, of a run that goes on, before its first
-    part."""
-    first = spec.done[0].plan if spec.done else spec.plan
-    before = () if isinstance(first, StandardPlan) else first.before
+    """Turning points of the temperature (°C) before the spec's plan."""
+    before = () if isinstance(spec.plan, StandardPlan) else spec.plan.before
     return np.array([float(t) for t in before]) if before else None
 
 
@@ -465,12 +442,9 @@ def _part(
     return TablePart(line, axis, np.minimum(stretch, len(spec.rig.table.mounting) - 1), start)
 
 
-def _motion(parts: Sequence[tuple[TablePart, float]], spec: Spec, of: ImuModel) -> TableMotion:
-    """The motion of parts of one run, each with the pause after it (s)."""
-    whole, pause = parts[0]
-    for part, later in parts[1:]:
-        whole, pause = whole.then(pause, part), later
-    line, axis, mounting, start = whole
+def _motion(part: TablePart, spec: Spec, of: ImuModel) -> TableMotion:
+    """The motion of a plan."""
+    line, axis, mounting, start = part
     decays = [*_decays(of), *([] if spec.sensor.lag is None else [float(line.lag_rate)])]
     if decays:
         line, source = line.divided(*_divisions_by_decay(line, max(decays)))

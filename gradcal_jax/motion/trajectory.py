@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int
 
 from gradcal_jax import formulas
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, once, placed
-from gradcal_jax.formulas import CONSTANT, follow_ramp, running_affine
+from gradcal_jax.formulas import follow_ramp, running_affine
 
 _EVERY_PIECE = slice(None)
 # Times that differ by less are the same; s.
@@ -190,44 +190,6 @@ class Trajectory(PytreeModule):
         return replace(self, **changes, **places, has_gaps=bool(np.any(self.gap[rows])))
 
 
-class Past(NamedTuple):
-    """The past of a channel: its trajectory, and the `pause` after it (s, positive)."""
-
-    line: Trajectory
-    pause: Float[AnyArray, ""]
-
-    def then(self, line: Trajectory) -> Trajectory:
-        """The past and the trajectory after it as one.
-
-        In the pause the axis returns to its first angle, nothing is read, and the noise continues; at its end a new
-        origin of the angle is read, in a standstill of its own.
-        """
-        before, pause = self
-        count = before.piece_count
-        xp = namespace(before, line, pause)
-        back = -xp.sum(before.turned()) / pause
-        level = line.level[:1]
-        two = lambda first, second: xp.stack([xp.asarray(first), xp.asarray(second)])  # noqa: E731
-        ended = before.start[-1] + before.duration[-1]
-        segment = before.segment[-1:]
-        between = {
-            "start": two(ended, ended + pause), "duration": two(pause, 0.0),
-            "u_start": np.zeros(2), "u_end": np.ones(2), "share": np.ones(2),
-            "terms": two(back, 0.0)[:, None] * np.array([formulas.CONSTANT]),
-            "level": xp.concatenate([level, level]), "slope": np.zeros(2), "excess": np.zeros(2),
-            "read": np.zeros(2, bool), "at_rest": np.ones(2, bool), "moving": np.array([True, False]),
-            "gap": np.array([False, True]), "segment": xp.concatenate([segment + 1, segment + 2]),
-        }  # fmt: skip
-        later = {"start": line.start - line.start[0] + ended + pause, "segment": line.segment + segment + 3}
-        joined = {
-            name: xp.concatenate([getattr(before, name), between[name], later.get(name, getattr(line, name))])
-            for name in _OF_PIECES
-        }
-        moving = xp.concatenate([before.moving_pieces, np.array([count]), line.moving_pieces + count + 2])
-        varying = xp.concatenate([before.varying_pieces, line.varying_pieces + count + 2])
-        return replace(line, **joined, moving_pieces=moving, varying_pieces=varying, has_gaps=True)
-
-
 _PLACES = ("moving_pieces", "varying_pieces")
 _SINGLE = ("lag_rate", "has_gaps", "rates", "points", "lagged")
 _OF_PIECES = tuple(f.name for f in fields(Trajectory) if f.name not in (*_PLACES, *_SINGLE))
@@ -314,35 +276,3 @@ class TablePart(NamedTuple):
         line, source = line.divided(piece[order], place[order])
         line = replace(line, read=line.read | (np.isin(source, piece) & ~line.gap))
         return TablePart(line, self.axis[source], self.mounting[source], self.start)
-
-    def then(self, pause: float, after: "TablePart") -> "TablePart":
-        """This part, a `pause` (s) and the part `after` it."""
-        line, later, axes = self.line, after.line, len(self.start)
-        each = np.arange(axes)
-        turned = np.where(self.axis[:, None] == each, line.turned()[:, None], 0.0).sum(axis=0)
-        back = after.start - self.start - turned
-        back -= 2.0 * np.pi * np.round(back / (2.0 * np.pi))
-        lasts = pause / axes
-        ended, segment = line.start[-1] + line.duration[-1], line.segment[-1]
-        none, yes = np.zeros(axes), np.ones(axes, bool)
-        between = {
-            "start": ended + lasts * each, "duration": np.full(axes, lasts), "u_start": none, "u_end": none + 1.0,
-            "share": none + 1.0, "terms": (back / lasts)[:, None] * np.array([CONSTANT]),
-            "level": np.full(axes, later.level[0] + later.excess[0]), "slope": none, "excess": none, "read": ~yes,
-            "at_rest": yes, "moving": yes, "gap": yes, "segment": segment + 1 + each,
-        }  # fmt: skip
-        shifted = {
-            "start": later.start - later.start[0] + ended + pause,
-            "segment": later.segment - later.segment[0] + segment + axes + 1,
-        }
-        joined = {
-            name: np.concatenate([getattr(line, name), values, shifted.get(name, getattr(later, name))])
-            for name, values in between.items()
-        }
-        count, begins = line.piece_count, line.piece_count + axes
-        moving = np.concatenate([line.moving_pieces, count + each, later.moving_pieces + begins])
-        varying = np.concatenate([line.varying_pieces, later.varying_pieces + begins])
-        whole = replace(later, **joined, moving_pieces=moving, varying_pieces=varying, has_gaps=True)
-        axis = np.concatenate([self.axis, each, after.axis])
-        mounting = np.concatenate([self.mounting, np.full(axes, after.mounting[0]), after.mounting])
-        return TablePart(whole, axis, mounting, self.start)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from gradcal_jax.spec.bench import Chamber, Mounting, RigTable
 from gradcal_jax.spec.design import design_problems
-from gradcal_jax.spec.motion_plan import PlanStep, plan_schedule, resolve_steps, row_count
+from gradcal_jax.spec.motion_plan import PlanStep, resolve_steps, row_count
 from gradcal_jax.spec.plan import ChamberCourse, RampItem, StandardPlan
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
 from gradcal_jax.spec.schedule import TemperatureSegment
@@ -314,28 +314,6 @@ def _frame(spec: "Spec") -> Iterator[Problem]:
             yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
 
 
-def _done(spec: "Spec") -> Iterator[Problem]:
-    if spec.done and isinstance(spec.plan, StandardPlan):
-        yield Problem(("done",), '[[done]] needs a plan with method = "gradient"')
-    for number, part in enumerate(spec.done):
-        segments, problems = None, list[Problem]()
-        try:
-            segments = plan_schedule(part.plan, spec.rig).segments
-        except SpecError as error:
-            problems += error.problems
-        problems += _course(part.plan, spec.rig.chamber, segments)
-        yield from (p.under("done", number, "plan") for p in problems)
-        if part.end <= part.start:
-            yield Problem(("done", number, "end"), "expected a time after the start of this part", part.end.text)
-
-
-def _done_of_sensor(spec: "Spec") -> Iterator[Problem]:
-    for kind in ("gyro", "accelerometer") if spec.done else ():
-        if (triad := _table_of(spec, kind)) is not None and triad.turn_on_transient:
-            message = "the time since power-on is not known in a continued run ([[done]]); leave the key out"
-            yield Problem(("sensor", kind, "turn_on_transient"), message)
-
-
 def _accelerometer(spec: "Spec") -> Iterator[Problem]:
     accelerometer, steps = spec.sensor.accelerometer, _steps(spec)
     if accelerometer is None or not steps:
@@ -393,8 +371,6 @@ _CHECKS: Final[tuple[tuple[str, Callable[["Spec"], Iterator[Problem]]], ...]] = 
     ("requirement sensor", _requirements_of_sensor),
     ("sensor rig", _site),
     ("sensor rig", _frame),
-    ("done rig plan", _done),
-    ("done sensor", _done_of_sensor),
     ("sensor rig plan", _accelerometer),
     ("sensor rig plan", _without_encoder),
     ("design requirement sensor rig plan", _design),

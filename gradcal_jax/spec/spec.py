@@ -18,11 +18,6 @@ def expect_spec(value: object) -> Spec:
     raise TypeError(f"expected a spec from gj.read_spec or gj.parse_spec, not {type(value).__name__}")
 
 
-def goes_on(what: str) -> ValueError:
-    """The message where a plan continues an executed part, which `what` does not support."""
-    return ValueError(f"{what} needs a plan that starts a run; this spec continues an interrupted one ([[done]])")
-
-
 def read_spec(path: str | Path) -> Spec:
     """Read a spec file: TOML, quantities as text with units ("0.1 deg/sqrt(h)"), SI (°C) inside.
 

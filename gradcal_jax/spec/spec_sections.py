@@ -3,9 +3,7 @@
 import math
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Annotated, Final, Literal
-
-from pydantic import Field
+from typing import Final, Literal
 
 from gradcal_jax.spec.bench import Rig
 from gradcal_jax.spec.checks import problems_between
@@ -17,24 +15,9 @@ from gradcal_jax.spec.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.spec.sensor import Sensor
 from gradcal_jax.tables.document import TitledFile
 from gradcal_jax.tables.problems import Problem
-from gradcal_jax.tables.quantity import Quantity, SizeOfTime, Text, Time
-from gradcal_jax.tables.section import Section
+from gradcal_jax.tables.quantity import Text
 
 FORMAT: Final = "gradcal-spec/1"
-
-
-class ExecutedPart(Section):
-    """`[[done]]`, written by `gradcal optimise RUN`: the part of a plan that an interrupted run has executed."""
-
-    plan: MotionPlan
-    """The plan from which this part was executed."""
-    start: SizeOfTime
-    """Start of the executed part, on the clock of that plan."""
-    end: Time
-    """End of the executed part, on the same clock."""
-    pause: Time = Quantity.of(1800.0, "s")
-    """Time from the end of this part to the start of the next part or of the plan; the device stays switched on.
-    Absent: 30 min."""
 
 
 class Spec(TitledFile):
@@ -55,9 +38,6 @@ class Spec(TitledFile):
     """Requirements on the calibration."""
     plan: AnyPlan
     """Temperature profile of the chamber, and motion of the table."""
-    done: Annotated[tuple[ExecutedPart, ...], Field(max_length=1000)] = ()
-    """Parts of plans that were executed in the same run before this plan begins; every prediction includes their
-    data."""
     design: Design | None = None
     """What `optimise` minimises, and what it may change; other commands do not use it."""
 

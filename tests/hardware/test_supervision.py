@@ -154,11 +154,9 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: P
             if (run.path / "status.json").exists():
                 seen.append(read_status(run.path))
 
-        row = {"name": "all of it", "axis": "x", "unit": "ppm", "now": None, "at_end": 12.5}
-        result = run_session(run, lab.rig, clock, simulated=True, on_progress=look, knows=lambda path: [row])
+        result = run_session(run, lab.rig, clock, simulated=True, on_progress=look)
     assert (result.exit_status, result.verified_safe) == ("success", True)
     last = read_status(run.path)
-    assert last["known"] == [row]
     assert (last["exit_status"], last["state"], last["simulated"]) == ("success", "safe", True)
     assert last["samples"]["unit1"][0] > 1000
     assert last["samples"]["unit1"][1] == 0

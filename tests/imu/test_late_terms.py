@@ -136,27 +136,6 @@ def test_columns_are_the_integrals_of_the_definition(lag):
     assert compared == 10
 
 
-def test_a_plan_that_goes_on_keeps_the_lags():
-    """[[done]]: half of a programme and then the other half have the columns of the whole, up to the pause."""
-    sensor = {"clock": "sensor", "gyro": {k: v for k, v in GYRO.items() if "thermometer" not in k}}
-    first = [{"soak": "1 min", "at": "0 degC"}, {"ramp_to": "30 degC", "rate": "1 K/min"}]
-    second = [{"soak": "1 s", "at": "30 degC"}, {"ramp_to": "20 degC", "rate": "1 K/min"}]
-    parts = [{"method": "gradient", "programme": p, "cycle": {"moves": [{"rest": "60 s"}]}} for p in (first, second)]
-    done = [{"plan": parts[0], "start": "1 min", "end": "31 min", "pause": "2 min"}]
-    built = build_imu(spec_with(sensor, second, done=done))
-    line, names = built.motion.line, built.model.names()
-    # The end of the pause has no duration.
-    columns = built.model.own_columns(built.body_nodes())[0] / np.maximum(line.duration, 1e-9)[:, None]
-    used = np.flatnonzero(np.arange(len(line.gap)) > np.flatnonzero(line.gap)[-1])
-    begin, _ = line.ends()
-    # The ramp before has left a lag of 500 s in its steady state, almost, which the pause lets decay a little.
-    found = columns[used[0], names.index("gyro_z.late_temperature_gradient_500s")]
-    assert begin[used[0]] == pytest.approx(30.0, abs=0.1)
-    assert 0.5 * (1.0 / 60.0) < found < 1.0 / 60.0
-    later = columns[used[-1], names.index("gyro_z.late_temperature_gradient_500s")]
-    assert later < 0.0
-
-
 @pytest.mark.parametrize(
     ("changes", "says"),
     [

@@ -241,33 +241,6 @@ def test_what_is_known_before_the_plan_settles_the_initial_state():
     assert known[3] == pytest.approx(known[2], rel=1e-9)
 
 
-def test_a_plan_that_goes_on_keeps_the_state_of_the_play():
-    """[[done]]: half of a programme and then the other half have the columns of the whole."""
-    gyro = {"hysteresis": [{"width": "6 K", "prior": "5 deg/h/K"}]}
-    cycle = {"moves": [{"rest": "60 s"}]}
-    halves = [
-        [{"soak": "1 min", "at": "0 degC"}, {"ramp_to": "30 degC", "rate": "1 K/min"}],
-        [{"soak": "1 s", "at": "30 degC"}, {"ramp_to": "20 degC", "rate": "1 K/min"}],
-    ]
-    own = {k: v for k, v in GYRO.items() if k in ("axes", "angle_random_walk", "bias")} | gyro
-    first, second = ({"method": "gradient", "programme": p, "cycle": cycle} for p in halves)
-    tables = spec_with({"gyro": own}, second, "read").model_dump(mode="json", exclude_unset=True)
-    tables["done"] = [{"plan": first, "start": "1 min", "end": "31 min"}]
-    built = build_imu(spec_of(tables))
-    line, names = built.motion.line, built.model.names()
-    columns = built.model.own_columns(built.body_nodes())[0] / line.duration[:, None]
-    # The plan's own pieces, behind the executed part and the pause.
-    used = np.arange(len(line.gap)) > np.flatnonzero(line.gap)[-1]
-    # The state was 24 degC, and is left at 18 degC: h rises from −6 K to +6 K on the way down, and stays.
-    begin, end = line.ends()
-    expected = np.minimum(24.0 - 0.5 * (begin + end), 6.0)
-    assert columns[used, names.index("gyro_z.hysteresis_6K")] == pytest.approx(expected[used], abs=1e-9)
-    assert columns[used, names.index("gyro_z.hysteresis_6K_start")] == pytest.approx(0.0, abs=1e-12)
-    tables["sensor"]["gyro"]["turn_on_transient"] = [{"time_constant": "5 min", "prior": "3 deg/h"}]
-    with pytest.raises(SpecError, match="since power-on is not known"):
-        spec_of(tables)
-
-
 def test_two_entries_of_one_width_are_refused():
     plays = [{"width": "6 K", "prior": "5 deg/h/K"}, {"width": "6000 mK", "prior": "1 deg/h/K"}]
     with pytest.raises(SpecError, match="two entries have the same width"):

@@ -1,16 +1,10 @@
 """The objective of a spec's [design], as `predict` evaluates a plan: what it leaves of the requirements, over their
-targets, in every scenario.
-
-The residual never falls when a standard deviation of the noise rises: the covariance of the estimate grows with that of
-the readings. So the worst case of `uncertain` figures has every standard deviation at its largest and the best at its
-smallest. The effect of a correlation time has no known sign, so both its ends and the written value are tried.
-"""
+targets, in every scenario."""
 
 import math
 from collections.abc import Sequence
-from itertools import product
 from statistics import fmean
-from typing import Any, Final, Literal, NamedTuple, cast
+from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
@@ -34,33 +28,12 @@ from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.design import ALL, OPTIMALITIES, TIMES, WORST, Design, Scenario
 from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.quantity import Quantity
-
-# With more uncertain correlation times than this, each end is tried alone, the others as they are written.
-_TOGETHER = 2
 
 
 def scenario_specs(spec: Spec) -> list[tuple[Spec, float]]:
-    """The spec of each scenario, with its weight; the spec itself where nothing is uncertain.
-
-    For a design that minimises the worst case, every standard deviation is at its largest. For one that minimises the
-    mean, the figures are as written, and each end of each alone, all with the same weight.
-    """
-    robust = "mean" if spec.design is None else spec.design.robust
+    """The spec of each scenario, with its weight; the spec itself where there is none."""
     scenarios = spec.design.scenario if spec.design is not None else ()
-    chosen = [(changed(spec, overrides(s)), float(s.weight)) for s in scenarios]
-    return [
-        (changed(one, values) if values else one, weight)
-        for one, weight in chosen or [(spec, 1.0)]
-        for values in (_corners(one, 1) if robust == "worst" else _star(one))
-    ]
-
-
-def extremes(spec: Spec) -> list[Spec]:
-    """Specs that include the best and the worst case of uncertain figures; none where nothing is uncertain."""
-    if not spec.sensor.uncertain_figures():
-        return []
-    return [changed(spec, values) for end in (0, 1) for values in _corners(spec, end)]
+    return [(changed(spec, overrides(s)), float(s.weight)) for s in scenarios] or [(spec, 1.0)]
 
 
 def overrides(scenario: Scenario) -> dict[str, Any]:
@@ -75,30 +48,6 @@ def _leaves(tables: dict[str, Any], before: str):
             yield from _leaves(value, key)
         else:
             yield key, value
-
-
-def _star(spec: Spec) -> list[dict[str, str]]:
-    figures = spec.sensor.uncertain_figures()
-    return [{}, *({key: ends[k].text} for key, ends in figures.items() for k in (0, 1))]
-
-
-def _corners(spec: Spec, end: Literal[0, 1]) -> list[dict[str, str]]:
-    figures = spec.sensor.uncertain_figures()
-    sizes = {key: ends[end].text for key, ends in figures.items() if not _is_time(key)}
-    times: dict[str, tuple[Quantity, Quantity]] = {key: ends for key, ends in figures.items() if _is_time(key)}
-    if len(times) > _TOGETHER:
-        some: list[dict[str, str]] = [{}, *({key: e.text} for key, ends in times.items() for e in ends)]
-    else:
-        choices = [[None, *(e.text for e in ends)] for ends in times.values()]
-        some = [
-            {key: text for key, text in zip(times, texts, strict=True) if text is not None}
-            for texts in product(*choices)
-        ]
-    return [sizes | one for one in some]
-
-
-def _is_time(key: str) -> bool:
-    return key.endswith("correlation_time")
 
 
 MARGIN: Final = 0.1

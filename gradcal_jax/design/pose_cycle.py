@@ -459,8 +459,8 @@ class CycleObjective:
             return _Rests(rest[:, None], jnp.ones((len(rest), 1)))
         if exact:
             most = math.floor(self.coordinates.limits.longest / every + 1.0)
-            count = jnp.minimum(jnp.floor(rest / every * (1.0 + _ROUNDING) + _ROUNDING), most)
-            spaced = jnp.where(jnp.arange(most)[None] < count[:, None], every, 0.0)
+            count = jnp.minimum(jnp.floor(rest / every * (1.0 + _ROUNDING) + _ROUNDING), float(most))
+            spaced = jnp.where(np.arange(most, dtype=float)[None] < count[:, None], every, 0.0)
             left = rest - count * every
             left = jnp.where(left > _ROUNDING * rest, left, 0.0)
             duration = jnp.concatenate([spaced, left[:, None]], axis=1)

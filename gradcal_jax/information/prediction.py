@@ -1,12 +1,11 @@
 """The prediction of a spec, as the contract gradcal-prediction/1, its Monte Carlo simulation, and its recipe."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
 import gradcal_jax
-from gradcal_jax.design.plan_objective import extremes
 from gradcal_jax.information import (
     STATISTICS,
     Posterior,
@@ -69,7 +68,7 @@ if TYPE_CHECKING:
 def predict(spec: Spec, *, limits: bool = False, place: str | None = None) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
-    `limits`: also the error sources that limit each requirement, and its range where noise figures are `uncertain`. The
+    `limits`: also the error sources that limit each requirement. The
     covariance is the exact one of generalised least squares under the spec's noise (`gradcal_jax.information`);
     verdicts and the risk also count every term that the spec omits, at its class's typical figure. What cannot be
     observed is None, with a warning. `place`: of a fixture, the place of which all else is beside the residuals of
@@ -112,7 +111,7 @@ def _prediction(
             more["limited_by"] = limited_by(_shares(budget, requirement, sources.shares(requirement)), axis)
         rows.append(row.model_copy(update=more))
     return Prediction(
-        requirements=tuple(_between(rows, extremes(spec) if limits else [])),
+        requirements=tuple(rows),
         warnings=tuple(plan_warnings(built, known)),
         omitted=omitted,
         **_of_plan(built, known),
@@ -189,17 +188,6 @@ def _complete(built: BuiltImu) -> BuiltImu:
     """The IMU with the error terms that its spec omits, at their classes' typical figures."""
     full = with_typical(built.spec)
     return built if full is built.spec else build_imu(full, built.until_s, like=built)
-
-
-def _between(rows: Sequence[RequirementRow], others: Sequence[Spec]) -> Sequence[RequirementRow]:
-    """The rows with the smallest and largest value over these and other specs with the same requirements."""
-    if not others:
-        return rows
-    ranges = []
-    for row, *same in zip(rows, *map(requirement_rows, others), strict=True):
-        known = [v for v in (one.judged for one in (row, *same)) if v is not None]
-        ranges.append(row.model_copy(update={"uncertain": (min(known), max(known)) if known else None}))
-    return ranges
 
 
 def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:

@@ -74,8 +74,7 @@ class Design(Section):
     whole_turns: q.Flag = False
     """Whether every turn must be a whole number of revolutions, so that the encoder's periodic errors cancel."""
     robust: Literal["mean", "worst"] = "mean"
-    """Whether the mean or the worst case counts, over the scenarios and over the ranges of `uncertain` noise
-    figures."""
+    """Whether the mean or the worst case counts, over the scenarios."""
     scenario: Annotated[tuple[Scenario, ...], Field(max_length=1000)] = ()
     """Variants of the sensor or the rig for which the plan must also be good."""
     angle_step: q.PositiveAngle | None = None

@@ -8,13 +8,12 @@ coefficients.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import BeforeValidator, Field
 
 from gradcal_jax.spec import temperature_path as path_terms
 from gradcal_jax.spec.bases import Degree, PolynomialKeys, RateBasis, TemperatureBasis
-from gradcal_jax.spec.uncertain import UncertainSection, figures_of
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Of, Quantity, Rate
@@ -67,9 +66,7 @@ def _shape_problems(shapes: Sequence[BiasShape], size: int, prior: Quantity | No
             yield Problem(("shape",), message)
 
 
-class _Process(UncertainSection):
-    FIGURES = ("standard_deviation", "correlation_time")
-
+class _Process(Section):
     standard_deviation: q.Quantity
     """Stationary standard deviation."""
     correlation_time: q.Time
@@ -90,11 +87,9 @@ class ScaleFactorInstability(_Process):
     """Stationary standard deviation of the scale factor's error, a ratio."""
 
 
-class TemperatureError(UncertainSection):
+class TemperatureError(Section):
     """Error of the temperature measurement; the slopes of the maps over temperature convert it into an error of the
     rate or the force."""
-
-    FIGURES = _Process.FIGURES
 
     standard_deviation: q.SizeOfTemperatureDifference
     """Standard deviation of the measured temperature's error; 0 K: there is no error."""
@@ -283,7 +278,7 @@ class _Instrument(Section):
         return None if self.sample_clock_error is None else str(self.sample_clock_error)
 
 
-class _Channel(UncertainSection):
+class _Channel(Section):
     """Errors that every channel may have."""
 
     turn_on_bias: q.Quantity | None = None
@@ -319,8 +314,6 @@ class _Channel(UncertainSection):
 
 class _Gyro(_Channel):
     """Noise and error functions of a gyro: every term of the error model (paper, eq. 1)."""
-
-    FIGURES: ClassVar[tuple[str, ...]] = ("angle_random_walk", "rate_random_walk", "turn_on_bias")
 
     angle_random_walk: q.AngleRandomWalk
     """White noise of the rate, stated as the growth of the integrated angle with the square root of time."""
@@ -449,8 +442,6 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     are not faster than `read_on_moves_below`. If the key of an error term is absent here, the error is assumed to be
     known, and is not estimated."""
 
-    FIGURES: ClassVar[tuple[str, ...]] = ("velocity_random_walk", "turn_on_bias")
-
     axes: BodyAxes = ("x", "y", "z")
     """Axes along which the IMU has an accelerometer."""
     velocity_random_walk: q.VelocityRandomWalk
@@ -500,10 +491,8 @@ class BodyFrame(Section):
     IMU's case, whose orientation is known to within the error of the mounting."""
 
 
-class Sensor(UncertainSection, _Instrument):
+class Sensor(_Instrument):
     """An IMU: gyros, accelerometers, or both."""
-
-    FIGURES: ClassVar[tuple[str, ...]] = ("sample_clock_error",)
 
     name: q.Text | None = None
     """A title for tables and pages."""
@@ -532,7 +521,3 @@ class Sensor(UncertainSection, _Instrument):
                     yield Problem((name, key), message)
         if self.gyro is None and self.accelerometer is None:
             yield Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]")
-
-    def uncertain_figures(self) -> dict[str, tuple[q.Quantity, q.Quantity]]:
-        """The least and the largest value (SI) of every uncertain figure, by its key in the spec."""
-        return figures_of("sensor", self)

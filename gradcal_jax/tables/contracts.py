@@ -80,8 +80,6 @@ class RequirementRow(Section):
     """Probability that the error exceeds the target at the worst temperature and rate of the requirement."""
     limited_by: str | None = None
     """The largest sources of the residual, in words."""
-    uncertain: tuple[Size, Size] | None = None
-    """Smallest and largest value of the deciding statistic over the ranges of `uncertain` noise figures."""
     with_typical: Size | None = None
     """The deciding statistic with every omitted term at the typical value of its class; null: the spec omits no
     term."""
@@ -212,8 +210,6 @@ def narrow_table(rows: Sequence[RequirementRow]) -> str:
 
 def _row(name: str, row: RequirementRow) -> tuple[str, ...]:
     left = amount(row.judged, row.unit)
-    if row.uncertain is not None:
-        left += f" ({row.uncertain[0]:.4g} … {row.uncertain[1]:.4g})"
     target = "" if row.target is None else amount(row.target, row.unit)
     worst = "" if row.worst is None else amount(row.worst, row.unit)
     return (name, row.statistic, left, amount(row.decisive, "").strip(), worst, target, row.verdict or "")

@@ -63,7 +63,6 @@ _OF_SPECS = {
     "searching",
     "plan_objective",
     "plan_limit",
-    "imu_limit",
     "instability",
 }
 

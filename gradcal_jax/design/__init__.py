@@ -10,16 +10,14 @@ from gradcal_jax.design.coordinates import (
     make_coordinates,
 )
 from gradcal_jax.design.criteria import Criterion, Optimality, criterion, polynomial_grid
-from gradcal_jax.design.limit import Limit, Turning, limit
+from gradcal_jax.design.limit import Limit, limit
 from gradcal_jax.design.noise_floor import (
     PRIOR_OF_WALK,
     bias_floor,
     bias_floor_anywhere,
     bias_seen_continuously,
-    gated_noise_density,
     least_noise_density,
     longest_step,
-    look_at,
     scale_factor_floor,
 )
 from gradcal_jax.design.objective import AnyCoordinates, Case, Objective

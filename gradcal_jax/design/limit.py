@@ -14,8 +14,7 @@ largest `tr(G·I(m))` over the measures, every feasible I' and every c > 0 satis
 
     Ψ_w(I') = c^½ Ψ_w(cI') ≥ c^½ (Ψ_w + Ψ_w/2 − c·d),      best for c = Ψ_w/(2d):      Ψ_w(I') ≥ Ψ_w·√(Ψ_w/(2d)).
 
-Where the mean square of the rate is limited to μ, `min_λ≥0 (λμ + max_ω(tr(G·m(ω)) − λω²))` takes the place of the
-largest value at each temperature. Any I gives a valid limit; a better one gives a tighter limit. A prior I₀ adds
+Any I gives a valid limit; a better one gives a tighter limit. A prior I₀ adds
 `tr(G·I₀)` to d. For fixed T the integrand is a polynomial in ω, whose largest value is found from its derivative's
 roots. The root mean square is handled likewise, with the weights `w = s/(nΨ)` of its own gradient (Cauchy–Schwarz). For
 D-optimality, `Ψ = det(I)^(−1/2p)`: log det is concave, and `Ψ* ≥ Ψ·√(p/d)` with `d` the largest `tr(I⁻¹I(m))` (Kiefer
@@ -42,17 +41,12 @@ from numpy.polynomial import chebyshev
 from gradcal_jax.design.criteria import Criterion, Optimality
 from gradcal_jax.design.noise_floor import root_of
 from gradcal_jax.model import Polynomial, SensorModel
-from gradcal_jax.motion import EARTH_RATE
 
 # Sharpness of the soft maximum by stage; between stages the most useful rates join the grid.
 _SHARPNESS = (8.0, 30.0, 100.0, 400.0, 2000.0, 10000.0)
 _RATES = 25
 # Logarithm of the weight of an empty column: its rate is zero and carries no information.
 _EMPTY = -30.0
-# Rates and steps of the search for a price of the mean square.
-_PRICED, _BISECTIONS = 2001, 60
-# Sharpness of the bend at the largest mean square, and a mean square that is none.
-_BEND, _NONE = 40.0, 1e-300
 # Temperatures on which a maximum over temperature is searched.
 _TEMPERATURES = 26
 
@@ -66,14 +60,6 @@ class Limit(NamedTuple):
     reached: float
 
 
-class Turning(NamedTuple):
-    """Of an axis at the temperatures of a fixed programme, `(n,)` each: the share of the time in which it turns, and
-    the largest mean square of its rate in this time, rad²/s². At rest it has the Earth's rate at most."""
-
-    share: np.ndarray
-    mean_squares: np.ndarray
-
-
 def limit(
     criterion: Criterion | Optimality,
     model: SensorModel,
@@ -85,16 +71,15 @@ def limit(
     noise_density: float,
     floor: Float[np.ndarray, " g"] | None = None,
     prior_share: float = 1.0,
-    turning: Turning | None = None,
     tolerance: float = 2e-3,
 ) -> Limit:
     """The limit for a scale-factor criterion, whether B(T) is known or not (knowing it only adds information).
 
     `motion_time` s: of the axis; `temperatures` °C: points over which the motion time is spread evenly
-    (`fixed_programme`) or freely. `noise_density` rad²/s: N², `least_noise_density` or `gated_noise_density`.
+    (`fixed_programme`) or freely. `noise_density` rad²/s: N², see `least_noise_density`.
     `floor`: a variance that no plan removes, of each of the criterion's rows. `prior_share`: the share of
-    the prior's variance that counts here, where `floor` counts the rest. `turning`: of a fixed programme. `tolerance`:
-    largest relative difference of `certified` and `reached`.
+    the prior's variance that counts here, where `floor` counts the rest. `tolerance`: largest relative difference of
+    `certified` and `reached`.
     Errors: `ValueError` for a criterion or a map that the proof does not cover.
     """
     if isinstance(criterion, Criterion):
@@ -107,14 +92,13 @@ def limit(
         raise ValueError(
             "there is no limit for E-optimality: minimise A-optimality, D-optimality or a residual instead"
         )
-    arguments = model, motion_time / noise_density, prior_share, np.asarray(temperatures), fixed_programme, turning
+    arguments = model, motion_time / noise_density, prior_share, np.asarray(temperatures), fixed_programme
     # A maximum over fewer temperatures is no larger, so its certificate is valid for all of them.
     problem, whole = _Problem(_thinned(criterion), *arguments), _Problem(criterion, *arguments)
     # Useful rates fill the empty columns, so that every stage has the same shape and is compiled once.
     grid = max_rate * np.cos(np.pi * np.arange(_RATES) / (_RATES - 1))
-    # Of every stage: at each temperature the most useful rates, and the mirrored ones.
-    new = 2 if turning is None else 4
-    rates = np.tile(np.concatenate([grid, np.zeros(new * len(_SHARPNESS))]), (len(temperatures), 1))
+    # Of every stage: at each temperature the most useful rate, and the mirrored one.
+    rates = np.tile(np.concatenate([grid, np.zeros(2 * len(_SHARPNESS))]), (len(temperatures), 1))
     logs = np.where(np.arange(rates.shape[1]) < _RATES, 0.0, _EMPTY) + np.zeros_like(rates)
     best = Limit(0.0, np.inf)
     for stage, sharpness in enumerate(_SHARPNESS):
@@ -124,8 +108,8 @@ def limit(
         if best.reached <= best.certified * (1.0 + tolerance):
             break
         # Most criteria are symmetric in rate, so that the mirrored rate would be next.
-        columns = slice(_RATES + new * stage, _RATES + new * (stage + 1))
-        rates[:, columns] = np.concatenate([peaks, -peaks], axis=1)
+        columns = slice(_RATES + 2 * stage, _RATES + 2 * (stage + 1))
+        rates[:, columns] = np.stack([peaks, -peaks], axis=1)
         logs[:, columns] = np.max(logs, axis=1, keepdims=True) + np.log(1e-3)
     return best
 
@@ -133,14 +117,11 @@ def limit(
 class _Problem:
     """The relaxed problem in columns of about unit size."""
 
-    def __init__(self, criterion, model: SensorModel, gain: float, prior_share: float, temperatures, fixed, turning):
+    def __init__(self, criterion, model: SensorModel, gain: float, prior_share: float, temperatures, fixed):
         self.criterion, self.model = criterion, model
         self.temperatures, self.fixed_programme = temperatures, fixed
-        assert turning is None or fixed
-        every = np.ones(len(temperatures))
-        self.turning = Turning(every, np.inf * every) if turning is None else turning
-        # Information of a unit rate in the time of each temperature.
-        self.gains = gain * self.turning.share
+        # Information of a unit rate in the whole time.
+        self.gain = gain
         assert model.scale is not None
         of_map = [model.scale] if model.scale.beyond is None else [model.scale, model.scale.beyond]
         self.functions = of_map
@@ -154,14 +135,13 @@ class _Problem:
     def moments(self, k: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Rows whose squares are the information of all time at the temperature k and a rate."""
         values = np.concatenate([term.values(self.temperatures[k], rate) for term in self.functions], axis=1)
-        return values * (rate * np.sqrt(self.gains[k]))[:, None]
+        return values * (rate * np.sqrt(self.gain))[:, None]
 
     def solve(self, rates: np.ndarray, logs: np.ndarray, sharpness: float) -> np.ndarray:
         """Logarithms of better weights `(n_T, m)` on the same rates, by L-BFGS."""
         from scipy.optimize import minimize
 
-        points = self._points(rates), self._relative_squares(rates)
-        arrays = [jnp.asarray(a) for a in (*points, self.prior, self.rows, self.beyond, sharpness)]
+        arrays = [jnp.asarray(a) for a in (self._points(rates), self.prior, self.rows, self.beyond, sharpness)]
 
         def both(z):
             how = self.fixed_programme, _statistic(self.criterion), self._shape
@@ -174,18 +154,13 @@ class _Problem:
     def _points(self, rates: np.ndarray) -> np.ndarray:
         return self.moments(np.repeat(np.arange(len(rates)), rates.shape[1]), rates.ravel())
 
-    def _relative_squares(self, rates: np.ndarray) -> np.ndarray:
-        """The rates' squares over the largest mean square."""
-        return rates**2 / self.turning.mean_squares[:, None]
-
     @property
     def _shape(self) -> tuple[int, int]:
         return getattr(self.criterion, "shape", (len(self.rows), 1))
 
     def _halves(self, rates, logs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Columns' sizes, the triangular factor R of the scaled information, and R⁻ᵀ of the criterion's rows."""
-        squares = jnp.asarray(self._relative_squares(rates))
-        weights = np.asarray(_shares(jnp.asarray(logs), squares, self.fixed_programme))
+        weights = np.asarray(_shares(jnp.asarray(logs), self.fixed_programme))
         # From the weighted rows themselves: their product would lose half the digits.
         weighted = np.concatenate([self._points(rates) * np.sqrt(weights).reshape(-1, 1), root_of(self.prior)])
         size = np.linalg.norm(weighted, axis=0)
@@ -224,7 +199,7 @@ class _Problem:
         return value * np.sqrt(min(enough / most, 1.0)), peaks
 
     def _largest(self, useful: np.ndarray, weights: np.ndarray, max_rate: float) -> tuple[np.ndarray, np.ndarray]:
-        """At each temperature the largest mean of `Σ weights·(useful·m)²` over the rates, and two rates of it."""
+        """At each temperature the largest mean of `Σ weights·(useful·m)²` over the rates, and the rate of it."""
         scale = self.model.scale
         assert scale is not None
         assert scale.rate is not None
@@ -233,40 +208,15 @@ class _Problem:
         nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
         largest, where = [], []
         for k in range(len(self.temperatures)):
-            share, mean = self.turning.share[k], min(self.turning.mean_squares[k] / max_rate**2, 1.0)
             rows = self.moments(np.full(degree + 1, k), max_rate * nodes)
             polynomial = chebyshev.chebfit(nodes, ((rows @ useful.T) ** 2) @ weights, degree)
-            # Any price of the mean square is valid (duality); of a mean of one, the largest rate's, it is zero.
-            price = _best_price(polynomial, mean) if mean < 1.0 else 0.0
-            left = chebyshev.chebsub(polynomial, 0.5 * price * np.array([1.0, 0.0, 1.0]))
-            inner = np.asarray(chebyshev.chebroots(chebyshev.chebder(left)), dtype=complex)
+            inner = np.asarray(chebyshev.chebroots(chebyshev.chebder(polynomial)), dtype=complex)
             real = np.real(inner[np.abs(np.imag(inner)) < 1e-6])
             candidates = np.concatenate([[-1.0, 1.0], real[np.abs(real) < 1.0]])
-            value = chebyshev.chebval(candidates, left)
-            sides = [np.ones(len(candidates), bool)]
-            if price > 0.0:
-                # The best measure has rates below and above the mean.
-                sides = [candidates**2 < mean, candidates**2 >= mean]
-            best = [max_rate * candidates[np.argmax(np.where(side, value, -np.inf))] for side in sides]
-            where.append((2 * best)[: 1 if np.isinf(self.turning.mean_squares[k]) else 2])
-            # At rest there is the Earth's rate.
-            earth = np.array([-1.0, 1.0]) * EARTH_RATE / max_rate
-            at_rest = (1.0 - share) / share * np.max(chebyshev.chebval(earth, polynomial))
-            largest.append(float(np.max(value)) + price * mean + at_rest)
+            value = chebyshev.chebval(candidates, polynomial)
+            where.append(max_rate * candidates[np.argmax(value)])
+            largest.append(float(np.max(value)))
         return np.array(largest), np.array(where)
-
-
-def _best_price(polynomial: np.ndarray, mean: float) -> float:
-    """The price λ ≥ 0 of x² at which `λ·mean + max(p(x) − λx²)` over −1 ≤ x ≤ 1 is about least."""
-    x = np.linspace(-1.0, 1.0, _PRICED)
-    values, squares = chebyshev.chebval(x, polynomial), x**2
-    low, high = 0.0, float(np.max(values / np.maximum(squares, 1.0 / _PRICED)))
-    for _ in range(_BISECTIONS):
-        # The derivative is `mean − x²` at the maximum.
-        middle = 0.5 * (low + high)
-        at = int(np.argmax(values - middle * squares))
-        low, high = (low, middle) if squares[at] < mean else (middle, high)
-    return high
 
 
 def _statistic(criterion: Criterion | Optimality) -> str:
@@ -286,21 +236,16 @@ def _thinned(criterion: Criterion | Optimality) -> Criterion | Optimality:
     return Criterion(some(criterion.rows), None, some(criterion.beyond)[:, 0], (len(kept), across), criterion.statistic)
 
 
-def _shares(logs: Float[Array, "n m"], squares: Float[Array, "n m"], fixed_programme: bool) -> Float[Array, "n m"]:
-    """The measure: for each temperature a distribution over rate, or one distribution over both. Where the mean of the
-    `squares` is above one, the rest of the time is without a rate."""
+def _shares(logs: Float[Array, "n m"], fixed_programme: bool) -> Float[Array, "n m"]:
+    """The measure: for each temperature a distribution over rate, or one distribution over both."""
     if not fixed_programme:
         return jax.nn.softmax(logs)
-    shares = jax.nn.softmax(logs, axis=1)
-    mean = jnp.sum(shares * squares, axis=1, keepdims=True)
-    return shares / jnp.exp(jnp.logaddexp(0.0, _BEND * jnp.log(mean + _NONE)) / _BEND) / logs.shape[0]
+    return jax.nn.softmax(logs, axis=1) / logs.shape[0]
 
 
-def _relaxed(
-    logs, points, squares, prior, rows, beyond, sharpness, fixed_programme: bool, statistic: str, shape
-) -> Array:
+def _relaxed(logs, points, prior, rows, beyond, sharpness, fixed_programme: bool, statistic: str, shape) -> Array:
     """The logarithm of the smooth criterion at these weights."""
-    weights = jnp.reshape(_shares(logs, squares, fixed_programme), (-1, 1))
+    weights = jnp.reshape(_shares(logs, fixed_programme), (-1, 1))
     information = (points * weights).T @ points + prior
     size = jnp.sqrt(jnp.diag(information))
     factor = jnp.linalg.cholesky(information / size[:, None] / size[None, :])

@@ -7,12 +7,6 @@
 the integrated error is seen through a window of frequencies in which slow motion is limited by drift and fast motion
 by the readings. No design avoids every frequency (large-sieve inequality); the best ε is taken.
 
-**Turns at the table.** An axis that turns only in certain windows of time cannot have all its motion at the best
-frequency. For every combination of columns, `x(t)` supported in the windows, `∫|X|²/S dλ/2π ≤ μ ∫x²dt` with μ the
-largest eigenvalue of the kernel k(t − t'), the transform of 1/S, restricted to the windows: 1/μ replaces the least S.
-1/S is rational in λ², so k is a point mass 1/S(∞) and a sum of exponentials, by partial fractions; the eigenvalue is
-that of a midpoint rule.
-
 **The bias.** Suppose that M(T, ω) is known and the rate's noise is observed continuously instead of through readings.
 Then generalised least squares in T gives the least variance of B, and every reading is a function of this observation.
 Under the angle random walk alone the information is `∫ ψψᵀ dt/N²`, under a drift alone that of a continuous observation
@@ -58,8 +52,6 @@ Course = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 # Shares of a prior's variance: see above.
 PRIOR_OF_WALK = 0.5
 _PRIOR_OF_OTHERS = 0.25
-# Largest number of points of the eigenvalue's midpoint rule.
-_POINTS = 1500
 # Nodes in a window; the step of a derivative in temperature, K; windows nearer than this touch, s.
 _NODES = 12
 _SMALL = 1e-4
@@ -268,34 +260,6 @@ def least_noise_density(model: SensorModel, spacing: float) -> float:
     return max(spectrum.walk, *(spectrum.least(np.exp(x), spacing) for x in np.linspace(-15.0, 10.0, 251)))
 
 
-def gated_noise_density(model: SensorModel, spacing: float, windows: Sequence[tuple[float, float]]) -> float:
-    """1/μ in rad²/s for an axis that turns only in `windows` (begin, end; s); never below `least_noise_density`."""
-    spectrum = _Spectrum(model)
-    total = sum(end - begin for begin, end in windows)
-    step = max(total / _POINTS, 0.5)
-    times, widths = [], []
-    for begin, end in windows:
-        count = max(1, round((end - begin) / step))
-        times.append(begin + (end - begin) * (np.arange(count) + 0.5) / count)
-        widths.append(np.full(count, (end - begin) / count))
-    t, root = np.concatenate(times), np.sqrt(np.concatenate(widths))
-    lags = np.abs(t[:, None] - t[None, :])
-
-    def density(log_epsilon: float) -> float:
-        flat, kernel = spectrum.kernel(np.exp(log_epsilon), spacing)
-        matrix = kernel(lags) * root[:, None] * root[None, :]
-        last = len(t) - 1
-        largest = scipy.linalg.eigh(matrix, eigvals_only=True, subset_by_index=[last, last])[0]
-        return 1.0 / (flat + max(float(largest), 0.0))
-
-    free = least_noise_density(model, spacing)
-    if spectrum.variance == 0.0 or not spectrum.decay.size:
-        return free
-    # Any ε is valid, and the best ε of the free problem is a good choice here.
-    at = max(np.linspace(-15.0, 10.0, 251), key=lambda x: spectrum.least(np.exp(x), spacing))
-    return max(free, *(density(at + shift) for shift in (0.0, 0.5, 1.0)))
-
-
 class _Spectrum:
     """S(λ) of a model: see the module's head."""
 
@@ -314,27 +278,6 @@ class _Spectrum:
         drift = np.sum(self.drive / np.maximum(square[:, None] + self.decay**2, 1e-300), axis=1)
         window = 1.0 / spacing + epsilon / 2.0 + square / (2.0 * epsilon)
         return float(np.min(self.walk + drift + self.variance * square / window))
-
-    def kernel(self, epsilon: float, spacing: float):
-        """The transform of 1/S: its point mass, and the rest as a function of the lag (s)."""
-        # In x = λ²: S = walk + Σ drive/(x + decay²) + 2εR·x/(x + b), over the common denominator Q.
-        b = 2.0 * epsilon * (1.0 / spacing + epsilon / 2.0)
-        poles = np.concatenate([-(self.decay**2), [-b]])
-        flat = self.walk + 2.0 * epsilon * self.variance
-        q = np.poly(poles)
-        numerators = np.concatenate([self.drive, [-2.0 * epsilon * self.variance * b]])
-        p = flat * q
-        for k, value in enumerate(numerators):
-            p = np.polyadd(p, value * np.poly(np.delete(poles, k)))
-        roots = np.roots(p).astype(complex)
-        residues = np.polyval(q, roots) / np.polyval(np.polyder(p), roots)
-        rates = np.sqrt(-roots)
-
-        def smooth(lag: np.ndarray) -> np.ndarray:
-            terms = [(r / (2.0 * a)) * np.exp(-a * lag) for r, a in zip(residues, rates, strict=True)]
-            return np.real(np.sum(terms, axis=0))
-
-        return 1.0 / flat, smooth
 
 
 def longest_step(processes: Processes) -> float:

@@ -1,29 +1,14 @@
-"""Proven lower limits on any plan with the rig and time of a spec, and the efficiency of the spec's plan.
+"""Proven lower limits on any plan with the rig and time of a spec, and the efficiency of the spec's plan: of the scale
+factors and biases of gyros.
 
 A gyro alone on the only axis of a table has the time that its plan and [design] leave to any plan, with drift, readings
-and clock. Of an IMU's channels in the time of the data of the spec's plan there are two proofs. A **bias** `ψ(T)ᵀβ`
-under white noise and drift: with all else known exactly and the error itself observed at every instant, moving or not,
+and clock. Of an IMU's gyros in the time of the data of the spec's plan there are two proofs. A **bias** `ψ(T)ᵀβ` under
+white noise and drift: with all else known exactly and the error itself observed at every instant, moving or not,
 generalised least squares has a known covariance of β; every row of any plan is a function of these observations.
 
-A parameter multiplied by a **signal** s under white noise N² (a column `∫ψ s dt`): with all else known exactly, the
-drift too, its information is `∫ψψᵀs²dt/N²` plus its prior's. For the k elements of a quantity that share ψ, N and
-prior, the squares of the signals add up to at most `bound` at every instant, because |f| = g and |ω| ≤ the fastest
-axis's rate (one axis turns at a time, on the Earth): so their mean information is at most `J = bound/k ∫ψψᵀdt/N² +
-prior`. As `(ψᵀJ⁻¹ψ)^½` is convex in J, the mean of their standard deviations, and so the worst and the root mean
-square, is at least that of J, at every temperature; and so is every statistic over temperature. The squares f_i² of
-three accelerometers, the signals of their second-order terms, have the mean g²/3, which their biases have, too: there J
-is of both (`_of_second_order`).
-
-A gyro's scale factor is also a function of the rate: its limit is that of a single axis (`design.limit`) that turns all
+A **scale factor** is also a function of the rate: its limit is that of a single axis (`design.limit`) that turns all
 the time, in white noise and under what multiplies its rate. Where the gyro is alone on a table of one axis, it is that
 axis's own limit, with drift, readings and clock; the errors of an encoder that other channels see, too, are no noise.
-
-How a plan divides its time between turns of each axis and rests is a matter of all requirements together. So scale
-factors and misalignments of gyros have a second limit, **with the turns** of the spec's plan: of all plans in which the
-same axes turn at the same times, by any angle and at any rate. `t` after a turn begins and before it ends, |ω| ≤
-min(largest rate, t·largest acceleration). k gyros that share turns have a k-th of its mean square on average. On two
-perpendicular axes, the inner along one of the body, the gyro along it has the inner axis's turns alone and the others
-share the outer one's; and misalignments count the inner encoder (`design.misalignment_limit`).
 """
 
 from collections.abc import Sequence
@@ -36,8 +21,7 @@ import numpy as np
 
 from gradcal_jax import design
 from gradcal_jax import motion as trajectory
-from gradcal_jax.design import Criterion, Limit, Turning, bias_seen_continuously, longest_step
-from gradcal_jax.design.imu_limit import Elements, PlanData, bias_deviations, channel_of, fastest_rate
+from gradcal_jax.design import Criterion, Limit, bias_seen_continuously, longest_step
 from gradcal_jax.design.noise_floor import PARTS, Course, Windows, between_knots, middles_of_parts, sensor_course
 from gradcal_jax.design.turn_plan import (
     LEAST_TURN,
@@ -60,30 +44,31 @@ from gradcal_jax.model import (
     BIAS,
     SCALE_FACTOR,
     Channel,
+    Map,
     Polynomial,
     SensorModel,
     angle_reference,
     constant,
     gyro_model,
 )
-from gradcal_jax.model.build import assemble
+from gradcal_jax.model.build import assemble, chamber_programme
 from gradcal_jax.model.imu_build import BuiltImu, build_imu
-from gradcal_jax.motion import programme
+from gradcal_jax.motion import EARTH_RATE, programme
 from gradcal_jax.spec.absent import with_typical
 from gradcal_jax.spec.design import TIMES
-from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MisalignmentRequirement, Requirement
+from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, Requirement
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
 from gradcal_jax.units import time_text
 
 _MOST_WINDOWS = 40
-# Largest relative difference of a limit and the optimum of its relaxed problem.
-_TOLERANCE, _TOLERANCE_WITH_TURNS = 2e-3, 2e-2
 # Most steps of a continuous observation.
 _MOST_STEPS = 200_000
 # An axis this near to a gyro's is the same, by 1 less the cosine.
 _ALONG = 1e-12
+# Lags that differ by a smaller share are equal.
+_APART = 1e-6
 _RELAXED = (
     "everything else is known exactly",
     "the IMU is read continuously, at rest and during moves, with the best distribution of turns and poses",
@@ -94,9 +79,8 @@ _RELAXED = (
 class PlanLimit(NamedTuple):
     """No plan leaves less than `certified` (`unit`) of a requirement; `reached`: the optimum of the relaxed problem.
 
-    `with_turns`: none in which the same axes turn at the same times as in the spec's plan leaves less than this (None:
-    without such a proof). `value`: what the spec's plan leaves (None: not observable); `efficiency`: with_turns, or
-    else certified, over value. `relaxed`: limits of the rig that the proof leaves out; `kept`: what all plans of the
+    `value`: what the spec's plan leaves (None: not observable); `efficiency`: certified over value. `relaxed`: limits
+    of the rig that the proof leaves out; `kept`: what all plans of the
     proof have in common; both in words. All of that is by the terms that the spec names; `counted`, `judged`: certified
     and value with those that it omits, at typical figures.
     """
@@ -106,7 +90,6 @@ class PlanLimit(NamedTuple):
     unit: str
     certified: float
     reached: float
-    with_turns: float | None
     value: float | None
     efficiency: float | None
     relaxed: tuple[str, ...]
@@ -121,7 +104,7 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     """The proven lower limit on the residual of any plan on this rig in this time, for every requirement of a gradient
     plan that has a proof.
 
-    `certified` (proven), `with_turns` and `value` (of the spec's own plan) are in `unit`; `relaxed`: the limits of the
+    `certified` (proven) and `value` (of the spec's own plan) are in `unit`; `relaxed`: the limits of the
     rig that the proof leaves out. `motion` s: time without soaks, in the place of the plan's or [design]'s; values and
     efficiencies are the plan's. The derivation for a scale factor, a convex problem with its certificate, is in
     `gradcal_jax.design.limit`.
@@ -139,7 +122,7 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value in the box.
     floors = [floor_of_plan(one) for one in (spec, with_typical(spec))]
     proven: list[PlanLimit] = []
-    for r, certified, reached, with_turns, relaxed, kept in proofs:
+    for r, certified, reached, relaxed, kept in proofs:
         unit, factor = UNIT_OF[r.quantity]
         row, named, every = rows[r.name], 0.0, 0.0
         if r.quantity != "heading":
@@ -148,22 +131,20 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
             float(np.hypot(factor * value, floor))
             for value, floor in ((certified, named), (reached, named), (certified, every))
         )
-        turning = None if with_turns is None else max(found, float(np.hypot(factor * with_turns, named)))
-        share = None if row.decisive is None else (turning or found) / row.decisive
-        bounds = found, best, turning, row.decisive, share
+        share = None if row.decisive is None else found / row.decisive
+        bounds = found, best, row.decisive, share
         proven.append(PlanLimit(r.name, r.statistic, unit, *bounds, relaxed, kept, counted, row.judged))
     return proven
 
 
 class Proof(NamedTuple):
-    """A requirement's limit in SI: `certified`, the optimum of the relaxed problem, `reached`, and `with_turns`: see
-    `PlanLimit`. `relaxed`: limits of the rig that the proof leaves out; `kept`: what all plans of the proof have in
+    """A requirement's limit in SI: `certified`, and the optimum of the relaxed problem, `reached`. `relaxed`: limits of
+    the rig that the proof leaves out; `kept`: what all plans of the proof have in
     common; both in words."""
 
     requirement: Requirement
     certified: float
     reached: float
-    with_turns: float | None
     relaxed: tuple[str, ...]
     kept: tuple[str, ...]
 
@@ -199,15 +180,12 @@ class _Window(NamedTuple):
             relaxed = (*relaxed, "the calibration contains the discrepancy as far as the data determine it")
         return result, relaxed
 
-    def of_scale_factor(
-        self, criterion: Criterion, temperatures: np.ndarray, rates: np.ndarray, turning: Turning | None = None
-    ) -> Limit:
-        """The limit of a criterion on the scale factor on a grid (°C, rad/s), the bias known; `turning`: see
-        `design.limit`."""
+    def of_scale_factor(self, criterion: Criterion, temperatures: np.ndarray, rates: np.ndarray) -> Limit:
+        """The limit of a criterion on the scale factor on a grid (°C, rad/s), the bias known."""
         sure = design.scale_factor_floor(self.model, self.windows, self.temperature, temperatures)
-        return self._of_scale_factor(criterion, np.repeat(sure, len(rates)), turning)
+        return self._of_scale_factor(criterion, np.repeat(sure, len(rates)))
 
-    def _of_scale_factor(self, criterion: Criterion, sure: np.ndarray, turning: Turning | None = None) -> Limit:
+    def _of_scale_factor(self, criterion: Criterion, sure: np.ndarray) -> Limit:
         """The same; `sure`: a variance that no plan removes."""
         return design.limit(
             criterion,
@@ -219,8 +197,6 @@ class _Window(NamedTuple):
             noise_density=self.density,
             floor=sure,
             prior_share=design.PRIOR_OF_WALK if np.any(sure) else 1.0,
-            turning=turning,
-            tolerance=_TOLERANCE if turning is None else _TOLERANCE_WITH_TURNS,
         )
 
     def _of_functionals(self, criterion: Criterion) -> tuple[Limit, tuple[str, ...]]:
@@ -294,9 +270,7 @@ def _proofs_of_axis(spec: Spec, motion: float | None = None) -> list[Proof]:
     # A cycle of another length may have a little more or less of the same share.
     total = max(sum(end - begin for begin, end in visits), every * own / cycle.duration)
     tied = alone or ("cycle" not in free and len(visits) <= _MOST_WINDOWS)
-    density, relaxed = _noise_density(
-        built.model, *_spacing_of_cycle(cycle, built.trajectory()), visits if tied else None
-    )
+    density, relaxed = _noise_density(built.model, *_spacing_of_cycle(cycle, built.trajectory()))
     if not tied:
         relaxed.append("the turns may be at any time; only their total time is limited, to the axis's part of a cycle")
     followed = sensor_course(chamber, built.thermal_lag)
@@ -328,7 +302,7 @@ def _proofs_of_axis(spec: Spec, motion: float | None = None) -> list[Proof]:
         relaxed,
     )
     limits = ((r, *window.of_requirement(r)) for r in spec.requirement)
-    return [Proof(r, of.certified, of.reached, None, relaxed, kept) for r, of, relaxed in limits]
+    return [Proof(r, of.certified, of.reached, relaxed, kept) for r, of, relaxed in limits]
 
 
 def _kept_in_words(time: float, *, when: bool = False, fixed: bool = True) -> tuple[str, ...]:
@@ -337,18 +311,15 @@ def _kept_in_words(time: float, *, when: bool = False, fixed: bool = True) -> tu
     return (at_table, *(["the chamber follows the temperatures of this plan"] if fixed else []))
 
 
-def _noise_density(model: SensorModel, spacing: float, apart: float, visits: Windows | None) -> tuple[float, list[str]]:
-    """The least noise density (rad²/s) of any motion in the windows `visits` (None: at any times), and what the proof
-    leaves out. Readings are `spacing` s apart or more, standstills `apart` s."""
+def _noise_density(model: SensorModel, spacing: float, apart: float) -> tuple[float, list[str]]:
+    """The least noise density (rad²/s) of any motion, and what the proof leaves out. Readings are `spacing` s apart or
+    more, standstills `apart` s."""
     reference = model.reference
     relaxed = ["acceleration and travel"]
     if float(reference.reading_noise) > 0.0:
         often = f"the angle is read at most every {spacing:.3g} s"
         relaxed.append(f"{often}, also during moves (a plan with more frequent readings may leave a smaller error)")
-    if visits is not None and float(reference.reading_noise) > 0.0:
-        density = design.gated_noise_density(model, spacing, visits)
-    else:
-        density = design.least_noise_density(model, spacing)
+    density = design.least_noise_density(model, spacing)
     if float(reference.standstill_offset) > 0.0:
         # An offset is one draw a standstill.
         other = eqx.tree_at(lambda m: m.reference.reading_noise, model, reference.standstill_offset)
@@ -386,50 +357,81 @@ def _visits(cycle: ResolvedCycle, start: float, time: float) -> Windows:
     return [(begin, end) for begin, end in visits if end > begin]
 
 
-# --- an IMU's channels ------------------------------------------------------------------------------------------------
+# --- an IMU's gyros ---------------------------------------------------------------------------------------------------
+
+
+class _PlanData:
+    """The used data of a plan, `time` s in all: `spans`, and `windows`, divided where the chamber's slope changes (s);
+    the `chamber`'s programme."""
+
+    def __init__(self, built: BuiltImu) -> None:
+        schedule = built.spec.gradient_schedule
+        self.built, (self.chamber, _) = built, chamber_programme(schedule)
+        self.spans: Windows = [(s.start, s.start + s.duration) for s in schedule.stretches]
+        self.windows = between_knots(self.spans, self.chamber.times())
+        self.time = sum(end - begin for begin, end in self.spans)
+
+    def course(self, term: Map) -> Course:
+        """The course of the temperature that a map follows."""
+        lag, late = self.built.spec.sensor.lag, term.late
+        if not late:
+            return sensor_course(self.chamber, lag)
+        if not lag:
+            return sensor_course(self.chamber, late.lag)
+        # One lag after another, in partial fractions; of two equal ones the limit, to a millionth of the lag.
+        then = late.lag if abs(late.lag / lag - 1.0) > _APART else lag * (1.0 + _APART)
+        first, second = sensor_course(self.chamber, lag), sensor_course(self.chamber, then)
+
+        def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            level, slope = ((lag * a - then * b) / (lag - then) for a, b in zip(first(t), second(t), strict=True))
+            return level, slope
+
+        return at
 
 
 def _proofs_of_imu(spec: Spec) -> list[Proof]:
     """The limit of every requirement of a gradient plan for which there is a proof. Errors: `ValueError` for none."""
-    seen = PlanData(build_imu(spec))
+    seen = _PlanData(build_imu(spec))
     kept = _kept_in_words(seen.time)
-    proven = [Proof(r, *bound, kept) for r in spec.requirement if (bound := _certified(seen, r)) is not None]
+    proven: list[Proof] = []
+    for r in spec.requirement:
+        temperatures = np.linspace(*(float(t) for t in r.temperature), r.grid[0])
+        bound = None
+        if isinstance(r, GyroScaleFactorRequirement):
+            bound = _of_scale_factor(seen, r, temperatures)
+        elif r.quantity == "gyro_bias":
+            bound = _of_bias(seen, r, temperatures)
+        if bound is not None:
+            proven.append(Proof(r, *bound, kept))
     if not proven:
         raise ValueError(
-            "for an IMU, limits are proven for biases, polynomial scale factors, misalignments to the table or "
-            "the case, acceleration sensitivity and second-order terms; the spec has no requirement on any of "
-            "these"
+            "limits are proven for the biases and polynomial scale factors of gyros; the spec has no requirement on "
+            "any of these"
         )
     return proven
 
 
-def _certified(seen: PlanData, requirement: Requirement) -> tuple[float, float, float | None, tuple[str, ...]] | None:
-    """A requirement's limit in SI: certified, the optimum of the relaxed problem, and with the turns of the plan; and
-    what the proof leaves out. None without a proof."""
-    cold, warm = (float(t) for t in requirement.temperature)
-    temperatures = np.linspace(cold, warm, requirement.grid[0])
-    if isinstance(requirement, GyroScaleFactorRequirement):
-        return _of_scale_factor(seen, requirement, temperatures)
-    with_turns, deviation = None, None
-    if requirement.quantity in ("gyro_bias", "accelerometer_bias"):
-        deviation = bias_deviations(seen, requirement, temperatures)
-    elif (elements := Elements.of(seen.built, requirement)) is not None:
-        deviation = elements.deviations(seen, temperatures)
-        if isinstance(requirement, MisalignmentRequirement) and seen.turns is not None:
-            with_turns = elements.with_turns(seen, requirement, temperatures)
-    if deviation is None:
+def _of_bias(
+    seen: _PlanData, requirement: Requirement, temperatures: np.ndarray
+) -> tuple[float, float, tuple[str, ...]] | None:
+    """The limit of a bias under white noise and drift, seen continuously; None for an extended structure."""
+    model = _gyro_of(seen.built, requirement).model
+    if model.bias is None or model.bias.beyond is not None:
         return None
+    bias = replace(model.bias, late=None)
+    white, rows = float(model.angle_random_walk), bias.values(temperatures, 0.0 * temperatures)
+    course = seen.course(model.bias)
+    deviation = bias_seen_continuously(bias, white, model.processes, seen.windows, course, rows)
     value = statistic(requirement.statistic, deviation[:, None])
-    return value, value, with_turns, _RELAXED
+    return value, value, _RELAXED
 
 
 def _of_scale_factor(
-    seen: PlanData, requirement: GyroScaleFactorRequirement, temperatures: np.ndarray
-) -> tuple[float, float, float | None, tuple[str, ...]] | None:
-    """The limit for a gyro that turns all the time, at up to the rate of the rig's fastest axis, and for those that
-    share the plan's turns."""
+    seen: _PlanData, requirement: GyroScaleFactorRequirement, temperatures: np.ndarray
+) -> tuple[float, float, tuple[str, ...]] | None:
+    """The limit for a gyro that turns all the time, at up to the rate of the rig's fastest axis."""
     built = seen.built
-    channel = channel_of(built, "gyro", requirement.axis)
+    channel = _gyro_of(built, requirement)
     scale, processes = channel.model.scale, channel.model.processes
     if scale is None or not isinstance(scale.rate, Polynomial) or scale.beyond is not None:
         return None
@@ -440,28 +442,25 @@ def _of_scale_factor(
         reference = angle_reference(float(encoder.reading[0]), float(encoder.offset[0]))
         processes = processes + constant(clock, rate_gain=1.0) if clock else processes
     model = gyro_model(None, scale, float(channel.model.angle_random_walk), processes, reference)
-    density, relaxed = _noise_density(model, *_spacing(built), seen.spans)
-    at, fastest = course(middles_of_parts(seen.spans))[0], (_fastest_along if alone else fastest_rate)(built)
+    density, relaxed = _noise_density(model, *_spacing(built))
+    at, fastest = course(middles_of_parts(seen.spans))[0], (_fastest_along if alone else _fastest_rate)(built)
     time, windows = seen.time, seen.windows
     window = _Window(model, time, time, at, True, fastest, density, windows, windows, course, relaxed)
     rates = np.linspace(float(requirement.rate[0]), float(requirement.rate[1]), requirement.grid[1])
     criterion = design.criterion(model, SCALE_FACTOR, temperatures, rates, requirement.statistic)
-    result, with_turns = window.of_scale_factor(criterion, temperatures, rates), None
-    if seen.turns is not None and not alone:
-        each: list[float] = []
-        gyros = [c.axis for c in built.model.channels if c.kind == "gyro" and requirement.axis in _any_of(c)]
-        for axis, together in seen.turns.gyros(gyros):
-            share, squares = seen.turns.shares(seen.spans, len(at), axis)
-            turning = Turning(share, np.minimum(squares, fastest**2) / together)
-            each += together * [window.of_scale_factor(criterion, temperatures, rates, turning).certified]
-        if each:
-            with_turns = float(np.sqrt(np.mean(np.square(each))) if requirement.axis == "all" else max(each))
-    return result.certified, result.reached, with_turns, tuple(relaxed) if alone else _RELAXED
+    result = window.of_scale_factor(criterion, temperatures, rates)
+    return result.certified, result.reached, tuple(relaxed) if alone else _RELAXED
 
 
-def _any_of(channel: Channel) -> tuple[str, ...]:
-    """The words of a requirement that concern a channel."""
-    return "worst", "all", AXIS_NAMES[channel.axis]
+def _gyro_of(built: BuiltImu, requirement: Requirement) -> Channel:
+    """The gyro of a requirement; for "worst" and "all" the first, since all are alike."""
+    axis = requirement.axis
+    return next(c for c in built.model.channels if c.kind == "gyro" and axis in ("worst", "all", AXIS_NAMES[c.axis]))
+
+
+def _fastest_rate(built: BuiltImu) -> float:
+    """The unit's largest rate, rad/s."""
+    return max(float(axis.max_rate) for axis in built.spec.rig.table.axis) + EARTH_RATE
 
 
 def _has_the_table_alone(built: BuiltImu, channel: Channel) -> bool:

@@ -20,7 +20,6 @@ from gradcal_jax.design import (
     Objective,
     Optimality,
     criterion,
-    gated_noise_density,
     least_noise_density,
     limit,
     make_coordinates,
@@ -188,15 +187,6 @@ def test_drift_and_readings_only_raise_the_limit():
     assert density > WALK**2
     quiet = eqx.tree_at(lambda m: m.reference.reading_noise, LINEAR, np.zeros(()))
     assert least_noise_density(quiet, 1.0) == pytest.approx(WALK**2, rel=1e-3)
-
-
-def test_turns_in_windows_meet_more_noise_than_turns_at_any_time():
-    windows = [(360.0 * k, 360.0 * k + 120.0) for k in range(4)]
-    free = least_noise_density(LINEAR, 1.0)
-    gated = gated_noise_density(LINEAR, 1.0, windows)
-    assert free < gated
-    # One window of the whole time is no restriction but for its ends.
-    assert gated_noise_density(LINEAR, 1.0, [(0.0, 20000.0)]) == pytest.approx(free, rel=0.02)
 
 
 def still(t):

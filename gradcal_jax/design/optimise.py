@@ -3,7 +3,7 @@ or the shortest time that meets the targets. `frontier`: the best plan for each 
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -75,7 +75,6 @@ def run_search(
     quick: bool = False,
     until_met: bool = False,
     motion: float | None = None,
-    checkpoint: Mapping[str, np.ndarray] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[SearchStep | Optimised]:
     """The search of `optimise`: a `SearchStep` every few iterations and the `Optimised` plan at the end.
@@ -84,7 +83,7 @@ def run_search(
     a cycle of turns and poses. `steps`: iterations of each start (None: 240) or, of poses, gradients in all (None:
     14000). `quick`: few of them. `until_met`: no further than to a plan that, rounded, meets every target with a margin
     of 10 %; no search where the spec's own plan does. `motion` s: time without soaks, in the place of [design]'s or the
-    plan's. `checkpoint`: resume from that of a step. `stop`: called after every step; once true, the best plan so far
+    plan's. `stop`: called after every step; once true, the best plan so far
     is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed, the table is turned by
     hand or, with `until_met`, there is no target.
     """
@@ -95,8 +94,6 @@ def run_search(
     if motion is None and spec.design is not None and spec.design.minimise in TIMES:
         if until_met:
             raise ValueError(NO_UNTIL_MET)
-        if checkpoint is not None:
-            raise ValueError("a search for the shortest plan is not saved: start again, without --resume")
         yield from minimise_time(spec, partial(run_search, spec, steps=steps, quick=quick, stop=stop), stop)
         return
     if spec.turns_one_gyro:
@@ -107,7 +104,7 @@ def run_search(
         timed = spec if motion is None else with_motion(spec, motion)
         evaluations = steps or (QUICK_EVALUATIONS if quick else EVALUATIONS)
         searched = PoseSearch(CyclePlan(timed), evaluations, stop)
-    yield from search_plans(searched, until_met=until_met, checkpoint=checkpoint)
+    yield from search_plans(searched, until_met=until_met)
 
 
 # --- the shortest plan ------------------------------------------------------------------------------------------------
@@ -167,7 +164,6 @@ def minimise_time(
                         best=long / 60.0,
                         share=share,
                         words=words,
-                        checkpoint={},
                     )
         except ValueError:
             if time == longest:

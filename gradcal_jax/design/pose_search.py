@@ -5,9 +5,8 @@ Every cycle descends along the exact gradient of `design.pose_cycle`: first the 
 structure near the best one. What counts in the end is the plan as a recipe rounds it, evaluated as `predict` does it.
 """
 
-import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -20,7 +19,7 @@ import numpy as np
 from gradcal_jax.design.compiling import compiler_options
 from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.design.cycle_plan import CyclePlan, RepeatedCycle
-from gradcal_jax.design.pose_cycle import CycleCoordinates, CycleStructure, PoseTurn, Ramp
+from gradcal_jax.design.pose_cycle import CycleCoordinates, CycleStructure, Ramp
 from gradcal_jax.design.searching import Optimised, PlanOutcome, Price, PricedLimit, priced
 from gradcal_jax.spec.spec_sections import Spec
 
@@ -140,8 +139,7 @@ class PoseSearch:
         self._rng = np.random.default_rng(plan.design.seed)
         self._around = Neighbourhood(plan.limits, plan.slots)
         self.used, self.best, self._value = 0, plan.start, math.inf
-        self._here, self._now, self._begun = plan.start, math.inf, 0
-        self._state: dict[str, np.ndarray] = {}
+        self._here, self._now = plan.start, math.inf
 
     def plan_of(self, point: RepeatedCycle) -> tuple[Spec, str]:
         """The plan of a cycle, and its structure in words."""
@@ -160,13 +158,13 @@ class PoseSearch:
     def run(self) -> Iterator[tuple[float, RepeatedCycle]]:
         """A cycle after every round of descents; before them, other courses of the chamber, which are plans too."""
         plan, rng = self._plan, self._rng
-        for start in [] if self._begun else plan.starts()[1:]:
+        begins = plan.starts()
+        for start in begins[1:]:
             yield 0.0, start
-        for sharpness, count in _FIRST[self._begun :]:
-            begins = [self._here] if self._begun else plan.starts()
+        for sharpness, count in _FIRST:
             self._now, self._here = min(self._descents(begins, sharpness, count), key=lambda found: found[0])
             self.best, self._value = self._here, self._now
-            self._begun += 1
+            begins = [self._here]
             yield self._share(), self.best
         last = min(_LAST[1], self._budget // 4)
         while self.used < self._budget - last and not self._stop():
@@ -185,34 +183,6 @@ class PoseSearch:
             snapped = self.best._replace(turns=plan.rounding.on_steps(self.best.turns))
             ((_, self.best),) = self._descents([snapped], _LAST[0], last, turnable=False)
         yield 1.0, self.best
-
-    def state(self, reached: RepeatedCycle | None) -> dict[str, np.ndarray]:
-        """Arrays from which `resume` continues, with the cycle of the best plan so far; of the last round that ended
-        by itself."""
-        if not self._stop() or not self._state:
-            generator = json.dumps(self._rng.bit_generator.state)
-            numbers = np.array([self.used, self._begun, self._now, self._value])
-            self._state = {"numbers": numbers, "generator": np.array(generator)}
-            for name, of in (("here", self._here), ("best", self.best), ("reached", reached)):
-                turns = () if of is None else of.turns
-                self._state[f"{name}_turns"] = np.array(turns, dtype=float).reshape(len(turns), 4)
-                self._state[f"{name}_cycles"] = np.array(0 if of is None else of.cycles)
-                self._state[f"{name}_course"] = np.array(() if of is None else of.course)
-        return self._state
-
-    def resume(self, arrays: Mapping[str, np.ndarray]) -> RepeatedCycle | None:
-        """Continue from such arrays; returns the cycle of the best plan, None for the spec's own."""
-        used, begun, self._now, self._value = (float(v) for v in arrays["numbers"])
-        self.used, self._begun = int(used), int(begun)
-        self._rng.bit_generator.state = json.loads(str(arrays["generator"]))
-
-        def cycle(name: str) -> RepeatedCycle | None:
-            turns = (PoseTurn(int(l), float(a), float(w), float(r)) for l, a, w, r in arrays[f"{name}_turns"])
-            count = int(arrays[f"{name}_cycles"])
-            return RepeatedCycle(tuple(turns), count, tuple(arrays[f"{name}_course"].tolist())) if count else None
-
-        self._here, self.best = cycle("here") or self._here, cycle("best") or self.best
-        return cycle("reached")
 
     def _neighbour(self, of: RepeatedCycle, rng: np.random.Generator) -> RepeatedCycle:
         """A cycle of another structure, or more or fewer of the same one."""

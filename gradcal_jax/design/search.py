@@ -183,7 +183,7 @@ class Compiled:
 
 
 class SearchState(NamedTuple):
-    """State from which a search continues: every start's point and value, the number of completed descents, the best.
+    """Where a search is: every start's point and value, the number of completed descents, the best.
 
     A start that did not continue in a later stage keeps its last point.
     """
@@ -229,7 +229,6 @@ def search(
     steps: int = 240,
     hops: int = 8,
     quick: bool = False,
-    state: SearchState | None = None,
     begin: Float[np.ndarray, " n"] | None = None,
     alone: bool = False,
     stop: Callable[[], bool] = lambda: False,
@@ -238,7 +237,7 @@ def search(
 
     Twice `starts` points begin and make up to `steps` steps in all; the better half continues in each harder stage.
     Then some points near the best begin again, at most `hops` times and as long as that gains something. `quick`: half
-    as many starts, one stage, no hops. `state`: continue from it. `begin`: a further start, or, `alone`, the only one.
+    as many starts, one stage, no hops. `begin`: a further start, or, `alone`, the only one.
     `stop`: called between steps; once it returns true, descents end at their present point. Errors: `ValueError` when
     no start gives a finite objective.
     """
@@ -249,39 +248,33 @@ def search(
     elif begin is not None:
         plan[0] = plan[0]._replace(descents=plan[0].descents + 1)
     total = sum(level.descents for level in plan)
-    if state is None:
-        points = np.random.default_rng(seed).standard_normal((plan[0].descents, compiled.size))
-        if begin is not None:
-            points[-1] = begin
-        merits = np.array([compiled.merit(z) for z in points])
-        values = np.exp(np.minimum(merits, _LARGEST))
-        if not np.min(merits) < _NOWHERE:
-            raise ValueError(
-                "no random start gives a finite residual, so plans of this structure cannot observe all parameters"
-            )
-        at = int(np.argmin(values))
-        state = SearchState(points, values, 0, float(values[at]), float(values[at]), points[at])
-        yield Progress(state.first, state.best, 0, total, state)
-    done, without_gain, hop_from = 0, 0, np.inf
+    points = np.random.default_rng(seed).standard_normal((plan[0].descents, compiled.size))
+    if begin is not None:
+        points[-1] = begin
+    merits = np.array([compiled.merit(z) for z in points])
+    values = np.exp(np.minimum(merits, _LARGEST))
+    if not np.min(merits) < _NOWHERE:
+        raise ValueError(
+            "no random start gives a finite residual, so plans of this structure cannot observe all parameters"
+        )
+    at = int(np.argmin(values))
+    state = SearchState(points, values, 0, float(values[at]), float(values[at]), points[at])
+    yield Progress(state.first, state.best, 0, total, state)
+    without_gain, hop_from = 0, np.inf
     for number, level in enumerate(plan):
-        first, count = done, level.descents
-        done += count
+        count = level.descents
         if level.hop:
             without_gain = without_gain + 1 if state.best > hop_from * (1.0 - _HOP_GAIN) else 0
             if without_gain >= len(_HOPS):
                 return
             hop_from = state.best
-            # The same numbers whether the search was continued or not.
             near = np.random.default_rng([seed, number]).standard_normal((count, compiled.size))
             order, begins = np.arange(count), state.best_point + level.hop * near
         else:
             order = np.argsort(state.values, kind="stable")[:count]
             begins = state.points[order]
-        if state.step >= done:
-            continue
-        left = range(state.step - first, count)
-        for k, reached in _descents(compiled, [begins[i] for i in left], level.sharpness, level.steps, stop):
-            at = int(order[left[k]])
+        for k, reached in _descents(compiled, list(begins), level.sharpness, level.steps, stop):
+            at = int(order[k])
             value = float(np.exp(min(compiled.merit(reached), _LARGEST)))
             best, best_point = state.best, state.best_point
             if value < best:

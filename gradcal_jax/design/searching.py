@@ -1,15 +1,12 @@
-"""The search for the plan that minimises a [design]'s objective: what every kind of it has in common, what it yields,
-and the files from which an interrupted one resumes.
+"""The search for the plan that minimises a [design]'s objective: what every kind of it has in common, and what it
+yields.
 
 A search proposes points; each becomes a plan as a recipe rounds it, which counts as `predict` evaluates it.
 """
 
-import hashlib
 import math
-import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from pathlib import Path
 from statistics import fmean
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -29,14 +26,12 @@ from gradcal_jax.recipe.rounding import rounded
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
 from gradcal_jax.tables.problems import SpecError
-from gradcal_jax.tables.writing import to_toml, whole
 
 
 class SearchStep(NamedTuple):
     """Progress of an optimisation: `best` in `unit`, of `name`; `share` of the work that is done, 0 to 1.
 
-    `missed`: the limits that the best plan so far exceeds, in words. `checkpoint`: arrays from which `optimise` resumes
-    the search.
+    `missed`: the limits that the best plan so far exceeds, in words.
     """
 
     name: str
@@ -46,7 +41,6 @@ class SearchStep(NamedTuple):
     share: float
     words: str
     missed: str
-    checkpoint: dict[str, np.ndarray]
 
 
 class Price(NamedTuple):
@@ -173,14 +167,6 @@ class PlanSearch(Protocol):
         """The plan of a point, and its structure in words. Errors: `SpecError` where no controller can execute it."""
         ...
 
-    def state(self, reached: Any) -> dict[str, np.ndarray]:
-        """Arrays from which `resume` continues, with the point of the best plan so far (None: the spec's own)."""
-        ...
-
-    def resume(self, arrays: Mapping[str, np.ndarray]) -> Any:
-        """Continue from such arrays; returns that point."""
-        ...
-
     def record(self, best: Optimised, point: Any, last: "PlanOutcome") -> dict[str, Any]:
         """What the search knows of its result (fields of it), which is the plan of `point` (None: no optimum), after
         the `last` plan that was tried."""
@@ -204,9 +190,7 @@ class _Best(NamedTuple):
     words: str = "the plan is unchanged"
 
 
-def search_plans(
-    search: PlanSearch, *, until_met: bool, checkpoint: Mapping[str, np.ndarray] | None
-) -> Iterator[SearchStep | Optimised]:
+def search_plans(search: PlanSearch, *, until_met: bool) -> Iterator[SearchStep | Optimised]:
     """As `optimise`, by one search: a step whenever it proposes a point. The result is never worse than the spec's own
     plan, where that counts."""
     objective, own = search.objective, search.own_counts
@@ -235,8 +219,6 @@ def search_plans(
         if value < best.value:
             best, met = _Best(plan, left, value, point, words), is_met(plan, left)
 
-    if searched and checkpoint is not None and (reached := search.resume(checkpoint)) is not None:
-        improve(reached)
     seen: Any = None
     for share, point in search.run() if searched else ():
         if point is not seen:
@@ -246,7 +228,7 @@ def search_plans(
             missed = objective.missed(best.left).items()
             words = ", ".join(f"{n} is {math.exp(by):.3g} times its limit" for n, by in missed)
             now = objective.shown(best.left)
-            yield SearchStep(name, unit, start, now, share, best.words, words, search.state(best.point))
+            yield SearchStep(name, unit, start, now, share, best.words, words)
             if met:
                 break
     plan, left, kept = best.plan, best.left, best.point is None
@@ -271,36 +253,3 @@ def search_plans(
             sentence += f"; no plan was found that meets the target of {', '.join(of)}{how}"
             break
     yield result._replace(sentence=sentence, converged=met or (result.converged and not missed and not counted_missed))
-
-
-_CHECKPOINT = "gradcal-search/1"
-
-
-def write_checkpoint(path: Path, of_spec: str, checkpoint: Mapping[str, np.ndarray]) -> None:
-    """Write a checkpoint, atomically; `of_spec`: the fingerprint of its spec."""
-    arrays = {**checkpoint, "format": np.array(_CHECKPOINT), "spec": np.array(of_spec)}
-    with whole(path) as passing, passing.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, **arrays)
-
-
-def read_checkpoint(path: Path, spec: Spec) -> dict[str, np.ndarray]:
-    """Read the checkpoint of a spec. Errors: `ValueError` for a file of another spec or format."""
-    if not path.exists():
-        raise ValueError(f"there is no interrupted search to continue: {path} does not exist")
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        if str(arrays["format"]) != _CHECKPOINT:
-            raise ValueError(f"{path} is not a search saved by optimise")
-        if str(arrays["spec"]) != fingerprint(spec):
-            raise ValueError(f"{path} was saved for another spec: start again, without --resume")
-        return arrays
-    except (OSError, KeyError, zipfile.BadZipFile, EOFError) as error:
-        raise ValueError(
-            f"{path} cannot be read as a search saved by optimise: start again, without --resume"
-        ) from error
-
-
-def fingerprint(spec: Spec) -> str:
-    """What tells a spec from others."""
-    return hashlib.sha256(to_toml(spec).encode()).hexdigest()

@@ -2,7 +2,7 @@
 objective; its result as a spec, rounded to the controllers' steps, with the limits that bind it."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -377,28 +377,23 @@ class TurnSearch:
         self._of, self._options = measure(spec), {"steps": steps, "quick": quick, "stop": stop}
         self._choices = structures(spec, [s for s, _ in scenario_specs(spec)], motion=motion)
         self.objective, self.own_counts = self._of.objective, motion is None
-        self._now: _At | None = None
         self._best: _At | None = None
         self._optimum: tuple[AnyCoordinates, Optimum] | None = None
 
     def run(self) -> Iterator[tuple[float, TurnPoint]]:
         """The best point after every descent, or one that is not much worse."""
         design, stop = design_of(self.objective.spec), self._options["stop"]
-        first, state = self._now or (0, None)
-        point, proposed = None if self._best is None else self._point(self._best), np.inf
-        for k in range(first, len(self._choices)):
-            choice = self._choices[k]
+        point, proposed = None, np.inf
+        for k, choice in enumerate(self._choices):
             options = {"starts": design.starts, "seed": design.seed, "begin": choice.start, "alone": choice.alone}
-            for progress in search(self._of.compiled(choice.coordinates), state=state, **options, **self._options):
-                self._now = _At(k, progress.state)
+            for progress in search(self._of.compiled(choice.coordinates), **options, **self._options):
                 if self._best is None or progress.best < self._best.state.best:
-                    self._best = self._now
+                    self._best = _At(k, progress.state)
                 if point is None or self._best.state.best < _NEWS * proposed:
                     point, proposed = self._point(self._best), self._best.state.best
                 yield 0.95 * (k + progress.step / progress.steps) / len(self._choices), point
                 if stop():
                     break
-            state = None
             if stop():
                 break
         assert self._best is not None
@@ -417,27 +412,6 @@ class TurnSearch:
     def plan_of(self, point: TurnPoint) -> tuple[Spec, str]:
         """The plan of a point, and its structure in words."""
         return plan_to_spec(self.objective.spec, point.coordinates, point.vector), point.words
-
-    def state(self, reached: TurnPoint | None) -> dict[str, np.ndarray]:
-        """Arrays from which `resume` continues."""
-        del reached
-        if self._now is None or self._best is None:
-            return {}
-        arrays = {"at": np.array([self._now.structure, self._best.structure])}
-        for name, at in (("state", self._now), ("best", self._best)):
-            arrays |= {f"{name}_{field}": np.asarray(value) for field, value in at.state._asdict().items()}
-        return arrays
-
-    def resume(self, arrays: Mapping[str, np.ndarray]) -> TurnPoint:
-        """Continue from such arrays; returns the best point so far."""
-
-        def state(name: str) -> SearchState:
-            of: Any = (arrays[f"{name}_{field}"] for field in SearchState._fields)
-            return SearchState(*(value if value.ndim else value.item() for value in of))
-
-        now, best = (int(k) for k in arrays["at"])
-        self._now, self._best = _At(now, state("state")), _At(best, state("best"))
-        return self._point(self._best)
 
     def record(self, best: Optimised, point: TurnPoint | None, last: PlanOutcome) -> dict[str, Any]:
         """The optimum before rounding, and what rounding made of it."""

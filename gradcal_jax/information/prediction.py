@@ -356,7 +356,6 @@ def make_recipe(
     *,
     resolution: ControllerSteps | None = None,
     stability: Stability | None = None,
-    keep_shapes: bool = False,
     status: str = "",
     seed: int | None = None,
     optimisation: Mapping[str, Any] | None = None,
@@ -365,8 +364,8 @@ def make_recipe(
     """The plan of a spec, or an optimised one, made executable, with the prediction (ppm, deg/h) of what is executed.
 
     `resolution`: the controllers' steps; None: those of `[rig.resolution]`, and defaults. `stability`: when a
-    temperature counts as stable, and how long to wait for it. `keep_shapes`: the table follows any shape of motion;
-    without it turns become trapezoids of the same angle, peak rate and duration. `status`, `seed`, `optimisation` (of
+    temperature counts as stable, and how long to wait for it. Turns become trapezoids of the same
+    angle, peak rate and duration. `status`, `seed`, `optimisation` (of
     TOML's types) and `notes` are copied; an optimised plan has its own.
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
@@ -378,7 +377,7 @@ def make_recipe(
         status, optimisation = status or plan.sentence, optimisation or record_of(plan)
         seed = plan.spec.design.seed if seed is None and plan.spec.design is not None else seed
     steps = resolution or steps_of(spec)
-    executable = rounded(spec, steps, keep_shapes=keep_shapes)
+    executable = rounded(spec, steps)
     chamber, motion = tracks_of(executable.spec, None if steps.acceleration is None else float(steps.acceleration))
     rows = Predicted.of(predict(executable.spec, limits=True))
     fields: dict[str, Any] = {

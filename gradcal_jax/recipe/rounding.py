@@ -84,15 +84,13 @@ class Rounded:
     notes: tuple[str, ...]
 
 
-def rounded(spec: Spec, steps: ControllerSteps | None = None, *, keep_shapes: bool = False) -> Rounded:
-    """The spec with a plan that the controllers can execute.
-
-    `keep_shapes`: the table can follow any shape; without it turns become trapezoids ("linear ramps") of the same
+def rounded(spec: Spec, steps: ControllerSteps | None = None) -> Rounded:
+    """The spec with a plan that the controllers can execute: turns become trapezoids ("linear ramps") of the same
     angle, peak rate and duration.
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """
-    rounder = _Rounder(steps or steps_of(spec), keep_shapes)
+    rounder = _Rounder(steps or steps_of(spec))
     tables = tables_of(spec)
     plan: Table = tables["plan"]
     if isinstance(spec.plan, StandardPlan):
@@ -116,8 +114,8 @@ def rounded(spec: Spec, steps: ControllerSteps | None = None, *, keep_shapes: bo
 class _Rounder:
     """Rounds texts of quantities. A text on its grid is unchanged."""
 
-    def __init__(self, steps: ControllerSteps, keep_shapes: bool) -> None:
-        self.steps, self.keep_shapes = steps, keep_shapes
+    def __init__(self, steps: ControllerSteps) -> None:
+        self.steps = steps
         self.acceleration = None if steps.acceleration is None else float(steps.acceleration)
         self.notes: list[str] = []
         names = [name for name in type(steps).model_fields if name != "acceleration"]
@@ -167,7 +165,7 @@ class _Rounder:
 
     def shape(self, move: ResolvedMove) -> str:
         """The shape of a turn's ramps; noted where it is not the plan's."""
-        shape = "cosine ramps" if self.keep_shapes and move.shape == "cosine ramps" else "linear ramps"
+        shape = "linear ramps"
         note = f'turns of shape "{move.shape}" are executed as trapezoids of the same angle, peak rate and duration'
         if move.shape != shape and note not in self.notes:
             self.notes.append(note)

@@ -11,8 +11,7 @@ from loop_scene import spec_of
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
-from gradcal_jax.design.cycle_plan import CyclePlan, RepeatedCycle
-from gradcal_jax.design.pose_search import PoseSearch
+from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables import writing
 
@@ -182,14 +181,3 @@ def test_a_course_that_is_not_free_stays():
 def test_what_cannot_be_free_is_refused(spec, changes, says):
     with pytest.raises(ValueError, match=says):
         CyclePlan(gj.changed(spec(), changes))
-
-
-def test_the_course_is_kept_in_a_checkpoint():
-    plan = CyclePlan(turning())
-    search = PoseSearch(plan, 100)
-    search._here = search.best = plan.starts()[2]
-    reached = plan.starts()[1]
-    arrays = {name: np.asarray(array) for name, array in search.state(reached).items()}
-    again = PoseSearch(plan, 100)
-    assert again.resume(arrays) == RepeatedCycle(*reached)
-    assert again.best == plan.starts()[2]

@@ -1,16 +1,13 @@
 """Cycles as coordinates: within the limits whatever the numbers, and the sums over repeated cycles."""
 
 import math
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import gradcal_jax as gj
 from gradcal_jax.design.cycle_moves import Neighbourhood
-from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.design.pose_cycle import (
     CycleCoordinates,
     PoseTurn,
@@ -162,56 +159,3 @@ def test_changed_cycles_keep_the_reach_and_the_number_of_turns():
     drawn = around.random(30, rng)
     assert 7 < len(drawn) <= 30
     assert {t.axis for t in drawn} == {0, 1}
-
-
-@pytest.mark.parametrize("every", ["1 s", "3 s", "1000 s"])
-def test_the_objective_counts_the_readings_of_rests_as_a_prediction_does(every):
-    """At infinite sharpness; the times of both differ by the millisecond that is left for rounding."""
-    headline = gj.read_spec(Path(__file__).parents[2] / "experiments" / "designs" / "headline.toml")
-    requirement = headline.requirement[0].model_dump(mode="json", exclude_unset=True)
-    turns = [
-        ("5400 deg", "300 deg/s"),
-        ("-5400 deg", "300 deg/s"),
-        ("3600 deg", "150 deg/s"),
-        ("-3600 deg", "150 deg/s"),
-    ]
-    moves = [
-        move
-        for angle, rate in turns
-        for move in ({"turn": angle, "axis": "x", "peak_rate": rate, "shape": "linear ramps"}, {"rest": "7.3 s"})
-    ]
-    spec = gj.changed(
-        headline,
-        {
-            "plan.temperature": ["-30 degC", "-26 degC"],
-            "sensor.gyro.scale_factor.temperature.degree": 1,
-            "plan.cycle": {"moves": moves},
-            "requirement": [requirement | {"grid": [31, 31]}],
-            "rig.table.axis[0].angle.read_every": every,
-            "design": {"minimise": "full range", "free": ["cycle", "duration"]},
-        },
-    )
-    plan = CyclePlan(spec)
-    assert plan._window >= plan.start.cycles
-    of = plan.structure(plan.start)
-    ramps = plan.course(plan.start.cycles).ramps
-
-    @jax.jit
-    def left(z, of, ramps):
-        decoded = plan.coordinates.decode(z, of)
-        exact = plan.objective.logs(decoded, of, ramps, math.inf)
-        return jnp.exp(exact), jnp.exp(plan.objective.logs(decoded, of, ramps, jnp.asarray(1e6)))
-
-    for random in (0.0, 0.02):
-        z = plan.coordinates.encode(plan.start.turns, of)
-        z = z + random * np.random.default_rng(0).standard_normal(z.shape)
-        exact, soft = (float(x[0, 0]) for x in left(jnp.asarray(z), jax.tree.map(jnp.asarray, of), ramps))
-        written = []
-        for t in plan.coordinates.cycle(z, of):
-            duration = abs(t.angle) / t.rate + t.rate / float(plan.limits.accelerations[0])
-            turn = {"turn": f"{math.degrees(t.angle)!r} deg", "axis": "x", "shape": "linear ramps"}
-            written.append(turn | {"peak_rate": f"{math.degrees(t.rate)!r} deg/s", "duration": f"{duration!r} s"})
-            written.append({"rest": f"{t.rest!r} s"})
-        (row,) = gj.predict(gj.changed(spec, {"plan.cycle.moves": written})).requirements
-        assert exact == pytest.approx(row.decisive, rel=1e-4)
-        assert soft == pytest.approx(row.decisive, rel=0.02)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, once, size_class
 from gradcal_jax.formulas import EARTH_RATE, play_states
@@ -139,8 +139,8 @@ class TableMotion(PytreeModule):
         return xp.concatenate([self.start_angles[None], after[:-1]]), after
 
     @property
-    def turns(self) -> np.ndarray:
-        """`(P, L)`: which axis every piece turns."""
+    def turns(self) -> Bool[AnyArray, "P L"]:
+        """Which axis every piece turns."""
         return self.axis[:, None] == np.arange(self.geometry.axis_count)[None, :]
 
 

@@ -180,7 +180,7 @@ def _one_way_of_class(built: BuiltImu) -> list[str]:
     path = [term for term in absent_terms(built.spec) if term.key.endswith("hysteresis")]
     if not path:
         return []
-    complete = build_imu(changed(built.spec, {term.key: term.value for term in path}), built.until_s)
+    complete = build_imu(changed(built.spec, {term.key: term.value for term in path}))
     sentences = one_way_sentences(complete, imu_posterior(complete))
     return [f"{sentence}; the figure is typical of the class" for sentence in sentences]
 

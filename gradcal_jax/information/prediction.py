@@ -157,10 +157,9 @@ def _at_places(spec: Spec, place: str | None, **options: bool) -> Prediction:
     )
 
 
-def requirement_rows(spec: Spec, until_s: float = np.inf) -> list[RequirementRow]:
-    """The residual of every requirement after a spec's plan, and nothing else of its prediction. `until_s`: where the
-    plan is broken off, on its clock."""
-    built = build_imu(expect_spec(spec), until_s)
+def requirement_rows(spec: Spec) -> list[RequirementRow]:
+    """The residual of every requirement after a spec's plan, and nothing else of its prediction."""
+    built = build_imu(expect_spec(spec))
     budget = counted_posteriors(built, imu_posterior(built))
     return [requirement_row(built, budget, requirement) for requirement in built.spec.requirement]
 
@@ -187,7 +186,7 @@ def counted_posteriors(built: BuiltImu, known: Posterior) -> CountedPosteriors:
 def _complete(built: BuiltImu) -> BuiltImu:
     """The IMU with the error terms that its spec omits, at their classes' typical figures."""
     full = with_typical(built.spec)
-    return built if full is built.spec else build_imu(full, built.until_s, like=built)
+    return built if full is built.spec else build_imu(full, like=built)
 
 
 def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:

@@ -55,7 +55,7 @@ from gradcal_jax.model.build import (
     shapes_of,
     table_schedule,
 )
-from gradcal_jax.motion import Geometry, Schedule, TableMotion, TablePart
+from gradcal_jax.motion import Geometry, Schedule, TableMotion
 from gradcal_jax.spec import sensor as sensor_file
 from gradcal_jax.spec.bench import Rig
 from gradcal_jax.spec.memory import too_large
@@ -95,11 +95,10 @@ _SLACK = 1e-9
 
 
 class BuiltImu(NamedTuple):
-    """An IMU's spec in the core's terms. `motion`: of the plan. `points`:
-    quadrature points along a piece for functions of temperature, which are smooth there (`rough`: not along the pieces
-    of a log). `sources`: for each kind of channel the indices of its noise processes by the name of their error source.
-    `until_s`: where the plan is broken off, on its clock. `about` `(p,)`: the parameters of an estimate, by which its
-    errors act; None: an ideal sensor's. `gears`: see `gears.gears_of`, of what the spec itself names."""
+    """An IMU's spec in the core's terms. `motion`: of the plan. `points`: quadrature points along a piece for functions
+    of temperature, which are smooth there (`rough`: not along the pieces of a log). `sources`: for each kind of channel
+    the indices of its noise processes by the name of their error source. `about` `(p,)`: the parameters of an estimate,
+    by which its errors act; None: an ideal sensor's. `gears`: see `gears.gears_of`, of what the spec itself names."""
 
     spec: Spec
     model: ImuModel
@@ -107,7 +106,6 @@ class BuiltImu(NamedTuple):
     points: int
     rough: bool
     sources: Mapping[ChannelKind, Mapping[str, tuple[int, ...]]]
-    until_s: float = np.inf
     about: np.ndarray | None = None
     gears: Sequence[tuple[float, float]] = ()
 
@@ -118,14 +116,12 @@ class BuiltImu(NamedTuple):
 
 def build_imu(
     spec: Spec,
-    until_s: float = np.inf,
     change: Callable[[Schedule], Schedule] | None = None,
     like: BuiltImu | None = None,
 ) -> BuiltImu:
-    """Model and motion of an IMU's spec, whose plan is broken off at `until_s` of its clock. `change`: what the times
-    and rates of the plan become. `like`: an IMU with the same plan and other error terms, whose motion serves if the
-    terms need the same pieces. Errors: `MemoryError` for a plan with more readings than this machine can hold,
-    `ValueError` for a fixture of several IMUs."""
+    """Model and motion of an IMU's spec. `change`: what the times and rates of the plan become. `like`: an IMU with the
+    same plan and other error terms, whose motion serves if the terms need the same pieces. Errors: `MemoryError` for a
+    plan with more readings than this machine can hold, `ValueError` for a fixture of several IMUs."""
     if spec.rig.table.place:
         raise ValueError(
             "the spec has a fixture of several IMUs, and only predict, optimise and estimate support fixtures; for "
@@ -145,20 +141,9 @@ def build_imu(
     points = max(degree + 1, _LAGGED if exponential else 2 if model_.knows_path else 1)
     rough = model_.knows_path or any(b.breaks for b in bases)
     if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
-        return BuiltImu(spec, model_, like.motion, points, rough, sources, until_s, gears=like.gears)
-    plan = _part(spec.schedule, spec, change)
-    if until_s < np.inf:
-        broken = plan.between(-np.inf, until_s, whole=_reads_segments(spec))
-        if broken is None:
-            raise ValueError(f"no part of the plan was executed before {until_s:.6g} s")
-        plan = broken
+        return BuiltImu(spec, model_, like.motion, points, rough, sources, gears=like.gears)
     gears = gears_of(spec) if like is None else like.gears
-    return BuiltImu(spec, model_, _motion(plan, spec, model_), points, rough, sources, until_s, gears=gears)
-
-
-def _reads_segments(spec: Spec) -> bool:
-    """Whether a rest or a move counts as a whole, and not what lies between two readings of the angle."""
-    return spec.rig.table.standing == "held"
+    return BuiltImu(spec, model_, _motion(spec, model_, change), points, rough, sources, gears=gears)
 
 
 def course_before(spec: Spec) -> np.ndarray | None:
@@ -428,23 +413,16 @@ def rest_poses(built: BuiltImu) -> RestPoses:
     return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
-def _part(
-    plan: PlanSchedule | StandardSchedule, spec: Spec, change: Callable[[Schedule], Schedule] | None = None
-) -> TablePart:
-    """The pieces of a plan on a spec's rig."""
-    schedule, axes, start = _schedule(plan, spec)
+def _motion(spec: Spec, of: ImuModel, change: Callable[[Schedule], Schedule] | None) -> TableMotion:
+    """The motion of a spec's plan; `change`: what its times and rates become."""
+    schedule, axes, start = _schedule(spec.schedule, spec)
     schedule = schedule if change is None else change(schedule)
     line = schedule.trajectory(spec.sensor.lag)
     # What fills a stretch stands.
     axis = np.array([*axes, -1])[np.minimum(np.asarray(schedule.pieces.move), len(axes))]
     # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
-    return TablePart(line, axis, np.minimum(stretch, len(spec.rig.table.mounting) - 1), start)
-
-
-def _motion(part: TablePart, spec: Spec, of: ImuModel) -> TableMotion:
-    """The motion of a plan."""
-    line, axis, mounting, start = part
+    mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
     decays = [*_decays(of), *([] if spec.sensor.lag is None else [float(line.lag_rate)])]
     if decays:
         line, source = line.divided(*_divisions_by_decay(line, max(decays)))

@@ -19,4 +19,4 @@ from gradcal_jax.motion.table_motion import (
     table_motion,
     turns_of,
 )
-from gradcal_jax.motion.trajectory import TablePart, Trajectory, held, quadrature
+from gradcal_jax.motion.trajectory import Trajectory, held, quadrature

@@ -15,7 +15,7 @@ angles have a new origin, in a standstill of their own.
 
 from dataclasses import fields, replace
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
@@ -26,8 +26,6 @@ from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, once, placed
 from gradcal_jax.formulas import follow_ramp, running_affine
 
 _EVERY_PIECE = slice(None)
-# Times that differ by less are the same; s.
-_SAME_TIME = 1e-6
 
 
 class Trajectory(PytreeModule):
@@ -174,21 +172,6 @@ class Trajectory(PytreeModule):
         places = {name: np.flatnonzero(np.isin(source, getattr(self, name))) for name in _PLACES}
         return replace(self, **changes, **places), source
 
-    def between(self, begin: float, end: float) -> "Trajectory":
-        """The trajectory of the pieces that lie wholly between two times (s, in the time of `start`)."""
-        return self.of_pieces(self.lying_between(begin, end))
-
-    def lying_between(self, begin: float, end: float) -> Bool[np.ndarray, " P"]:
-        """Which pieces lie wholly between two times (s)."""
-        return (self.start >= begin - _SAME_TIME) & (self.start + self.duration <= end + _SAME_TIME)
-
-    def of_pieces(self, kept: Bool[np.ndarray, " P"]) -> "Trajectory":
-        """The trajectory of these pieces."""
-        rows = np.flatnonzero(kept)
-        changes = {name: getattr(self, name)[rows] for name in _OF_PIECES}
-        places = {name: np.flatnonzero(np.isin(rows, getattr(self, name))) for name in _PLACES}
-        return replace(self, **changes, **places, has_gaps=bool(np.any(self.gap[rows])))
-
 
 _PLACES = ("moving_pieces", "varying_pieces")
 _SINGLE = ("lag_rate", "has_gaps", "rates", "points", "lagged")
@@ -227,52 +210,3 @@ def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:
     x, w = (x + 1.0) / 2.0, w / 2.0
     x.flags.writeable = w.flags.writeable = False
     return x, w
-
-
-# Fractions of a piece nearer than this to one of its ends divide nothing.
-_EDGE = 1e-9
-
-
-class TablePart(NamedTuple):
-    """Pieces of a table's motion: `line`; the `axis` that each turns (−1: none) and its `mounting`, `(P,)`; the axes'
-    angles (rad) at the begin, `(L,)`."""
-
-    line: Trajectory
-    axis: Int[np.ndarray, " P"]
-    mounting: Int[np.ndarray, " P"]
-    start: Float[np.ndarray, " L"]
-
-    def between(self, begin: float, end: float, *, whole: bool) -> "TablePart | None":
-        """The pieces that lie wholly between two times (s, in the time of the line); None: none.
-
-        `whole`: rows are of whole rests and moves; of a rest at one of the times what lies between counts, of a move
-        nothing.
-        """
-        part = self._divided(begin, end) if whole else self
-        line = part.line
-        kept = line.lying_between(begin, end)
-        if whole:
-            number = np.asarray(line.segment)
-            kept &= (part.axis < 0) | ~np.isin(number, number[~kept & (part.axis >= 0)])
-        if not np.any(kept & ~line.gap):
-            return None
-        first = int(np.flatnonzero(kept)[0])
-        turned = np.where(part.axis[:first, None] == np.arange(len(part.start)), line.turned()[:first, None], 0.0)
-        return TablePart(line.of_pieces(kept), part.axis[kept], part.mounting[kept], part.start + turned.sum(axis=0))
-
-    def _divided(self, *times: float) -> "TablePart":
-        """With rests divided at times (s), and read there."""
-        line = self.line
-        pieces, places = [], []
-        for time in times:
-            at = (time - line.start) / np.where(line.duration > 0.0, line.duration, 1.0)
-            inside = np.flatnonzero((self.axis < 0) & (at > _EDGE) & (at < 1.0 - _EDGE))
-            pieces.append(inside)
-            places.append(at[inside])
-        piece, place = np.concatenate(pieces), np.concatenate(places)
-        if not len(piece):
-            return self
-        order = np.lexsort((place, piece))
-        line, source = line.divided(piece[order], place[order])
-        line = replace(line, read=line.read | (np.isin(source, piece) & ~line.gap))
-        return TablePart(line, self.axis[source], self.mounting[source], self.start)

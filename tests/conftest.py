@@ -100,12 +100,15 @@ _SURE = (
 """Rooms whose tests use the core by ways that its own tests, and the recorded numbers, have checked."""
 _ESTIMATES = ("estimate", "recording", "logs", "read_tables", "several", "late_terms", "without_encoder", "known_plans")
 """The same of files in `imu`, and of whole plans, whose figures have sources of their own."""
+_SEARCHES = ("pose_search", "free_course", "limits_of_cycles", "optimise", "imu_limit", "robust", "sequential", "slopes")
+"""The same of files in `design`, of searches of whole specs."""
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _annotations(request):
     parts = request.path.relative_to(Path(__file__).parent).parts
     sure = parts[0] in _SURE or (parts[0] == "imu" and any(word in parts[-1] for word in _ESTIMATES))
+    sure |= parts[0] == "design" and any(word in parts[-1] for word in _SEARCHES)
     jaxtyping.config.update("jaxtyping_disable", sure)
 
 

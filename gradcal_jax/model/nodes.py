@@ -232,8 +232,8 @@ class BodyNodes(PytreeModule):
     angle_before: Float[AnyArray, "K L"]
     angle_after: Float[AnyArray, "K L"]
     axes_before: Float[AnyArray, "K L 3"]
-    axis: Int[np.ndarray, " K"]
-    mounting: Int[np.ndarray, " K"]
+    axis: Int[AnyArray, " K"]
+    mounting: Int[AnyArray, " K"]
     temperature_before: Float[AnyArray, " P"] | None = None
     history: Float[AnyArray, " H"] | None = None
     across_axes: Float[AnyArray, "K L 3"] | None = None

@@ -51,7 +51,7 @@ def load(path: Path, columns: Path | None = None, rows: str | None = None, *, un
         return import_log(path, read_column_map(columns), rows=between)
     if is_vehicle_log(path):
         return read_vehicle_log(path, unit=unit, rows=between)
-    from gradcal_jax.records.column_guess import without_a_map
+    from gradcal_jax.records.column_names import without_a_map
 
     raise without_a_map(path)
 

@@ -59,12 +59,12 @@ def start(
 
 
 def _example(name: str, output: Path, force: bool) -> int:
-    from gradcal_jax.records import column_guess
+    from gradcal_jax.records import column_names
     from gradcal_jax.spec import presets
     from gradcal_jax.tables.writing import write_whole
 
     if name == _COLUMN_MAP:
-        text, following = column_guess.EXAMPLE, f"gradcal noise LOG --columns {output}"
+        text, following = column_names.EXAMPLE, f"gradcal noise LOG --columns {output}"
     elif name in _TEMPLATES:
         text, following = presets.template(f"{name}.j2"), f"gradcal export CALIBRATION --template {output}"
     else:

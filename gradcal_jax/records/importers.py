@@ -9,13 +9,14 @@ of unknown scale are kept unchanged with `wrong_units = "keep"`.
 
 import logging
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import Field
 
-from gradcal_jax.records.column_guess import question_of
+from gradcal_jax.records.column_names import question_of
 from gradcal_jax.records.log import SENSOR_RATE, Floats, Log, LogError, naming
 from gradcal_jax.records.log_faults import Columns, Policy, at_rows_with_rates, examine
 from gradcal_jax.records.table_readers import read_table
@@ -50,6 +51,13 @@ class StatusColumn(Source):
 
     good: Number = 0.0
     """Value that usable rows have in this column."""
+
+
+class ClockColumn(Source):
+    """Column of a counter of the samples, as a clock."""
+
+    rate: Frequency
+    """Number of samples a second."""
 
 
 class SensorColumns(Section):
@@ -89,6 +97,8 @@ class ColumnMap(SensorColumns):
     """Whether the data are simulated."""
     time: TimeColumn | None = None
     """Column of the sensor's time."""
+    clock: ClockColumn | None = None
+    """Instead of `time`: a counter of the samples, such as `{ column = "index", rate = "100 Hz" }`."""
     host_time: TimeColumn | None = None
     """Column of the computer's time."""
     standstill: Source | None = None
@@ -122,7 +132,9 @@ class ColumnMap(SensorColumns):
             yield Problem(("sensor",), "every sensor needs the same axes, in the same order")
         if len({sensor.name for sensor in self.sensor}) < len(self.sensor):
             yield Problem(("sensor",), "two sensors have the same name")
-        if self.time is None and self.sample_rate is None:
+        if self.time is not None and self.clock is not None:
+            yield Problem(("clock",), "cannot be combined with `time`: keep one of them")
+        if self.time is None and self.clock is None and self.sample_rate is None:
             message = 'give the column of the time, or the sample rate as in sample_rate = "100 Hz"'
             yield Problem(("time",), message, kind="missing")
         own = self.sources() if self.rate or self.sensor else ()
@@ -139,7 +151,7 @@ class ColumnMap(SensorColumns):
 
     def sources(self) -> Iterator[Source]:
         """Every column that the map names."""
-        yield from filter(None, (self.time, self.host_time, self.standstill))
+        yield from filter(None, (self.time, self.clock, self.host_time, self.standstill))
         for sensor in self.sensors:
             yield from sensor.rate.values()
             yield from sensor.force.values()
@@ -182,12 +194,27 @@ def import_log(path: str | Path, columns: ColumnMap | str | Path, *, rows: tuple
         log = _columns(table, columns, path.name)
         if columns.interpolate:
             log = at_rows_with_rates(log)
+        per_row = np.array([[rate.per == "row" for rate in sensor.rate.values()] for sensor in columns.sensors], bool)
+        rows_hz = _rows_hz(log)
+        log.rate_rad_per_s = log.rate_rad_per_s * np.where(per_row, rows_hz, 1.0)[:, None, :]
         examined = examine(log if rows is None else log.part(rows), columns.policy)
+        if per_row.any():
+            # The clock is known now: a row lasts as long as a sample.
+            factor = np.where(per_row, 1.0 / (examined.sample_interval_s * rows_hz), 1.0)[:, None, :]
+            examined = replace(examined, rate_rad_per_s=examined.rate_rad_per_s * factor)
         _refuse_counts(table, columns)
         _LOG.info("read %s: %d rows, %.6g s", path, len(examined.time_s), examined.duration_s)
         for fault in examined.findings:
             _LOG.warning("%s: %s", path, fault.message)
         return examined
+
+
+def _rows_hz(log: Columns) -> float:
+    """Rows a second, before it is known whether some are missing."""
+    if log.time_s is None:
+        return log.sample_rate_hz or 1.0
+    time = log.time_s[np.isfinite(log.time_s)]
+    return 1.0 / max(float(np.median(np.diff(time))), 1e-9) if len(time) > 1 else 1.0
 
 
 def _refuse_contradictions(table: Numbers, columns: ColumnMap) -> None:
@@ -232,11 +259,15 @@ def _columns(table: Numbers, columns: ColumnMap, name: str) -> Columns:
     left_out = np.zeros(rows, bool)
     left_out[: columns.skip_first] = True
     standstill = None if columns.standstill is None else table.numbers(columns.standstill).astype(np.float64)
+    time = None if columns.time is None else table.stamps(columns.time)
+    if columns.clock is not None:
+        count = table.numbers(columns.clock).astype(np.float64)
+        time = (count - count[np.isfinite(count)][:1]) / float(columns.clock.rate)
     return Columns(
         rate_rad_per_s=rate,
         units=tuple(sensor.name for sensor in sensors),
         axes=tuple(sensors[0].rate),
-        time_s=None if columns.time is None else table.stamps(columns.time),
+        time_s=time,
         sample_rate_hz=None if columns.sample_rate is None else float(columns.sample_rate),
         full_scale_rad_per_s=None if columns.full_scale is None else float(columns.full_scale),
         specific_force_m_per_s2=force,

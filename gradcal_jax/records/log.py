@@ -437,6 +437,30 @@ class Log:
         return EvenSeries(np.where(valid, values[row], 0.0), valid, self.sample_interval_s, temperature, row)
 
 
+def without_masked(log: Log) -> Log:
+    """The log with NaN for every value of a masked row that its reason concerns: no computation can use one.
+
+    Rates are NaN for every reason but a missing force, forces for every reason but a missing rate, and temperatures
+    where they, or the whole row, are masked. A saturated value stays: it tells that a limit cuts off the noise.
+    """
+    if log.status is None or not log.status.any():
+        return log
+    temperature = Reason.MISSING_TEMPERATURE | Reason.FROZEN_TEMPERATURE | Reason.MARKED | Reason.LEFT_OUT
+    masked = {
+        "rate_rad_per_s": (log.status & ~np.uint16((Reason.MISSING_FORCE | Reason.SATURATED).value)) != 0,
+        "specific_force_m_per_s2": (log.status & ~np.uint16((Reason.MISSING_RATE | Reason.SATURATED).value)) != 0,
+        "temperature_c": (log.status & np.uint16(temperature.value)) != 0,
+        "second_temperature_c": (log.status & np.uint16((Reason.MARKED | Reason.LEFT_OUT).value)) != 0,
+    }
+    changed = dict[str, Floats]()
+    for name, rows in masked.items():
+        values: Floats | None = getattr(log, name)
+        if values is not None and rows.any():
+            changed[name] = values.copy()
+            changed[name][rows] = np.nan
+    return replace(log, **changed)
+
+
 def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:
     """The intervals of stamps (s), without those between two stretches."""
     interval = np.diff(time_s)

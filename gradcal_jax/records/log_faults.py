@@ -18,6 +18,7 @@ from gradcal_jax.records.log import (
     Whole,
     intervals_within,
     mean_interval,
+    without_masked,
 )
 from gradcal_jax.records.signal_faults import at_a_limit, frozen_temperature, jumped_temperature, quiet_windows
 from gradcal_jax.records.uneven_stamps import (
@@ -26,6 +27,7 @@ from gradcal_jax.records.uneven_stamps import (
     even_clock,
     refuse_intervals,
     refuse_restart,
+    stamps_ahead,
     wander,
 )
 from gradcal_jax.tables.section import Section
@@ -40,6 +42,10 @@ _WINDOW: Final = 5
 """Number of rows on either side within which time stamps may compensate jitter."""
 _SHORT, _OFTEN = 0.3, 0.05
 """An interval is short below `_SHORT` medians; if more than this share of them is short, stamps come in bursts."""
+_UNEVEN: Final = 0.005
+"""If more than this share of the intervals are gaps, they must be whole numbers of intervals."""
+_SHOWS, _WHOLE = 12.0, 0.3
+"""Gaps of fewer intervals show whether they are whole numbers of intervals, which they are within `_WHOLE`."""
 _MANY_ROWS: Final = 20
 """Least number of rows that counts as many."""
 _COARSE: Final = 0.1
@@ -60,6 +66,7 @@ _TURNS, _IN_TURNS = 8, 3.0
 """Largest number of sensors whose rows may alternate; least ratio of differences, neighbours over rows of a sensor."""
 _ABSURD: Final = 1e12
 """A number of this size or larger (time in s, rate or temperature) is not a reading."""
+_WHOLE_ROWS: Final = Reason.LEFT_OUT | Reason.MARKED
 _FACTORS: Final[Mapping[str, float]] = {
     "deg instead of rad, or the reverse": 180 / np.pi,
     "a thousandth": 1e3,
@@ -233,18 +240,19 @@ class _Examination:
         time, rows_kept = self.ordered(rows)
         all_kept = np.array_equal(rows_kept, np.arange(len(self.raw.rate_rad_per_s[0]), dtype=np.int64))
         kept = self.raw if all_kept else self.raw.of_rows(rows_kept)
-        rate, force = kept.rate_rad_per_s, kept.specific_force_m_per_s2
         time, starts = self.stretches(time)
-        self.status = np.zeros(rate.shape[:2], np.uint16)
+        self.status = np.zeros(kept.rate_rad_per_s.shape[:2], np.uint16)
         if kept.left_out is not None:
             self.status[:, kept.left_out] |= Reason.LEFT_OUT.value
+        if kept.marked is not None:
+            self.mask(kept.marked, Reason.MARKED, self.policy.marked, "marked bad by the device")
+        kept = _without(kept, self.status != 0)
+        rate, force = kept.rate_rad_per_s, kept.specific_force_m_per_s2
         self.rates(rate)
         if force is not None:
             missing = np.any(~(np.abs(force) < _ABSURD), axis=2)
             self.mask(missing, Reason.MISSING_FORCE, self.policy.missing_forces, "without a specific force")
             self.force_sizes(force)
-        if kept.marked is not None:
-            self.mask(kept.marked, Reason.MARKED, self.policy.marked, "marked bad by the device")
         if kept.temperature_c is not None:
             self.temperatures(time, kept.temperature_c, starts)
         self.sizes(time, kept, starts)
@@ -262,7 +270,7 @@ class _Examination:
             "findings": tuple(self.findings),
             "provenance": dict(kept.provenance),
         }
-        return Log(**as_it_is | examined)
+        return without_masked(Log(**as_it_is | examined))
 
     def drop_empty_rows(self) -> None:
         """Rows of channels that the map does not name, which are many, are no rows of the record."""
@@ -292,6 +300,8 @@ class _Examination:
         self.note_fault("wrong unit", self.policy.wrong_units, 0, question)
 
     def mask(self, where: Bools, reason: Reason, action: str, words: str) -> None:
+        # Rows that are masked whatever their values are have none.
+        where = where & ((self.status & np.uint16(_WHOLE_ROWS.value)) == 0)
         count = int(np.count_nonzero(where))
         if count == 0:
             return
@@ -311,6 +321,8 @@ class _Examination:
         time, order = raw.time_s, np.arange(len(raw.time_s))
         readable = np.abs(time) < _ABSURD
         refuse_intervals(time[readable])
+        ahead = stamps_ahead(time, readable)
+        readable &= ~ahead
         before, duplicate, unordered = against_earlier(time, readable)
         refuse_restart(time, before, unordered, raw.rows_before)
         if (count := int(np.count_nonzero(unordered))) > max(_MANY_ROWS, _COARSE * rows):
@@ -328,7 +340,7 @@ class _Examination:
             action = "refuse" if self.policy.unordered_stamps == "refuse" else "sort"
             self.note_fault("rows out of order", action, count, text)
             order = np.argsort(np.where(readable, time, np.inf), kind="stable")
-            time, readable = time[order] - time[order[0]], readable[order]
+            time, readable, ahead = time[order] - time[order[0]], readable[order], ahead[order]
             before, duplicate, unordered = against_earlier(time, readable)
         if np.count_nonzero(duplicate) > _COARSE * rows:
             span = float(np.max(time[readable]) - np.min(time[readable]))
@@ -340,7 +352,8 @@ class _Examination:
                 "rows of one sensor with the key `where`"
             )
         for kind, where, action, words in (
-            ("unreadable row", ~readable, self.policy.unreadable_rows, "without a readable time"),
+            ("unreadable row", ~readable & ~ahead, self.policy.unreadable_rows, "without a readable time"),
+            ("damaged stamp", ahead, self.policy.unreadable_rows, "with a time stamp ahead of the rows around them"),
             ("duplicate stamp", duplicate, self.policy.duplicate_stamps, "with the time stamp of an earlier row"),
             ("unordered stamp", unordered, self.policy.unordered_stamps, "stamped before an earlier row"),
         ):
@@ -391,6 +404,17 @@ class _Examination:
             if lost_rows:
                 self.note_gaps(starts[1:] - 1, lost_rows, float(np.max(np.diff(even))))
             return even, starts
+        if len(gaps) > max(_MANY_ROWS, _UNEVEN * len(time)) and not _are_losses(
+            time, interval[gaps] / usual, removed=bool(self.removed)
+        ):
+            mean_hz = (len(time) - 1) / float(time[-1] - time[0])
+            text = (
+                f"the time stamps are not those of one even clock: half of the rows are less than {1e3 * usual:.3g} ms "
+                f"apart, and the {len(gaps)} longer intervals are not like those over lost rows. If rows arrive in "
+                f'bursts and none is missing, give sample_rate (such as "{mean_hz:.6g} Hz", rows over time) instead of '
+                "time; if the rows are counted, give the counter as `clock`"
+            )
+            self.note_fault("uneven stamps", self.policy.wrong_units, 0, text)
         if len(gaps):
             seconds = float(np.sum(interval[gaps])) - usual * len(gaps)
             self.note_gaps(gaps, round(min(seconds / usual, 2.0**62)), float(np.max(interval[gaps])))
@@ -559,6 +583,33 @@ class _Examination:
         if varies > _DRIFT:
             text = f"the sample interval varies by {varies * 1e6:.0f} ppm (rms) during the record"
             self.note_fault("clock drift", action, 0, text)
+
+
+def _without(columns: Columns, masked: Bools) -> Columns:
+    """The columns with NaN in the rows `(units, rows)` that are masked whatever their values are."""
+    if not masked.any():
+        return columns
+    names = ("rate_rad_per_s", "specific_force_m_per_s2", "temperature_c", "second_temperature_c")
+    changed = dict[str, Floats]()
+    for name in names:
+        values: Floats | None = getattr(columns, name)
+        if values is not None:
+            changed[name] = values.astype(np.float64)
+            changed[name][masked] = np.nan
+    return replace(columns, **changed)
+
+
+def _are_losses(time: Floats, intervals: Floats, *, removed: bool) -> bool:
+    """Whether long `intervals` (in usual ones) are those over lost rows: most are whole numbers, and the stamps do not
+    come back to an even clock, which they do if rows are only late, or `removed` evenly."""
+    rows = np.arange(len(time), dtype=np.float64)
+    apart = time - np.polyval(np.polyfit(rows, time, 1), rows)
+    if not removed and np.ptp(apart) <= 1.5 * float(np.max(np.diff(time))):
+        return False
+    # The usual interval is known to a few per cent of jitter: only short gaps show whether they are.
+    short = intervals[intervals < _SHOWS]
+    off = np.abs(short - np.rint(short))
+    return len(short) > 0.5 * len(intervals) and float(np.mean(off < _WHOLE)) > 0.9
 
 
 def _least_walk(values: Floats, interval: float) -> float:

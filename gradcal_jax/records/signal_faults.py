@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from gradcal_jax import formulas
-from gradcal_jax.records.log import Bools, Floats, Log, LogError, Reason, Whole
+from gradcal_jax.records.log import Bools, Floats, Log, LogError, Reason, Whole, without_masked
 
 # Values alike on end: of a sample that stands still, of one at a limit; and the least number of the latter in all.
 _FROZEN, _STUCK, _AT_A_LIMIT = 60, 3, 10
@@ -446,14 +446,10 @@ def without_faults(
         status[k, faults.frozen] |= Reason.FROZEN_VALUES.value
         status[k, faults.far] |= Reason.FAR_FROM_NEIGHBOURS.value
         status[k, faults.frozen_temperature] |= Reason.FROZEN_TEMPERATURE.value
-    unknown = np.array([faults.frozen_temperature for faults in found.values()])
-    temperature = log.temperature_c
-    if temperature is not None and unknown.any():
-        temperature = np.where(unknown, np.nan, temperature)
     starts = next(iter(found.values())).starts
     if not status.any() and len(starts) == len(log.stretch_starts):
         return log, found
-    return replace(log, status=status, temperature_c=temperature, stretch_starts=starts), found
+    return without_masked(replace(log, status=status, stretch_starts=starts)), found
 
 
 def _stands_still(what: str, time: Floats, still: Bools) -> str:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from gradcal_jax import units
 from gradcal_jax.records.log import Floats, LogError
@@ -75,6 +75,8 @@ class Measured(Source):
 
     DIMENSION: ClassVar[str]
 
+    per: Literal["second", "row"] = "second"
+    """"row" for a rate whose values are the angles turned since the row before; `unit` is then that of an angle."""
     unit: Text
     """Unit of the values, after `zero` and `scale` are applied."""
     scale: Number = 1.0
@@ -94,10 +96,13 @@ class Measured(Source):
 
     @field_validator("unit")
     @classmethod
-    def _measures(cls, unit: str) -> str:
+    def _measures(cls, unit: str, info: ValidationInfo) -> str:
+        per_row = info.data.get("per") == "row"
+        if per_row and cls.DIMENSION != "angular rate":
+            raise ValueError('only a column of a rate can have per = "row"')
         if cls.DIMENSION == "temperature" and unit.strip().lower() in ("k", "kelvin", "kelvins"):
             raise ValueError('for a column in kelvins, write unit = "degC" and zero = 273.15')
-        units.parse(f"1 {unit}", cls.DIMENSION)
+        units.parse(f"1 {unit}", "angle" if per_row else cls.DIMENSION)
         return unit
 
 
@@ -215,8 +220,8 @@ class Numbers:
         return values if self.kept is None else values[self.kept]
 
     def measured(self, source: Measured) -> Floats:
-        """One column in SI."""
-        dimension = source.DIMENSION
+        """One column in SI; angles per row stay angles."""
+        dimension = "angle" if source.per == "row" else source.DIMENSION
         values = self.numbers(source).astype(np.float64)
         at_zero = units.parse(f"0 {source.unit}", dimension)  # not 0 for degF
         factor = units.parse(f"1 {source.unit}", dimension) - at_zero

@@ -27,6 +27,10 @@ _PAUSE, _EVENLY = 1.6, 0.02
 _WHOLE: Final = 0.3
 # Rows without which stamps are not looked at; share of steps that are not forward, and steps that the stamps then span.
 _LOOKED_AT, _NOT_FORWARD, _SPANNED = 100, 0.3, 10.0
+# Usual intervals by which damaged stamps are ahead; largest share of rows with such stamps.
+_FAR_AHEAD, _DAMAGED = 10.0, 0.1
+# Steps back that are a fault of the whole column; rows on end that may be damaged.
+_OFTEN_BACK, _LONGEST_AHEAD = 1000, 10_000
 # Rows on end behind an earlier stamp that are not single outliers.
 _RESTART: Final = 10
 _COUNTERS: Final = {
@@ -47,6 +51,33 @@ def against_earlier(time: Floats, readable: Bools) -> tuple[Floats, Bools, Bools
     earlier = np.maximum.accumulate(np.where(readable, time, -np.inf))
     before = np.concatenate([[-np.inf], earlier[:-1]])[: len(time)]
     return before, readable & (time == before), readable & (time < before)
+
+
+def stamps_ahead(time: Floats, readable: Bools) -> Bools:
+    """`(n,)`: rare rows whose stamps jump far ahead and back again, to where the stamps before them go on: damaged."""
+    result = np.zeros(len(time), bool)
+    rows = np.flatnonzero(readable)
+    own = time[rows]
+    if len(own) < _LOOKED_AT:
+        return result
+    steps = np.diff(own)
+    usual = float(np.median(np.abs(steps)))
+    good = 0
+    latest = own[0]
+    backs = np.flatnonzero(steps < -_FAR_AHEAD * usual) + 1
+    for back in backs.tolist() if len(backs) < _OFTEN_BACK else []:
+        # The last row before this one from which the stamps go on here.
+        start = max(good, back - _LONGEST_AHEAD)
+        before = start + int(np.searchsorted(np.maximum.accumulate(own[start:back]), own[back])) - 1
+        if before < start or own[back] <= latest:
+            continue
+        count = back - before - 1
+        jump = own[before + 1] - own[before]
+        lasts = own[back] - own[before]
+        if jump > _FAR_AHEAD * usual and lasts < jump and lasts < _FAR_AHEAD * usual * (count + 1):
+            result[rows[before + 1 : back]] = True
+            good, latest = back, own[before]
+    return result if np.mean(result) < _DAMAGED else np.zeros(len(time), bool)
 
 
 def refuse_restart(time: Floats, before: Floats, unordered: Bools, rows_before: int) -> None:

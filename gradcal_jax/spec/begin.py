@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 from gradcal_jax import units
 from gradcal_jax.calibration.text_template import rendered
 from gradcal_jax.hardware import frames, line_protocol, register_protocol
-from gradcal_jax.records.column_guess import EXAMPLE
+from gradcal_jax.records.column_names import EXAMPLE
 from gradcal_jax.spec import presets, started_spec
 from gradcal_jax.spec.absent import grades
 from gradcal_jax.tables.display import columns

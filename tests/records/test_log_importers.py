@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from gradcal_jax.records import table_readers
-from gradcal_jax.records.column_guess import EXAMPLE, guess
+from gradcal_jax.records.column_names import EXAMPLE, map_to_fill_in
 from gradcal_jax.records.importers import import_log, parse_column_map, read_column_map
 from gradcal_jax.records.log import LogError
 from gradcal_jax.records.log_file import write_log
@@ -114,21 +114,21 @@ def test_the_example_of_a_column_map_is_one_and_a_header_is_guessed(tmp_path):
     assert list(parse_column_map(EXAMPLE).rate) == ["x", "y", "z"]
     path = tmp_path / "a.csv"
     path.write_text("timestamp [us];gyro_x (rad/s);gyro_y (rad/s);temperature_C\n0;1;2;20\n", encoding="utf-8")
-    found = parse_column_map(guess(path))
+    found = parse_column_map(map_to_fill_in(path))
     assert found.time.unit == "us"
     assert {axis: column.unit for axis, column in found.rate.items()} == {"x": "rad/s", "y": "rad/s"}
     assert found.temperature.unit == "degC"
     assert found.csv.delimiter == ";"
     path.write_text("t [s],gx [deg/s],ax [m/s2],acc_y (g)\n0,1,2,3\n", encoding="utf-8")
-    forces = parse_column_map(guess(path)).force
+    forces = parse_column_map(map_to_fill_in(path)).force
     assert {axis: (column.column, column.unit) for axis, column in forces.items()} == {
         "x": ("ax [m/s2]", "m/s^2"),
         "y": ("acc_y (g)", "g"),
     }
     path.write_text("t,gx,gy\n0,1,2\n", encoding="utf-8")
-    assert 'unit = "???"' in guess(path)  # a header without units: a person says them
+    assert 'unit = "???"' in map_to_fill_in(path)  # a header without units: a person says them
     path.write_text("when,voltage\n0,1\n", encoding="utf-8")
-    assert guess(path) is None
+    assert map_to_fill_in(path) is None
 
 
 @given(header=st.text(max_size=80))
@@ -136,7 +136,7 @@ def test_the_example_of_a_column_map_is_one_and_a_header_is_guessed(tmp_path):
 def test_any_header_gives_a_map_or_none(tmp_path_factory, header):
     path = tmp_path_factory.mktemp("guess") / "a.csv"
     path.write_text(header + ",gx [deg/s],t [s]\n", encoding="utf-8", errors="replace")
-    found = guess(path)
+    found = map_to_fill_in(path)
     if found is not None and "???" not in found:
         parse_column_map(found)
 
@@ -212,11 +212,10 @@ def test_scale_zero_and_units_of_counts(tmp_path):
             'rate.x = { column = "gyro", index = 0, unit = "mdps", scale = 8.75, zero = 100 }\n'
         ),
     )
-    np.testing.assert_allclose(
-        np.degrees(log.rate_rad_per_s[0, :, 0]), (np.array([100, -32768, 32767, 0]) - 100) * 8.75e-3, atol=1e-12
-    )
+    expected = (np.array([100.0, -32768.0, np.nan, 0.0]) - 100.0) * 8.75e-3  # the third row is masked
+    np.testing.assert_allclose(np.degrees(log.rate_rad_per_s[0, :, 0]), expected, atol=1e-12)
     np.testing.assert_allclose(log.time_s, [0, 0.01, 0.02, 0.03], rtol=1e-12)  # in spite of 1.7e18
-    np.testing.assert_allclose(log.temperature_c[0], [0, 10, 20, 100], atol=1e-12)
+    np.testing.assert_allclose(log.temperature_c[0], [0, 10, np.nan, 100], atol=1e-12)
     assert log.counts() == {"used": 3, "marked": 1}
 
 
@@ -251,6 +250,7 @@ def test_specific_forces_are_read_masked_and_judged(tmp_path):
     np.savez(path, t=np.arange(n) * 10.0, gx=0.1 * rng.standard_normal(n), acc=acc, counts=np.full((n, 3), 33000))
     log = import_log(path, plain(FORCES))
     assert log.force_axes == ("x", "y", "z")
+    acc[7] = np.nan  # masked
     np.testing.assert_allclose(log.specific_force_m_per_s2[0], 9.80665e-3 * acc, rtol=1e-12)
     assert log.counts() == {"used": n - 1, "missing force": 1}
     assert import_log(path, plain(FORCES), rows=(0, 9)).specific_force_m_per_s2.shape == (1, 9, 3)
@@ -297,7 +297,8 @@ def test_several_sensors_on_one_table(tmp_path):
     )
     assert log.units == ("SN-a", "SN-b")
     assert log.axes == ("x", "z")
-    np.testing.assert_array_equal(log.rate_rad_per_s[1], 2 * RATES[:, [0, 2]])
+    assert np.isnan(log.rate_rad_per_s[:, :2]).all()  # left out
+    np.testing.assert_array_equal(log.rate_rad_per_s[1, 2:], 2 * RATES[2:, [0, 2]])
     assert np.isnan(log.temperature_c[1]).all()
     np.testing.assert_allclose(log.table_angle_rad[:, 0], np.radians(angle))
     assert log.standstill[:9].tolist() == [0] * 9

@@ -9,7 +9,7 @@ import pytest
 
 from gradcal_jax import identify
 from gradcal_jax.identify.instability import at_rest
-from gradcal_jax.records.column_guess import contradiction
+from gradcal_jax.records.column_names import contradiction
 from gradcal_jax.records.importers import import_log, parse_column_map
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.units import DEG_PER_SQRT_H

@@ -6,29 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gradcal_jax.records.column_guess import guess
+from gradcal_jax.records.column_names import contradiction, map_to_fill_in
 from gradcal_jax.records.importers import import_log, parse_column_map
 from gradcal_jax.records.log import LogError
 from gradcal_jax.records.log_file import read_log, write_log
 
 PHYPHOX = '"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)","Gyroscope z (rad/s)"'
-EUROC = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2]"
 OPENIMU = "time, xAccel (m/s^2), yAccel (m/s^2), zAccel (m/s^2), xRate (deg/s), yRate (deg/s), zRate (deg/s)"
-BLACKBOX = "loopIteration, time (us), axisP[0], gyroADC[0], gyroADC[1], gyroADC[2], accSmooth[0]"
-XSENS = "// Firmware 4\nPacketCounter\tSampleTimeFine\tAcc_X\tAcc_Y\tAcc_Z\tGyr_X\tGyr_Y\tGyr_Z"
-MICROSTRAIN = "Device,6254\nDATA_START\nTime,scaledAccelX,scaledGyroX,scaledGyroY,scaledGyroZ"
 HEADERS = {
-    "phyphox": ("a.csv", PHYPHOX, {"time": ("Time (s)", "s"), "rate.z": ("Gyroscope z (rad/s)", "rad/s")}),
-    "Sensor Logger": ("Gyroscope.csv", "time,seconds_elapsed,z,y,x", {"time": ("seconds_elapsed", "s"),
-                      "rate.x": ("x", "rad/s")}),
-    "EuRoC": ("data.csv", EUROC, {"time": ("timestamp [ns]", "ns"), "rate.y": ("w_RS_S_y [rad s^-1]", "rad/s"),
-              "force.x": ("a_RS_S_x [m s^-2]", "m/s^2")}),
-    "OpenIMU": ("a.csv", OPENIMU, {"rate.x": ("xRate (deg/s)", "deg/s"), "force.z": ("zAccel (m/s^2)", "m/s^2")}),
-    "blackbox": ("a.csv", BLACKBOX, {"time": ("time (us)", "us"), "rate.y": ("gyroADC[1]", "???"),
-                 "force.x": ("accSmooth[0]", "???")}),
-    "Xsens": ("a.txt", XSENS, {"time": ("SampleTimeFine", "???"), "rate.z": ("Gyr_Z", "???"),
-              "force.x": ("Acc_X", "???")}),
-    "SensorConnect": ("a.csv", MICROSTRAIN, {"rate.x": ("scaledGyroX", "???"), "force.x": ("scaledAccelX", "???")}),
+    "brackets": (PHYPHOX, {"time": ("Time (s)", "s"), "rate.z": ("Gyroscope z (rad/s)", "rad/s")}),
+    "axis first": (OPENIMU, {"rate.x": ("xRate (deg/s)", "deg/s"), "force.z": ("zAccel (m/s^2)", "m/s^2")}),
+    "no units": ("Time\tAcc_X\tGyr_X", {"time": ("Time", "???"), "rate.x": ("Gyr_X", "???")}),
+    "joined": ("TimeUS,gyro_x_rads,temp_C", {"time": ("TimeUS", "us"), "rate.x": ("gyro_x_rads", "rad/s"),
+               "temperature": ("temp_C", "degC")}),
 }  # fmt: skip
 
 
@@ -43,17 +33,43 @@ def columns_of(text: str) -> dict[str, tuple[str, str]]:
     return found
 
 
-@pytest.mark.parametrize("program", HEADERS)
-def test_headers_of_programs_are_known(program: str, tmp_path: Path):
-    name, header, expected = HEADERS[program]
-    (tmp_path / name).write_text(header + "\n", encoding="utf-8")
-    text = guess(tmp_path / name)
+@pytest.mark.parametrize("kind", HEADERS)
+def test_a_map_is_made_from_a_header(kind: str, tmp_path: Path):
+    header, expected = HEADERS[kind]
+    (tmp_path / "a.csv").write_text(header + "\n", encoding="utf-8")
+    text = map_to_fill_in(tmp_path / "a.csv")
     assert text is not None
     assert expected.items() <= columns_of(text).items()
     assert ('delimiter = "tab"' in text) == ("\t" in header)
     (tmp_path / "b.csv.gz").write_bytes(gzip.compress((header + "\n").encode()))
-    if program != "Sensor Logger":
-        assert guess(tmp_path / "b.csv.gz") == text
+    assert map_to_fill_in(tmp_path / "b.csv.gz") == text
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "says"),
+    [
+        ("temp_F", "degC", "F"),
+        ("tempF", "degC", "F"),
+        ("temp_K", "degC", "K"),
+        ("gyro_x_rads", "deg/s", "rads"),
+        ("gx_deg_h", "deg/s", "deg_h"),
+        ("gyroXDps", "rad/s", "Dps"),
+        ("mdps_x", "deg/s", "mdps"),
+        ("TimeUS", "ms", "US"),
+        ("acc_x_mg", "g", "mg"),
+    ],
+)
+def test_a_unit_joined_to_a_name_that_contradicts_the_map_is_a_question(name: str, unit: str, says: str):
+    question = contradiction(name, unit)
+    assert question is not None
+    assert f"states the unit {says}, and the column map states {unit}" in question
+
+
+@pytest.mark.parametrize(
+    "name", ["g_x", "w_s", "rate_C", "gyro_s", "t_x", "acc_f", "gyroADC[0]", "x_g", "SampleTimeFine"]
+)
+def test_letters_that_are_no_unit_of_the_quantity_say_nothing(name: str):
+    assert contradiction(name, "mdeg/s") is None
 
 
 def test_a_guess_with_units_reads_the_file(tmp_path: Path):
@@ -61,7 +77,7 @@ def test_a_guess_with_units_reads_the_file(tmp_path: Path):
     rows = [f"{k / 100},{x},{y},{z}" for k, (x, y, z) in enumerate(rate.tolist())]
     path = tmp_path / "a.csv"
     path.write_text("\n".join([PHYPHOX, *rows]), encoding="utf-8")
-    text = guess(path)
+    text = map_to_fill_in(path)
     assert text is not None
     assert import_log(path, parse_column_map(text)).rate_rad_per_s[0] == pytest.approx(rate)
 
@@ -87,26 +103,9 @@ def test_a_log_that_is_read_is_logged_with_its_faults(tmp_path: Path, caplog):
     assert said[-1] == ("INFO", f"read {tmp_path / 'log.nc'}: {rows} rows, {log.duration_s:.6g} s")
 
 
-def test_sentences_of_receivers_are_known(tmp_path: Path):
-    path = tmp_path / "vn.txt"
-    rows = [f"$VNYMR,1,2,3,1,2,3,0.1,0.2,-9.8,{0.001 * k},{0.002 * k},{0.003 * k}*{k % 256:02X}" for k in range(300)]
-    path.write_text("\n".join(rows), encoding="utf-8")
-    text = guess(path)
-    assert text is not None
-    log = import_log(path, parse_column_map(text.replace("???", "100 Hz")))
-    assert log.rate_rad_per_s[0, 7] == pytest.approx([0.007, 0.014, 0.021])
-    assert log.specific_force_m_per_s2 is not None
-    assert log.specific_force_m_per_s2[0, 7] == pytest.approx([0.1, 0.2, -9.8])
-    path.write_text("%RAWIMUSA,1105,425384.180;1105,425384.1561,00,43,430312,-3033,-26732,-11184,-5181*5aa97065\n")
-    text = guess(path)
-    assert text is not None
-    assert "rate.y = { column = 9" in text
-    assert "scale = -???" in text
-
-
 def test_a_header_that_says_nothing_is_not_guessed(tmp_path: Path):
     (tmp_path / "a.csv").write_text("one,two,three\n1,2,3\n", encoding="utf-8")
-    assert guess(tmp_path / "a.csv") is None
+    assert map_to_fill_in(tmp_path / "a.csv") is None
 
 
 def test_of_sensors_that_are_not_there_the_values_are_shown(tmp_path: Path):

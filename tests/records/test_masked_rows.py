@@ -1,0 +1,150 @@
+"""Masked values steer nothing, damaged stamps cost their own rows, and rows that are counted are a clock."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gradcal_jax.records.importers import import_log, parse_column_map
+from gradcal_jax.records.log import LogError, Reason
+from gradcal_jax.records.log_faults import Columns, examine
+from gradcal_jax.records.signal_faults import without_faults
+
+ROWS, HZ = 6000, 10.0
+HEAD = 'format = "gradcal-columns/1"\n'
+TIME = 'time = { column = "t", unit = "s" }\n'
+NOISE = 0.3 / 60.0
+"""deg/sqrt(s)"""
+
+
+def rates(rows: int = ROWS, hz: float = HZ, seed: int = 0) -> np.ndarray:
+    return NOISE * np.sqrt(hz) * np.random.default_rng(seed).standard_normal(rows)
+
+
+def walk(values: np.ndarray, hz: float) -> float:
+    """deg/sqrt(s) of white noise, by its means over a second."""
+    means = values[: len(values) // round(hz) * round(hz)].reshape(-1, round(hz)).mean(axis=1)
+    return float(np.sqrt(0.5 * np.mean(np.diff(means) ** 2)))
+
+
+def warm_up(masked: np.ndarray, rate: float, temperature: float) -> Columns:
+    """A warm-up from 20 to 40 degC, with these values in rows that the device marks as bad."""
+    course = np.linspace(20.0, 40.0, ROWS)
+    values = np.radians(0.01 * (course - 20.0) + rates())
+    return Columns(
+        rate_rad_per_s=np.where(masked, rate, values)[None, :, None],
+        units=("a",),
+        axes=("x",),
+        time_s=np.arange(ROWS) / HZ,
+        temperature_c=np.where(masked, temperature, np.round(course, 3))[None],
+        marked=masked[None],
+    )
+
+
+@given(
+    seed=st.integers(0, 2**16),
+    rate=st.floats(-1.0, 1.0) | st.sampled_from([np.nan, 1e300]),
+    temperature=st.floats(-300.0, 1000.0) | st.sampled_from([85.0, np.nan]),
+)
+@settings(max_examples=20, deadline=None)
+def test_masked_values_change_nothing(seed, rate, temperature):
+    masked = np.random.default_rng(seed).random(ROWS) < 0.01
+    logs = [examine(warm_up(masked, *values)) for values in ((0.0, 30.0), (rate, temperature))]
+    for name in ("time_s", "rate_rad_per_s", "temperature_c", "status", "stretch_starts"):
+        np.testing.assert_array_equal(getattr(logs[0], name), getattr(logs[1], name))
+    cleaned = [without_faults(log, at_rest=True)[0] for log in logs]
+    np.testing.assert_array_equal(cleaned[0].rate_rad_per_s, cleaned[1].rate_rad_per_s)
+    assert cleaned[0].bridged_temperature() == pytest.approx(cleaned[1].bridged_temperature(), abs=0.0)
+
+
+def test_false_readings_of_a_thermometer_leave_no_trace():
+    columns = warm_up(np.zeros(ROWS, bool), 0.0, 0.0)
+    for first in range(300, 5800, 250):
+        columns.temperature_c[0, first : first + 10] = 85.0
+    log = examine(columns)
+    assert log.counts() == {"used": ROWS - 220, Reason.MISSING_TEMPERATURE.words: 220}
+    assert np.nanmax(log.temperature_c) <= 40.0
+    assert np.isnan(log.rate_rad_per_s[0, log.status[0] != 0]).all()
+
+
+def imported(folder: Path, time: np.ndarray, values: np.ndarray, text: str, name: str = "gx"):
+    path = folder / "a.csv"
+    np.savetxt(path, np.column_stack([time, values]), delimiter=",", header=f"t,{name}", comments="", fmt="%.7f")
+    return import_log(path, parse_column_map(HEAD + text))
+
+
+GX = 'rate.x = { column = "gx", unit = "deg/s" }\n'
+
+
+@pytest.mark.parametrize("ahead_s", [4294.967296, 30.0])
+def test_stamps_ahead_cost_their_own_rows(tmp_path, ahead_s):
+    time = np.arange(ROWS) / 100.0
+    damaged = time.copy()
+    for first in (500, 2000, 2100, 5000):
+        damaged[first : first + 20] += ahead_s
+    log = imported(tmp_path, damaged, rates(hz=100.0), TIME + GX)
+    assert log.rows_removed == {"damaged stamp": 80}
+    (finding,) = (one for one in log.findings if one.kind == "damaged stamp")
+    assert "first row 500" in finding.message
+    assert 1.0 / log.sample_interval_s == pytest.approx(100.0)
+
+
+def test_a_restart_is_no_damage(tmp_path):
+    time = np.arange(ROWS) / 100.0
+    time[4000:] -= 39.0
+    with pytest.raises(LogError, match="steps back at row 4000"):
+        imported(tmp_path, time, rates(hz=100.0), TIME + GX)
+
+
+def test_increments_are_divided_by_the_interval_of_a_sample(tmp_path):
+    values, time = rates(hz=100.0), np.arange(ROWS) / 100.0
+    with pytest.raises(LogError, match='per = "row"'):
+        imported(
+            tmp_path, time, 10.0 * values, TIME + 'rate.x = { column = "dtheta_x", unit = "mdeg/s" }\n', "dtheta_x"
+        )
+    column = 'rate.x = { column = "dtheta_x", unit = "mdeg", per = "row" }\n'
+    kept = np.arange(ROWS) % 1000 > 20
+    log = imported(tmp_path, time[kept], 10.0 * values[kept], TIME + column, "dtheta_x")
+    np.testing.assert_allclose(np.degrees(log.rate_rad_per_s[0, :, 0]), values[kept], atol=1e-7)
+
+
+def test_a_counter_of_samples_is_a_clock(tmp_path):
+    values, count = rates(hz=100.0), np.arange(ROWS)
+    kept = (count < 2000) | (count >= 2100)
+    text = 'clock = { column = "t", rate = "100 Hz" }\n'
+    log = imported(tmp_path, count[kept], values[kept], text + GX)
+    assert log.duration_s == pytest.approx((ROWS - 1) / 100.0)
+    assert log.stretch_starts.tolist() == [0, 2000]
+
+
+@given(
+    seed=st.integers(0, 2**16),
+    hz=st.sampled_from([50.0, 100.0, 200.0]),
+    event_s=st.sampled_from([0.015, 0.03, 0.045]),
+    missed=st.sampled_from([0.0, 0.01, 0.05, 0.2]),
+    within_s=st.sampled_from([0.0, 2e-4, 4e-4]),
+)
+@settings(max_examples=40, deadline=None)
+def test_rows_that_come_with_events_of_a_radio_are_right_or_asked(
+    tmp_path_factory, seed, hz, event_s, missed, within_s
+):
+    """No row is lost: each comes with the first event, of those that are not missed, after its sample."""
+    rng, values = np.random.default_rng(seed), rates(2 * ROWS, hz, seed)
+    made = np.arange(len(values)) / hz
+    events = np.arange(0.0, made[-1] + 100 * event_s, event_s)
+    events = events[rng.random(len(events)) >= missed]
+    at = np.searchsorted(events, made)
+    first = np.concatenate([[0], np.flatnonzero(np.diff(at)) + 1])
+    place = np.arange(len(at)) - np.repeat(first, np.diff(first, append=len(at)))
+    stamps = events[at] + within_s * place + 1e-6 * np.arange(len(at)) * (within_s == 0.0)
+    asked, log = "sample_rate", None
+    try:
+        log = imported(tmp_path_factory.mktemp("radio"), stamps, values, TIME + GX)
+    except LogError as error:
+        asked = str(error)
+    assert "sample_rate" in asked
+    if log is not None:
+        own = walk(np.degrees(log.rate_rad_per_s[0, :, 0]), 1.0) * np.sqrt(log.sample_interval_s)
+        assert own == pytest.approx(NOISE, rel=0.1)

@@ -30,7 +30,7 @@ _EASING_S = 1.0
 _OFF_GOAL_DEG = 1.0
 _OFF_RATE, _OFF_RATE_DPS = 0.1, 3.0
 _OFF_READINGS = 3
-# An axis that should have arrived so long ago, and went less than a share of its way at its rate since, is jammed.
+# An axis that should move, and in so long went less than a share of its way at its rate, is jammed.
 _STALL_S, _STALL_SHARE = 5.0, 0.1
 # A driver sends the commands of a search for the reference within this time, and then only looks.
 _SEARCH_TOLD_S = 10.0
@@ -63,8 +63,8 @@ class AxisControl:
         self._asked_at_s: dict[str, float] = {}
         self._easing: dict[str, tuple[float, float]] = {}
         self._due_end_s: dict[str, float] = {}
-        # The planned end of a move of a motor; and where the axis has stood, nearly, and since when.
-        self._ends_s: dict[str, float] = {}
+        # The move of a motor: when and where it began, and the turn. And where the axis has stood, nearly, since when.
+        self._turns: dict[str, tuple[float, float, AxisCommand]] = {}
         self._stands: dict[str, tuple[float, float]] = {}
         # An axis is left to its search for the reference: nothing else is asked of it.
         self._searching: set[str] = set()
@@ -195,17 +195,20 @@ class AxisControl:
         return rates
 
     def stalled(self) -> tuple[str, ...]:
-        """A sentence for each axis that should have arrived, still pushes, and does not move."""
+        """A sentence for each axis that pushes, does not move, and is not where the plan has it at this instant."""
         sentences: list[str] = []
-        for name, ends_s in self._ends_s.items():
-            _, since_s = self._stands.get(name, (math.nan, math.inf))
+        for name, (began_s, from_deg, turn) in self._turns.items():
             reading = self.newest[name]
-            if reading.moving and reading.time_s - max(ends_s, since_s) >= _STALL_S:
-                stood_s, late_s = reading.time_s - since_s, reading.time_s - ends_s
+            _, since_s = self._stands.get(name, (math.nan, math.inf))
+            stood_s, after_s = reading.time_s - since_s, reading.time_s - began_s
+            if not reading.moving or stood_s < _STALL_S:
+                continue
+            planned_deg = from_deg + turn.turned_deg(after_s)
+            behind = abs(planned_deg - reading.position_deg) > _stands_within_deg(abs(turn.rate_dps))
+            if behind or after_s - turn.duration_s >= _STALL_S:
                 sentences.append(
-                    f"axis {name} has been at {reading.position_deg:.1f} deg for {stood_s:.0f} s, and should have "
-                    f"reached {self._goal_deg[name]:.1f} deg {late_s:.0f} s ago: it is blocked, or its motor has "
-                    "no power"
+                    f"axis {name} has been at {reading.position_deg:.1f} deg for {stood_s:.0f} s, and should be at "
+                    f"{planned_deg:.1f} deg now: it is blocked, or its motor has no power"
                 )
         return tuple(sentences)
 
@@ -215,7 +218,8 @@ class AxisControl:
 
     def settle(self, name: str, meanwhile: Callable[[], None]) -> None:
         """Wait until an axis stands; it is stopped at the time-out. A turn by hand has no time-out."""
-        planned_s = max(self._clock.now(), self._ends_s.get(name, -math.inf))
+        began_s, _, turn = self._turns.get(name, (-math.inf, 0.0, AxisCommand(0.0, name, "stop")))
+        planned_s = max(self._clock.now(), began_s + turn.duration_s)
         end = math.inf if name in self._by_hand else planned_s + _LONGEST_MOVE_S
         while self._read(name).moving:
             if self._clock.now() > end:
@@ -235,7 +239,7 @@ class AxisControl:
             axis.stop()
             self._asks(name, 0.0)
             self._event("stopped", at_once=False, axis=name)
-        for under_way in (self._turning, self._due_end_s, self._ends_s, self._spins, self.amiss):
+        for under_way in (self._turning, self._due_end_s, self._turns, self._spins, self.amiss):
             under_way.clear()
 
     def _stands_at(self, name: str, goal_deg: float, *, watched: bool) -> bool:
@@ -253,7 +257,7 @@ class AxisControl:
         axis, name = self._axes[move.axis], move.axis
         self._awaited.discard(name)
         self._asks(name, abs(move.rate_dps), move.acceleration_dps2)
-        for before in (self._due_end_s, self._ends_s, self._stands, self._spins):
+        for before in (self._due_end_s, self._turns, self._stands, self._spins):
             before.pop(name, None)
         began = self._clock.now()
         if move.kind in ("go", "turn"):
@@ -269,8 +273,7 @@ class AxisControl:
                 self._turning[name] = began
             else:
                 self._due_end_s[name] = ends_s if move.kind == "turn" else math.inf
-                way = replace(move, kind="turn", angle_deg=goal - self._at(name))
-                self._ends_s[name] = began + way.duration_s
+                self._turns[name] = began, self._at(name), replace(move, kind="turn", angle_deg=goal - self._at(name))
         elif move.kind == "spin":
             axis.spin(move.rate_dps, move.acceleration_dps2)
             newest = self.newest.get(name)
@@ -293,7 +296,7 @@ class AxisControl:
         if not reading.moving:
             self._awaited.discard(name)
             self._turning.pop(name, None)
-            self._ends_s.pop(name, None)
+            self._turns.pop(name, None)
             if name not in self._spins:
                 self._stood(name, reading)
         return reading
@@ -305,7 +308,7 @@ class AxisControl:
 
     def _note_place(self, name: str, reading: AxisReading) -> None:
         place_deg, _ = self._stands.get(name, (math.inf, 0.0))
-        if abs(reading.position_deg - place_deg) > _STALL_SHARE * _STALL_S * self._asked_dps.get(name, 0.0):
+        if abs(reading.position_deg - place_deg) > _stands_within_deg(self._asked_dps.get(name, 0.0)):
             self._stands[name] = reading.position_deg, reading.time_s
 
     def _stood(self, name: str, reading: AxisReading) -> None:
@@ -345,6 +348,11 @@ class AxisControl:
         if name not in self._limits:
             self._limits[name] = self._axes[name].limits()
         return self._limits[name]
+
+
+def _stands_within_deg(rate_dps: float) -> float:
+    """How far an axis with this command goes while it counts as standing."""
+    return _STALL_SHARE * _STALL_S * rate_dps
 
 
 def _off(asked_dps: float) -> float:

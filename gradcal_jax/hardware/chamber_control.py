@@ -1,5 +1,8 @@
 """The chamber in a run: its commands, its readings, and when its temperature counts as stable.
 
+Only the first command of a run starts the chamber, and the first after an operator has resumed the run: a chamber that
+is off otherwise was switched off by a person (or lost its power), and stays off.
+
 The readings are compared with the recipe's own course of the air (`expected`), because a chamber that accepts every
 command and does nothing would agree with its own set point.
 """
@@ -100,6 +103,7 @@ class ChamberControl:
         self._next_soft_s = 0.0
         self._held_c: float | None = None
         self._conditions_since_s = math.inf
+        self._started = False
         self.expected = AirCourse()
         self.newest: ChamberReading | None = None
 
@@ -138,9 +142,8 @@ class ChamberControl:
                 return
             self._soft = None
             if self._held_c != temperature_c:
-                self.chamber.hold(temperature_c)
+                self._set(temperature_c)
                 self._held_c = temperature_c
-                self._conditioned()
                 self._event("chamber told", hold_c=temperature_c)
 
     def expect(self, course: Course, now_s: float) -> None:
@@ -152,6 +155,18 @@ class ChamberControl:
     def approach(self, temperature_c: float) -> None:
         if self.newest is not None:
             self.expected.approaches(self.newest.air_c, temperature_c)
+
+    def may_start(self) -> None:
+        """The next command may start the chamber again: an operator has resumed the run."""
+        self._started = False
+
+    def _set(self, temperature_c: float) -> None:
+        if self._started:
+            self.chamber.set_point(temperature_c)
+            return
+        self.chamber.hold(temperature_c)
+        self._started = True
+        self._conditioned()
 
     def _conditioned(self) -> None:
         self._conditions_since_s = min(self._conditions_since_s, self._clock.now())
@@ -166,10 +181,16 @@ class ChamberControl:
                 return
             self._held_c = None
             command = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
-            limits, start_c = self.chamber.limits(), self.chamber.read().setpoint_c
+            limits, now = self.chamber.limits(), self.chamber.read()
+            if self._started and not now.conditioning:
+                self._soft = None
+                self._event("chamber not told", **command, why="it is off, and this run did not switch it off")
+                return
+            start_c = now.setpoint_c
             if ramps_alone(limits, course.ramp_k_per_min):
                 self._soft = None
                 rate = self.chamber.ramp(course.temperature_c, course.ramp_k_per_min)
+                self._started = True
                 self._conditioned()
                 self._event("chamber told", **command, k_per_min=rate)
                 return
@@ -194,8 +215,7 @@ class ChamberControl:
         ramp, target_c = self._soft
         # A set point that is held until the next one is late by half of that time.
         reached_c = ramp.at(now + 0.5 * max(_SOFT_STEP_S, now - self._next_soft_s + _SOFT_STEP_S))
-        self.chamber.hold(reached_c)
-        self._conditioned()
+        self._set(reached_c)
         if reached_c == target_c:
             self._soft, self._held_c = None, target_c
         self._next_soft_s = now + _SOFT_STEP_S

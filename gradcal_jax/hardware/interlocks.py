@@ -124,8 +124,9 @@ def _idle_chamber(bounds: InterlockLimits, now: Situation) -> str:
     if now.chamber is None or not now.conditions or now.chamber.conditioning:
         return ""
     return (
-        f"the chamber was commanded to condition the air but does not: mode {now.chamber.mode}, air at "
-        f"{now.chamber.air_c:.1f} degC. Check the chamber's power, and whether somebody used its panel"
+        f"the chamber is off, and this run did not switch it off: mode {now.chamber.mode}, air at "
+        f"{now.chamber.air_c:.1f} degC. Check its power, and whether a person used its panel; the run starts it "
+        "again only when an operator resumes the run"
     )
 
 
@@ -179,6 +180,11 @@ class Interlocks:
             elif situation.time_s - self._since.setdefault(rule.name, situation.time_s) >= rule.patience_s:
                 tripped.append((rule, text))
         return min(tripped, key=lambda pair: pair[0].action != "abort", default=None)
+
+    @property
+    def pending(self) -> bool:
+        """Whether a rule is violated that has not yet tripped."""
+        return bool(self._since)
 
     def forget(self) -> None:
         self._since.clear()

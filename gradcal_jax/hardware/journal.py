@@ -21,6 +21,7 @@ import json
 import logging
 import math
 import os
+import shutil
 import struct
 import threading
 import time
@@ -40,7 +41,8 @@ _EVENT, _RECEIVED, _SENT = 1, 2, 3
 _LONGEST = 1 << 26
 _BLOCK = 1 << 22
 _MOST_WAITING = 1 << 28
-_LONGEST_WAIT_S = 15.0
+# A disk that makes no progress for so long has failed.
+_LONGEST_WAIT_S = 10.0
 _SYNC_EVERY_S = 1.0
 LINE_EVENT = "line"
 _NUMBER = (int, float)
@@ -112,8 +114,11 @@ class Journal(AbstractContextManager["Journal"]):
             events = read_journal(path, chunks=False).events
             self._first_number = max((e.data["number"] for e in events if e.name == LINE_EVENT), default=-1) + 1
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
-        self.problem = ""
-        """The reason why nothing more can be written, for the operator; empty: writing is possible."""
+        self._problem = ""
+        # Since when the disk has been busy with one call, in real time; None: it is not.
+        self._busy_since_s: float | None = None
+        self.free_bytes = self._free()
+        """Of the disk, at least every second while the run writes."""
         self._closing = False
         # Guards the waiting records, and the numbers of records queued, requested on disk, and on disk.
         self._change = threading.Condition()
@@ -122,6 +127,19 @@ class Journal(AbstractContextManager["Journal"]):
         self._put_in = self._wanted = self._on_disk = 0
         self._writer = threading.Thread(target=self._write_on, daemon=True, name="journal")
         self._writer.start()
+
+    @property
+    def problem(self) -> str:
+        """The reason why nothing more can be written, for the operator; empty: writing is possible. A disk that does
+        not return from a call is noticed here, whoever looks."""
+        since_s = self._busy_since_s
+        if since_s is not None and time.monotonic() - since_s > _LONGEST_WAIT_S:
+            with self._change:
+                self._fail(f"the disk has not answered for {_LONGEST_WAIT_S:g} s")
+        return self._problem
+
+    def _free(self) -> int:
+        return shutil.disk_usage(self.path.parent).free
 
     def event(self, time_s: float, name: str, /, *, at_once: bool = True, **data: Any) -> None:
         """Write an event; with `at_once` wait until the disk has it, or until there is a `problem`, and log it: a
@@ -166,7 +184,7 @@ class Journal(AbstractContextManager["Journal"]):
 
     def _append(self, kind: int, line: int, time_s: float, payload: bytes) -> None:
         """Queue a record for the disk. The caller holds the lock."""
-        if self.problem or self._closing:
+        if self._problem or self._closing:
             return
         body = _HEAD.pack(kind, line, len(payload), time_s) + payload
         record = _SYNC + body + zlib.crc32(body).to_bytes(4, "little")
@@ -192,12 +210,17 @@ class Journal(AbstractContextManager["Journal"]):
                 upto, closing = self._put_in, self._closing
                 at_once = closing or self._wanted > self._on_disk
             try:
+                self._busy_since_s = time.monotonic()
                 dirty = dirty or bool(batch)
                 while batch:
                     batch = batch[os.write(self._file, batch) :]
+                    self._busy_since_s = time.monotonic()
                 if dirty and (at_once or time.monotonic() - synced_s >= _SYNC_EVERY_S):
                     os.fsync(self._file)
+                    self._busy_since_s = time.monotonic()
+                    self.free_bytes = self._free()
                     synced_s, dirty = time.monotonic(), False
+                self._busy_since_s = None
             except Exception as problem:
                 full = isinstance(problem, OSError) and problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
                 with self._change:
@@ -213,7 +236,8 @@ class Journal(AbstractContextManager["Journal"]):
 
     def _fail(self, why: str) -> None:
         """Nothing more is written. The caller holds the lock."""
-        self.problem = self.problem or (
+        self._busy_since_s = None
+        self._problem = self._problem or (
             f"The journal {self.path} cannot be written: {why}. Free some space or choose another folder; the "
             "earlier part is valid and the run can be resumed."
         )

@@ -137,17 +137,22 @@ class TemperatureChamber(Protocol):
     def limits(self) -> ChamberLimits: ...
     def read(self) -> ChamberReading: ...
     def hold(self, temperature_c: float) -> None:
-        """Condition at `temperature_c`, as fast as the chamber can."""
+        """Condition at `temperature_c`, as fast as the chamber can. Starts the chamber."""
+
+    def set_point(self, temperature_c: float) -> None:
+        """Change the set point. Starts nothing: a chamber that is off stays off."""
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
-        """Go to `temperature_c` at `rate_k_per_min` (above zero), by the controller's own ramp.
+        """Go to `temperature_c` at `rate_k_per_min` (above zero), by the controller's own ramp. Starts the chamber.
 
         Returns the rate after rounding to the controller's resolution, K/min.
         """
         ...
 
     def standby(self) -> None: ...
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport: ...
+    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
+        """Starts nothing: a chamber that is off is safe as it is."""
+        ...
 
 
 @dataclass(frozen=True)

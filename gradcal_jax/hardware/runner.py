@@ -15,7 +15,6 @@ killed.
 """
 
 import math
-import shutil
 import threading
 import time
 from collections import deque
@@ -143,6 +142,9 @@ class Runner:
             except Exception as problem:
                 status, reason = "aborted", sentence_of(problem)
             outcomes = self._end(status, reason)
+            if status == "aborted":
+                # What came while everything was made safe: a device that answers late is not one that is silent.
+                reason = " ".join([reason, *(text for text in self._late_replies() if text not in reason)])
             self._working.clear()
             with self.clock.aside():
                 for helper in helpers:
@@ -327,13 +329,18 @@ class Runner:
         self._event("step done", step=self.track.steps[executed.number].name, number=executed.number)
 
     def _await_confirmation(self) -> None:
+        """Wait for the samples of the last steps, and until no rule is violated: one that is violated in the last
+        seconds clears or trips before the run is done. If it trips, the last step is executed again."""
         until = self.clock.now() + _LONGEST_ARRIVAL_S
-        while self._unconfirmed:
+        while self._unconfirmed or self.interlocks.pending:
             self._require_executed()
             try:
                 self._duties()
             except _Interrupted:
+                why = self._why if self._by_rule else ""
                 self._wait_paused()
+                if why:
+                    raise StepNotDone(len(self.track.steps) - 1, why) from None
                 until = self.clock.now() + _LONGEST_ARRIVAL_S
             if self.clock.now() > until:
                 raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: check the IMUs.")
@@ -496,14 +503,13 @@ class Runner:
         self._axes.watch()
         now = self.clock.now()
         ages = {name: now - losses.newest_s for name, losses in self._losses.items() if name not in self._unfit}
-        free = shutil.disk_usage(self.journal.path.parent).free
         chamber, paused_s = self._chamber, None if self._paused_s is None else now - self._paused_s
         situation = Situation(
             now,
             None if chamber is None else chamber.newest,
             self._axes.newest,
             ages,
-            free,
+            self.journal.free_bytes,
             None if chamber is None else chamber.expected.of_late(now, self.interlocks.limits.temperature_lag_s),
             self._axes.allowed(),
             self._range_c,
@@ -568,6 +574,8 @@ class Runner:
             self.clock.sleep(_SLICE_S)
         self._paused_s = None
         self.interlocks.forget()
+        if self._chamber is not None:
+            self._chamber.may_start()
 
     def _late_replies(self) -> tuple[str, ...]:
         """A sentence for each line on which replies come after their time-out; an event for each device at first."""

@@ -128,9 +128,18 @@ class StatusFile:
             over = self._over.wait(_WRITE_S)
             if self._status is not written:
                 written = self._status
-                # The journal reports a full disk.
-                with suppress(OSError):
-                    write_whole(self._path, json.dumps(json_of(self._head | written), indent=1) + "\n")
+                _write_status(self._path, self._head | written)
+
+
+def _write_status(path: Path, status: Mapping[str, Any]) -> None:
+    """Replace the file; on a full disk write over it, which needs no space. The journal reports what fails."""
+    text = json.dumps(json_of(status), indent=1) + "\n"
+    try:
+        write_whole(path, text)
+    except OSError:
+        with suppress(OSError), path.open("r+b") as file:
+            file.write(text.encode())
+            file.truncate()
 
 
 def end_status(folder: Path, why: str, outcomes: list[SafeOutcome]) -> None:
@@ -139,7 +148,7 @@ def end_status(folder: Path, why: str, outcomes: list[SafeOutcome]) -> None:
         safe = all(outcome.verified for outcome in outcomes)
         ended = {"exit_status": "lost", "reason": why, "verified_safe": safe, "state": "safe" if safe else "failed"}
         status = {**read_status(folder), **ended, "at_s": time.time()}
-        write_whole(folder / STATUS, json.dumps(json_of(status), indent=1) + "\n")
+        _write_status(folder / STATUS, status)
 
 
 def read_status(folder: Path) -> dict[str, Any]:

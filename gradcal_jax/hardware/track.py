@@ -59,6 +59,22 @@ class AxisCommand:
         peak = min(abs(self.rate_dps), math.sqrt(abs(self.angle_deg) * self.acceleration_dps2))
         return abs(self.angle_deg) / peak + peak / self.acceleration_dps2 if peak > 0.0 else 0.0
 
+    def turned_deg(self, after_s: float) -> float:
+        """How far a turn is planned to have gone so long after its beginning, with its sign."""
+        rest_s = self.duration_s - after_s
+        if after_s <= 0.0 or rest_s <= 0.0:
+            return 0.0 if after_s <= 0.0 else self.angle_deg
+        way = abs(self.angle_deg)
+        peak = min(abs(self.rate_dps), math.sqrt(way * self.acceleration_dps2))
+        ramp_s = peak / self.acceleration_dps2
+        if after_s < ramp_s:
+            done = 0.5 * self.acceleration_dps2 * after_s**2
+        elif rest_s < ramp_s:
+            done = way - 0.5 * self.acceleration_dps2 * rest_s**2
+        else:
+            done = peak * (after_s - 0.5 * ramp_s)
+        return math.copysign(done, self.angle_deg)
+
 
 @dataclass(frozen=True)
 class Course:

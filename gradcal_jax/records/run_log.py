@@ -366,10 +366,14 @@ def _placed(parts: Sequence[Part]) -> list[PlacedPart]:
     return placed
 
 
+_REFUSED = "attempts at a step that the run itself did not accept are left out: see the journal for the reasons"
+
+
 def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
     missing, gaps = (sum(getattr(part.seen, name) for part in parts) for name in ("missing", "gaps"))
     unsure = max(part.clock.residual_max_s for part in parts)
     anew = sum(part.restarted for part in parts)
+    refused = sum({id(part.session): part.session.refused() for part in parts}.values())
     bad, twice = (sum(getattr(part, name) for part in parts) for name in ("bad_bytes", "repeated"))
     lateness = (
         f"the computer was so busy that its time stamps are accurate only to {unsure:.2g} s: as an additional "
@@ -381,6 +385,7 @@ def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
         (unsure > SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
         (anew, Finding("unit restarted", "split", anew, f"the IMU restarted {times}")),
         (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no valid datagram")),
+        (refused, Finding("refused attempt", "mask", refused, _REFUSED)),
         (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice; each is used once")),
     ]
     return (*gap, *_findings_of_rounds(parts), *(one for there, one in others if there))

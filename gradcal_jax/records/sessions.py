@@ -19,6 +19,15 @@ _BATCHES, _SAMPLES = 4096, 1 << 15
 
 
 @dataclass
+class _Attempt:
+    """At a step with data of this number."""
+
+    number: int
+    begin_s: float
+    end_s: float = 0.0
+
+
+@dataclass
 class Session:
     """One part of a run: its records in order. It began at `begun_s` of the run's clock, in the `mounting` of that
     number, from 1; 0: the operator was never asked to mount the units."""
@@ -38,21 +47,33 @@ class Session:
         return self.wall_clock_s - self.begun_s
 
     def stretches(self) -> list[tuple[float, float]]:
-        """From the beginning of a step with data to its end, or to the end of the run or session."""
-        found: list[tuple[float, float]] = []
-        since: float | None = None
-        latest = 0.0
+        """From the beginning of a step with data to its end, or to the end of the run or session. Attempts at a step
+        that the run refused ("not done") are no data, nor are those of later steps that were under way meanwhile."""
+        attempts: list[_Attempt] = []
+        latest, under_way = 0.0, False
         for event in self.events:
             latest = max(latest, event.time_s)
-            if event.name == "step begins" and event.data.get("data"):
-                begin = float(event.data["begins_s"])
-                if since is None:
-                    # A step that follows at once continues the stretch: its "step begins" has the same time.
-                    since = found.pop()[0] if found and begin - found[-1][1] < 1e-3 else begin
-            elif since is not None and (event.name == "step" or breaks_off(event)):
-                found.append((since, event.time_s))
-                since = None
-        return found if since is None else [*found, (since, latest)]
+            if under_way and (event.name == "step" or breaks_off(event)):
+                attempts[-1].end_s = event.time_s
+                under_way = False
+            if event.name == "not done":
+                attempts = [attempt for attempt in attempts if attempt.number < event.data["number"]]
+            elif event.name == "step begins" and event.data.get("data"):
+                attempts.append(_Attempt(event.data["number"], float(event.data["begins_s"])))
+                under_way = True
+        if under_way:
+            attempts[-1].end_s = latest
+        stretches: list[tuple[float, float]] = []
+        for attempt in attempts:
+            # A step that follows at once continues the stretch: its "step begins" has the same time.
+            flows = bool(stretches) and attempt.begin_s - stretches[-1][1] < 1e-3
+            begin_s = stretches.pop()[0] if flows else attempt.begin_s
+            stretches.append((begin_s, attempt.end_s))
+        return stretches
+
+    def refused(self) -> int:
+        """How many attempts at a step the run refused."""
+        return sum(event.name == "not done" for event in self.events)
 
     def mountings(self, host: Floats) -> NDArray[np.int64]:
         """The number of the mounting at times, from 1; 0 where the operator was never asked to mount the units."""

@@ -1,14 +1,24 @@
 """What the last step's samples lack counts as much as in any other; a unit that sends no sample is no unit."""
 
+import errno
+import os
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hardware_bench import Rig
 from test_not_done import events, lab
 
+from gradcal_jax.hardware import journal, supervision
+from gradcal_jax.hardware.journal import Event, Journal
 from gradcal_jax.hardware.runner import Runner
+from gradcal_jax.hardware.supervision import RunResult, StatusFile, read_status
+from gradcal_jax.hardware.track import AxisCommand
+from gradcal_jax.records.sessions import sessions_of
 
 
 def in_last_step(rig: Rig, runner: Runner, act: Callable[[], Any], *, every_time: bool = False) -> None:
@@ -89,3 +99,77 @@ def test_samples_lost_in_the_last_step_make_it_again(tmp_path: Path) -> None:
     assert amiss.data["number"] == last
     assert "samples" in amiss.data["why"]
     assert events(tmp_path, "step done")[-1].data["number"] == last
+
+
+@pytest.mark.parametrize("call", ["write", "fsync"])
+def test_a_disk_that_hangs_is_noticed_without_a_further_event(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    hangs, real = threading.Event(), getattr(os, call)
+
+    def stuck(*args: Any) -> Any:
+        hangs.wait(20.0)
+        return real(*args)
+
+    monkeypatch.setattr(journal, "_LONGEST_WAIT_S", 0.3)
+    with Journal(tmp_path / "journal") as written:
+        written.event(0.0, "before")
+        monkeypatch.setattr(os, call, stuck)
+        written.bytes_of("unit1", 1.0, b"a", received=True)
+        end = time.monotonic() + 5.0
+        while not written.problem and time.monotonic() < end:
+            time.sleep(0.05)
+        hangs.set()
+        assert "the disk has not answered" in written.problem
+
+
+def test_a_full_disk_leaves_the_status_of_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The journal's problem ended the run: the status file is written over, which needs no space."""
+    supervision.end_status(tmp_path, "x", [])
+    with StatusFile(tmp_path, simulated=False) as status:
+        status._status = {"state": "running", "step": "a step with a longer name than the end has" * 9}
+        time.sleep(0.5)
+        assert read_status(tmp_path)["state"] == "running"
+
+        def full(*_: Any) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        monkeypatch.setattr(supervision, "write_whole", full)
+        status._status = {}
+        status.end(RunResult("aborted", "the disk is full", (), 1))
+    assert (read_status(tmp_path)["state"], read_status(tmp_path)["reason"]) == ("safe", "the disk is full")
+
+
+def test_attempts_that_the_run_refused_are_no_data() -> None:
+    """The step 1 is refused while step 2 is under way, twice; the second time the run ends with that."""
+
+    def event(time_s: float, name: str, **data: Any) -> Event:
+        return Event(time_s, name, data)
+
+    def step(number: int, time_s: float) -> list[Event]:
+        begins = event(time_s, "step begins", number=number, begins_s=time_s, data=True)
+        return [event(time_s, "step", number=number), begins]
+
+    begins = event(0.0, "session", number=0, simulated=False, wall_clock_s=0.0)
+    attempt = [*step(1, 20.0), *step(2, 30.0), event(30.4, "not done", number=1, why="lost")]
+    again = [*step(1, 40.0), *step(2, 50.0), event(50.4, "not done", number=1, why="lost")]
+    done = [*step(1, 40.0), *step(2, 50.0), event(60.0, "ending")]
+    first = [begins, *step(0, 10.0)]
+    (refused,) = sessions_of([*first, *attempt, *again, event(51.0, "ending")])
+    assert refused.stretches() == [(10.0, 20.0)]
+    assert refused.refused() == 2
+    (repeated,) = sessions_of([*first, *attempt, *done])
+    assert repeated.stretches() == [(10.0, 20.0), (40.0, 60.0)]
+
+
+@pytest.mark.parametrize("angle_deg", [3600.0, -10.0, 90.0])
+def test_where_a_turn_is_planned_to_be_at_an_instant(angle_deg: float) -> None:
+    """The integral of the trapezoid of its rate."""
+    turn = AxisCommand(0.0, "table", "turn", rate_dps=150.0, acceleration_dps2=300.0, angle_deg=angle_deg)
+    count = 100_000
+    step_s = turn.duration_s / count
+    ends_s = (np.arange(count) + 0.5) * step_s
+    rates = np.minimum(np.minimum(300.0 * ends_s, 150.0), 300.0 * (turn.duration_s - ends_s))
+    for share in (0.1, 0.4, 0.9, 1.0):
+        integral_deg = float(np.sum(rates[: round(share * count)])) * step_s * np.sign(angle_deg)
+        assert turn.turned_deg(share * turn.duration_s) == pytest.approx(integral_deg, abs=1e-4 * abs(angle_deg))

@@ -171,6 +171,16 @@ def test_a_heater_welded_on_while_the_run_waits_is_noticed_by_the_approach(tmp_p
         assert air_when_safe_c(tmp_path, rig) < 40.0 + 1.6 + 3.0 + 3.0 + 1.0
 
 
+def test_a_heater_welded_on_in_the_last_seconds_is_no_success(tmp_path: Path) -> None:
+    with lab(tmp_path, HOT) as (rig, runner):
+        ends = lambda progress: progress.step_left_s is not None and progress.step_left_s < 25.0  # noqa: E731
+        once(runner, ends, lambda: weld_on(rig, 30.0))
+        result = runner.run()
+    assert result.exit_status == "aborted"
+    assert "Interlock 'temperature course': the air is at" in result.reason
+    assert result.verified_safe
+
+
 def test_a_heater_welded_on_in_an_attended_pause_ends_the_run(tmp_path: Path) -> None:
     alarms: list[str] = []
     with lab(tmp_path, HOT, attended=True) as (rig, runner):
@@ -207,7 +217,7 @@ def test_a_door_that_is_opened_in_a_pause_ends_nothing(tmp_path: Path) -> None:
     assert events(tmp_path, "interlock") == []
 
 
-@pytest.mark.parametrize("fate", ["Check the chamber's power", "STANDBY at the panel"])
+@pytest.mark.parametrize("fate", ["no power", "STANDBY at the panel"])
 @pytest.mark.parametrize("when", ["stabilising", "running"])
 def test_a_chamber_that_was_commanded_to_condition_and_does_not_pauses_the_run(
     tmp_path: Path, fate: str, when: str
@@ -215,9 +225,12 @@ def test_a_chamber_that_was_commanded_to_condition_and_does_not_pauses_the_run(
     # A wide band: the temperature says nothing for long.
     with lab(tmp_path, HOT, InterlockLimits(temperature_band_k=30.0), attended=True) as (rig, runner):
         why: list[str] = []
+        commands: list[list[str]] = []
 
         def fail() -> None:
-            rig.chamber.reboot() if fate == "Check the chamber's power" else rig.chamber._enter("STANDBY")
+            commands.append(rig.chamber.commands)
+            commands[0].clear()
+            rig.chamber.reboot() if fate == "no power" else rig.chamber._enter("STANDBY")
 
         def is_so(progress: RunProgress) -> bool:
             waits = progress.step_left_s is None
@@ -229,6 +242,8 @@ def test_a_chamber_that_was_commanded_to_condition_and_does_not_pauses_the_run(
                 runner.clock.sleep(1.0)
             why.append(runner._why)
             runner.clock.sleep(60.0)
+            # Nobody but the operator has started it again.
+            commands[0] = list(commands[0])
             runner.request("resume")
 
         once(runner, is_so, fail)
@@ -237,7 +252,8 @@ def test_a_chamber_that_was_commanded_to_condition_and_does_not_pauses_the_run(
         assert runner.run().exit_status == "success"
     (tripped,) = events(tmp_path, "interlock")
     assert tripped.data["rule"] == "idle chamber"
-    assert "was commanded to condition the air but does not: mode" in why[0]
+    assert "the chamber is off, and this run did not switch it off: mode" in why[0]
+    assert not [command for command in commands[0] if "CONSTANT" in command]
 
 
 def test_a_pause_that_nobody_ends_ends_the_run(tmp_path: Path) -> None:
@@ -358,12 +374,11 @@ def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path: Pat
         result = runner.run()
         assert result.exit_status == "aborted"
         assert "axis table has been at 81.9 deg" in result.reason
-        assert "should have reached 3600.0 deg" in result.reason
+        assert "deg now: it is blocked" in result.reason
         assert result.verified_safe
-    (move,) = (event for event in events(tmp_path, "move") if event.data["kind"] == kind)
     (ended,) = events(tmp_path, "ending")
-    planned_s = 3600.0 / 150.0 + 0.5
-    assert 5.0 <= ended.time_s - move.data["began_s"] - planned_s < 6.0
+    # Long before the planned end of the turn.
+    assert 4.0 <= ended.time_s - jammed[0] < 7.0
 
 
 def test_a_pause_in_a_turn_is_no_overspeed(tmp_path: Path) -> None:

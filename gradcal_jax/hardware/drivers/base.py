@@ -89,9 +89,13 @@ class ChamberDriver(ExchangeDriver[Config], roles.TemperatureChamber, ABC):
         if policy is roles.ChamberSafe.STANDBY:
             self.standby()
         else:
-            limits = self.limits()
-            wanted_c = self.read().air_c if policy is roles.ChamberSafe.HOLD else ambient_c
-            self.hold(min(max(wanted_c, limits.lowest_c), limits.highest_c))
+            limits, reading = self.limits(), self.read()
+            if reading.conditioning:
+                wanted_c = reading.air_c if policy is roles.ChamberSafe.HOLD else ambient_c
+                self.set_point(min(max(wanted_c, limits.lowest_c), limits.highest_c))
+                reading = self.read()
+            if not reading.conditioning:
+                return roles.SafeReport(policy.value, True, f"mode {reading.mode}: it is off, and nothing starts it")
         reading = self.read()
         verified = reading.conditioning is (policy is not roles.ChamberSafe.STANDBY)
         return roles.SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
@@ -310,6 +314,11 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
         self._free_ramp()
         self._go_to(temperature_c)
         self._condition(True)
+
+    def set_point(self, temperature_c: float) -> None:
+        self._check(temperature_c)
+        self._free_ramp()
+        self._go_to(temperature_c)
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         if "ramp" not in self._config.described.tell:

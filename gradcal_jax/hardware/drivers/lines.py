@@ -224,7 +224,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         _Spoken.__init__(self, exchange, config)
-        self._referenced = self._moved = False
+        self._referenced = self._moved = self._powered = False
         self.settings = KeptSettings(self._setting, self._set, lambda left, right: shows(right, left))
 
     def limits(self) -> AxisLimits:
@@ -262,6 +262,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         return AxisReading(time_s, position, rate, moving, self._referenced, faults, ())
 
     def home(self) -> None:
+        self._powered = False
         self._make_ready()
         self._tell("home")
         reading = self._until_still(self._config.home_timeout_s, "homing", raise_faults=False)
@@ -339,8 +340,12 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         return limits
 
     def _make_ready(self, *, stands: bool = True) -> None:
+        """Power the motor the first time; what is without power later was switched off by a person, and stays off."""
         if "on" in self._protocol.tell:
+            if self._powered and not self._is("powered", self._read(*self._asks_of("powered"))):
+                raise DeviceFault(f"The motor of {self._title} is off, and this run did not switch it off.")
             self._switch("on", "powered", True)
+            self._powered = True
         if stands and self.read().moving:
             self.stop()
 

@@ -108,10 +108,12 @@ class SimulatedChamber(ChamberDriver[ChamberPlant]):
         return roles.ChamberReading(now, air_c, None, plant.set_point_c(now), mode, plant.conditioning, self.alarms)
 
     def hold(self, temperature_c: float) -> None:
+        self.set_point(temperature_c)
+        self.plant.switch(self._clock.now(), True)
+
+    def set_point(self, temperature_c: float) -> None:
         self._check(temperature_c)
-        now = self._clock.now()
-        self.plant.command(now, target_c=round(temperature_c, 1))
-        self.plant.switch(now, True)
+        self.plant.command(self._clock.now(), target_c=round(temperature_c, 1))
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         self._check(temperature_c)

@@ -29,6 +29,7 @@ from gradcal_jax.tables.writing import write_toml
 
 READY = Stable(0.5, 20.0, 7200.0)
 HOT = Track((TrackStep("hot", 300.0, temperature_c=40.0, ready=READY),))
+WARMS = Track((TrackStep("ramp", 500.0, temperature_c=36.0, ramp_k_per_min=1.5, ready=READY, start_c=26.0),))
 STANDS = Track((TrackStep("stand", 600.0),))
 
 
@@ -223,7 +224,8 @@ def test_a_chamber_that_was_commanded_to_condition_and_does_not_pauses_the_run(
     tmp_path: Path, fate: str, when: str
 ) -> None:
     # A wide band: the temperature says nothing for long.
-    with lab(tmp_path, HOT, InterlockLimits(temperature_band_k=30.0), attended=True) as (rig, runner):
+    track = HOT if when == "stabilising" else WARMS
+    with lab(tmp_path, track, InterlockLimits(temperature_band_k=30.0), attended=True) as (rig, runner):
         why: list[str] = []
         commands: list[list[str]] = []
 

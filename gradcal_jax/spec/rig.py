@@ -247,7 +247,7 @@ def parse_rig(text: str, source: str = "") -> RigFile:
 
 def rig_of(document: Mapping[str, Any], source: str = "") -> RigFile:
     """A rig from tables as TOML gives them. Raises `SpecError` that lists everything wrong."""
-    return model_of(RigFile, document, FORMAT, source, lambda _: ())
+    return model_of(RigFile, document, FORMAT, source)
 
 
 TEMPLATE: Final = presets.template("rig.toml")

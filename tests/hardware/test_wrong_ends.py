@@ -350,15 +350,3 @@ def test_late_replies_are_said_by_check_and_run(tmp_path: Path, capsys: pytest.C
     assert "late: raise reply_timeout" in seen[0]
     (event,) = (one for one in read_journal(run.journal_path).events if one.name == "late reply")
     assert event.data["device"] == "chamber"
-
-
-def test_a_run_that_ends_by_an_answer_seconds_late_says_so(tmp_path: Path) -> None:
-    with Rig(RealClock(), stage=True) as rig:
-        tables = rig.rig.model_dump(mode="json", exclude_unset=True)
-        tables["chamber"]["options"] = {"reply_timeout": "0.3 s"}
-        rig.ports[0].faults = Slow(rig.ports[0], 3.0)
-        run = new_folder(tmp_path / "run", short_recipe(1.0), rig_of(tables), simulated={})
-        result = run_session(run, rig_of(tables), RealClock(), safe_deadline_s=8.0)
-    assert result.exit_status == "aborted"
-    assert "did not answer in 0.3 s" in result.reason
-    assert "s late: raise reply_timeout" in result.reason

@@ -6,7 +6,6 @@ from gradcal_jax.estimation.consistency import (
     Test,
     chi_squared_test,
     consistency,
-    diagnosis,
     failed_tests,
     split,
     whiteness,

@@ -30,7 +30,6 @@ from gradcal_jax.estimation.contradictions import (
     beyond_the_data,
     beyond_the_spec,
     counting_less,
-    diagnosis_sentences,
     discrepancies,
     excess_of,
     lacks_of,
@@ -392,9 +391,7 @@ def report_of(
     of_path = *of_path, *attitude_sentences(built.spec)
     of_path = *of_path, *backlash_sentences(estimated, solution, of_angles, requirements)
     beside = *of_path, *omitted_sentences(built.spec, temperature[record], lag.std is not None), *beyond
-    looks = diagnosis_sentences(solution.estimate.residuals, of_segment[at.row_segment][used], moved)
-    told = _words(report, solution, of_table.values()), looks if contradicted else []
-    told = *told, [one.sentence for one in figures if one.name in contradicted]
+    told = _words(report, solution, of_table.values()), [one.sentence for one in figures if one.name in contradicted]
     hidden = (f"{channel.replace('_', ' ')}: {structure_in_words(test)}" for channel, test in structure if test.noticed)
     return report._replace(
         messages=(*messages, *alone, *lag.sentences, *lesser, *hidden, *itertools.chain(*told), *beside)

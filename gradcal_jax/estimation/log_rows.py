@@ -27,7 +27,7 @@ from gradcal_jax.tables.quantity import Quantity
 
 @dataclass(frozen=True)
 class Options:
-    """Options of an estimate; `api.log_flow.estimate` explains each."""
+    """Options of an estimate; `estimation.log_flow.estimate` explains each."""
 
     earth_rate: float | None = None
     """Earth rate along the sensor's axis, rad/s; it is subtracted. None: the spec's rate, if stated."""

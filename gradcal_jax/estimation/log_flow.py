@@ -68,7 +68,7 @@ def instability(
     """The smallest drift that bounds a record at rest: the Direct Bound of Berman's equations 6 and 7.
 
     `log`: a log, or `(n,)` rates in rad/s, `rate` of them a second. One channel, masked where the table moves, less
-    its bias over temperature (`bias_degree`, `lag` in s: see `identify.instability.at_rest`). The drift is measured from
+    its bias over temperature (`bias_degree`, `lag` in s: see `instability.at_rest`). The drift is measured from
     an average over `averaging_time_s`, for `shortest_s` to `longest_s`, and must stay within `margin` standard
     deviations. `angle_random_walk`: rad/√s; None: from the Allan deviation. `temperature_c`: only rows between two
     temperatures. Returns `bound` (`drift_std` in rad/s, `correlation_time_s`), the Allan deviation with its fit,

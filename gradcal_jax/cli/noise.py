@@ -102,7 +102,7 @@ def noise(
 
         channels = work.noise_of_imu(recorded, of_unit, lag=lag_s)
         name = f"{log.name}{' (simulated)' * recorded.simulated}"
-        write_whole(output, work.noise_file(channels, "kalibr", 1.0 / recorded.sample_interval_s, name))
+        write_whole(output, work.noise_file(channels, 1.0 / recorded.sample_interval_s, name))
         if not json:
             print(f"wrote {output}")
     bounds = [bound for bound, _ in found]

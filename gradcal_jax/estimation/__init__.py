@@ -6,7 +6,6 @@ from gradcal_jax.estimation.consistency import (
     Test,
     chi_squared_test,
     consistency,
-    diagnosis,
     failed_tests,
     split,
     whiteness,
@@ -25,7 +24,6 @@ from gradcal_jax.estimation.read_motion import (
     standing_with,
     within,
 )
-from gradcal_jax.estimation.smoothing import Smoothness, choose_smoothness, with_smoothness
 from gradcal_jax.estimation.solve import Estimate, Whitened, solve
 from gradcal_jax.estimation.standstill import find_standstills, lost_in_moves, settling
 from gradcal_jax.estimation.structure import Components, StructureTest, chi_squared, components, size_of, structure_test

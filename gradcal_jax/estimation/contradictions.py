@@ -15,12 +15,10 @@ from gradcal_jax.estimation import (
     ImuEstimate,
     ImuReadings,
     StructureTest,
-    diagnosis,
     size_of,
     structure_test,
 )
 from gradcal_jax.estimation.hidden_maps import FALSE_ALARM, hidden_maps, tested_maps
-from gradcal_jax.information.prediction import requirement_rows
 from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import AXIS_NAMES, BIAS, KINDS, Channel, ImuModel
 from gradcal_jax.records.log import Log, LogError
@@ -29,7 +27,6 @@ from gradcal_jax.spec.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
 from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.contracts import RequirementRow
 
 # K by which a die may be colder or warmer than the chamber's limits, self-heating included.
 _COLDER, _WARMER = 10.0, 35.0
@@ -131,26 +128,6 @@ def _goes_one_way(temperature: np.ndarray) -> bool:
     fall = float(np.max(np.maximum.accumulate(temperature) - temperature))
     rise = float(np.max(temperature - np.minimum.accumulate(temperature)))
     return max(fall, rise) > 5.0 and min(fall, rise) < 0.2 * float(np.ptp(temperature))
-
-
-def diagnosis_sentences(residual: np.ndarray, time_s: np.ndarray, moved: np.ndarray) -> list[str]:
-    """What residuals that contradict the model look like, in sentences; arguments as of `estimation.diagnosis`."""
-    seen, sentences = diagnosis(residual, time_s, moved), list[str]()
-    if len(seen.events):
-        when = ", ".join(f"{a:.5g} s" if b - a < 1.0 else f"{a:.5g} … {b:.5g} s" for a, b in seen.events[:3])
-        sentences.append(
-            f"{seen.readings} of {len(residual)} readings do not agree with the others, at {when}"
-            + (" and at other times" if len(seen.events) > 3 else "")
-            + ": did the encoder slip, did the bias jump, or was the IMU bumped? --robust gives such readings less "
-            "weight"
-        )
-    if seen.motion_tells:
-        sentences.append(
-            f"the residuals after moves are {seen.moving:.3g} times the noise of the spec, and the residuals at rest "
-            f"{seen.resting:.3g} times: is there vibration during moves, wobble of the table, an error of the table's "
-            "angle or timing, or a changing scale factor?"
-        )
-    return sentences
 
 
 def refuse_implausible(where: str, names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> None:
@@ -352,8 +329,8 @@ _MISSING_S, _MISSING = 2.0, 0.01
 
 
 def lacks_of(spec: Spec, logs: Sequence[Log]) -> str | None:
-    """A sentence on the part of a spec's plan that its logs lack, beside the prediction of the rest; None: they hold it
-    all, or the plan is one of points, of which each that is missing is named."""
+    """A sentence on the part of a spec's plan that its logs lack; None: they hold it all, or the plan is one of points,
+    of which each that is missing is named."""
     schedule = spec.schedule
     if isinstance(schedule, StandardSchedule):
         return None
@@ -361,16 +338,7 @@ def lacks_of(spec: Spec, logs: Sequence[Log]) -> str | None:
     recorded = sum(_recorded_s(log) for log in logs)
     if recorded > planned - max(_MISSING_S, _MISSING * planned):
         return None
-    left, until = recorded, 0.0
-    for stretch in schedule.stretches:
-        until = stretch.start + min(left, stretch.duration)
-        left -= stretch.duration
-        if left <= 0.0:
-            break
-    text = f"the log ends at {recorded:.4g} s of the plan's {planned:.4g} s ({recorded / planned:.0%})"
-    whole, part = requirement_rows(spec), requirement_rows(spec, until)
-    said = [_beside(one, other) for one, other in zip(part, whole, strict=True)]
-    return f"{text}; predicted for the executed part, from the terms in the spec: {'; '.join(said)}" if said else text
+    return f"the log ends at {recorded:.4g} s of the plan's {planned:.4g} s ({recorded / planned:.0%})"
 
 
 def _recorded_s(log: Log) -> float:
@@ -378,11 +346,6 @@ def _recorded_s(log: Log) -> float:
     steps = np.diff(log.time_s, prepend=log.time_s[:1])
     steps[log.stretch_starts] = 0.0
     return float(steps.sum())
-
-
-def _beside(part: RequirementRow, whole: RequirementRow) -> str:
-    seen = ("not observable" if v is None else f"{v:.4g} {part.unit}" for v in (part.decisive, whole.decisive))
-    return "{}: {} (for the whole plan: {})".format(part.name, *seen)
 
 
 class MeasuredDiscrepancy(NamedTuple):

@@ -20,17 +20,16 @@ from gradcal_jax.estimation import (
     Group,
     ImuEstimate,
     ImuReadings,
-    Smoothness,
     StructureTest,
     Test,
 )
+from gradcal_jax.estimation.bias_curves import BiasCurve, bias_curves
 from gradcal_jax.estimation.contradictions import (
     MeasuredDiscrepancy,
     RecordFaults,
     beyond_the_data,
     beyond_the_spec,
     counting_less,
-    diagnosis_sentences,
     discrepancies,
     excess_of,
     lacks_of,
@@ -54,13 +53,6 @@ from gradcal_jax.estimation.fit_of_log import (
 )
 from gradcal_jax.estimation.lag_of_maps import Lag
 from gradcal_jax.estimation.log_rows import Options, count_rows, imu_rows, with_earth, with_options
-from gradcal_jax.estimation.path_dependence import (
-    HEATING_AGAINST_COOLING,
-    BiasCurve,
-    PathDependence,
-    bias_curves,
-    path_dependence,
-)
 from gradcal_jax.information import segments_of
 from gradcal_jax.information.error_budget import (
     EstimatedRun,
@@ -91,6 +83,11 @@ from gradcal_jax.units import DEG_PER_S, PPM
 _TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
 # Change of temperature from the begin to the end of a record, as a share of its range, beyond which it goes one way.
 _ONE_WAY = 0.8
+HEATING_AGAINST_COOLING = "heating against cooling"
+_LOOP = (
+    "heating and cooling disagree: the errors depend on past temperatures; add to the spec the term that describes it: "
+    "hysteresis, bias_temperature_gradient, a lag of the bias or a turn_on_transient of the sensor"
+)
 # Fewer moves are not divided into odd and even ones.
 _FEWEST_MOVES = 4
 # Standard deviations by which two parts of the data differ by chance once in a thousand.
@@ -122,10 +119,6 @@ class SensorEstimate(NamedTuple):
     messages: tuple[str, ...]
     lag: Lag = Lag(0.0)
     """Lag of the maps behind the measured temperature."""
-    path: PathDependence | None = None
-    """If heating and cooling disagree: their difference, and the terms that explain it."""
-    smoothness: Smoothness | None = None
-    """If `smoothness="auto"` was requested: the smoothness at which the data are most probable."""
     neighbours: Mapping[str, tuple[Group, ...]] = MappingProxyType({})
     """For each gyro: mean scale factors without a map, if they were requested."""
     counts: Mapping[str, int] = MappingProxyType({})
@@ -319,7 +312,7 @@ def report_of(
     shown: RecordFaults,
 ) -> SensorEstimate:
     """The estimate of one sensor from the fit of its rows."""
-    built, (rows, messages), temperature, fit, smoothness, lag = fitted
+    built, (rows, messages), temperature, fit, lag = fitted
     stable, model = isinstance(built.spec.plan, StandardPlan), built.model
     done, readings, solution, rates = fit
     if stable:
@@ -382,33 +375,24 @@ def report_of(
     if unseen:
         calibration = calibration.model_copy(update={"unseen": unseen})
     seen = tuple(_internal(built, solution, covered[0])), _gravity(readings, calibration, temperature)
-    path = None
-    if HEATING_AGAINST_COOLING in contradicted:
-        warm = temperature[done.rows[at.first]][at.row_segment][used]
-        path = path_dependence(built.spec, readings, solution, warm, subsets[HEATING_AGAINST_COOLING])
     neighbours, alone = {}, ()
     if options.neighbours_k is not None:
         neighbours = estimation.neighbours_of(readings, solution, options.neighbours_k)
         alone = () if neighbours else ("no move has a rest directly before and after it: no moves can be averaged",)
     counts = _counts(logs, name, done)
-    beside_tests = lag, path, smoothness, neighbours, counts, structure, bias_curves(readings, solution)
+    beside_tests = lag, neighbours, counts, structure, bias_curves(readings, solution)
     report = SensorEstimate(
         name, built, done, solution, calibration, requirements, tests, channels, *seen, (), *beside_tests
     )
     names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
     lesser = counting_less(solution.weights, of_segment[at.row_segment][used], names)
-    of_path = () if path is None else path.sentences
+    of_path = (_LOOP,) if HEATING_AGAINST_COOLING in contradicted else ()
     of_path = *of_path, *one_way_sentences(built, solution.known, done.motion.line), *branch_sentences(built.spec)
     of_path = *of_path, *attitude_sentences(built.spec)
     of_path = *of_path, *backlash_sentences(estimated, solution, of_angles, requirements)
     beside = *of_path, *omitted_sentences(built.spec, temperature[record], lag.std is not None), *beyond
-    looks = diagnosis_sentences(solution.estimate.residuals, of_segment[at.row_segment][used], moved)
-    told = _words(report, solution, of_table.values()), looks if contradicted else []
-    told = *told, [one.sentence for one in figures if one.name in contradicted]
+    told = _words(report, solution, of_table.values()), [one.sentence for one in figures if one.name in contradicted]
     hidden = (f"{channel.replace('_', ' ')}: {structure_in_words(test)}" for channel, test in structure if test.noticed)
-    if smoothness is not None and smoothness.at_edge:
-        edge = "the data do not determine the smoothness of the maps: the estimate is at the edge of the allowed range"
-        messages = *messages, edge
     return report._replace(
         messages=(*messages, *alone, *lag.sentences, *lesser, *hidden, *itertools.chain(*told), *beside)
     )
@@ -546,7 +530,6 @@ def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
         "valid_rate_dps": [float(r) * DEG_PER_S for r in calibration.valid_rate],
         "lag_s": report.lag.seconds,
         "lag_std_s": report.lag.std,
-        "smoothness": _smoothness_rows(report.smoothness),
         "neighbours": [_group_row(name, group) for name, own in report.neighbours.items() for group in own],
         "down_weighted": int(np.count_nonzero(report.solution.weights < 1.0)),
         "noise_scale": finite(tests.noise_scale),
@@ -572,14 +555,7 @@ def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
             for channel, t in report.structure
         ],
         "messages": list(report.messages),
-        "path": None if report.path is None else _path_rows(report.path),
     }
-
-
-def _smoothness_rows(chosen: Smoothness | None) -> list[dict[str, Any]] | None:
-    if chosen is None:
-        return None
-    return [{"channel": channel, "map": name, "std": std} for (channel, name), std in chosen.stds.items()]
 
 
 def _group_row(channel: str, group: Group) -> dict[str, Any]:
@@ -591,15 +567,4 @@ def _group_row(channel: str, group: Group) -> dict[str, Any]:
         "scale_factor_ppm": group.scale_factor * PPM,
         "standard_error_ppm": None if group.standard_error is None else group.standard_error * PPM,
         "map_ppm": group.of_map * PPM,
-    }
-
-
-def _path_rows(path: PathDependence) -> dict[str, Any]:
-    """Half-differences of heating and cooling, and the terms that explain them, for `--json`, SI."""
-    differences = [
-        d._replace(**{k: getattr(d, k).tolist() for k in ("temperature_c", "value", "std")}) for d in path.differences
-    ]
-    return {
-        "half_differences": [d._asdict() for d in differences],
-        "offers": [offer._asdict() for offer in path.offers],
     }

@@ -33,7 +33,6 @@ from gradcal_jax.estimation import (
     ImuEstimate,
     ImuRows,
     PlannedMove,
-    Smoothness,
     TablePoints,
     Test,
 )
@@ -133,15 +132,6 @@ def fitted_twice(
     fastest = np.nanmax(np.abs(rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
     seen = rows._replace(rates=np.where(far <= SCALE_FACTOR_ERROR * fastest, rates, rows.rates))
     return _read(built, name, rows, seen, temperature, threshold, felt, first, checked=checked)
-
-
-def with_chosen_smoothness(built: BuiltImu, fit: Fit, threshold: float | None) -> tuple[BuiltImu, Fit, Smoothness]:
-    """The fit with those smoothness priors at which its data are most probable. Errors: `ValueError` without any."""
-    chosen = estimation.choose_smoothness(fit.solution.white, built.model)
-    model = estimation.with_smoothness(built.model, list(chosen.stds.values()))
-    readings = fit.readings._replace(model=model)
-    solution = estimation.solve_imu(readings, fit.solution.parameters, threshold=threshold)
-    return built._replace(model=model), fit._replace(readings=readings, solution=solution), chosen
 
 
 def _read(
@@ -276,7 +266,6 @@ class FittedRows(NamedTuple):
     recorded: Recorded
     temperature: np.ndarray
     fit: Fit
-    smoothness: Smoothness | None
     lag: Lag
 
 
@@ -296,7 +285,7 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
     refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), built.model.channels)
     threshold = options.threshold if options.robust else None
     lag, stable = Lag(0.0 if isinstance(options.lag, str) else options.lag), isinstance(built.spec.plan, StandardPlan)
-    fit, smoothness = None, None
+    fit = None
     if options.lag == "fit" and stable:
         messages = *messages, "a lag cannot be estimated at constant temperatures: zero lag is assumed"
     elif isinstance(options.lag, str) and not stable and (options.lag == "fit" or _may_lag(built)):
@@ -323,9 +312,7 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
         doubts = temperature_of.doubts(possible)
         others = [temperature_of(possible), *(temperature + doubt for doubt in doubts)]
         fit, lag = _with_errors(fit, others, threshold), Lag(0.0, in_rows=True)
-    if options.smoothness == "auto":
-        built, fit, smoothness = with_chosen_smoothness(built, fit, threshold)
-    return FittedRows(built, recorded._replace(messages=messages), temperature, fit, smoothness, lag)
+    return FittedRows(built, recorded._replace(messages=messages), temperature, fit, lag)
 
 
 def _wander(spec: Spec) -> float:
@@ -427,8 +414,6 @@ def _estimator(solution: ImuEstimate, lag: Lag, options: Options) -> str:
         parts.append("robust (Huber)")
     if lag.std is not None:
         parts.append(f"lag fitted: {lag.seconds:.4g} s, 1 sigma {lag.std:.2g} s")
-    if options.smoothness == "auto":
-        parts.append("smoothness by marginal likelihood")
     if options.clock == "host":
         parts.append("clock of the computer")
     return "; ".join(parts)

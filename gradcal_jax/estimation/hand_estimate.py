@@ -64,7 +64,7 @@ def estimate_by_hand(
     """The calibration of every unit in `units` (default: all) from a log of many positions, by `gravity` (m/s²).
 
     Accelerometers by |f| = g over the standstills, then gyros by the turns of gravity between them
-    (`gradcal_jax.estimation.hand`). Readings may be raw counts. `options`: `api.log_rows.Options`, of which
+    (`gradcal_jax.estimation.hand`). Readings may be raw counts. `options`: `estimation.log_rows.Options`, of which
     this takes `earth_rate` (rad/s, straight up), `clock` and `temperature_c`; `sources`: names of files, for the
     provenance. Returns reports with a `calibration` (SI), tests, residuals of gravity (m/s²) and of the turns (rad),
     and `messages`.

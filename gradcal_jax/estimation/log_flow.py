@@ -68,7 +68,7 @@ def instability(
     """The smallest drift that bounds a record at rest: the Direct Bound of Berman's equations 6 and 7.
 
     `log`: a log, or `(n,)` rates in rad/s, `rate` of them a second. One channel, masked where the table moves, less
-    its bias over temperature (`bias_degree`, `lag` in s: see `api.instability.at_rest`). The drift is measured from
+    its bias over temperature (`bias_degree`, `lag` in s: see `instability.at_rest`). The drift is measured from
     an average over `averaging_time_s`, for `shortest_s` to `longest_s`, and must stay within `margin` standard
     deviations. `angle_random_walk`: rad/√s; None: from the Allan deviation. `temperature_c`: only rows between two
     temperatures. Returns `bound` (`drift_std` in rad/s, `correlation_time_s`), the Allan deviation with its fit,
@@ -129,7 +129,6 @@ def estimate(
     earth_rate: float | None = None,
     robust: bool = False,
     lag: float | Literal["auto", "fit"] = "auto",
-    smoothness: Literal["spec", "auto"] = "spec",
     clock: Literal["sensor", "host"] | None = None,
     read_every: float | None = None,
     table_axis: str | None = None,
@@ -142,11 +141,10 @@ def estimate(
     each. `axis`: the recorded one, where the spec has one gyro on a table of one axis. `units`: default all.
     `earth_rate` rad/s along that axis is subtracted (default: the spec's). `robust`: Huber weights for outliers. `lag`
     s of the maps behind the measured temperature, "fit", or "auto": fitted, and used if the data show one (and the spec
-    does not state that there is none). `smoothness` "auto": that of bins and B-splines at maximum
-    marginal likelihood. `clock`: the clock over whose time rates are integrated (default: the spec's, or else the
-    computer's where the log has both). `read_every` s: spacing of readings at rest (default: the spec's). `table_axis`:
-    the log's name of the table's only axis. `neighbours_k`: also group moves of one rate within this temperature
-    difference, without a structure. `temperature_c` of a log without a thermometer.
+    does not state that there is none). `clock`: the clock over whose time rates are integrated (default: the spec's, or
+    else the computer's where the log has both). `read_every` s: spacing of readings at rest (default: the spec's).
+    `table_axis`: the log's name of the table's only axis. `neighbours_k`: also group moves of one rate within
+    this temperature difference, without a structure. `temperature_c` of a log without a thermometer.
 
     Returns `calibrations` (SI, one a sensor; `write_calibration` writes them), `verdicts` (in their units) and
     `messages` by sensor, every sensor's fit, and `as_wished`. Gauss-Newton through the finite geometry, with the
@@ -158,7 +156,6 @@ def estimate(
         earth_rate=earth_rate,
         robust=robust,
         lag=lag,
-        smoothness=smoothness,
         clock=clock,
         read_every=read_every,
         table_axis=table_axis,

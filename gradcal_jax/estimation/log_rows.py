@@ -27,7 +27,7 @@ from gradcal_jax.tables.quantity import Quantity
 
 @dataclass(frozen=True)
 class Options:
-    """Options of an estimate; `api.log_flow.estimate` explains each."""
+    """Options of an estimate; `estimation.log_flow.estimate` explains each."""
 
     earth_rate: float | None = None
     """Earth rate along the sensor's axis, rad/s; it is subtracted. None: the spec's rate, if stated."""
@@ -36,7 +36,6 @@ class Options:
     lag: float | Literal["auto", "fit"] = "auto"
     """Lag of the maps behind the measured temperature, s; "fit": estimated; "auto": estimated, and used if the data
     show one."""
-    smoothness: Literal["spec", "auto"] = "spec"
     clock: Literal["sensor", "host"] | None = None
     """None: the spec's clock; if the spec states none and the log has both clocks, the computer's clock."""
     clock_doubt: float = 0.0

@@ -8,7 +8,7 @@ These hold continuous-time densities: the white noise N (rad/s/√Hz, m/s²/√H
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -133,8 +133,6 @@ class Instability:
     """The temperatures of the rows used; None: all of the record."""
     scatter: tuple[float, float] | None
     """Standard deviations of σ (rad/s) and of ln τ, from blocks of the record; None for too few blocks."""
-    markov: identify.MarkovFit | None = None
-    """One Markov process by maximum likelihood; None: the record shows none."""
     branch: str | None = None
     """The branch of the temperature of the rows used; None: all."""
 
@@ -373,10 +371,7 @@ def instability(
         observed, walk, margin=margin, rate_in_words=lambda rate: f"{rate * DEG_PER_H:.3g} deg/h"
     )
     scatter = identify.scatter_of_bound(bound, rest.rate, interval, valid=valid)
-    markov = identify.fit_markov(rest.rate, interval, valid)
-    return Instability(
-        rest, allan, fit, bound, temperature_c, scatter, markov if markov is not None and markov.shows else None, branch
-    )
+    return Instability(rest, allan, fit, bound, temperature_c, scatter, branch)
 
 
 def temperature_ranges(rest: RestRecord, parts: int, bin_k: float | None = None) -> list[tuple[float, float]]:
@@ -418,7 +413,6 @@ def instability_row(result: Instability) -> dict[str, Any]:
             "largest_drift_deg_per_h": (bound.largest_drift * DEG_PER_H).tolist(),
             "limit_deg_per_h": (bound.limit * DEG_PER_H).tolist(),
         },
-        "markov": None if result.markov is None else _markov_row(result.markov),
         "thermal": None
         if thermal is None
         else {
@@ -427,15 +421,6 @@ def instability_row(result: Instability) -> dict[str, Any]:
             "residual_rms_deg_per_h": thermal.residual_rms * DEG_PER_H,
         },
         "messages": [*result.rest.messages, *allan_notes(of_sensor(result.rest, result.allan_fit)), *bound.messages],
-    }
-
-
-def _markov_row(markov: identify.MarkovFit) -> dict[str, float]:
-    return {
-        "drift_std_deg_per_h": markov.sigma * DEG_PER_H,
-        "drift_std_relative_error": float(np.sqrt(markov.covariance[1, 1])),
-        "correlation_time_s": markov.tau,
-        "correlation_time_ln_error": float(np.sqrt(markov.covariance[2, 2])),
     }
 
 
@@ -528,7 +513,6 @@ def axes_asked_for(log: Log, wanted: Sequence[str]) -> list[str]:
     return [log.axes[log.axis_index(axis)] for axis in wanted] or list(log.axes)
 
 
-NoiseFormat = Literal["kalibr", "ins"]
 _UNITS: Final = {"gyroscope": ("rad/s", "rad/s^2"), "accelerometer": ("m/s^2", "m/s^3")}
 
 
@@ -550,16 +534,14 @@ def noise_of_imu(log: Log, unit: str | int = 0, *, lag: float | str = "auto") ->
     return found
 
 
-def noise_file(channels: Sequence[ChannelNoise], form: NoiseFormat, sample_rate_hz: float, source: str) -> str:
-    """The text of the file. **Raises:** `LogError` where an axis shows no white noise."""
+def noise_file(channels: Sequence[ChannelNoise], sample_rate_hz: float, source: str) -> str:
+    """The text of kalibr's imu.yaml. **Raises:** `LogError` where an axis shows no white noise."""
     lines = [
         f"# noise of {source} at rest, from its Allan deviation: continuous-time densities of the noisiest axis;",
         "# then each axis ± one standard error",
+        "rostopic: /imu  # the topic of your bag",
+        f"update_rate: {sample_rate_hz:.6g}",
     ]
-    if form == "kalibr":
-        lines += ["rostopic: /imu  # the topic of your bag", f"update_rate: {sample_rate_hz:.6g}"]
-    else:
-        lines.append(f"sample_rate: {sample_rate_hz:.6g}  # Hz")
     for kind, (unit, per_second) in _UNITS.items():
         own = [channel for channel in channels if channel.kind == kind]
         if not own:
@@ -568,7 +550,6 @@ def noise_file(channels: Sequence[ChannelNoise], form: NoiseFormat, sample_rate_
         for name, term, words in (
             ("noise_density", "angle_random_walk", f"{unit}/sqrt(Hz)"),
             ("random_walk", "rate_random_walk", f"{per_second}/sqrt(Hz)"),
-            *([("bias_instability", "bias_instability", unit)] if form == "ins" else []),
         ):
             values = [getattr(channel.fit, term) for channel in own]
             if name == "noise_density" and not all(value.value > 0.0 for value in values):

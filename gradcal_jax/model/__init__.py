@@ -21,7 +21,6 @@ from gradcal_jax.model.nodes import (
 )
 from gradcal_jax.model.path import (
     GradientOfScale,
-    HalfDifference,
     Hysteresis,
     PathTerm,
     TemperatureDifference,

@@ -31,7 +31,7 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.formulas import running_clamps, then
-from gradcal_jax.model.bases import BSpline, HigherPolynomials
+from gradcal_jax.model.bases import HigherPolynomials
 from gradcal_jax.model.nodes import Nodes, OtherTemperature, SharedNodes
 from gradcal_jax.model.terms import Term
 
@@ -193,28 +193,3 @@ class TurnOnTransient(PathTerm):
     def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 1"]]:
         xp = namespace(nodes.temperature_change)
         return [xp.exp(-g.time / self.time_constant)[..., None] for g in _shared(nodes) if g.time is not None]
-
-
-class HalfDifference(PathTerm):
-    """Half of what heating and cooling differ by, a function of temperature: `±ψ(T)`, positive where it heats. Between
-    the two the sign follows dT/dt within ±`_STEADY`. `std`: of every coefficient. Beyond the knots, the values there.
-    """
-
-    std: Float[AnyArray, ""]
-    temperature: BSpline
-    signals: tuple[str, ...] = eqx.field(static=True)
-    name: str = eqx.field(static=True)
-    si_unit: str = eqx.field(static=True)
-
-    @property
-    def size(self) -> int:
-        return self.temperature.size
-
-    def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m q"]]:
-        result, knots = [], self.temperature.knots
-        for g in _shared(nodes):
-            assert g.slope is not None
-            xp = namespace(g.temperature)
-            sign = xp.clip(g.slope / _STEADY, -1.0, 1.0)
-            result.append(sign[..., None] * self.temperature(xp.clip(g.temperature, knots[0], knots[-1])))
-        return result

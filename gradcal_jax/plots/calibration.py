@@ -10,9 +10,9 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
 from gradcal_jax.calibration import CalibratedChannel, Calibration
+from gradcal_jax.estimation.bias_curves import BiasCurve
 from gradcal_jax.estimation.estimate import EstimateReport, SensorEstimate
 from gradcal_jax.estimation.hand_estimate import HandReport
-from gradcal_jax.estimation.path_dependence import BiasCurve
 from gradcal_jax.information import segments_of
 from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.plots.calibration_maps import draw_calibrated_scale_factor, draw_calibrated_term, panels_of
@@ -135,7 +135,8 @@ def draw_estimate(report: EstimateReport) -> Figure:
 
 
 def _loops_of(report: SensorEstimate) -> Sequence[BiasCurve]:
-    return report.curves if report.path is not None or any(one.width for one in report.calibration.path) else ()
+    loops = "heating against cooling" in report.calibration.contradicted
+    return report.curves if loops or any(one.width for one in report.calibration.path) else ()
 
 
 def _over_rate(calibration: Calibration) -> list[CalibratedChannel]:

@@ -4,24 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from logs_zoo import GRADIENT, estimated, spec_of
+from logs_zoo import estimated, spec_of
 from scipy import stats
 from simulated_log import simulate_log
 
 from gradcal_jax.estimation import (
     Whitened,
-    choose_smoothness,
     consistency,
     find_standstills,
     solve,
     split,
     whiteness,
-    with_smoothness,
 )
 from gradcal_jax.estimation.consistency import taken_up
 from gradcal_jax.estimation.log_rows import Options
-from gradcal_jax.model import BIAS
-from gradcal_jax.model.imu_build import build_imu
 
 BINS = 'temperature = { basis = "bins", edges = [%s] }\nsmoothness = "%s"' % (  # noqa: UP031
     ", ".join(f'"{t} degC"' for t in range(0, 41, 2)),
@@ -106,61 +102,6 @@ def test_bad_readings_count_for_less_and_are_named(small):
     low = int(np.count_nonzero(robust.solution.weights < 0.2))
     assert 1 <= low <= 10  # those of the eight at which the table was read
     assert any("less than full weight" in message for message in robust.messages)
-
-
-# --- smoothness -------------------------------------------------------------------------------------------------------
-
-
-def bins_model():
-    text = GRADIENT.replace(POLYNOMIAL, BINS, 1)
-    return build_imu(spec_of(text)).model
-
-
-def test_the_marginal_likelihood_is_that_of_the_data():
-    """Against the density of the data with the parameters integrated out, at several strengths; a proper prior."""
-    from gradcal_jax.estimation.smoothing import _minus_twice_log
-
-    rng = np.random.default_rng(4)
-    model = bins_model()
-    prior = np.asarray(with_smoothness(model, [30 * DEG_PER_H]).prior_rows())
-    p = prior.shape[1]
-    proper = np.concatenate([prior, np.diag(rng.uniform(0.5, 2.0, p)) * np.abs(prior).max()])
-    design = rng.standard_normal((60, p)) * np.abs(prior).max()
-    data = rng.standard_normal(60) * 3.0
-    triangle, rotated = np.linalg.qr(design, mode="r"), np.linalg.qr(design)[0].T @ data
-    values, truth = [], []
-    for factor in (0.3, 1.0, 4.0):
-        rows = proper * factor
-        values.append(_minus_twice_log(triangle, rotated, rows))
-        covariance = np.eye(60) + design @ np.linalg.solve(rows.T @ rows, design.T)
-        truth.append(float(data @ np.linalg.solve(covariance, data)) + np.linalg.slogdet(covariance)[1])
-    np.testing.assert_allclose(np.diff(values), np.diff(truth), rtol=1e-6)
-
-
-def test_the_strength_chosen_leaves_less_than_too_little_or_too_much():
-    """A curved bias in twenty bins, seen with noise that hides the steps between neighbours."""
-    rng = np.random.default_rng(5)
-    model = bins_model()
-    bias = model.where("gyro", 0, BIAS)
-    truth = 40 * DEG_PER_H * np.sin(np.arange(20) / 4.0)
-    rows = np.zeros((400, model.size))
-    rows[np.arange(400), rng.integers(0, 20, 400)] = 1.0 / (60 * DEG_PER_H)
-    data = rows[:, bias] @ truth + rng.standard_normal(400)
-    white = Whitened(rows, data, np.asarray(model.prior_rows()))
-    chosen = choose_smoothness(white, model)
-    (std,) = chosen.stds.values()
-    assert not chosen.at_edge
-    assert 3 * DEG_PER_H < std < 60 * DEG_PER_H  # true neighbours are 7 deg/h rms apart
-
-    def left(of):
-        smooth = with_smoothness(model, [of])
-        result = solve(white._replace(prior=np.asarray(smooth.prior_rows())))
-        return float(np.sqrt(np.mean((result.parameters[bias] - truth) ** 2)))
-
-    assert left(std) < 0.8 * left(1e4 * DEG_PER_H)
-    assert left(std) < 0.5 * left(0.05 * DEG_PER_H)
-    with pytest.raises(ValueError, match="no map of this model has a smoothness prior"):
-        choose_smoothness(white, build_imu(spec_of()).model)
 
 
 # --- tests of the fit -------------------------------------------------------------------------------------------------

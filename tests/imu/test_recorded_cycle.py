@@ -147,17 +147,13 @@ def test_heating_and_cooling_predict_the_next_cooling_leg():
         assert np.mean(np.abs(apart) < 2.0 * std) >= 0.9, name
 
 
-def test_without_the_term_heating_and_cooling_disagree_and_a_play_is_offered():
+def test_without_the_term_heating_and_cooling_disagree():
     _, _, _, (_, warmest) = recorded()
     report = estimated(0, warmest, plays=False)
     assert "heating against cooling" in report.calibration.contradicted
     (row,) = report.requirements
     assert row.verdict == "not valid"
-    assert report.path is not None
-    assert report.path.offers[0].after < 0.8 * report.path.offers[0].before
-    (named,) = [m for m in report.messages if m.startswith("heating and cooling disagree")]
-    assert "the errors depend on past temperatures; half the difference (heating minus cooling): gyro x" in named
-    assert any(" K explains the difference: χ² over degrees of freedom 1." in m for m in report.messages)
+    assert any(m.startswith("heating and cooling disagree") for m in report.messages)
 
 
 @pytest.mark.parametrize("plays", [False, True])

@@ -73,7 +73,7 @@ def test_a_start_that_commanded_nothing_leaves_the_ports_to_the_next_one(
     monkeypatch.setattr(Guard, "begun", lambda self: (told.append("begun"), begun(self)))
     with Rig(clock) as rig:
         tables = rig.rig.model_dump(mode="json", exclude_unset=True)
-        tables["chamber"]["options"] = {"reply_timeout": "0.1 s"}
+        tables["chamber"]["options"]["reply_timeout"] = "0.1 s"
         run = new_folder(tmp_path / "run", short_recipe(1.0), rig_of(tables), simulated={})
         rig.ports[0].faults = lambda message: []
         result = run_session(run, rig_of(tables), clock, guard=True, safe_deadline_s=1.0)
@@ -330,7 +330,7 @@ def test_late_replies_are_said_by_check_and_run(tmp_path: Path, capsys: pytest.C
     seen: list[str] = []
     with Rig(RealClock()) as rig:
         tables = rig.rig.model_dump(mode="json", exclude_unset=True)
-        tables["chamber"]["options"] = {"reply_timeout": "0.2 s"}
+        tables["chamber"]["options"]["reply_timeout"] = "0.2 s"
         write_toml(rig_of(tables), tmp_path / "rig.toml")
         rig.ports[0].faults = Slow(rig.ports[0], 0.3)
         assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 0
@@ -350,3 +350,15 @@ def test_late_replies_are_said_by_check_and_run(tmp_path: Path, capsys: pytest.C
     assert "late: raise reply_timeout" in seen[0]
     (event,) = (one for one in read_journal(run.journal_path).events if one.name == "late reply")
     assert event.data["device"] == "chamber"
+
+
+def test_a_run_that_ends_by_an_answer_seconds_late_says_so(tmp_path: Path) -> None:
+    with Rig(RealClock()) as rig:
+        tables = rig.rig.model_dump(mode="json", exclude_unset=True)
+        tables["chamber"]["options"]["reply_timeout"] = "0.3 s"
+        rig.ports[0].faults = Slow(rig.ports[0], 3.0)
+        run = new_folder(tmp_path / "run", short_recipe(1.0), rig_of(tables), simulated={})
+        result = run_session(run, rig_of(tables), RealClock(), safe_deadline_s=8.0)
+    assert result.exit_status == "aborted"
+    assert "did not answer in 0.3 s" in result.reason
+    assert "s late: raise reply_timeout" in result.reason

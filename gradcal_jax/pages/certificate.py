@@ -16,7 +16,7 @@ import gradcal_jax
 from gradcal_jax.calibration import LOG_HASH, Calibration
 from gradcal_jax.estimation.calibrations import calibration_map
 from gradcal_jax.information.prediction import counted_shares
-from gradcal_jax.pages.section import Part, Section
+from gradcal_jax.pages.section import PagePart, PageSection
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.pages.tables import tests
 from gradcal_jax.records.log import SERIAL_NUMBER
@@ -31,7 +31,7 @@ _TEMPERATURES: Final = 5
 _SMALLEST_SHARE: Final = 5e-4
 
 
-def certificate_part(sources: Sources, rig: RigFile | None, words: Mapping[str, str]) -> Part:
+def certificate_part(sources: Sources, rig: RigFile | None, words: Mapping[str, str]) -> PagePart:
     """The certificate of a calibration. `words`: "number", "customer" and "performed": a date, or the first and the
     last as "2026-11-21..2026-11-22"; by default that of the run. Errors: `ValueError` without a calibration, or for an
     invalid date."""
@@ -45,22 +45,23 @@ def certificate_part(sources: Sources, rig: RigFile | None, words: Mapping[str, 
     ]
     standards = Table.of(["standard", "identity", "certificate", "valid until"], traceability)
     none = [] if traceability else ["Not stated: the rig file names no [[reference]]."]
+    heading = _heading(sources, calibration, rig, number, words)
     sections = [
-        Section("Certificate", [], [Table.of(["what", "value"], _heading(sources, calibration, rig, number, words))]),
-        Section("Method", [_method(sources, calibration)]),
-        Section("Traceability", none, [standards]),
-        Section("Conditions", [], [Table.of(["what", "value"], _conditions(calibration))]),
-        Section("Results", ["Error that remains after correction; U = k·u is the expanded uncertainty."],
+        PageSection("Certificate", [], [Table.of(["what", "value"], heading)]),
+        PageSection("Method", [_method(sources, calibration)]),
+        PageSection("Traceability", none, [standards]),
+        PageSection("Conditions", [], [Table.of(["what", "value"], _conditions(calibration))]),
+        PageSection("Results", ["Error that remains after correction; U = k·u is the expanded uncertainty."],
                 [_results(calibration)]),
-        Section("Uncertainty budget", ["Type B: each input is a figure of the spec, or typical of the class."],
+        PageSection("Uncertainty budget", ["Type B: each input is a figure of the spec, or typical of the class."],
                 list(_budgets(sources, calibration))),
-        Section("Tests", [], [tests(calibration)]),
-        Section("Corrections", ["Value ± U, with k = 2.", f"{calibration.order}."], [_corrections(calibration)]),
-        Section("Validity", _validity(calibration)),
-        Section("Signature", ["This document claims no accreditation. It may be copied only as a whole.",
+        PageSection("Tests", [], [tests(calibration)]),
+        PageSection("Corrections", ["Value ± U, with k = 2.", f"{calibration.order}."], [_corrections(calibration)]),
+        PageSection("Validity", _validity(calibration)),
+        PageSection("Signature", ["This document claims no accreditation. It may be copied only as a whole.",
                               "Date and signature: ______________________________"]),
     ]  # fmt: skip
-    return Part(f"Calibration certificate {number}", [section for section in sections if not section.is_empty])
+    return PagePart(f"Calibration certificate {number}", [section for section in sections if not section.is_empty])
 
 
 def _heading(

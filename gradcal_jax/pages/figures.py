@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from gradcal_jax import plots
 from gradcal_jax.calibration import Calibration
 from gradcal_jax.pages.history import RunHistory
-from gradcal_jax.pages.residuals import Left
+from gradcal_jax.pages.residuals import ResidualLeft
 from gradcal_jax.plots.calibration_maps import (
     draw_calibrated_scale_factor,
     draw_calibrated_term,
@@ -46,7 +46,7 @@ class Picture(NamedTuple):
     svg: str
 
 
-def residual_pictures(found: list[Left], targets: dict[str, float]) -> Iterator[Picture]:
+def residual_pictures(found: list[ResidualLeft], targets: dict[str, float]) -> Iterator[Picture]:
     """For each requirement its residuals at every stage as curves; of a single element over temperature and rate, also
     the map of the last stage. `targets`: the limits on the standard deviation, by requirement."""
     for left in found:

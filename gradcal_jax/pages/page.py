@@ -14,7 +14,7 @@ from gradcal_jax.pages.certificate import certificate_part
 from gradcal_jax.pages.figures import calibration_pictures, plan_pictures, residual_pictures
 from gradcal_jax.pages.history import RunHistory, history_of
 from gradcal_jax.pages.residuals import outcome_table, residuals_of
-from gradcal_jax.pages.section import Part, Section
+from gradcal_jax.pages.section import PagePart, PageSection
 from gradcal_jax.pages.sources import Sources, read_sources
 from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path, terms, tests
 from gradcal_jax.recipe.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
@@ -59,7 +59,7 @@ def write_page(
     """Write the page of `sources`, with a `certificate` in front where its number, customer and dates are stated;
     returns its tables as plain data."""
     history = None if sources.run is None else history_of(sources.run)
-    parts = [Part(_heading(sources, history), _sections(sources, history))]
+    parts = [PagePart(_heading(sources, history), _sections(sources, history))]
     if certificate is not None:
         parts.insert(0, certificate_part(sources, None if rig is None else read_rig(rig), certificate))
     calibration = sources.calibration
@@ -87,7 +87,7 @@ def _verdict(sources: Sources) -> str:
     return next((word for word in _VERDICTS if word in verdicts), "")
 
 
-def _sections(sources: Sources, history: RunHistory | None) -> list[Section]:
+def _sections(sources: Sources, history: RunHistory | None) -> list[PageSection]:
     found = residuals_of(sources)
     targets = {
         r.requirement.name: float(r.requirement.target) / r.requirement.coverage
@@ -98,17 +98,17 @@ def _sections(sources: Sources, history: RunHistory | None) -> list[Section]:
     notes = [f"Note: {note}." for note in _notes(sources)]
     about = "What remains of each error within the stated range: the named statistic of one standard deviation (1σ)."
     sections = [
-        Section("Requirements", [f"{about} Before: {before}.", *notes], [outcome_table(sources, found)]),
-        Section("Residuals", pictures=list(residual_pictures(found, targets))),
+        PageSection("Requirements", [f"{about} Before: {before}.", *notes], [outcome_table(sources, found)]),
+        PageSection("Residuals", pictures=list(residual_pictures(found, targets))),
         _plan(sources, history),
     ]
     if history is not None:
-        sections.append(Section("Run", history.sentences, [history.waited, history.devices]))
+        sections.append(PageSection("Run", history.sentences, [history.waited, history.devices]))
     sections += _calibrated(sources)
     stated = Table.of(["term", "figure"], assumptions(sources.spec, sources.calibration))
-    sections.append(Section("Assumptions", [], [stated]))
+    sections.append(PageSection("Assumptions", [], [stated]))
     made = [*provenance_rows(sources), ("page made", _time_and_version())]
-    sections.append(Section("Provenance", [], [Table.of(["what", "value"], made)]))
+    sections.append(PageSection("Provenance", [], [Table.of(["what", "value"], made)]))
     return [section for section in sections if not section.is_empty]
 
 
@@ -127,7 +127,7 @@ def _notes(sources: Sources) -> list[str]:
     return list(dict.fromkeys(note.rstrip(".") for note in notes))
 
 
-def _plan(sources: Sources, history: RunHistory | None) -> Section:
+def _plan(sources: Sources, history: RunHistory | None) -> PageSection:
     spec, recipe = sources.spec, sources.recipe
     text: list[str] = []
     tables: list[Table] = []
@@ -140,15 +140,17 @@ def _plan(sources: Sources, history: RunHistory | None) -> Section:
         text += [f"{words}." for words in chamber_words(recipe)]
         text += [f"Table, {block_heading(block)}." for block in recipe.motion]
         text.append("gradcal check prints every move of the recipe as a table.")
-    return Section("Plan", text, tables, pictures=list(plan_pictures(spec, recipe, history)))
+    return PageSection("Plan", text, tables, pictures=list(plan_pictures(spec, recipe, history)))
 
 
-def _calibrated(sources: Sources) -> list[Section]:
+def _calibrated(sources: Sources) -> list[PageSection]:
     """The sections of a calibration, or of the coefficients of a plan alone."""
     calibration, planned = sources.calibration, None if sources.spec is None else sources.prediction
     if calibration is None:
         return [
-            Section("Coefficients", ["Uncertainty of each coefficient after this plan."], [coefficients(planned, None)])
+            PageSection(
+                "Coefficients", ["Uncertainty of each coefficient after this plan."], [coefficients(planned, None)]
+            )
         ]
     words = (
         "The p-value is the probability that the noise of the spec alone causes a statistic of this size or larger. If "
@@ -162,14 +164,14 @@ def _calibrated(sources: Sources) -> list[Section]:
         f"gradcal export {name} --format c-header -o calibration.h",
     ]
     return [
-        Section(
+        PageSection(
             "Calibration",
             [f"{calibration.valid_range}.", words],
             [table for table in tables if table.rows],
             pictures=list(calibration_pictures(calibration)),
         ),
-        Section("Coefficients", [], [coefficients(planned, calibration)]),
-        Section("How to apply it", [f"{calibration.order}."], commands=commands),
+        PageSection("Coefficients", [], [coefficients(planned, calibration)]),
+        PageSection("How to apply it", [f"{calibration.order}."], commands=commands),
     ]
 
 

@@ -20,14 +20,14 @@ from gradcal_jax.tables.display import amount
 from gradcal_jax.tables.table import Table
 
 
-class Left(NamedTuple):
+class ResidualLeft(NamedTuple):
     """A requirement, and its residuals (1σ) by stage: "before", "predicted", "achieved", as far as they are known."""
 
     requirement: Requirement
     stages: dict[str, ImuResidual]
 
 
-def residuals_of(sources: Sources) -> list[Left]:
+def residuals_of(sources: Sources) -> list[ResidualLeft]:
     """The residuals of all requirements of a plan but those of missions, which are curves over time."""
     spec = sources.spec
     if spec is None:
@@ -35,7 +35,7 @@ def residuals_of(sources: Sources) -> list[Left]:
     plan = _Plan(spec)
     other = None if sources.before is None else _Plan(sources.before)
     achieved = None if sources.calibration is None else plan.achieved(sources.calibration)
-    found: list[Left] = []
+    found: list[ResidualLeft] = []
     for requirement in spec.requirement:
         if isinstance(requirement, MissionHeadingRequirement):
             continue
@@ -45,11 +45,11 @@ def residuals_of(sources: Sources) -> list[Left]:
             "achieved": None if achieved is None else plan.left_by(*achieved, requirement),
         }
         known = {stage: left for stage, left in stages.items() if left is not None and np.isfinite(left.values).any()}
-        found.append(Left(requirement, known))
+        found.append(ResidualLeft(requirement, known))
     return found
 
 
-def outcome_table(sources: Sources, found: list[Left]) -> Table:
+def outcome_table(sources: Sources, found: list[ResidualLeft]) -> Table:
     """The requirements of a page: what is left at each stage, the target and the verdict."""
     calibration = sources.calibration
     if sources.spec is None:

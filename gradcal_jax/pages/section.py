@@ -9,7 +9,7 @@ from gradcal_jax.tables.table import Table
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """What stands under one heading."""
 
     title: str
@@ -34,8 +34,8 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Part:
+class PagePart:
     """A part of a document that is printed on sheets of its own."""
 
     heading: str
-    sections: list[Section]
+    sections: list[PageSection]

@@ -236,7 +236,8 @@ def sweep(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> xarray.Dataset:
     """Do a sweep and write its results (netCDF, each variable with its unit) to `output`; a call after an interruption
-    resumes where it stopped. Errors: `ValueError` where `output` exists, or every point fails; `SweepIncomplete`."""
+    resumes where it stopped. `workers`: executors, by default processes of this machine; `most`: how many points are
+    waiting at a time. Errors: `ValueError` where `output` exists, or every point fails; `SweepIncomplete`."""
     output = Path(output)
     if output.exists():
         raise ValueError(f"{output} exists; choose another output, or delete it")
@@ -330,7 +331,10 @@ def dataset_of(
 
 
 def read_dataset(path: str | Path) -> xarray.Dataset:
-    """The results of a sweep. Errors: `ValueError` for another kind of file."""
+    """The results of a sweep from its file at `path`, each variable with its unit.
+
+    Errors: `ValueError` for another kind of file.
+    """
     try:
         results = load_netcdf(path)
     except NetcdfError as error:

@@ -108,8 +108,8 @@ def test_a_programme_waits_after_soaks_and_steps_and_a_standard_plan_at_every_te
         {"step_to": "50 degC"},
         {"soak": "20 min", "used": True},
     ]
-    changes = {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": programme}
-    chamber, motion = tracks_of(rounded(changes.changed(MEMS, changes)).spec)
+    keys = {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": programme}
+    chamber, motion = tracks_of(rounded(changes.changed(MEMS, keys)).spec)
     begins = [(s.name, s.begins) for s in chamber.programme]
     assert begins == [
         ("soak 1", "when stable"),

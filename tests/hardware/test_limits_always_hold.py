@@ -373,8 +373,15 @@ def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path: Pat
             jammed.append(runner.clock.now())
             rig.axis.set_zero(runner.clock.now(), 81.9)
             rig.axis.move_to = lambda *_: None
+            # It pushes until it is stopped.
+            rig.axis.moving = lambda _: True
+            rig.axis.spin = lambda *_: setattr(rig.axis, "moving", lambda _: False)
 
-        once(runner, lambda progress: abs(rig.axis.state(runner.clock.now())[1]) > 100.0, jam)
+        def in_the_turn(progress: RunProgress) -> bool:
+            # Not in the search for the reference.
+            return progress.step_left_s is not None and abs(rig.axis.state(runner.clock.now())[1]) > 100.0
+
+        once(runner, in_the_turn, jam)
         result = runner.run()
         assert result.exit_status == "aborted"
         assert "axis table has been at 81.9 deg" in result.reason

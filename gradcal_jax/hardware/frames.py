@@ -82,7 +82,7 @@ class Stamp(Section):
     """Unit of a time."""
 
 
-class Column(Section):
+class FrameColumn(Section):
     """`[gyro]`, `[acceleration]`, `[temperature]`, `[second_temperature]`: numbers that follow each other."""
 
     at: At
@@ -129,13 +129,13 @@ class FramedSensor(Section):
     """Number of the sample."""
     time: Stamp | None = None
     """Time of the sample."""
-    gyro: Column | None = None
+    gyro: FrameColumn | None = None
     """Rates."""
-    acceleration: Column | None = None
+    acceleration: FrameColumn | None = None
     """Accelerations."""
-    temperature: Column | None = None
+    temperature: FrameColumn | None = None
     """Temperatures of the gyros."""
-    second_temperature: Column | None = None
+    second_temperature: FrameColumn | None = None
     """A second thermometer, or the temperatures of the accelerometers."""
     status: Status | None = None
     """Status of the sample."""
@@ -147,7 +147,7 @@ class FramedSensor(Section):
     """Timeout for the sensor's first frames."""
 
     @property
-    def columns(self) -> dict[str, Column]:
+    def columns(self) -> dict[str, FrameColumn]:
         """Its columns by the names of their quantities."""
         columns = {name: getattr(self, name) for name in QUANTITIES}
         return {name: column for name, column in columns.items() if column is not None}

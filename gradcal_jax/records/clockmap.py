@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.records.spool import Column
+from gradcal_jax.records.spool import StoredColumn
 
 Floats = NDArray[np.float64]
 _Spans = Callable[[], Iterable[tuple[Floats, Floats]]]
@@ -53,7 +53,7 @@ class ClockMap:
         return self.offset_s + self.rate * device_time_s
 
 
-def fit_arrivals(device: Column, host: Column, *, resolution_s: float = 0.0) -> ClockMap:
+def fit_arrivals(device: StoredColumn, host: StoredColumn, *, resolution_s: float = 0.0) -> ClockMap:
     """Fit the line to the last samples of all chunks, in the order of arrival, which are read a span at a time.
 
     `resolution_s` of the coarser of the two stamps limits `rate_std` from below, over the whole span.
@@ -122,7 +122,7 @@ def fit_arrivals(device: Column, host: Column, *, resolution_s: float = 0.0) -> 
     return ClockMap(offset - rate * middle, rate, rate_std, math.sqrt(squares / used), largest, used, count - used)
 
 
-def _increasing(column: Column) -> bool:
+def _increasing(column: StoredColumn) -> bool:
     return all(bool(np.all(np.diff(column[first : first + _SPAN + 1]) > 0.0)) for first in range(0, len(column), _SPAN))
 
 

@@ -16,7 +16,7 @@ Rows = NDArray[Any]
 """A structured array."""
 
 
-class Column(Protocol):
+class StoredColumn(Protocol):
     """Numbers that are read a slice at a time: an array, or a column of a spool."""
 
     def __len__(self) -> int: ...
@@ -75,7 +75,7 @@ class Spool:
         for begin in range(first, end, BLOCK):
             yield begin, self.read(begin, min(begin + BLOCK, end))
 
-    def column(self, name: str) -> Column:
+    def column(self, name: str) -> StoredColumn:
         return _SpoolColumn(self, name)
 
 

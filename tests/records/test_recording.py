@@ -221,7 +221,7 @@ def test_a_gap_whose_rounds_nobody_can_tell_is_said() -> None:
     )
     kinds = {finding.kind: finding for finding in log.findings}
     assert kinds["gap of doubtful length"].count == 1
-    assert "arrive 6.37 counter periods later" in kinds["gap of doubtful length"].message
+    assert "arrive 6.38 counter periods later" in kinds["gap of doubtful length"].message
 
 
 def test_stamps_that_come_later_from_some_place_on_are_said_and_nothing_is_counted() -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers.listening import SECONDS, ListeningImu, SampleTimes, conversion
-from gradcal_jax.hardware.frames import Column, FramedSensor, RowCheck, bytes_of, framed_sensor_of, numbers_of
+from gradcal_jax.hardware.frames import FrameColumn, FramedSensor, RowCheck, bytes_of, framed_sensor_of, numbers_of
 from gradcal_jax.hardware.roles import ImuBatch, ImuSettings, imu_batch, join
 from gradcal_jax.hardware.transport import Transport
 
@@ -174,7 +174,7 @@ class FrameDecoder:
             restarted=restarted,
         )
 
-    def _values(self, name: str, column: Column, rows: NDArray[np.uint8]) -> NDArray[np.float64]:
+    def _values(self, name: str, column: FrameColumn, rows: NDArray[np.uint8]) -> NDArray[np.float64]:
         """`(n, 3)` values of a column, in deg/s, g0 or degC."""
         unit, factor = _UNITS.get(name, ("degC", 1.0))
         scale, zero = conversion(column.unit, unit, factor)

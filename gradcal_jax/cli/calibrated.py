@@ -20,6 +20,7 @@ from gradcal_jax.cli.output import (
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import Columns, LogFile, Rows, Unit, described, load, quantity
 from gradcal_jax.tables.table import Column, Table
+from gradcal_jax.units import G
 
 if TYPE_CHECKING:
     from gradcal_jax.calibration.exports import Export
@@ -123,7 +124,7 @@ def validate(
     if parts < 1:
         raise ValueError(f"--parts must be 1 or more, not {parts}")
     earth = 0.0 if earth_rate is None else quantity(earth_rate, "angular rate", "--earth-rate")
-    place = {} if gravity is None else {"gravity": quantity(gravity, "acceleration", "--gravity")}
+    weight = G if gravity is None else quantity(gravity, "acceleration", "--gravity")
     content = read_calibration(calibration)
     recorded = load(log, columns, rows, unit=unit)
     use_float64()
@@ -136,7 +137,7 @@ def validate(
         unit=name,
         temperature_parts=parts,
         earth_rate=earth,
-        **place,
+        gravity=weight,
     )
     judged = work.acceptances(content, axes)
     if json:

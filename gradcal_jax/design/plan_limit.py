@@ -395,7 +395,7 @@ def _proofs_of_imu(spec: Spec) -> list[Proof]:
     kept = _kept_in_words(seen.time)
     proven: list[Proof] = []
     for r in spec.requirement:
-        temperatures = np.linspace(*(float(t) for t in r.temperature), r.grid[0])
+        temperatures = np.linspace(float(r.temperature[0]), float(r.temperature[1]), r.grid[0])
         bound = None
         if isinstance(r, GyroScaleFactorRequirement):
             bound = _of_scale_factor(seen, r, temperatures)

@@ -562,6 +562,7 @@ class ProductTerm(OwnTerm):
     def values(self, nodes: SharedNodes) -> tuple[Float[AnyArray, "k m 1"], Float[AnyArray, "U q 1"]]:
         of_path = constant_function(nodes.temperature)
         for _ in range(self.factors.count(SLOPE)):
+            assert nodes.slope is not None
             of_path = of_path * nodes.slope[..., None]
         return of_path, nodes.product(tuple(factor for factor in self.factors if factor != SLOPE))
 

@@ -45,8 +45,8 @@ def coefficients(planned: Predicted | Prediction | None, calibration: Calibratio
     for of in coefficient_rows(calibration):
         unit, factor = UNITS_OF_TERMS.get(of["unit"], (of["unit"], 1.0))
         std = of["std_counted"]
-        known = of["name"] in predicted and predicted[of["name"]].std is not None
-        before = predicted[of["name"]].std * factor if known else None
+        std_before = predicted[of["name"]].std if of["name"] in predicted else None
+        before = std_before * factor if std_before is not None else None
         cells.append((of["name"], of["value"] * factor, None if std is None else std * factor, before, unit))
     if not predicted:
         cells = [(*row[:3], row[4]) for row in cells]

@@ -65,7 +65,9 @@ def stamps_ahead(time: Floats, readable: Bools) -> Bools:
     good = 0
     latest = own[0]
     backs = np.flatnonzero(steps < -_FAR_AHEAD * usual) + 1
-    for back in backs.tolist() if len(backs) < _OFTEN_BACK else []:
+    if len(backs) >= _OFTEN_BACK:
+        return result
+    for back in backs.tolist():
         # The last row before this one from which the stamps go on here.
         start = max(good, back - _LONGEST_AHEAD)
         before = start + int(np.searchsorted(np.maximum.accumulate(own[start:back]), own[back])) - 1

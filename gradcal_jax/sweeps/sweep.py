@@ -40,6 +40,11 @@ FORMAT: Final = "gradcal-sweep-results/1"
 Record = dict[str, Any]
 Executors = Callable[[], Executor]
 """Gives the executor of the tasks; a new one after a worker was killed."""
+_DURATIONS: Final = {
+    "duration": "the whole plan",
+    "soak": "the part of the plan at constant temperature",
+    "motion": "the part of the plan in which the temperature changes",
+}
 _VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox", "optimistix")
 _TRIES: Final = 3
 _ONE_THREAD: Final = {
@@ -140,10 +145,9 @@ def local_workers(count: int | None = None) -> Iterator[Executors]:
         environment["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
     many = count or loky.cpu_count()
 
-    def start() -> Executor:
-        return loky.get_reusable_executor(
-            many, timeout=None, env=environment, initializer=_begin, initargs=(os.getpid(),)
-        )
+    def start() -> Any:  # loky is without types
+        reusable: Any = loky.get_reusable_executor
+        return reusable(many, timeout=None, env=environment, initializer=_begin, initargs=(os.getpid(),))
 
     try:
         yield start
@@ -176,11 +180,11 @@ def completed(workers: Executors, tasks: Mapping[int, tuple[Any, ...]], most: in
             flying[workers().submit(evaluate, *tasks[key])] = key
         for future in wait(flying, return_when=FIRST_COMPLETED).done:
             key = flying.pop(future)
-            if future.exception() is None:
+            if (fault := future.exception()) is None:
                 yield key, future.result()
                 continue
-            if not isinstance(future.exception(), BrokenExecutor):
-                raise future.exception()  # of this program: `evaluate` returns the faults of points
+            if not isinstance(fault, BrokenExecutor):
+                raise fault  # of this program: `evaluate` returns the faults of points
             tries[key] += 1
             waiting.extendleft([key] if tries[key] < _TRIES else [])
 
@@ -289,7 +293,7 @@ def dataset_of(
         column = np.array([*map(str, of_axis)] if words else numbers, dtype=object if words else float)
         coordinates[name] = ((name,) if grid else ("point",), column, attributes)
 
-    def add(name: str, key: str, *, text: bool = False, **attributes: str) -> None:
+    def add(name: str, key: str, attributes: dict[str, str], *, text: bool = False) -> None:
         column = [record.get(key) for record in records]
         values = np.array([v or "" for v in column] if text else column, dtype=object if text else float)
         variables[name] = (dims, values.reshape(shape), attributes)
@@ -304,19 +308,18 @@ def dataset_of(
                 what = f"{requirement.name}: {statistic} of the residual {quantity}, 1 sigma"
                 own = {"statistic": statistic, "decisive": "yes" if statistic == requirement.statistic else "no"}
                 own |= {"long_name": what, "verdict": f"{name}_verdict"}
-                add(f"{name}_{variable_name(statistic)}", f"{k} {statistic}", **same, **own)
+                add(f"{name}_{variable_name(statistic)}", f"{k} {statistic}", same | own)
         what = f"{requirement.name}: verdict, if there is a target"
-        add(f"{name}_verdict", f"{k} verdict", text=True, long_name=what)
-    add("duration", "duration", units="s", long_name="the whole plan")
-    add("soak", "soak", units="s", long_name="the part of the plan at constant temperature")
-    add("motion", "motion", units="s", long_name="the part of the plan in which the temperature changes")
+        add(f"{name}_verdict", f"{k} verdict", {"long_name": what}, text=True)
+    for key, what in _DURATIONS.items():
+        add(key, key, {"units": "s", "long_name": what})
     reason = "reason why the point has no result; empty if it has a result"
-    add("failure", "failure", text=True, long_name=reason)
+    add("failure", "failure", {"long_name": reason}, text=True)
     if job.file.do == "optimise":
-        add("convergence", "convergence", text=True, long_name="report of the optimiser")
-        add("optimised_spec", "optimised_spec", text=True, long_name="gradcal-spec/1 with the optimised plan")
+        add("convergence", "convergence", {"long_name": "report of the optimiser"}, text=True)
+        add("optimised_spec", "optimised_spec", {"long_name": "gradcal-spec/1 with the optimised plan"}, text=True)
         before = "the objective of the plan in the spec before optimisation, in its unit"
-        add("objective_before", "objective_before", long_name=before)
+        add("objective_before", "objective_before", {"long_name": before})
     failed = sum(bool(record["failure"]) for record in records)
     attributes = {
         "format": FORMAT,

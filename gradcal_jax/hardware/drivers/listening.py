@@ -72,10 +72,9 @@ class SampleTimes:
         self._step = 1.0 / (rate_hz * self.resolution_s)
         short = kind == "count" and modulus is not None and modulus < _LONG
         self.round_samples = round((modulus or 0) / self._step) if short else 0
-        ticks_per_s = 1.0 / self.resolution_s
-        self._gaps = (
-            GapCounter(step=round(self._step), modulus=modulus or 0, ticks_per_s=ticks_per_s) if short else None
-        )
+        self._gaps: GapCounter | None = None
+        if short:
+            self._gaps = GapCounter(step=round(self._step), modulus=modulus or 0, ticks_per_s=1.0 / self.resolution_s)
         self._before: tuple[float, float] | None = None
         self._samples = 0
 

@@ -152,9 +152,9 @@ def _estimated(kept, found, std: float, apart: float, tests: float, names: dict[
 
 @pytest.mark.parametrize("kept", [*_cases("estimates", ESTIMATED), *_cases("axis_estimates", AXES)])
 def test_estimates_are_as_recorded(kept, request):
-    name, of_axis = request.node.callspec.id, "quantity" in kept["tables"]["sensor"]
+    name = request.node.callspec.id
     found = recorded.estimate(name.rstrip("0123456789"), kept["tables"])
-    if of_axis and any(": χ² of the fit" in test for of in kept.values() for test in of.get("tests", ())):
+    if any(test in TESTS_OF_AXES for of in kept.values() for test in of.get("tests", ())):
         # Another estimator recorded them: its regressors were sums of samples, as the simulated errors of these logs of
         # 5 rows a second are; now they are integrals of the motion that is interpolated between the rows. At points of
         # the standard method both are the same.

@@ -98,6 +98,8 @@ class Runner:
         latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
         self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, self._drawn, keep_track=alone)
         self._losses: dict[str, SampleLosses] = {}
+        # Units whose samples are awaited; they send none while the axes search for their references.
+        self._streaming: set[str] = set()
         # Units that are to be configured anew: one that restarted has the settings that it stores.
         self._unfit: set[str] = set()
         self._settings: dict[str, ImuSettings] = {}
@@ -204,6 +206,7 @@ class Runner:
             unit = self.bench.imus[name]
             unit.start()
             self._losses[name].begin_again(unit.decoder(), self.clock.now())
+            self._streaming.add(name)
             # A simulated unit waits on the clock, not on a line.
             start(name, partial(self._carry_bytes, name), waits_on_clock=self.bench.simulated)
 
@@ -502,7 +505,7 @@ class Runner:
             raise HardwareError(problem)
         self._axes.watch()
         now = self.clock.now()
-        ages = {name: now - losses.newest_s for name, losses in self._losses.items() if name not in self._unfit}
+        ages = {name: now - self._losses[name].newest_s for name in self._streaming - self._unfit}
         chamber, paused_s = self._chamber, None if self._paused_s is None else now - self._paused_s
         situation = Situation(
             now,

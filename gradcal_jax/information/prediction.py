@@ -72,8 +72,7 @@ def predict(spec: Spec, *, limits: bool = False, place: str | None = None) -> Pr
     covariance is the exact one of generalised least squares under the spec's noise (`gradcal_jax.information`);
     verdicts and the risk also count every term that the spec omits, at its class's typical figure. What cannot be
     observed is None, with a warning. `place`: of a fixture, the place of which all else is beside the residuals of
-    every place (None: the worst). Errors: `SpecError` for a plan that turns several axes of a sensor as if each had a
-    table of its own.
+    every place (None: the worst). Errors: `ValueError` for a place that the table does not have.
 
     >>> from gradcal_jax import parse_spec, presets
     >>> predict(parse_spec(presets.text("paper-static-gradient")))  # doctest: +ELLIPSIS
@@ -142,6 +141,9 @@ def _at_places(spec: Spec, place: str | None, **options: bool) -> Prediction:
         return max(ratios, default=0.0)
 
     named = [k for k, names in enumerate(alike) if place in names]
+    if place is not None and not named:
+        known_names = ", ".join(of.name for of in spec.rig.table.place)
+        raise ValueError(f"the table has no place {place!r}; known: {known_names}")
     shown = named[0] if named else max(range(len(rows)), key=excess)
     whole = _prediction(builts[shown], known[shown], budgets[shown], **options)
     values = {

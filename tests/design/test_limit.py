@@ -21,7 +21,6 @@ SLACK = 1e-6
 # 387: a degree-0 spline, whose jump a look at a slow process sees as it is.
 ALWAYS = {3, 6, 8, 387}
 REFUSALS = (
-    "as if each had a separate table",
     "polynomial in rate",
     "a limit is proven",
     "cannot",

@@ -70,22 +70,30 @@ SCENARIOS = [
 ]
 
 
-def test_scenarios_change_the_same_figures_in_the_general_form():
-    """Changed and then converted, or converted and then changed."""
+def test_a_scenario_is_the_spec_with_its_figures():
+    """As if they were written in the file."""
     base = tomllib.loads(SPEC)
     several = scenario_specs(spec_of(base | {"design": base["design"] | {"scenario": SCENARIOS}}))
     assert [weight for _, weight in several] == [2.0, 1.0, 1.0, 1.0, 1.0, 1.0]
-    for (imu, _), scenario in zip(several, SCENARIOS, strict=True):
+    for (found, _), scenario in zip(several, SCENARIOS, strict=True):
         one = spec_of({key: _merged(value, scenario.get(key)) for key, value in base.items() if key != "design"})
-        assert changed(imu, {"design": None}) == one
+        assert changed(found, {"design": None}) == one
         assert one != spec_of({key: value for key, value in base.items() if key != "design"})
 
 
 def _merged(table: Any, changes: dict[str, Any] | None) -> Any:
     if changes is None or not isinstance(table, dict):
         return table
-    new = {key: _merged(table.get(key, {}), of) if isinstance(of, dict) else of for key, of in changes.items()}
-    return table | new
+    new = dict(table)
+    for key, of in changes.items():
+        name, _, number = key.rstrip("]").partition("[")
+        if number:
+            several = [new[name]] if isinstance(new[name], dict) else list(new[name])
+            several[int(number)] = _merged(several[int(number)], of)
+            new[name] = several
+        else:
+            new[name] = _merged(new.get(name, {}), of) if isinstance(of, dict) else of
+    return new
 
 
 @pytest.mark.parametrize(

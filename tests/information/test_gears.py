@@ -159,7 +159,7 @@ def test_the_budget_of_a_plan_with_gears_has_their_share():
 
         def left(scale: float = 1.0, lash: float = 1.0, noise: float = 1.0, requirement=requirement, built=built):
             channels = tuple(
-                replace(c, model=replace(c.model, angle_random_walk=noise * c.model.angle_random_walk))
+                replace(c, model=replace(c.model, angle_random_walk=np.asarray(noise * c.model.angle_random_walk)))
                 if c.kind == "gyro"
                 else c
                 for c in built.model.channels

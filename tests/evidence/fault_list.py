@@ -153,7 +153,7 @@ def without(*keys: str) -> Callable[[Scene], None]:
 
 
 def no_latitude(scene: Scene) -> None:
-    scene.options.clear()
+    scene.replace('[rig.site]\nlatitude = "48 deg"\n', "")
 
 
 def tipped(scene: Scene) -> None:

@@ -50,7 +50,6 @@ class Scene:
     chain: Chain
     axes: tuple[str, ...]
     table_axes: tuple[str, ...]
-    options: list[str] = field(default_factory=list[str])
     edits: list[Callable[[Recorded], Recorded]] = field(default_factory=list[Callable[[Recorded], Recorded]])
     seed: int = 1
 
@@ -62,7 +61,7 @@ class Scene:
             rows = edit(rows)
         write_log(log_of(rows, self.channels, self.table_axes, self.axes), folder / "log.nc")
         words = ["estimate", str(folder / "log.nc"), "--spec", str(folder / "spec.toml")]
-        return [*words, *self.options, "-o", str(folder / "calibration.toml"), "--force"]
+        return [*words, "-o", str(folder / "calibration.toml"), "--force"]
 
     def without(self, *keys: str) -> None:
         """Take lines out of the spec that begin with these keys."""
@@ -84,7 +83,7 @@ AXIS_MOVES = (
 )  # fmt: skip
 
 _AXIS = """format = "gradcal-spec/1"
-[sensor.gyro]
+{sensor}[sensor.gyro]
 axes = ["x"]
 angle_random_walk = "0.1 deg/sqrt(h)"
 drift = [{{ standard_deviation = "1 deg/h", correlation_time = "120 s" }}]
@@ -96,6 +95,8 @@ prior = "400 deg/h"
 temperature = {{ basis = "polynomial", degree = 2, centre = "20 degC", scale = "50 K" }}
 rate = {{ basis = "polynomial", degree = 2, scale = "200 deg/s" }}
 prior = "5000 ppm"
+[rig.site]
+latitude = "48 deg"
 [rig.table]
 standing = "read"
 mounting = {{ x = "+z", y = "+x", z = "+y"{mounting} }}
@@ -145,15 +146,17 @@ moves = [
   {{ turn = "-720 deg", peak_rate = "60 deg/s", ramp = "1 s", shape = "cosine ramps" }},
 ]
 """
-_FULL_AXIS = """sample_clock_error = "5 ppm"
-rate_random_walk = "0.2 deg/h/sqrt(h)"
-turn_on_bias = "3 deg/h"
+_FULL_SENSOR = """[sensor]
 thermal_lag = "30 s"
+sample_clock_error = "5 ppm"
+temperature_offset = "0.05 K"
+temperature_lag = "0 s"
+"""
+_FULL_AXIS = """rate_random_walk = "0.2 deg/h/sqrt(h)"
+turn_on_bias = "3 deg/h"
 scale_factor_instability = [{ standard_deviation = "5 ppm", correlation_time = "20 min" }]
 temperature_error = { standard_deviation = "0.05 K", bias_slope = "2 deg/h/K", scale_factor_slope = "15 ppm/K" }
 bias_temperature_gradient = { prior = "2 deg/h/(K/min)" }
-temperature_offset = "0.05 K"
-temperature_lag = "0 s"
 """
 _FULL_ENCODER = """timing_error = "0.1 ms"
 scale_error = "1 ppm"
@@ -199,7 +202,8 @@ def axis_scene(full: bool, seed: int = 1, both_ways: bool | None = None) -> Scen
     offset = 0.05 * rng.standard_normal() if full else 0.0
     clock = 5.0 * PPM * rng.standard_normal() if full else 0.0
     spec = _AXIS.format(
-        terms=_FULL_AXIS if full else "", encoder=_FULL_ENCODER if full else "",
+        sensor=_FULL_SENSOR if full else "", terms=_FULL_AXIS if full else "",
+        encoder=_FULL_ENCODER if full else "",
         mounting=', accuracy = "1 mrad"' if full else "",
         scale="150 ppm" if full else "60 ppm", bias="10 deg/h" if full else "2 deg/h",
         programme=BOTH_WAYS if both else ONE_WAY,
@@ -207,7 +211,7 @@ def axis_scene(full: bool, seed: int = 1, both_ways: bool | None = None) -> Scen
     climate = Climate(UP_AND_DOWN if both else UP, air_to_die=30.0 if full else 0.0, offset=offset)
     return Scene(
         "axis", spec, Bench([Axis(encoder=encoder)]), [gyro], Motion(AXIS_MOVES, END), climate, Chain(clock=clock),
-        ("x",), ("x",), ["--latitude", "48 deg"], seed=seed,
+        ("x",), ("x",), seed=seed,
     )  # fmt: skip
 
 
@@ -512,7 +516,7 @@ def held(made: dict[str, Any], t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray
 def _axis_errors(scene: Scene, made: dict[str, Any], quantity: str, t: np.ndarray, x: np.ndarray) -> np.ndarray:
     (channel,), (gyro,) = made["channel"], scene.channels
     at, terms = held(channel, t, x), {term["name"]: term for term in channel["term"]}
-    if quantity == "bias":
+    if quantity == "gyro_bias":
         return term_values(terms["bias"], *at) - gyro.bias(t)
     # b{rate power}{temperature power}, written temperature by temperature.
     return term_values(terms["scale_factor"], *at) - gyro.scale(t, x)

@@ -64,7 +64,9 @@ def describe(log, axis, lag_time_s):
     thermal = fit_thermal_bias(
         even.rate_rad_per_s, even.temperature_c, interval, lag_time_s=lag_time_s, valid=even.valid
     )
-    rate = even.rate_rad_per_s - thermal.bias(even.temperature_c, interval)
+    known = np.flatnonzero(np.isfinite(even.temperature_c))
+    temperature = np.interp(np.arange(len(even.valid)), known, even.temperature_c[known])
+    rate = even.rate_rad_per_s - thermal.bias(temperature, interval)
     allan = fit_allan(overlapping_allan(rate, interval, valid=even.valid))
     times = integration_times(1.0, 600.0, interval, count=60)
     observed = largest_drift(rate, interval, times, 60.0, valid=even.valid)

@@ -67,7 +67,7 @@ def stamps_ahead(time: Floats, readable: Bools) -> Bools:
     backs = np.flatnonzero(steps < -_FAR_AHEAD * usual) + 1
     if len(backs) >= _OFTEN_BACK:
         return result
-    for back in backs.tolist():
+    for back in map(int, backs):
         # The last row before this one from which the stamps go on here.
         start = max(good, back - _LONGEST_AHEAD)
         before = start + int(np.searchsorted(np.maximum.accumulate(own[start:back]), own[back])) - 1

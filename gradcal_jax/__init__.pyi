@@ -13,7 +13,7 @@ from gradcal_jax.design.plan_limit import limit as limit
 from gradcal_jax.estimation.hand_estimate import estimate_by_hand as estimate_by_hand
 from gradcal_jax.estimation.log_flow import allan as allan
 from gradcal_jax.estimation.log_flow import estimate as estimate
-from gradcal_jax.estimation.log_flow import instability as instability
+from gradcal_jax.estimation.log_flow import noise as noise
 from gradcal_jax.estimation.validation import validate as validate
 from gradcal_jax.hardware.execute import resume as resume
 from gradcal_jax.hardware.execute import run as run

@@ -1,4 +1,4 @@
-"""The functions that start from a log or an array: `instability`, `allan`, `estimate`, and B(T) with covariance
+"""The functions that start from a log or an array: `noise`, `allan`, `estimate`, and B(T) with covariance
 from a record at rest during warm-up, without a spec (the static gradient method for vehicles). They read and write no
 files, and load most of SciPy.
 
@@ -19,7 +19,7 @@ from gradcal_jax import estimation, identify
 from gradcal_jax.calibration import Calibration, Covariance, Noise
 from gradcal_jax.estimation.estimate import EstimateReport, SensorEstimate, estimate_log
 from gradcal_jax.estimation.log_rows import Options
-from gradcal_jax.identify import instability as noise
+from gradcal_jax.identify import instability
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.identify.instability import (
     RestRecord,
@@ -50,7 +50,7 @@ def _log_of(log: Log | np.ndarray, rate: float | None) -> Log:
     return log_from(np.arange(len(log)) / rate, log)
 
 
-def instability(
+def noise(
     log: Log | np.ndarray,
     axis: str | int = 0,
     unit: str | int = 0,
@@ -64,7 +64,7 @@ def instability(
     bias_degree: int | None = None,
     lag: float | Literal["auto", "fit", "none"] = "auto",
     rate: float | None = None,
-) -> noise.Instability:
+) -> instability.Instability:
     """The smallest drift that bounds a record at rest: the Direct Bound of Berman's equations 6 and 7.
 
     `log`: a log, or `(n,)` rates in rad/s, `rate` of them a second. One channel, masked where the table moves, less
@@ -76,8 +76,8 @@ def instability(
 
     Errors: `LogError` where nothing stands still, or too little is left.
     """
-    rest = noise.at_rest(_log_of(log, rate), axis, unit, bias_degree=bias_degree, lag=lag)
-    return noise.instability(
+    rest = instability.at_rest(_log_of(log, rate), axis, unit, bias_degree=bias_degree, lag=lag)
+    return instability.instability(
         rest,
         averaging_time_s=averaging_time_s,
         shortest_s=shortest_s,
@@ -101,7 +101,7 @@ def allan(
 ) -> tuple[identify.AllanDeviation, identify.AllanFit]:
     """The overlapping Allan deviation of a record at rest, and the coefficients of a weighted fit (IEEE 952).
 
-    `log`: a log, or `(n,)` rates in rad/s, `rate` of them a second. One channel, prepared as in `instability`
+    `log`: a log, or `(n,)` rates in rad/s, `rate` of them a second. One channel, prepared as in `noise`
     (`bias_degree`, `lag`). `terms`: which the sensor may have. The deviation
     `(times,)` is in rad/s against averaging times in s; the fit has quantisation (rad), angle random walk (rad/√s),
     bias instability (rad/s) and rate random walk (rad/s/√s), each with its standard error, and bounds of `confidence`.
@@ -115,9 +115,9 @@ def allan(
     >>> print(f"{np.degrees(fit.angle_random_walk.value) * 60.0:.2f} deg/sqrt(h)")
     0.10 deg/sqrt(h)
     """
-    rest = noise.at_rest(_log_of(log, rate), axis, unit, bias_degree=bias_degree, lag=lag)
-    deviation, fit = noise.allan_of(rest, terms=terms, confidence=confidence)
-    return deviation, noise.of_sensor(rest, fit)
+    rest = instability.at_rest(_log_of(log, rate), axis, unit, bias_degree=bias_degree, lag=lag)
+    deviation, fit = instability.allan_of(rest, terms=terms, confidence=confidence)
+    return deviation, instability.of_sensor(rest, fit)
 
 
 def estimate(

@@ -133,6 +133,7 @@ def _plan(sources: Sources, history: RunHistory | None) -> PageSection:
     tables: list[Table] = []
     if spec is not None:
         schedule = spec.schedule
+        text += [f"{spec.title}."] if spec.title else []
         text.append(times_text(schedule.duration, schedule.soak, schedule.motion) + ".")
     if recipe is not None:
         text.append(f"{recipe.status}.")

@@ -87,26 +87,6 @@ def export(
     return done._replace(losses=(*done.losses, *lost), notes=tuple(notes))
 
 
-def export_sensors(calibrations: Sequence[Calibration], firmware: str) -> Export:
-    """Several sensors of one flight controller ("px4", "ardupilot"), in one file.
-
-    PX4 identifies sensors by device id (their serial numbers) and numbers them in their order; ArduPilot's numbers come
-    from their names (IMU0 is the first). Errors: `ValueError` as `export`, and for too many sensors.
-    """
-    lines: dict[str, None] = {}
-    losses: list[Loss] = []
-    notes: dict[str, None] = {}
-    for order, calibration in enumerate(calibrations):
-        name = calibration.serial_number
-        digits = "".join(c for c in name if c.isdigit())
-        number = order if firmware == "px4" else int(digits or order) + 1
-        done = export(calibration, firmware, instance=number, device_id=int(digits) if digits else None)
-        lines |= dict.fromkeys(done.text.splitlines())
-        losses += [loss._replace(channel=f"{name} {loss.channel}") for loss in done.losses]
-        notes |= dict.fromkeys(done.notes)
-    return Export("".join(f"{line}\n" for line in lines), tuple(losses), tuple(notes))
-
-
 def _without(calibration: Calibration, zeroed: Sequence[str]) -> tuple[Calibration, tuple[str, ...]]:
     """The calibration with some coefficients set to zero, and their names. Raises `ValueError` for unknown names."""
     known: set[str] = set()

@@ -58,7 +58,7 @@ def numbers(path, name=0, value=1):
 
 
 def test_px4_from_its_log_to_its_parameters(tmp_path, capsys):
-    """Two gyros, each with a clock of its own: one command, and what PX4 makes of the parameters is within their σ."""
+    """Two gyros, each with a clock of its own: what PX4 makes of the parameters is within their σ."""
     units, (time, temperature) = (vehicle(1), vehicle(2)), warming(2400.0, 25.0)
     stamps = (time * 1e6).astype(np.int64) + 10**6
     path = ulog(
@@ -66,16 +66,17 @@ def test_px4_from_its_log_to_its_parameters(tmp_path, capsys):
         ("sensor_gyro", 0, sensor_gyro(stamps, output(units[0], time, temperature, 1), temperature, 1310988)),
         ("sensor_gyro", 1, sensor_gyro(stamps + 777, output(units[1], time, temperature, 2), temperature, 3670026)),
     )
-    out, parameters = tmp_path / "cal.toml", tmp_path / "tc.params"
-    assert main(["estimate", str(path), "-o", str(out)]) in (0, 1)
-    assert main(["export", str(out), "--format", "px4", "-o", str(parameters)]) == 0
+    assert main(["estimate", str(path), "-o", str(tmp_path / "cal.toml")]) in (0, 1)
     said = capsys.readouterr().out
     assert "Earth's" in said
     assert "IMU 1310988" in said
-    assert "TC_G" not in said
-    values = numbers(parameters, 2, 3)
-    assert values["TC_G_ENABLE"] == 1.0
     for number, (unit, device) in enumerate(zip(units, (1310988, 3670026), strict=True)):
+        parameters = tmp_path / f"tc-{number}.params"
+        wanted = ["--format", "px4", "--instance", str(number), "--device-id", str(device), "-o", str(parameters)]
+        assert main(["export", str(tmp_path / f"cal-{device}.toml"), *wanted]) == 0
+        assert "TC_G" not in capsys.readouterr().out
+        values = numbers(parameters, 2, 3)
+        assert values["TC_G_ENABLE"] == 1.0
         assert values[f"TC_G{number}_ID"] == device
         truth = unit.true_bias(FIT)
         taken = np.stack([px4_offset(values, number, axis, FIT) for axis in range(3)], axis=1)

@@ -100,6 +100,13 @@ def _folder(output: Path, preset: str | None, force: bool) -> int:
     for name, text in texts.items():
         write_whole(output / name, text)
     print(f"wrote {', '.join(str(output / name) for name in texts)}")
+    typical = begin.typical_terms(answers)
+    if typical:
+        print(
+            "no question was asked about these terms; for each, spec.toml has a typical figure of the class, and its "
+            "source:"
+        )
+        print("\n".join(f"  {line}" for line in typical))
     print("next, in this order:")
     print("\n".join(f"  {line}" for line in _next(answers, str(output))))
     return DONE
@@ -145,7 +152,11 @@ def _asked() -> dict[str, str]:
             continue
         usual = answers.get(question.name, "")
         print(f"{len(done) + 1}. {asked(question)}" + f" [{usual}] " * bool(usual), end=" " * (not usual), flush=True)
-        line = sys.stdin.readline()
+        try:
+            line = sys.stdin.readline()
+        except KeyboardInterrupt:
+            print()
+            raise
         if not line:
             print()
             raise ValueError(f"the answers ended at question {len(done) + 1}: {asked(question)}")

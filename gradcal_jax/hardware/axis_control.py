@@ -69,6 +69,10 @@ class AxisControl:
         # An axis is left to its search for the reference: nothing else is asked of it.
         self._searching: set[str] = set()
         self._homing: dict[str, float] = {}
+        # An axis that the run does not move is not homed: what it reports at the first reading is no fault of the run,
+        # such as the alarm of a board that waits for its reference.
+        self._moved: set[str] = set()
+        self._reported_before: dict[str, frozenset[str]] = {}
         # Constant rates, and when they are reached.
         self._spins: dict[str, tuple[float, float]] = {}
         self._off_rate: dict[str, int] = {}
@@ -81,6 +85,7 @@ class AxisControl:
 
     def home(self, names: list[str], meanwhile: Callable[[], None]) -> None:
         self._searching.update(names)
+        self._moved.update(names)
         for name in names:
             self._event("homing", axis=name)
             if self._limits_of(name).by_hand:
@@ -172,7 +177,7 @@ class AxisControl:
             left_alone = name in self._searching or self._limits_of(name).by_hand
             if left_alone or (last is not None and now - last.time_s < every_s):
                 continue
-            reading = self.newest[name] = self._axes[name].read()
+            reading = self.newest[name] = self._heard(name)
             self._note_place(name, reading)
             if self._keep_track:
                 place = {"time_s": reading.time_s, "position_deg": reading.position_deg}
@@ -286,7 +291,7 @@ class AxisControl:
         self._event("move", at_once=False, step=step, began_s=began, **event_fields(move))
 
     def _read(self, name: str) -> AxisReading:
-        before, reading = self.newest.get(name), self._axes[name].read()
+        before, reading = self.newest.get(name), self._heard(name)
         self.newest[name] = reading
         self._note_place(name, reading)
         # An unknown angle is no reading, and a typed angle is one reading however often it is read.
@@ -300,6 +305,16 @@ class AxisControl:
             if name not in self._spins:
                 self._stood(name, reading)
         return reading
+
+    def _heard(self, name: str) -> AxisReading:
+        """A reading; of an axis that the run does not move only the faults that it did not report at first."""
+        reading = self._axes[name].read()
+        if name in self._moved:
+            return reading
+        before = self._reported_before.setdefault(name, frozenset(reading.faults))
+        # A fault that has cleared is a new one when it comes again.
+        self._reported_before[name] = before & set(reading.faults)
+        return replace(reading, faults=tuple(fault for fault in reading.faults if fault not in before))
 
     def _at(self, name: str) -> float:
         newest = self.newest.get(name)

@@ -368,8 +368,8 @@ _ROLES: Final[Mapping[str, _Role]] = {
     ),
     "axis": _Role(
         "position", "moving", "max_rate max_acceleration step", "home move stop",
-        home="", move=_MOTION, spin=f"{_MOTION} velocity way", stop="", rate="rate", acceleration="acceleration",
-        on="", off="",
+        home="", stop_homing="", move=_MOTION, spin=f"{_MOTION} velocity way", stop="", rate="rate",
+        acceleration="acceleration", on="", off="",
     ),
 }  # fmt: skip
 _SHOWN_BY_THEMSELVES: Final = frozenset({"ramp", "rate", "acceleration"})

@@ -33,7 +33,9 @@ _VERDICTS: Final = {
 }
 
 
-def report(sources: str | Path | Sequence[str | Path], output: str | Path, *, before: str | Path | None = None) -> Any:
+def report(
+    sources: str | Path | Sequence[str | Path], output: str | Path, *, before: str | Path | None = None
+) -> dict[str, Any]:
     """Make one HTML page of a plan, a run or a calibration: plan, prediction, run, estimate and how to apply it.
 
     `sources`: the folder of a run (a calibration in it is taken with it), a recipe or a spec, a calibration, or those

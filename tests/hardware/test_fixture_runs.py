@@ -47,7 +47,6 @@ def test_every_imu_of_a_run_has_its_calibration_by_its_place(run):
         nees = error / scale @ np.linalg.solve(covariance / np.outer(scale, scale), error / scale)
         assert len(own) > 20
         assert 1e-4 < chi2.sf(nees, len(own)) < 1.0 - 1e-4
-        assert any("together with 2 other IMUs" in message for message in report.messages)
 
 
 def test_an_imu_at_another_place_than_the_spec_has_is_noticed(run):
@@ -84,7 +83,6 @@ def test_the_command_writes_a_calibration_of_each(run, tmp_path, capsys):
     status = main(["estimate", *logs, "--recipe", str(folder / "recipe.toml"), "-o", str(cal)])
     printed = capsys.readouterr()
     assert status in (0, 1), printed.err
-    assert printed.out.count("estimated together with 2 other IMUs") == 3
     assert [read_calibration(tmp_path / f"cal-{place['name']}.toml").serial_number for place in PLACES] == [
         place["name"] for place in PLACES
     ]

@@ -48,6 +48,7 @@ def left_turning(rig: Rig, folder: Path, clock: RealClock) -> None:
     with open_rig(rig.rig, clock) as bench:
         assert bench.chamber is not None
         bench.chamber.hold(40.0)
+        bench.axes["table"].home()
         bench.axes["table"].spin(60.0, 300.0)
 
 

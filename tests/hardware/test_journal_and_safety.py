@@ -253,6 +253,7 @@ def test_abort_at_random_instants_leaves_everything_verified_safe() -> None:
     with Rig(clock) as rig, open_rig(rig.rig, clock) as bench, clock.party():
         assert bench.chamber is not None
         axis = bench.axes["table"]
+        axis.home()
         for _ in range(8):
             bench.chamber.hold(float(generator.uniform(-30.0, 60.0)))
             axis.spin(float(generator.uniform(-200.0, 200.0)), 200.0)
@@ -269,6 +270,7 @@ def test_abort_at_random_instants_leaves_everything_verified_safe() -> None:
 def test_a_device_that_never_answers_keeps_nobody_else_waiting() -> None:
     clock = RealClock()
     with Rig(clock) as rig, open_rig(rig.rig, clock) as bench:
+        bench.axes["table"].home()
         bench.axes["table"].spin(30.0, 300.0)
         rig.ports[0].faults = Faults(mute=True)
         began = time.monotonic()
@@ -285,6 +287,7 @@ def test_a_bad_line_is_tried_again_until_the_device_is_safe() -> None:
     with Rig(clock) as rig, open_rig(rig.rig, clock) as bench, clock.party():
         assert bench.chamber is not None
         bench.chamber.hold(40.0)
+        bench.axes["table"].home()
         bench.axes["table"].spin(100.0, 300.0)
         rig.ports[1].faults = faults = Faults()
         faults.once(*["drop"] * 8)

@@ -41,9 +41,7 @@ def lab(
     with Rig(clock, burst_s=1.024) as rig, Journal(folder / "journal") as journal:
         # Hours of pause go by: without the unit's stream, which has no part in any of this.
         rules = Interlocks(limits or InterlockLimits())
-        # Nor has a table that nothing turns: without its reference it reports an alarm.
-        used = {"chamber", "table"} if track.moved else {"chamber"}
-        with open_rig(only_of(rig.rig, used), clock) as bench:
+        with open_rig(only_of(rig.rig, {"chamber", "table"}), clock) as bench:
             more: dict[str, Any] = {"safe_deadline_s": 10.0, "wait_when_paused": attended}
             yield rig, Runner(track, bench, journal, clock, rules, **more)
 

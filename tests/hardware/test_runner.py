@@ -362,6 +362,19 @@ def test_a_step_that_follows_tells_the_chamber_its_course(tmp_path: Path) -> Non
     assert told[1].time_s - begins[1].data["begins_s"] < 10.0
 
 
+def test_an_axis_that_a_run_does_not_move_may_keep_its_alarm_and_get_no_new_one(tmp_path: Path) -> None:
+    for begins, ends in (("Alarm", "success"), ("Idle", "aborted")):
+        (folder := tmp_path / begins).mkdir()
+        with lab(folder) as (rig, runner):
+            runner.track = Track((TrackStep("stand", 60.0),))
+            rig.table._state = begins
+            once(runner, lambda now: now.step_left_s is not None, lambda rig=rig: setattr(rig.table, "_state", "Alarm"))
+            result = runner.run()
+        assert result.exit_status == ends, result.reason
+        assert ("Interlock 'axis fault': axis table: Alarm" in result.reason) == (ends == "aborted")
+        assert "$H" not in rig.table.lines
+
+
 def test_nothing_turns_while_a_run_is_paused_between_two_rates(tmp_path: Path) -> None:
     with lab(tmp_path) as (rig, runner):
         rates: list[float] = []

@@ -238,6 +238,7 @@ def test_a_pause_states_its_reason(tmp_path: Path) -> None:
 def test_a_cable_that_is_in_again_is_used_to_make_safe() -> None:
     clock = RealClock()
     with Rig(clock) as rig, open_rig(rig.rig, clock) as bench:
+        bench.axes["table"].home()
         bench.axes["table"].spin(60.0, 300.0)
         rig.ports[1].unplug()
         with pytest.raises(Disconnected):

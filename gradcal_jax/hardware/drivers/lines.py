@@ -15,6 +15,7 @@ Unverified on real hardware: everything; each description says what its sources 
 
 import math
 import re
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -123,6 +124,8 @@ class _Spoken(DescribedDevice[LinesConfig]):
         self._protocol, self._codec = config.described, Codec(config.described)
         replies = (reply for command in self._protocol.tell.values() for reply in command.reply)
         self._acknowledgements = [_pattern(reply) for reply in replies]
+        self._homes = False
+        self._cut_short = threading.Event()
 
     def identify(self) -> Identity:
         try:
@@ -186,6 +189,8 @@ class _Spoken(DescribedDevice[LinesConfig]):
 
     def _acknowledged(self, frame: bytes, text: str, reply: re.Pattern[str]) -> None:
         received = self._codec.text(frame)
+        if self._homes and self._cut_short.is_set():
+            raise Rejected(f"{text!r} was interrupted by a stop.")
         if reply.fullmatch(received) is None:
             raise FramingError(
                 f"{self._title} acknowledged {text!r} by {received!r}, which is the reply to a different command."
@@ -264,7 +269,12 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
     def home(self) -> None:
         self._powered = False
         self._make_ready()
-        self._tell("home")
+        self._cut_short.clear()
+        self._homes = True
+        try:
+            self._tell("home")
+        finally:
+            self._homes = False
         reading = self._until_still(self._config.home_timeout_s, "homing", raise_faults=False)
         if reading.faults:
             raise DeviceFault(f"The axis did not find its reference: {reading.faults[0]}.")
@@ -307,6 +317,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
     def stop(self) -> None:
         # A stop is harmless when repeated: it is sent until the axis stands.
         end = self._clock.now() + self._config.stop_timeout_s
+        self._stop_homing()
         while True:
             try:
                 self._tell("stop")
@@ -320,6 +331,16 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
                 self._clock.sleep(self._POLL_S)
             if self._clock.now() > end:
                 raise NotVerified(f"The axis is still moving {self._config.stop_timeout_s:g} s after the stop command.")
+
+    def _stop_homing(self) -> None:
+        """A device that answers the command to home only when it has homed hears nothing else until then, but a
+        command that interrupts the search; what it says then ends the wait for its answer."""
+        interrupt = self._protocol.tell.get("stop_homing")
+        if interrupt is None or not self._homes:
+            return
+        self._cut_short.set()
+        for send in interrupt.send:
+            self._exchange.transport.write(self._codec.message(send, bare=interrupt.bare))
 
     def safe(self, policy: AxisSafe) -> SafeReport:
         self.stop()

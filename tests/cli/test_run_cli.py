@@ -88,12 +88,13 @@ def test_a_rig_is_checked_and_what_does_not_answer_is_said(tmp_path, capsys):
         path.write_text(to_toml(lab.rig), encoding="utf-8")
         assert main(["rig", "check", str(path)]) == 0
         said = capsys.readouterr().out
-        assert "N25582405002002" in said
+        assert "STIM300" in said
         assert "every device answers as the rig file states" in said
         # The chamber's driver on the table's port: what was sent and what came back.
         wrong = to_toml(lab.rig).replace(lab.ports[0].url, "X").replace(lab.ports[1].url, lab.ports[0].url)
         wrong = wrong.replace('"X"', f'"{lab.ports[1].url}"')
-        quick = wrong.replace('safe = "standby"', 'safe = "standby"\noptions = { reply_timeout = "0.3 s" }')
+        quick = wrong.replace("[chamber.options]\n", '[chamber.options]\nreply_timeout = "0.3 s"\n')
+        assert quick != wrong
         path.write_text(quick, encoding="utf-8")
         assert main(["rig", "check", str(path), "--json"]) == 3
         reports = {entry["name"]: entry for entry in json.loads(capsys.readouterr().out)}

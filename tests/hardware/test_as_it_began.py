@@ -41,7 +41,7 @@ def test_a_run_does_not_go_on_with_another_rig(ended: Path) -> None:
             resume(ended)
         said = str(caught.value)
         assert "chamber.safe is 'hold' and was 'standby'" in said
-        assert "imu.1.options.sample_rate is '250 Hz' and was '125 Hz'" in said
+        assert "imu.1.options.changes.rate is '250 Hz' and was '125 Hz'" in said
         # One that is named is held against it, too.
         other = RunFolder(ended).rig()
         (ended / "rig.toml").write_text(text)

@@ -101,17 +101,21 @@ def test_a_host_that_is_always_late_ends_the_run_with_a_sentence(tmp_path: Path)
 
 def test_a_turn_that_a_stage_swallowed_is_not_done(tmp_path: Path) -> None:
     with lab(tmp_path) as (rig, runner):
-        jog, swallowed = rig.table._jog, []
+        jog, looks, swallowed = rig.table._jog, rig.table._now, []
 
         def once_lame(at_s: float, goal: float, rate_dps: float) -> None:
             if not swallowed and len(events(tmp_path, "step begins")) > 1:
                 # The board says that it moves, and soon that it does not.
-                swallowed.append(goal)
+                swallowed.append(at_s)
                 rig.table._state = "Jog"
                 return
             jog(at_s, goal, rate_dps)
 
-        rig.table._jog = once_lame
+        def says_that_it_moves() -> float:
+            now = runner.clock.now()
+            return now if swallowed and now < swallowed[0] + 0.3 else looks()
+
+        rig.table._jog, rig.table._now = once_lame, says_that_it_moves
         result = runner.run()
         assert (result.exit_status, len(swallowed)) == ("success", 1), result.reason
     (amiss,) = events(tmp_path, "not done")

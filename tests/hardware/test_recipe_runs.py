@@ -256,8 +256,9 @@ def test_resuming_refuses_another_recipe_another_version_and_another_device(tmp_
         new_folder(tmp_path / "run", made, folder.rig())
     clock = LineClock(1e4)
     with SimulatedLab(made.spec, clock) as lab:
-        lab.imu.options.serial = "N1"
-        with pytest.raises(HardwareError, match=r"unit1 at .* N1 .*the run began with .*N25582405002002"):
+        line = lab.table._line
+        lab.table._line = lambda text: [b"[VER:1.1f.20170801:]\r\n", b"ok\r\n"] if text == "$I" else line(text)
+        with pytest.raises(HardwareError, match=r"x at .* 1\.1f\..*the run began with .*1\.1h\."):
             run_session(folder, lab.rig, clock, first_step=1, simulated=True)
     notes = json.loads((folder.path / "run.json").read_text())
     (folder.path / "run.json").write_text(json.dumps(notes | {"version": "0.0.1"}))

@@ -48,7 +48,7 @@ def run_without_a_unit(folder: Path, made: Recipe) -> RememberingPlant:
     clock = LineClock()
     with Rig(clock) as lab:
         plant = RememberingPlant(None, clock.now())
-        lab.table.stages[0].plant = plant
+        lab.table.plant = plant
         rig = lab.rig.model_copy(update={"imu": ()})
         result = run_session(new_folder(folder, made, rig, simulated={}), rig, clock, simulated=True)
     assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)

@@ -154,7 +154,7 @@ def test_a_crafted_journal_is_a_sentence(payload: bytes) -> None:
 
 def watched(folder: Path, status: object, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     (folder / "status.json").write_text(json.dumps(status) if not isinstance(status, str) else status)
-    result = main(["watch", str(folder), "--once"])
+    result = main(["rig", "watch", str(folder), "--once"])
     told = capsys.readouterr()
     return result, told.out + told.err
 
@@ -204,9 +204,11 @@ def test_declared_sizes_are_checked_before_they_are_read(tmp_path: Path) -> None
             file.write(b"x" + b" " * 10_000_000)
     with h5py.File(tmp_path / "bomb.nc", "w") as file:
         file.create_dataset("x", (10**12,), np.float64, chunks=(10**6,))
-    for name in ("bomb.npz", "bomb.csv.gz", "bomb.nc"):
+    for name in ("bomb.npz", "bomb.csv.gz"):
         with pytest.raises(LogError, match=r"MB of data in a file of|the limit"):
-            read_table(tmp_path / name, TextTable(), columns, netcdf=True)
+            read_table(tmp_path / name, TextTable(), columns)
+    with pytest.raises(NetcdfError, match=r"MB of data in a file of|the limit"):
+        load_netcdf(tmp_path / "bomb.nc")
 
 
 def test_data_of_other_files_are_refused(tmp_path: Path) -> None:

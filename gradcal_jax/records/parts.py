@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -12,13 +12,16 @@ from numpy.typing import NDArray
 from gradcal_jax import formulas
 from gradcal_jax.hardware.roles import ImuDecoder
 from gradcal_jax.records.clockmap import ClockMap, fit_arrivals
-from gradcal_jax.records.counter_wraps import Doubt, resolve_wraps
 from gradcal_jax.records.row_times import RowTimes
 from gradcal_jax.records.sessions import Session
 from gradcal_jax.records.spool import SampleSpool, Spool
 from gradcal_jax.records.table_angles import MARGIN_S, SETTLED_S, RunAngles, standstills
 
 _FEWEST_ARRIVALS: Final = 3
+_WINDOW_S: Final = 60.0
+"""Before and after a gap, in which the quickest arrivals are compared."""
+_SURE: Final = 0.25
+"""Of a counter period."""
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
@@ -35,9 +38,9 @@ class Part:
     """First row of every standstill, and the row after its last one."""
     seen: "Seen"
     read: int
-    doubts: tuple[tuple[float, Doubt], ...] = ()
     restarted: bool = False
-    round_samples: int = 0
+    after_gap: bool = False
+    """Whether nobody knows how many samples are missing before it."""
     bad_bytes: int = 0
     repeated: int = 0
 
@@ -73,12 +76,14 @@ def parts_of(session: Session, axes: Sequence[str]) -> tuple[list[Part], int]:
         return [], 0
     parts: list[Part] = []
     aside = 0
-    for first, end in itertools.pairwise([stream.first, *stream.restarts, stream.end]):
-        part = _part(session, stream.samples, decoder, first, end, axes)
-        if part is None:
-            aside += end - first
-        else:
-            parts.append(replace(part, restarted=first > stream.first))
+    for begin, stop in itertools.pairwise([stream.first, *stream.restarts, stream.end]):
+        unknown = count_rounds(stream.samples, begin, stop, decoder.round_samples, decoder.sample_s)
+        for first, end in itertools.pairwise([begin, *unknown, stop]):
+            part = _part(session, stream.samples, decoder, first, end, axes)
+            if part is None:
+                aside += end - first
+            else:
+                parts.append(replace(part, restarted=first == begin > stream.first, after_gap=first > begin))
     if parts:
         # The decoder counts for the whole session, and the counts of all parts are added.
         parts[0] = replace(parts[0], bad_bytes=decoder.bad_bytes, repeated=decoder.repeated_datagrams)
@@ -91,7 +96,6 @@ def _part(
     """The samples of a unit from its start on; None where there are none."""
     if not session.stretches():
         return None
-    doubts = resolve_wraps(samples, first, end, decoder.round_samples, decoder.sample_s)
     with Spool([("device_s", np.float64), ("host_s", np.float64)], samples.folder) as arrivals:
         for _, block, last in samples.arrivals(first, end):
             arrivals.append(device_s=block["device_s"][last], host_s=block["host_s"][last])
@@ -100,13 +104,59 @@ def _part(
         resolution_s = max(decoder.resolution_s, time.get_clock_info("monotonic").resolution)
         device, host = arrivals.column("device_s"), arrivals.column("host_s")
         clock = fit_arrivals(device, host, resolution_s=resolution_s)
-    part = part_with_table(session, samples, first, end, clock, axes, decoder.sample_s)
-    if part is None:
-        return None
-    begins_s = part.rows.host_s(0)
-    at_s = [clock.host_time_s(samples.read(first + d.row, first + d.row + 1)["device_s"])[0] for d in doubts]
-    placed = tuple((float(own_s - begins_s), doubt) for own_s, doubt in zip(at_s, doubts, strict=True))
-    return replace(part, doubts=placed, round_samples=decoder.round_samples)
+    return part_with_table(session, samples, first, end, clock, axes, decoder.sample_s)
+
+
+def count_rounds(samples: SampleSpool, first: int, end: int, round_samples: int, sample_s: float) -> list[int]:
+    """Count what a short counter does not show at a gap: whole periods of it, `round_samples` each (0: it is long).
+
+    Bytes arrive late, never early, so that the quickest arrivals before a gap and after it are equally late, but for
+    the missing periods. Device times and gaps of the samples from `first` to before `end` are corrected. Returns the
+    rows of gaps whose length stays unknown: there a part with a clock of its own begins.
+    """
+    if not round_samples:
+        return []
+    arrivals: list[tuple[Floats, Floats]] = []
+    gaps: list[int] = []
+    for begin, block, last in samples.arrivals(first, end):
+        arrivals.append((block["host_s"][last], block["device_s"][last]))
+        gaps += (begin + np.flatnonzero((block["gap"] > 0) | block["disturbed"])).tolist()
+    host, device = (np.concatenate(column) for column in zip(*arrivals, strict=True))
+    late = host - device
+    period_s = round_samples * sample_s
+    lost: dict[int, int] = {}
+    unknown: list[int] = []
+    for row in gaps:
+        if row == first:
+            continue
+        place = int(np.searchsorted(device, samples.read(row, row + 1)["device_s"][0]))
+        before = late[np.searchsorted(host, host[place] - _WINDOW_S) : place]
+        after = late[place : np.searchsorted(host, host[place] + _WINDOW_S, side="right")]
+        later_s = float(after.min() - before.min()) if len(before) else 0.0
+        periods = max(0, round(later_s / period_s))
+        agree = np.count_nonzero(after < after.min() + _SURE * period_s) >= _FEWEST_ARRIVALS
+        if not len(before) or not agree or abs(later_s / period_s - periods) > _SURE:
+            unknown.append(row)
+        else:
+            lost[row] = periods * round_samples
+            later_s = periods * period_s
+        late[place:] -= later_s
+    _add_missing(samples, first, end, lost, sample_s)
+    return unknown
+
+
+def _add_missing(samples: SampleSpool, first: int, end: int, lost: Mapping[int, int], sample_s: float) -> None:
+    """Add the samples `lost` before rows to the gaps there, and their time to all device times from there on."""
+    before = 0
+    for begin, block in samples.blocks(first, end if any(lost.values()) else first):
+        missing = np.zeros(len(block), np.int64)
+        for row, count in lost.items():
+            if begin <= row < begin + len(block):
+                missing[row - begin] = count
+        block["gap"] += missing
+        block["device_s"] += (before + np.cumsum(missing)) * sample_s
+        before += int(missing.sum())
+        samples.write(begin, block)
 
 
 def part_with_table(

@@ -366,6 +366,7 @@ def _placed(parts: Sequence[Part]) -> list[PlacedPart]:
     return placed
 
 
+_UNKNOWN = "samples are missing, nobody can tell how many, and the log continues by the computer's clock,"
 _REFUSED = "attempts at a step that the run itself did not accept are left out: see the journal for the reasons"
 
 
@@ -373,6 +374,7 @@ def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
     missing, gaps = (sum(getattr(part.seen, name) for part in parts) for name in ("missing", "gaps"))
     unsure = max(part.clock.residual_max_s for part in parts)
     anew = sum(part.restarted for part in parts)
+    unknown = sum(part.after_gap for part in parts)
     refused = sum({id(part.session): part.session.refused() for part in parts}.values())
     bad, twice = (sum(getattr(part, name) for part in parts) for name in ("bad_bytes", "repeated"))
     lateness = (
@@ -383,28 +385,13 @@ def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
     gap = [Finding("gap", "split", gaps, f"{missing} samples are missing at {gaps} places")] if missing else []
     others = [
         (unsure > SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
+        (unknown, Finding("gap of unknown length", "split", unknown, f"{_UNKNOWN} at {unknown} places")),
         (anew, Finding("unit restarted", "split", anew, f"the IMU restarted {times}")),
         (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no valid datagram")),
         (refused, Finding("refused attempt", "mask", refused, _REFUSED)),
         (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice; each is used once")),
     ]
-    return (*gap, *_findings_of_rounds(parts), *(one for there, one in others if there))
-
-
-def _findings_of_rounds(parts: Sequence[Part]) -> Iterator[Finding]:
-    """Places with an uncertain number of missing samples: each kind with its first place."""
-    for traced, kind in ((True, "gap of doubtful length"), (False, "stamps that come later")):
-        places = [(part, *doubt) for part in parts for doubt in part.doubts if doubt[1].traced == traced]
-        if places:
-            part, first_s, first = places[0]
-            samples = part.round_samples
-            message = f"{len(places)} of the gaps may be longer or shorter by one period of the sample counter "
-            message += f"({samples} samples)"
-            if not traced:
-                message = f"at {len(places)} places, {samples} samples (or a multiple of this number) may be missing; "
-                message += "they are not counted as missing"
-            where = f"the first {abs(first_s):.1f} s {'before' if first_s < 0.0 else 'after'} data begin: {first.why}"
-            yield Finding(kind, "split" if traced else "keep", len(places), f"{message}; {where}")
+    return (*gap, *(one for there, one in others if there))
 
 
 def _provenance(

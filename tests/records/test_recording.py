@@ -4,7 +4,6 @@ busy computer fetches in pieces and late, samples that are lost, units that begi
 
 import itertools
 import math
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -212,7 +211,8 @@ def test_datagrams_lost_whole_are_counted_with_their_rounds() -> None:
     require_rest_in_standstills(log)
 
 
-def test_a_gap_whose_rounds_nobody_can_tell_is_said() -> None:
+def test_a_gap_whose_length_nobody_can_tell_goes_on_by_the_computers_clock() -> None:
+    # Six periods of the counter, and 48 ms of one of 128 ms.
     log = recorded(
         THERE_AND_BACK,
         60.0,
@@ -220,18 +220,18 @@ def test_a_gap_whose_rounds_nobody_can_tell_is_said() -> None:
         late_s=lambda number: 0.002 if number < 80 else 0.05,
         lost=lose_101,
     )
-    kinds = {finding.kind: finding for finding in log.findings}
-    gap = kinds["gap of doubtful length"]
+    (gap,) = (finding for finding in log.findings if finding.kind == "gap of unknown length")
     assert gap.count == 1
-    # Six periods and 48 ms of one of 128 ms are 6.375, which is rounded either way in two digits.
-    (later,) = map(float, re.findall(r"arrive (\d+\.\d\d) counter periods later", gap.message))
-    assert later == pytest.approx(6.375, abs=0.0051)
+    begins = int(np.argmax(np.diff(log.time_s))) + 1
+    assert begins in log.stretch_starts
+    assert np.diff(log.time_s).max() == pytest.approx(102 * 0.008 + 0.048, abs=2e-3)
 
 
-def test_stamps_that_come_later_from_some_place_on_are_said_and_nothing_is_counted() -> None:
+def test_stamps_that_come_later_from_some_place_on_change_no_time() -> None:
     log = recorded(THERE_AND_BACK, 60.0, burst_s=0.5, late_s=lambda number: 0.002 if number < 80 else 0.14)
-    assert [finding.kind for finding in log.findings] == ["stamps that come later"]
+    assert log.findings == ()
     assert np.diff(log.time_s).max() == pytest.approx(0.008)
+    require_rest_in_standstills(log)
 
 
 def test_a_unit_that_begins_anew_in_mid_run_splits_the_log_and_is_said() -> None:

@@ -145,7 +145,7 @@ class FrameDecoder:
         stamps = np.zeros(count)
         if self._stamp is not None:
             stamps = numbers_of(rows, self._stamp.at, self._stamp.type, unit.order)[:, 0]
-        times, gaps, restarted = self._times.push(stamps, host_time_s, disturbed=self._disturbed)
+        times, gaps, restarted = self._times.push(stamps)
         values = {name: self._values(name, column, rows) for name, column in unit.columns.items()}
         absent = np.full((count, 3), np.nan)
         status = np.zeros(count, np.int64)

@@ -1,15 +1,13 @@
 """What units have in common to which nothing is sent: they are listened to, and their stamps show what was lost.
 
-A counter that wraps early shows losses modulo its modulus, and the host's clock the rest; a time or a long counter
-shows them all, and that the unit restarted. Without a stamp a loss is noticed by the rate of samples alone.
+A counter that wraps early shows losses modulo its modulus, and the log adds the rest by the host's clock; a time or a
+long counter shows them all, and that the unit restarted. Without a stamp the rate of samples alone shows a loss.
 """
 
 from abc import abstractmethod
-from collections import deque
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax import units
 from gradcal_jax.hardware.clock import Clock
@@ -23,40 +21,7 @@ from gradcal_jax.hardware.transport import Transport
 _ENOUGH = 3
 _LOOKS_S = 0.1
 _LONG = 1 << 16
-_ARRIVALS = 256  # remembered, for the quickest of them
 SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-
-
-class GapCounter:
-    """Unwraps a sample counter and says how many samples are missing before each one.
-
-    A counter that wraps after `modulus` cannot show the loss of a whole number of wraps by itself. After a disturbance
-    of the stream the host's clock gives the number of wraps; without one, a late chunk is only late. The host's clock
-    is compared with the quickest of the recent arrivals, because a busy computer stamps bytes late.
-    """
-
-    def __init__(self, *, step: int, modulus: int, ticks_per_s: float) -> None:
-        self._step, self._modulus, self._ticks_per_s = step, modulus, ticks_per_s
-        self._count = 0
-        self._last_raw: int | None = None
-        self._offsets_s: deque[float] = deque(maxlen=_ARRIVALS)
-
-    def push(
-        self, raw: NDArray[np.int64], host_time_s: float, *, disturbed: bool
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Unwrapped counts and gaps of samples that came together; `disturbed`: bytes were lost before the first."""
-        previous = raw[0] - self._step if self._last_raw is None else self._last_raw
-        delta = np.mod(np.diff(raw, prepend=previous), self._modulus)
-        delta[delta == 0] = self._modulus
-        if disturbed and self._offsets_s:
-            # The last sample has waited least: the counter's value when the host has it.
-            now = (host_time_s - min(self._offsets_s)) * self._ticks_per_s
-            lost = (now - float(self._count + delta.sum())) / self._modulus
-            delta[0] += self._modulus * max(0, round(lost))
-        counts = self._count + np.cumsum(delta)
-        self._count, self._last_raw = int(counts[-1]), int(raw[-1])
-        self._offsets_s.append(host_time_s - self._count / self._ticks_per_s)
-        return counts, delta // self._step - 1
 
 
 class SampleTimes:
@@ -70,31 +35,28 @@ class SampleTimes:
         self._kind, self._rate_hz, self._modulus = kind, rate_hz, modulus
         self.resolution_s = tick_s if kind else 1.0 / rate_hz
         self._step = 1.0 / (rate_hz * self.resolution_s)
-        short = kind == "count" and modulus is not None and modulus < _LONG
-        self.round_samples = round((modulus or 0) / self._step) if short else 0
-        self._gaps: GapCounter | None = None
-        if short:
-            self._gaps = GapCounter(step=round(self._step), modulus=modulus or 0, ticks_per_s=1.0 / self.resolution_s)
+        self._short = kind == "count" and modulus is not None and modulus < _LONG
+        self.round_samples = round((modulus or 0) / self._step) if self._short else 0
         self._before: tuple[float, float] | None = None
         self._samples = 0
 
-    def push(self, stamps: Any, host_time_s: float, *, disturbed: bool) -> tuple[Any, Any, Any]:
+    def push(self, stamps: Any) -> tuple[Any, Any, Any]:
         """For each sample: its time, the samples missing before it, and whether the unit restarted before it."""
         count = len(stamps)
         never = np.zeros(count, np.bool_)
         if not self._kind:
             first, self._samples = self._samples, self._samples + count
             return np.arange(first + 1, first + 1 + count) / self._rate_hz, np.zeros(count, np.int64), never
-        if self._gaps is not None:
-            counts, gaps = self._gaps.push(stamps.astype(np.int64), host_time_s, disturbed=disturbed)
-            return counts * self.resolution_s, gaps, never
         stamps = stamps.astype(np.float64)
         stamp, ticks = self._before or (float(stamps[0]) - self._step, 0.0)
         steps = np.diff(stamps, prepend=stamp)
+        restarted = steps < 0.0
         if self._modulus is not None:
             steps = np.mod(steps, float(self._modulus))
-        restarted = steps < 0.0 if self._modulus is None else steps > 0.5 * self._modulus
+            restarted = never if self._short else steps > 0.5 * self._modulus
         steps = np.where(restarted, self._step, steps)
+        if self._short:
+            steps[steps == 0.0] = self._modulus
         counts = ticks + np.cumsum(steps)
         self._before = float(stamps[-1]), float(counts[-1])
         gaps = np.maximum(np.rint(steps / self._step).astype(np.int64) - 1, 0)

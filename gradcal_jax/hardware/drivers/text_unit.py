@@ -80,7 +80,7 @@ class TextUnitDecoder:
             return join([])
         table = np.array(rows)
         stamps = table[:, NAMES.index(self._stamp or "count")]
-        times, gaps, restarted = self._times.push(stamps, host_time_s, disturbed=disturbed[0])
+        times, gaps, restarted = self._times.push(stamps)
         (gyro, _), (force, _), (degree, zero) = self._scales
         temperature = np.repeat(table[:, 6:7] * degree + zero, 3, axis=1)
         second = table[:, 7] * degree + zero

@@ -57,6 +57,9 @@ _NODES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 _UNITS = np.array([[4.0], [20.0], [15.0]])
 # Readings that stand for all those of a rest in a search, each with the weight of its share of them.
 READINGS_OF_A_REST = 2
+# Sharpness at which the number of readings of a rest is halfway between a smooth and a whole number.
+# Beyond the largest one the slope of the number is not finite.
+_SHARP_COUNT, _SHARPEST = 1e3, 1e9
 # Relative and absolute rounding of a number of readings.
 _ROUNDING = 1e-9
 # What a limit that is exceeded costs, in multiples of the logarithm of what it leaves over its target: more than any
@@ -307,8 +310,8 @@ class CycleObjective:
     mountings.
     `readings`: how many stand for all those of a rest.
 
-    With a sharpness that is the number `math.inf` the readings of rests are those of a prediction; any other one is
-    soft, and so is the number of readings, which grows with the rest.
+    With a sharpness that is the number `math.inf` the readings of rests are those of a prediction. With any other one a
+    few readings stand for them, of which the number is smooth, too: it grows with the rest.
 
     Programs take targets as arguments, so that plans for other targets need none of their own."""
 
@@ -383,7 +386,7 @@ class CycleObjective:
         over = jnp.asarray(self.targets if targets is None else targets)
         all_logs, each = [], []
         for model, geometry, known in zip(self.models, self.geometries, self.known, strict=True):
-            on_ramp = partial(self.information, model, geometry, decoded, of, exact=_is_exact(sharpness))
+            on_ramp = partial(self.information, model, geometry, decoded, of, sharpness=sharpness)
             each.append(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
         for info in each:
             covariance = inverse(info)
@@ -391,10 +394,10 @@ class CycleObjective:
         return jnp.stack(all_logs)
 
     def information(
-        self, model: ImuModel, geometry: Geometry, decoded: Decoded, of: CycleStructure, ramp: Ramp, *, exact: bool
+        self, model: ImuModel, geometry: Geometry, decoded: Decoded, of: CycleStructure, ramp: Ramp, *, sharpness
     ) -> Float[AnyArray, "p p"]:
-        """The information of all cycles on one ramp; `exact`: with the readings of a prediction."""
-        motion, at = self._motion(ramp, decoded, of, model, geometry, exact)
+        """The information of all cycles on one ramp."""
+        motion, at = self._motion(ramp, decoded, of, model, geometry, sharpness)
         steps, columns = imu_system(motion, model, body_nodes(motion, self.points), at)
         if self.window == 1:
             return gram(steps, columns)
@@ -405,11 +408,11 @@ class CycleObjective:
         return ramp.first * first + jnp.sum(jnp.swapaxes(ramp.further, 1, 2) @ (added @ ramp.further), axis=0)
 
     def _motion(
-        self, ramp: Ramp, decoded: Decoded, of: CycleStructure, model: ImuModel, geometry: Geometry, exact: bool
+        self, ramp: Ramp, decoded: Decoded, of: CycleStructure, model: ImuModel, geometry: Geometry, sharpness
     ) -> tuple[TableMotion, Segments]:
         k, window = self.coordinates.slots, self.window
         limits = self.coordinates.limits
-        rests = self._rests(decoded.rest, exact)
+        rests = self._rests(decoded.rest, sharpness)
         moves = []
         for _ in range(k):
             moves.append(turn(SHAPE, 1.0, 4.0, ramp=1.0))
@@ -452,12 +455,12 @@ class CycleObjective:
         motion = TableMotion(track, axis, mounting, geometry, start, kind, example, nodes, *path)
         return motion, self._segments(line, turns, slot, track.duration, of, model)
 
-    def _rests(self, rest: Float[AnyArray, " K"], exact: bool) -> "_Rests":
+    def _rests(self, rest: Float[AnyArray, " K"], sharpness) -> "_Rests":
         """The rests of a cycle, divided at their readings, of which the last one is at the end of the rest."""
         every = self.coordinates.limits.read_every
         if math.isinf(every):
             return _Rests(rest[:, None], jnp.ones((len(rest), 1)))
-        if exact:
+        if _is_exact(sharpness):
             most = math.floor(self.coordinates.limits.longest / every + 1.0)
             count = jnp.minimum(jnp.floor(rest / every * (1.0 + _ROUNDING) + _ROUNDING), float(most))
             spaced = jnp.where(np.arange(most, dtype=float)[None] < count[:, None], every, 0.0)
@@ -465,8 +468,7 @@ class CycleObjective:
             left = jnp.where(left > _ROUNDING * rest, left, 0.0)
             duration = jnp.concatenate([spaced, left[:, None]], axis=1)
             return _Rests(duration, jnp.ones(duration.shape))
-        # A whole number of readings lies between the rest over their spacing and one more.
-        count = 0.5 + jnp.hypot(0.5, rest / every)
+        count = _soft_count(rest / every, sharpness)
         share = jnp.tile(count[:, None] / self.readings, (1, self.readings))
         return _Rests(jnp.tile(rest[:, None] / self.readings, (1, self.readings)), share)
 
@@ -512,6 +514,18 @@ class _Rests(NamedTuple):
 
     duration: AnyArray
     share: AnyArray
+
+
+def _soft_count(spacings: AnyArray, sharpness) -> AnyArray:
+    """A smooth number of readings of a rest of so many spacings, which tends to the whole number as sharpness grows.
+
+    The whole number is `ceil(x) = x + 1/2 + Σ_k sin(2πkx)/(πk)`. With each term times ρ^k, of ρ from 0 to 1, the sum is
+    closed, and the slope of `x` with it is that of the Poisson kernel, nowhere zero."""
+    rho = 1.0 - 1.0 / (1.0 + jnp.minimum(sharpness, _SHARPEST) / _SHARP_COUNT)
+    turned = 2.0 * jnp.pi * spacings
+    wave = jnp.arctan2(rho * jnp.sin(turned), 1.0 - rho * jnp.cos(turned)) / jnp.pi
+    # A rest of no length has a reading, too.
+    return 0.5 + rho * spacings + (1.0 - rho) * jnp.hypot(0.5, spacings) + wave
 
 
 def _is_exact(sharpness) -> bool:

@@ -91,7 +91,7 @@ def test_its_lines_are_as_many_as_it_says() -> None:
         ("grbl", ('protocol = "grbl"', 'protocol = "grb"'), "nearest: 'grbl'"),
         ("board", ("{temperature},{time}", "{time}"), "but the description expects"),
         ("board", ("{gyro_x}", "{gx}"), "{gx} is not the name of a field"),
-        ("board", ('boot     = "2 s"', 'boot     = "0 s"\ntimeout  = "0.5 s"'), "printed nothing in 0.5 s"),
+        ("board", ('boot     = "2 s"', 'boot     = "0 s"\ntimeout  = "0.5 s"'), "sent nothing in 0.5 s"),
     ],
 )  # fmt: skip
 def test_errors_that_one_makes_are_said(

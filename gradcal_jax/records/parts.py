@@ -121,7 +121,8 @@ def count_rounds(samples: SampleSpool, first: int, end: int, round_samples: int,
     for begin, block, last in samples.arrivals(first, end):
         arrivals.append((block["host_s"][last], block["device_s"][last]))
         gaps += (begin + np.flatnonzero((block["gap"] > 0) | block["disturbed"])).tolist()
-    host, device = (np.concatenate(column) for column in zip(*arrivals, strict=True))
+    host: Floats = np.concatenate([stamps for stamps, _ in arrivals])
+    device: Floats = np.concatenate([stamps for _, stamps in arrivals])
     late = host - device
     period_s = round_samples * sample_s
     lost: dict[int, int] = {}
@@ -129,9 +130,9 @@ def count_rounds(samples: SampleSpool, first: int, end: int, round_samples: int,
     for row in gaps:
         if row == first:
             continue
-        place = int(np.searchsorted(device, samples.read(row, row + 1)["device_s"][0]))
-        before = late[np.searchsorted(host, host[place] - _WINDOW_S) : place]
-        after = late[place : np.searchsorted(host, host[place] + _WINDOW_S, side="right")]
+        place = int(device.searchsorted(float(samples.read(row, row + 1)["device_s"][0])))
+        before = late[host.searchsorted(host[place] - _WINDOW_S) : place]
+        after = late[place : host.searchsorted(host[place] + _WINDOW_S, side="right")]
         later_s = float(after.min() - before.min()) if len(before) else 0.0
         periods = max(0, round(later_s / period_s))
         agree = np.count_nonzero(after < after.min() + _SURE * period_s) >= _FEWEST_ARRIVALS

@@ -11,7 +11,7 @@ back. Where bursts come evenly and some have fewer than m rows, rows were lost w
 P."""
 
 import importlib
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 
@@ -67,10 +67,11 @@ def stamps_ahead(time: Floats, readable: Bools) -> Bools:
     backs = np.flatnonzero(steps < -_FAR_AHEAD * usual) + 1
     if len(backs) >= _OFTEN_BACK:
         return result
-    for back in cast("list[int]", backs.tolist()):
+    for back in backs.tolist():
         # The last row before this one from which the stamps go on here.
         start = max(good, back - _LONGEST_AHEAD)
-        before = start + int(np.searchsorted(np.maximum.accumulate(own[start:back]), own[back])) - 1
+        highest: Floats = np.maximum.accumulate(own[start:back])
+        before = start + int(highest.searchsorted(float(own[back]))) - 1
         if before < start or own[back] <= latest:
             continue
         count = back - before - 1

@@ -550,3 +550,41 @@ def test_the_objective_counts_the_readings_of_rests_as_a_prediction_does(every):
         (row,) = gj.predict(gj.changed(spec, {"plan.cycle.moves": written})).requirements
         assert exact == pytest.approx(row.decisive, rel=1e-9)
         assert soft == pytest.approx(row.decisive, rel=3e-3)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("preset", ["accelerometer-six-positions"])
+def test_the_objective_of_a_plan_of_one_cycle_is_its_prediction(preset, monkeypatch):
+    """At infinite sharpness, at the file's plan and at a random point; without the time that is left for rounding."""
+    monkeypatch.setattr("gradcal_jax.design.cycle_plan._LEFT", 0.0)
+    spec = gj.parse_spec(gj.presets.text(preset))
+    rows = [r.model_dump(mode="json", exclude_unset=True) for r in spec.requirement]
+    rows = [row | {"grid": [min(g, 21) for g in row["grid"]]} if "grid" in row else row for row in rows]
+    spec = gj.changed(spec, {"requirement": rows})
+    plan = CyclePlan(spec)
+    assert plan._window == 1
+    of = plan.structure(plan.start)
+    ramps = plan.course(plan.start.cycles).ramps
+
+    def logs(z, of, ramps):
+        return plan.objective.logs(plan.coordinates.decode(z, of), of, ramps, math.inf)
+
+    program = jax.jit(logs, compiler_options=QUICKLY)
+    names = [aim.name for aim in plan.exact.aims]
+    limits = np.array([aim.limit for aim in plan.exact.aims])
+    start = plan.coordinates.encode(plan.start.turns, of)
+    for random in (0.0, 0.02):
+        z = start + random * np.random.default_rng(0).standard_normal(start.shape)
+        left = np.exp(np.asarray(program(jnp.asarray(z), jax.tree.map(jnp.asarray, of), ramps)))[0] * limits
+        written = []
+        for t in plan.coordinates.cycle(z, of):
+            if t.axis >= 0:
+                duration = abs(t.angle) / t.rate + t.rate / float(plan.limits.accelerations[t.axis])
+                turn = {"turn": f"{math.degrees(t.angle)!r} deg", "axis": plan.rounding.axes[t.axis]}
+                turn |= {"peak_rate": f"{math.degrees(t.rate)!r} deg/s", "duration": f"{duration!r} s"}
+                written.append(turn | {"shape": "linear ramps"})
+            if t.rest:
+                written.append({"rest": f"{t.rest!r} s"})
+        predicted = gj.predict(gj.changed(spec, {"plan.cycle.moves": written})).requirements
+        decisive = {row.name: row.decisive for row in predicted}
+        assert left == pytest.approx([decisive[name] for name in names], rel=1e-9)

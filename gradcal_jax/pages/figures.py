@@ -47,28 +47,31 @@ class Picture(NamedTuple):
 
 
 def residual_pictures(found: list[ResidualLeft], targets: dict[str, float]) -> Iterator[Picture]:
-    """For each requirement its residuals at every stage as curves; of a single element over temperature and rate, also
-    the map of the last stage. `targets`: the limits on the standard deviation, by requirement."""
+    """For each requirement its residuals as curves: of a single element at every stage in one picture, and as a map of
+    the last stage; of several elements a picture of each stage but the priors. `targets`: the limits on the standard
+    deviation, by requirement."""
     for left in found:
         if not left.stages:
             continue
-        name = left.requirement.name
-        boxes = [box for stage, residual in left.stages.items() for box in boxes_of(residual, stage)]
+        name, target = left.requirement.name, targets.get(left.requirement.name)
         last, residual = list(left.stages.items())[-1]
-        if len(residual.labels) == 1 and len(residual.rates) > 1:
+        by_rate, single = len(residual.rates) > 1, len(residual.labels) == 1
+        if single and by_rate:
             rates = np.degrees(residual.rates)
             yield picture(
                 f"{name} map",
                 f"{name}: residual {last}, one standard deviation.",
                 lambda ax, r=residual, w=rates: plots.draw_map(r.temperatures, w, r.values[0], r.unit, ax=ax),
             )
-        target = targets.get(name)
-        words = "the maximum over temperature, against rate" if len(residual.rates) > 1 else "over temperature"
-        yield picture(
-            f"{name} curves",
-            f"{name}: residual, {words}, one standard deviation.",
-            lambda ax, b=boxes, t=target: plots.draw_curves(b, t, ax=ax),
-        )
+        over = "the maximum over temperature, against rate" if by_rate else "over temperature"
+        together = [box for stage, of in left.stages.items() for box in boxes_of(of, stage)]
+        drawn = {"": together} if single else {s: boxes_of(of) for s, of in left.stages.items() if s != "before"}
+        for stage, boxes in drawn.items():
+            yield picture(
+                f"{name} curves {stage}",
+                " ".join(filter(None, (f"{name}: residual", stage))) + f", {over}, one standard deviation.",
+                lambda ax, b=boxes, t=target: plots.draw_curves(b, t, ax=ax),
+            )
 
 
 def _mission_pictures(spec: Spec) -> Iterator[Picture]:

@@ -371,6 +371,28 @@ def test_grbl_stops_where_it_stands_and_can_go_on() -> None:
         assert device.plant.state(clock.now())[0] == pytest.approx(-30.0, abs=0.004)
 
 
+@pytest.mark.parametrize("bench", [grbl_bench, aerosmith_bench])
+def test_a_reply_that_the_host_reads_late_makes_no_rate_too_large(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a device whose position comes with its state, and of one that is asked for it."""
+    clock, late = LineClock(), [0.3]
+    with bench(clock) as (drive, _, _):
+        drive.home()
+        drive.spin(100.0, 200.0)
+        clock.sleep(2.0)
+        ask = drive._ask
+
+        def read_late(question: Any) -> Any:
+            reply = ask(question)
+            clock.sleep(late[0])
+            return reply
+
+        monkeypatch.setattr(drive, "_ask", read_late)
+        drive.read()
+        late[0] = 0.0
+        clock.sleep(0.5)
+        assert 50.0 < drive.read().rate_dps < 101.0
+
+
 def test_a_rate_that_was_lost_lets_no_table_go() -> None:
     clock = LineClock()
     with aerosmith_bench(clock) as (axis, device, _):

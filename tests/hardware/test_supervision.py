@@ -96,22 +96,24 @@ def test_a_rig_is_tried_for_a_recipe_and_moves_only_where_it_is_said(made: Path,
         said = capsys.readouterr().out
         assert "125 samples/s, 0 missing" in said
         assert lab.axis.state(clock.now()) == (0.0, 0.0)
-        before = dict(lab.table.stages[0].settings)
+        before = dict(lab.table.settings)
         assert main([*asked, "--move"]) == 0
         assert capsys.readouterr().out.count("360 deg in") == 2
         assert len(lab.axis._phases) > 4
         assert not lab.axis.moving(clock.now())
-        assert lab.table.stages[0].settings == before
+        assert lab.table.settings == before
         assert commands(lab) == []
         # A stage that stalls, and one that goes slowly, are not good.
-        lab.table.stages[0].plant.move_to = lambda *_: None
+        lab.table.plant.move_to = lambda *_: None
         assert main([*asked, "--move"]) != 0
         # Nor is a unit that says a tenth less than it was set to.
         lab.sensor.clock_error = -0.1
+        lab.imu.reboot()
         capsys.readouterr()
         assert main(asked) != 0
         assert "of 125 samples/s, 0 missing  NOT AS IT SHOULD BE" in capsys.readouterr().out
         lab.sensor.clock_error = 0.0
+        lab.imu.reboot()
         lab.chamber.raise_alarm(18)
         assert main(asked) != 0
         assert "ALARM 18" in capsys.readouterr().out

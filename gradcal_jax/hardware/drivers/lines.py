@@ -252,12 +252,15 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
     def read(self) -> AxisReading:
         # The motion is read first: a position read after that is the final one if the axis stood.
         names = self._asks_of("moving", "fault", "powered")
+        asked_s = self._clock.now()
         texts = self._read(*names)
         if self._moved and not self._is("moving", texts):
             # One damaged character can turn motion into a standstill: the query is sent twice.
+            asked_s = self._clock.now()
             texts = self._read(*names)
-        asked_s = self._clock.now()
-        texts |= {} if "position" in texts else self._read("position")
+        if "position" not in texts:
+            asked_s = self._clock.now()
+            texts |= self._read("position")
         time_s = self._clock.now()
         moving = self._moved = self._is("moving", texts)
         faults = (texts[self._protocol.state["fault"].field],) if self._is("fault", texts) else ()

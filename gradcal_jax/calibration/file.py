@@ -26,7 +26,7 @@ from gradcal_jax.records.log import Floats
 from gradcal_jax.spec.bases import RateBasis, TemperatureBasis, increasing
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.display import amount, columns
-from gradcal_jax.tables.document import TitledFile, from_text, model_of, read_text
+from gradcal_jax.tables.document import TitledFile, model_of, read_text, read_toml
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import Section
 from gradcal_jax.tables.writing import write_toml
@@ -418,7 +418,7 @@ def parse_calibration(text: str, source: str = "") -> Calibration:
     def read(document: dict[str, Any], source: str) -> Calibration:
         return model_of(Calibration, document, FORMAT, source)
 
-    return from_text(read, text, source)
+    return read(read_toml(text, source), source)
 
 
 def read_calibration(path: str | Path) -> Calibration:

@@ -29,7 +29,7 @@ from gradcal_jax.tables.contracts import (
     narrow_table,
 )
 from gradcal_jax.tables.display import whole_text
-from gradcal_jax.tables.document import TitledFile, from_text, model_of, read_text
+from gradcal_jax.tables.document import TitledFile, model_of, read_text, read_toml
 from gradcal_jax.tables.problems import Problem, SpecError
 from gradcal_jax.tables.quantity import Text, Whole
 from gradcal_jax.tables.section import Section
@@ -157,13 +157,13 @@ def read_recipe(path: str | Path) -> Recipe:
 def spec_in(path: str | Path) -> Spec:
     """The spec in a file, or inside a recipe, whose plan is the rounded one. Raises `SpecError`."""
     with missions_from(Path(path).parent):
-        return from_text(spec_of_either, read_text(path), str(path))
+        return spec_of_either(read_toml(read_text(path), str(path)), str(path))
 
 
 def spec_or_recipe(path: str | Path) -> Spec | Recipe:
     """The spec or the recipe in a file. Raises `SpecError`."""
     with missions_from(Path(path).parent):
-        return from_text(_spec_or_recipe_of, read_text(path), str(path))
+        return _spec_or_recipe_of(read_toml(read_text(path), str(path)), str(path))
 
 
 def spec_of_either(document: Mapping[str, Any], source: str = "") -> Spec:
@@ -178,7 +178,7 @@ def _spec_or_recipe_of(document: Mapping[str, Any], source: str = "") -> Spec | 
 
 def parse_recipe(text: str, source: str = "") -> Recipe:
     """A recipe from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
-    return from_text(recipe_of, text, source)
+    return recipe_of(read_toml(text, source), source)
 
 
 def recipe_of(document: Mapping[str, Any], source: str = "") -> Recipe:

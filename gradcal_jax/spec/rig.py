@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, Field
 
 from gradcal_jax.spec import presets
-from gradcal_jax.tables.document import TitledFile, from_text, model_of, read_text
+from gradcal_jax.tables.document import TitledFile, model_of, read_text, read_toml
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Flag, PositiveTemperatureDifference, Quantity, Temperature, Text, Time
 from gradcal_jax.tables.section import Section
@@ -242,7 +242,7 @@ def read_rig(path: str | Path) -> RigFile:
 
 def parse_rig(text: str, source: str = "") -> RigFile:
     """A rig from the text of a TOML file; `source` names it in messages. Raises `SpecError`."""
-    return from_text(rig_of, text, source)
+    return rig_of(read_toml(text, source), source)
 
 
 def rig_of(document: Mapping[str, Any], source: str = "") -> RigFile:

@@ -6,7 +6,7 @@ from typing import Any
 
 from gradcal_jax.spec.mission import missions_from
 from gradcal_jax.spec.spec_sections import FORMAT, Spec
-from gradcal_jax.tables.document import from_text, model_of, read_text
+from gradcal_jax.tables.document import model_of, read_text, read_toml
 
 
 def expect_spec(value: object) -> Spec:
@@ -34,7 +34,7 @@ def parse_spec(text: str, source: str = "") -> Spec:
 
     Errors: `SpecError`, as `read_spec`.
     """
-    return from_text(spec_of, text, source)
+    return spec_of(read_toml(text, source), source)
 
 
 def spec_of(document: Mapping[str, Any], source: str = "") -> Spec:

@@ -1,25 +1,18 @@
-"""Reading a TOML document from a path or a text, with one sentence for a problem of the whole document.
-
-**The line of each key**, for error messages, is found by a scanner of our own (`tomllib` does not give it). The text is
-known to be valid TOML, so that it only follows strings, comments and brackets.
-"""
+"""Reading a TOML document from a path or a text, with one sentence for a problem of the whole document."""
 
 import re
 import tomllib
-from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from pydantic import ValidationError
 
-from gradcal_jax.tables.problems import Key, Problem, SpecError, from_validation, hint
+from gradcal_jax.tables.problems import Problem, SpecError, from_validation, hint
 from gradcal_jax.tables.quantity import Text
 from gradcal_jax.tables.section import Section
 
 Model = TypeVar("Model", bound=Section)
-Result = TypeVar("Result")
 _LARGEST = 20_000_000
 _MOST_PARTS = 50
 _PART = r"(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
@@ -101,121 +94,5 @@ def model_of(kind: type[Model], document: Mapping[str, Any], expected: str, sour
 
 
 def parsed(kind: type[Model], text: str, expected: str, source: str) -> Model:
-    """As `model_of`, for a TOML text; problems have the number of their line."""
-    return from_text(lambda document, _: model_of(kind, document, expected, source), text, source)
-
-
-def from_text(of: Callable[[dict[str, Any], str], Result], text: str, source: str) -> Result:
-    """The result of `of` for the tables of a TOML text; problems have the number of their line."""
-    with with_lines(text):
-        return of(read_toml(text, source), source)
-
-
-_KEY_PART: Final = re.compile(r"""\s*("(?:[^"\\]|\\.)*"|'[^']*'|[A-Za-z0-9_-]+)\s*(\.?)""")
-_BLANK: Final = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
-_STRING: Final = re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}|\'\'\'.*?\'{3,5}|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'', re.DOTALL)
-_PLAIN: Final = re.compile(r"[^,\]}\n#]*")
-
-
-@contextmanager
-def with_lines(text: str) -> Generator[None]:
-    """Context that adds the line of its key to every problem of a file read from `text`."""
-    try:
-        yield
-    except SpecError as error:
-        if not any(problem.key for problem in error.problems):
-            raise  # of the text as a whole, which may be no TOML
-        known = lines_of(text)
-
-        def line(key: Key) -> int | None:
-            """The line of the key or, where it is missing, of the innermost table around it."""
-            return next((known[key[:n]] for n in range(len(key), 0, -1) if key[:n] in known), None)
-
-        raise SpecError((replace(p, line=line(p.key)) for p in error.problems), error.source) from None
-
-
-def lines_of(text: str) -> dict[Key, int]:
-    """The line, from 1, of every key, table and list entry of a valid TOML text."""
-    return _Scanner(text.replace("\r\n", "\n")).all()
-
-
-class _Scanner:
-    def __init__(self, text: str) -> None:
-        self.text, self.at, self.lines = text, 0, dict[Key, int]()
-        self.counts: dict[Key, int] = {}
-        self._line, self._counted = 1, 0
-
-    def all(self) -> dict[Key, int]:
-        prefix: Key = ()
-        while self.blank():
-            if self.text[self.at] == "[":
-                several = self.text.startswith("[[", self.at)
-                self.at += 2 if several else 1
-                prefix = self.header(self.key(), several)
-                self.at = self.text.index("]", self.at) + (2 if several else 1)
-            else:
-                self.pair(prefix)
-        return self.lines
-
-    def header(self, key: Key, several: bool) -> Key:
-        """The path of a header's table, with the number of the last entry of each list of tables."""
-        place: Key = ()
-        for depth, part in enumerate(key):
-            place = (*place, part)
-            last = depth == len(key) - 1
-            if last and several:
-                self.counts[place] = self.counts.get(place, -1) + 1
-            self.note(place)
-            if place in self.counts and (several or not last):
-                place = (*place, self.counts[place])
-        self.note(place)
-        return place
-
-    def pair(self, prefix: Key) -> None:
-        key = (*prefix, *self.key())
-        for n in range(len(prefix) + 1, len(key) + 1):
-            self.note(key[:n])
-        self.at = self.text.index("=", self.at) + 1
-        self.value(key)
-
-    def value(self, key: Key) -> None:
-        self.blank()
-        self.note(key)
-        opened, number = self.text[self.at], 0
-        if opened not in "[{":
-            self.skip(_STRING)
-            self.skip(_PLAIN)
-            return
-        self.at += 1
-        while self.blank() and self.text[self.at] not in "]}":
-            if opened == "[":
-                self.value((*key, number))
-                number += 1
-            else:
-                self.pair(key)
-            self.blank()
-            self.at += self.text[self.at] == ","
-        self.at += 1
-
-    def key(self) -> Key:
-        parts: list[str] = []
-        more = "."
-        while more and (match := _KEY_PART.match(self.text, self.at)) is not None:
-            part, more = match.groups()
-            parts += tomllib.loads(f"{part} = 0") if part[0] in "\"'" else [part]
-            self.at = match.end()
-        return tuple(parts)
-
-    def blank(self) -> bool:
-        """Skip blanks and comments; whether text remains."""
-        self.skip(_BLANK)
-        return self.at < len(self.text)
-
-    def skip(self, pattern: re.Pattern[str]) -> None:
-        match = pattern.match(self.text, self.at)
-        self.at = self.at if match is None else match.end()
-
-    def note(self, key: Key) -> None:
-        self._line += self.text.count("\n", self._counted, self.at)
-        self._counted = self.at
-        self.lines.setdefault(key, self._line)
+    """As `model_of`, for a TOML text."""
+    return model_of(kind, read_toml(text, source), expected, source)

@@ -27,14 +27,12 @@ ABSENT: Final = _Absent()
 
 @dataclass(frozen=True)
 class Problem:
-    """One fault. `key` is the path (names and list positions), `value` the file's value there (or `ABSENT`), `line` its
-    line."""
+    """One fault. `key` is the path (names and list positions), `value` the file's value there (or `ABSENT`)."""
 
     key: Key
     message: str
     value: object = ABSENT
     kind: str = "value"
-    line: int | None = None
 
     @property
     def dotted(self) -> str:
@@ -49,10 +47,9 @@ class Problem:
         where = self.dotted if len(self.dotted) <= _LONGEST else self.dotted[: _LONGEST - 1] + "…"
         if not where:
             return self.message
-        at = "" if self.line is None else f" (line {self.line})"
         if isinstance(self.value, _Absent):
-            return f"{where}: {self.message}{at}"
-        return f"{where} = {shown(self.value)}: {self.message}{at}"
+            return f"{where}: {self.message}"
+        return f"{where} = {shown(self.value)}: {self.message}"
 
 
 class SpecError(ValueError):

@@ -2,7 +2,6 @@
 
 import copy
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from imu_helpers import shipped
 
-from gradcal_jax.spec.spec import read_spec, spec_of
+from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.problems import SpecError
 
@@ -302,11 +301,3 @@ def test_a_cycle_of_several_stretches_returns():
         spec_of(document)
     document["plan"]["cycle"]["moves"].append({"turn": "-90 deg", "axis": "spin"})
     assert len(spec_of(document).schedule.stretches) == 2
-
-
-def test_the_line_of_a_fault_is_said(tmp_path):
-    path = tmp_path / "unit.toml"
-    shipped_text = Path("experiments/imu/hand.toml").read_text(encoding="utf-8")
-    path.write_text(shipped_text.replace("max_rate ", "max_rte "), encoding="utf-8")
-    with pytest.raises(SpecError, match=r"max_rte.*\(line \d+\)"):
-        read_spec(path)

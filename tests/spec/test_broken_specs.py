@@ -6,7 +6,6 @@ import pytest
 
 from gradcal_jax.cli import main
 from gradcal_jax.spec import spec as spec_file
-from gradcal_jax.tables.document import lines_of
 from gradcal_jax.tables.problems import SpecError
 
 BROKEN = sorted((Path(__file__).parent / "broken").glob("*.toml"))
@@ -27,10 +26,8 @@ def test_every_fault_is_named_by_its_key_and_nothing_else_is(path):
     with pytest.raises(SpecError) as caught:
         spec_file.read_spec(path)
     assert {problem.dotted for problem in caught.value.problems} == expected(path)
-    known = lines_of(path.read_text(encoding="utf-8")) if "syntax" not in path.stem else {}
     for problem in caught.value.problems:
         assert len(problem.message) > 10
-        assert problem.line == known.get(problem.key, problem.line)
 
 
 @pytest.mark.parametrize("path", BROKEN, ids=lambda path: path.stem)

@@ -538,7 +538,7 @@ def _template(calibration: Calibration, options: Mapping[str, Any]) -> Export:
         at, _, losses, more = _at_one_temperature(calibration, options, "a template")
         known |= linear(at) | {"temperature": at}
         notes += more
-    return Export(rendered(template, known, trusted=False), tuple(losses), tuple(notes))
+    return Export(rendered(template, known), tuple(losses), tuple(notes))
 
 
 FORMATS: Final[Mapping[str, Callable[[Calibration, Mapping[str, Any]], Export]]] = {

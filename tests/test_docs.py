@@ -62,6 +62,15 @@ def test_every_option_that_is_named_exists(command, capsys):
         assert re.search(rf"(?<![\w-]){option}(?![\w-])", said), (command, option)
 
 
+def test_every_command_that_a_message_names_exists(capsys):
+    assert main(["--help"]) == 0
+    known = set(re.findall(r"^  ([a-z]+): ", capsys.readouterr().out, flags=re.M)) - {"version"}
+    assert len(known) >= 15
+    for path in sorted((ROOT / "gradcal_jax").rglob("*.py")):
+        for command in re.findall(r"[`\"'(; ]gradcal ([a-z]+)", path.read_text(encoding="utf-8")):
+            assert command in known, (path.name, command)
+
+
 def test_the_readme_is_a_screen_and_begins_with_what_is_simulated():
     assert len(README.split()) <= 450
     assert len(README.splitlines()) <= 60

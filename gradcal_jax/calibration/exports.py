@@ -511,7 +511,9 @@ def _csv(calibration: Calibration, options: Mapping[str, Any]) -> Export:
 def _template(calibration: Calibration, options: Mapping[str, Any]) -> Export:
     template, at = options["template"], options["temperature_c"]
     if template is None:
-        raise ValueError("the template is missing: name it with --template; gradcal new export-gains writes an example")
+        raise ValueError(
+            "the template is missing: name it with --template; gradcal start export-gains -o gains.j2 writes one"
+        )
 
     def linear(temperature_c: float) -> dict[str, dict[str, Any]]:
         of = linear_at(calibration, temperature_c)

@@ -182,7 +182,7 @@ def without_a_map(path: Path) -> LogError:
     except (OSError, ValueError, ImportError):
         columns = None
     if columns is None:
-        return LogError(f"{problem}; gradcal new column-map -o columns.toml writes one to start from")
+        return LogError(f"{problem}; gradcal start column-map -o columns.toml writes one to start from")
     return LogError(f"{problem}. A map by the header of the file; replace every ???:\n\n{columns}")
 
 

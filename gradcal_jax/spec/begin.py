@@ -228,4 +228,4 @@ def _refuse_impossible(answers: Answers, known: Mapping[str, tuple[Any, ...]]) -
             "is calibrated\", or state the error of the table's angle"
         )
     if kind != "gyro" and axes == "2" and table == "hand":
-        raise ValueError("for a gimbal that is turned by hand: gradcal new gimbal-by-hand")
+        raise ValueError("for a gimbal that is turned by hand: gradcal start gimbal-by-hand -o spec.toml")

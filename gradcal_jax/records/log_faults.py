@@ -25,6 +25,8 @@ from gradcal_jax.records.uneven_stamps import (
     against_earlier,
     changed_rate,
     even_clock,
+    like_pauses,
+    like_regular_losses,
     refuse_intervals,
     refuse_restart,
     stamps_ahead,
@@ -390,7 +392,13 @@ class _Examination:
         last = np.minimum(suspect + 1 + _WINDOW, len(time) - 1)
         lost = (time[last] - time[first]) / usual - (last - first)
         gaps = suspect[lost > _GAP - 1.0]
-        if (found := even_clock(time, gaps)) is not None:
+        found = even_clock(time, gaps)
+        if sum(self.removed.values()) > _OFTEN * len(time):
+            found = None  # it is known that rows are missing
+        elif like_regular_losses(time) or (found is not None and like_pauses(time, found[0], usual)):
+            self.note_fault("uneven stamps", self.policy.wrong_units, 0, _either(time))
+            found = None
+        if found is not None:
             even, starts, lost_rows = found
             inside = np.delete(interval, starts[1:] - 1)
             rate = 1.0 / mean_interval(even, intervals_within(even, starts))
@@ -407,12 +415,11 @@ class _Examination:
         if len(gaps) > max(_MANY_ROWS, _UNEVEN * len(time)) and not _are_losses(
             time, interval[gaps] / usual, removed=bool(self.removed)
         ):
-            mean_hz = (len(time) - 1) / float(time[-1] - time[0])
             text = (
                 f"the time stamps are not those of one even clock: half of the rows are less than {1e3 * usual:.3g} ms "
                 f"apart, and the {len(gaps)} longer intervals are not like those over lost rows. If rows arrive in "
-                f'bursts and none is missing, give sample_rate (such as "{mean_hz:.6g} Hz", rows over time) instead of '
-                "time; if the rows are counted, give the counter as `clock`"
+                f'bursts and none is missing, give sample_rate (such as "{_over_time(time)}", rows over time) instead '
+                "of time; if the rows are counted, give the counter as `clock`"
             )
             self.note_fault("uneven stamps", self.policy.wrong_units, 0, text)
         if len(gaps):
@@ -597,6 +604,19 @@ def _without(columns: Columns, masked: Bools) -> Columns:
             changed[name] = values.astype(np.float64)
             changed[name][masked] = np.nan
     return replace(columns, **changed)
+
+
+def _over_time(time: Floats) -> str:
+    return f"{(len(time) - 1) / float(time[-1] - time[0]):.6g} Hz"
+
+
+def _either(time: Floats) -> str:
+    return (
+        "the time stamps are uneven in a regular pattern: either rows are missing in this pattern, or none is missing, "
+        "and rows are stamped when they are read. If none is missing, give sample_rate = "
+        f'"{_over_time(time)}" (rows over time) instead of time; if rows are missing, give a counter of the samples as '
+        '`clock`, or set [policy] wrong_units = "keep", which takes the longer intervals as gaps'
+    )
 
 
 def _are_losses(time: Floats, intervals: Floats, *, removed: bool) -> bool:

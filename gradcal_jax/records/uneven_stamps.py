@@ -23,6 +23,15 @@ _MANY, _MANY_ROWS = 0.005, 20
 _BURSTS, _WITHIN = 40, 1.5
 # Times the usual, beyond which a pause between bursts is a gap; bursts come evenly within this share of their period.
 _PAUSE, _EVENLY = 1.6, 0.02
+# Rows in which a pattern of intervals is looked for, its largest length, and its least share of their variance; least
+# relative deviation of uneven intervals; intervals within bursts, over the mean, and the least share of them.
+_PATTERN_ROWS, _PATTERN, _REPEATS, _UNEVEN = 1 << 16, 100, 0.3, 0.15
+_CLOSE, _IN_BURSTS = 0.25, 0.3
+_MILLISECOND, _OF_A_MILLISECOND = 1e-3, 1e-3
+# Intervals of rounded stamps of an even clock differ by less than this factor.
+_SHORTEST_GAP: Final = 1.6
+# Even intervals over those within a burst: up to the first it is the same clock, from the second on these are arrivals.
+_SAME_CLOCK, _ARRIVALS = 1.02, 4.0
 # Least share of whole bursts from which their number of rows is known.
 _WHOLE: Final = 0.3
 # Rows without which stamps are not looked at; share of steps that are not forward, and steps that the stamps then span.
@@ -163,6 +172,41 @@ def even_clock(time: Floats, suspects: Whole) -> tuple[Floats, Whole, int] | Non
     if lost:
         starts = np.union1d(starts, begins[1:][sizes[:-1] < most])
     return even + shift, starts.astype(np.int64), lost + round(float(shift[-1]) / (period / most))
+
+
+def like_regular_losses(time: Floats) -> bool:
+    """Whether the intervals of stamps `(n,)` repeat a pattern that regular losses leave, and uneven stamps of all rows
+    as well: 1, 1, 2. Rows that arrive in bursts are much closer than rows over losses, and single rows that are late
+    or missing at random repeat no pattern."""
+    interval = np.diff(time[:_PATTERN_ROWS])
+    if len(interval) < _LOOKED_AT:
+        return False
+    usual = float(np.mean(interval[interval <= np.quantile(interval, 0.99)]))
+    apart = np.minimum(interval / usual, 4.0) - 1.0
+    if np.mean(apart < _CLOSE - 1.0) > _IN_BURSTS or np.std(apart) < _UNEVEN:
+        return False
+    low, high = np.quantile(interval, [0.02, 0.98])
+    if high < _SHORTEST_GAP * low or _in_whole_milliseconds(time, float(low)):
+        return False
+    count = len(apart)
+    power = np.abs(np.fft.rfft(apart - apart.mean(), 2 * count)) ** 2
+    alike = np.fft.irfft(power)[: min(_PATTERN, count // 4)]
+    # (Where the rate changes within the record, all are alike.)
+    return bool(np.max(alike[2:]) - np.median(alike[2:]) > _REPEATS * alike[0])
+
+
+def like_pauses(time: Floats, even: Floats, usual: float) -> bool:
+    """Whether the intervals of the `even` times of stamps are little longer than the `usual` ones within a burst: these
+    may be those of the clock, with pauses between."""
+    ratio = float(np.median(np.diff(even))) / usual
+    return _SAME_CLOCK < ratio < _ARRIVALS and not _in_whole_milliseconds(time, usual)
+
+
+def _in_whole_milliseconds(time: Floats, usual: float) -> bool:
+    """Whether stamps are an even clock's of 500 … 1000 Hz in whole milliseconds: one or two of them apart."""
+    places = time / _MILLISECOND
+    whole = bool(np.max(np.abs(places - np.rint(places))) < _OF_A_MILLISECOND)
+    return whole and abs(usual / _MILLISECOND - 1.0) < _OF_A_MILLISECOND
 
 
 def _rows_of_clock(time: Floats, begins: Whole, period: float) -> tuple[Floats, Whole, int, int]:

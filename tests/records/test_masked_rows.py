@@ -148,3 +148,54 @@ def test_rows_that_come_with_events_of_a_radio_are_right_or_asked(
     if log is not None:
         own = walk(np.degrees(log.rate_rad_per_s[0, :, 0]), 1.0) * np.sqrt(log.sample_interval_s)
         assert own == pytest.approx(NOISE, rel=0.1)
+
+
+def kept_rows(pattern: str, rows: int, share: float, burst: int, rng: np.random.Generator) -> np.ndarray:
+    """Which rows of a record are left by losses of this pattern."""
+    count = np.arange(rows)
+    if pattern == "at random":
+        return rng.random(rows) >= share
+    if pattern == "every so many":
+        return count % (burst + 1) != burst
+    if pattern == "every second burst":
+        return (count // burst) % 2 == 0
+    if pattern == "long pauses":
+        return (rng.random(rows) >= share) & ((count // (50 * burst)) % 2 == 0)
+    kept = np.ones(rows, bool)
+    for first in rng.choice(rows, max(int(rows * share / burst), 1)).tolist():
+        kept[first : first + int(rng.integers(1, 2 * burst))] = False
+    return kept
+
+
+@given(
+    pattern=st.sampled_from(["at random", "every so many", "every second burst", "long pauses", "runs"]),
+    seed=st.integers(0, 2**16),
+    hz=st.sampled_from([25.0, 50.0, 100.0, 400.0]),
+    share=st.sampled_from([0.001, 0.01, 0.05, 0.2, 0.5]),
+    burst=st.sampled_from([2, 3, 4, 7, 16]),
+    jitter=st.sampled_from(["none", "white", "uniform", "late", "milliseconds"]),
+)
+@settings(max_examples=60, deadline=None)
+def test_losses_of_any_pattern_are_right_or_asked(pattern, seed, hz, share, burst, jitter):
+    """Rows are lost in patterns, with stamps that are even, jitter, come late, or are in whole milliseconds."""
+    rng, values = np.random.default_rng(seed), rates(2 * ROWS, hz, seed)
+    made = np.arange(len(values)) / hz
+    late = np.maximum.accumulate(made + rng.exponential(0.3 / hz, len(made))) + 1e-7 * np.arange(len(made))
+    stamps = {
+        "none": made,
+        "white": made + 0.1 / hz * rng.standard_normal(len(made)),
+        "uniform": made + rng.uniform(0.0, 0.9, len(made)) / hz,
+        "late": late,
+        "milliseconds": np.floor(1e3 * made + 1e-6) / 1e3,
+    }[jitter]
+    kept = kept_rows(pattern, len(values), share, burst, rng)
+    columns = Columns(np.radians(values[kept])[None, :, None], ("a",), ("x",), time_s=stamps[kept])
+    asked, log = "sample_rate", None
+    try:
+        log = examine(columns)
+    except LogError as error:
+        asked = str(error)
+    assert "sample_rate" in asked
+    if log is not None:
+        own = walk(np.degrees(log.rate_rad_per_s[0, :, 0]), 1.0) * np.sqrt(log.sample_interval_s)
+        assert own == pytest.approx(NOISE, rel=0.05)

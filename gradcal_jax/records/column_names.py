@@ -46,7 +46,8 @@ _SPELLINGS: Final = {
 }
 """Units by their spelling in lower case, without blanks, underscores and signs of powers."""
 _SAME: Final = str.maketrans({"°": "deg", "µ": "u", "μ": "u", "²": "2", "⁻": "-", "¹": "1", **dict.fromkeys(" _^·*")})
-_BRACKET: Final = re.compile(r"[(\[]([^()\[\]]+)[)\]]\s*$")
+# (An axis in brackets is no unit.)
+_BRACKET: Final = re.compile(r"[(\[](?![xyzXYZ\d][)\]])([^()\[\]]+)[)\]]\s*$")
 _JOINT: Final = re.compile(r"[ _.]+|-(?=[A-Za-z])|(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _COUNTS: Final = re.compile(r"(?:raw|lsb|counts?|cnts?|ticks?|digits?|adc|int16)", re.IGNORECASE)
 _AXIS: Final = r"[ _.\-\[]*[xyz0-2]\]?"
@@ -136,11 +137,12 @@ def unit_in(name: str) -> tuple[str, str | None]:
 
 
 def _ends_of(name: str) -> Iterator[tuple[str, str]]:
-    """Ends of a name at joints, and what is left of it: those behind it, the longest first, and the first word."""
+    """Ends of a name at joints, and what is left of it: those behind it, the longest first, and the first words."""
     joints = [(joint.start(), joint.end()) for joint in _JOINT.finditer(name)]
     for start, end in joints[-3:]:
         yield name[end:], name[:start]
-    for start, end in joints[:1]:
+    # (The first word of "degC_temp" has a joint of its own.)
+    for start, end in reversed(joints[:2]):
         yield name[:start], name[end:]
 
 

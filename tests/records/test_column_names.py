@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gradcal_jax.records.column_names import contradiction, map_to_fill_in
+from gradcal_jax.records.column_names import contradiction, map_to_fill_in, question_of
 from gradcal_jax.records.importers import import_log, parse_column_map
 from gradcal_jax.records.log import LogError
 from gradcal_jax.records.log_file import read_log, write_log
+from gradcal_jax.records.tables import RateColumn
 
 PHYPHOX = '"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)","Gyroscope z (rad/s)"'
 OPENIMU = "time, xAccel (m/s^2), yAccel (m/s^2), zAccel (m/s^2), xRate (deg/s), yRate (deg/s), zRate (deg/s)"
@@ -70,6 +71,55 @@ def test_a_unit_joined_to_a_name_that_contradicts_the_map_is_a_question(name: st
 )
 def test_letters_that_are_no_unit_of_the_quantity_say_nothing(name: str):
     assert contradiction(name, "mdeg/s") is None
+
+
+UNITS = {
+    "angular rate": ["rads", "dps", "mdps", "degs", "deg/s", "rad/s", "deg/h"],
+    "acceleration": ["mg", "m/s2", "ms2", "mps2"],
+    "temperature": ["C", "F", "degC", "degF", "K"],
+    "time": ["s", "ms", "us", "ns", "sec"],
+}
+NAMES = {
+    "angular rate": ["gyro_x", "gx", "omega_x", "gyroX", "rate_x", "angular_velocity_x"],
+    "acceleration": ["acc_x", "ax", "accel_x", "accX"],
+    "temperature": ["temp", "temperature", "imu_temp"],
+    "time": ["time", "t", "timestamp"],
+}
+STATED = {
+    "angular rate": ["rad/s", "deg/s", "mdeg/s", "deg/h"],
+    "acceleration": ["g", "mg", "m/s^2"],
+    "temperature": ["degC", "degF"],
+    "time": ["s", "ms", "us", "ns"],
+}
+SAME = {
+    "rads": "rad/s", "dps": "deg/s", "degs": "deg/s", "mdps": "mdeg/s", "m/s2": "m/s^2", "ms2": "m/s^2",
+    "mps2": "m/s^2", "C": "degC", "F": "degF", "sec": "s",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dimension", UNITS)
+def test_units_in_names_of_any_joint_ask_where_they_contradict_and_only_there(dimension: str):
+    for name in NAMES[dimension]:
+        for written in UNITS[dimension]:
+            joined = [f"{name}_{written}", f"{name} ({written})", f"{name} [{written}]", f"{name}.{written}"]
+            if len(written) > 1 and "/" not in written:
+                joined.append(f"{written}_{name}")
+            for one in joined:
+                for stated in STATED[dimension]:
+                    agrees = SAME.get(written, written) == stated
+                    assert (contradiction(one, stated) is None) == agrees, (one, stated)
+
+
+@pytest.mark.parametrize(
+    "start", ["dtheta", "delta_theta", "delta angle", "dAngle", "delta_v", "dvel", "deltaVelocity"]
+)
+@pytest.mark.parametrize("axis", ["_x", "X", " y", "[2]", "_0"])
+def test_names_of_increments_ask(start: str, axis: str):
+    column = RateColumn(column="a", unit="mdeg/s")
+    question = question_of(start + axis, column)
+    assert question is not None
+    assert 'per = "row"' in question
+    assert question_of(start + axis, RateColumn(column="a", unit="mdeg", per="row")) is None
 
 
 def test_a_guess_with_units_reads_the_file(tmp_path: Path):

@@ -199,3 +199,33 @@ def test_losses_of_any_pattern_are_right_or_asked(pattern, seed, hz, share, burs
     if log is not None:
         own = walk(np.degrees(log.rate_rad_per_s[0, :, 0]), 1.0) * np.sqrt(log.sample_interval_s)
         assert own == pytest.approx(NOISE, rel=0.05)
+
+
+@given(
+    kind=st.sampled_from(["ahead", "behind", "anything", "zero", "one bit"]),
+    seed=st.integers(0, 2**16),
+    runs=st.sampled_from([1, 3, 10, 40]),
+    lasting=st.sampled_from([1, 2, 5, 20, 50, 300]),
+    by_s=st.sampled_from([0.5, 5.0, 30.0, 3600.0, 4294.967296, 1e9]),
+)
+@settings(max_examples=40, deadline=None)
+def test_damaged_stamps_are_masked_or_asked_about(kind, seed, runs, lasting, by_s):
+    rng, values = np.random.default_rng(seed), rates(2 * ROWS, 100.0, seed)
+    stamps = np.arange(len(values)) / 100.0
+    for first in rng.choice(len(values) - lasting, runs, replace=False).tolist():
+        rows = slice(first, first + lasting)
+        stamps[rows] = {
+            "ahead": stamps[rows] + by_s,
+            "behind": stamps[rows] - by_s,
+            "anything": rng.uniform(0.0, by_s, lasting),
+            "zero": np.zeros(lasting),
+            "one bit": stamps[rows] + 2.0 ** rng.integers(-6, 20),
+        }[kind]
+    try:
+        log = examine(Columns(np.radians(values)[None, :, None], ("a",), ("x",), time_s=stamps))
+    except LogError:
+        return
+    own = walk(np.degrees(log.rate_rad_per_s[0, :, 0]), 1.0) * np.sqrt(log.sample_interval_s)
+    assert own == pytest.approx(NOISE, rel=0.05)
+    assert log.duration_s < 1.1 * len(values) / 100.0
+    assert log.findings or np.array_equal(stamps, np.arange(len(values)) / 100.0)

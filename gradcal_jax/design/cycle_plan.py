@@ -363,8 +363,9 @@ class CyclePlan:
             mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0] - part.slope * lag
             step, number = part.slope * period, len(part.temperatures)
             if not polynomials:
-                at = np.linspace(0, number - 1, samples).round().astype(int)
-                every = math.sqrt(number / len(at)) * np.eye(model.size)[None]
+                # In the middle of equal parts of the slope, each of which counts alike.
+                at = (np.arange(samples) + 0.5) * number / samples - 0.5
+                every = math.sqrt(number / samples) * np.eye(model.size)[None]
                 before = self._window - 1
                 history = np.array([*past, *part.history]) if of_path else np.zeros(0)
                 begun, behind = part.begun_s + period * (at - before), np.zeros(len(lags))

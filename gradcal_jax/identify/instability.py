@@ -5,7 +5,6 @@ These hold continuous-time densities: the white noise N (rad/s/√Hz, m/s²/√H
 (rad/s²/√Hz, m/s³/√Hz), of each triad the largest axis. Names of the keys: kalibr's wiki, "IMU noise model".
 """
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
@@ -372,19 +371,6 @@ def instability(
     )
     scatter = identify.scatter_of_bound(bound, rest.rate, interval, valid=valid)
     return Instability(rest, allan, fit, bound, temperature_c, scatter, branch)
-
-
-def temperature_ranges(rest: RestRecord, parts: int, bin_k: float | None = None) -> list[tuple[float, float]]:
-    """The record's span of temperature in equal parts or, with `bin_k`, in ranges of that width (K) from whole
-    multiples of it on. **Raises:** `LogError` without temperatures."""
-    if rest.temperature_c is None or not np.isfinite(rest.temperature_c[rest.valid]).any():
-        raise LogError("the log has no temperature, so there are no temperature ranges")
-    known = rest.temperature_c[rest.valid]
-    low, high = float(np.nanmin(known)), float(np.nanmax(known))
-    edges = np.linspace(low, high, parts + 1)
-    if bin_k is not None:
-        edges = bin_k * np.arange(np.floor(low / bin_k), np.floor(high / bin_k) + 2.0)
-    return [(float(a), float(b)) for a, b in itertools.pairwise(edges)]
 
 
 def instability_row(result: Instability) -> dict[str, Any]:

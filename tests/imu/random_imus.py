@@ -147,10 +147,6 @@ def unit_of(scene: Scene) -> ImuModel:
     return ImuModel(tuple(gyros + forces), tuple(installation), noise)
 
 
-def highest_order(scene: Scene) -> int:
-    return max((order for orders in scene.orders for order in orders), default=0)
-
-
 def nodes_of(scene: Scene, moving: TableMotion) -> BodyNodes:
     return trajectory.body_nodes(moving, POINTS)
 

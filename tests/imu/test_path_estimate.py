@@ -19,7 +19,7 @@ from gradcal_jax.cli.estimate import text_of_estimate
 from gradcal_jax.estimation.estimate import EstimateReport, SensorEstimate, estimate_sensors
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth
-from gradcal_jax.identify.instability import at_rest, temperature_ranges
+from gradcal_jax.identify.instability import at_rest
 from gradcal_jax.plots.calibration import draw_estimate, draw_loop, legs_of
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.records.log_file import read_log, write_log
@@ -260,4 +260,3 @@ def test_noise_is_stated_by_branch_and_by_bins(tmp_path, capsys):
     assert np.flatnonzero(warm.valid).min() > 2400
     with pytest.raises(LogError, match="no usable row lies between 70 and 80 °C, heating"):
         rest.within((70.0, 80.0), "heating")
-    assert temperature_ranges(rest, 1, 2.0)[0] == (-20.0, -18.0)

@@ -6,12 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from gradcal_jax.calibration import FORMAT, ORDER, Calibration, Covariance
-from gradcal_jax.estimation.fit_of_log import calibrated_channels
+from gradcal_jax.calibration import FORMAT, ORDER, Calibration
 from gradcal_jax.hardware import execute
 from gradcal_jax.information import prediction as predictions
-from gradcal_jax.information.verdicts import result_of_requirement
-from gradcal_jax.model.imu_build import build_imu
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
@@ -139,21 +136,3 @@ def calibration(made: Recipe, seed: int = 7) -> Calibration:
         "provenance": {"program": "gradcal", "estimator": "least squares", "recipe": made.fingerprint},
     }
     return Calibration.model_validate(tables)
-
-
-def calibration_of_plan(planned: Spec, seed: int = 1) -> Calibration:
-    """Drawn coefficients of all channels of a plan, with its own covariance and what it leaves of the requirements."""
-    built, prediction = build_imu(planned), predictions.predict(planned)
-    values = np.random.default_rng(seed).standard_normal(built.model.size)
-    return Calibration(
-        format=FORMAT,
-        title=planned.title,
-        serial_number="unit1",
-        simulated=True,
-        frame="the table's axes",
-        order=ORDER,
-        channel=tuple(calibrated_channels(built, values, ((-30.0, 70.0), (-5.0, 5.0)))),
-        covariance=Covariance(names=tuple(row.name for row in prediction.parameters), matrix=prediction.covariance),
-        result=tuple(map(result_of_requirement, prediction.requirements)),
-        provenance={},
-    )

@@ -16,6 +16,8 @@ from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
 from gradcal_jax.hardware.transport import Transport
 
 _PACE_S = 0.005
+# What was sent before a look into a line lies there soon.
+_LOOK_S = 0.005
 _ATTENTIVE_S = 0.1
 
 
@@ -38,9 +40,10 @@ class Link:
     there is nothing to account for."""
 
     def change(
-        self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None, host_is_there: bool = False
+        self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None, host_is_there: bool | None = None
     ) -> None:
-        """Add to the bytes under way (negative: they arrived), or note that the host opened or left the line."""
+        """Add to the bytes under way (negative: they arrived), or note that the host opened or left the line, that it
+        waits for its bytes, or that it only looked for some."""
 
 
 def link_of(clock: Clock, url: str) -> Link:
@@ -51,7 +54,7 @@ class CountedTransport(Transport):
     """A line whose bytes are counted, and that waits on silence at the real pace of virtual time."""
 
     def __init__(self, url: str, *, clock: Clock, **settings: Any) -> None:
-        self._silent = False
+        self._silent = self._written = False
         self._link = link_of(clock, url)
         Transport.__init__(self, url, clock=clock, **settings)
         self._link.change(attached=True)
@@ -62,12 +65,17 @@ class CountedTransport(Transport):
 
     def write(self, data: bytes) -> None:
         self._link.change(to_device=len(data), host_is_there=True)
-        self._silent = False
+        self._silent, self._written = False, True
         Transport.write(self, data)
 
     def read_stamped(self, timeout_s: float) -> tuple[bytes, float]:
+        if timeout_s <= 0.0:
+            data, now = Transport.read_stamped(self, 0.0 if self._written else _LOOK_S)
+            self._link.change(host_is_there=False)
+            return data, now
+        self._link.change(host_is_there=True)
         data, now = b"", self._clock.now()
-        if not self._silent or timeout_s <= 0.0:
+        if not self._silent:
             data, now = Transport.read_stamped(self, min(timeout_s, _ATTENTIVE_S))
             timeout_s -= _ATTENTIVE_S
         if not data and timeout_s > 0.0:
@@ -102,11 +110,14 @@ class _Account(Link):
         self.unread_since: float | None = None
 
     def change(
-        self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None, host_is_there: bool = False
+        self, *, to_device: int = 0, to_host: int = 0, attached: bool | None = None, host_is_there: bool | None = None
     ) -> None:
         with self._clock.lock:
             if attached is not None:
-                self.attached, self.abandoned, self.to_device, self.to_host = attached, False, 0, 0
+                # Until the host writes or waits, what a device says by itself holds no time.
+                self.attached, self.abandoned, self.to_device, self.to_host = attached, True, 0, 0
+            elif host_is_there is False:
+                self.abandoned, self.to_host = True, 0
             elif self.attached:
                 # A reopened line may receive answers to bytes that are no longer counted: never below zero.
                 self.to_device = max(0, self.to_device + to_device)

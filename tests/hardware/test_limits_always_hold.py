@@ -112,7 +112,9 @@ def after(runner: Runner, seconds: float, act: Callable[[], Any]) -> None:
 @pytest.mark.parametrize("state", ["homing", "stabilising", "running", "paused by a request", "paused by a rule"])
 def test_air_that_leaves_the_limits_of_the_rig_ends_a_run_in_every_state(tmp_path: Path, state: str) -> None:
     # The other rules of temperature are off: this one holds alone.
-    limits = InterlockLimits(temperature_band_k=math.inf, never_above_c=60.0)
+    # Homing waits for the board at the pace of the computer's clock: it has the less far to go.
+    highest_c = 30.0 if state == "homing" else 60.0
+    limits = InterlockLimits(temperature_band_k=math.inf, never_above_c=highest_c)
     turns = TrackStep("turn", 10.0, moves=(AxisCommand(0.0, "table", "go", 10.0, 60.0, 60.0),))
     track = {"homing": Track((turns,)), "stabilising": HOT}.get(state, STANDS)
     with lab(tmp_path, track, limits, attended=True) as (rig, runner):
@@ -137,7 +139,7 @@ def test_air_that_leaves_the_limits_of_the_rig_ends_a_run_in_every_state(tmp_pat
         assert "Interlock 'temperature limit'" in result.reason
         assert result.verified_safe
         assert not rig.chamber.plant.conditioning
-        assert air_when_safe_c(tmp_path, rig) < (70.0 if state == "homing" else 63.0)
+        assert air_when_safe_c(tmp_path, rig) < highest_c + (10.0 if state == "homing" else 3.0)
 
 
 def test_without_limits_in_the_rig_file_the_chambers_own_hold(tmp_path: Path) -> None:

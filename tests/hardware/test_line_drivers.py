@@ -226,7 +226,7 @@ def test_a_run_on_devices_that_are_described_alone(chamber: str, table: str, tmp
             entries["chamber"] |= {"driver": "lines", "port": at_chamber.url, "options": {"protocol": chamber, **plain}}
             entries["axis"][0] |= {"driver": "lines", "port": at_table.url, "options": {"protocol": table}}
             rig = rig_of(entries)
-            made = short_recipe(changes={"rig.table.axis[0].max_acceleration": "300 deg/s^2"})
+            made = short_recipe(2.0, changes={"rig.table.axis[0].max_acceleration": "300 deg/s^2"})
             run = new_folder(tmp_path / "run", made, rig, simulated={})
             result = run_session(run, rig, clock, simulated=True)
             assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)

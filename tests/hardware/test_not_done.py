@@ -157,9 +157,8 @@ def test_a_chamber_that_agrees_with_itself_and_stays_where_it_is_does_not_pass(t
         assert result.verified_safe
 
 
-@pytest.mark.parametrize("stage", [False, True])
 @pytest.mark.parametrize("when", ["in a turn", "at rest"])
-def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path: Path, stage: bool, when: str) -> None:
+def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path: Path, when: str) -> None:
     with lab(tmp_path) as (rig, runner):
         ran: list[float] = []
 
@@ -190,17 +189,17 @@ def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize("stage", [False, True])
-def test_nothing_ends_done_that_was_not_done(tmp_path: Path, stage: bool) -> None:
+def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
     """Whole runs with one mishap each: commands that are lost wherever they come, hosts that sleep, axes that run away.
 
     A run that ends "success" was executed as written; of every other one all devices are safe, and it says why.
     """
-    random = np.random.default_rng(int(stage))
+    random = np.random.default_rng(0)
     with lab(tmp_path / "whole") as (rig, runner):
-        told = [counted(port) for port in rig.ports]
+        # The unit takes no commands.
+        told = [counted(port) for port in rig.ports[:2]]
         assert runner.run().exit_status == "success"
-    sizes = dict(zip(("chamber", "table", "unit"), map(len, told), strict=True))
+    sizes = dict(zip(("chamber", "table"), map(len, told), strict=True))
     mishaps = [(name, int(random.integers(size))) for name, size in sizes.items() for _ in range(8)]
     mishaps += [("host", seconds) for seconds in random.uniform(1.0, 90.0, 6)]
     mishaps += [("over-speed", 0)] * 2
@@ -231,7 +230,7 @@ def test_nothing_ends_done_that_was_not_done(tmp_path: Path, stage: bool) -> Non
     assert sum(count for (what, how), count in ended.items() if how == "success") > 0.5 * len(mishaps)
     said = [f"{what}: {ended[what, 'success']} done, {ended[what, 'aborted']} ended" for what in dict(ended.keys())]
     record(
-        f"whole runs with one mishap each, {'a Zaber stage' if stage else 'an ODrive'} as the table",
+        "whole runs with one mishap each",
         f"a command lost (of {', '.join(f'{size} to the {name}' for name, size in sizes.items())}), a host that sleeps "
         f"1 to 90 s in a turn, an axis that runs away; {len(mishaps)} runs: {'; '.join(said)}. Every run that ended "
         "done was executed as written; every other one says why, all safe, verified",

@@ -114,7 +114,7 @@ def test_the_guards_own_process_knows_it(site: Path, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("installed")
 def test_run_and_log_know_it(tmp_path: Path) -> None:
     clock = LineClock()
-    made = short_recipe(changes={"rig.table.axis[0].max_acceleration": "300 deg/s^2"})
+    made = short_recipe(2.0, changes={"rig.table.axis[0].max_acceleration": "300 deg/s^2"})
     with Rig(clock) as lab:
         acme = SimulatedAcme(lab.chamber.plant, clock)
         lab.ports[0].device = acme

@@ -59,7 +59,7 @@ def run_with(rig: Rig, runner: Runner, harm: Any) -> tuple[RunResult, float]:
     return result, (safe or [float("inf")])[0] - began[0]
 
 
-def limited(folder: Path, stage: bool) -> None:
+def limited(folder: Path) -> None:
     """Runs in a process of its own, whose files cannot grow by more than a kilobyte from then on."""
     import resource
 
@@ -72,9 +72,8 @@ def limited(folder: Path, stage: bool) -> None:
     print(json.dumps({"how": result.exit_status, "why": result.reason, "safe": result.verified_safe, "s": took_s}))
 
 
-@pytest.mark.parametrize("stage", [False, True])
-def test_a_journal_that_cannot_grow_ends_a_spin_safely(tmp_path: Path, stage: bool) -> None:
-    words = [sys.executable, __file__, str(tmp_path), *["stage"] * stage]
+def test_a_journal_that_cannot_grow_ends_a_spin_safely(tmp_path: Path) -> None:
+    words = [sys.executable, __file__, str(tmp_path)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(words, capture_output=True, text=True, timeout=120.0, env=environment)
     found = json.loads(done.stdout.splitlines()[-1])
@@ -83,10 +82,7 @@ def test_a_journal_that_cannot_grow_ends_a_spin_safely(tmp_path: Path, stage: bo
     assert found["s"] < 5.0
 
 
-@pytest.mark.parametrize("stage", [False, True])
-def test_a_stick_that_is_pulled_ends_a_spin_safely(
-    tmp_path: Path, stage: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stick_that_is_pulled_ends_a_spin_safely(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pulled, write = threading.Event(), os.write
     with spinning(tmp_path) as (rig, runner):
         file = (tmp_path / "journal").stat()
@@ -138,4 +134,4 @@ def test_bytes_are_sent_and_received_whatever_a_recorder_raises(problem: Excepti
 
 
 if __name__ == "__main__":
-    limited(Path(sys.argv[1]), "stage" in sys.argv[2:])
+    limited(Path(sys.argv[1]))

@@ -148,7 +148,7 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: P
     seen: list[dict[str, Any]] = []
     with Rig(clock) as lab:
         about = {"operator": "A. Person", "note": "second try"}
-        run = new_folder(tmp_path / "run", short_recipe(changes=SLOWER), lab.rig, simulated={}, about=about)
+        run = new_folder(tmp_path / "run", short_recipe(2.0, changes=SLOWER), lab.rig, simulated={}, about=about)
 
         def look(progress: Any) -> None:
             # The file is replaced whole: whoever reads it at any time finds all of it.
@@ -180,7 +180,7 @@ def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path: Pat
     clock = LineClock()
     with Rig(clock) as lab:
         rig = with_alarm(lab.rig, tmp_path / "heard")
-        run = new_folder(tmp_path / "run", short_recipe(changes=SLOWER), rig, simulated={})
+        run = new_folder(tmp_path / "run", short_recipe(2.0, changes=SLOWER), rig, simulated={})
 
         def alarm(progress: Any) -> None:
             if progress.steps_done == 1:

@@ -178,7 +178,7 @@ class LineClock(VirtualClock):
             return self._accounts.setdefault(url, _Account(self))
 
     def _await(self, gate: threading.Lock) -> None:
-        while not gate.acquire(timeout=self._patience_s):
+        while not gate.acquire(timeout=self._patience_s / 8.0):
             with self.lock:
                 self._forget_unread_bytes()
                 self.advance_if_all_wait()

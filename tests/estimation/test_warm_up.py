@@ -17,6 +17,7 @@ from gradcal_jax.cli import main
 from gradcal_jax.estimation.calibrations import calibration_map
 from gradcal_jax.estimation.log_flow import estimate_warm_up
 from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.records.log_faults import Columns, examine
 
 FIT = np.linspace(15.5, 48.0, 40)
 
@@ -130,6 +131,31 @@ def test_a_thermometer_that_steps_by_a_degree():
     sigmas, _ = left(errors, result)
     assert np.abs(sigmas).max() < 3.0
     assert np.sqrt(np.mean(errors**2)) / DEG_PER_H < 12.0
+
+
+def test_masked_rows_change_no_bit_of_a_calibration():
+    """Rows that the device marks as bad, and some seconds of false temperatures, which the examination masks."""
+    unit, (time, course) = vehicle(5), warming(1800.0, 5.0)
+    rates, marked = output(unit, time, course, 5), np.random.default_rng(5).random(len(time)) < 0.02
+
+    def estimated(rate, temperature, false_reading):
+        read = np.round(course, 3)
+        read[3000:3030] = false_reading
+        columns = Columns(
+            rate_rad_per_s=np.where(marked[:, None], rate, rates)[None],
+            units=("g",),
+            axes=("x", "y", "z"),
+            time_s=time,
+            temperature_c=np.where(marked, temperature, read)[None],
+            marked=marked[None],
+        )
+        (result,) = estimate_warm_up([examine(columns)], axes=("x",)).calibrations
+        return result
+
+    first, other = estimated(0.0, 20.0, 85.0), estimated(1e300, -273.0, -127.0)
+    assert first.model_dump_json() == other.model_dump_json()
+    low, high = first.channel[0].valid_temperature
+    assert course.min() - 0.1 <= low < high <= course.max() + 0.1
 
 
 def test_what_is_no_warm_up_is_said(tmp_path, capsys):

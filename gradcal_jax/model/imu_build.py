@@ -322,21 +322,20 @@ def _path_terms(
         name = TRANSIENT.format(f"{float(lasting):g}")
         terms.append(TurnOnTransient(std=std, time_constant=lasting, signals=(), name=name, si_unit=unit))
 
-    def differs(prior: float, name: str, other: OtherTemperature, gain: float, per: str = "") -> PathTerm:
-        scale = name.startswith("scale_factor")
-        si_unit = {"": ("1/K" if scale else f"{unit}/K"), "slope": "s/K" if scale else f"{unit.removesuffix('/s')}/K"}
-        of = {"signals": own if scale else (), "name": name, "si_unit": si_unit[per]}
-        return TemperatureDifference(std=np.asarray(prior), other=other, gain=gain, **of)
+    def differs(prior: float, name: str, other: OtherTemperature, gain: float, si_unit: str) -> PathTerm:
+        return TemperatureDifference(
+            std=np.asarray(prior), other=other, gain=gain, signals=(), name=name, si_unit=si_unit
+        )
 
-    for head in ("", "scale_factor_"):
-        for late in getattr(triad, f"{head}late_temperature_gradient"):
-            for lag in late.lags:
-                other, name = OtherTemperature.late(lag), f"{head}{LATE_GRADIENT.format(f'{lag:g}')}"
-                terms.append(differs(float(late.prior) / len(late.lags) ** 0.5, name, other, -1.0 / lag, "slope"))
-        if (second := getattr(triad, f"{head}{DIFFERENCE}")) is not None:
-            assert sensor.second_thermometer is not None
-            other = OtherTemperature(SECOND, float(sensor.second_thermometer.lag))
-            terms.append(differs(float(second.prior), f"{head}{DIFFERENCE}", other, 1.0))
+    per_slope, per_kelvin = f"{unit.removesuffix('/s')}/K", f"{unit}/K"
+    for late in triad.late_temperature_gradient:
+        for lag in late.lags:
+            other, name = OtherTemperature.late(lag), LATE_GRADIENT.format(f"{lag:g}")
+            terms.append(differs(float(late.prior) / len(late.lags) ** 0.5, name, other, -1.0 / lag, per_slope))
+    if (second := triad.thermometer_difference) is not None:
+        assert sensor.second_thermometer is not None
+        other = OtherTemperature(SECOND, float(sensor.second_thermometer.lag))
+        terms.append(differs(float(second.prior), DIFFERENCE, other, 1.0, per_kelvin))
     return terms + [_own_term(one) for one in triad.own]
 
 

@@ -512,12 +512,11 @@ class Sensor(_Instrument):
                 yield Problem((name, "axes"), "must not name an axis twice", list(triad.axes))
             if triad is None or self.second_thermometer is not None:
                 continue
-            for key in ("thermometer_difference", "scale_factor_thermometer_difference"):
-                if getattr(triad, key) is not None:
-                    message = (
-                        'needs a second thermometer, as in [sensor] second_thermometer = { lag = "5 min" } (the lag '
-                        "is used in predictions)"
-                    )
-                    yield Problem((name, key), message)
+            if triad.thermometer_difference is not None:
+                message = (
+                    'needs a second thermometer, as in [sensor] second_thermometer = { lag = "5 min" } (the lag '
+                    "is used in predictions)"
+                )
+                yield Problem((name, "thermometer_difference"), message)
         if self.gyro is None and self.accelerometer is None:
             yield Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]")

@@ -117,12 +117,6 @@ class LateGradientOfForce(LateGradientOfBias):
     prior: q.ForceGradientSensitivity
 
 
-class LateGradientOfScale(LateGradientOfBias):
-    """Scale-factor error proportional to dT/dt after a first-order lag."""
-
-    prior: q.PositiveScaleFactorGradient  # pyright: ignore[reportIncompatibleVariableOverride]
-
-
 class DifferenceOfBias(Section):
     """Bias proportional to the reading of the second thermometer minus that of the first."""
 
@@ -134,12 +128,6 @@ class DifferenceOfForce(DifferenceOfBias):
     """Bias of an accelerometer, proportional to the reading of the second thermometer minus that of the first."""
 
     prior: q.PositiveAccelerationSlope
-
-
-class DifferenceOfScale(DifferenceOfBias):
-    """Scale-factor error proportional to the reading of the second thermometer minus that of the first."""
-
-    prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class SecondThermometer(Section):
@@ -192,13 +180,8 @@ class TemperaturePath(Section):
     """Error terms of your own."""
     late_temperature_gradient: Annotated[tuple[LateGradientOfBias, ...], Field(max_length=5)] = ()
     """Bias proportional to dT/dt that a first-order lag has filtered; the biases of several entries are added."""
-    scale_factor_late_temperature_gradient: Annotated[tuple[LateGradientOfScale, ...], Field(max_length=5)] = ()
-    """Scale-factor error proportional to dT/dt that a first-order lag has filtered; the errors of several entries are
-    added."""
     thermometer_difference: DifferenceOfBias | None = None
     """Bias proportional to the difference of the two thermometers."""
-    scale_factor_thermometer_difference: DifferenceOfScale | None = None
-    """Scale-factor error proportional to the difference of the two thermometers."""
 
     @property
     def on_path(self) -> bool:
@@ -206,7 +189,7 @@ class TemperaturePath(Section):
         return any(getattr(self, key) for key in TemperaturePath.model_fields)
 
     def _problems(self) -> Iterator[Problem]:
-        late = ("turn_on_transient", "late_temperature_gradient", "scale_factor_late_temperature_gradient")
+        late = ("turn_on_transient", "late_temperature_gradient")
         differ_by = dict.fromkeys(("hysteresis", "scale_factor_hysteresis"), "width") | dict.fromkeys(
             late, "time_constant"
         )

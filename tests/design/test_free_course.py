@@ -36,9 +36,7 @@ def turning(*, back: bool = False, late: bool = False) -> Spec:
         for move in ({"turns": turns, "axis": "turn", "peak_rate": "80 deg/s"}, {"rest": "60 s"})
     ]
     lagging = {
-        "sensor.second_thermometer": {"lag": "4 min"},
         "sensor.gyro.late_temperature_gradient": [{"time_constant": "10 min", "prior": "5 deg/h/(K/min)"}],
-        "sensor.gyro.scale_factor_thermometer_difference": {"prior": "10 ppm/K"},
         "sensor.gyro.scale_factor.lag": "2 min",
     }
     return gj.changed(

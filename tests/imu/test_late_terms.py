@@ -34,9 +34,7 @@ PATH: dict[str, Any] = {
     "late_temperature_gradient": [
         {"time_constant": f"{lag:g} s", "prior": "3 deg/h/(K/min)"} for lag in LAGS
     ],
-    "scale_factor_late_temperature_gradient": [{"time_constant": "500 s", "prior": "20 ppm/(K/min)"}],
     "thermometer_difference": {"prior": "5 deg/h/K"},
-    "scale_factor_thermometer_difference": {"prior": "20 ppm/K"},
 }  # fmt: skip
 GYRO: dict[str, Any] = {
     "axes": ["z"], "angle_random_walk": "0.3 deg/sqrt(h)", **PATH,
@@ -110,9 +108,6 @@ def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
     result["thermometer_difference"] = late(SECOND_S) - temperature
     result["a1"] = (late(BIAS_S) - 20.0) / 30.0
     if channel == "gyro_z":
-        slow = (temperature - late(LAGS[1])) / LAGS[1]
-        result[f"scale_factor_late_temperature_gradient_{LAGS[1]:g}s"] = slow * drive
-        result["scale_factor_thermometer_difference"] = (late(SECOND_S) - temperature) * drive
         result["b01"] = (late(SCALE_S) - 20.0) / 30.0 * drive
     return {name: np.sum(of * weight, axis=1) for name, of in result.items()}
 
@@ -133,7 +128,7 @@ def test_columns_are_the_integrals_of_the_definition(lag):
             assert size > 0.0, name
             assert own == pytest.approx(dense[kept], rel=1e-5, abs=1e-6 * size), name
             compared += 1
-    assert compared == 10
+    assert compared == 8
 
 
 @pytest.mark.parametrize(
@@ -174,7 +169,6 @@ def test_a_requirement_counts_the_slope_of_the_service():
     for lag in LAGS:
         assert own[f"late_temperature_gradient_{lag:g}s"] == pytest.approx(1.0 / 60.0)
     assert own["thermometer_difference"] == pytest.approx(-SECOND_S / 60.0)
-    assert own["scale_factor_thermometer_difference"] == 0.0
 
 
 FOLLOWED = {

@@ -208,19 +208,17 @@ def _draw_differences(
 ) -> Iterator[ErrorTerm]:
     """Errors of three sensors by masses that follow the temperature late; `names`: their names and values, added to."""
     triad: Any = getattr(sensor, kind)
-    for head in ("", "scale_factor_"):
-        late = [
-            (f"{head}{_LATE}_{float(of.time_constant):g}s", of, _uncertain_lag(of, random))
-            for of in getattr(triad, f"{head}{_LATE}")
-        ]
-        second = getattr(triad, f"{head}{_DIFFERENCE}")
-        for name, of, lag_s in [*late, *([] if second is None else [(f"{head}{_DIFFERENCE}", second, second_lag_s)])]:
-            values = float(of.prior) * random.standard_normal(3)
-            names |= _named(kind, name, values, triad.axes)
-            # A mass that is behind by τ dT/dt is cooler where that is positive.
-            slopes = values * (1.0 if of is second else -1.0 / lag_s)
-            factors = "own" if head else "one"
-            yield ErrorTerm(slopes[:, None, None], lambda apart_k: apart_k[:, None], factors, lag_s, differs=True)
+    late = [
+        (f"{_LATE}_{float(of.time_constant):g}s", of, _uncertain_lag(of, random))
+        for of in triad.late_temperature_gradient
+    ]
+    second = triad.thermometer_difference
+    for name, of, lag_s in [*late, *([] if second is None else [(_DIFFERENCE, second, second_lag_s)])]:
+        values = float(of.prior) * random.standard_normal(3)
+        names |= _named(kind, name, values, triad.axes)
+        # A mass that is behind by τ dT/dt is cooler where that is positive.
+        slopes = values * (1.0 if of is second else -1.0 / lag_s)
+        yield ErrorTerm(slopes[:, None, None], lambda apart_k: apart_k[:, None], "one", lag_s, differs=True)
 
 
 def _uncertain_lag(of: Any, random: np.random.Generator) -> float:

@@ -57,8 +57,8 @@ class Corrected(NamedTuple):
     unknown_branch: int = 0
     """Number of rows at the beginning for which the state of a hysteresis is not known."""
     left_in: tuple[str, ...] = ()
-    """Coefficients under [[path]], as gyro_x.NAME, that the correction does not subtract: transients after power-on,
-    and errors of the user's own classes."""
+    """Coefficients under [[path]], as gyro_x.NAME, that the correction does not subtract: errors of the user's own
+    classes."""
 
     __repr__ = summary
 
@@ -269,16 +269,14 @@ def needs_temperature(calibration: Calibration) -> bool:
 
 
 def _follows(one: PathCoefficient) -> bool:
-    """Whether it is a function of temperatures that is known here, and not of the time since power-on, which a log does
-    not know, or of a class of the user's own."""
+    """Whether it is a function of temperatures that is known here, and not of a class of the user's own."""
     of_slope = one.unit in (*_BIAS_BY_SLOPE, _SCALE_BY_SLOPE)
     return not one.own and (one.width is not None or one.second_thermometer or of_slope)
 
 
 def on_path(calibration: Calibration, channel: CalibratedChannel, own: Floats, log: Log, unit: int) -> OnPath | None:
-    """What the path of a channel's temperature `own` `(n,)` adds, of what a calibration has under [[path]] but
-    transients, and of lags of its maps; None without any. Raises `LogError` without a second temperature that is
-    needed."""
+    """What the path of a channel's temperature `own` `(n,)` adds, of what a calibration has under [[path]], and of lags
+    of its maps; None without any. Raises `LogError` without a second temperature that is needed."""
     here = [one for one in calibration.path if one.channel == channel.name and _follows(one)]
     lags = {float(term.lag) for term in channel.term if term.lag is not None}
     if not here and not lags:

@@ -1,4 +1,4 @@
-"""What no target of an export carries: errors that depend on the path of temperature or on power-on, and lags."""
+"""What no target of an export carries: errors that depend on the path of temperature, and lags."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -20,7 +20,6 @@ _SECOND = (
     "each K of its difference, is lost",
 )  # fmt: skip
 _DT_DT = "follows dT/dt", " at 1 K/min", "the part that depends on dT/dt, {:.3g} {} at 1 K/min, is lost"
-_TRANSIENT = "turn-on transient", "", "the transient after power-on, {:.3g} {} at first, is lost"
 
 
 class Loss(NamedTuple):
@@ -48,8 +47,6 @@ def path_losses(calibration: Calibration) -> Iterator[tuple[Loss | None, str]]:
             kind, size = _SECOND, 1.0
         elif one.unit in ("rad/K", "m/s/K", "s/K"):
             kind, size = _DT_DT, _PER_MINUTE
-        elif one.name.startswith("turn_on_transient"):
-            kind, size = _TRANSIENT, 1.0
         else:
             continue
         of = one.channel, one.unit in ("1/K", "s/K"), kind

@@ -86,7 +86,7 @@ _ONE_WAY = 0.8
 HEATING_AGAINST_COOLING = "heating against cooling"
 _LOOP = (
     "heating and cooling disagree: the errors depend on past temperatures; add to the spec the term that describes it: "
-    "hysteresis, bias_temperature_gradient, a lag of the bias or a turn_on_transient of the sensor"
+    "hysteresis, bias_temperature_gradient or a lag of the bias of the sensor"
 )
 # Fewer moves are not divided into odd and even ones.
 _FEWEST_MOVES = 4

@@ -24,7 +24,6 @@ from gradcal_jax.model.path import (
     Hysteresis,
     PathTerm,
     TemperatureDifference,
-    TurnOnTransient,
 )
 from gradcal_jax.model.sensor import (
     Processes,

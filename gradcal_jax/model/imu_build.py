@@ -42,7 +42,6 @@ from gradcal_jax.model import (
     SignalMap,
     TemperatureDifference,
     Term,
-    TurnOnTransient,
     own_term,
 )
 from gradcal_jax.model.build import (
@@ -75,7 +74,6 @@ SECOND_ORDER = "second_order"
 HYSTERESIS = "hysteresis_{}K"
 SCALE_FACTOR_HYSTERESIS = "scale_factor_hysteresis_{}K"
 GRADIENT_OF_SCALE = "scale_factor_temperature_gradient"
-TRANSIENT = "turn_on_transient_{}s"
 LATE_GRADIENT = "late_temperature_gradient_{}s"
 DIFFERENCE = "thermometer_difference"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
@@ -132,7 +130,7 @@ def build_imu(
     model_, sources = _model_and_sources(spec)
     bases = [t.temperature for t in model_.terms if isinstance(t, Map | SignalMap | Discrepancy)]
     degree = max(b.degree if isinstance(b, Polynomial | BSpline | HigherPolynomials) else 0 for b in bases)
-    # A lagging unit's exponentials, and transients, are no polynomials; a play is linear in T on each piece.
+    # A lagging unit's exponentials are no polynomials; a play is linear in T on each piece.
     own = any(isinstance(t, OwnTerm) for c in model_.channels for t in c.model.terms)
     exponential = spec.sensor.lag is not None or bool(_decays(model_)) or own
     # A play is linear in T on each piece, and what it varies by multiplies it.
@@ -317,10 +315,6 @@ def _path_terms(
     terms += [play(p, own, SCALE_FACTOR_HYSTERESIS, "1/K") for p in triad.scale_factor_hysteresis]
     if (gradient := triad.scale_factor_temperature_gradient) is not None:
         terms.append(GradientOfScale(std=np.asarray(float(gradient.prior)), signals=own, name=GRADIENT_OF_SCALE))
-    for t in triad.turn_on_transient:
-        std, lasting = np.asarray(float(t.prior)), np.asarray(float(t.time_constant))
-        name = TRANSIENT.format(f"{float(lasting):g}")
-        terms.append(TurnOnTransient(std=std, time_constant=lasting, signals=(), name=name, si_unit=unit))
 
     def differs(prior: float, name: str, other: OtherTemperature, gain: float, si_unit: str) -> PathTerm:
         return TemperatureDifference(
@@ -439,8 +433,7 @@ def _motion(spec: Spec, of: ImuModel, change: Callable[[Schedule], Schedule] | N
 
 def _decays(of: ImuModel) -> list[float]:
     """The rates (1/s) at which exponentials in a model's columns decay."""
-    transients = [1.0 / float(term.time_constant) for term in of.terms if isinstance(term, TurnOnTransient)]
-    return transients + [1.0 / other.lag for other in of.others if other.lag]
+    return [1.0 / other.lag for other in of.others if other.lag]
 
 
 def _divisions(spec: Spec, of: ImuModel, built: BuiltImu) -> tuple[object, ...]:
@@ -462,7 +455,7 @@ def _schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[Schedu
 
 def _divisions_by_decay(line: trajectory.Trajectory, decay: float) -> tuple[np.ndarray, np.ndarray]:
     """Pieces and fractions of them at which they are bisected towards their start, so that an exponential that decays
-    at `decay` for s (of a thermal lag, or from power-on) changes little in each part."""
+    at `decay` for s (of a thermal lag) changes little in each part."""
     decays = np.where(line.gap, 0.0, line.duration) * decay
     halves = np.ceil(np.log2(np.maximum(decays / _LAG_TIMES, 1.0))).astype(int)
     pieces = np.repeat(np.arange(len(halves)), halves)

@@ -178,18 +178,3 @@ class GradientOfScale(PathTerm):
 
     def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 1"]]:
         return [g.slope[..., None] for g in _shared(nodes) if g.slope is not None]
-
-
-class TurnOnTransient(PathTerm):
-    """An error that decays exponentially from power-on, at the time 0 of the motion: its value then; `time_constant`
-    s."""
-
-    std: Float[AnyArray, ""]
-    time_constant: Float[AnyArray, ""]
-    signals: tuple[str, ...] = eqx.field(static=True)
-    name: str = eqx.field(static=True)
-    si_unit: str = eqx.field(static=True)
-
-    def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 1"]]:
-        xp = namespace(nodes.temperature_change)
-        return [xp.exp(-g.time / self.time_constant)[..., None] for g in _shared(nodes) if g.time is not None]

@@ -71,22 +71,6 @@ class ScaleFactorTemperatureGradient(Section):
     """Standard deviation of the coefficient before the calibration."""
 
 
-class PowerOnTransient(Section):
-    """A bias that decays exponentially after power-on; power-on is at the start of the plan or the log."""
-
-    time_constant: q.Time
-    """Known time constant of the decay."""
-    prior: q.PositiveRate
-    """Standard deviation of the bias at power-on, before the calibration."""
-
-
-class PowerOnForceTransient(PowerOnTransient):
-    """A bias of an accelerometer that decays exponentially after power-on; power-on is at the start of the plan or the
-    log."""
-
-    prior: q.PositiveSpecificForce
-
-
 class LateGradientOfBias(Section):
     """Bias proportional to dT/dt after a first-order lag, for example of a part that heats slowly. At the start, the
     lag is in equilibrium, as after a soak."""
@@ -161,7 +145,6 @@ class OwnError(Section):
 
 Plays = Annotated[tuple[PlayOfBias, ...], Field(max_length=10)]
 ScaleFactorPlays = Annotated[tuple[PlayOfScaleFactor, ...], Field(max_length=10)]
-Transients = Annotated[tuple[PowerOnTransient, ...], Field(max_length=5)]
 
 
 class TemperaturePath(Section):
@@ -174,8 +157,6 @@ class TemperaturePath(Section):
     """Hysteresis of the scale factor, as a sum of plays."""
     scale_factor_temperature_gradient: ScaleFactorTemperatureGradient | None = None
     """Scale-factor error proportional to dT/dt."""
-    turn_on_transient: Transients = ()
-    """Bias that decays after power-on, as a sum of exponentials."""
     own: Annotated[tuple[OwnError, ...], Field(max_length=20)] = ()
     """Error terms of your own."""
     late_temperature_gradient: Annotated[tuple[LateGradientOfBias, ...], Field(max_length=5)] = ()
@@ -189,10 +170,8 @@ class TemperaturePath(Section):
         return any(getattr(self, key) for key in TemperaturePath.model_fields)
 
     def _problems(self) -> Iterator[Problem]:
-        late = ("turn_on_transient", "late_temperature_gradient")
-        differ_by = dict.fromkeys(("hysteresis", "scale_factor_hysteresis"), "width") | dict.fromkeys(
-            late, "time_constant"
-        )
+        differ_by = dict.fromkeys(("hysteresis", "scale_factor_hysteresis"), "width")
+        differ_by["late_temperature_gradient"] = "time_constant"
         for key, of in differ_by.items():
             values = [float(getattr(entry, of)) for entry in getattr(self, key)]
             if len(set(values)) < len(values):

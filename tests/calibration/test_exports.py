@@ -260,7 +260,7 @@ def test_the_c_header_compiles_and_does_what_apply_does(calibration, tmp_path):
 
 
 def followed_calibration():
-    """Of a gyro whose error depends on dT/dt as a term and under [[path]], on a lag, power-on and a hysteresis."""
+    """Of a gyro whose error depends on dT/dt as a term and under [[path]], on a lag and a hysteresis."""
     made = document(a_truth())
     x = made["channel"][0]
     slope = {"name": "bias_gradient", "unit": "rad/K", "signals": ["temperature rate"], "coefficients": {"d": 2e-3}}
@@ -270,7 +270,6 @@ def followed_calibration():
     made["path"] = [
         at | {"name": "temperature_gradient", "value": 3e-3, "unit": "rad/K"},
         at | {"name": "hysteresis_10K", "value": 1e-5, "unit": "rad/s/K", "width": "10 K"},
-        at | {"name": "turn_on_transient_900s", "value": 2e-5, "unit": "rad/s"},
         at | {"name": "scale_factor_hysteresis_10K", "value": 2e-6, "unit": "1/K", "width": "10 K"},
     ]
     return Calibration.model_validate(made)
@@ -280,7 +279,6 @@ NOT_CARRIED = {
     ("gyro x", "bias gradient: follows dT/dt"): (2e-3 / 60.0 * DEG_PER_H, "deg/h at 1 K/min"),
     ("gyro y", "bias: follows dT/dt"): (3e-3 / 60.0 * DEG_PER_H, "deg/h at 1 K/min"),
     ("gyro y", "bias: hysteresis"): (1e-4 * DEG_PER_H, "deg/h"),
-    ("gyro y", "bias: turn-on transient"): (2e-5 * DEG_PER_H, "deg/h"),
     ("gyro y", "scale factor: hysteresis"): (20.0, "ppm"),
 }
 

@@ -125,7 +125,6 @@ BOTH_WAYS = {
 PATH = {
     "sensor.gyro.hysteresis": [{"width": "10 K", "prior": "2 deg/h/K"}],
     "sensor.gyro.scale_factor_hysteresis": [{"width": "10 K", "prior": "5 ppm/K"}],
-    "sensor.gyro.turn_on_transient": [{"time_constant": "20 min", "prior": "5 deg/h"}],
     "requirement[0].branch": "both",
     "requirement[1].branch": "both",
 }

@@ -30,7 +30,6 @@ GYRO: dict[str, Any] = {
     "hysteresis": [{"width": f"{w:g} K", "prior": "2 deg/h/K"} for w in WIDTHS],
     "scale_factor_hysteresis": [{"width": "9 K", "prior": "10 ppm/K"}],
     "scale_factor_temperature_gradient": {"prior": "200 ppm/(K/min)"},
-    "turn_on_transient": [{"time_constant": "4 min", "prior": "30 deg/h"}],
 }  # fmt: skip
 FORCE: dict[str, Any] = {
     "axes": ["z"], "velocity_random_walk": "0.05 m/s/sqrt(h)",
@@ -129,7 +128,6 @@ def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
     # With the ends of the pieces, where the course turns.
     course = np.concatenate([begin[:1], np.column_stack([temperature, end]).ravel()])
     weight = line.duration[:, None] / parts
-    time = line.start[:, None] + places * line.duration[:, None]
     slope = line.temperature_slope(places * line.duration[:, None])
     result = {}
     for width in WIDTHS:
@@ -144,7 +142,6 @@ def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
         result[f"scale_factor_hysteresis_{width:g}K"] = np.sum(h * drive * weight, axis=1)
         result[f"scale_factor_hysteresis_{width:g}K_start"] = np.sum(left * drive * weight, axis=1)
     result["scale_factor_temperature_gradient"] = np.sum(slope * drive * weight, axis=1)
-    result["turn_on_transient_240s"] = np.sum(np.exp(-time / 240.0) * weight, axis=1)
     return result
 
 
@@ -160,7 +157,7 @@ def test_columns_are_the_integrals_of_the_definition(lag):
         dense = dense_columns(built, c.name)
         names = c.model.names()
         compared = [n for n in dense if n in names and (c.kind == "gyro" or not n.startswith("scale"))]
-        assert len(compared) == (11 if c.kind == "gyro" else 2)
+        assert len(compared) == (10 if c.kind == "gyro" else 2)
         for name in compared:
             own = columns[:, names.index(name)]
             assert np.max(np.abs(own)) > 0.0, name

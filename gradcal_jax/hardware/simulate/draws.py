@@ -160,8 +160,8 @@ def _named(kind: Kind, name: str, values: Vectors, axes: Sequence[str]) -> dict[
 
 
 def _draw_path(spec: Spec, kind: Kind, truth: TriadTruth, random: np.random.Generator, law: Law | None) -> TriadTruth:
-    """The truth of three sensors with loops and transients, of the sizes that the spec names; loops are those of its
-    rig, or else by a law that is drawn."""
+    """The truth of three sensors with loops of the sizes that the spec names: those of its rig, or else by a law that
+    is drawn."""
     triad: Any = getattr(spec.sensor, kind)
     own = law or LAWS[int(random.integers(len(LAWS)))]
     loops: list[LoopTruth] = []
@@ -178,11 +178,7 @@ def _draw_path(spec: Spec, kind: Kind, truth: TriadTruth, random: np.random.Gene
             size = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
             at = own, tuple(size.tolist()), width, int(random.integers(1 << 31))
             loops.append(LoopTruth(*at, quantity == "scale_factor"))
-    transients = tuple(
-        (tuple((float(t.prior or 0.0) * random.standard_normal(3)).tolist()), float(t.time_constant))
-        for t in triad.turn_on_transient
-    )
-    return replace(truth, loops=tuple(loops), transients=transients)
+    return replace(truth, loops=tuple(loops))
 
 
 def _draw_hidden(triad: Any, random: np.random.Generator) -> Iterator[ErrorTerm]:

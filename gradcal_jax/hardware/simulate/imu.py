@@ -259,8 +259,7 @@ class ErrorTerm:
 @dataclass(frozen=True)
 class TriadTruth:
     """Three sensors of a kind, SI. `white`: random walk of the integral for √s, `walk` of the output for √s;
-    `gradient`: of the output for each K/s. `loops` over the temperature; `transients`: values at power-on of three
-    sensors, and time constant (s)."""
+    `gradient`: of the output for each K/s. `loops` over the temperature."""
 
     errors: tuple[ErrorTerm, ...]
     white: float
@@ -268,7 +267,6 @@ class TriadTruth:
     drifts: tuple[Process, ...] = ()
     gradient: tuple[float, ...] = (0.0, 0.0, 0.0)
     loops: tuple[LoopTruth, ...] = ()
-    transients: tuple[tuple[tuple[float, ...], float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -330,7 +328,6 @@ class SimulatedImu(SampledSensor):
         self._lags_s = (self._lags_s | {truth.second_lag_s}) - {0.0}
         self._masses: dict[float, Mass] = {}
         self._die: Mass | None = None
-        self._power_on_s = start_s
         self.restart(start_s, sample_rate_hz)
 
     def take(self, count: int) -> SensorSamples:
@@ -365,7 +362,7 @@ class SimulatedImu(SampledSensor):
             output[kind] = said.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
             if any(triad.gradient):
                 output[kind] = output[kind] + change[:, None] * np.array(triad.gradient)
-            output[kind] = output[kind] + self._of_path(kind, triad, middles, mean, ends[1:] - 0.5 * self.true_period_s)
+            output[kind] = output[kind] + self._of_path(kind, triad, middles, mean)
         lag_s = self.truth.second_lag_s
         second = late[lag_s].reshape(count, _PARTS).mean(axis=1) if lag_s else None
         outputs = np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY
@@ -377,17 +374,13 @@ class SimulatedImu(SampledSensor):
             self._masses[lag_s] = Mass(float(temperature_c[0]), lag_s)
         return self._masses[lag_s].take(temperature_c, self.true_period_s / _PARTS)
 
-    def _of_path(
-        self, kind: Kind, triad: TriadTruth, temperature_c: Vectors, mean: Vectors, time_s: Vectors
-    ) -> Vectors:
-        """What depends on the path of temperature, or on the time since power-on, `(n, 3)`."""
+    def _of_path(self, kind: Kind, triad: TriadTruth, temperature_c: Vectors, mean: Vectors) -> Vectors:
+        """What depends on the path of temperature, `(n, 3)`."""
         if kind not in self._loops:
             self._loops[kind] = [(loop, loop.begin(float(temperature_c[0]))) for loop in triad.loops]
         total = np.zeros_like(mean)
         for truth, loop in self._loops[kind]:
             total = total + loop(temperature_c, self.true_period_s) * (mean if truth.of_input else 1.0)
-        for values, time_constant_s in triad.transients:
-            total = total + np.exp(-(time_s - self._power_on_s) / time_constant_s)[:, None] * np.array(values)
         return total
 
     def _noise(self, kind: Kind, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors]:

@@ -23,7 +23,6 @@ JsonNumbers = Annotated[bool, Parameter(name="--json", negative="", help="Print 
 RunPath = Annotated[Path, Parameter(help="The folder of the run.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"])]
 OptionalOutput = Annotated[Path | None, Parameter(name=["--output", "-o"])]
-OutputOrPrint = Annotated[Path, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)]
 Plot = Annotated[Path | None, Parameter(name="--plot")]
 
 _FIGURES: Final = (".png", ".svg", ".pdf")

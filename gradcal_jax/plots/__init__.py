@@ -7,7 +7,7 @@ from gradcal_jax.plots.calibration_maps import (
     draw_calibrated_scale_factor,
     draw_calibrated_term,
 )
-from gradcal_jax.plots.identification import draw_allan, draw_boundary, draw_drift
+from gradcal_jax.plots.identification import draw_allan
 from gradcal_jax.plots.residual import draw_curves, draw_map, draw_over_temperature, draw_worst_over_temperature
 from gradcal_jax.plots.spec import (
     draw_comparison,
@@ -23,12 +23,10 @@ from gradcal_jax.plots.sweep import draw_frontier, draw_sensitivities, draw_swee
 
 __all__ = [
     "draw_allan",
-    "draw_boundary",
     "draw_calibrated_scale_factor",
     "draw_calibrated_term",
     "draw_comparison",
     "draw_curves",
-    "draw_drift",
     "draw_frontier",
     "draw_gravity_left",
     "draw_heading",

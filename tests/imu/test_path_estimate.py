@@ -247,7 +247,7 @@ def test_validation_by_branch_and_by_bins_shows_the_loop(tmp_path, capsys):
     assert all(cell.branch is None for cell in gj.validate(calibration, log)[0].cells)
 
 
-def test_noise_is_stated_by_branch_and_by_bins(tmp_path, capsys):
+def test_noise_is_stated_by_branch_and_by_temperature():
     log = at_rest_all_the_time()
     rest = at_rest(log, "x", bias_degree=3, lag=0.0)
     heating, cooling = (rest.within(branch=branch).valid for branch in ("heating", "cooling"))

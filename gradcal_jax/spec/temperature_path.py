@@ -170,8 +170,11 @@ class TemperaturePath(Section):
         return any(getattr(self, key) for key in TemperaturePath.model_fields)
 
     def _problems(self) -> Iterator[Problem]:
-        differ_by = dict.fromkeys(("hysteresis", "scale_factor_hysteresis"), "width")
-        differ_by["late_temperature_gradient"] = "time_constant"
+        differ_by = {
+            "hysteresis": "width",
+            "scale_factor_hysteresis": "width",
+            "late_temperature_gradient": "time_constant",
+        }
         for key, of in differ_by.items():
             values = [float(getattr(entry, of)) for entry in getattr(self, key)]
             if len(set(values)) < len(values):

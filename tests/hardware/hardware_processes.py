@@ -36,9 +36,6 @@ def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: flo
         )
     else:
         made = SimulatedLab(spec, clock, seed=seed, burst_s=2.0)
-    for unit in made.rig.imu:
-        # As long for the computer as at the speed of a clock.
-        unit.options["changes"]["timeout"] = f"{3.0 * speed:g} s"
     with made as lab:
         write_toml(lab.rig, folder / "rig.toml")
         write_whole(folder / "hidden_truth.json", json.dumps(lab.truths()))

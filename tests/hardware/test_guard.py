@@ -253,7 +253,7 @@ def test_a_guard_that_died_is_announced_and_replaced(
             time.sleep(0.1)
         # The other one did what the first was there for.
         assert lab.chamber.mode == "STANDBY"
-    assert len(killed) == 1
+    assert len(killed) == 1, result.reason
     said = "the guard had died; another guard has replaced it"
     assert said in [event.data.get("what") for event in by_guard(folder.journal_path)]
     assert said in capsys.readouterr().err

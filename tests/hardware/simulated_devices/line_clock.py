@@ -25,14 +25,14 @@ class FastClock(RealClock):
     """The computer's clock with shorter seconds, in processes whose clocks have the same speed."""
 
     def __init__(self, speed: float) -> None:
-        self._speed = speed
+        self.speed = speed
 
     def now(self) -> float:
-        return RealClock.now(self) * self._speed
+        return RealClock.now(self) * self.speed
 
     def sleep_until(self, time_s: float) -> None:
         while (left := time_s - self.now()) > 0.0:
-            time.sleep(left / self._speed)
+            time.sleep(left / self.speed)
 
 
 class Link:

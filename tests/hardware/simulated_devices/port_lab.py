@@ -6,6 +6,7 @@ from typing import Any, Self
 import numpy as np
 from simulated_devices.espec import EspecOptions, SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
+from simulated_devices.line_clock import FastClock
 from simulated_devices.line_tables import SimulatedGrbl
 from simulated_devices.operator import OperatorOptions, SimulatedOperator
 from simulated_devices.port import SimulatedPort
@@ -43,7 +44,7 @@ class SimulatedLab(lab.SimulatedLab):
         self.ports = [SimulatedPort(device, clock) for device in devices]
         at_chamber, *others = (port.url for port in self.ports)
         at_axes = [others.pop(0) for _ in turners] * (len(axes) if by_hand else 1)
-        units = [
+        units: list[dict[str, Any]] = [
             {"name": name, "driver": "frames", "port": port, "options": unit_options(sample_rate_hz)}
             for name, port in zip(self.units, others, strict=False)
         ]
@@ -54,6 +55,10 @@ class SimulatedLab(lab.SimulatedLab):
             "axis": [axis_table(*axis, port, by_hand) for axis, port in zip(axes.items(), at_axes, strict=True)],
             "imu": units,
         }
+        if isinstance(clock, FastClock):
+            # A unit is listened to for as long, by the computer's clock, as at the speed of a clock.
+            for unit in units:
+                unit["options"]["changes"]["timeout"] = f"{3.0 * clock.speed:g} s"
         self.rig = rig_of(tables | ({"operator": {"port": others[-1]}} if len(others) > len(units) else {}))
 
     def __enter__(self) -> Self:

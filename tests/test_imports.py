@@ -58,6 +58,7 @@ print([type(handler).__name__ for handler in logging.getLogger("gradcal_jax").ha
     assert (done.stdout, done.stderr) == ("['NullHandler'] []\n", "")
 
 
+@pytest.mark.long
 def test_the_public_names_load_on_first_use_and_all_exist():
     script = """
 import json, sys

@@ -107,6 +107,7 @@ def test_functions_have_the_names_of_commands():
         assert getattr(gj, name).__name__ == name
 
 
+@pytest.mark.long
 def test_a_name_of_a_command_is_its_function_whatever_was_imported_before():
     """No room of the package has the name of a command, so that no import of a module takes its place."""
     script = """

@@ -33,6 +33,7 @@ def outcome(setup: str, interrupt: str, wait: float) -> tuple[int, str]:
     return done.returncode, done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("interrupt", [IN_COLLECTION, "signal.raise_signal(signal.SIGINT)"])
 def test_an_interrupt_arrives(interrupt):
     assert outcome("precision.use_float64()", interrupt, 30.0) == (130, "")

@@ -42,6 +42,7 @@ def done(folder):
     return subprocess.run([*command, "--workers", "1"], cwd=folder, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.long
 def test_the_answer_says_what_is_least_and_what_failed(done, folder):
     assert done.returncode == 1, done.stderr
     assert "6 points, 3 of them failed" in done.stdout

@@ -100,6 +100,7 @@ def test_the_gradient_goes_through_turning_points_and_slopes(late):
         assert errors[2] < 0.05 * errors[1] or errors[2] < 1e-6 * scale, (k, errors)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("back", "late"), [(False, False), pytest.param(True, False, marks=pytest.mark.evidence), (True, True)]
 )

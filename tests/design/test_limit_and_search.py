@@ -276,6 +276,7 @@ def test_the_search_improves_and_never_beats_the_limit():
     assert proven.certified * 1e6 <= result.value
 
 
+@pytest.mark.long
 def test_a_gpu_descends_side_by_side_to_the_same_plans(monkeypatch):
     """(The program for a GPU runs here on the CPU.)"""
     at, options = compiled(), {"starts": 2, "seed": 0, "steps": 40, "hops": 1}

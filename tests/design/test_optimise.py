@@ -197,6 +197,7 @@ def test_rests_read_otherwise_than_one_another_are_refused_where_their_times_sta
         structures(uneven, [])
 
 
+@pytest.mark.long
 def test_a_quick_search_is_near_and_compiles_no_more_than_its_one_program(spec, best):
     before = _program.cache_info().currsize
     *steps, quick = run_search(spec, quick=True)
@@ -233,6 +234,7 @@ def test_steps_of_a_search_are_logged(spec, caplog):
     assert of_search[-1] == f"optimise: {found.now:.4g} {found.unit}; {found.sentence}"
 
 
+@pytest.mark.long
 def test_an_optimum_that_rounds_to_nothing_observed_is_a_sentence(spec):
     """Steps of an hour leave no turn: the plan as it was is kept, and it is said why."""
     coarse = changed(
@@ -466,6 +468,7 @@ def test_many_short_visits_begin_with_the_same_moves_in_each(spec):
     assert [(s.alone, s.start is None) for s in structures(spec, [])] == [(False, False)]
 
 
+@pytest.mark.long
 def test_a_worse_result_does_not_replace_a_plan_that_misses_the_same_target(best):
     """It did: the plan as it was stayed only where it met every target."""
     spec = best.spec

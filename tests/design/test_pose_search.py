@@ -158,6 +158,7 @@ PLANS = {
 }
 
 
+@pytest.mark.long
 def test_the_objective_is_that_of_the_whole_plan():
     """Though it filters two cycles of each slope; of the cycle of its coordinates, as `predict` says."""
     check_objective("one ramp")
@@ -303,6 +304,7 @@ def test_the_result_is_never_worse_than_the_plan_as_it_was(searched):
         assert again.gain > 1.0
 
 
+@pytest.mark.long
 def test_a_plan_that_meets_its_targets_is_not_searched(searched):
     _, _, best = searched
     rows = [r.model_dump(mode="json", exclude_unset=True) for r in best.spec.requirement]
@@ -378,6 +380,7 @@ def test_until_met_stops_where_every_target_is_met_with_margin(searched):
         next(run_search(gj.changed(spec, {"requirement": without}), until_met=True))
 
 
+@pytest.mark.long
 def test_the_command_writes_a_recipe_that_is_worth_what_is_said(tmp_path, capsys, searched):
     source, goal = tmp_path / "unit.toml", tmp_path / "better.toml"
     gj.write_toml(small(), source)
@@ -411,6 +414,7 @@ def test_searches_of_one_spec_and_for_other_targets_share_one_program(monkeypatc
     assert CyclePlan(small()).descent is not plan.descent
 
 
+@pytest.mark.long
 def test_turns_of_whole_angle_steps(searched):
     spec, _, _ = searched
     stepped = gj.changed(spec, {"design.angle_step": "15 deg"})
@@ -498,6 +502,7 @@ def test_searches_from_random_cycles_end_alike(tmp_path, capsys):
     assert max(gains) / min(gains) < 1.02
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("every", ["1 s", "3 s", "1000 s"])
 def test_the_objective_counts_the_readings_of_rests_as_a_prediction_does(every):
     """At infinite sharpness exactly; at a large one, a few readings that stand for all of a rest nearly so."""

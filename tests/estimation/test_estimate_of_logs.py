@@ -92,6 +92,7 @@ def test_without_noise_the_maps_come_back(text):
     assert made.log.simulated
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("points", ["independent", "one run"])
 def test_a_log_of_the_standard_method_errs_as_it_says(points):
     spec = spec_of(STANDARD + f'points = "{points}"\n')
@@ -166,6 +167,7 @@ def test_gaps_and_masked_rows_are_bridged_by_new_origins_and_counted():
     assert np.all(channel.solution.known.deviations(rows_) >= whole.solution.known.deviations(rows_))
 
 
+@pytest.mark.long
 def test_a_lag_of_the_temperature_is_found():
     spec = spec_of(
         **{

@@ -41,6 +41,7 @@ def logs_of(spec, hidden_ppm: float):
     return simulate_log(higher, units=UNITS, sample_rate_hz=20.0, seed=9, truth={"x": truth}).log
 
 
+@pytest.mark.long
 def test_structure_is_noticed_measured_and_written_for_the_spec(spec):
     size = 500.0
     report = estimate_log(spec, [logs_of(spec, size)])
@@ -71,6 +72,7 @@ def test_structure_is_noticed_measured_and_written_for_the_spec(spec):
         assert other.structure[-1][1].test.statistic == pytest.approx(one.structure[-1][1].test.statistic, rel=0.02)
 
 
+@pytest.mark.long
 def test_where_nothing_is_hidden_nothing_is_noticed(spec):
     report = estimate_log(spec, [logs_of(spec, 0.0)])
     tests = [t for one in report.sensors for _, t in one.structure if t.quantity == "scale_factor"]

@@ -59,6 +59,7 @@ def test_sound_data_are_met_and_say_nothing(sound, tmp_path, capsys):
     assert "contradicted" not in made
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("fault", "test"), [(noisier, "chi-squared of the fit"), (drifting, "first against second half")]
 )

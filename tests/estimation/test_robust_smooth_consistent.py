@@ -81,6 +81,7 @@ def test_clean_data_are_estimated_as_without_robustness(small):
     assert np.all(robust.solution.weights == 1.0)
 
 
+@pytest.mark.long
 def test_bad_readings_count_for_less_and_are_named(small):
     spec, made = small
     log = made.log
@@ -130,6 +131,7 @@ def test_whiteness_notices_what_lasts():
     assert not whiteness(np.convolve(shocks, [1.0, 0.3], "valid")).passed
 
 
+@pytest.mark.long
 def test_whiteness_counts_what_the_parameters_took_up():
     """Behind a fit of 16 parameters the plain statistic of 100 readings fires far more often than it says."""
     rng, count = np.random.default_rng(8), 100

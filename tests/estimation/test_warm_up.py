@@ -58,6 +58,7 @@ def numbers(path, name=0, value=1):
     return {row[name]: float(row[value]) for row in rows}
 
 
+@pytest.mark.long
 def test_px4_from_its_log_to_its_parameters(tmp_path, capsys):
     """Two gyros, each with a clock of its own: what PX4 makes of the parameters is within their σ."""
     units, (time, temperature) = (vehicle(1), vehicle(2)), warming(2400.0, 25.0)
@@ -94,6 +95,7 @@ def test_px4_from_its_log_to_its_parameters(tmp_path, capsys):
         assert np.sqrt(np.mean(raw**2)) / DEG_PER_H > 500.0
 
 
+@pytest.mark.long
 def test_ardupilot_from_its_log_to_its_parameters(tmp_path):
     """A log that was corrected by other parameters on the way: they are undone, and the new ones are within their σ."""
     unit, (time, temperature) = vehicle(3), warming(2400.0, 25.0)
@@ -121,6 +123,7 @@ def log_of(unit, time, temperature, seed):
     return Log(time, rates[None], ("g",), ("x", "y", "z"), temperature[None])
 
 
+@pytest.mark.long
 def test_a_thermometer_that_steps_by_a_degree():
     """Half a step times the slope of B is 25 to 86 deg/h; between the steps' instants the temperature is known."""
     unit, (time, temperature) = vehicle(5), warming(2400.0, 25.0)

@@ -226,6 +226,7 @@ def test_the_mean_of_all_is_what_is_promised() -> None:
     assert abs(float(foot.split(": ")[1].split(";")[0]) - 1.0) < 0.03, foot
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", QUICK)
 def test_a_short_run_of_a_preset_reaches_what_is_promised(name: str, tmp_path: Path) -> None:
     seeds = seeds_of(name, tmp_path, 1, QUICK[name])

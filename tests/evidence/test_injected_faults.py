@@ -137,6 +137,7 @@ def test_there_are_enough_faults_of_both_kinds() -> None:
     assert kinds.count("unit") >= 20
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", QUICK)
 def test_a_few_in_every_run(name: str, tmp_path: Path) -> None:
     (fault,) = (fault for fault in FAULTS if str(fault) == name)
@@ -144,6 +145,7 @@ def test_a_few_in_every_run(name: str, tmp_path: Path) -> None:
     assert handled(fault, found), found.printed
 
 
+@pytest.mark.long
 def test_a_wrong_latitude_is_said_with_the_one_that_the_gyros_observe(tmp_path: Path) -> None:
     """38 deg, where the spec says 48: else it is taken for a sensitivity to g."""
     (fault,) = (fault for fault in FAULTS if fault.name.startswith("latitude of another town"))

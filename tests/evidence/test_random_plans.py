@@ -248,6 +248,7 @@ def row_of(kind: str, number: int, done: Chain, ideal: Chain | None) -> str:
     return f"| {kind} {number:02d} | {' | '.join(cells)} | {done.fit[1]} |"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "number"), [("axis", 1), ("axis", 2), ("unit", 8)])
 def test_what_is_predicted_is_what_is_estimated(kind: str, number: int, tmp_path: Path) -> None:
     assert not apart(executed(kind, number, tmp_path))

@@ -120,6 +120,7 @@ def test_over_all_rigs_no_test_fires_in_more_than_three_per_cent() -> None:
         assert fired <= MOST * runs, line
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rig", ["drone IMU"])
 def test_one_run_of_what_start_writes(rig: str, tmp_path: Path) -> None:
     status, printed = say("optimise", spec_of(rig, tmp_path), "--steps", "0", "-o", tmp_path / "recipe.toml")

@@ -102,6 +102,7 @@ def gradcal(*words: object) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.long
 def test_a_short_run_gives_back_the_hidden_parameters_within_its_covariance(tmp_path: Path) -> None:
     made = short_recipe(changes=SMALL)
     log, truth = rehearsed(made, tmp_path / "run", seed=5)

@@ -30,6 +30,7 @@ def run(tmp_path_factory):
     return spec, folder
 
 
+@pytest.mark.long
 def test_every_imu_of_a_run_has_its_calibration_by_its_place(run):
     spec, folder = run
     hidden = json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
@@ -49,6 +50,7 @@ def test_every_imu_of_a_run_has_its_calibration_by_its_place(run):
         assert 1e-4 < chi2.sf(nees, len(own)) < 1.0 - 1e-4
 
 
+@pytest.mark.long
 def test_an_imu_at_another_place_than_the_spec_has_is_noticed(run):
     spec, folder = run
     wrong = [PLACES[0], PLACES[1] | {"x": "-y", "y": "+x"}, PLACES[2]]
@@ -73,6 +75,7 @@ def test_every_place_is_off_by_its_own_accuracy():
     assert np.all(np.abs(np.mean(angles, axis=1)) < 0.2)
 
 
+@pytest.mark.long
 def test_the_command_writes_a_calibration_of_each(run, tmp_path, capsys):
     _, folder = run
     logs = []

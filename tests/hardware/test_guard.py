@@ -169,6 +169,7 @@ def guard_of(folder: Path) -> "subprocess.Popen[bytes]":
     return process
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fate", ["moved", "removed"])
 def test_the_folder_may_go_away_before_the_run_is_killed(fate: str, tmp_path: Path) -> None:
     clock, folder = RealClock(), tmp_path / "run"
@@ -196,6 +197,7 @@ def test_the_folder_may_go_away_before_the_run_is_killed(fate: str, tmp_path: Pa
         assert verified == [None, True, True, True]
 
 
+@pytest.mark.long
 def test_a_device_that_does_not_answer_is_tried_until_it_does(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -259,6 +261,7 @@ def test_a_guard_that_died_is_announced_and_replaced(
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_run_that_hangs_is_ended_and_made_safe(tmp_path: Path) -> None:
     """The process is stopped, as by a debugger or a disk that never answers: it holds its ports and says nothing."""
     write_toml(short_recipe(6.0), tmp_path / "recipe.toml")

@@ -226,6 +226,7 @@ def test_gyros_across_an_axis_see_the_errors_of_its_angle_by_their_misalignments
     assert chi2.ppf(1e-4, count) < nees < chi2.ppf(1.0 - 1e-4, count)
 
 
+@pytest.mark.long
 def test_accelerometers_along_an_axis_see_the_errors_of_its_angle_by_their_misalignments(tmp_path: Path) -> None:
     """As gyros across it. With the noise of the first estimate alone, which is far off, the squared errors of four runs
     are 412 of 284."""

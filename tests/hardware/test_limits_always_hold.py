@@ -201,6 +201,7 @@ def test_a_heater_welded_on_in_an_attended_pause_ends_the_run(tmp_path: Path) ->
     ]  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_door_that_is_opened_in_a_pause_ends_nothing(tmp_path: Path) -> None:
     with lab(tmp_path, HOT, attended=True) as (rig, runner):
 
@@ -279,6 +280,7 @@ def test_a_pause_that_nobody_ends_ends_the_run(tmp_path: Path) -> None:
     assert "still paused. Interlock 'amiss': something is amiss" in alarms[1][1]
 
 
+@pytest.mark.long
 def test_a_pause_that_was_asked_for_may_last(tmp_path: Path) -> None:
     with lab(tmp_path, STANDS, attended=True) as (_, runner):
         after(runner, 60.0, lambda: runner.request("pause"))

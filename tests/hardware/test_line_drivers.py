@@ -208,6 +208,7 @@ def test_a_value_that_was_written_is_shown_by_itself_alone(value: float, spec: s
 # --- a whole run ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("chamber", "table"),
     [("thermotron-3800", "grbl"), ("cts", "aerosmith-like"), ("julabo", "grbl"), ("watlow-f4t-scpi", "aerosmith-like")],

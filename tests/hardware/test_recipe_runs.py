@@ -213,6 +213,7 @@ def executed(folder: RunFolder, seed: int, *, stop_at_step: int | None = None, b
         )
 
 
+@pytest.mark.long
 def test_a_resumed_run_gives_the_same_data_with_a_seam(tmp_path: Path) -> None:
     made = short_recipe(2.0)
     with SimulatedLab(made.spec, LineClock()) as lab:
@@ -272,6 +273,7 @@ def test_resuming_refuses_another_recipe_another_version_and_another_device(tmp_
 # ----------------------------------------------------------------------------------------------- guarded, and aborted
 
 
+@pytest.mark.long
 def test_a_guard_makes_the_rig_safe_when_the_run_is_killed(tmp_path: Path) -> None:
     write_toml(short_recipe(1.0), tmp_path / "recipe.toml")
     with laboratory(tmp_path, SPEED) as process:

@@ -110,6 +110,7 @@ def test_the_log_of_a_recording_has_the_table_and_the_chamber(tmp_path: Path, ca
     assert np.abs(np.degrees(log.rate_rad_per_s[0, still, 0])).max() < 0.2
 
 
+@pytest.mark.long
 def test_a_recording_of_another_axis_or_run_is_a_sentence(tmp_path: Path, capsys) -> None:
     plant = run_without_a_unit(tmp_path / "run", short_recipe(ramp_k=6.0, changes=SLOWER))
     moves = [

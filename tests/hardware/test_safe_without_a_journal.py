@@ -72,6 +72,7 @@ def limited(folder: Path) -> None:
     print(json.dumps({"how": result.exit_status, "why": result.reason, "safe": result.verified_safe, "s": took_s}))
 
 
+@pytest.mark.long
 def test_a_journal_that_cannot_grow_ends_a_spin_safely(tmp_path: Path) -> None:
     words = [sys.executable, __file__, str(tmp_path)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
@@ -99,6 +100,7 @@ def test_a_stick_that_is_pulled_ends_a_spin_safely(tmp_path: Path, monkeypatch: 
         assert took_s < 5.0
 
 
+@pytest.mark.long
 def test_a_disk_that_hangs_keeps_no_stop_off_the_wire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hangs, awake, write = threading.Event(), threading.Event(), os.write
     with spinning(tmp_path) as (rig, runner):

@@ -80,6 +80,7 @@ def test_an_installation_error_put_in_by_hand_is_found_as_such():
     assert worst < 4.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("degrees", [0.0, 5.0])
 def test_sensors_that_are_turned_together_are_said(degrees):
     """As by a zero of the inner axis that is off: the misalignments have the rotation, and nothing else shows it."""
@@ -102,6 +103,7 @@ def test_gyros_off_the_axes_are_sensitive_to_what_they_feel_there():
     assert 1e-4 < stats.chi2.sf(squared(report, values), len(values)) < 1.0 - 1e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "sensitivity"), [(9, "300 deg/h/g"), (1, "3000 deg/h/g")])
 def test_scale_factors_do_not_tell_how_a_case_hangs(seed, sensitivity):
     """Mountings and misalignments of 20 mrad, and scale factors that change with temperature by some 0.3 %: what a
@@ -131,6 +133,7 @@ def test_scale_factors_do_not_tell_how_a_case_hangs(seed, sensitivity):
     assert stats.chi2.ppf(1e-3, len(truth)) < above < stats.chi2.ppf(1.0 - 1e-3, len(truth))
 
 
+@pytest.mark.long
 def test_an_estimate_that_does_not_stand_still_from_one_linearisation_to_the_next_is_said(monkeypatch):
     """On a table of 0.1 deg with misalignments of 60 mrad, the linearisation about the first estimate is not enough."""
     axes = [of.model_dump(exclude_unset=True) for of in scene("two axes", 0.1).rig.table.axis]

@@ -254,6 +254,7 @@ def test_a_column_map_reads_the_second_thermometer(tmp_path):
     np.testing.assert_array_equal(again, log.second_temperature_c)
 
 
+@pytest.mark.long
 def test_an_uncertain_time_constant_is_counted():
     """Of masses of 1 and 10 min under a spec with 45 s and 7.5 min: with a stated uncertainty the errors on both legs
     are as large as predicted, and less than without."""

@@ -145,6 +145,7 @@ def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
     return result
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lag", [None, "200 s"])
 def test_columns_are_the_integrals_of_the_definition(lag):
     varies = {"standard_deviation": "1 deg/h/K", "degree": 3, "centre": "22 degC", "scale": "14 K"}

@@ -42,6 +42,7 @@ def fixture_log(spec: Spec, seed: int) -> Log:
     )
 
 
+@pytest.mark.long
 def test_each_imu_is_estimated_by_the_spec_of_its_place():
     """By the names of the places, or by their order."""
     spec = scene("two axes", 1.0)

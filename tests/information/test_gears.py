@@ -88,6 +88,7 @@ def test_a_gear_that_is_stated_contradicts_nothing_and_counts(ratios, play_deg, 
     assert 1e-3 < stats.chi2.sf(squared(report, truth), len(truth)) < 1.0 - 1e-3
 
 
+@pytest.mark.long
 def test_an_angle_that_is_off_shows_what_is_crooked():
     """A milliradian of the angle, and misalignments of per cents: their product is ten times the noise of a rest."""
     report, truth = estimated(4, (4e-4, -4e-4), (0.0, 0.0), SIZES, crooked=0.05)
@@ -95,6 +96,7 @@ def test_an_angle_that_is_off_shows_what_is_crooked():
     assert 1e-3 < stats.chi2.sf(squared(report, truth), len(truth)) < 1.0 - 1e-3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sizes", [SIZES, {"scale_error": "4 ppm", "backlash": "0.0004 deg"}])
 def test_the_rows_are_those_of_a_fit_with_the_errors_as_parameters(sizes):
     """Also where the errors are as small as what the readings tell of them."""
@@ -130,6 +132,7 @@ def test_the_rows_are_those_of_a_fit_with_the_errors_as_parameters(sizes):
     assert fit.solution.estimate.chi_squared == pytest.approx(left @ left, rel=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sizes", [{"scale_error": "300 ppm"}, {"backlash": "0.05 deg"}, SIZES])
 def test_a_plan_is_predicted_as_its_log_is_estimated(sizes):
     """Of one and the same table, errors of its angles count alike before and after the run: in scale factors hardly,

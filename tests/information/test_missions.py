@@ -164,6 +164,7 @@ def test_a_recipe_and_a_sweep_stand_alone(tmp_path, monkeypatch):
     assert second[f"{at} rms"] > first[f"{at} rms"]
 
 
+@pytest.mark.long
 def test_pictures_and_the_page_show_missions(tmp_path):
     from gradcal_jax.pages.page import report
     from gradcal_jax.plots import draw_comparison, draw_prediction

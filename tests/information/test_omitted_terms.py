@@ -401,6 +401,7 @@ def test_two_clocks_that_contradict_each_other_are_said_and_the_computers_is_use
     assert any("contradict" in m and "--clock host" in m for m in unit["messages"])
 
 
+@pytest.mark.long
 def test_clocks_that_are_apart_count_until_someone_says_which_is_right(recorded):
     """The computer's may be the wrong one. So may one that was set, or a sensor's that depends on temperature."""
     log, _ = recorded
@@ -502,6 +503,7 @@ def test_angles_that_wrap_are_asked_about():
         assert wrapped_sentence(sound) == ""
 
 
+@pytest.mark.long
 def test_a_unit_s_estimate_counts_what_its_spec_omits(unit_log):
     spec, logs = unit_log
     (report,) = estimate_sensors(spec, logs)

@@ -81,6 +81,7 @@ def test_every_shape(act, bases):
     compare(Scene(-12.0, ((act.duration, 0.05),), (act,), bias=bases[0], scale=bases))
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::scipy.integrate.IntegrationWarning")
 def test_splines_high_degrees_and_a_lagging_sensor():
     curve, turn = ACTS[3], ACTS[2]

@@ -69,6 +69,7 @@ def test_a_log_gives_the_calibration_that_the_estimator_of_an_axis_gave(name: st
         assert result.verdict == verdict
 
 
+@pytest.mark.long
 def test_an_imu_is_tested_for_more_structure_and_what_it_lacks_is_measured() -> None:
     spec = spec_of()
     higher = changed(spec, {"sensor.gyro.scale_factor.temperature.degree": 3})
@@ -86,6 +87,7 @@ def test_an_imu_is_tested_for_more_structure_and_what_it_lacks_is_measured() -> 
     assert row.block.startswith("[sensor.gyro.scale_factor]\ndiscrepancy = {")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lag_s", [0.0, 40.0])
 def test_the_lag_of_an_imus_maps_is_found(lag_s: float) -> None:
     both = 'temperature = ["0 degC", "40 degC"]\ngradient = "4 K/min"'

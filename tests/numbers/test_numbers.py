@@ -150,6 +150,7 @@ def _estimated(kept, found, std: float, apart: float, tests: float, names: dict[
                 _close(mine["tests"][names.get(name, name)], test, tests, f"{sensor} {name}")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kept", [*_cases("estimates", ESTIMATED), *_cases("axis_estimates", AXES)])
 def test_estimates_are_as_recorded(kept, request):
     name = request.node.callspec.id

@@ -41,6 +41,7 @@ class Outside(HTMLParser):
         assert tag != "script"
 
 
+@pytest.mark.long
 def test_a_page_of_a_run_has_the_numbers_of_its_files(made, tmp_path):
     folder, plan, found = made
     told = gj.report(folder / "run", tmp_path / "page.html", before=folder / "recipe.toml")

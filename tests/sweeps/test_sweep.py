@@ -113,6 +113,7 @@ def test_a_killed_worker_changes_nothing(done, tmp_path):
     assert again.equals(results)
 
 
+@pytest.mark.long
 def test_a_killed_sweep_goes_on_and_ends_the_same(done, tmp_path):
     path, output = written(tmp_path), tmp_path / "results.nc"
     # The first time it stops after four points of the twelve, to be killed there.

@@ -164,3 +164,10 @@ def test_a_search_serves_all_places(robust, over):
         logs.append(np.mean(np.log(left)))
     plan = CyclePlan(spec)
     assert plan.exact.value_of(plan.exact.residuals(spec)) == pytest.approx(over(logs), abs=1e-7)
+
+
+def test_a_place_that_the_table_does_not_have_is_refused():
+    spec = fixture([{"name": "a"}, {"name": "b", "x": "+y", "y": "-x"}])
+    assert gj.predict(spec, place="b").place == "b"
+    with pytest.raises(ValueError, match="no place 'c'; known: a, b"):
+        gj.predict(spec, place="c")

@@ -68,11 +68,10 @@ if TYPE_CHECKING:
 def predict(spec: Spec, *, limits: bool = False, place: str | None = None) -> Prediction:
     """The residual that a spec's plan leaves: by requirement (ppm, deg/h; 1σ), by parameter (SI), with its covariance.
 
-    `limits`: also the error sources that limit each requirement. The
-    covariance is the exact one of generalised least squares under the spec's noise (`gradcal_jax.information`);
-    verdicts and the risk also count every term that the spec omits, at its class's typical figure. What cannot be
-    observed is None, with a warning. `place`: of a fixture, the place of which all else is beside the residuals of
-    every place (None: the worst). Errors: `ValueError` for a place that the table does not have.
+    `limits`: also the error sources that limit each requirement. The covariance is the exact one of generalised least
+    squares under the spec's noise (`gradcal_jax.information`); verdicts also count every term that the spec omits, at
+    its class's typical figure. What cannot be observed is None, with a warning. `place`: of a fixture, the place of
+    which all else is beside the residuals of every place (None: the worst). Errors: `ValueError` for a place that the table does not have.
 
     >>> from gradcal_jax import parse_spec, presets
     >>> predict(parse_spec(presets.text("paper-static-gradient")))  # doctest: +ELLIPSIS
@@ -365,9 +364,8 @@ def make_recipe(
     """The plan of a spec, or an optimised one, made executable, with the prediction (ppm, deg/h) of what is executed.
 
     `resolution`: the controllers' steps; None: those of `[rig.resolution]`, and defaults. `stability`: when a
-    temperature counts as stable, and how long to wait for it. Turns become trapezoids of the same
-    angle, peak rate and duration. `status`, `seed`, `optimisation` (of
-    TOML's types) and `notes` are copied; an optimised plan has its own.
+    temperature counts as stable, and how long to wait for it. Turns become trapezoids of the same angle, peak rate and
+    duration. `status`, `seed`, `optimisation` (of TOML's types) and `notes` are copied; an optimised plan has its own.
 
     Errors: `SpecError` where the rounded plan leaves a limit of the rig.
     """

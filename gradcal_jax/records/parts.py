@@ -114,7 +114,7 @@ def count_rounds(samples: SampleSpool, first: int, end: int, round_samples: int,
     the missing periods. Device times and gaps of the samples from `first` to before `end` are corrected. Returns the
     rows of gaps whose length stays unknown: there a part with a clock of its own begins.
     """
-    if not round_samples:
+    if not round_samples or first == end:
         return []
     arrivals: list[tuple[Floats, Floats]] = []
     gaps: list[int] = []

@@ -75,3 +75,8 @@ def test_a_long_counter_counts_by_itself():
     spool, _ = sent(10, {5: 3}, [0.0] * 10, damaged=False)
     with spool:
         assert count_rounds(spool, 0, len(spool), 0, SAMPLE_S) == []
+
+
+def test_a_stream_without_samples_has_no_gaps():
+    with SampleSpool() as spool:
+        assert count_rounds(spool, 0, 0, ROUND, SAMPLE_S) == []

@@ -71,7 +71,8 @@ def predict(spec: Spec, *, limits: bool = False, place: str | None = None) -> Pr
     `limits`: also the error sources that limit each requirement. The covariance is the exact one of generalised least
     squares under the spec's noise (`gradcal_jax.information`); verdicts also count every term that the spec omits, at
     its class's typical figure. What cannot be observed is None, with a warning. `place`: of a fixture, the place of
-    which all else is beside the residuals of every place (None: the worst). Errors: `ValueError` for a place that the table does not have.
+    which all else is beside the residuals of every place (None: the worst). Errors: `ValueError` for a place that the
+    table does not have.
 
     >>> from gradcal_jax import parse_spec, presets
     >>> predict(parse_spec(presets.text("paper-static-gradient")))  # doctest: +ELLIPSIS

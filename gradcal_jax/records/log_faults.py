@@ -23,6 +23,7 @@ from gradcal_jax.records.log import (
 from gradcal_jax.records.signal_faults import at_a_limit, frozen_temperature, jumped_temperature, quiet_windows
 from gradcal_jax.records.uneven_stamps import (
     against_earlier,
+    are_losses,
     changed_rate,
     even_clock,
     like_pauses,
@@ -46,8 +47,6 @@ _SHORT, _OFTEN = 0.3, 0.05
 """An interval is short below `_SHORT` medians; if more than this share of them is short, stamps come in bursts."""
 _UNEVEN: Final = 0.005
 """If more than this share of the intervals are gaps, they must be whole numbers of intervals."""
-_SHOWS, _WHOLE = 12.0, 0.3
-"""Gaps of fewer intervals show whether they are whole numbers of intervals, which they are within `_WHOLE`."""
 _MANY_ROWS: Final = 20
 """Least number of rows that counts as many."""
 _COARSE: Final = 0.1
@@ -412,7 +411,7 @@ class _Examination:
             if lost_rows:
                 self.note_gaps(starts[1:] - 1, lost_rows, float(np.max(np.diff(even))))
             return even, starts
-        if len(gaps) > max(_MANY_ROWS, _UNEVEN * len(time)) and not _are_losses(
+        if len(gaps) > max(_MANY_ROWS, _UNEVEN * len(time)) and not are_losses(
             time, interval[gaps] / usual, removed=bool(self.removed)
         ):
             text = (
@@ -617,19 +616,6 @@ def _either(time: Floats) -> str:
         f'"{_over_time(time)}" (rows over time) instead of time; if rows are missing, give a counter of the samples as '
         '`clock`, or set [policy] wrong_units = "keep", which takes the longer intervals as gaps'
     )
-
-
-def _are_losses(time: Floats, intervals: Floats, *, removed: bool) -> bool:
-    """Whether long `intervals` (in usual ones) are those over lost rows: most are whole numbers, and the stamps do not
-    come back to an even clock, which they do if rows are only late, or `removed` evenly."""
-    rows = np.arange(len(time), dtype=np.float64)
-    apart = time - np.polyval(np.polyfit(rows, time, 1), rows)
-    if not removed and np.ptp(apart) <= 1.5 * float(np.max(np.diff(time))):
-        return False
-    # The usual interval is known to a few per cent of jitter: only short gaps show whether they are.
-    short = intervals[intervals < _SHOWS]
-    off = np.abs(short - np.rint(short))
-    return len(short) > 0.5 * len(intervals) and float(np.mean(off < _WHOLE)) > 0.9
 
 
 def _least_walk(values: Floats, interval: float) -> float:

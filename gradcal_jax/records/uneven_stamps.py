@@ -28,6 +28,8 @@ _PAUSE, _EVENLY = 1.6, 0.02
 _PATTERN_ROWS, _PATTERN, _REPEATS, _UNEVEN = 1 << 16, 100, 0.3, 0.15
 _CLOSE, _IN_BURSTS = 0.25, 0.3
 _MILLISECOND, _OF_A_MILLISECOND = 1e-3, 1e-3
+# Gaps of fewer intervals show whether they are whole numbers of intervals, which they are within the second figure.
+_SHOWS, _NEAR_WHOLE = 12.0, 0.3
 # Intervals of rounded stamps of an even clock differ by less than this factor.
 _SHORTEST_GAP: Final = 1.6
 # Even intervals over those within a burst: up to the first it is the same clock, from the second on these are arrivals.
@@ -172,6 +174,19 @@ def even_clock(time: Floats, suspects: Whole) -> tuple[Floats, Whole, int] | Non
     if lost:
         starts = np.union1d(starts, begins[1:][sizes[:-1] < most])
     return even + shift, starts.astype(np.int64), lost + round(float(shift[-1]) / (period / most))
+
+
+def are_losses(time: Floats, intervals: Floats, *, removed: bool) -> bool:
+    """Whether long `intervals` (in usual ones) are those over lost rows: most are whole numbers, and the stamps do not
+    come back to an even clock, which they do if rows are only late, or `removed` evenly."""
+    rows = np.arange(len(time), dtype=np.float64)
+    apart = time - np.polyval(np.polyfit(rows, time, 1), rows)
+    if not removed and np.ptp(apart) <= 1.5 * float(np.max(np.diff(time))):
+        return False
+    # The usual interval is known to a few per cent of jitter: only short gaps show whether they are.
+    short = intervals[intervals < _SHOWS]
+    off = np.abs(short - np.rint(short))
+    return len(short) > 0.5 * len(intervals) and float(np.mean(off < _NEAR_WHOLE)) > 0.9
 
 
 def like_regular_losses(time: Floats) -> bool:

@@ -139,15 +139,20 @@ def test_rows_that_come_with_events_of_a_radio_are_right_or_asked(
     first = np.concatenate([[0], np.flatnonzero(np.diff(at)) + 1])
     place = np.arange(len(at)) - np.repeat(first, np.diff(first, append=len(at)))
     stamps = events[at] + within_s * place + 1e-6 * np.arange(len(at)) * (within_s == 0.0)
+    right_or_asked(lambda: imported(tmp_path_factory.mktemp("radio"), stamps, values, TIME + GX), rel=0.1)
+
+
+def right_or_asked(read, *, rel: float) -> None:
+    """The log has the white noise of its rates, or the question names the sample rate."""
     asked, log = "sample_rate", None
     try:
-        log = imported(tmp_path_factory.mktemp("radio"), stamps, values, TIME + GX)
+        log = read()
     except LogError as error:
         asked = str(error)
     assert "sample_rate" in asked
     if log is not None:
         own = walk(np.degrees(log.rate_rad_per_s[0, :, 0]), 1.0) * np.sqrt(log.sample_interval_s)
-        assert own == pytest.approx(NOISE, rel=0.1)
+        assert own == pytest.approx(NOISE, rel=rel)
 
 
 def kept_rows(pattern: str, rows: int, share: float, burst: int, rng: np.random.Generator) -> np.ndarray:
@@ -190,15 +195,7 @@ def test_losses_of_any_pattern_are_right_or_asked(pattern, seed, hz, share, burs
     }[jitter]
     kept = kept_rows(pattern, len(values), share, burst, rng)
     columns = Columns(np.radians(values[kept])[None, :, None], ("a",), ("x",), time_s=stamps[kept])
-    asked, log = "sample_rate", None
-    try:
-        log = examine(columns)
-    except LogError as error:
-        asked = str(error)
-    assert "sample_rate" in asked
-    if log is not None:
-        own = walk(np.degrees(log.rate_rad_per_s[0, :, 0]), 1.0) * np.sqrt(log.sample_interval_s)
-        assert own == pytest.approx(NOISE, rel=0.05)
+    right_or_asked(lambda: examine(columns), rel=0.05)
 
 
 @given(

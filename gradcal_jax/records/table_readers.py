@@ -60,7 +60,9 @@ _WAYS: Final = {
         r"(?=.*[A-Fa-f])[0-9A-Fa-f]{2,16}"
     ): "values that look like hexadecimal counts; write them as decimal numbers",
     re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}.*|\d{1,2}:\d\d(:\d\d.*)?"): (
-        "dates or times of day; write time stamps in seconds, or leave out time and give sample_rate"
+        "dates or times of day; write them as seconds, in pandas: table = pd.read_csv(file); time = "
+        "pd.to_datetime(table[column]); table[column] = (time - time[0]).dt.total_seconds(); table.to_csv(file, "
+        "index=False). Or leave out time and give sample_rate"
     ),
 }
 
@@ -83,7 +85,13 @@ def read_table(path: Path, layout: TextTable, sources: Sequence[Source], *, wher
     }
     if kind not in readers:
         known = ", ".join([*sorted(readers), ".csv.gz"])
-        raise LogError(f"{path}: unknown file name extension (it determines the kind of file); known are {known}")
+        words = f"{path}: unknown file name extension (it determines the kind of file); known are {known}"
+        if kind in (".json", ".jsonl", ".ndjson"):
+            words += (
+                f". Lines of JSON become a table by pandas: pd.read_json({path.name!r}, lines=True)"
+                f'.to_csv("{path.stem}.csv", index=False)'
+            )
+        raise LogError(words)
     try:
         if path.is_dir():
             raise LogError(f"{path} is a directory")

@@ -1,4 +1,8 @@
+import warnings
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 from described_logs import contents
 from hypothesis import given, settings
@@ -93,6 +97,29 @@ def test_columns_that_are_no_numbers_are_told_by_what_they_are(tmp_path, content
     with pytest.raises(LogError) as caught:
         import_log(path, plain())
     assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize("stamp", ["2024-05-01T12:00:0{}.5Z", "12:00:0{}.5"])
+def test_the_conversion_of_stamps_that_a_message_states_gives_the_record(tmp_path, stamp):
+    path = tmp_path / "a.csv"
+    path.write_text("t,gx\n" + "".join(f"{stamp.format(s)},{s % 3}\n" for s in range(9)), encoding="utf-8")
+    with pytest.raises(LogError) as caught:
+        import_log(path, plain())
+    lines = str(caught.value).partition("in pandas: ")[2].partition(". Or")[0]
+    with warnings.catch_warnings(action="ignore"):  # pandas guesses the format
+        exec(lines, {"pd": pd, "file": path, "column": "t"})
+    log = import_log(path, parse_column_map(PLAIN.replace('"ms"', '"s"')))
+    assert log.time_s.tolist() == list(range(9))
+
+
+def test_the_conversion_of_lines_of_json_that_a_message_states_gives_the_record(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = Path("a.jsonl")
+    path.write_text("".join(f'{{"t": {10 * s}, "gx": {s % 3}}}\n' for s in range(9)), encoding="utf-8")
+    with pytest.raises(LogError) as caught:
+        import_log(path, plain())
+    exec(str(caught.value).partition("by pandas: ")[2], {"pd": pd})
+    assert import_log(path.with_suffix(".csv"), plain()).counts() == {"used": 9}
 
 
 def test_kelvins_are_told_how_to_be_written():

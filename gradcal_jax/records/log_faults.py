@@ -20,7 +20,13 @@ from gradcal_jax.records.log import (
     mean_interval,
     without_masked,
 )
-from gradcal_jax.records.signal_faults import at_a_limit, frozen_temperature, jumped_temperature, quiet_windows
+from gradcal_jax.records.signal_faults import (
+    at_a_limit,
+    frozen_temperature,
+    jumped_temperature,
+    quiet_windows,
+    wrapped,
+)
 from gradcal_jax.records.uneven_stamps import (
     against_earlier,
     are_losses,
@@ -446,6 +452,11 @@ class _Examination:
                 where[unit] |= at_a_limit(rate[unit, :, axis])
             words = "stuck at the largest or smallest rate of the record"
         self.mask(where, Reason.SATURATED, self.policy.saturated, words)
+        over = np.zeros(rate.shape[:2], bool)
+        for unit, axis in np.ndindex(rate.shape[0], rate.shape[2]):
+            over[unit] |= wrapped(rate[unit, :, axis])
+        words = "whose rate wrapped at full scale, from one end of its range to the other: choose a larger full scale"
+        self.mask(over, Reason.SATURATED, self.policy.saturated, words)
 
     def temperatures(self, time: Floats, temperature: Floats, starts: NDArray[np.int64]) -> None:
         missing, policy = ~(np.abs(temperature) < _ABSURD), self.policy

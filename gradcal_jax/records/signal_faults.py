@@ -8,6 +8,7 @@ averaged (Widrow and Kollár, Quantization Noise, 2008, section 4).
 """
 
 import importlib
+import itertools
 from collections.abc import Container
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
@@ -195,6 +196,40 @@ def at_a_limit(values: Floats) -> Bools:
         if held and ((held > 1 and np.count_nonzero(there) >= _AT_A_LIMIT) or _is_far(extreme, finite)):
             result |= there
     return result if not result.any() or coarse_steps(values).off == 0.0 else np.zeros(len(values), bool)
+
+
+_ACROSS: Final = 1.5
+"""A step of so many times the largest value leads from one end of a channel's range to the other."""
+_WITHIN: Final = (5, 20, 80)
+"""Rows over which a slope is measured on both sides of such a step: fast changes, or small ones in many samples."""
+
+
+def wrapped(values: Floats) -> Bools:
+    """`(n,)`: rows whose value left the range of its format at one end and came in at the other, as integers do.
+
+    They lie between two steps across the range, there and back; on both sides of each the values change against the
+    step. A table that reverses its direction within a row does not look so.
+    """
+    result = np.zeros(len(values), bool)
+    step = np.diff(values)
+    if not np.isfinite(step).any():
+        return result
+    far = _ACROSS * float(np.nanmax(np.abs(values)))
+    least = 6.0 * float(np.nanmedian(np.abs(np.diff(step))))
+
+    across = np.flatnonzero(np.abs(step) > far)
+    within = np.where(np.abs(step) > far, 0.0, step)
+
+    def against(out: int, back: int, rows: int) -> bool:
+        sides = [(out, within[max(out - rows, 0) : out]), (back, within[back + 1 : back + 1 + rows])]
+        if back - out > 2 * rows:  # else too short a time to have slopes
+            sides += [(out, within[out + 1 : out + 1 + rows]), (back, within[back - rows : back])]
+        return all(-np.sign(step[at]) * float(np.sum(side)) > least for at, side in sides)
+
+    for out, back in itertools.pairwise(across.tolist()):
+        if step[out] * step[back] < 0.0 and not result[out] and any(against(out, back, rows) for rows in _WITHIN):
+            result[out + 1 : back + 1] = True
+    return result
 
 
 def _is_far(value: float, values: Floats) -> bool:
@@ -398,7 +433,7 @@ def signal_faults(
                     f"quantised values may be wrong by {steps.off / size:.2g} {name}, however long they are "
                     "averaged; log more digits, or use a smaller full scale"
                 )
-            if (limit := at_a_limit(own)).any():
+            if (limit := at_a_limit(own) | wrapped(own)).any():
                 saturated |= limit
                 largest = float(np.max(np.abs(own[limit]))) / size
                 sentences.append(

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from gradcal_jax.design import ProgrammeCoordinates
 from gradcal_jax.design.cycle_moves import Cycle
 from gradcal_jax.design.descent import Descent
-from gradcal_jax.design.free_course import FreeCourse, behind_on_leg, legs_of
+from gradcal_jax.design.free_course import FreeCourse, behind_on_leg, cycles_of_leg, legs_of
 from gradcal_jax.design.plan_objective import (
     Aim,
     ExactObjective,
@@ -363,10 +363,9 @@ class CyclePlan:
             mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0] - part.slope * lag
             step, number = part.slope * period, len(part.temperatures)
             if not polynomials:
-                # In the middle of equal parts of the slope, each of which counts alike.
-                at = (np.arange(samples) + 0.5) * number / samples - 0.5
-                every = math.sqrt(number / samples) * np.eye(model.size)[None]
                 before = self._window - 1
+                at, weights, alone = cycles_of_leg(number, before, samples)
+                every = np.sqrt(weights)[:, None, None] * np.eye(model.size)
                 history = np.array([*past, *part.history]) if of_path else np.zeros(0)
                 begun, behind = part.begun_s + period * (at - before), np.zeros(len(lags))
                 for s in self._schedule.segments:
@@ -377,8 +376,8 @@ class CyclePlan:
                 else:
                     late = np.tile(behind, (len(at), 1))
                 ramps += [
-                    Ramp(begins + step * (k - before), part.slope, mounting, 0.0, every, elapsed, history, own)
-                    for k, elapsed, own in zip(at, begun, late, strict=True)
+                    Ramp(begins + step * (k - before), part.slope, mounting, first, of[None], elapsed, history, own)
+                    for k, first, of, elapsed, own in zip(at, alone, every, begun, late, strict=True)
                 ]
                 continue
             # A stretch begins with cycles that nothing precedes; elsewhere a window's first cycles are those before.

@@ -91,6 +91,23 @@ def behind_on_leg(first: AnyArray, lags: tuple[float, ...], slope: AnyArray, sin
     return steady + (first[None] - steady) * xp.exp(xp.minimum(-since[:, None] / times, _GROWS))
 
 
+def cycles_of_leg(
+    number: int, before: int, samples: int
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Cycles that stand for the `number` cycles of a leg, of which `before` precede each in its window: their places on
+    the leg (0: the first), how many each stands for, and 1 for those whose preceding cycles count by themselves.
+
+    The first window begins with the leg. Where the leg is shorter than a window, windows extend before it."""
+    later = number - before - 1
+    if later < 0:
+        return np.arange(float(number)), np.ones(number), np.zeros(number)
+    some = min(later, samples - 1)
+    each = later / max(some, 1)
+    # Each in the middle of the equal parts of the leg behind the first window.
+    at = np.append(before, before + 0.5 + (np.arange(some) + 0.5) * each)
+    return at, np.append(1.0, np.full(some, each)), np.append(1.0, np.zeros(some))
+
+
 def legs_of(own: int) -> int:
     """How many legs a search's courses have, of a plan with `own` ones."""
     return max(own, _LEGS)

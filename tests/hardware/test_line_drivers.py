@@ -373,6 +373,22 @@ def test_grbl_stops_where_it_stands_and_can_go_on() -> None:
 
 
 @pytest.mark.parametrize("bench", [grbl_bench, aerosmith_bench])
+def test_an_axis_that_moves_takes_another_command(bench: Any) -> None:
+    """GRBL shows its settings only while it stands."""
+    clock = LineClock()
+    with bench(clock) as (axis, device, _):
+        axis.home()
+        axis.spin(20.0, 200.0)
+        clock.sleep(2.0)
+        axis.spin(-30.0, 200.0)
+        clock.sleep(2.0)
+        assert device.plant.state(clock.now())[1] == pytest.approx(-30.0)
+        axis.move_to(45.0, 60.0, 200.0)
+        clock.sleep(10.0)
+        assert axis.read().position_deg == pytest.approx(45.0, abs=0.01)
+
+
+@pytest.mark.parametrize("bench", [grbl_bench, aerosmith_bench])
 def test_a_reply_that_the_host_reads_late_makes_no_rate_too_large(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a device whose position comes with its state, and of one that is asked for it."""
     clock, late = LineClock(), [0.3]

@@ -230,6 +230,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         _Spoken.__init__(self, exchange, config)
         self._referenced = self._moved = self._powered = False
+        self._own_max_rate: float | None = None
         self.settings = KeptSettings(self._setting, self._set, lambda left, right: shows(right, left))
 
     def limits(self) -> AxisLimits:
@@ -239,7 +240,10 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         assert known.step is not None
         fastest = [units.to_unit(float(known.max_rate), "deg/s"), config.max_rate_dps]
         if "max_rate" in self._protocol.fields:
-            fastest.append(units.convert(float(self._read("max_rate")["max_rate"]), angle.rate, "deg/s"))
+            # Read once: some boards refuse to show their settings while the axis moves.
+            if self._own_max_rate is None:
+                self._own_max_rate = float(self._read("max_rate")["max_rate"])
+            fastest.append(units.convert(self._own_max_rate, angle.rate, "deg/s"))
         strongest = [units.to_unit(float(known.max_acceleration), "deg/s^2"), config.max_acceleration_dps2]
         ends = [
             own if own is not None else None if limit is None else units.to_unit(float(limit), "deg")

@@ -17,7 +17,7 @@ from gradcal_jax.hardware.chamber_control import Tell
 from gradcal_jax.hardware.clock import Clock, beside
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import event_fields
-from gradcal_jax.hardware.roles import AxisLimits, AxisReading, DrawnAxis, MotionAxis
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, MotionAxis
 from gradcal_jax.hardware.track import AxisCommand
 
 _POLL_S = 0.05
@@ -35,9 +35,6 @@ _STALL_S, _STALL_SHARE = 5.0, 0.1
 # A driver sends the commands of a search for the reference within this time, and then only looks.
 _SEARCH_TOLD_S = 10.0
 
-Draw = Callable[[Mapping[str, float]], str]
-"""The orientation of an IMU, in words, if the axes are at these angles (deg)."""
-
 
 class AxisControl:
     """Commands the axes and keeps their readings. One thread, the run's own."""
@@ -48,12 +45,11 @@ class AxisControl:
         clock: Clock,
         event: Tell,
         latest_s: float = 1.0,
-        draw: Draw | None = None,
         *,
         keep_track: bool = False,
     ) -> None:
         self._axes, self._clock, self._event = axes, clock, event
-        self._latest_s, self._keep_track, self._draw = latest_s, keep_track, draw
+        self._latest_s, self._keep_track = latest_s, keep_track
         self._goal_deg: dict[str, float] = {}
         # Moves that end by themselves: the time of the next reading.
         self._turning: dict[str, float] = {}
@@ -268,8 +264,6 @@ class AxisControl:
         if move.kind in ("go", "turn"):
             turned = self._goal_deg.get(name, 0.0) + move.angle_deg
             goal = turned if move.kind == "turn" else move.position_deg
-            if self._draw is not None and isinstance(axis, DrawnAxis):
-                axis.draw(self._draw({**self._goal_deg, name: goal}))
             axis.move_to(goal, move.rate_dps, move.acceleration_dps2)
             self._goal_deg[name] = goal
             ends_s = began + (move.duration_s + move.answer_s if move.kind == "turn" else 0.0)

@@ -24,7 +24,6 @@ from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.guard import BEAT_S, Guard
 from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.journal import Journal, JournalContents, Recorder
-from gradcal_jax.hardware.pose import drawn
 from gradcal_jax.hardware.run_folder import (
     RunFolder,
     begin_session,
@@ -219,8 +218,6 @@ def run_session(
             wait_when_paused=attended.get("wait_when_paused", False),
             first_step=first_step,
             mounting=0 if resumed is None else mounting_of(resumed),
-            # Of a gyro along the only axis no direction across it matters, nor is it known.
-            draw=None if recipe.spec.is_one_axis else partial(drawn, recipe.spec),
         )
         runner.on_new_session = new_session
         if with_runner is not None:

@@ -223,14 +223,6 @@ class MotionAxis(Protocol):
     def safe(self, policy: AxisSafe) -> SafeReport: ...
 
 
-@runtime_checkable
-class DrawnAxis(Protocol):
-    """An axis that the operator turns, who sees the unit's next attitude beforehand."""
-
-    def draw(self, drawing: str) -> None:
-        """Show this with the next turn."""
-
-
 class OperatorAsked(Protocol):
     """A person at a terminal, who is asked one question at a time."""
 

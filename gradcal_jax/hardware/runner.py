@@ -18,7 +18,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -80,8 +80,6 @@ class Runner:
     """Called once, before the first command that can make anything unsafe."""
     on_new_session: Callable[[int], None] = lambda first_step: None
     """Called when the samples of an IMU are used again, with the step at which the run continues."""
-    draw: Callable[[Mapping[str, float], int], str] | None = None
-    """A drawing of an IMU at angles (deg) of the axes, in a mounting, for the operator who turns the axes."""
 
     def __post_init__(self) -> None:
         self.state = RunState.IDLE
@@ -96,7 +94,7 @@ class Runner:
         chamber = self.bench.chamber
         self._chamber = None if chamber is None else ChamberControl(chamber, self.clock, self._event)
         latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
-        self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, self._drawn, keep_track=alone)
+        self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, keep_track=alone)
         self._losses: dict[str, SampleLosses] = {}
         # Units whose samples are awaited; they send none while the axes search for their references.
         self._streaming: set[str] = set()
@@ -144,9 +142,6 @@ class Runner:
             except Exception as problem:
                 status, reason = "aborted", sentence_of(problem)
             outcomes = self._end(status, reason)
-            if status == "aborted":
-                # What came while everything was made safe: a device that answers late is not one that is silent.
-                reason = " ".join([reason, *(text for text in self._late_replies() if text not in reason)])
             self._working.clear()
             with self.clock.aside():
                 for helper in helpers:
@@ -160,9 +155,6 @@ class Runner:
                 self.on_alarm(f"The run was {status}: {reason}" + (f" NOT VERIFIED SAFE: {unsafe}" if unsafe else ""))
             self._event("end", exit_status=status, reason=reason, verified_safe=good)
         return RunResult(status, reason, outcomes, self._steps_done, self.begun)
-
-    def _drawn(self, angles_deg: Mapping[str, float]) -> str:
-        return "" if self.draw is None else self.draw(angles_deg, self.mounting)
 
     def _prepare(self, helpers: list[threading.Event]) -> None:
         for name, entry, device in self.bench.devices():

@@ -20,7 +20,6 @@ from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
-from gradcal_jax.hardware.simulate.lab import SimulatedPerson
 from gradcal_jax.hardware.track import AxisCommand, track_of
 from gradcal_jax.model.imu_build import build_imu
 from gradcal_jax.records import run_log
@@ -369,8 +368,8 @@ def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
 
 
 @pytest.mark.evidence
-def test_a_gimbal_turned_by_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever turns it sees how the unit is to stand, and the estimate of what was typed is in its band."""
+def test_a_gimbal_turned_by_hand(tmp_path: Path) -> None:
+    """The estimate of what was typed is in its band."""
     moves = [{"rest": "15 s"}]
     for axis, turn in (("spin", 360), ("spin", -360), ("tilt", 90), ("spin", 45), ("spin", -45), ("tilt", -90)):
         moves += [{"turn": f"{turn} deg", "axis": axis, "duration": "10 s", "shape": "hand"}, {"rest": "15 s"}]
@@ -382,11 +381,8 @@ def test_a_gimbal_turned_by_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         "sensor.gyro.scale_factor.prior": "1000 ppm",
     }
     recipe = made(changed(parse_spec(presets.text("gimbal-by-hand")), keys))
-    run, asked, ask = tmp_path / "run", list[str](), SimulatedPerson.ask
-    monkeypatch.setattr(SimulatedPerson, "ask", lambda self, question: (asked.append(question), ask(self, question))[1])
+    run = tmp_path / "run"
     assert execute.run(recipe, run, simulate=True, seed=2).exit_status == "success"
-    drawing = "up: body +y\r\n  |  north: body -z\r\n  | /\r\n  o---- east: body +x\r\ntilt: turn by +90 deg"
-    assert any(drawing in question for question in asked)
     hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
     truth = hidden["units"]["unit1"] | hidden["installation"]
     show_in_bands("a gimbal turned by hand", estimated(run_log.log(run), recipe.spec, truth))

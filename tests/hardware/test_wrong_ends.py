@@ -282,23 +282,24 @@ def port_of(device: Any) -> Transport:
     return device._exchange.transport
 
 
-@pytest.mark.parametrize("delay_s", [0.4, 0.55, 1.15])
-def test_a_reply_that_comes_after_its_time_out_is_said_to_be_late(delay_s: float) -> None:
-    """Of the first to the last try: the query succeeds by an earlier try's reply, or fails and is answered then."""
+def test_a_reply_within_twice_the_time_out_counts_and_is_said_to_be_late() -> None:
     with espec_bench(RealClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
-        port.faults = Slow(port, delay_s)
-        if delay_s < 0.9:
-            chamber._read("air")
-            time.sleep(0.5)
-            port.faults = None
-            chamber._read("air")
-        else:
-            with pytest.raises(ReplyTimeout, match="raise reply_timeout"):
-                chamber._read("air")
+        port.faults = Slow(port, 0.45)
+        assert chamber._read("air")["air"] == "23.0"
         late = port_of(chamber).late
         assert f"ESPEC at {port.url} was sent 'TEMP?" in late
         assert "s late: raise reply_timeout" in late
-        assert float(late.partition("answered ")[2].partition(" s late")[0]) == pytest.approx(delay_s - 0.3, abs=0.2)
+        assert float(late.partition("answered ")[2].partition(" s late")[0]) == pytest.approx(0.15, abs=0.1)
+
+
+def test_a_later_reply_counts_for_no_other_question() -> None:
+    """The query fails, and what still comes is awaited before the next."""
+    with espec_bench(RealClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
+        port.faults = Slow(port, 1.4)
+        with pytest.raises(ReplyTimeout, match="did not answer in 0.3 s"):
+            chamber._read("air")
+        port.faults = None
+        assert chamber.identify().firmware == "P3S1.10"
 
 
 def test_an_acknowledgement_that_comes_too_late_is_said() -> None:
@@ -351,15 +352,3 @@ def test_late_replies_are_said_by_check_and_run(tmp_path: Path, capsys: pytest.C
     assert "late: raise reply_timeout" in seen[0]
     (event,) = (one for one in read_journal(run.journal_path).events if one.name == "late reply")
     assert event.data["device"] == "chamber"
-
-
-def test_a_run_that_ends_by_an_answer_seconds_late_says_so(tmp_path: Path) -> None:
-    with Rig(RealClock()) as rig:
-        tables = rig.rig.model_dump(mode="json", exclude_unset=True)
-        tables["chamber"]["options"]["reply_timeout"] = "0.3 s"
-        rig.ports[0].faults = Slow(rig.ports[0], 3.0)
-        run = new_folder(tmp_path / "run", short_recipe(1.0), rig_of(tables), simulated={})
-        result = run_session(run, rig_of(tables), RealClock(), safe_deadline_s=8.0)
-    assert result.exit_status == "aborted"
-    assert "did not answer in 0.3 s" in result.reason
-    assert "s late: raise reply_timeout" in result.reason

@@ -137,7 +137,7 @@ class OperatorAxis(MotionAxis):
         self.settings = KeptSettings() if encoder is None else encoder.settings
         self._whole_turns_deg = 0.0
         self._goal_deg = 0.0
-        self._question = self._drawing = ""
+        self._question = ""
         self._ring_s = math.inf
         self._doubted = False
         # The newest reading confirmed by the operator; None: unknown.
@@ -185,9 +185,6 @@ class OperatorAxis(MotionAxis):
         self._goal_deg = position_deg
         self._ask(f"{self._name}: turn {how}")
 
-    def draw(self, drawing: str) -> None:
-        self._drawing = drawing
-
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
         raise Rejected(f"{self._name} is turned by hand, and a person cannot turn it at a constant rate.")
 
@@ -207,8 +204,7 @@ class OperatorAxis(MotionAxis):
         self._question = f"{what}; let it come to rest and {answer}:"
         self._doubted = False
         self._ring_s = self._clock.now() + self._config.remind_s
-        drawing, self._drawing = self._drawing.replace("\n", "\r\n"), ""
-        self._console.ask(f"\r\n{drawing}\r\n{self._question}" if drawing else self._question)
+        self._console.ask(self._question)
 
     def _hear(self) -> None:
         answer = self._console.answer()

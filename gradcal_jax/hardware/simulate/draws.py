@@ -14,7 +14,6 @@ from typing import Any, Final
 import numpy as np
 
 from gradcal_jax import formulas
-from gradcal_jax.hardware.pose import turn_by
 from gradcal_jax.hardware.simulate.imu import (
     LAWS,
     ErrorTerm,
@@ -26,6 +25,7 @@ from gradcal_jax.hardware.simulate.imu import (
     TableTruth,
     TriadTruth,
     Vectors,
+    turn_by,
 )
 from gradcal_jax.hardware.simulate.plants import AxisTruth
 from gradcal_jax.spec.absent import absent_lever_arm

@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.formulas import lag_filter
-from gradcal_jax.hardware.pose import turn_about, turn_by
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, UncontrolledRoom
 
 Vectors = NDArray[np.float64]
@@ -211,6 +210,20 @@ class SampledSensor(ABC):
     @abstractmethod
     def take(self, count: int) -> SensorSamples:
         """The next samples."""
+
+
+def turn_about(axis: Sequence[float] | Vectors, angle: float | Vectors) -> Vectors:
+    """`(…, 3, 3)`, the matrices of turns by angles `(…)` (rad) about a unit vector (Rodrigues)."""
+    x, y, z = axis
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = np.asarray(angle)[..., None, None]
+    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
+
+
+def turn_by(vector: Sequence[float] | Vectors) -> Vectors:
+    """`(3, 3)`, the matrix of a turn by a rotation vector (rad)."""
+    size = float(np.linalg.norm(vector))
+    return turn_about(np.array(vector) / size, size) if size > 0.0 else np.eye(3)
 
 
 EARTH_RATE = 7.292115e-5

@@ -128,8 +128,9 @@ class Exchange:
                 except FramingError as problem:
                     damage = problem
                     continue
-                if (was_late_s := time.monotonic() - end_s) > 0.0:
-                    self.transport.late = f"{asked} and answered {max(was_late_s, 0.1):.1f} s late: raise reply_timeout."
+                over_s = time.monotonic() - end_s
+                if over_s > 0.0:
+                    self.transport.late = f"{asked} and answered {max(over_s, 0.1):.1f} s late: raise reply_timeout."
                 return reply
         if damage is not None:
             raise damage

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.hardware.simulate.imu import turn_about
-from gradcal_jax.hardware.simulate.imu import Drifts, Process, SampledSensor, SensorSamples, Vectors
+from gradcal_jax.hardware.simulate.imu import Drifts, Process, SampledSensor, SensorSamples, Vectors, turn_about
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant
 
 EARTH_RATE_DPS = 15.041067 / 3600.0

@@ -73,25 +73,39 @@ def _blind(spec: "Spec") -> list[str]:
 
 def numbers(spec: "Spec") -> dict[str, Any]:
     """A summary of the plan for other programs; times in s."""
-    from gradcal_jax.spec.absent import absent_terms
+    from gradcal_jax.spec.absent import absent_terms, class_terms
 
     record: dict[str, Any] = {"title": spec.title, "method": spec.plan.method}
     record |= {f"{name}_s": getattr(spec.schedule, name) for name in ("duration", "soak", "motion")}
     record["requirements"] = [r.name for r in spec.requirement]
-    record["omitted"] = [{"key": t.key, "typical": t.typical, "source": t.source} for t in absent_terms(spec)]
+    for name, terms in (("omitted", absent_terms(spec)), ("of_class", class_terms(spec))):
+        record[name] = [{"key": t.key, "typical": t.typical, "source": t.source} for t in terms]
     return record | {"notes": notes(spec)}
 
 
 def omitted_lines(spec: "Spec") -> list[str]:
     """Error terms that are absent from the file, with the typical figures that count for them."""
-    from gradcal_jax.spec.absent import absent_terms, attitude_sentences, branch_sentences, sensor_grade, table_grade
+    from gradcal_jax.spec.absent import (
+        absent_terms,
+        attitude_sentences,
+        branch_sentences,
+        class_terms,
+        sensor_grade,
+        table_grade,
+    )
 
-    absent = absent_terms(spec)
+    absent, supplied = absent_terms(spec), class_terms(spec)
     others = [*branch_sentences(spec), *attitude_sentences(spec)]
+    lines: list[str] = []
+    if supplied:
+        rows = [(term.key, term.typical, term.source) for term in supplied]
+        lines += ["these terms have typical figures of the stated class; state your own in the file if you can:"]
+        lines.append(columns(rows, width=120))
     if not absent:
-        return others
+        return [*lines, *others]
     sensor, table = sensor_grade(spec.sensor), table_grade(spec)
     return [
+        *lines,
         "these terms are not in the file, so figures typical of the class count:",
         columns([(term.key, term.typical) for term in absent]),
         f"  class of the sensor: {sensor.name} grade ({sensor.like}), from {sensor.reason}",

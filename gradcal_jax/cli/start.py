@@ -100,13 +100,6 @@ def _folder(output: Path, preset: str | None, force: bool) -> int:
     for name, text in texts.items():
         write_whole(output / name, text)
     print(f"wrote {', '.join(str(output / name) for name in texts)}")
-    typical = begin.typical_terms(answers)
-    if typical:
-        print(
-            "no question was asked about these terms; for each, spec.toml has a typical figure of the class, and its "
-            "source:"
-        )
-        print("\n".join(f"  {line}" for line in typical))
     print("next, in this order:")
     print("\n".join(f"  {line}" for line in _next(answers, str(output))))
     return DONE

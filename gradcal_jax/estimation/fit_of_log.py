@@ -376,7 +376,7 @@ def calibration_of(
     case = frame is not None and frame.fixed_by == "case"
     section: dict[str, Any] = {
         "format": FORMAT,
-        "title": spec.title or spec.sensor.name or f"calibration of {name}",
+        "title": spec.title or f"calibration of {name}",
         "serial_number": name,
         "simulated": any(one.simulated for one in logs),
         "frame": FRAME_OF_CASE if case else "the table's axes at zero angles, rotated by the nominal mounting",

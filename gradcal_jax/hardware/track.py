@@ -236,10 +236,10 @@ def _gyro_errors(sensor: Sensor) -> GyroErrors | None:
     if (gyro := sensor.gyro) is None:
         return None
     usual, bias, scale = GyroErrors(), 0.0, 0.0
-    if gyro.bias is not None and gyro.bias.prior is not None:
+    if gyro.bias is not None and isinstance(gyro.bias.prior, float):
         # Of three gyros.
         bias = 3.0 * 3.0**0.5 * to_unit(float(gyro.bias.prior), "deg/s")
-    if (section := gyro.scale_factor) is not None and section.prior is not None:
+    if (section := gyro.scale_factor) is not None and isinstance(section.prior, float):
         scale = 3.0 * float(section.prior) * (section.temperature.size * section.rate.size) ** 0.5
     return GyroErrors(max(usual.share, scale), max(usual.bias_dps, bias))
 

@@ -144,8 +144,8 @@ def gyro_channel(
     of temperature, and its noise."""
     gradient = sensor.gradient_sensitivity
     return model.gyro_model(
-        None if sensor.bias is None else section_map(sensor.bias, axis, float(sensor.turn_on_bias or 0.0)),
-        None if sensor.scale_factor is None else section_map(sensor.scale_factor, axis),
+        None if sensor.bias is None else section_map(sensor.bias, float(sensor.turn_on_bias or 0.0)),
+        None if sensor.scale_factor is None else section_map(sensor.scale_factor),
         float(sensor.angle_random_walk),
         processes,
         reference,
@@ -166,7 +166,7 @@ def basis(section) -> model.Basis:
     return model.Bins(tuple(float(e) for e in section.edges))
 
 
-def section_map(section: Bias | ScaleFactor, axis: str, turn_on_std: float = 0.0) -> Map:
+def section_map(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:
     """`B(T)` or `M(T, ω)` with its priors, from a spec. The constant of a bias *is* this run's turn-on bias, so their
     priors add."""
     beyond, rate, degree = section.discrepancy, None, 0
@@ -179,7 +179,7 @@ def section_map(section: Bias | ScaleFactor, axis: str, turn_on_std: float = 0.0
         smoothness_std=or_infinite(section.smoothness),
         common_std=turn_on_std,
         discrepancy=None if beyond is None else (float(beyond.standard_deviation), beyond.temperature_degree, degree),
-        shapes=shapes_of(section, axis),
+        shapes=shapes_of(section),
         late=late_of(section),
     )
 
@@ -190,15 +190,16 @@ def late_of(section: Section) -> OtherTemperature | None:
     return OtherTemperature.late(float(lag)) if lag else None
 
 
-def shapes_of(section: Section, axis: str) -> np.ndarray | None:
-    """The shapes `(coefficients, m)` of the prior of a map of the channel along an axis; None without any."""
-    shapes = [s.coefficients for s in getattr(section, "shape", ()) if s.axis in (None, axis)]
-    return np.array(shapes, dtype=float).T if shapes else None
+def shapes_of(section: Section) -> np.ndarray | None:
+    """A factor `(coefficients, coefficients)` of the prior's covariance where each coefficient has a prior of its own;
+    None otherwise."""
+    prior = getattr(section, "prior", None)
+    return np.diag([float(size) for size in prior]) if isinstance(prior, tuple) else None
 
 
-def or_infinite(value: float | None) -> float:
-    """The prior's standard deviation; infinite (a flat prior) where it is absent."""
-    return np.inf if value is None else float(value)
+def or_infinite(value: float | tuple[float, ...] | None) -> float:
+    """The prior's standard deviation; infinite (a flat prior) where it is absent, or one for each coefficient."""
+    return float(value) if isinstance(value, float) else np.inf
 
 
 def held_rates(schedule: StandardSchedule) -> Schedule:

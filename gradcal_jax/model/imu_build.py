@@ -269,7 +269,7 @@ def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[Signa
             symbol.format(*of),
             unit,
             float(triad.turn_on_bias or 0.0) if key == "bias" else 0.0,
-            shapes_of(section, axis),
+            shapes_of(section),
         )
         for key, over, signals, name, symbol, unit in (_OF_GYRO if isinstance(triad, GyroTriad) else _OF_ACCELEROMETER)
         if (section := getattr(triad, key)) is not None

@@ -30,6 +30,10 @@ def stated_figures(spec: Spec) -> list[tuple[str, str]]:
     return [*_of_sensor(spec.sensor), *_of_rig(spec.rig)]
 
 
+def _sizes(prior: Any) -> str:
+    return ", ".join(map(str, prior)) if isinstance(prior, tuple) else str(prior)
+
+
 def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
     """The figures of every channel, and those of all channels."""
     rows: list[tuple[str, Any]] = []
@@ -48,7 +52,7 @@ def _of_sensor(sensor: Sensor) -> list[tuple[str, str]]:
         ]
         gradient, thermometer = triad.bias_temperature_gradient, triad.thermometer_noise
         priors = {name: getattr(getattr(triad, name), "prior", None) for name in type(triad).model_fields}
-        known = "; ".join(f"{name.replace('_', ' ')} {prior}" for name, prior in priors.items() if prior)
+        known = "; ".join(f"{name.replace('_', ' ')} {_sizes(prior)}" for name, prior in priors.items() if prior)
         rows += [
             (own + "temperature measurement", thermometer and str(thermometer.standard_deviation)),
             (own + "prior knowledge", known or None),

@@ -1,15 +1,14 @@
-"""Error terms that a spec does not name, each with its class's typical value, which counts in verdicts.
+"""Error terms that a spec does not name, each with its class's typical value.
 
-The figures and their sources are data, `typical.toml`; a term that the file names, even with zero or an empty list, is
-not absent. Only terms with an effect on the spec's own plan are listed.
+With a stated `grade` this value counts as if the file named it (see `typical`); without one it counts in verdicts. A
+term that the file names, even with zero or an empty list, is not absent. Only terms with an effect on the spec's own
+plan are listed.
 """
 
 import math
-import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cache
-from importlib import resources
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final
 
 from gradcal_jax import units
 from gradcal_jax.spec.changes import changed
@@ -17,6 +16,16 @@ from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.sensor import HOST_CLOCK, Sensor
 from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.spec.typical import (
+    EARTH,
+    Grade,
+    TypicalTerm,
+    class_row,
+    class_table,
+    grades,
+    terms_of,
+    typical_g_sensitivity,
+)
 from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.section import Section
 
@@ -26,36 +35,14 @@ _OF_SCALE_FACTOR: Final = frozenset({"sample_clock_error", "scale_factor_instabi
 _OF_RAMPS: Final = frozenset({"thermal_lag", "bias_temperature_gradient", "temperature_lag"})
 # Terms of the table itself: of one axis the first, of any other IMU the others.
 _OF_TABLE: Final = frozenset({"rate_accuracy", "tilt", "azimuth"})
-EARTH: Final = "rig.site.latitude"
 EARTH_IS_UNKNOWN: Final = (
     "the Earth's rate along the axis is not stated, so the bias includes up to 15.04 deg/h of this rate: give "
     "[rig.site] latitude"
 )
 
 
-class Grade(NamedTuple):
-    """The class of a sensor or table: its name, a typical device, and the reason."""
-
-    name: str
-    like: str
-    reason: str
-
-
-class AbsentTerm(NamedTuple):
-    """An absent term: its dotted key in the spec, a typical value for TOML, and the source of that figure."""
-
-    key: str
-    value: Any
-    source: str
-
-    @property
-    def typical(self) -> str:
-        """The value in words: ``10 deg/h, 100 s``."""
-        return "up to 15.04 deg/h" if self.key == EARTH else _words(self.value)
-
-
 # Of normal gravity at sea level: 3.09 um/s^2 a metre of height, and 0.3 mm/s^2 of anomaly.
-_NORMAL_GRAVITY: Final = AbsentTerm(
+_NORMAL_GRAVITY: Final = TypicalTerm(
     "gravity_accuracy",
     "250 ug",
     "gravity is not stated; this figure is the error of normal gravity at sea level, for heights of up to 1000 m",
@@ -63,10 +50,10 @@ _NORMAL_GRAVITY: Final = AbsentTerm(
 
 
 # Where rotation adds to the specific force that a gyro is sensitive to.
-BESIDE_ACCELEROMETERS: Final = AbsentTerm(
+BESIDE_ACCELEROMETERS: Final = TypicalTerm(
     "g_sensitivity.lever_arm", "3 mm", "estimate, for gyros beside the accelerometers on one board"
 )
-_OFF_THE_AXES: Final = AbsentTerm(
+_OFF_THE_AXES: Final = TypicalTerm(
     "g_sensitivity.lever_arm",
     "3 cm",
     "estimate, for a sensor on a table, without accelerometers that could measure the lever arm",
@@ -76,7 +63,7 @@ _OFF_THE_AXES: Final = AbsentTerm(
 _NOTICED: Final = 10.0
 
 
-def absent_lever_arm(spec: Spec) -> AbsentTerm | None:
+def absent_lever_arm(spec: Spec) -> TypicalTerm | None:
     """The lever arm of gyros that are sensitive to acceleration, its key in the spec, where the spec leaves it out and
     tests of the fit would notice it."""
     gyro = spec.sensor.gyro
@@ -100,12 +87,26 @@ def _fourth_power_of_rates(spec: Spec) -> float:
     return cycles * sum(abs(move.angle) ** 4 / move.duration**3 for move in turns)
 
 
-def absent_terms(spec: Spec) -> list[AbsentTerm]:
-    """Every term of the error budget that the file does not name and that affects its plan. Errors: none."""
-    return list(_absent(spec))
+# Terms that a stated class does not supply.
+_NEVER_OF_CLASS: Final = ("lever_arm", "hysteresis")
 
 
-def _absent(spec: Spec) -> Iterator[AbsentTerm]:
+def absent_terms(spec: Spec) -> list[TypicalTerm]:
+    """Every term of the error budget that affects the plan, and that neither the file nor its class states."""
+    return [term for term in _unstated(spec) if not _is_of_class(spec, term.key)]
+
+
+def class_terms(spec: Spec) -> list[TypicalTerm]:
+    """Every term that affects the plan, and that has the figure of the class that the file states."""
+    return [term for term in _unstated(spec) if _is_of_class(spec, term.key)]
+
+
+def _is_of_class(spec: Spec, key: str) -> bool:
+    grade = spec.sensor.grade if key.startswith("sensor.") else spec.rig.table.grade
+    return grade is not None and not key.endswith(_NEVER_OF_CLASS)
+
+
+def _unstated(spec: Spec) -> Iterator[TypicalTerm]:
     sensor, table, site, alone = spec.sensor, spec.rig.table, spec.rig.site, spec.is_one_axis
     gyro, force, keys = sensor.gyro, sensor.accelerometer, _keys_of_axis(spec) if alone else _keys_of_imu(spec)
     terms = [t for t in terms_of("sensor", sensor_grade(sensor).name) if t.key in keys]
@@ -148,9 +149,9 @@ def _absent(spec: Spec) -> Iterator[AbsentTerm]:
         if alone or not table.by_gravity:
             of_angle = [t._replace(key=t.key[6:]) for t in of_table if t.key.startswith("angle.")]
             yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", of_angle)
-    if alone and site.latitude is None:
+    if alone and "latitude" not in site.model_fields_set:
         reason = "the Earth turns at 15.04 deg/h, and the angle between its axis and the table's is not stated"
-        yield AbsentTerm(EARTH, "unknown", reason)
+        yield TypicalTerm(EARTH, "unknown", reason)
 
 
 _OF_BRANCHES: Final = {
@@ -163,11 +164,11 @@ _OF_BRANCHES: Final = {
 of its hysteresis terms."""
 
 
-def path_terms_of(sensor: Sensor, kind: str) -> list[AbsentTerm]:
+def path_terms_of(sensor: Sensor, kind: str) -> list[TypicalTerm]:
     """What depends on the path of temperature in channels of the kind's class, its key within the triad's table."""
     grade = sensor_grade(sensor) if kind == "gyro" else accelerometer_grade(sensor)
-    row = _row("sensor" if kind == "gyro" else "accelerometer", grade.name)
-    return [AbsentTerm(term["key"], term["value"], term["source"]) for term in row["path"]]
+    row = class_row("sensor" if kind == "gyro" else "accelerometer", grade.name)
+    return [TypicalTerm(term["key"], term["value"], term["source"]) for term in row["path"]]
 
 
 def branch_sentences(spec: Spec) -> list[str]:
@@ -223,7 +224,7 @@ def minutes_of_change(spec: Spec, change_k: float) -> str:
     return f" ({change_k / rate / 60.0:.3g} min at {rate * 60.0:.3g} K/min)" if math.isfinite(rate) and rate else ""
 
 
-def _unnamed(section: Section, prefix: str, terms: list[AbsentTerm]) -> Iterator[AbsentTerm]:
+def _unnamed(section: Section, prefix: str, terms: list[TypicalTerm]) -> Iterator[TypicalTerm]:
     """The terms that a table of the file does not name, with their whole keys."""
     for term in terms:
         if term.key not in section.model_fields_set:
@@ -245,7 +246,7 @@ def sensor_grade(sensor: Sensor) -> Grade:
     if (gyro := sensor.gyro) is None:
         return accelerometer_grade(sensor)
     if sensor.grade is not None:
-        return Grade(sensor.grade, str(_row("sensor", sensor.grade)["like"]), "sensor.grade")
+        return Grade(sensor.grade, str(class_row("sensor", sensor.grade)["like"]), "sensor.grade")
     return _by_noise("sensor", gyro.drift, "angular rate", gyro.angle_random_walk)
 
 
@@ -267,7 +268,7 @@ def slopes_of(sensor: Sensor, kind: str = "gyro") -> tuple[float, float]:
     """Typical slopes over temperature of a channel's bias (rad/s/K or m/s^2/K) and of its scale factor (1/K): the
     spec's own, where it states them, or those of the class."""
     if kind == "accelerometer":
-        row = _row("accelerometer", accelerometer_grade(sensor).name)
+        row = class_row("accelerometer", accelerometer_grade(sensor).name)
         return units.parse(row["bias_slope"], "acceleration"), units.parse(row["scale_factor_slope"], "scale factor")
     typical = next(t.value for t in terms_of("sensor", sensor_grade(sensor).name) if t.key == "temperature_error")
     bias = units.parse(typical["bias_slope"], "bias slope")
@@ -282,6 +283,8 @@ def table_grade(spec: Spec) -> Grade:
     """The class of a rate table, by its named angle errors; the worst class without any."""
     angles = [axis.angle for axis in spec.rig.table.axis]
     size = max(max(float(a.reading_noise), float(a.standstill_offset)) for a in angles)
+    if (stated := spec.rig.table.grade) is not None:
+        return Grade(stated, str(class_row("table", stated)["like"]), "rig.table.grade")
     if size == 0.0:
         return _grade("table", math.inf, "angle", "angle", "the worst class, because the spec names no angle error")
     return _grade("table", size, "angle", "angle", "its angle errors")
@@ -293,23 +296,8 @@ _parsed = cache(units.parse)
 
 def _grade(kind: str, size: float, key: str, dimension: str, reason: str) -> Grade:
     """The first class, beginning with the worst, whose lower limit is at or below a size; the last limit is zero."""
-    row = next(row for row in _table()[kind] if size >= _parsed(row[key], dimension))
+    row = next(row for row in class_table()[kind] if size >= _parsed(row[key], dimension))
     return Grade(row["grade"], row["like"], reason)
-
-
-def grades() -> tuple[str, ...]:
-    """Names of the classes of gyros."""
-    return tuple(row["grade"] for row in _table()["sensor"])
-
-
-def terms_of(kind: str, grade: str) -> list[AbsentTerm]:
-    """Every term of a class's typical error budget, its key within `kind`: "sensor" or "table"."""
-    return [AbsentTerm(term["key"], term["value"], term["source"]) for term in _row(kind, grade)["term"]]
-
-
-def typical_g_sensitivity(grade: str) -> str:
-    """A typical sensitivity of a class's gyros to acceleration, 1σ."""
-    return _row("sensor", grade)["g_sensitivity"]["value"]
 
 
 def _keys_of_axis(spec: Spec) -> set[str]:
@@ -341,7 +329,7 @@ def _keys_of_imu(spec: Spec) -> set[str]:
     gyro, force = spec.sensor.gyro, spec.sensor.accelerometer
     keys = {"temperature_offset", "temperature_lag", "drift", "rate_random_walk", "turn_on_bias"}
     keys |= {"bias_temperature_gradient", "tilt", "azimuth"}
-    keys |= {t.key for t in terms_of("table", _table()["table"][0]["grade"]) if t.key.startswith("angle.")}
+    keys |= {t.key for t in terms_of("table", class_table()["table"][0]["grade"]) if t.key.startswith("angle.")}
     keys -= {"angle.timing_error", "angle.backlash"}
     if gyro is not None and gyro.scale_factor is not None:
         keys |= {"scale_factor_instability", "sample_clock_error"}
@@ -351,28 +339,10 @@ def _keys_of_imu(spec: Spec) -> set[str]:
     return keys - ({"sample_clock_error"} if spec.sensor.clock == "host" else set())
 
 
-def _of_clock(term: AbsentTerm, sensor: Sensor) -> AbsentTerm:
+def _of_clock(term: TypicalTerm, sensor: Sensor) -> TypicalTerm:
     """The computer's clock counts, with which a run compares the sensor's, unless the spec takes the sensor's."""
     if term.key != "sample_clock_error" or sensor.clock == "sensor":
         return term
     return term._replace(
         value=f"{HOST_CLOCK * 1e6:g} ppm", source="the computer's clock, with which a run compares the sensor's clock"
     )
-
-
-def _words(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"order {v}" if k == "order" else str(v) for k, v in cast("dict[str, Any]", value).items())
-    if isinstance(value, list):
-        return "; ".join(_words(entry) for entry in cast("list[Any]", value))
-    return str(value)
-
-
-@cache
-def _table() -> dict[str, Any]:
-    text = (resources.files("gradcal_jax.spec") / "typical.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)
-
-
-def _row(kind: str, grade: str) -> dict[str, Any]:
-    return next(row for row in _table()[kind] if row["grade"] == grade)

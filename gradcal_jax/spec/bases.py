@@ -27,7 +27,7 @@ def increasing(values: Sequence[float], key: str) -> list[Problem]:
 class PolynomialKeys(Section):
     """Powers of (x − centre)/scale."""
 
-    basis: Literal["polynomial"]
+    basis: Literal["polynomial"] = "polynomial"
     """Kind of functions."""
     degree: Degree
     """Highest power."""
@@ -151,9 +151,13 @@ class RateBins(BinsKeys):
 
 TemperatureBasis = Annotated[
     TemperaturePolynomial | TemperatureSpline | TemperatureBins,
-    chosen_by("basis", {"polynomial": TemperaturePolynomial, "b-spline": TemperatureSpline, "bins": TemperatureBins}),
+    chosen_by(
+        "basis",
+        {"polynomial": TemperaturePolynomial, "b-spline": TemperatureSpline, "bins": TemperatureBins},
+        default="polynomial",
+    ),
 ]
 RateBasis = Annotated[
     RatePolynomial | RateSpline | RateBins,
-    chosen_by("basis", {"polynomial": RatePolynomial, "b-spline": RateSpline, "bins": RateBins}),
+    chosen_by("basis", {"polynomial": RatePolynomial, "b-spline": RateSpline, "bins": RateBins}, default="polynomial"),
 ]

@@ -17,8 +17,7 @@ from gradcal_jax.calibration.text_template import rendered
 from gradcal_jax.hardware import frames, line_protocol, register_protocol
 from gradcal_jax.records.column_names import EXAMPLE
 from gradcal_jax.spec import presets, started_spec
-from gradcal_jax.spec.absent import grades
-from gradcal_jax.tables.display import columns
+from gradcal_jax.spec.typical import grades
 from gradcal_jax.tables.problems import instead
 
 TABLES: Final = ("grbl", "aerosmith-like", "hand", "none")
@@ -188,14 +187,6 @@ def files_of(answers: Answers) -> dict[str, str]:
     if answers["angle"].strip() != NO_ENCODER:
         text, axes = started_spec.spec_text(answers, known)
     return {"spec.toml": text, "rig.toml": rig_text(answers, known, axes), "columns.toml": map_text}
-
-
-def typical_terms(answers: Answers) -> list[str]:
-    """Lines on the error terms that no question asked: key, typical figure, source."""
-    if not _turns(answers) or answers["angle"].strip() == NO_ENCODER:
-        return []
-    rows = started_spec.not_asked(answers, _known(answers))
-    return columns(rows, indent="", width=110).splitlines()
 
 
 def _known(answers: Answers) -> dict[str, tuple[Any, ...]]:

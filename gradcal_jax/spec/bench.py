@@ -2,16 +2,16 @@
 simulated sensors."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, Final, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from gradcal_jax.spec.bases import increasing
 from gradcal_jax.spec.rig import Name
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem, repeated_names
-from gradcal_jax.tables.section import Section
+from gradcal_jax.tables.section import Section, one_or_more
 
 NO_TIME: Final = q.Quantity(0.0, "0 s", "time")
 
@@ -144,9 +144,9 @@ class TableAxis(Section):
 
     name: Name
     """Name of the axis, used by moves."""
-    direction: Vector
+    direction: Vector = (0.0, 0.0, 1.0)
     """Direction of the axis if all axes are at zero, in the frame that turns with the next outer axis (for the
-    outermost axis: East, North, up)."""
+    outermost axis: East, North, up); absent: up."""
     max_rate: q.PositiveRate
     """Largest rate."""
     max_acceleration: q.PositiveAcceleration
@@ -241,18 +241,16 @@ class Place(Mounting):
                 yield Problem(("matrix",), "this matrix replaces x, y and z: leave these keys out")
 
 
+_Axes = Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
 _Mountings = Annotated[tuple[Mounting, ...], Field(min_length=1, max_length=12)]
-_OneOrMoreMountings = Annotated[
-    _Mountings,
-    BeforeValidator(
-        lambda value: (value,) if isinstance(value, Mapping) else value, json_schema_input_type=Mounting | _Mountings
-    ),
-]
 
 
 class RigTable(Section):
     """The table."""
 
+    grade: Literal["coarse", "middle", "fine"] | None = None
+    """Class whose typical figures hold for all errors of the table that the spec does not state; absent: the errors of
+    the angle determine the class, and its figures count only in verdicts."""
     standing: Literal["held", "read"] = "held"
     """"held": an axis at rest does not turn; "read": an axis at rest may turn a little, and its angle is known only
     from the readings, one every `read_every`."""
@@ -267,9 +265,9 @@ class RigTable(Section):
     """Standard deviation of the base's azimuth."""
     rate_accuracy: q.SizeOfScaleFactor | None = None
     """Standard deviation, as a ratio, of the reference rate of the standard method; absent: the reference is exact."""
-    axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
+    axis: Annotated[_Axes, one_or_more(TableAxis | _Axes)]
     """Axes of the table, outermost first."""
-    mounting: _OneOrMoreMountings = (Mounting(),)
+    mounting: Annotated[_Mountings, one_or_more(Mounting | _Mountings)] = (Mounting(),)
     """The mounting of the IMU, or several mountings that are used one after the other."""
     place: Annotated[tuple[Place, ...], Field(max_length=64)] = ()
     """Places of a fixture that holds several IMUs; absent: one IMU, in the mounting of the table."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_serializer
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationError, model_serializer
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
@@ -119,14 +119,21 @@ class MotionCycle(Section):
     table rests for the remaining time (without readings if standing = "read")."""
 
 
+# A list of moves may stand for the cycle.
+_of_moves = BeforeValidator(
+    lambda value: {"moves": value} if isinstance(value, list) else value,
+    json_schema_input_type=MotionCycle | tuple[PlanMove, ...] | None,
+)
+
+
 class MotionPlan(ChamberCourse):
     """The plan of an IMU. If there are several mountings, the mounting changes to the next one before each further part
     of the programme whose data are used. If the programme is a single ramp, it is repeated for each mounting; in
     between, the chamber returns to the start of the ramp."""
 
-    method: Literal["gradient"]
+    method: Literal["gradient"] = "gradient"
     """The method of the plan."""
-    cycle: MotionCycle | None = None
+    cycle: Annotated[MotionCycle | None, _of_moves] = None
     """Motion that is repeated; absent: the table is at rest, and each axis is read at intervals of its `read_every`."""
     before: Annotated[tuple[Temperature, ...], Field(max_length=100)] = ()
     """Turning points of the sensor's temperature before the plan, in order, such as room temperature; they determine
@@ -136,7 +143,10 @@ class MotionPlan(ChamberCourse):
         return self.course_problems(with_cycle=self.cycle is not None)
 
 
-AnyPlan = Annotated[MotionPlan | StandardPlan, chosen_by("method", {"gradient": MotionPlan, "standard": StandardPlan})]
+AnyPlan = Annotated[
+    MotionPlan | StandardPlan,
+    chosen_by("method", {"gradient": MotionPlan, "standard": StandardPlan}, default="gradient"),
+]
 
 
 @dataclass(frozen=True)

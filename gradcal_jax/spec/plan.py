@@ -12,15 +12,13 @@ The temperature of a gradient plan is written in one of three ways:
 
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal
 
-from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, core_schema
+from pydantic import Field
 
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
-from gradcal_jax.tables.section import Section, read_by, refuse, refuse_misspelt
+from gradcal_jax.tables.section import Section, read_by, refuse_misspelt
 
 
 class Soak(Section):
@@ -93,40 +91,10 @@ class OtherAxes(Section):
             yield Problem(("read_every",), "has an effect only if read = true", self.read_every.text)
 
 
-class _Slopes:
-    """Marks a field that holds one size of a slope, or a list of signed slopes."""
-
-    _one = q.Of("temperature slope", above="0 K/min")
-    _each = q.Of("temperature slope")
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        def text(value: q.Quantity | tuple[q.Quantity, ...]) -> str | list[str]:
-            return [str(slope) for slope in value] if isinstance(value, tuple) else str(value)
-
-        writing = core_schema.plain_serializer_function_ser_schema(text)
-        return core_schema.no_info_plain_validator_function(self.read, serialization=writing)
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        one = self._one.__get_pydantic_json_schema__(schema, handler)
-        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
-
-    def read(self, value: object) -> q.Quantity | tuple[q.Quantity, ...]:
-        if not isinstance(value, list | tuple):
-            return self._one.read(value)
-        slopes: list[q.Quantity] = []
-        problems: list[Problem] = []
-        for i, entry in enumerate(cast("list[object]", value)):
-            try:
-                slopes.append(self._each.read(entry))
-            except ValueError as error:
-                problems.append(Problem((i,), str(error), entry))
-        if not slopes and not problems:
-            raise ValueError("expected a temperature slope, or a list of slopes, one for each cycle")
-        refuse(*problems)
-        return tuple(slopes)
-
-
-Slopes = Annotated[q.Quantity | tuple[q.Quantity, ...], _Slopes()]
+Slopes = Annotated[
+    q.Quantity | tuple[q.Quantity, ...],
+    q.OneOrList(q.Of("temperature slope", above="0 K/min"), q.Of("temperature slope"), "one for each cycle"),
+]
 
 
 class ChamberCourse(Section):

@@ -1,15 +1,15 @@
 """`[[requirement]]`: the errors that a calibration limits, and their statistics."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
-from pydantic import Field, Strict
+from pydantic import Field, Strict, model_validator
 
 from gradcal_jax.spec.bases import increasing
 from gradcal_jax.spec.mission import Missions
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem, one_of
-from gradcal_jax.tables.section import Section, chosen_by
+from gradcal_jax.tables.section import Section, chosen_by, one_or_more
 
 Coverage = Annotated[float, Strict(), Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 Points = Annotated[int, Field(strict=True, ge=2, le=5001)]
@@ -28,13 +28,20 @@ class _OfElements(Section):
     ELEMENTS: ClassVar[tuple[Elements, ...]] = ("all", "worst", "x", "y", "z")
 
     name: q.Text
-    """Name of the requirement, used in verdicts and in [design]."""
+    """Name of the requirement, used in verdicts and in [design]; absent: its quantity in words."""
     axis: Elements = "worst"
     """One axis, the worst of all axes, or the root mean square over all axes."""
     target: Any = None
     """Limit on the error; absent: there is no verdict."""
     coverage: Coverage = 1.0
     """Number of standard deviations that must be within the target."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named(cls, value: object) -> object:
+        if isinstance(value, Mapping) and "name" not in value and isinstance(quantity := value.get("quantity"), str):
+            return {"name": quantity.replace("_", " "), **value}
+        return value
 
     def _problems(self) -> Iterator[Problem]:
         if self.axis not in self.ELEMENTS:
@@ -207,4 +214,6 @@ Requirement = (
     | MissionHeadingRequirement
 )
 _CLASSES: Final = {name: of for of in get_args(Requirement) for name in get_args(of.__annotations__["quantity"])}
-Requirements = Annotated[tuple[Annotated[Requirement, chosen_by("quantity", _CLASSES)], ...], Field(max_length=100)]
+_One = Annotated[Requirement, chosen_by("quantity", _CLASSES)]
+_Several = Annotated[tuple[_One, ...], Field(max_length=100)]
+Requirements = Annotated[_Several, one_or_more(_One | _Several)]

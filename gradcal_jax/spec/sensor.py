@@ -1,14 +1,8 @@
-"""`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or an IMU.
-
-**`[[sensor.gyro.bias.shape]]`** and the like are the prior of a map by functions that the IMUs of a type have in
-common. With coefficients `s_j` of shape j, the coefficients of the map have the covariance `Σ s_j s_jᵀ` about zero: a
-mean map is one shape, what the type varies in are others, and what may be beyond them are as many as there are
-coefficients.
-"""
+"""`[sensor]`: the device under calibration, its noise, and its unknown error functions; one gyro axis or an IMU."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Final, Literal
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Final, Literal, cast
 
 from pydantic import BeforeValidator, Field
 
@@ -17,53 +11,18 @@ from gradcal_jax.spec.bases import Degree, PolynomialKeys, RateBasis, Temperatur
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Of, Quantity, Rate
-from gradcal_jax.tables.section import Section
+from gradcal_jax.tables.section import Section, one_or_more
 
 
-class BiasShape(Section):
-    """A function of temperature (and rate) that differs between IMUs of one type by a random factor with mean 0 and
-    variance 1."""
-
-    axis: Literal["x", "y", "z"] | None = None
-    """Axis of the channel to which the function belongs; absent: the function belongs to all channels."""
-    coefficients: Annotated[tuple[Rate, ...], Field(min_length=1, max_length=40_000)]
-    """Coefficients of the function, in the order of a calibration file."""
+def _prior(dimension: str, above: str) -> q.OneOrList:
+    one = q.Of(dimension, above=above)
+    return q.OneOrList(one, one, "one for each coefficient")
 
 
-class ScaleFactorShape(BiasShape):
-    """A shape of the scale factor: a function that differs between IMUs of one type by a random factor."""
-
-    coefficients: Annotated[tuple[Annotated[Quantity, Of("scale factor")], ...], Field(min_length=1, max_length=40_000)]
-
-
-class SpecificForceShape(BiasShape):
-    """A shape of an accelerometer's bias: a function that differs between IMUs of one type by a random factor."""
-
-    coefficients: Annotated[tuple[Annotated[Quantity, Of("acceleration")], ...], Field(min_length=1, max_length=40_000)]
-
-
-def _shape_problems(shapes: Sequence[BiasShape], size: int, prior: Quantity | None) -> Iterator[Problem]:
-    """What is wrong with the shapes of a map with `size` coefficients."""
-    if not shapes:
-        return
-    if prior is not None:
-        yield Problem(("shape",), 'states the prior of the map, and so does "prior": leave one of them out')
-    for k, shape in enumerate(shapes):
-        if len(shape.coefficients) != size:
-            message = f"expected {size} coefficients, as many as the map has"
-            yield Problem(("shape", k, "coefficients"), message, len(shape.coefficients))
-            return
-    import numpy as np
-
-    for axis in ("x", "y", "z"):
-        rows = np.array([shape.coefficients for shape in shapes if shape.axis in (None, axis)], dtype=float)
-        largest = np.max(np.abs(rows), axis=0, initial=0.0)
-        if len(rows) and np.linalg.matrix_rank(rows / np.where(largest > 0.0, largest, 1.0)) < size:
-            message = (
-                f"the shapes of axis {axis} do not span all {size} coefficients: add shapes for the other possible "
-                "deviations of the map"
-            )
-            yield Problem(("shape",), message)
+Prior = q.Quantity | tuple[q.Quantity, ...]
+RatePrior = Annotated[Prior, _prior("angular rate", "0 deg/s")]
+ScaleFactorPrior = Annotated[Prior, _prior("scale factor", "0 ppm")]
+SpecificForcePrior = Annotated[Prior, _prior("acceleration", "0 mg")]
 
 
 class _Process(Section):
@@ -85,6 +44,10 @@ class ScaleFactorInstability(_Process):
 
     standard_deviation: q.PositiveScaleFactor
     """Stationary standard deviation of the scale factor's error, a ratio."""
+
+
+_Drifts = Annotated[tuple[Drift, ...], Field(max_length=20)]
+_Instabilities = Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)]
 
 
 class TemperatureError(Section):
@@ -139,8 +102,8 @@ def _gradient_of_bias(table: type[BiasTemperatureGradient], dimension: str, leas
 
 
 class _ErrorFunction(Section):
-    """A function of `temperature` and `rate`, as far as a table has these bases; the keys `smoothness`, `discrepancy`,
-    `shape` and `prior` mean the same in every table that has them."""
+    """A function of `temperature` and `rate`, as far as a table has these bases; the keys `smoothness`, `discrepancy`
+    and `prior` mean the same in every table that has them."""
 
     lag: q.Time | None = None
     """Known first-order lag of this map behind the sensor's temperature; absent: no lag. At the start, the lag is in
@@ -170,7 +133,10 @@ class _ErrorFunction(Section):
             yield Problem(("discrepancy",), message)
         elif hidden is not None and all(getattr(hidden, f"{k}_degree") <= of.degree for k, of in polynomials.items()):
             yield Problem(("discrepancy",), "at least one of its degrees must exceed that of the map")
-        yield from _shape_problems(getattr(self, "shape", ()), self.size, getattr(self, "prior", None))
+        prior = getattr(self, "prior", None)
+        if isinstance(prior, tuple) and len(cast("tuple[q.Quantity, ...]", prior)) != self.size:
+            message = f"expected one figure for all coefficients, or {self.size}, one for each coefficient"
+            yield Problem(("prior",), message)
 
 
 class BiasDiscrepancy(Section):
@@ -199,15 +165,12 @@ class Bias(_ErrorFunction):
 
     temperature: TemperatureBasis
     """Basis over temperature."""
-    prior: q.PositiveRate | None = None
-    """Standard deviation of each coefficient before the calibration; absent: unknown."""
+    prior: RatePrior | None = None
+    """Standard deviation of each coefficient before the calibration, or a list of them; absent: unknown."""
     smoothness: q.PositiveRate | None = None
     """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
     discrepancy: BiasDiscrepancy | None = None
     """Possible structure of the map beyond its basis."""
-    shape: Annotated[tuple[BiasShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: the prior is a sum of these functions with random factors. A channel without shapes has a
-    flat prior."""
 
 
 class ScaleFactor(_ErrorFunction):
@@ -218,15 +181,13 @@ class ScaleFactor(_ErrorFunction):
     """Basis over temperature."""
     rate: RateBasis
     """Basis over rate."""
-    prior: q.PositiveScaleFactor | None = None
-    """Standard deviation of each coefficient before the calibration, a ratio; absent: unknown."""
+    prior: ScaleFactorPrior | None = None
+    """Standard deviation of each coefficient before the calibration, a ratio, or a list of them;
+    absent: unknown."""
     smoothness: q.PositiveScaleFactor | None = None
     """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
     discrepancy: ScaleFactorDiscrepancy | None = None
     """Possible structure of the map beyond its basis."""
-    shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: the prior is a sum of these functions with random factors. A channel without shapes has a
-    flat prior."""
 
 
 HOST_CLOCK: Final = 1e-6
@@ -284,7 +245,7 @@ class _Channel(Section):
     turn_on_bias: q.Quantity | None = None
     """Standard deviation of the part of the bias that takes a new value at every power-on and is not part of the
     map."""
-    scale_factor_instability: Annotated[tuple[ScaleFactorInstability, ...], Field(max_length=20)] = ()
+    scale_factor_instability: Annotated[_Instabilities, one_or_more(ScaleFactorInstability | _Instabilities)] = ()
     """In-run instabilities of the scale factor; their sum is the error."""
     temperature_error: TemperatureError | None = None
     """Error of the measured temperature."""
@@ -324,7 +285,7 @@ class _Gyro(_Channel):
     """Largest rate that the gyro measures."""
     full_scale_margin: q.Margin = q.Quantity(0.05, "5 %", "scale factor")
     """Fraction of the full scale that plans leave unused."""
-    drift: Annotated[tuple[Drift, ...], Field(max_length=20)] = ()
+    drift: Annotated[_Drifts, one_or_more(Drift | _Drifts)] = ()
     """In-run bias instabilities; their sum is the error."""
     bias_temperature_gradient: Annotated[
         BiasTemperatureGradient | q.SizeOfGradientSensitivity | None,
@@ -351,7 +312,7 @@ BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
 class _ErrorTerm(_ErrorFunction):
     temperature: TemperatureBasis | None = None
     """Basis over temperature; absent: constant."""
-    prior: q.Quantity | None = None
+    prior: Prior | None = None
     """Standard deviation of each coefficient before the calibration; absent: unknown."""
 
 
@@ -389,21 +350,21 @@ class SpecificForceDrift(_Process):
     standard_deviation: q.PositiveSpecificForce
 
 
+_DriftsOfForce = Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)]
+
+
 class SpecificForceBias(_ErrorTerm):
     """An accelerometer's bias over temperature."""
 
-    prior: q.PositiveSpecificForce | None = None
-    shape: Annotated[tuple[SpecificForceShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: the prior is a sum of these functions with random factors."""
+    prior: SpecificForcePrior | None = None
 
 
 class SpecificForceScale(_ErrorTerm):
     """An accelerometer's scale factor over temperature."""
 
-    prior: q.PositiveScaleFactor | None = None
-    """Standard deviation of each coefficient before the calibration, a ratio; absent: unknown."""
-    shape: Annotated[tuple[ScaleFactorShape, ...], Field(max_length=600)] = ()
-    """Instead of `prior`: the prior is a sum of these functions with random factors."""
+    prior: ScaleFactorPrior | None = None
+    """Standard deviation of each coefficient before the calibration, a ratio, or a list of them;
+    absent: unknown."""
 
 
 class SecondOrder(_ErrorTerm):
@@ -446,7 +407,7 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     """Axes along which the IMU has an accelerometer."""
     velocity_random_walk: q.VelocityRandomWalk
     """White noise of the specific force."""
-    drift: Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)] = ()
+    drift: Annotated[_DriftsOfForce, one_or_more(SpecificForceDrift | _DriftsOfForce)] = ()
     """In-run bias instabilities; their sum is the error."""
     turn_on_bias: q.SizeOfSpecificForce | None = None
     temperature_error: ForceTemperatureError | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -493,11 +454,9 @@ class BodyFrame(Section):
 class Sensor(_Instrument):
     """An IMU: gyros, accelerometers, or both."""
 
-    name: q.Text | None = None
-    """A title for tables and pages."""
     grade: Grade | None = None
-    """Class whose typical figures replace terms that the spec omits; absent: the class follows from the drift or,
-    without drift, from the angle random walk."""
+    """Class whose typical figures hold for all error terms that the spec does not state; absent: the class follows from
+    the drift or, without drift, from the angle random walk, and its figures count only in verdicts."""
     gyro: GyroTriad | None = None
     """Common properties of the gyros."""
     accelerometer: AccelerometerTriad | None = None

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import Final, Literal
 
+from pydantic import model_validator
+
 from gradcal_jax.spec.bench import Rig
 from gradcal_jax.spec.checks import problems_between
 from gradcal_jax.spec.design import Design
@@ -13,6 +15,7 @@ from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.requirement import Requirements
 from gradcal_jax.spec.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.spec.sensor import Sensor
+from gradcal_jax.spec.typical import of_classes
 from gradcal_jax.tables.document import TitledFile
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Text
@@ -40,6 +43,12 @@ class Spec(TitledFile):
     """Temperature profile of the chamber, and motion of the table."""
     design: Design | None = None
     """What `optimise` minimises, and what it may change; other commands do not use it."""
+
+    @model_validator(mode="after")
+    def _with_figures_of_classes(self) -> "Spec":
+        sensor, rig = of_classes(self)
+        self.__dict__.update(sensor=sensor, rig=rig)
+        return self
 
     def _problems(self) -> Iterator[Problem]:
         return problems_between(self)

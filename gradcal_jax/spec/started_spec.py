@@ -1,6 +1,6 @@
 """The spec of `gradcal start`: the class's error budget, the rig and targets that were answered, and a plan that fits.
 
-Its text is `templates/spec.toml`.
+Its text is `templates/spec.toml`. What no question asks is not written: it has the figures of the class.
 """
 
 import math
@@ -10,18 +10,13 @@ from typing import Any, Final, cast
 from gradcal_jax import units
 from gradcal_jax.calibration.text_template import rendered
 from gradcal_jax.spec import presets
-from gradcal_jax.spec.absent import BESIDE_ACCELEROMETERS, terms_of, typical_g_sensitivity
+from gradcal_jax.spec.absent import BESIDE_ACCELEROMETERS
+from gradcal_jax.spec.typical import terms_of, typical_g_sensitivity
 
 Answers = Mapping[str, str]
 Known = Mapping[str, tuple[Any, ...]]
 _FULL_TURN: Final = 2.0 * math.pi
-# Plain keys stand above tables.
-_TERMS: Final = ("thermal_lag", "sample_clock_error", "temperature_offset", "temperature_lag")
-_TERMS_OF_GYRO: Final = (
-    "rate_random_walk", "turn_on_bias", "drift", "scale_factor_instability", "temperature_error",
-    "bias_temperature_gradient",
-)  # fmt: skip
-# Before the calibration, by grade: misalignment, g-sensitivity, the accelerometers' scale factor and its slope.
+# Before the calibration, by grade: misalignment, and the accelerometers' scale factor and its slope.
 _PRIORS: Final = {
     "consumer": ("20 mrad", "1 %, 50 ppm/K"),
     "tactical": ("10 mrad", "3000 ppm, 10 ppm/K"),
@@ -34,8 +29,8 @@ def spec_text(answers: Answers, known: Known) -> tuple[str, tuple[str, ...]]:
     """The spec, and the names of the table's axes."""
     cold, warm, slope = cast("tuple[float, float, float]", known["chamber"])
     grade, kind = str(known["grade"][0]), answers["kind"]
-    terms = _terms(answers, known, grade)
-    lag = units.parse(str(terms["thermal_lag"][0]), "time")
+    terms = {term.key: term.value for term in terms_of("sensor", grade)}
+    lag = units.parse(str(terms["thermal_lag"]), "time")
     # The die's temperature lags the air's: temperatures that it does not reach are not required.
     inset = min(math.ceil(2.0 * slope * lag) + 2.0, 0.2 * (warm - cold))
     coldest, warmest, ramp = _parts(answers["chamber"])
@@ -51,6 +46,7 @@ def spec_text(answers: Answers, known: Known) -> tuple[str, tuple[str, ...]]:
     values: dict[str, Any] = {
         "of": answers,
         "grade": grade,
+        "table": table,
         "axes": axes,
         "hand": hand,
         "half": half,
@@ -62,24 +58,27 @@ def spec_text(answers: Answers, known: Known) -> tuple[str, tuple[str, ...]]:
         "fastest": f"{math.degrees(fastest):.6g}",
         "start": start,
         "moves": moves,
-        "plain_terms": _TERMS,
-        "terms_of_gyro": _TERMS_OF_GYRO,
-        "terms": terms,
-        "table": {term.key: term for term in terms_of("table", table)},
-        "priors": {"misalignment": misalignment, "g_sensitivity": typical_g_sensitivity(grade)},
-        "lever_arm": BESIDE_ACCELEROMETERS[1:],
-        "bias_shapes": _shapes(answers["sheet"], "deg/s", half, 4) if known["sheet"] else [],
+        "turn_on": answers["turn_on"].strip() if known["turn_on"] else "",
+        "accuracy": next(term.value for term in terms_of("table", table) if term.key == "mounting_accuracy"),
+        "misalignment": misalignment,
+        "g_sensitivity": typical_g_sensitivity(grade),
+        "lever_arm": BESIDE_ACCELEROMETERS.value,
         "targets": [*_parts(answers["targets"]), *(_parts(answers["force_targets"]) if kind == "imu" else ())],
     }
+    values |= {"temperature_error": "", "bias_prior": ""}
+    if known["sheet"]:
+        _, bias_slope, scale_slope = _parts(answers["sheet"])
+        error = terms["temperature_error"] | {"bias_slope": bias_slope, "scale_factor_slope": scale_slope}
+        values["temperature_error"] = ", ".join(f'{key} = "{value}"' for key, value in error.items())
+        values["bias_prior"] = _prior(answers["sheet"], "deg/s", half, 4)
     if kind != "gyro":
         values["gravity"] = _normal_gravity(units.parse(answers["latitude"], "angle"))
     if kind == "imu":
         walk, sheet = answers["force"].split(",", 1)
         values |= {
             "walk_of_force": walk.strip(),
-            "terms_of_force": {term.key: term for term in terms_of("accelerometer", grade)},
-            "force_shapes": _shapes(sheet, "mg", half, 3),
-            "force_scale_shapes": _shapes(scale, "ppm", half, 2),
+            "force_prior": _prior(sheet, "mg", half, 3),
+            "force_scale_prior": _prior(scale, "ppm", half, 2),
         }
     return rendered(presets.template("spec.toml"), values), axes
 
@@ -88,41 +87,9 @@ def _parts(answer: str) -> list[str]:
     return [part.strip() for part in answer.split(",")]
 
 
-def not_asked(answers: Answers, known: Known) -> list[tuple[str, str, str]]:
-    """What no question asked, and so stands with a typical figure: key, figure, source."""
-    terms = _terms(answers, known, str(known["grade"][0]))
-    return [(key, _short(value), source) for key, (value, source) in terms.items() if source != _SHEET]
-
-
-_SHEET: Final = "data sheet, as answered"
-
-
-def _terms(answers: Answers, known: Known, grade: str) -> dict[str, tuple[Any, str]]:
-    """The terms of the gyros' error budget, those of the data sheet in the place of typical ones, and their sources."""
-    terms: dict[str, tuple[Any, str]] = {t.key: (t.value, t.source) for t in terms_of("sensor", grade)}
-    if known["sheet"]:
-        _, bias_slope, scale_slope = _parts(answers["sheet"])
-        of_class = terms["temperature_error"][0]
-        slopes = {"bias_slope": bias_slope, "scale_factor_slope": scale_slope}
-        source = (
-            "slopes: your figures from the data sheet; standard deviation and correlation time of the temperature "
-            "error: typical figures estimated for this class"
-        )
-        terms["temperature_error"] = {**of_class, **slopes}, source
-    if known["turn_on"]:
-        terms["turn_on_bias"] = answers["turn_on"].strip(), _SHEET
-    return terms
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, list):
-        return ", ".join(_short(one) for one in cast("list[Any]", value))
-    return ", ".join(cast("Mapping[str, str]", value).values()) if isinstance(value, Mapping) else str(value)
-
-
-def _shapes(sheet: str, unit: str, half: float, size: int) -> list[str]:
-    """The prior of a map as the sheet has it, the coefficients of each function: its offset, and powers of the
-    temperature by its slope."""
+def _prior(sheet: str, unit: str, half: float, size: int) -> str:
+    """The prior of each coefficient of a map: of the first the offset of the sheet, of powers of temperature its
+    slope."""
     offset, slope = _parts(sheet)[:2]
     dimension = {
         "deg/s": ("angular rate", "bias slope"),
@@ -132,7 +99,7 @@ def _shapes(sheet: str, unit: str, half: float, size: int) -> list[str]:
     one = units.parse(f"1 {unit}", dimension[0])
     sizes = [units.parse(offset, dimension[0]) / one]
     sizes += [half * units.parse(slope, dimension[1]) / one / power for power in range(1, size)]
-    return [", ".join(f'"{value if k == j else 0:.4g} {unit}"' for j in range(size)) for k, value in enumerate(sizes)]
+    return ", ".join(f'"{value:.4g} {unit}"' for value in sizes)
 
 
 def _normal_gravity(latitude: float) -> float:
@@ -152,15 +119,14 @@ def _moves(
     written = f"turns = {{}}{whole}" if whole else f'turn = "{{}}{math.degrees(angle):.4f} deg"'
     moves: list[str] = []
     for share in (1.0, 0.6, 0.3):
-        for sign in ("", "-"):
-            moves.append('{ rest = "5 s", read_every = "1 s" }' if not hand else '{ rest = "5 s" }')
-            peak = f"{math.floor(1e3 * math.degrees(fastest) * share) / 1e3:g}"
-            speed = (
-                _by_hand(angle, math.radians(float(peak)), acceleration)
-                if hand
-                else f'peak_rate = "{peak} deg/s", shape = "linear ramps"'
-            )
-            moves.append(f"{{ {written.format(sign)}, {speed} }}")
+        peak = f"{math.floor(1e3 * math.degrees(fastest) * share) / 1e3:g}"
+        speed = (
+            _by_hand(angle, math.radians(float(peak)), acceleration)
+            if hand
+            else f'peak_rate = "{peak} deg/s", shape = "linear ramps"'
+        )
+        there, back = (f'{{ rest = "5 s" }}, {{ {written.format(sign)}, {speed} }}' for sign in ("", "-"))
+        moves.append(f"{there}, {back}")
     return "", moves, math.radians(math.floor(1e3 * math.degrees(fastest)) / 1e3)
 
 
@@ -185,26 +151,30 @@ def _poses(
     peaks = [f"{math.floor(1e3 * math.degrees(fastest) * share) / 1e3:g}" for share in (1.0, 0.6, 0.3)]
 
     def turn(axis: str, angle: float, peak: str) -> str:
+        name = f'axis = "{axis}", ' if len(axes) > 1 else ""
         speed = f'peak_rate = "{peak} deg/s"'
         if hand:
             speed = _by_hand(math.radians(abs(angle)), math.radians(float(peak)), acceleration)
-        return f'{{ turn = "{angle:g} deg", axis = "{axis}", {speed} }}, {{ rest = "5 s" }}'
+        return f'{{ turn = "{angle:g} deg", {name}{speed} }}, {{ rest = "5 s" }}'
 
     def there_and_back(axis: str) -> list[str]:
         return [f"{turn(axis, most, peak)}, {turn(axis, -most, peak)}" for peak in peaks]
 
-    moves = ['{ rest = "5 s" }']
+    rest = '{ rest = "5 s" }'
     if len(axes) == 1:
         step = round(min(45.0, most / 7.0), 1)
-        moves += there_and_back(axes[0])
-        moves += [turn(axes[0], step, peaks[0])] * 7 + [turn(axes[0], -7.0 * step, peaks[0])]
-        start = f'start = {{ {axes[0]} = "{begin:g} deg" }}\n' if begin else ""
+        first, *others = there_and_back(axes[0])
+        moves = [f"{rest}, {first}", *others]
+        steps = [turn(axes[0], step, peaks[0])] * 7 + [turn(axes[0], -7.0 * step, peaks[0])]
+        moves += [f"{one}, {two}" for one, two in zip(steps[::2], steps[1::2], strict=True)]
+        start = f'{{ {axes[0]} = "{begin:g} deg" }}' if begin else ""
         return start, moves, math.radians(float(peaks[0]))
 
     def pose(**angles: float) -> str:
         inner = ", ".join(f'{name} = "{_within(angle, reach):g} deg"' for name, angle in angles.items())
         return f'{{ pose = {{ {inner} }}, rest = "5 s" }}'
 
+    moves = [rest]
     moves += [pose(spin=begin), *there_and_back("spin")] if begin else there_and_back("spin")
     first = begin or 90.0
     # About x, about y, and each again with spin half a turn further.

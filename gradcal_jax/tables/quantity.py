@@ -7,7 +7,7 @@ writing a file back changes nothing. `Quantity.of` gives a computed number a uni
 import math
 import operator
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Strict
 from pydantic.json_schema import JsonSchemaValue
@@ -15,7 +15,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from gradcal_jax import units
 from gradcal_jax.tables.display import printable
-from gradcal_jax.tables.problems import one_of
+from gradcal_jax.tables.problems import Problem, SpecError, one_of
 
 # SI sizes that no sensor, rig or plan has; inside them no product of a few quantities overflows.
 _SMALLEST, _LARGEST = 1e-30, 1e15
@@ -104,6 +104,44 @@ class Of:
             if bound is not None and not holds(float(quantity), units.parse(bound, self.dimension)):
                 raise ValueError(f"must be {name.replace('_', ' ')} {bound}")
         return quantity
+
+
+@dataclass(frozen=True)
+class OneOrList:
+    """Marks a field as one quantity or a list of them; `meaning` of the list: "one for each cycle"."""
+
+    one: Of
+    each: Of
+    meaning: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def text(value: Quantity | tuple[Quantity, ...]) -> str | list[str]:
+            return [str(one) for one in value] if isinstance(value, tuple) else str(value)
+
+        writing = core_schema.plain_serializer_function_ser_schema(text)
+        return core_schema.no_info_plain_validator_function(self.read, serialization=writing)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        one = self.one.__get_pydantic_json_schema__(schema, handler)
+        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
+
+    def read(self, value: object) -> Quantity | tuple[Quantity, ...]:
+        """The quantities in a file's value. Raises `ValueError` that lists every wrong entry."""
+        if not isinstance(value, list | tuple):
+            return self.one.read(value)
+        quantities: list[Quantity] = []
+        problems: list[Problem] = []
+        for i, entry in enumerate(cast("list[object]", value)):
+            try:
+                quantities.append(self.each.read(entry))
+            except ValueError as error:
+                problems.append(Problem((i,), str(error), entry))
+        if problems:
+            raise SpecError(problems)
+        if not quantities:
+            described = units.DIMENSIONS[self.one.dimension].described
+            raise ValueError(f"expected {described}, or a list of them, {self.meaning}")
+        return tuple(quantities)
 
 
 Angle = Annotated[Quantity, Of("angle")]

@@ -112,8 +112,21 @@ def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: ob
     return [p for p in spelt if not (p.kind == "missing" and len(p.key) == 1 and p.key[0] in meant)]
 
 
-def choose(table: Mapping[str, object], key: str, classes: Mapping[str, type[Section]]) -> object:
-    """The table read by the class that its `key` names."""
+def one_or_more(forms: Any) -> BeforeValidator:
+    """Marks a list of tables that may stand as one table, without the list; `forms`: the types of both."""
+
+    def listed(value: object) -> object:
+        return (cast("object", value),) if isinstance(value, Mapping) else value
+
+    return BeforeValidator(listed, json_schema_input_type=forms)
+
+
+def choose(
+    table: Mapping[str, object], key: str, classes: Mapping[str, type[Section]], default: str | None = None
+) -> object:
+    """The table read by the class that its `key` names, or by the default."""
+    if key not in table and default is not None:
+        return classes[default].model_validate(table)
     if key not in table:
         refuse_misspelt(table, [key])
         raise SpecError([Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing")])
@@ -123,9 +136,9 @@ def choose(table: Mapping[str, object], key: str, classes: Mapping[str, type[Sec
     return classes[name].model_validate(table)
 
 
-def chosen_by(key: str, classes: Mapping[str, type[Section]]) -> BeforeValidator:
+def chosen_by(key: str, classes: Mapping[str, type[Section]], default: str | None = None) -> BeforeValidator:
     """Marks a field that holds one of several tables: see `choose`."""
-    return read_by(lambda table: choose(table, key, classes))
+    return read_by(lambda table: choose(table, key, classes, default))
 
 
 def read_by(read: Callable[[Mapping[str, object]], object]) -> BeforeValidator:

@@ -2,21 +2,15 @@
 
 import tomllib
 
+import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.spec.absent import (
-    EARTH,
-    _table,
-    absent_terms,
-    grades,
-    sensor_grade,
-    table_grade,
-    terms_of,
-    with_typical,
-)
+from gradcal_jax.spec.absent import absent_terms, class_terms, sensor_grade, table_grade, with_typical
+from gradcal_jax.spec.begin import PRESETS, files_of
 from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.spec.spec import spec_of
+from gradcal_jax.spec.typical import EARTH, class_table, grades, terms_of
 
 BARE = gj.presets.text("consumer-mems")
 
@@ -120,7 +114,7 @@ def test_the_grade_is_said_or_follows_the_drift_then_the_random_walk():
 
 
 def test_the_data_say_of_every_class_the_same_terms_and_where_each_figure_comes_from():
-    table = _table()
+    table = class_table()
     assert set(grades()) == {row["grade"] for row in table["sensor"]}
     for kind in ("sensor", "accelerometer", "table"):
         named = [[term["key"] for term in row["term"]] for row in table[kind]]
@@ -142,3 +136,41 @@ def test_no_verdict_rests_on_what_a_spec_leaves_out():
     assert row.with_typical > 200.0 > row.mean_of_max
     assert row.with_typical == gj.predict(with_typical(bare)).requirements[0].mean_of_max
     assert {t.key for t in gj.predict(bare).omitted} == set(keys(bare))
+
+
+def written_out(spec):
+    """The spec with every figure of its classes in the file, and without the classes."""
+    tables = tables_of(spec)
+    for name in ("sensor", "rig"):
+        tables[name] = getattr(spec, name).model_dump(mode="json", exclude_none=True)
+    del tables["sensor"]["grade"], tables["rig"]["table"]["grade"]
+    return spec_of(tables)
+
+
+@pytest.mark.parametrize("preset", ["drone-gyro", "bmi088", "tactical-imu"])
+def test_a_spec_of_stated_classes_predicts_as_one_with_every_figure_written_out(preset):
+    spec = gj.parse_spec(files_of(PRESETS[preset])["spec.toml"])
+    assert absent_terms(spec) == []
+    whole = written_out(spec)
+    assert class_terms(whole) == []
+    assert {term.key for term in class_terms(spec)} & {"sensor.gyro.drift", "rig.table.axis[0].angle.reading_noise"}
+    short, long = gj.predict(spec), gj.predict(whole)
+    assert len(short.covariance) == len(long.covariance)
+    np.testing.assert_allclose(np.array(short.covariance, float), np.array(long.covariance, float), rtol=1e-12)
+    for row, other in zip(short.requirements, long.requirements, strict=True):
+        assert (row.verdict, row.with_typical) == (other.verdict, other.with_typical)
+        assert (row.mean, row.max) == pytest.approx((other.mean, other.max), rel=1e-12)
+
+
+def test_a_class_supplies_what_the_file_does_not_name_and_is_not_written_into_it():
+    spec = gj.parse_spec(files_of(PRESETS["drone-gyro"])["spec.toml"])
+    assert str(spec.sensor.gyro.turn_on_bias) == "0.1 deg/s"
+    assert "turn_on_bias" not in tables_of(spec)["sensor"]["gyro"]
+    own = gj.changed(spec, {"sensor.gyro.turn_on_bias": "0 deg/s", "rig.table.axis[0].angle.scale_error": "5 ppm"})
+    assert own.sensor.gyro.turn_on_bias == 0.0
+    assert str(own.rig.table.axis[0].angle.scale_error) == "5 ppm"
+    assert "sensor.gyro.turn_on_bias" not in {term.key for term in class_terms(own)}
+    assert str(gj.changed(spec, {"sensor.grade": "tactical"}).sensor.gyro.turn_on_bias) == "10 deg/h"
+    bare = gj.changed(spec, {"sensor.grade": None})
+    assert bare.sensor.gyro.turn_on_bias is None
+    assert "sensor.gyro.turn_on_bias" in keys(bare)

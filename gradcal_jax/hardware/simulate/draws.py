@@ -94,7 +94,7 @@ class _Draws:
         for name, typical, factors, symbols in _ERRORS[kind]:
             section: Any = getattr(triad, name)
             if section is not None:
-                size = typical if section.prior is None else float(section.prior)
+                size = float(section.prior) if isinstance(section.prior, float) else typical
                 if factors:
                     errors.append(self._term(kind, section, size, factors, symbols, triad.axes))
                 else:

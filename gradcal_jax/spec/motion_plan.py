@@ -121,7 +121,7 @@ class MotionCycle(Section):
 
 # A list of moves may stand for the cycle.
 _of_moves = BeforeValidator(
-    lambda value: {"moves": value} if isinstance(value, list) else value,
+    lambda value: {"moves": cast("object", value)} if isinstance(value, list) else value,
     json_schema_input_type=MotionCycle | tuple[PlanMove, ...] | None,
 )
 

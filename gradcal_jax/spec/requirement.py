@@ -1,7 +1,7 @@
 """`[[requirement]]`: the errors that a calibration limits, and their statistics."""
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, ClassVar, Final, Literal, get_args
+from typing import Annotated, Any, ClassVar, Final, Literal, cast, get_args
 
 from pydantic import Field, Strict, model_validator
 
@@ -39,9 +39,11 @@ class _OfElements(Section):
     @model_validator(mode="before")
     @classmethod
     def _named(cls, value: object) -> object:
-        if isinstance(value, Mapping) and "name" not in value and isinstance(quantity := value.get("quantity"), str):
-            return {"name": quantity.replace("_", " "), **value}
-        return value
+        if not isinstance(value, Mapping):
+            return value
+        table = cast("Mapping[str, object]", value)
+        quantity = table.get("quantity")
+        return {"name": str(quantity).replace("_", " "), **table} if isinstance(quantity, str) else table
 
     def _problems(self) -> Iterator[Problem]:
         if self.axis not in self.ELEMENTS:

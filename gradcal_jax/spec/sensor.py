@@ -10,7 +10,6 @@ from gradcal_jax.spec import temperature_path as path_terms
 from gradcal_jax.spec.bases import Degree, PolynomialKeys, RateBasis, TemperatureBasis
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
-from gradcal_jax.tables.quantity import Of, Quantity, Rate
 from gradcal_jax.tables.section import Section, one_or_more
 
 
@@ -312,20 +311,20 @@ BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
 class _ErrorTerm(_ErrorFunction):
     temperature: TemperatureBasis | None = None
     """Basis over temperature; absent: constant."""
-    prior: Prior | None = None
-    """Standard deviation of each coefficient before the calibration; absent: unknown."""
 
 
 class Misalignment(_ErrorTerm):
     """Small angles between an input axis and its nominal direction, towards the other two axes."""
 
     prior: q.PositiveAngle | None = None
+    """Standard deviation of each coefficient before the calibration; absent: unknown."""
 
 
 class AccelerationSensitivity(_ErrorTerm):
     """Bias of a gyro in proportion to the specific force, with three coefficients for each gyro (IEEE 528)."""
 
     prior: q.PositiveAccelerationSensitivity | None = None
+    """Standard deviation of each coefficient before the calibration; absent: unknown."""
     lever_arm: q.PositiveLength | None = None
     """Standard deviation of each coordinate of the gyros' position, relative to the accelerometers or, without
     accelerometers, to the intersection of the table's axes. If the gyros are away from this point, rotation adds a
@@ -357,6 +356,7 @@ class SpecificForceBias(_ErrorTerm):
     """An accelerometer's bias over temperature."""
 
     prior: SpecificForcePrior | None = None
+    """Standard deviation of each coefficient before the calibration, or a list of them; absent: unknown."""
 
 
 class SpecificForceScale(_ErrorTerm):
@@ -371,6 +371,7 @@ class SecondOrder(_ErrorTerm):
     """An accelerometer's K2 over temperature."""
 
     prior: q.PositiveSecondOrder | None = None
+    """Standard deviation of each coefficient before the calibration; absent: unknown."""
 
 
 class LeverArm(Section):

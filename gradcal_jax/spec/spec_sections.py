@@ -47,7 +47,7 @@ class Spec(TitledFile):
     @model_validator(mode="after")
     def _with_figures_of_classes(self) -> "Spec":
         sensor, rig = of_classes(self)
-        self.__dict__.update(sensor=sensor, rig=rig)
+        vars(self).update(sensor=sensor, rig=rig)
         return self
 
     def _problems(self) -> Iterator[Problem]:

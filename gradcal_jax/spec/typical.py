@@ -154,5 +154,5 @@ def _filled(section: Part, figures: Mapping[str, Any]) -> Part:
 def _replaced(section: Part, **values: Any) -> Part:
     """The table with other values, which do not count as keys of the file."""
     copy = section.model_copy()
-    copy.__dict__.update(values)
+    vars(copy).update(values)
     return copy

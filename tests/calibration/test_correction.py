@@ -97,6 +97,22 @@ def test_outside_its_range_the_edge_holds_and_is_counted():
     assert corrected.outside_temperature == np.count_nonzero(hot.temperature_c > 70.0)
     assert corrected.outside_rate > 10
     assert np.isfinite(corrected.log.rate_rad_per_s).all()
+    edge = replace(hot, temperature_c=np.clip(hot.temperature_c, -30.0, 70.0))
+    np.testing.assert_array_equal(corrected.log.rate_rad_per_s, apply(found, edge).log.rate_rad_per_s)
+
+
+def test_a_signal_between_bars_counts_by_its_size():
+    term = '''[[channel.term]]
+name = "asymmetry"
+unit = "1"
+signals = ["|rate x|"]
+coefficients = { asymmetry = 2e-3 }
+'''
+    found = parse_calibration(HEAD + axis_text("x") + term)
+    truth = np.array([-2.0, -0.5, 0.0, 0.5, 2.0])
+    at = np.full_like(truth, 33.0)
+    said = gyro(parse_calibration(HEAD + axis_text("x")), truth, at) + 2e-3 * np.abs(truth)
+    np.testing.assert_allclose(correct(found.channel, {"rate x": said}, at)["rate x"], truth, atol=1e-14)
 
 
 def test_beyond_its_range_the_map_holds_its_edge():

@@ -1,5 +1,6 @@
 """Writing and changing specs: nothing is lost, nothing is left half written, and new numbers get their key's unit."""
 
+import os
 import pickle
 import tomllib
 
@@ -28,6 +29,17 @@ def test_a_spec_written_back_is_the_same_spec_with_the_same_texts(name, tmp_path
     assert text.startswith("# written back\n")
     assert tomllib.loads(text) == document
     assert spec_file.read_spec(tmp_path / "copy.toml") == spec
+
+
+def test_a_text_is_on_the_disk_before_it_takes_the_place_of_another(tmp_path, monkeypatch):
+    """Else a computer that stops at once has an empty file where there was a good one."""
+    path, done = tmp_path / "a.toml", []
+    path.write_text("old", encoding="utf-8")
+    own = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda number: (own(number), done.append(path.read_text(encoding="utf-8"))))
+    write_whole(path, "new")
+    assert done == ["old"]
+    assert path.read_text(encoding="utf-8") == "new"
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path):

@@ -1,0 +1,190 @@
+"""Thirty faults put into the program by hand, over all rooms: each must be caught by the tests named beside it.
+
+    python experiments/evidence/mutations.py            # all; writes mutations.md
+    python experiments/evidence/mutations.py journal    # those whose file has this word in its name; writes nothing
+
+Each fault is one changed line in a copy of the package. Its tests run in the copy, without those marked `long`; a fault
+is caught if a test fails. The text that is replaced must stand exactly once in its file: when a room is rewritten, its
+faults are written anew.
+"""
+
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+REPORT = Path(__file__).with_suffix(".md")
+_CAUGHT = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """In `file` of the package, `old` becomes `new`; `tests` are those that must notice."""
+
+    what: str
+    file: str
+    old: str
+    new: str
+    tests: str
+
+
+FAULTS = (
+    Fault(
+        "a negative power of a unit is positive",
+        "units/expressions.py",
+        "return 2 * sign * _SUPERSCRIPT[text[-1]]",
+        "return 2 * _SUPERSCRIPT[text[-1]]",
+        "tests/test_units.py",
+    ),
+    Fault(
+        "the derivative of a triangular factor counts its diagonal twice",
+        "linalg.py",
+        "upper = jnp.triu(inner, 1) + 0.5 * jnp.diag(jnp.diagonal(inner))",
+        "upper = jnp.triu(inner, 1) + jnp.diag(jnp.diagonal(inner))",
+        "tests/test_linalg.py",
+    ),
+    Fault(
+        "an unobservable combination has a finite deviation",
+        "information/posterior.py",
+        "values = np.where(part > 1e-7, np.inf, values)",
+        "values = np.where(part > 1e-7, values, values)",
+        "tests/information/test_posterior.py",
+    ),
+    Fault(
+        "the noise of a reading counts its standing offset once too often",
+        "information/whitening.py",
+        "within[:, k, k] = (h @ own)[:, 0, 0] + variance[:, k]",
+        "within[:, k, k] = 2.0 * (h @ own)[:, 0, 0] + variance[:, k]",
+        "tests/information/test_roads.py",
+    ),
+    Fault(
+        "dT/dt of a lagging sensor has the wrong sign of its lag",
+        "motion/trajectory.py",
+        "return slope - self.lag_rate * self.excess[pieces][:, None] * xp.exp(-self.lag_rate * since)",
+        "return slope + self.lag_rate * self.excess[pieces][:, None] * xp.exp(-self.lag_rate * since)",
+        "tests/information/test_regressors.py tests/motion tests/model",
+    ),
+    Fault(
+        "a turn's duration is rounded down, beyond the axis's acceleration",
+        "recipe/rounding.py",
+        'duration_text = rounder.to("time", size / peak + max(ramp, least), ROUND_CEILING)',
+        'duration_text = rounder.to("time", size / peak + max(ramp, least), ROUND_FLOOR)',
+        "tests/recipe",
+    ),
+    Fault(
+        "a record of the journal that a crash cut off is read",
+        "hardware/journal.py",
+        'if zlib.crc32(memoryview(data)[head : end - 4]) != int.from_bytes(data[end - 4 : end], "little"):',
+        "if end > len(data):",
+        "tests/hardware/test_journal_and_safety.py",
+    ),
+    Fault(
+        "events of the journal are not forced to the disk",
+        "hardware/journal.py",
+        "os.fsync(self._file)",
+        "self._file",
+        "tests/hardware/test_journal_and_safety.py",
+    ),
+    Fault(
+        "the chamber's course is not watched in a pause",
+        "hardware/interlocks.py",
+        "low, high = min(low, bounds.room_c), max(high, bounds.room_c)",
+        "return \"\"",
+        "tests/hardware/test_limits_always_hold.py tests/hardware/test_journal_and_safety.py",
+    ),
+    Fault(
+        "a long pause that nobody ends goes on",
+        "hardware/interlocks.py",
+        "if not now.by_itself or now.paused_s is None or now.paused_s < bounds.longest_pause_s:",
+        "if True:",
+        "tests/hardware/test_limits_always_hold.py",
+    ),
+    Fault(
+        "an absolute signal keeps its sign in a correction",
+        "calibration/correction.py",
+        'product = product * (np.abs(signal) if name.startswith("|") else signal)',
+        "product = product * signal",
+        "tests/calibration/test_correction.py",
+    ),
+    Fault(
+        "a map is extrapolated beyond the rates of its data",
+        "calibration/correction.py",
+        "own = np.clip(sensed, *channel.valid_rate) if term.rate is not None else at",
+        "own = sensed if term.rate is not None else at",
+        "tests/calibration/test_correction.py",
+    ),
+    Fault(
+        "ArduPilot's cubic is exported without its factor of a million",
+        "calibration/exports.py",
+        '{kind}{k}_{letter}": 1e6 * b[k]',
+        '{kind}{k}_{letter}": b[k]',
+        "tests/calibration/test_exports.py",
+    ),
+    Fault(
+        "the Direct Bound divides by the margin, not by its square",
+        "identify/direct_bound.py",
+        "xp.max(((drift**2 - granted) / margin**2)[:, None] / shape, axis=0)",
+        "xp.max(((drift**2 - granted) / margin)[:, None] / shape, axis=0)",
+        "tests/identify/test_direct_bound.py",
+    ),
+    Fault(
+        "the work of a killed worker is left out of a sweep",
+        "sweeps/sweep.py",
+        "waiting.extendleft([key] if tries[key] < _TRIES else [])",
+        "waiting.extendleft([])",
+        "tests/sweeps/test_sweep.py",
+    ),
+    Fault(
+        "a file is written without being forced to the disk before it takes the place of another",
+        "tables/writing.py",
+        "os.fsync(written.fileno())",
+        "written.fileno()",
+        "tests/tables/test_writing.py",
+    ),
+)
+
+
+def caught(fault: Fault, copy: Path) -> tuple[str, float]:
+    """The first test that fails with the fault in place, or an empty text; and the seconds it took."""
+    path = copy / "gradcal_jax" / fault.file
+    sound = path.read_text(encoding="utf-8")
+    if sound.count(fault.old) != 1:
+        raise SystemExit(f"{fault.file}: stands {sound.count(fault.old)} times in the file: {fault.old}")
+    path.write_text(sound.replace(fault.old, fault.new), encoding="utf-8")
+    words = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-p", "no:cacheprovider", *fault.tests.split()]
+    began = time.monotonic()
+    try:
+        done = subprocess.run(words, cwd=copy, capture_output=True, text=True, check=False)
+    finally:
+        path.write_text(sound, encoding="utf-8")
+    named = _CAUGHT.search(done.stdout)
+    return (named.group(1) if named and done.returncode else ""), time.monotonic() - began
+
+
+def main() -> int:
+    words = sys.argv[1:]
+    chosen = [fault for fault in FAULTS if not words or any(word in fault.file for word in words)]
+    rows: list[str] = []
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "checkout"
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv*", ".pytest_cache", "__pycache__"))
+        for number, fault in enumerate(chosen, 1):
+            test, seconds = caught(fault, copy)
+            print(f"{number} of {len(chosen)}, {seconds:.0f} s: {fault.what}: {test or 'NOT CAUGHT'}", flush=True)
+            rows.append(f"| {fault.what} | `{fault.file}` | {f'`{test}`' if test else '**not caught**'} |")
+    missed = sum("**not caught**" in row for row in rows)
+    if not words:
+        head = "# Faults put in by hand\n\nMade by `experiments/evidence/mutations.py`; each is one changed line.\n\n"
+        table = "| fault | file | first test that fails |\n|---|---|---|\n" + "\n".join(rows) + "\n"
+        foot = f"\n{len(rows) - missed} of {len(rows)} caught; {time.strftime('%Y-%m-%d')}.\n"
+        REPORT.write_text(head + table + foot, encoding="utf-8")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

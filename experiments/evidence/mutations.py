@@ -94,7 +94,7 @@ FAULTS = (
         "the chamber's course is not watched in a pause",
         "hardware/interlocks.py",
         "low, high = min(low, bounds.room_c), max(high, bounds.room_c)",
-        "return \"\"",
+        'return ""',
         "tests/hardware/test_limits_always_hold.py tests/hardware/test_journal_and_safety.py",
     ),
     Fault(

@@ -102,12 +102,12 @@ def test_outside_its_range_the_edge_holds_and_is_counted():
 
 
 def test_a_signal_between_bars_counts_by_its_size():
-    term = '''[[channel.term]]
+    term = """[[channel.term]]
 name = "asymmetry"
 unit = "1"
 signals = ["|rate x|"]
 coefficients = { asymmetry = 2e-3 }
-'''
+"""
     found = parse_calibration(HEAD + axis_text("x") + term)
     truth = np.array([-2.0, -0.5, 0.0, 0.5, 2.0])
     at = np.full_like(truth, 33.0)

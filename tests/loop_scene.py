@@ -4,10 +4,11 @@ over the temperature by a law of its own."""
 from functools import lru_cache
 
 import numpy as np
+from loop_laws import draw_with_loops
 
 from gradcal_jax.estimation.estimate import SensorEstimate
 from gradcal_jax.formulas import legendre
-from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
+from gradcal_jax.hardware.simulate.draws import draw_table
 from gradcal_jax.hardware.simulate.imu import ImuTruth, SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.information.imu_residual import quantity_of
@@ -111,7 +112,7 @@ def type_of_relays(units: int = 60) -> tuple[dict[float, float], float]:
         columns.append(np.stack([*(x**power for power in range(4)), *plays, *varying], axis=1)[steady])
     design, coefficients, left = np.concatenate(columns), [], []
     for number in range(units):
-        for loop in draw_truth(spec_of(ways=2), 41, number, "relays").triads["gyro"].loops:
+        for loop in draw_with_loops(spec_of(ways=2), 41, number, "relays").triads["gyro"].loops:
             loops = [loop.begin(float(t[0]))(t, 1.0)[steady] for t, steady in zip(courses, kept, strict=True)]
             found = np.linalg.lstsq(design, np.concatenate(loops) / HOUR, rcond=None)[0]
             coefficients += [*found[4:7].T]

@@ -312,39 +312,6 @@ class RigTable(Section):
                 yield Problem(("axis", k, "angle", name), message)
 
 
-class SimulatedLoop(Section):
-    """`[[rig.simulated_loop]]`: a hysteresis loop of simulated sensors, in place of the loop that follows from
-    `hysteresis` in the spec; several loops add up. Predictions and estimates ignore these loops. The size of a loop
-    is the standard deviation of half the difference between heating and cooling, over a wide cycle (relays) or at 1
-    K/min (thermal masses)."""
-
-    law: Literal["relays", "thermal masses"]
-    """"relays": many Preisach relays; "thermal masses": two thermal masses, and an error in proportion to the
-    temperature difference between them."""
-    gyro_bias: q.PositiveRate | None = None
-    """Size of the loop in the gyros' bias."""
-    gyro_scale_factor: q.PositiveScaleFactor | None = None
-    """Size of the loop in the gyros' scale factor."""
-    accelerometer_bias: q.PositiveSpecificForce | None = None
-    """Size of the loop in the accelerometers' bias."""
-    accelerometer_scale_factor: q.PositiveScaleFactor | None = None
-    """Size of the loop in the accelerometers' scale factor."""
-    width: q.PositiveTemperatureDifference = q.Quantity(10.0, "10 K", "temperature difference")
-    """Typical half-width of the relays; the half-widths vary from 0.3 to 2 times this value."""
-    time_constants: tuple[q.Time, q.Time] = (q.Quantity(60.0, "1 min", "time"), q.Quantity(600.0, "10 min", "time"))
-    """Time constants of the two thermal masses."""
-
-    def _problems(self) -> Iterator[Problem]:
-        if self.time_constants[0] == self.time_constants[1]:
-            message = "two equal thermal masses always have the same temperature; expected two different times"
-            yield Problem(("time_constants",), message)
-
-    def size(self, sensors: str, quantity: str) -> float | None:
-        """The size of "bias" or "scale_factor" of gyros or accelerometers (SI); None: it has no such loop."""
-        value = getattr(self, f"{sensors}_{quantity}")
-        return None if value is None else float(value)
-
-
 class Rig(Section):
     """The rig: site, table and chamber."""
 
@@ -358,5 +325,3 @@ class Rig(Section):
     """The climatic chamber."""
     resolution: Resolution | None = None
     """Steps of the controllers; a recipe is rounded to these steps."""
-    simulated_loop: Annotated[tuple[SimulatedLoop, ...], Field(max_length=10)] = ()
-    """Hysteresis loops of simulated sensors."""

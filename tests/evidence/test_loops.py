@@ -1,7 +1,7 @@
 """Many simulated units with loops over the temperature by other laws than the plays that estimate them.
 
 Three gyros stand on a table while the chamber goes up and down, or up alone in the same time. Their loops are Preisach
-relays or the difference of two thermal masses (`hardware.simulate.imu`), drawn with the size that the spec names. For
+relays or the difference of two thermal masses (`loop_laws`), drawn with the size that the spec names. For
 relays the estimator has plays of 6, 14 and 24 K, with priors and a discrepancy that are what 60 other loops of the law
 say without noise (`loop_scene.type_of_relays`), and coefficients that vary over temperature by what 80 other simulated
 units need (`VARIATION`: 0.94 and 1.12 of what is predicted is reached by two lots of 40). For masses it has dT/dt late
@@ -21,11 +21,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loop_laws import LAWS, Law, draw_with_loops
 from loop_scene import SIZE, errors_on_branches, recorded, spec_of, type_of_relays
 
 from gradcal_jax.estimation.estimate import estimate_sensors
-from gradcal_jax.hardware.simulate.draws import draw_truth
-from gradcal_jax.hardware.simulate.imu import LAWS, Law
 from gradcal_jax.information.prediction import predict
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec_sections import Spec
@@ -69,7 +68,7 @@ def runs(case: str, *, ways: int, units: int = UNITS) -> tuple[np.ndarray, np.nd
     spec, drawn = estimator_of(case, ways=ways), spec_of(ways=ways)
     results = []
     for number in range(units):
-        truth = draw_truth(drawn, 37, number, law)
+        truth = draw_with_loops(drawn, 37, number, law)
         (report,) = estimate_sensors(spec, [recorded(truth, spec, ways=ways, seed=5000 + number)])
         results.append((*errors_on_branches(report, truth), np.array(bool(report.calibration.contradicted))))
     errors, stds, contradicted = (np.stack(of) for of in zip(*results, strict=True))

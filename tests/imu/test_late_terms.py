@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loop_laws import draw_with_loops
 from loop_scene import errors_on_branches, recorded
 from loop_scene import spec_of as spec_of_loop
 
@@ -268,7 +269,7 @@ def test_an_uncertain_time_constant_is_counted():
         spec = gj.changed(spec_of_loop(ways=2, plays=False), {"sensor.gyro.late_temperature_gradient": late})
         apart = []
         for number in range(8):
-            truth = draw_truth(spec_of_loop(ways=2), 41, number, "thermal masses")
+            truth = draw_with_loops(spec_of_loop(ways=2), 41, number, "thermal masses")
             (report,) = estimate_sensors(spec, [recorded(truth, spec, ways=2, seed=300 + number)])
             apart.append(errors_on_branches(report, truth))
         errors, stds = np.stack(apart).transpose(1, 0, 2, 3, 4)

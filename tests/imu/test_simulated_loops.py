@@ -1,15 +1,15 @@
-"""Loops of the simulated unit: their size on wide legs, their memory, and that they are no plays."""
+"""Loops over the temperature: the plays of a simulated unit, and the laws of the tests (`loop_laws`)."""
 
 import numpy as np
 import pytest
+from loop_laws import LoopTruth, draw_with_loops
 
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
-from gradcal_jax.hardware.simulate.imu import LoopTruth, SimulatedImu
+from gradcal_jax.hardware.simulate.imu import PlayTruth, SimulatedImu
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import parse_spec
-from gradcal_jax.tables.problems import SpecError
 
 HOUR = np.pi / 180.0 / 3600.0
 PERIOD_S = 2.0
@@ -64,15 +64,14 @@ def test_a_unit_has_the_loops_that_its_spec_names():
             "sensor.accelerometer.scale_factor_hysteresis": [{"width": "5 K", "prior": "10 ppm/K"}],
         },
     )
-    drawn, before = draw_truth(spec, 3, 1, "relays"), draw_truth(plain, 3, 1)
-    assert drawn.names == before.names
-    (loop,), (of_scale,) = drawn.triads["gyro"].loops, drawn.triads["accelerometer"].loops
-    assert (loop.law, loop.width_k, loop.of_input, of_scale.of_input) == ("relays", 10.0, False, True)
-    assert {draw_truth(spec, seed, 1).triads["gyro"].loops[0].law for seed in range(8)} == {
-        "relays", "thermal masses"
-    }  # fmt: skip
-    sizes = np.array([draw_truth(spec, seed, 1).triads["gyro"].loops[0].size for seed in range(200)])
-    assert np.std(sizes) / HOUR == pytest.approx(300.0, rel=0.1)
+    drawn, before = draw_truth(spec, 3, 1), draw_truth(plain, 3, 1)
+    (play,), (of_scale,) = drawn.triads["gyro"].loops, drawn.triads["accelerometer"].loops
+    assert (play.of_input, of_scale.of_input) == (False, True)
+    named = {name: drawn.names[name] for name in drawn.names.keys() - before.names.keys()}
+    assert [named[f"gyro_{axis}.hysteresis_10K"] for axis in "xyz"] == list(play.slopes)
+    assert [named[f"accelerometer_{axis}.scale_factor_hysteresis_5K"] for axis in "xyz"] == list(of_scale.slopes)
+    sizes = np.array([draw_truth(spec, seed, 1).triads["gyro"].loops[0].slopes for seed in range(200)])
+    assert np.std(sizes) / HOUR == pytest.approx(30.0, rel=0.1)
     table, _, _ = draw_table(spec, 3)
     # The same seed draws the same noise and sensitivity to dT/dt; what differs is the path.
     outputs = []
@@ -84,34 +83,30 @@ def test_a_unit_has_the_loops_that_its_spec_names():
     assert drawn.triads["gyro"].gradient == before.triads["gyro"].gradient
     at = 600
     hysteresis = apart[0][at] - apart[1][-at - 1]
-    assert hysteresis == pytest.approx(2.0 * np.array(loop.size) / HOUR, rel=0.25)
+    # The play is behind the temperature: below it on the way up.
+    assert hysteresis == pytest.approx(-2.0 * 10.0 * np.array(play.slopes) / HOUR, rel=0.05)
 
 
-def test_the_rig_names_the_law_of_simulated_loops():
-    """Also where the spec names no hysteresis; loops that the rig names are in the place of the spec's."""
-    loops = [
-        {"law": "thermal masses", "gyro_bias": "20 deg/h", "time_constants": ["2 min", "8 min"]},
-        {"law": "relays", "gyro_bias": "5 deg/h", "accelerometer_scale_factor": "30 ppm", "width": "6 K"},
-    ]
+def test_a_play_is_stepped_sample_by_sample_in_blocks_of_any_size():
+    course = 23.0 + np.cumsum(np.random.default_rng(1).normal(0.0, 2.0, 500))
+    place, expected = 23.0, []
+    for t in course:
+        place = max(t - 7.0, min(t + 7.0, place))
+        expected.append(place - t)
+    for cuts in ([], [1, 2, 250], list(range(1, 500))):
+        loop = PlayTruth((1.0, 2.0, 0.0), 7.0).begin(23.0)
+        said = np.concatenate([loop(block, 1.0) for block in np.split(course, cuts)])
+        np.testing.assert_allclose(said[:, 0], expected, atol=1e-12)
+        np.testing.assert_allclose(said[:, 1:], np.outer(expected, [2.0, 0.0]), atol=1e-12)
+
+
+def test_loops_of_another_law_have_the_size_of_the_plays():
     spec = changed(
         parse_spec(presets.text("two-axis-table")),
-        {"rig.simulated_loop": loops, "sensor.gyro.hysteresis": [{"width": "10 K", "prior": "30 deg/h/K"}]},
+        {"sensor.gyro.hysteresis": [{"width": "10 K", "prior": "30 deg/h/K"}]},
     )
-    drawn = [draw_truth(spec, seed, 1).triads for seed in range(200)]
-    for triads in drawn:
-        assert [(one.law, one.times_s, one.of_input) for one in triads["gyro"].loops] == [
-            ("thermal masses", (120.0, 480.0), False), ("relays", (60.0, 600.0), False)
-        ]  # fmt: skip
-        assert [(one.law, one.width_k, one.of_input) for one in triads["accelerometer"].loops] == [
-            ("relays", 6.0, True)
-        ]
-    sizes = np.array([[one.size for one in triads["gyro"].loops] for triads in drawn]) / HOUR
-    assert np.std(sizes, axis=(0, 2)) == pytest.approx([20.0, 5.0], rel=0.1)
-    forces = np.array([triads["accelerometer"].loops[0].size for triads in drawn])
-    assert np.std(forces) == pytest.approx(30e-6, rel=0.1)
-    equal = {"rig.simulated_loop": [loops[0] | {"time_constants": ["2 min", "120 s"]}]}
-    with pytest.raises(SpecError, match="two equal thermal masses"):
-        changed(spec, equal)
+    sizes = np.array([draw_with_loops(spec, seed, 1, "relays").triads["gyro"].loops[0].size for seed in range(200)])
+    assert np.std(sizes) / HOUR == pytest.approx(300.0, rel=0.1)
 
 
 def test_masses_of_one_type_differ_a_little():

@@ -1,8 +1,4 @@
-"""The hidden parameters of simulated devices, drawn from a spec's priors; for a flat prior of typical size.
-
-Hysteresis is drawn with the size that the spec gives it and by another law than the estimator's (`loops`), which the
-seed draws, too.
-"""
+"""The hidden parameters of simulated devices, drawn from a spec's priors; for a flat prior of typical size."""
 
 import itertools
 import re
@@ -15,12 +11,10 @@ import numpy as np
 
 from gradcal_jax import formulas
 from gradcal_jax.hardware.simulate.imu import (
-    LAWS,
     ErrorTerm,
     ImuTruth,
     Kind,
-    Law,
-    LoopTruth,
+    PlayTruth,
     Process,
     TableTruth,
     TriadTruth,
@@ -40,6 +34,7 @@ _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
 _GRADIENT: Final = "bias_temperature_gradient"
 _LATE: Final = "late_temperature_gradient"
+_PLAY: Final = "hysteresis_{:g}K"
 _DIFFERENCE: Final = "thermometer_difference"
 # The lag of a second thermometer is as the spec says within this share.
 _LAG_SPREAD: Final = 0.2
@@ -159,26 +154,15 @@ def _named(kind: Kind, name: str, values: Vectors, axes: Sequence[str]) -> dict[
     return {f"{kind}_{a}.{name}": float(v) for a, v in zip(_XYZ, values, strict=True) if a in axes}
 
 
-def _draw_path(spec: Spec, kind: Kind, truth: TriadTruth, random: np.random.Generator, law: Law | None) -> TriadTruth:
-    """The truth of three sensors with loops of the sizes that the spec names: those of its rig, or else by a law that
-    is drawn."""
-    triad: Any = getattr(spec.sensor, kind)
-    own = law or LAWS[int(random.integers(len(LAWS)))]
-    loops: list[LoopTruth] = []
-    for quantity, plays in (("bias", triad.hysteresis), ("scale_factor", triad.scale_factor_hysteresis)):
-        sizes = np.array([float(p.prior) * float(p.width) for p in plays])
-        of_rig = [one for one in spec.rig.simulated_loop if one.size(kind, quantity) is not None]
-        for one in of_rig:
-            size: Vectors = float(one.size(kind, quantity) or 0.0) * random.standard_normal(3)
-            times = float(one.time_constants[0]), float(one.time_constants[1])
-            at = one.law, tuple(size.tolist()), float(one.width), int(random.integers(1 << 31))
-            loops.append(LoopTruth(*at, quantity == "scale_factor", times))
-        if len(sizes) and not of_rig:
-            width = float(np.average([float(p.width) for p in plays], weights=sizes))
-            size = float(np.sqrt(np.sum(sizes**2))) * random.standard_normal(3)
-            at = own, tuple(size.tolist()), width, int(random.integers(1 << 31))
-            loops.append(LoopTruth(*at, quantity == "scale_factor"))
-    return replace(truth, loops=tuple(loops))
+def _draw_plays(
+    triad: GyroTriad | AccelerometerTriad, kind: Kind, random: np.random.Generator, names: dict[str, float]
+) -> Iterator[PlayTruth]:
+    """The plays of three sensors; `names`: their names and coefficients, added to."""
+    for plays, name in ((triad.hysteresis, _PLAY), (triad.scale_factor_hysteresis, f"scale_factor_{_PLAY}")):
+        for play in plays:
+            slopes = float(play.prior) * random.standard_normal(3)
+            names |= _named(kind, name.format(float(play.width)), slopes, triad.axes)
+            yield PlayTruth(tuple(slopes.tolist()), float(play.width), name != _PLAY)
 
 
 def _draw_hidden(triad: Any, random: np.random.Generator) -> Iterator[ErrorTerm]:
@@ -223,9 +207,8 @@ def _uncertain_lag(of: Any, random: np.random.Generator) -> float:
     return float(of.time_constant) + (apart * float(random.triangular(-1.0, 0.0, 1.0)) if apart else 0.0)
 
 
-def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> ImuTruth:
-    """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI. `law`: of
-    loops over the temperature; None: drawn."""
+def draw_truth(spec: Spec, seed: int, number: int) -> ImuTruth:
+    """The hidden parameters of the unit of this number, in `names` by their names in the calibration, SI."""
     draws = _Draws(np.random.default_rng([seed, number, 20261]))
     sensor = spec.sensor
     both: dict[Kind, Any] = {"gyro": sensor.gyro, "accelerometer": sensor.accelerometer}
@@ -237,7 +220,8 @@ def draw_truth(spec: Spec, seed: int, number: int, law: Law | None = None) -> Im
     for kind, truth in triads.items():
         differences = _draw_differences(sensor, kind, second_lag_s, random, draws.values)
         errors = *truth.errors, *_draw_hidden(both[kind], hidden), *differences
-        triads[kind] = replace(_draw_path(spec, kind, truth, path, law), errors=errors)
+        loops = tuple(_draw_plays(both[kind], kind, path, draws.values))
+        triads[kind] = replace(truth, errors=errors, loops=loops)
     lever = _LEVER_M * draws.random.standard_normal(3)
     clock = 0.0
     if sensor.sample_clock_error:

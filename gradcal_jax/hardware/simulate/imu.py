@@ -22,7 +22,7 @@ import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,85 +33,47 @@ from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, Uncont
 Vectors = NDArray[np.float64]
 Functions = Callable[[Vectors], Vectors]
 """Functions of a temperature (°C) or a rate (rad/s), `(n,) -> (n, k)`."""
-Law = Literal["relays", "thermal masses"]
-LAWS: Final[tuple[Law, ...]] = ("relays", "thermal masses")
-
-_RELAYS = 1500
-# Temperatures of relays, °C; half-widths, in the widths of the spec.
-_COLDEST_C, _WARMEST_C = -90.0, 150.0
-_NARROWEST, _WIDEST = 0.3, 2.0
-# The largest change of temperature between two evaluations, K.
-_STEP_K = 0.02
-# The slope on which the difference of two thermal masses has its size, K/s.
-_SLOPE_K_PER_S = 1.0 / 60.0
-# The time constants of a sensor's masses are those of its type within this share.
-_SPREAD = 0.1
-
-
-@dataclass(frozen=True)
-class LoopTruth:
-    """The loop of three sensors: its `law`; half of what heating and cooling differ by, of each (SI); the half-width of
-    the play that the spec has in its place, K (relays); `of_input`: it multiplies the input, as a scale factor;
-    `times_s`: time constants of two masses."""
-
-    law: Law
-    size: tuple[float, ...]
-    width_k: float
-    seed: int
-    of_input: bool = False
-    times_s: tuple[float, float] = (60.0, 600.0)
-
-    def begin(self, temperature_c: float) -> "Loop":
-        """The loop in a sensor that has been long at a temperature."""
-        shape, size = (_relays if self.law == "relays" else _thermal_masses)(self, temperature_c), np.array(self.size)
-        return lambda temperatures_c, period_s: shape(temperatures_c, period_s)[:, None] * size
 
 
 Loop = Callable[[Vectors, float], Vectors]
-"""The errors `(n, 3)` of a hysteresis loop at consecutive temperatures `(n,)`, with their period (s), by another model
-than the estimator's plays. Their size is half the difference between heating and cooling, over a wide cycle (relays) or
-on a ramp (thermal masses). The function of a model itself has the size 1: `(n,)`, ±1 on wide legs."""
+"""The errors `(n, 3)` of a hysteresis loop at consecutive temperatures `(n,)`, with their period (s)."""
 
 
-def _relays(truth: LoopTruth, temperature_c: float) -> Loop:
-    """Preisach: relays switch up at `u + r` and down at `u - r`, u over temperatures, r over half-widths.
+class HysteresisLoop(Protocol):
+    """What depends on past temperatures. `of_input`: it multiplies the input, as a scale factor."""
 
-    Weights add up to one for the relays that are open at a temperature, on average; the linear part of the mean of
-    heating and cooling, which is no hysteresis, is taken off."""
-    random = np.random.default_rng([truth.seed, 20264])
-    middle = random.uniform(_COLDEST_C, _WARMEST_C, _RELAYS)
-    half = truth.width_k * random.uniform(_NARROWEST, _WIDEST, _RELAYS)
-    up, down = middle + half, middle - half
-    weight = random.exponential(1.0, _RELAYS)
-    weight /= np.mean([weight[(down < t) & (t < up)].sum() for t in np.linspace(-30.0, 80.0, 56)])
-    slope, centre = 2.0 * weight.sum() / (_WARMEST_C - _COLDEST_C), 0.5 * (_COLDEST_C + _WARMEST_C)
-    on, last_c = middle < temperature_c, temperature_c
+    @property
+    def of_input(self) -> bool: ...
 
-    def output() -> float:
-        # A heating leg is behind, so that it is lower: the sign is that of heating less cooling.
-        return slope * (last_c - centre) - float(weight @ np.where(on, 1.0, -1.0))
-
-    def shape(temperatures_c: Vectors, period_s: float) -> Vectors:
-        nonlocal on, last_c
-        places, values = [-1], [output()]
-        for k, t in enumerate(temperatures_c.tolist()):
-            if abs(t - last_c) >= _STEP_K or k == len(temperatures_c) - 1:
-                on, last_c = (on | (t > up)) & ~(t < down), t
-                places.append(k)
-                values.append(output())
-        return np.interp(np.arange(len(temperatures_c)), places, values)
-
-    return shape
+    def begin(self, temperature_c: float) -> Loop:
+        """The loop in a sensor that has been long at a temperature."""
+        ...
 
 
-def _thermal_masses(truth: LoopTruth, temperature_c: float) -> Loop:
-    """Two masses follow the temperature with different time constants, and the error is in proportion to the difference
-    of theirs, so that it depends on the slope."""
-    spread = _SPREAD * np.random.default_rng([truth.seed, 20267]).uniform(-1.0, 1.0, 2)
-    fast_s, slow_s = np.array(truth.times_s) * (1.0 + spread)
-    fast, slow = Mass(temperature_c, float(fast_s)), Mass(temperature_c, float(slow_s))
-    scale = 1.0 / (_SLOPE_K_PER_S * (slow_s - fast_s))
-    return lambda t_c, period_s: (fast.take(t_c, period_s) - slow.take(t_c, period_s)) * scale
+@dataclass(frozen=True)
+class PlayTruth:
+    """A play of half-width `width_k` behind the temperature of three sensors, of which `slopes` (SI, for each K) are
+    the errors."""
+
+    slopes: tuple[float, ...]
+    width_k: float
+    of_input: bool = False
+
+    def begin(self, temperature_c: float) -> Loop:
+        place_k, slopes = temperature_c, np.array(self.slopes)
+
+        def follow(temperatures_c: Vectors) -> Vectors:
+            nonlocal place_k
+            if np.ptp(temperatures_c) >= 2.0 * self.width_k and len(temperatures_c) > 1:
+                half = len(temperatures_c) // 2
+                return np.concatenate([follow(temperatures_c[:half]), follow(temperatures_c[half:])])
+            # Within two half-widths one end of the play alone can push it.
+            above = np.minimum(place_k, np.minimum.accumulate(temperatures_c + self.width_k))
+            places_k = np.maximum(above, np.maximum.accumulate(temperatures_c - self.width_k))
+            place_k = float(places_k[-1])
+            return places_k
+
+        return lambda temperatures_c, period_s: (follow(temperatures_c) - temperatures_c)[:, None] * slopes
 
 
 class Mass:
@@ -279,7 +241,7 @@ class TriadTruth:
     walk: float = 0.0
     drifts: tuple[Process, ...] = ()
     gradient: tuple[float, ...] = (0.0, 0.0, 0.0)
-    loops: tuple[LoopTruth, ...] = ()
+    loops: tuple[HysteresisLoop, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -336,7 +298,7 @@ class SimulatedImu(SampledSensor):
         self._random = np.random.default_rng([seed, 20263])
         self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
         self._drifts = {kind: Drifts(triad.drifts, self._random) for kind, triad in truth.triads.items()}
-        self._loops: dict[Kind, list[tuple[LoopTruth, Loop]]] = {}
+        self._loops: dict[Kind, list[tuple[HysteresisLoop, Loop]]] = {}
         self._lags_s = {error.lag_s for triad in truth.triads.values() for error in triad.errors}
         self._lags_s = (self._lags_s | {truth.second_lag_s}) - {0.0}
         self._masses: dict[float, Mass] = {}

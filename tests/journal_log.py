@@ -2,6 +2,8 @@
 
 import contextlib
 
+import numpy as np
+
 from gradcal_jax.hardware.journal import JournalContents
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.records.log import Log
@@ -13,3 +15,14 @@ def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | 
     """The log of one IMU (by name; None: the rig's only one), decoded with the configuration in the journal."""
     with contextlib.ExitStack() as stack:
         return _of_unit(stack, None, contents, recipe, rig, unit, contents.records).whole()
+
+
+def angles_of_rests(log: Log, axis: int = 0) -> np.ndarray:
+    """`(standstills,)`: the angle of a table axis at which each standstill was read last, or that it has kept since
+    it was read, rad."""
+    assert log.standstill is not None
+    assert log.readings is not None
+    readings = log.readings.of_axis(axis)
+    ends = [np.flatnonzero(log.standstill == number)[-1] for number in range(int(log.standstill.max()) + 1)]
+    latest = np.searchsorted(readings.row, ends, side="right") - 1
+    return readings.angle_rad[latest]

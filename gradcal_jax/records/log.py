@@ -7,7 +7,7 @@
     reading   events at which the table's angle was read                  [reading]
 
 The table's angle is known at its readings alone. `table_angle` is a column of another logger, which read the encoder at
-every row; `table_course` is a reconstruction between readings, for pictures: nothing is estimated from it.
+every row.
 
 A log never loses a row silently: `rows_read` counts the rows of the source, `rows_removed` those that could not be kept
 (by reason), and `status` is 0 for every usable row of a unit and the reason otherwise.
@@ -182,14 +182,6 @@ VARIABLES: Final[Mapping[str, LogVariable]] = {
             "temperature of the second thermometer",
         ),
         ("table_angle", "table_angle_rad", "time table_axis", np.float64, "rad", "angle of the table, not wrapped"),
-        (
-            "table_course",
-            "table_course_rad",
-            "time table_axis",
-            np.float64,
-            "rad",
-            "angle of the table, reconstructed between readings",
-        ),
         ("table_rate", "table_rate_rad_per_s", "time table_axis", np.float64, "rad s-1", "rate of the table"),
         ("standstill", "standstill", "time", np.int64, "1", "number of the standstill; -1: the table moves"),
         ("mounting", "mounting", "time", np.int64, "1", "number of the mounting, from 0"),
@@ -281,8 +273,6 @@ class Log:
     force_axes: tuple[str, ...] = ()
     readings: AngleReadings | None = None
     """Readings of the table's angle. `None`: their times are not recorded; `table_angle_rad` is valid in every row."""
-    table_course_rad: Floats | None = None
-    """[time, table axis]; the angle reconstructed between readings, for pictures."""
     second_temperature_c: Floats | None = None
     """[unit, time]; temperature of the second thermometer."""
 

@@ -4,9 +4,6 @@ Only rows of stretches with data are kept; all others are counted as removed. A 
 because the state of the rig in it is unknown. In a standstill all axes stand. Every poll of an axis's angle is one
 reading, at the row at whose end the axis stands there.
 
-Between readings the angle is a reconstruction, for pictures: in a standstill the nearest reading; an axis that a motor
-turns follows the commanded trapezoid between its readings before and after; every other angle is interpolated linearly.
-
 The time stamp of a row is the sensor's clock, aligned with the computer's where data begin. `host_time` is the
 computer's clock, by a straight line through the quickest arrivals, whose slope and residuals are in the log's
 provenance. Where a run was resumed or an IMU restarted, the computer's clock gives the length of the interruption.
@@ -299,16 +296,14 @@ def _joined(
     return LogInBlocks(
         rows,
         fields,
-        lambda: _blocks(placed, bool(labels), forced, doubly),
+        lambda: _blocks(placed, forced, doubly),
         duration_s=ends_s - placed[0].begins_s,
         standstills=last.standing + len(last.part.standing),
         masked=sum(part.seen.marked for part in parts),
     )
 
 
-def _blocks(
-    placed: Sequence[PlacedPart], table: bool, forced: bool, doubly: bool
-) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+def _blocks(placed: Sequence[PlacedPart], forced: bool, doubly: bool) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
     spins = all(one.part.table.spins for one in placed)
     mounted = all(one.part.seen.mounted for one in placed)
     for one in placed:
@@ -327,8 +322,6 @@ def _blocks(
                 columns["specific_force_m_per_s2"] = (block["acceleration_g"] * STANDARD_GRAVITY)[None]
             if doubly:
                 columns["second_temperature_c"] = np.ascontiguousarray(block["second_c"])[None]
-            if table:
-                columns["table_course_rad"] = np.radians(part.table.course_deg(first, host))
             if spins:
                 columns["table_rate_rad_per_s"] = np.radians(part.table.rates_dps(host))
             if mounted:

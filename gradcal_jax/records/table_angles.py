@@ -1,15 +1,15 @@
-"""The angles of a run's table, from the events of its journal: standstills, readings, and a course for pictures."""
+"""The angles of a run's table, from the events of its journal: standstills, readings, and rates that are held."""
 
+import bisect
 import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.hardware.journal import Event
 from gradcal_jax.hardware.run_folder import breaks_off
-from gradcal_jax.hardware.track import AxisCommand
 from gradcal_jax.records.log import AngleReadings, ReadingKind
 from gradcal_jax.records.row_times import RowTimes
 
@@ -28,7 +28,7 @@ class RunAngles:
     """The axes of a table at the rows of a log, of which `runs` (first, end) are standstills. A row may be `late_s`
     earlier or later than its time.
 
-    `readings` are small; the rest is made for a block of rows at a time.
+    `readings` are small; the rates are made for a block of rows at a time.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class RunAngles:
         runs: Sequence[tuple[int, int]],
         late_s: float,
     ) -> None:
-        self._courses = [_Course(events, axis, rows, runs) for axis in axes]
+        self._known = [_known(events, axis, rows, runs) for axis in axes]
         self._rates = [_held_rates(events, axis, rows.host_s(len(rows) - 1)) for axis in axes]
         self.readings = AngleReadings.in_order(
             [_table_readings(events, axis, k, rows, late_s) for k, axis in enumerate(axes)]
@@ -48,12 +48,8 @@ class RunAngles:
         """Whether the rates of an axis are known, because it turns at constant rates."""
 
     def known_in(self, run: int) -> bool:
-        return all(course.known_in(run) for course in self._courses)
-
-    def course_deg(self, first: int, host: Floats) -> Floats:
-        """The angles, for pictures, of the rows from `first` on, whose times are `host`. `(n, L)`, deg"""
-        courses = [course.at(first, host)[:, None] for course in self._courses]
-        return np.concatenate([np.zeros((len(host), 0)), *courses], axis=1)
+        """Whether every axis was read in a standstill, or since its last command before it."""
+        return all(known[run] for known in self._known)
 
     def rates_dps(self, host: Floats) -> Floats:
         """The rates held at times. `(n, L)`, deg/s"""
@@ -190,97 +186,19 @@ def _spins(event: Event, axis: str) -> bool:
     return event.name == "move" and event.data["axis"] == axis and event.data["kind"] == "spin"
 
 
-class _Piece(NamedTuple):
-    """How an axis's angle is made in rows: the nearest of `values` at `times`, or a turn from an angle at a time."""
-
-    first: int
-    end: int
-    times: Floats
-    values: Floats
-    turn: AxisCommand | None = None
-
-    def at(self, host: Floats) -> Floats:
-        if self.turn is not None:
-            return self.values[0] + _turned(self.turn, host - self.times[0])
-        if not len(self.times):
-            return np.full(len(host), np.nan)
-        # The nearest in time.
-        return self.values[np.searchsorted((self.times[1:] + self.times[:-1]) / 2.0, host)]
-
-
-class _Course:
-    """An axis's angle at every row, deg: in a standstill the nearest reading since the axis's last command of motion
-    (a typed angle holds until the axis is turned again), else from its own moves."""
-
-    def __init__(self, events: Sequence[Event], axis: str, rows: RowTimes, runs: Sequence[tuple[int, int]]) -> None:
-        read = [
-            e for e in events if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None
-        ]
-        self._times, self._values = (np.array([float(e.data[of]) for e in read]) for of in ("time_s", "position_deg"))
-        times, values = self._times, self._values
-        still = np.array([not e.data["moving"] for e in read], bool)
-        moves = [e for e in events if e.name in MOVE_COMMANDS and e.data["axis"] == axis]
-        moved = np.array([float(e.data.get("began_s", e.time_s)) for e in moves])
-        self._own = _own_pieces(rows, moves, moved, times[still], values[still]) if read else []
-        self._stands: list[_Piece] = []
-        for first, end in runs:
-            number = int(np.searchsorted(moved, rows.host_s(first)))
-            low, high = moved[number - 1] if number else -math.inf, rows.host_s(end - 1) + 2.0 * MARGIN_S
-            inside = np.flatnonzero(still & (times >= low) & (times <= high))
-            self._stands.append(_Piece(first, end, times[inside], values[inside]))
-        self._firsts = [np.array([piece.first for piece in pieces]) for pieces in (self._own, self._stands)]
-
-    def known_in(self, run: int) -> bool:
-        return bool(len(self._stands[run].times))
-
-    def at(self, first: int, host: Floats) -> Floats:
-        if not len(self._times):
-            return np.full(len(host), np.nan)
-        result = np.interp(host, self._times, self._values)
-        end = first + len(host)
-        for pieces, firsts in zip((self._own, self._stands), self._firsts, strict=True):
-            # Pieces follow each other: only the last that begins before the block may reach into it.
-            low, high = max(0, int(np.searchsorted(firsts, first, "right")) - 1), int(np.searchsorted(firsts, end))
-            for piece in pieces[low:high]:
-                here = slice(max(piece.first, first) - first, max(0, min(piece.end, end) - first))
-                result[here] = piece.at(host[here])
-        return result
-
-
-def _own_pieces(
-    rows: RowTimes, commands: Sequence[Event], moved: Floats, times: Floats, values: Floats
-) -> list[_Piece]:
-    """An axis's angle independent of other axes: the nearest of its readings `values` at `times` while it stands, and
-    the commanded trapezoid from one to the next; nothing where neither is known."""
-    pieces: list[_Piece] = []
-    for k in range(-1, len(commands)):
-        begin = float(moved[k]) if k >= 0 else -math.inf
-        until = float(moved[k + 1]) if k + 1 < len(commands) else math.inf
-        # A reading at the time of a command belongs to the standstill before it.
-        first, last = np.searchsorted(times, np.array([begin, until]), side="right")
-        if first == last:
-            continue
-        low, middle, high = (rows.search(at_s) for at_s in (begin, float(times[first]), until))
-        move = commands[k].data if k >= 0 else {}
-        if first > 0 and move.get("kind") in ("go", "turn") and move.get("acceleration_dps2"):
-            angle, rate = float(values[first] - values[first - 1]), float(move["rate_dps"])
-            acceleration = move["acceleration_dps2"]
-            turn = AxisCommand(0.0, "", "turn", rate_dps=rate, acceleration_dps2=acceleration, angle_deg=angle)
-            # An operator, or a stage that was held up, does not follow the trapezoid.
-            if turn.duration_s + _LATE_S > times[first] - begin:
-                pieces.append(_Piece(low, middle, np.array([begin]), values[first - 1 : first], turn))
-        pieces.append(_Piece(middle, high, times[first:last], values[first:last]))
-    return [piece for piece in pieces if piece.end > piece.first]
-
-
-def _turned(turn: AxisCommand, since: Floats) -> Floats:
-    """How far a turn has come (deg), seconds after it began."""
-    size, whole = abs(turn.angle_deg), turn.duration_s
-    if whole == 0.0:
-        return np.full(len(since), turn.angle_deg)
-    peak = min(abs(turn.rate_dps), math.sqrt(size * turn.acceleration_dps2))
-    ramp = peak / turn.acceleration_dps2
-    near = 0.5 * turn.acceleration_dps2 * np.clip(np.minimum(since, whole - since), 0.0, ramp) ** 2
-    sides = np.where(since < 0.5 * whole, near, size - near)
-    flat = (since > ramp) & (since < whole - ramp)
-    return math.copysign(1.0, turn.angle_deg) * np.where(flat, peak * (since - 0.5 * ramp), sides)
+def _known(events: Sequence[Event], axis: str, rows: RowTimes, runs: Sequence[tuple[int, int]]) -> list[bool]:
+    """Whether an axis was read in each standstill, or since its last command of motion before it."""
+    commands = [e for e in events if e.name in MOVE_COMMANDS and e.data["axis"] == axis]
+    moved_s = [float(e.data.get("began_s", e.time_s)) for e in commands]
+    read_s = [
+        float(e.data["time_s"])
+        for e in events
+        if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None and not e.data["moving"]
+    ]
+    known: list[bool] = []
+    for first, end in runs:
+        number = bisect.bisect_left(moved_s, rows.host_s(first))
+        since_s = moved_s[number - 1] if number else -math.inf
+        after = bisect.bisect_left(read_s, since_s)
+        known.append(after < len(read_s) and read_s[after] <= rows.host_s(end - 1) + 2.0 * MARGIN_S)
+    return known

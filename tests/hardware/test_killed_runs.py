@@ -18,7 +18,7 @@ import pytest
 from hardware_bench import short_recipe
 from hardware_evidence import record
 from hardware_processes import laboratory
-from journal_log import log_of
+from journal_log import angles_of_rests, log_of
 from killing import SAFE, STANDING, STARTING, TURNING, WAITING, Killer, Watched, require_seams
 
 from gradcal_jax.hardware.drivers import frames
@@ -160,7 +160,7 @@ def overflows(contents: JournalContents, folder: RunFolder) -> list[float]:
 def step_data(log: Log, step: TrackStep, begins_s: float, torn_s: list[float]) -> StepData:
     assert log.host_time_s is not None
     assert log.standstill is not None
-    assert log.table_course_rad is not None
+    rests_rad = angles_of_rests(log)
     rows = np.flatnonzero((log.host_time_s > begins_s) & (log.host_time_s <= begins_s + step.duration_s))
     missing = int(np.sum(np.rint(np.diff(log.time_s[rows]) * RATE_HZ) - 1))
     numbers = [int(n) for n in dict.fromkeys(log.standstill[rows].tolist()) if n >= 0]
@@ -169,7 +169,7 @@ def step_data(log: Log, step: TrackStep, begins_s: float, torn_s: list[float]) -
     for before, after in itertools.pairwise(numbers):
         # From the middle of a rest to the middle of the next; whatever row it is, the table stands.
         start, end = (int(np.median(rows[log.standstill[rows] == n])) for n in (before, after))
-        table.append(float(np.degrees(log.table_course_rad[end, 0] - log.table_course_rad[start, 0])))
+        table.append(float(np.degrees(rests_rad[after] - rests_rad[before])))
         sensor.append(float(np.degrees(log.rate_rad_per_s[0, start + 1 : end + 1, 0].sum()) / RATE_HZ))
     for number in numbers:
         # How late the quickest of all stamps are, nobody knows: five milliseconds are a tenth of a second of this run,

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hardware_bench import served, unpredicted
-from journal_log import log_of
+from journal_log import angles_of_rests, log_of
 from simulated_devices.line_clock import LineClock
 from simulated_devices.line_tables import SimulatedGrbl
 from simulated_devices.operator import OperatorOptions, SimulatedOperator
@@ -144,7 +144,7 @@ def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more(
         axis.move_to(90.0, 30.0, 10.0)
         # Somebody misread the mark by ten degrees, says so twice, and is believed.
         clock.sleep(2.0)
-        plant.turn_by_hand(clock.now() + 20.0, 80.0, 0.5, 0.0)
+        plant.turn_by_hand(clock.now() + 20.0, 80.0, 0.5)
         person._types_s = clock.now() + 25.0
         assert settled(axis, clock) == pytest.approx(80.0, abs=0.05)
         assert "differs by 10 deg from 90 deg; correct the angle, or type it again to confirm:" in person.heard[-1]
@@ -318,12 +318,11 @@ def test_a_rehearsal_turns_by_hand_too(tmp_path: Path) -> None:
     assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
     log = run_log.log(tmp_path / "run")
     assert log.standstill is not None
-    assert log.table_course_rad is not None
     for number in range(2 * made.motion[0].repeat + 1):
         rows = log.standstill == number
         # Every rest keeps its length, however late somebody was; nobody hits the mark exactly.
         assert np.count_nonzero(rows) >= 5.8 * 125.0
-        (angle,) = set(np.degrees(log.table_course_rad[rows, 0]))
+        angle = np.degrees(angles_of_rests(log)[number])
         assert 0.0 < abs((angle + 180.0) % 360.0 - 180.0) < 2.0
 
 
@@ -413,7 +412,6 @@ def test_a_run_by_hand_from_recipe_to_log(tmp_path: Path) -> None:
     assert len(moves) == 2 * repeats
     log = log_of(contents, made, folder.rig())
     assert log.standstill is not None
-    assert log.table_course_rad is not None
     assert int(log.standstill.max()) == 2 * repeats
     # What was typed is in the journal byte for byte, and it is the log's angle of that standstill.
     typed = b"".join(
@@ -427,7 +425,7 @@ def test_a_run_by_hand_from_recipe_to_log(tmp_path: Path) -> None:
         rows = log.standstill == number
         # Every rest keeps its length, however late somebody was.
         assert np.count_nonzero(rows) >= 5.8 * 125.0
-        (angle,) = set(np.degrees(log.table_course_rad[rows, 0]))
+        angle = np.degrees(angles_of_rests(log)[number])
         angles.append(angle)
     assert np.round(np.mod(angles, 360.0), 3).tolist() == np.round(dials, 3).tolist()
     turned = np.diff(angles)
@@ -550,7 +548,7 @@ def test_somebody_at_the_terminal_of_gradcal_run(tmp_path: Path) -> None:
             terminal.wait_for("expected an angle such as '30 arcsec'. Type the angle that its scale shows: ")
             terminal.type("0.02 deg\n")
             terminal.wait_for(f"\ax: turn by +360 deg in 6 s, to 360 deg; {ASKS}")
-            plant.turn_by_hand(time.monotonic(), 360.4, 1.0, 0.3)
+            plant.turn_by_hand(time.monotonic(), 360.4, 1.0)
             time.sleep(1.2)
             terminal.type("0.3")
             # Nothing is drawn over what somebody is typing.
@@ -582,7 +580,7 @@ def test_a_pause_at_the_terminal_an_end_of_input_and_a_resumed_run(tmp_path: Pat
         def turn(terminal: AtTerminal, words: str, to_deg: float, typed: str) -> None:
             terminal.wait_for(words)
             terminal.wait_for("type the angle that its scale shows: ")
-            plant.turn_by_hand(time.monotonic(), to_deg, 1.0, 0.3)
+            plant.turn_by_hand(time.monotonic(), to_deg, 1.0)
             time.sleep(1.2)
             terminal.type(typed)
 
@@ -606,10 +604,8 @@ def test_a_pause_at_the_terminal_an_end_of_input_and_a_resumed_run(tmp_path: Pat
     found = RunFolder(folder)
     log = log_of(found.contents(), found.recipe(), found.rig())
     assert log.standstill is not None
-    assert log.table_course_rad is not None
-    stood = [log.table_course_rad[log.standstill == number, 0] for number in range(int(log.standstill.max()) + 1)]
     # The rest before the lost turn, and those of the step that was begun again.
-    assert [np.round(np.degrees(set(angles.tolist()).pop()), 6) for angles in stood] == [0.0, 0.1, 360.2, 0.1]
+    assert np.round(np.degrees(angles_of_rests(log)), 6).tolist() == [0.0, 0.1, 360.2, 0.1]
     assert log.provenance["run"] == "success"
     states = [event.data["state"] for event in found.contents().events if event.name == "state"]
     assert states[:5] == ["running", "pausing", "paused", "running", "aborting"]

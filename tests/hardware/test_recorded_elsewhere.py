@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hardware_bench import Rig, short_recipe
 from hardware_evidence import record
+from journal_log import angles_of_rests
 from scipy.stats import chi2
 from simulated_devices.line_clock import LineClock
 from simulated_devices.port_lab import SimulatedLab
@@ -83,7 +84,7 @@ def test_the_log_of_a_recording_has_the_table_and_the_chamber(tmp_path: Path, ca
     assert "the recording's clock was determined from" in said
     log = read_log(tmp_path / "log.nc")
     assert log.standstill is not None
-    assert log.table_course_rad is not None
+    rests_rad = angles_of_rests(log)
     assert log.temperature_c is not None
     assert log.host_time_s is not None
     assert (log.axes, log.table_axes) == (("x", "y"), ("x",))
@@ -102,7 +103,7 @@ def test_the_log_of_a_recording_has_the_table_and_the_chamber(tmp_path: Path, ca
         last, first = (np.flatnonzero(log.standstill == n) for n in (number, number + 1))
         rows = slice(int(last[-1]) + 1, int(first[0]) + 1)
         sensed = float((log.rate_rad_per_s[0, rows, 0] - np.radians(0.01)).sum()) / 100.0
-        turned = float(log.table_course_rad[first[0], 0] - log.table_course_rad[last[-1], 0])
+        turned = float(rests_rad[number + 1] - rests_rad[number])
         assert np.degrees(abs(turned)) == pytest.approx(360.0, abs=0.1)
         assert sensed == pytest.approx(turned, rel=1e-3)
     # No row of a standstill lies in a motion.

@@ -13,7 +13,7 @@ from gradcal_jax.records.log_file import LogInBlocks, read_log, write_log
 from gradcal_jax.tables.netcdf import load_netcdf
 
 # Fields with rows that this log lacks.
-WITH_ROWS = ("table_angle_rad", "table_course_rad", "mounting", "specific_force_m_per_s2")
+WITH_ROWS = ("table_angle_rad", "mounting", "specific_force_m_per_s2")
 
 
 def whole_log():

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hardware_bench import sensor_on_table, short_recipe
-from journal_log import log_of
+from journal_log import angles_of_rests, log_of
 from simulated_devices.frames import SimulatedFrames
 from simulated_devices.gyro import SensorTruth
 from simulated_devices.line_clock import LineClock
@@ -136,11 +136,10 @@ THERE_AND_BACK = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + 10.0, 0.0))
 def turned_deg(log: Log, pick: Callable[[np.ndarray], int]) -> tuple[list[float], list[float]]:
     """By the table and by the sensor, from a row of each standstill to one of the next."""
     assert log.standstill is not None
-    assert log.table_course_rad is not None
     numbers = [int(n) for n in dict.fromkeys(log.standstill.tolist()) if n >= 0]
     rows = [pick(np.flatnonzero(log.standstill == n)) for n in numbers]
     interval_s = float(np.median(np.diff(log.time_s)))
-    table = np.degrees(np.diff(log.table_course_rad[rows, 0]))
+    table = np.degrees(np.diff(angles_of_rests(log)[numbers]))
     about = log.rate_rad_per_s[0, :, 2]
     spans = itertools.pairwise(rows)
     sensor = [float(np.degrees(about[start + 1 : end + 1].sum()) * interval_s) for start, end in spans]
@@ -269,11 +268,7 @@ def paused(start_s: float, end_s: float, *, stopped: bool = False) -> list[Event
 
 def angles_at_rest(log: Log) -> list[float]:
     """Of every standstill, in its order, deg."""
-    assert log.standstill is not None
-    assert log.table_course_rad is not None
-    degrees = np.degrees(log.table_course_rad[:, 0])
-    numbers = range(int(log.standstill.max()) + 1)
-    return [float(angle) for number in numbers for angle in np.unique(degrees[log.standstill == number])]
+    return np.degrees(angles_of_rests(log)).tolist()
 
 
 @pytest.mark.parametrize("stopped", [False, True])

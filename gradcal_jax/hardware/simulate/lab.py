@@ -192,15 +192,14 @@ class SimulatedAxis(AxisDriver[AxisOptions]):
 
 @dataclass(frozen=True)
 class SimulatedHand:
-    """How a person turns axes: reacts after a while, turns unevenly, misses the mark a little, and reads the dial, to
-    its digits, when the axis stands."""
+    """How a person turns axes: reacts after a while, misses the mark a little, and reads the dial, to its digits, when
+    the axis stands."""
 
     seed: int = 0
     reaction_s: float = 1.5
     reading_s: float = 2.0
     miss_deg: float = 0.3
     pace_spread: float = 0.1
-    unevenness: float = 0.3
     digits: int = 3
 
 
@@ -260,7 +259,7 @@ class SimulatedPerson:
 
     def _turn(self, name: str, goal_deg: float, begins_s: float, lasts_s: float) -> None:
         miss = self.hand.miss_deg * float(self._random.standard_normal())
-        self._plants[name].turn_by_hand(begins_s, goal_deg + miss, lasts_s, self.hand.unevenness)
+        self._plants[name].turn_by_hand(begins_s, goal_deg + miss, lasts_s)
         self._axis, self._answers_s = name, begins_s + lasts_s + self.hand.reading_s
 
 

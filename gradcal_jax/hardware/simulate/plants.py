@@ -100,9 +100,6 @@ class ChamberPlant:
         self._load_c += (self._air_c - self._load_c) * -math.expm1(-step / truth.load_time_constant_s)
 
 
-_PIECES_BY_HAND = 24
-
-
 @dataclass(frozen=True)
 class AxisTruth:
     """True properties of a rotary axis.
@@ -262,21 +259,11 @@ class AxisPlant:
     def ends_s(self) -> float:
         return self._phases[-1].start_s
 
-    def turn_by_hand(self, now_s: float, target_deg: float, duration_s: float, unevenness: float) -> None:
-        """A slow and uneven turn from standstill: the plans' shape "hand", in pieces of constant acceleration."""
-        with self._lock:
-            now_s = max(now_s, self._known_until_s)
-            start, _ = self.state(now_s)
-            # Rates at the knots, linear in between, whose integral is exactly the turn.
-            knots = np.linspace(0.0, 1.0, _PIECES_BY_HAND + 1)
-            rates = 0.5 * (1.0 - np.cos(2.0 * np.pi * knots)) * (1.0 + unevenness * np.sin(6.0 * np.pi * knots))
-            piece = duration_s / _PIECES_BY_HAND
-            rates *= (target_deg - start) / (piece * float(np.sum(rates[1:] + rates[:-1]) / 2.0))
-            slopes = np.diff(rates) / piece
-            turned = start + np.concatenate(([0.0], np.cumsum(piece * (rates[1:] + rates[:-1]) / 2.0)))
-            pieces = zip(turned[:-1].tolist(), rates[:-1].tolist(), slopes.tolist(), strict=True)
-            phases = [_Phase(now_s + k * piece, *motion) for k, motion in enumerate(pieces)]
-            self._replace(now_s, [*phases, _Phase(now_s + duration_s, target_deg, 0.0, 0.0)])
+    def turn_by_hand(self, begins_s: float, target_deg: float, lasts_s: float) -> None:
+        """A turn from standstill in a time, of which the ramps at both ends are a quarter each."""
+        way_deg = abs(target_deg - self.state(begins_s)[0])
+        rate_dps = max(way_deg, 1e-9) / (0.75 * lasts_s)
+        self.move_to(begins_s, target_deg, rate_dps, rate_dps / (0.25 * lasts_s))
 
     def _held(self, position_deg: float, rate_dps: float) -> float:
         error = self.truth.rate_accuracy * float(self._random.standard_normal()) if rate_dps else 0.0

@@ -30,7 +30,6 @@ class OperatorOptions:
     reading_s: float = 2.0
     miss_deg: float = 0.3
     pace_spread: float = 0.1
-    unevenness: float = 0.3
     digits: int = 3
     slips: float = 0.0
     types_angles: bool = True
@@ -115,5 +114,5 @@ class SimulatedOperator:
     def _turn(self, name: str, target_deg: float, begins_s: float, ends_s: float) -> None:
         miss = self.options.miss_deg * float(self._random.standard_normal())
         plant = self._plants[name]
-        plant.turn_by_hand(begins_s, target_deg + miss, ends_s - begins_s, self.options.unevenness)
+        plant.turn_by_hand(begins_s, target_deg + miss, ends_s - begins_s)
         self._axis, self._types_s = name, ends_s + self.options.reading_s

@@ -15,7 +15,6 @@ from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, executed_i
 from gradcal_jax.estimation.imu_readings import ImuReadings, readings_counted, readings_of
 from gradcal_jax.estimation.imu_solve import HUBER, ImuEstimate, angle_errors, estimate_unweighted, solve_imu
 from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests, neighbours_of
-from gradcal_jax.estimation.planned_moves import PlannedMove
 from gradcal_jax.estimation.plateaus import TablePoints, plateaus
 from gradcal_jax.estimation.read_motion import (
     column_readings,

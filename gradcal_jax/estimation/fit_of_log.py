@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax import motion as trajectory
 from gradcal_jax.calibration import (
     FORMAT,
     FRAME_OF_CASE,
@@ -32,7 +31,6 @@ from gradcal_jax.estimation import (
     ExecutedImu,
     ImuEstimate,
     ImuRows,
-    PlannedMove,
     TablePoints,
     Test,
 )
@@ -61,7 +59,6 @@ from gradcal_jax.model import (
     SignalMap,
     TemperatureDifference,
 )
-from gradcal_jax.model.build import move_of
 from gradcal_jax.model.imu_build import BuiltImu, course_before
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.spec.absent import with_typical
@@ -81,8 +78,6 @@ _EVERYWHERE = (-273.0, 1000.0), (-1e4, 1e4)
 _STANDS, _LINEARISED = 2e-6, 24
 # The linearisation from which on half of the change is taken: with a large azimuth the whole of it may oscillate.
 _HALF_FROM = 6
-# Parts of a planned move's time at which its angle is tabulated.
-_PROFILE = 512
 
 
 def _refuse_the_implausible(built: BuiltImu, name: str, solution: ImuEstimate) -> None:
@@ -217,7 +212,7 @@ def _executed(built: BuiltImu, seen: ImuRows) -> ExecutedImu:
     if read_by_events(built.spec):
         return estimation.motion_by_readings(seen, geometry)
     spacing = {} if encoder.held else {"read_every": float(encoder.every[0])}
-    done = estimation.executed_imu(seen, geometry, planned=planned_moves(built), **spacing)
+    done = estimation.executed_imu(seen, geometry, **spacing)
     return estimation.readings_counted(done, built.model)
 
 
@@ -229,27 +224,6 @@ def points_of(built: BuiltImu, rows: ImuRows) -> TablePoints:
     planned = np.array(plan.temperatures), np.array(plan.rates)
     reference = rows.temperature_c, rows.table_rate, rows.usable
     return estimation.plateaus(rows.time_s, *reference, *planned, plan.integration, points=plan.shared)
-
-
-def planned_moves(built: BuiltImu) -> list[list[PlannedMove]]:
-    """The moves of a plan's cycle between its rests."""
-    groups: list[list[PlannedMove]] = [[]]
-    places = np.linspace(0.0, 1.0, _PROFILE + 1)
-    for step in built.spec.gradient_schedule.steps:
-        for _ in range(step.move.repeat):
-            if step.axis < 0:
-                groups.append([])
-                continue
-            turn = move_of(step.move)
-            line = trajectory.gradient_plan(trajectory.programme(0.0, [(turn.duration, 0.0)]), (turn,)).trajectory()
-            begun = np.cumsum(line.turned()) - line.turned()
-            piece = np.clip(np.searchsorted(line.start, places * turn.duration, side="right") - 1, 0, len(begun) - 1)
-            within = (places * turn.duration - line.start[piece]) / line.duration[piece]
-            angle = begun[piece] + line.angle(within[:, None], piece)[:, 0]
-            groups[-1].append(PlannedMove(step.axis, turn.angle, turn.duration, angle / angle[-1]))
-    # The cycle begins anew where it ends.
-    groups[0] = [*groups.pop(), *groups[0]] if len(groups) > 1 else groups[0]
-    return [group for group in groups if group]
 
 
 class Recorded(NamedTuple):

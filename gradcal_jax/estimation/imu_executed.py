@@ -16,7 +16,6 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.estimation.planned_moves import SLOW_S, PlannedMove, TimedMove, timed_moves
 from gradcal_jax.estimation.standstill import begun_earlier
 from gradcal_jax.formulas import followed, runs
 from gradcal_jax.model import SECOND, OtherTemperature
@@ -25,6 +24,8 @@ from gradcal_jax.motion import Geometry, TableMotion, Trajectory, frames, held
 # A rest is one row of each channel, as in a plan, but its temperature is followed in pieces of this duration.
 PIECE_S = 60.0
 _GUARD_S = 0.1
+# Rows further apart than this (s) do not show when a move begins and ends.
+_SLOW_S = 0.06
 # The speed at a stop is this many times below that on both sides; speeds below this share of the fastest are noise.
 _DIP, _SLOWEST = 10.0, 1e-3
 # A stop is read within this time of where the gyros see it.
@@ -98,14 +99,17 @@ def executed_imu(
     log: ImuRows,
     geometry: Geometry,
     read_every: float = PIECE_S,
-    planned: Sequence[Sequence[PlannedMove]] = (),
 ) -> ExecutedImu:
-    """The motion in a log's rows. `read_every` s: the spacing of readings of a table that is read while it stands;
-    `planned`: the moves of the plan between its rests, for logs that are too slow to show the motion themselves.
+    """The motion in a log's rows. `read_every` s: the spacing of readings of a table that is read while it stands.
 
-    Errors: `ValueError` where the table never stands, where its angles are not known there, or where the gyros'
-    integral over a move is not a sequence of turns of single axes.
+    Errors: `ValueError` where rows are too far apart, where the table never stands, where its angles are not known
+    there, or where the gyros' integral over a move is not a sequence of turns of single axes.
     """
+    spacing = float(np.median(np.diff(log.time_s)))
+    if spacing > _SLOW_S:
+        raise ValueError(
+            f"the log has {1.0 / spacing:.3g} rows/s, too few to see the moves of several axes: record at least 20"
+        )
     stands = [(int(a), int(b) - 1) for a, b in runs(log.standing) if b - a > 1]
     # Standstills of a run, whose readings are events, have margins already.
     spans = stands if log.at_a_stop.any() else [_inner(log.time_s, *stand) for stand in stands]
@@ -119,22 +123,19 @@ def executed_imu(
         spans = [(int(rows[0]), int(rows[-1])) for rows in read if len(rows)]
     # A reading has the row at which its axis stands; of an angle at every row those at the ends do not count.
     means = mean_angles(log, spans)
-    slow = np.median(np.diff(log.time_s)) > SLOW_S
-    legs = _legs(log, geometry, spans, means, planned if slow else ())
+    legs = _legs(log, geometry, spans, means)
     angles, averaged = _own_angles(log, spans, legs)
     done = _pieces(log, geometry, spans, legs, angles, read_every)
     return done._replace(averaged=averaged) if log.at_a_stop.any() else done
 
 
 class _Leg(NamedTuple):
-    """A move of one axis (−1: unknown or none), rows `begin + 1 … end`, after standstill `span`. `timed`: its motion
-    where the plan tells it."""
+    """A move of one axis (−1: unknown or none), rows `begin + 1 … end`, after standstill `span`."""
 
     span: int
     axis: int
     begin: int
     end: int
-    timed: TimedMove | None = None
 
 
 def mean_angles(log: ImuRows, spans: list[tuple[int, int]]) -> list[np.ndarray]:
@@ -173,7 +174,6 @@ def _legs(
     geometry: Geometry,
     spans: list[tuple[int, int]],
     means: list[np.ndarray],
-    planned: Sequence[Sequence[PlannedMove]],
 ) -> list[_Leg]:
     """Every move between standstills."""
     step = np.diff(log.time_s, prepend=log.time_s[0])
@@ -189,22 +189,6 @@ def _legs(
             result.append(_Leg(k, -1, last, first))
             continue
         rows = np.arange(last, first + 1)
-        if planned and quiet is not None:
-
-            def directions_of(group, k: int = k, mounting: np.ndarray = log.mounting[[last]]) -> np.ndarray:
-                at, result = means[k].copy(), []
-                for move in group:
-                    result.append(frames(geometry, at[None], mounting).axes[0][move.axis, seen])
-                    at[move.axis] += move.angle
-                return np.array(result)
-
-            rates = (log.rates[rows[1:]] - 0.5 * (quiet[k] + quiet[k + 1]))[:, seen]
-            moved, change = rates * step[rows[1:], None], means[k + 1] - means[k]
-            if timed := timed_moves(planned, change, log.time_s[rows], moved, directions_of):
-                begins = (rows[np.argmin(np.abs(log.time_s[rows] - t.begin))] for t in timed[1:])
-                pairs = itertools.pairwise([last, *map(int, begins), first])
-                result += [_Leg(k, t.move.axis, a, b, t) for t, (a, b) in zip(timed, pairs, strict=True)]
-                continue
         still = None
         for since, axis in np.argwhere(stops[last + 1 : first]):
             row = int(since) + last + 1
@@ -382,11 +366,6 @@ def _pieces(
     longest: float,
 ) -> ExecutedImu:
     rows, axes, lost, travelled = [spans[0][0]], list[int](), list[bool](), list[np.ndarray | None]()
-    # Where the plan tells when a move began, that is not at a row.
-    timed = (leg for before, leg in itertools.pairwise(legs) if before.span == leg.span)
-    times = {leg.begin: leg.timed.begin for leg in timed if leg.timed is not None}
-    time_s = log.time_s.copy()
-    time_s[list(times)] = list(times.values())
     goals = [iter(own[1:]) for own in angles]
     start = np.array([own[0] for own in angles])
     # Between two rows of equal counts every row may be integrated.
@@ -418,7 +397,7 @@ def _pieces(
         for leg in of_span.get(k, []):
             if leg.axis >= 0:
                 angle = next_angle(leg.axis)
-                add(leg.end, leg.axis, _way(log, geometry, at, leg, angle, time_s))
+                add(leg.end, leg.axis, _way(log, geometry, at, leg, angle))
                 at[leg.axis] += angle
                 continue
             # Several axes, or none: the move is not read; every axis goes to its next angle.
@@ -428,18 +407,13 @@ def _pieces(
                 add(row, l, np.linspace(0.0, angle, _FEWEST_NODES + 1), read=False)
                 at[l] += angle
     turned = np.array([0.0 if way is None else way[-1] for way in travelled])
-    as_moved = log._replace(time_s=time_s)
-    motion = _motion(as_moved, geometry, np.array(rows), np.array(axes), np.array(lost), turned, start)
+    motion = _motion(log, geometry, np.array(rows), np.array(axes), np.array(lost), turned, start)
     return ExecutedImu(motion, np.array(rows), tuple(travelled))
 
 
-def _way(log: ImuRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float, time_s: np.ndarray) -> np.ndarray:
+def _way(log: ImuRows, geometry: Geometry, at: np.ndarray, leg: _Leg, whole: float) -> np.ndarray:
     """The angle (rad) of a move by the gyros, adjusted to the encoder's, at the edges of equal parts of its time."""
-    time = time_s[leg.begin : leg.end + 1]
-    if leg.timed is not None:
-        count = nodes_of_way(abs(whole))
-        share = leg.timed.share(np.linspace(time[0], time[-1], count + 1))
-        return whole * (share - share[0]) / max(share[-1] - share[0], 1e-12)
+    time = log.time_s[leg.begin : leg.end + 1]
     direction = frames(geometry, at[None], log.mounting[[leg.begin]]).axes[0][leg.axis]
     rates = log.rates[leg.begin + 1 : leg.end + 1]
     direction = np.where(np.isfinite(rates).all(axis=0), direction, 0.0)
@@ -473,15 +447,13 @@ def across_stops(done: ExecutedImu, log: ImuRows) -> np.ndarray:
     rests = np.flatnonzero(axis < 0)
     for k in np.flatnonzero((axis[:-1] >= 0) & (axis[1:] >= 0)):
         stop = int(rows[k + 1])
-        # Where the plan tells the stop, it may lie within a row, which is then the only one that both moves share.
-        late_s = float(done.motion.line.start[k + 1] - log.time_s[stop])
         if log.at_end is not None and log.at_end[stop]:
             continue
         around = [j for j in (np.searchsorted(rests, k) - 1, np.searchsorted(rests, k)) if 0 <= j < len(rests)]
         still = [np.mean(log.rates[rows[j] + 1 : rows[j + 1] + 1], axis=0) for j in rests[around]]
         if axis[k] == axis[k + 1]:
             near = slice(stop - 3, stop + 4)
-            if late_s == 0.0 and rows[k] + 3 < stop < rows[k + 2] - 3:
+            if rows[k] + 3 < stop < rows[k + 2] - 3:
                 # The lines of the rate meet at the bias, 0.3 deg/s of which are 0.1 mrad.
                 moved = log.rates[near] - (np.mean(still, axis=0) if still else 0.0)
                 late = _too_much(log.time_s[near], moved)
@@ -489,7 +461,6 @@ def across_stops(done: ExecutedImu, log: ImuRows) -> np.ndarray:
                 result[k + 1] += late
             continue
         near = np.arange(max(rows[k] + 1, stop - 1), min(rows[k + 2], stop + 1) + 1)
-        near = near if late_s == 0.0 else near[near == (stop if late_s < 0.0 else stop + 1)]
         if not still or not len(near):
             continue
         whole = slice(rows[k] + 1, rows[k + 2] + 1)
@@ -499,16 +470,8 @@ def across_stops(done: ExecutedImu, log: ImuRows) -> np.ndarray:
         both = turned[near - rows[k] - 1]
         if not np.isfinite(both[:, seen]).all() or np.linalg.svd(axes, compute_uv=False)[-1] < SEEN:
             continue
-        if late_s:
-            # A row of a slow log holds degrees: each move is along the direction in which the gyros sense it, not along
-            # its axis.
-            sensed = [np.nansum(turned[a:b], axis=0) for a, b in _apart(near, rows[k : k + 3])]
-            known = np.linalg.norm(sensed, axis=1) > _BIAS
-            axes = np.where(known[:, None], sensed, axes)
         ended, begun = np.linalg.lstsq(axes.T[seen], both[:, seen].T)[0]
         late = np.sum(begun[near <= stop]) * axes[1] - np.sum(ended[near > stop]) * axes[0]
-        # The rest of the output is divided by the time itself.
-        late -= np.nan_to_num(np.mean(still, axis=0)) * late_s
         result[k] -= late
         result[k + 1] += late
     return result
@@ -534,12 +497,6 @@ def _too_much(time_s: np.ndarray, rates: np.ndarray) -> np.ndarray:
             # Either way a part of one move is among the rows of the other.
             result += 0.5 * np.nan_to_num(slope) * beyond**2
     return result
-
-
-def _apart(near: np.ndarray, rows: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """The rows of two neighbouring moves that are not `near` their stop, counted from the first row of the former."""
-    begin, end = int(rows[0]) + 1, int(rows[2]) + 1
-    return (0, int(near[0]) - begin), (int(near[-1]) + 1 - begin, end - begin)
 
 
 def mean_motion(

@@ -3,9 +3,9 @@ from a record at rest during warm-up, without a spec (the static gradient method
 files, and load most of SciPy.
 
 A flight controller heats up after it is switched on; PX4 and ArduPilot fit a cubic to its bias and subtract it. Here
-the same cubic is estimated by the one measurement model, with a spec from the record: angle random walk from the Allan
-deviation of the residual of a first fit, bias instability and drift from `identify.slow_noise`, beside the map. A
-reading is the sensor's integrated rate at rest: any rate of the vehicle, the Earth's too, becomes part of the bias.
+the same cubic is estimated by the one measurement model, with the angle random walk of the record (from the Allan
+deviation of the residual of a first fit) and the drift and rate random walk of the gyro's class. A reading is the
+sensor's integrated rate at rest: any rate of the vehicle, the Earth's too, becomes part of the bias.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,6 @@ from gradcal_jax.estimation.log_rows import Options
 from gradcal_jax.identify import instability
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.identify.instability import (
-    RestRecord,
     allan_of,
     at_rest,
     number,
@@ -32,11 +31,13 @@ from gradcal_jax.identify.instability import (
 )
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.records.log_from import log_from
+from gradcal_jax.spec.absent import absent_terms, sensor_grade
+from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.sensor import GyroTriad
 from gradcal_jax.spec.spec import expect_spec, parse_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.quantity import Quantity
-from gradcal_jax.units import DEG_PER_H, DEG_PER_SQRT_H
+from gradcal_jax.units import DEG_PER_SQRT_H
 
 
 def _log_of(log: Log | np.ndarray, rate: float | None) -> Log:
@@ -170,10 +171,10 @@ DEGREE = 3
 _ROWS = ("channel", "unseen", "fit", "contradicted", "unobservable", "result")
 # K; over a narrower span the terms of a cubic cannot be separated.
 _LEAST_SPAN = 10.0
-_BINS = 300
 # A thermometer of larger steps than this, K, is interpolated.
 _COARSE_K = 0.2
 _EARTH = 15.04
+_SLOW_NOISE = ("sensor.gyro.drift", "sensor.gyro.rate_random_walk")
 
 
 def estimate_warm_up(
@@ -186,7 +187,7 @@ def estimate_warm_up(
 ) -> EstimateReport:
     """The bias over temperature, a cubic, of every unit in records at rest; each log has units of one clock.
 
-    The covariance includes the noise of the record itself, slow noise too. `options`, `sources` as of
+    The covariance includes the white noise of the record and the slow noise of the class. `options`, `sources` as of
     `estimate_log`. **Raises:** `LogError` without a temperature that spans 10 K, without a rest, and where the
     record shows no angle random walk.
     """
@@ -219,15 +220,13 @@ def _unit(
         assert gyro is not None
         noises.append(gyro)
     calibrations = [one.calibration for one in sensors]
-    # Without the 1/f noise, which resembles a random walk only over seconds.
     walk = max(s.angle_random_walk for s in noises)
-    slow = max(float(s.drift[-1].standard_deviation) / np.sqrt(float(s.drift[-1].correlation_time) / 2) for s in noises)
     folded, _ = samples_per_row(log, log.sample_interval_s)
     noise = None
     if np.isfinite(folded):
         noise = Noise(
             angle_random_walk=Quantity.of(float(walk) / float(np.sqrt(folded)), "rad/sqrt(s)") if folded > 1 else walk,
-            rate_random_walk=Quantity.of(slow, "rad/s/sqrt(s)"),
+            rate_random_walk=max(s.rate_random_walk for s in noises),
             sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
         )
     else:
@@ -309,7 +308,7 @@ def _crossings(time: np.ndarray, temperature: np.ndarray) -> tuple[np.ndarray, n
 
 
 def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
-    """A spec with the noise of one channel of a record, and a sentence on it. `log`: with standstills marked."""
+    """A spec with the white noise of one channel of a record, and a sentence on it. `log`: with standstills marked."""
     rest = at_rest(log, axis, unit, bias_degree=DEGREE, lag="none")
     _, fit = allan_of(rest)
     walk = fit.angle_random_walk
@@ -324,12 +323,7 @@ def warm_up_spec(log: Log, axis: str, unit: str) -> tuple[Spec, str]:
     known = rest.temperature_c[rest.valid]
     low, high = float(np.floor(known.min() * 10) / 10), float(np.ceil(known.max() * 10) / 10)
     centre, scale = round(0.5 * (low + high), 1), round(0.5 * (high - low), 1)
-    slow = _slow_noise(rest, walk.value, centre, scale)
-    processes = ", ".join(
-        f'{{ standard_deviation = "{number(std * DEG_PER_H)} deg/h", correlation_time = "{number(tau)} s" }}'
-        for std, tau in slow.processes
-    )
-    # The slow noise was identified from the record itself, the same thermometer serves in use, and there is no table.
+    # The same thermometer serves in use, and there is no table.
     text = f"""
 format = "gradcal-spec/1"
 title  = "warm-up at rest"
@@ -338,8 +332,6 @@ temperature_offset = "0 K"
 [sensor.gyro]
 axes = ["x"]
 angle_random_walk = "{number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h)"
-drift             = [{processes}]
-rate_random_walk   = "0 deg/h/sqrt(h)"
 [sensor.gyro.bias]
 temperature = {{ basis = "polynomial", degree = {DEGREE}, centre = "{centre} degC", scale = "{scale} K" }}
 [rig.site]
@@ -375,34 +367,11 @@ method      = "gradient"
 temperature = ["{low:.1f} degC", "{high:.1f} degC"]
 gradient    = "1 K/min"
 """
+    spec = parse_spec(text)
+    slow = {t.key: t.value for t in absent_terms(spec) if t.key in _SLOW_NOISE}
+    grade = sensor_grade(spec.sensor)
     words = (
-        f"axis {axis}: noise from the record: angle random walk {number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h), "
-        f"bias instability {number(slow.bias_instability * DEG_PER_H)} deg/h, and a drift of "
-        f"{number(slow.drift_std * DEG_PER_H)} deg/h with the record's length as correlation time (posterior mean)"
+        f"axis {axis}: angle random walk {number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h), from the record; drift and "
+        f"rate random walk of the class {grade.name} ({grade.like})"
     )
-    return parse_spec(text), words
-
-
-def _slow_noise(rest: RestRecord, walk: float, centre: float, scale: float) -> identify.SlowNoise:
-    """Slow noise from means over up to `_BINS` stretches of the record with data for at least half of each."""
-    assert rest.temperature_c is not None
-    assert rest.thermal is not None
-    width = max(len(rest.rate) // _BINS, 1)
-    begins = np.arange(0, len(rest.rate) - width + 1, width)
-    held = np.add.reduceat(rest.valid.astype(float), begins)[: len(begins)]
-    held[-1] = np.count_nonzero(rest.valid[begins[-1] : begins[-1] + width])
-    kept = held > 0.5 * width
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        return np.array([values[b : b + width][rest.valid[b : b + width]].mean() for b in begins[kept].tolist()])
-
-    z = (mean(rest.temperature_c) - centre) / scale
-    interval = rest.sample_interval_s
-    return identify.slow_noise(
-        (begins[kept] + 0.5 * width) * interval,
-        held[kept] * interval,
-        mean(rest.rate),
-        np.polynomial.legendre.legvander(z, DEGREE),
-        walk,
-        width_s=width * interval,
-    )
+    return changed(spec, slow), words

@@ -4,5 +4,4 @@ from gradcal_jax.identify.allan import MISFIT, AllanDeviation, AllanFit, fit_all
 from gradcal_jax.identify.direct_bound import DirectBound, fit_direct_bound, scatter_of_bound
 from gradcal_jax.identify.largest_drift import integration_times, largest_drift, longest_integration_time
 from gradcal_jax.identify.limiting_function import limiting_function
-from gradcal_jax.identify.slow_noise import SlowNoise, slow_noise
 from gradcal_jax.identify.thermal import ThermalBias, fit_thermal_bias

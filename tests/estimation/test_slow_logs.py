@@ -32,7 +32,7 @@ def spec() -> gj.Spec:
 
 
 @pytest.mark.parametrize("marked", [True, False], ids=["marked", "found"])
-@pytest.mark.parametrize("rate_hz", [1.0, 2.0, 5.0, 10.0])
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0])
 def test_an_axis_is_estimated_within_its_covariance(spec, rate_hz, marked):
     log, truth = simulate_log(spec, sample_rate_hz=rate_hz, seed=3)
     (channel,) = estimated(spec, log if marked else replace(log, standstill=None), axis="x")
@@ -43,8 +43,7 @@ def test_an_axis_is_estimated_within_its_covariance(spec, rate_hz, marked):
     assert 1e-3 < chi2.sf(estimate.chi_squared, estimate.degrees) < 1.0 - 1e-3
 
 
-@pytest.mark.parametrize("rate_hz", [1.0, 2.0, 5.0, 10.0])
-@pytest.mark.parametrize("axes", [1, 3])
+@pytest.mark.parametrize(("rate_hz", "axes"), [(1.0, 1), (5.0, 3)])
 def test_rests_are_found_between_moves_and_in_a_record_without_any(rate_hz, axes):
     rng, count = np.random.default_rng(4), int(600 * rate_hz)
     rates = 1e-3 * rng.standard_normal((count, axes))

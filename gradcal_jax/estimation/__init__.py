@@ -1,15 +1,7 @@
 """From readings to parameters with covariance, by the measurement model of the prediction."""
 
 from gradcal_jax.estimation.alignment_check import CoarseFit, coarse_fits
-from gradcal_jax.estimation.consistency import (
-    Consistency,
-    Test,
-    chi_squared_test,
-    consistency,
-    failed_tests,
-    split,
-    whiteness,
-)
+from gradcal_jax.estimation.consistency import Consistency, Test, chi_squared_test, consistency, whiteness
 from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, executed_imu
 from gradcal_jax.estimation.imu_readings import ImuReadings, readings_counted, readings_of
@@ -23,7 +15,6 @@ from gradcal_jax.estimation.read_motion import (
     standing_with,
     within,
 )
-from gradcal_jax.estimation.solve import Estimate, Whitened, solve
+from gradcal_jax.estimation.solve import Estimate, Whitened
 from gradcal_jax.estimation.standstill import find_standstills, lost_in_moves, settling
-from gradcal_jax.estimation.structure import Components, StructureTest, chi_squared, components, size_of, structure_test
 from gradcal_jax.estimation.temperature import smoothed_temperature

@@ -4,19 +4,14 @@
 * whiteness (Ljung and Box, 1978): are residuals of successive readings correlated? The fit of the parameters correlates
   them, too; mean and covariance of the correlations include this effect (for 200 residuals and 16 parameters the plain
   statistic rejects 10 % of all cases instead of 1 %).
-* share of residuals beyond three standard deviations: are there outliers?
-* **split test**: whitened rows are independent, so any two subsets are two experiments. With the smallest χ² of each,
-  `χ²_AB − χ²_A − χ²_B` is χ² with as many degrees of freedom as parameters that both observe: do heating and cooling
-  (or the first and the second half) agree? `(β_A − β_B)_k/√(C_A + C_B)_kk` shows the coefficient that differs.
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
-from gradcal_jax.estimation.solve import Estimate, Whitened, factored, solve
+from gradcal_jax.estimation.solve import Estimate
 
 _LAGS = 20
 # Least number of residuals for each lag for the statistic to be χ².
@@ -39,30 +34,19 @@ class Test(NamedTuple):
         return self.probability > _RARE
 
 
-class Split(NamedTuple):
-    """Two subsets of the readings against each other; see the module's head. `differences` `(p,)` in standard
-    deviations (NaN where one of them does not observe the parameter), of the reported parameters."""
-
-    name: str
-    counts: tuple[int, int]
-    agreement: Test
-    differences: np.ndarray
-
-
 class Consistency(NamedTuple):
-    """Tests of a fit. `noise_scale`: √(χ²/degrees), the factor by which the noise differs from the spec."""
+    """The χ² test of a fit. `noise_scale`: √(χ²/degrees), the factor by which the noise differs from the spec;
+    `beyond_three`: share of the residuals beyond three standard deviations; `largest`: the largest of them."""
 
     fit: Test
     noise_scale: float
-    whiteness: Test
     beyond_three: float
     largest: float
-    splits: tuple[Split, ...]
 
-
-def failed_tests(tests: Mapping[str, Test]) -> list[str]:
-    """The names of the tests that fail, at a level at which by chance any of them does once in a hundred."""
-    return [name for name, test in tests.items() if test.probability < _RARE / len(tests)]
+    @property
+    def excess(self) -> float:
+        """The factor by which residuals exceed the spec's noise where the χ² test fails; otherwise 1."""
+        return max(1.0, self.noise_scale) if not self.fit.passed and self.fit.degrees > 0 else 1.0
 
 
 def chi_squared_test(statistic: float, degrees: int) -> Test:
@@ -72,31 +56,21 @@ def chi_squared_test(statistic: float, degrees: int) -> Test:
     return Test(float(statistic), int(degrees), float(special.chdtrc(degrees, statistic)))
 
 
-def consistency(
-    estimate: Estimate,
-    white: Whitened,
-    subsets: dict[str, np.ndarray],
-    to_reported: np.ndarray,
-    taken: np.ndarray | None = None,
-) -> Consistency:
-    """All tests of a fit. `subsets`: by name, a truth value for each reading used; `to_reported` `(p, p)`; `taken`:
-    result of `taken_up`, if known."""
+def consistency(estimate: Estimate) -> Consistency:
+    """The χ² test of a fit, and its largest residuals."""
     residual, degrees, squares = estimate.residuals, estimate.degrees, float(estimate.chi_squared)
-    splits = [split(white, name, subset, to_reported) for name, subset in subsets.items()]
     return Consistency(
         chi_squared_test(squares, degrees),
         float(np.sqrt(squares / degrees)) if degrees > 0 else float("nan"),
-        whiteness(residual, taken_up(white) if taken is None else taken),
         float(np.mean(np.abs(residual) > 3.0)) if len(residual) else 0.0,
         float(np.max(np.abs(residual), initial=0.0)),
-        tuple(s for s in splits if s is not None),
     )
 
 
 def whiteness(residual: np.ndarray, taken: np.ndarray | None = None) -> Test:
     """Ljung and Box's statistic of a series of whitened residuals `(n,)`.
 
-    `taken` `(n, q)`: rows of an orthonormal basis of the fitted columns, from `taken_up`; the residuals' covariance is
+    `taken` `(n, q)`: rows of an orthonormal basis of the fitted columns; the residuals' covariance is
     I − taken takenᵀ. None: no fit.
     """
     count = len(residual)
@@ -124,27 +98,3 @@ def whiteness(residual: np.ndarray, taken: np.ndarray | None = None) -> Test:
     covariance = 2.0 * (product / free - np.outer(mean, mean)) / (free + 2.0)
     apart = correlations - mean
     return chi_squared_test(float(apart @ np.linalg.solve(covariance, apart)), lags)
-
-
-def taken_up(white: Whitened) -> np.ndarray:
-    """`(n, q)`: the readings' rows of an orthonormal basis of the columns of all parameters."""
-    return factored(np.concatenate([white.rows, white.prior])).basis[: len(white.rows)]
-
-
-def split(white: Whitened, name: str, subset: np.ndarray, to_reported: np.ndarray) -> Split | None:
-    """Readings in `subset` against the others; None where either side is empty."""
-    if subset.all() or not subset.any():
-        return None
-    halves = white.only(subset).condensed(), white.only(~subset).condensed()
-    three = (*halves, halves[0].joined(halves[1]))
-    first, second = (solve(part) for part in halves)
-    # Without the prior's rows, which both halves contain and which would count twice.
-    without = [solve(part._replace(prior=part.prior[:0])) for part in three]
-    squares = [float(s.chi_squared) for s in without]
-    ranks = [len(part.data) - s.degrees for part, s in zip(three, without, strict=True)]
-    agreement = chi_squared_test(max(squares[2] - squares[0] - squares[1], 0.0), ranks[0] + ranks[1] - ranks[2])
-    apart = to_reported @ (first.parameters - second.parameters)
-    variance = first.known.deviations(to_reported) ** 2 + second.known.deviations(to_reported) ** 2
-    seen = np.isfinite(variance) & (variance > 0.0)
-    differences = np.where(seen, apart / np.sqrt(np.where(seen, variance, 1.0)), np.nan)
-    return Split(name, (int(subset.sum()), int((~subset).sum())), agreement, differences)

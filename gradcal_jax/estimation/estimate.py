@@ -4,7 +4,7 @@ The spec describes the noise, the table and the terms; the executed motion is re
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
@@ -14,42 +14,38 @@ import numpy as np
 from gradcal_jax import estimation
 from gradcal_jax.calibration import Calibration
 from gradcal_jax.calibration.correction import correct_triads
-from gradcal_jax.estimation import (
-    Consistency,
-    ExecutedImu,
-    Group,
-    ImuEstimate,
-    ImuReadings,
-    StructureTest,
-    Test,
+from gradcal_jax.estimation import Consistency, ExecutedImu, Group, ImuEstimate, ImuReadings, Test
+from gradcal_jax.estimation.added_columns import (
+    Beside,
+    Whitener,
+    angle_columns,
+    angle_tests,
+    backlash_sentences,
+    halves_test,
+    latitude_test,
+    structure_tests,
 )
 from gradcal_jax.estimation.bias_curves import BiasCurve, bias_curves
-from gradcal_jax.estimation.contradictions import (
-    MeasuredDiscrepancy,
+from gradcal_jax.estimation.findings import (
+    Finding,
     RecordFaults,
     beyond_the_data,
     beyond_the_spec,
     counting_less,
-    discrepancies,
-    excess_of,
+    failed,
     lacks_of,
-    noise_sentences,
-    not_valid,
     omitted_sentences,
     refuse_other_units,
-    structure_in_words,
-    structure_tests,
+    sentences_of,
     turned_together,
     without_bad_rows,
 )
-from gradcal_jax.estimation.figure_tests import angle_columns, backlash_sentences, figure_tests
 from gradcal_jax.estimation.fit_of_log import (
     FittedRows,
     Recorded,
     calibration_of,
     fit_of,
     points_of,
-    tests_by_name,
 )
 from gradcal_jax.estimation.lag_of_maps import Lag
 from gradcal_jax.estimation.log_rows import Options, count_rows, imu_rows, with_earth, with_options
@@ -65,7 +61,7 @@ from gradcal_jax.information.imu_residual import internal_misalignments
 from gradcal_jax.information.plan_sentences import one_way_sentences, prior_deviations
 from gradcal_jax.information.prediction import requirement_row
 from gradcal_jax.information.verdicts import coefficient_rows, finite, judged_by_data
-from gradcal_jax.model import AXIS_NAMES, KINDS
+from gradcal_jax.model import AXIS_NAMES, KINDS, ImuModel
 from gradcal_jax.model.imu_build import BuiltImu, build_imu
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.spec.absent import attitude_sentences, branch_sentences
@@ -83,15 +79,15 @@ from gradcal_jax.units import DEG_PER_S, PPM
 _TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
 # Change of temperature from the begin to the end of a record, as a share of its range, beyond which it goes one way.
 _ONE_WAY = 0.8
-HEATING_AGAINST_COOLING = "heating against cooling"
+CHI_SQUARED, HEATING_AGAINST_COOLING = "chi-squared of the fit", "heating against cooling"
 _LOOP = (
     "heating and cooling disagree: the errors depend on past temperatures; add to the spec the term that describes it: "
     "hysteresis, bias_temperature_gradient or a lag of the bias of the sensor"
 )
-# Fewer moves are not divided into odd and even ones.
-_FEWEST_MOVES = 4
-# Standard deviations by which two parts of the data differ by chance once in a thousand.
-_APART = 3.3
+# A share of the readings that is too small to be half of an experiment, and the probability of too small residuals.
+_FEW, _TOO_GOOD = 0.1, 1e-3
+# The last step, in standard deviations, of an estimate that has not converged.
+_MOVED = 1e-2
 
 
 class InternalMisalignment(NamedTuple):
@@ -103,8 +99,8 @@ class InternalMisalignment(NamedTuple):
 
 
 class SensorEstimate(NamedTuple):
-    """The estimate of one sensor, in SI except `requirements`. `channels`: tests of χ² and whiteness of each channel's
-    rows; `gravity`: rms of |f| − g over the rests, m/s², before the calibration and after it."""
+    """The estimate of one sensor, in SI except `requirements`. `tests`: of the fit, by name; `gravity`: rms of |f| − g
+    over the rests, m/s², before the calibration and after it."""
 
     unit: str
     built: BuiltImu
@@ -113,7 +109,7 @@ class SensorEstimate(NamedTuple):
     calibration: Calibration
     requirements: tuple[RequirementRow, ...]
     consistency: Consistency
-    channels: dict[str, tuple[Test, Test]]
+    tests: Mapping[str, Test]
     internal: tuple[InternalMisalignment, ...]
     gravity: tuple[float, float] | None
     messages: tuple[str, ...]
@@ -123,8 +119,6 @@ class SensorEstimate(NamedTuple):
     """For each gyro: mean scale factors without a map, if they were requested."""
     counts: Mapping[str, int] = MappingProxyType({})
     """Numbers of rows used and left out, by reason; they add up to the rows read."""
-    structure: tuple[tuple[str, StructureTest], ...] = ()
-    """For each gyro (by name): a test of every polynomial map for more structure."""
     curves: tuple[BiasCurve, ...] = ()
     """The bias of every channel over the path of the temperature."""
 
@@ -149,10 +143,9 @@ class SensorEstimate(NamedTuple):
 
 
 class EstimateReport(NamedTuple):
-    """The estimates of the `sensors` of a log, and the `discrepancies` of their maps, of all sensors together."""
+    """The estimates of the `sensors` of a log."""
 
     sensors: tuple[SensorEstimate, ...]
-    discrepancies: tuple[MeasuredDiscrepancy, ...] = ()
     joined: tuple[Calibration, ...] = ()
     """If the channels of a sensor were estimated separately: the calibrations of all its channels."""
 
@@ -198,8 +191,7 @@ def estimate_log(
     """As `estimate`, of logs of every mounting, with `options` in one object; `sources`: names of files, for the
     provenance."""
     of = of_log(expect_spec(spec), logs[0], axis)
-    sensors = tuple(estimate_sensors(of, logs, units=units, options=options, sources=sources))
-    return EstimateReport(sensors, tuple(discrepancies(of, (test for one in sensors for test in one.structure))))
+    return EstimateReport(tuple(estimate_sensors(of, logs, units=units, options=options, sources=sources)))
 
 
 def of_log(spec: Spec, log: Log, axis: str | None = None) -> Spec:
@@ -251,7 +243,7 @@ class _Prepared(NamedTuple):
         try:
             yield
         except LogError as error:
-            raise LogError(f"{error}{self.faults[name].also}") from None
+            raise LogError("; ".join([str(error), *self.faults[name].sentences])) from None
 
 
 def estimate_sensors(
@@ -317,29 +309,10 @@ def report_of(
     done, readings, solution, rates = fit
     if stable:
         messages = *messages, *points_of(built, rows).sentences
-    at = segments_of(done.motion, model)
-    half = 0.5 * (rows.time_s[0] + rows.time_s[-1])
-    of_segment = rows.time_s[done.rows[at.first + 1]]
-    began = temperature[done.rows[at.first]]
-    heating = temperature[done.rows[at.last + 1]] > began
-    used = solution.used
-    subsets = {
-        HEATING_AGAINST_COOLING: heating[at.row_segment][used],
-        "first against second half": (of_segment < half)[at.row_segment][used],
-    }
-    turned = np.concatenate([[0], np.cumsum(done.motion.axis >= 0)])
-    moved = (turned[at.last + 1] > turned[at.first])[at.row_segment][used]
-    moves = np.cumsum(np.diff(moved, prepend=False) & moved)
-    if moves.max(initial=0) >= _FEWEST_MOVES:
-        subsets["odd moves against even ones"] = moves % 2 == 1
-    few = {key: value for key, value in subsets.items() if 0.1 < np.mean(value) < 0.9}
-    tests = estimation.consistency(solution.estimate, solution.white, few, model.to_reported, solution.taken)
-    channels = dict[str, tuple[Test, Test]]()
-    for i, c in enumerate(model.channels):
-        left, taken = solution.residuals_of(i), solution.taken[solution.channel == i]
-        free = round(len(left) - float(np.sum(taken**2)))
-        channels[c.name] = estimation.chi_squared_test(float(left @ left), free), estimation.whiteness(left, taken)
-    known = solution.known._replace(spread=solution.known.spread * excess_of(tests))
+    at, used = segments_of(done.motion, model), solution.used
+    warmer = temperature[done.rows[at.last + 1]] > temperature[done.rows[at.first]]
+    tests = estimation.consistency(solution.estimate)
+    named = _tests_of_fit(solution, model, tests, warmer[at.row_segment][used])
     covered = _covered(done, rates, temperature)
     record = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
     # At stable temperatures nothing lags, and between them no data are used.
@@ -347,26 +320,25 @@ def report_of(
     one_way = bool(abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record]))
     run = EstimatedRun(solution.parameters, covered[0], ramp, lag.uncounted, one_way, options.clock_doubt)
     estimated = built._replace(about=solution.parameters)
+    known = solution.known._replace(spread=solution.known.spread * tests.excess)
     budget = budget_of_estimate(estimated, known, run, noise)
-    structure = () if options.robust else tuple(structure_tests(built.spec, readings, solution))
-    beyond_maps = {f"{channel}: structure of the {t.quantity.replace('_', ' ')}": t.beyond for channel, t in structure}
-    of_angles = angle_columns(built.spec, readings)
-    tested = built.spec, readings, solution, of_angles, excess_of(tests)
-    figures = () if options.robust else tuple(figure_tests(*tested))
-    beyond_maps |= {one.name: one.test for one in figures}
-    of_table = beyond_the_spec(model, model.to_reported @ solution.parameters, prior_deviations(built))
-    failed = estimation.failed_tests(tests_by_name(tests, channels) | beyond_maps)
-    contradicted = (*shown.not_valid, *failed, *of_table)
-    requirements, beyond = [], list[str]()
-    for requirement in built.spec.requirement:
-        if sentence := beyond_the_data(requirement, *covered):
-            beyond.append(sentence)
-        row = judged_by_data(requirement_row(estimated, budget, requirement), sentence, contradicted)
-        requirements.append(row)
-    requirements = tuple(requirements)
-    calibration = calibration_of(
-        built, logs, name, solution, tests, channels, requirements, covered, lag, options, sources
+    beside, whiten, added = Beside(solution.white), Whitener(readings), []
+    of_angles = angle_columns(built.spec, whiten, beside)
+    if not options.robust:
+        added += structure_tests(built.spec, whiten, solution, beside)
+        added += latitude_test(built.spec, whiten, solution, beside)
+        added += angle_tests(of_angles, tests.excess)
+    advice = _advice(named, tests) | {one.name: one.advice for one in added}
+    findings = [*shown.findings, *failed(named | {one.name: one.test for one in added}, advice)]
+    values, priors = model.to_reported @ solution.parameters, prior_deviations(built)
+    findings += [*beyond_the_spec(model, values, priors), *turned_together(model.names(), values, priors)]
+    contradicted = tuple(one.name for one in findings if one.contradicts)
+    beyond = [beyond_the_data(requirement, *covered) for requirement in built.spec.requirement]
+    requirements = tuple(
+        judged_by_data(requirement_row(estimated, budget, requirement), sentence, contradicted)
+        for requirement, sentence in zip(built.spec.requirement, beyond, strict=True)
     )
+    calibration = calibration_of(built, logs, name, solution, named, requirements, covered, lag, options, sources)
     if contradicted:
         calibration = calibration.model_copy(update={"contradicted": contradicted})
     own = calibration.values()
@@ -374,28 +346,100 @@ def report_of(
     unseen = unseen_errors(budget, [model.names()[k] for k in kept], model.to_reported[kept])
     if unseen:
         calibration = calibration.model_copy(update={"unseen": unseen})
-    seen = tuple(_internal(built, solution, covered[0])), _gravity(readings, calibration, temperature)
-    neighbours, alone = {}, ()
+    neighbours = {}
     if options.neighbours_k is not None:
         neighbours = estimation.neighbours_of(readings, solution, options.neighbours_k)
-        alone = () if neighbours else ("no move has a rest directly before and after it: no moves can be averaged",)
-    counts = _counts(logs, name, done)
-    beside_tests = lag, neighbours, counts, structure, bias_curves(readings, solution)
-    report = SensorEstimate(
-        name, built, done, solution, calibration, requirements, tests, channels, *seen, (), *beside_tests
-    )
+        if not neighbours:
+            messages = *messages, "no move has a rest directly before and after it: no moves can be averaged"
     names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
-    lesser = counting_less(solution.weights, of_segment[at.row_segment][used], names)
-    of_path = (_LOOP,) if HEATING_AGAINST_COOLING in contradicted else ()
-    of_path = *of_path, *one_way_sentences(built, solution.known, done.motion.line), *branch_sentences(built.spec)
-    of_path = *of_path, *attitude_sentences(built.spec)
-    of_path = *of_path, *backlash_sentences(estimated, solution, of_angles, requirements)
-    beside = *of_path, *omitted_sentences(built.spec, temperature[record], lag.std is not None), *beyond
-    told = _words(report, solution, of_table.values()), [one.sentence for one in figures if one.name in contradicted]
-    hidden = (f"{channel.replace('_', ' ')}: {structure_in_words(test)}" for channel, test in structure if test.noticed)
-    return report._replace(
-        messages=(*messages, *alone, *lag.sentences, *lesser, *hidden, *itertools.chain(*told), *beside)
+    of_rows = rows.time_s[done.rows[at.first + 1]][at.row_segment][used]
+    beside_tests = [
+        *lag.sentences,
+        *counting_less(solution.weights, of_rows, names),
+        *sentences_of([*_remarks(tests, solution), *(one for one in findings if one not in shown.findings)]),
+        *([f"not observable: {', '.join(calibration.unobservable)}"] if calibration.unobservable else []),
+        *one_way_sentences(built, solution.known, done.motion.line),
+        *branch_sentences(built.spec),
+        *attitude_sentences(built.spec),
+        *backlash_sentences(estimated, solution, of_angles, requirements),
+        *omitted_sentences(built.spec, temperature[record], lag.std is not None),
+        *filter(None, beyond),
+    ]
+    return SensorEstimate(
+        name,
+        built,
+        done,
+        solution,
+        calibration,
+        requirements,
+        tests,
+        named,
+        tuple(_internal(built, solution, covered[0])),
+        _gravity(readings, calibration, temperature),
+        (*messages, *beside_tests),
+        lag,
+        neighbours,
+        _counts(logs, name, done),
+        bias_curves(readings, solution),
     )
+
+
+def _tests_of_fit(solution: ImuEstimate, model: ImuModel, tests: Consistency, heating: np.ndarray) -> dict[str, Test]:
+    """The tests of a fit by their names in the calibration file; `heating`: truth values of the rows used."""
+    named = {CHI_SQUARED: tests.fit}
+    for i, c in enumerate(model.channels):
+        left, taken = solution.residuals_of(i), solution.taken[solution.channel == i]
+        free = round(len(left) - float(np.sum(taken**2)))
+        if len(model.channels) > 1:
+            # That of a single channel is the whole fit's.
+            named[f"{c.name}: chi-squared"] = estimation.chi_squared_test(float(left @ left), free)
+        named[f"{c.name}: whiteness"] = estimation.whiteness(left, taken)
+    if _FEW < np.mean(heating) < 1.0 - _FEW:
+        named[HEATING_AGAINST_COOLING] = halves_test(solution.white, heating)
+    return named
+
+
+def _advice(named: Mapping[str, Test], tests: Consistency) -> dict[str, str]:
+    """What to say of each test of the fit that fails."""
+    found = {
+        CHI_SQUARED: f"the residuals are {tests.noise_scale:.3g} times the noise of the spec: the model is incomplete, "
+        "something jumped or drifted during the run, or the noise figures are too small; requirements are judged with "
+        "the larger noise",
+        HEATING_AGAINST_COOLING: _LOOP,
+    }
+    for name, test in named.items():
+        channel, _, what = name.replace("_", " ").partition(": ")
+        scale = np.sqrt(test.statistic / max(test.degrees, 1))
+        if what == "chi-squared":
+            found[name] = f"{channel}: its residuals are {scale:.3g} times the noise of the spec"
+        elif what:
+            found[name] = (
+                f"{channel}: its residuals are not white: the spec's noise does not explain their correlation, but a "
+                "jump, a drift or a transient of the sensor would"
+            )
+    return found
+
+
+def _remarks(tests: Consistency, solution: ImuEstimate) -> Iterator[Finding]:
+    """What contradicts no model."""
+    if solution.moved > _MOVED:
+        yield Finding(
+            "convergence",
+            solution.moved,
+            _MOVED,
+            f"the estimate has not converged (last step: {solution.moved:.2g} standard deviations): the table differs "
+            "from the spec by more than small angles",
+            contradicts=False,
+        )
+    if tests.fit.probability > 1.0 - _TOO_GOOD:
+        yield Finding(
+            "small residuals",
+            tests.noise_scale,
+            1.0,
+            f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: the spec's noise figures are "
+            "larger than the noise of this sensor",
+            contradicts=False,
+        )
 
 
 def _covered(
@@ -471,47 +515,11 @@ def _gravity(readings: ImuReadings, calibration: Calibration, temperature: np.nd
     return before, after
 
 
-def _words(report: SensorEstimate, solution: ImuEstimate, of_table: Iterable[str]) -> list[str]:
-    """Where the data contradict the model or do not observe it, in sentences."""
-    tests, failed = report.consistency, report.calibration.contradicted
-    sentences = not_valid([name.replace("_", " ") for name in failed])
-    if solution.moved > 1e-2:
-        sentences.append(
-            f"the estimate has not converged (last step: {solution.moved:.2g} standard deviations): "
-            "the table differs from the spec by more than small angles"
-        )
-    sentences += noise_sentences(tests, "chi-squared of the fit" in failed)
-    for name, (size, _) in report.channels.items():
-        where = name.replace("_", " ")
-        if f"{name}: chi-squared" in failed:
-            scale = np.sqrt(size.statistic / max(size.degrees, 1))
-            sentences.append(f"{where}: its residuals are {scale:.3g} times the noise of the spec")
-        if f"{name}: whiteness" in failed:
-            sentences.append(
-                f"{where}: its residuals are not white: the spec's noise does not explain their correlation"
-            )
-    for split in tests.splits:
-        if split.name in failed:
-            apart = np.abs(np.nan_to_num(split.differences)) > _APART
-            worst = ", ".join(np.array(report.built.model.names())[apart].tolist())
-            chance = f"p-value {split.agreement.probability:.1g}"
-            also = f"; they differ in {worst}" if worst else ""
-            sentences.append(f"{split.name}: the parts disagree ({chance}){also}")
-    model, priors = report.built.model, prior_deviations(report.built)
-    values = model.to_reported @ report.solution.parameters
-    sentences += of_table
-    sentences += turned_together(model.names(), values, priors)
-    if report.calibration.unobservable:
-        sentences.append(f"not observable: {', '.join(report.calibration.unobservable)}")
-    return sentences
-
-
 def estimate_rows(report: EstimateReport) -> dict[str, Any]:
     """All numbers for `--json`."""
     return {
         "simulated": any(c.simulated for c in report.calibrations),
         "as_wished": report.as_wished,
-        "discrepancies": [row._asdict() for row in report.discrepancies],
         "units": [_sensor_rows(one) for one in report.sensors],
     }
 
@@ -543,17 +551,6 @@ def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
         "internal_misalignment": [row._asdict() for row in report.internal],
         "gravity_rms_m_per_s2": report.gravity,
         "tests": [row.model_dump(mode="json") for row in calibration.fit],
-        "structure": [
-            {
-                "channel": channel,
-                "quantity": t.quantity,
-                "test": t.test._asdict(),
-                "false_alarm": t.false_alarm,
-                "noticed": t.noticed,
-                "asked": t.asked,
-            }
-            for channel, t in report.structure
-        ],
         "messages": list(report.messages),
     }
 

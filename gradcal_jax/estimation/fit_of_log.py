@@ -3,7 +3,7 @@
 The motion is read from the log; the rates within a move are first the gyros' own, then corrected by the first estimate.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -27,14 +27,13 @@ from gradcal_jax.calibration import (
 )
 from gradcal_jax.calibration.correction import correct_triads
 from gradcal_jax.estimation import (
-    Consistency,
     ExecutedImu,
     ImuEstimate,
     ImuRows,
     TablePoints,
     Test,
 )
-from gradcal_jax.estimation.contradictions import (
+from gradcal_jax.estimation.findings import (
     SCALE_FACTOR_ERROR,
     refuse_implausible,
     refuse_misaligned,
@@ -76,21 +75,10 @@ _ABSURD = 100.0
 _EVERYWHERE = (-273.0, 1000.0), (-1e4, 1e4)
 # Change of an estimated angle (rad) below which it stands still, and the most linearisations until then.
 _STANDS, _LINEARISED = 2e-6, 24
+# The last step of the first fit, in standard deviations: the second one begins there.
+_COARSE = 0.1
 # The linearisation from which on half of the change is taken: with a large azimuth the whole of it may oscillate.
 _HALF_FROM = 6
-
-
-def _refuse_the_implausible(built: BuiltImu, name: str, solution: ImuEstimate) -> None:
-    """Raise `LogError` for the first channel with coefficients that no device has."""
-    model, priors = built.model, prior_deviations(built)
-    values, begin = model.to_reported @ solution.parameters, 0
-    # What the data hardly determine proves nothing.
-    doubt = _SURE * solution.known.deviations(model.to_reported)
-    values = np.sign(values) * np.maximum(np.abs(values) - np.where(np.isfinite(doubt), doubt, np.inf), 0.0)
-    for c in model.channels:
-        own = slice(begin, begin + c.model.size)
-        begin = own.stop
-        refuse_implausible(f"{name}, {c.name.replace('_', ' ')}", c.model.names(), values[own], priors[own])
 
 
 def _may_lag(built: BuiltImu) -> bool:
@@ -101,52 +89,61 @@ def _may_lag(built: BuiltImu) -> bool:
     return not (others or sensor.second_thermometer is not None or sensor.temperature_lag == 0.0)
 
 
-def fitted_twice(
+def fit_readings(
     built: BuiltImu,
     name: str,
     rows: ImuRows,
     temperature: np.ndarray,
     threshold: float | None = None,
     *,
+    before: Fit | None = None,
     checked: bool = True,
 ) -> Fit:
-    """The fit with a `temperature` (degC) for each row. `checked`: whether readings of another unit or table are
-    refused, which a lag may make of the right ones.
+    """The fit with a `temperature` (degC) for each row. `before`: a fit of the same rows, about which this one is
+    linearised, and by which the rates within moves are corrected; None: that by the gyros' own rates. (A rate-dependent
+    scale factor of a per cent would be estimated at wrong rates otherwise.) `checked`: whether readings of another unit
+    or table are refused, which a lag may make of the right ones."""
+    if before is None:
+        before = _pass(built, name, rows, temperature, threshold, None)
+        before = _likely(built, name, before) if checked else before
+    fit = _pass(built, name, rows, temperature, threshold, before)
+    return _likely(built, name, fit) if checked else fit
 
-    A rate-dependent scale factor of a per cent would be estimated at wrong rates if they were not corrected.
-    """
-    fit = _read(built, name, rows, rows, temperature, threshold, checked=checked)
-    # Angles that no encoder tells are estimated.
-    first, rows = fit.solution, rows._replace(angles=fit.readings.log.angles)
-    held = tuple(calibrated_channels(built, built.model.to_reported @ first.parameters, _EVERYWHERE))
+
+def _corrected(
+    built: BuiltImu, rows: ImuRows, temperature: np.ndarray, parameters: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rates (rad/s) and specific forces (m/s²) `(n, 3)` corrected by an estimate."""
+    held = tuple(calibrated_channels(built, built.model.to_reported @ parameters, _EVERYWHERE))
     rates, felt = correct_triads(held, rows.rates, rows.force, temperature)
     # Where no accelerometer is, nothing tells what a move adds to gravity.
     felt = np.where([any(c.input == f"force {a}" for c in held) for a in AXIS_NAMES], felt, np.nan)
     # Data that hardly determine a map give one that no gyro has, which corrects nothing.
-    far = np.nanmax(np.abs(rates - rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
-    fastest = np.nanmax(np.abs(rows.rates), axis=0, initial=0.0, where=np.isfinite(rows.rates))
-    seen = rows._replace(rates=np.where(far <= SCALE_FACTOR_ERROR * fastest, rates, rows.rates))
-    return _read(built, name, rows, seen, temperature, threshold, felt, first, checked=checked)
+    known = np.isfinite(rows.rates)
+    far = np.nanmax(np.abs(rates - rows.rates), axis=0, initial=0.0, where=known)
+    fastest = np.nanmax(np.abs(rows.rates), axis=0, initial=0.0, where=known)
+    return np.where(far <= SCALE_FACTOR_ERROR * fastest, rates, rows.rates), felt
 
 
-def _read(
+def _pass(
     built: BuiltImu,
     name: str,
     rows: ImuRows,
-    seen: ImuRows,
     temperature: np.ndarray,
     threshold: float | None,
-    felt: np.ndarray | None = None,
-    first: ImuEstimate | None = None,
-    *,
-    checked: bool,
+    before: Fit | None,
 ) -> Fit:
-    """The executed motion by the rates of `seen`, the unit's readings with the specific forces `felt`, and the
-    estimate, linearised about the `first` one; where no encoder tells the table's angles, again about those of the
-    estimate, until they stand still. Errors: `LogError` where they do not, and for readings of another unit or
-    table."""
+    """The executed motion, the unit's readings and the estimate, linearised about the one `before`; where no encoder
+    tells the table's angles, again about those of the estimate, until they stand still. Errors: `LogError` where they
+    do not."""
     free, plan = built.spec.rig.table.by_gravity, built.spec.plan
-    number, about = 0, None if first is None else first.parameters
+    seen, felt, first, number = rows, None, None, 0
+    if before is not None:
+        # Angles that no encoder tells are estimated.
+        rows, first = rows._replace(angles=before.readings.log.angles), before.solution
+        rates, felt = _corrected(built, rows, temperature, first.parameters)
+        seen = rows._replace(rates=rates)
+    about = None if first is None else first.parameters
     corrected_by = None if first is None else (first.parameters, first.known)
     while True:
         try:
@@ -157,13 +154,13 @@ def _read(
         readings = estimation.readings_of(
             built.model, done, rows, temperature, 0 if built.rough else built.points, felt, corrected_by, free=free
         )
-        readings = readings.with_common(
-            errors_of_gears(built.spec, readings, None if first is None else first.parameters)
-        )
+        of_gears = errors_of_gears(built.spec, readings, None if first is None else first.parameters)
+        readings = readings.with_common(of_gears)
         if isinstance(plan, StandardPlan) and plan.estimator == "least squares":
             solution = estimation.estimate_unweighted(readings)
         else:
-            solution = estimation.solve_imu(readings, about, threshold=threshold)
+            settled = {"settled": _COARSE} if before is None and not free else {}
+            solution = estimation.solve_imu(readings, about, threshold=threshold, **settled)
         if not free:
             break
         errors = estimation.angle_errors(readings, solution.parameters)
@@ -182,8 +179,20 @@ def _read(
         rows, seen = rows._replace(angles=angles), seen._replace(angles=angles)
         about = solution.parameters if about is None else about + share * (solution.parameters - about)
         number += 1
-    fit = Fit(done, readings, solution, seen.rates)
-    return _likely(built, name, fit) if checked else fit
+    return Fit(done, readings, solution, seen.rates)
+
+
+def _refuse_the_implausible(built: BuiltImu, name: str, solution: ImuEstimate) -> None:
+    """Raise `LogError` for the first channel with coefficients that no device has."""
+    model, priors = built.model, prior_deviations(built)
+    values, begin = model.to_reported @ solution.parameters, 0
+    # What the data hardly determine proves nothing.
+    doubt = _SURE * solution.known.deviations(model.to_reported)
+    values = np.sign(values) * np.maximum(np.abs(values) - np.where(np.isfinite(doubt), doubt, np.inf), 0.0)
+    for c in model.channels:
+        own = slice(begin, begin + c.model.size)
+        begin = own.stop
+        refuse_implausible(f"{name}, {c.name.replace('_', ' ')}", c.model.names(), values[own], priors[own])
 
 
 def _likely(built: BuiltImu, name: str, fit: Fit) -> Fit:
@@ -264,11 +273,11 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
         messages = *messages, "a lag cannot be estimated at constant temperatures: zero lag is assumed"
     elif isinstance(options.lag, str) and not stable and (options.lag == "fit" or _may_lag(built)):
 
-        def fit_at(lag: float) -> Fit:
+        def fit_at(lag: float, before: Fit | None = None) -> Fit:
             # A lag may make readings of another IMU of the right ones.
             late = temperature_of(lag)
-            prompt = fitted_twice(built, name, rows, late, checked=False)
-            return _with_errors(prompt, [late + doubt for doubt in temperature_of.doubts(lag)], None)
+            at_lag = fit_readings(built, name, rows, late, before=before, checked=False)
+            return _with_errors(at_lag, [late + doubt for doubt in temperature_of.doubts(lag)], None)
 
         size = built.spec.sensor.temperature_lag
         lag, fit, said = fit_with_lag(fit_at, temperature_of, size, wanted=options.lag == "fit")
@@ -278,7 +287,7 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
     if fit is not None and threshold is None:
         fit = _likely(built, name, fit)
     else:
-        fit = fitted_twice(built, name, rows, temperature, threshold)
+        fit = fit_readings(built, name, rows, temperature, threshold)
         fit = _with_errors(fit, [temperature + doubt for doubt in doubts], threshold)
     possible = float(built.spec.sensor.temperature_lag or 0.0) if options.lag == "auto" and _may_lag(built) else 0.0
     if possible and not (stable or lag.seconds):
@@ -309,23 +318,12 @@ def _with_errors(fit: Fit, others_c: Sequence[np.ndarray], threshold: float | No
     return fit._replace(readings=readings, solution=estimation.solve_imu(readings, parameters, threshold=threshold))
 
 
-def tests_by_name(tests: Consistency, channels: dict[str, tuple[Test, Test]]) -> dict[str, Test]:
-    """All tests of a fit, by the names that they have in the calibration file."""
-    named = {"chi-squared of the fit": tests.fit}
-    for channel, (size, white) in channels.items():
-        # That of a single channel is the whole fit's.
-        named |= {f"{channel}: chi-squared": size} if len(channels) > 1 else {}
-        named[f"{channel}: whiteness"] = white
-    return named | {split.name: split.agreement for split in tests.splits}
-
-
 def calibration_of(
     built: BuiltImu,
     logs: Sequence[Log],
     name: str,
     solution: ImuEstimate,
-    tests: Consistency,
-    channels: dict[str, tuple[Test, Test]],
+    tests: Mapping[str, Test],
     requirements: tuple[RequirementRow, ...],
     covered: tuple[tuple[float, float], tuple[float, float]],
     lag: Lag,
@@ -333,7 +331,7 @@ def calibration_of(
     sources: dict[str, str],
 ) -> Calibration:
     """The calibration of a sensor of this `name`; `covered`: temperatures (°C) and rates (rad/s)."""
-    model, spec, named = built.model, built.spec, tests_by_name(tests, channels)
+    model, spec = built.model, built.spec
     reported = model.to_reported
     values, deviations = reported @ solution.parameters, solution.known.deviations(reported)
     names, units = model.names(), model.units()
@@ -367,7 +365,7 @@ def calibration_of(
             )
             for k in range(model.calibrated, model.size)
         ),
-        "fit": fit_rows(named.items()),
+        "fit": fit_rows(tests.items()),
         "unobservable": tuple(n for n in unobserved_parameters(built, solution.known) if n in kept),
         "noise": _noise(spec, logs[0]),
         "result": tuple(map(result_of_requirement, requirements)),

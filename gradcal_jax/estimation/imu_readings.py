@@ -35,7 +35,6 @@ from gradcal_jax.model import (
     ImuModel,
     MountingError,
     NonOrthogonality,
-    Term,
 )
 from gradcal_jax.motion import Geometry, rotation
 
@@ -188,35 +187,6 @@ class ImuReadings(NamedTuple):
         white, less = white[:, :count], 1.0 - 1.0 / np.hypot(1.0, sizes)
         return white - along @ (less[:, None] * (along.T @ white))
 
-    def whitened_terms(self) -> Callable[[int, Term], np.ndarray]:
-        """Of a channel's number and a term: the whitened columns `(n, k)`, of the rows used, if the channel had it."""
-        nodes, at = self.nominal(), segments_of(self.done.motion, self.model)
-        steps, _ = self._system(nodes)
-
-        def columns_of(channel: int, term: Term) -> np.ndarray:
-            of = self.model.channels[channel]
-            alone = eqx.tree_at(lambda m: m.terms, of.model, (term,))
-            (columns,) = ImuModel((replace(of, model=alone),), (), self.model.encoder).own_columns(nodes)
-            rows = np.zeros((len(at.row_segment), term.size))
-            own = at.row_channel == channel
-            rows[own] = at.sums(np.asarray(columns))[at.row_segment[own]]
-            return self._whitened(steps, rows)
-
-        return columns_of
-
-    def by_latitude(self, parameters: np.ndarray) -> np.ndarray:
-        """The whitened derivative `(n, 1)` of the rows used with respect to the site's latitude, 1/rad."""
-        motion = self.done.motion
-        there = motion.geometry.latitude + _SMALL_TURN
-        moved = eqx.tree_at(lambda m: m.geometry.latitude, motion, there)
-        rows = self._replace(done=self.done._replace(motion=moved)).expected(parameters) - self.expected(parameters)
-        return self._whitened(self._system(self.nominal())[0], rows[:, None] / _SMALL_TURN)
-
-    def by_temperature(self, parameters: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """The whitened change `(n,)` of the rows used if the maps had other temperatures (°C, of every row)."""
-        steps, here = self._system(self.nominal())[0], self.expected(parameters)
-        return lambda temperature_c: self._whitened(steps, (self.at(temperature_c, parameters) - here)[:, None])[:, 0]
-
     def at(self, temperature_c: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """`h(β)` `(R,)` if the maps had other temperatures."""
         return self._replace(temperature_c=temperature_c).expected(parameters)
@@ -227,20 +197,13 @@ class ImuReadings(NamedTuple):
             return self
         return self._replace(common=errors if self.common is None else np.concatenate([self.common, errors], axis=1))
 
-    def by_shown_angles(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """The whitened derivatives `(n, k)` of the rows used with respect to `k` errors of the angles that the table
-        shows, of which one rad makes errors of `before` and `after`, `(P, L, k)`, at the ends of every piece."""
-        return self._whitened(self._system(self.nominal())[0], self.of_shown_angles(before, after))
-
     def of_shown_angles(self, before: np.ndarray, after: np.ndarray, about: np.ndarray | None = None) -> np.ndarray:
-        """The same derivatives `(R, k)` of all rows, rad or m/s; at the parameters `about` (None: of ideal sensors on
-        an ideal table)."""
+        """Derivatives `(R, k)` of the rows, rad or m/s, with respect to `k` errors of the angles that the table shows,
+        of which one rad makes errors of `before` and `after`, `(P, L, k)`, at the ends of every piece; at the
+        parameters `about` (None: of ideal sensors on an ideal table)."""
         motion, model = self.done.motion, self.model
         of_angles = encoder_rows(motion, model, self.nominal()) if about is None else self.by_angles(about)
         return rows_of_angles(segments_of(motion, model), of_angles, before, after)
-
-    def _whitened(self, steps: NoiseSteps, rows: np.ndarray) -> np.ndarray:
-        return self.whitened(steps, self.by_steps(rows))
 
     def with_noise(self, steps: NoiseSteps, variance: np.ndarray) -> NoiseSteps:
         """The steps with more noise of their readings, `(N,)`: where the only axis of a table is read, of its encoder,

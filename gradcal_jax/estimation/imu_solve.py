@@ -85,11 +85,18 @@ class ImuEstimate(NamedTuple):
         return self.estimate.known
 
 
-def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, threshold: float | None = None) -> ImuEstimate:
+def solve_imu(
+    readings: ImuReadings,
+    about: np.ndarray | None = None,
+    *,
+    threshold: float | None = None,
+    settled: float = _SETTLED,
+) -> ImuEstimate:
     """Parameters of a unit and its installation from its rows, with minimal norm in unobservable directions.
 
     `about`: approximate parameters in the engine's coordinates, the point of linearisation. `threshold`: rows with
-    larger residuals, in standard deviations, get a lower weight; see the module's head. Errors: `ValueError` where no
+    larger residuals, in standard deviations, get a lower weight; see the module's head. `settled`: the share of its
+    standard deviation by which no parameter changes at the last step. Errors: `ValueError` where no
     row is used, or one is not finite, and for a threshold that is not positive.
     """
     steps, columns = readings.linear(about)
@@ -98,7 +105,7 @@ def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, thresho
         raise ValueError("no reading is left between two usable rows")
     if not np.isfinite(readings.observed[used]).all():
         raise ValueError("a reading that is used is not finite")
-    estimate = _solved(readings, steps, columns, used, about)
+    estimate = _solved(readings, steps, columns, used, about, settled)
     if about is not None:
         estimate, steps, columns = _linearised_again(readings, estimate, steps, columns, used, about)
     if threshold is None:
@@ -220,7 +227,12 @@ def estimate_unweighted(readings: ImuReadings) -> ImuEstimate:
 
 
 def _solved(
-    readings: ImuReadings, steps: NoiseSteps, columns: np.ndarray, used: np.ndarray, about: np.ndarray | None
+    readings: ImuReadings,
+    steps: NoiseSteps,
+    columns: np.ndarray,
+    used: np.ndarray,
+    about: np.ndarray | None,
+    settled: float = _SETTLED,
 ) -> ImuEstimate:
     """The estimate with these noise steps and derivatives `columns`, iterated from the parameters `about`."""
     model = readings.model
@@ -240,7 +252,7 @@ def _solved(
 
     rest, squares = left_over(beta)
     first, begun, curved = rest, beta, 0.0
-    while moved > _SETTLED and rounds < _ROUNDS and (about is None or curved < _BENT):
+    while moved > settled and rounds < _ROUNDS and (about is None or curved < _BENT):
         step = of.fit(np.concatenate([rest, -prior @ beta]))
         now, after = left_over(beta + step)
         # A large error that is hardly observable, such as of the azimuth, would go past the minimum and away from it.

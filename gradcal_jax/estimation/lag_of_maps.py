@@ -1,6 +1,6 @@
 """The lag of a sensor's maps behind the measured temperature: whether a log shows one, and how long it is."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -8,9 +8,8 @@ import numpy as np
 from scipy import optimize
 
 from gradcal_jax.estimation import ExecutedImu, ImuEstimate, ImuReadings, ImuRows, chi_squared_test
-from gradcal_jax.estimation.structure import not_negligible
+from gradcal_jax.estimation.added_columns import Beside, Whitener
 from gradcal_jax.formulas import BRIDGED_S, followed
-from gradcal_jax.information.posterior import OBSERVABLE
 
 _LONGEST_S: Final = 1800.0
 # The reduction of χ² from which on a lag is used without being asked for: of one whose size the spec states, χ² with
@@ -145,28 +144,28 @@ def _first_slope(time_s: np.ndarray, temperature_c: np.ndarray, wander: float) -
 
 
 def fit_with_lag(
-    fit_at: Callable[[float], Fit],
+    fit_at: Callable[[float, Fit | None], Fit],
     temperature_of: Callable[[float], np.ndarray],
     size_s: float | None = None,
     *,
     wanted: bool,
 ) -> tuple[Lag, Fit, tuple[str, ...]]:
     """The lag of the maps of all channels, the fit with it, and messages. If it is `wanted`, that of least χ²,
-    otherwise only one that the data show, or none. `fit_at` and `temperature_of` (°C, of all rows): with a lag (s);
-    `size_s`: its standard deviation by the spec."""
-    prompt = fit = fit_at(0.0)
+    otherwise only one that the data show, or none. `fit_at`: with a lag (s), from another fit; `temperature_of` (°C, of
+    all rows): with a lag; `size_s`: its standard deviation by the spec."""
+    prompt = fit = fit_at(0.0, None)
     of = _Linearised(prompt, temperature_of)
     if not (wanted or of.shows_lag):
         return Lag(0.0), prompt, ()
     lag, std = of.fitted()
     for _ in range(_ROUNDS):
-        fit = fit_at(lag)
+        fit = fit_at(lag, fit)
         again, std = _Linearised(fit, temperature_of).fitted()
         if abs(again - lag) <= _STANDS * std:
             break
         lag = again
     else:
-        fit = fit_at(lag)
+        fit = fit_at(lag, fit)
     found, estimate = Lag(lag, std), fit.solution.estimate
     before, after = float(prompt.solution.estimate.chi_squared), float(estimate.chi_squared)
     if wanted:
@@ -193,32 +192,28 @@ class _Linearised:
     """Residuals as a function of the lag, with the motion and the derivatives of a fit with another one."""
 
     def __init__(self, fit: Fit, temperature_of: Callable[[float], np.ndarray]) -> None:
-        self.solution = solution = fit.solution
-        self._change, self._temperature_of = fit.readings.by_temperature(solution.parameters), temperature_of
-        rows = np.concatenate([solution.white.rows, solution.white.prior])
-        length = np.linalg.norm(rows, axis=0)
-        left, singular, _ = np.linalg.svd(rows / np.where(length > 0.0, length, 1.0), full_matrices=False)
-        self._taken = left[:, singular > OBSERVABLE * np.max(singular, initial=0.0)]
-        self._left = np.concatenate([solution.estimate.residuals, -solution.white.prior @ solution.parameters])
+        self.solution = fit.solution
+        self._readings, self._temperature_of = fit.readings, temperature_of
+        self._whiten, self._now = Whitener(fit.readings), fit.readings.expected(fit.solution.parameters)
+        self._beside = Beside(fit.solution.white)
 
-    def _residuals(self, lag: float) -> np.ndarray:
-        """What no parameters explain of the residuals with that lag (s)."""
-        change = self._change(self._temperature_of(lag))
-        left = self._left - np.pad(change, (0, len(self._left) - len(change)))
-        # Projected twice, since the remainder is small beside the removed part.
-        left = left - self._taken @ (self._taken.T @ left)
-        return left - self._taken @ (self._taken.T @ left)
+    def _changed(self, lags: Sequence[float]) -> np.ndarray:
+        """The whitened changes `(n, k)` of the rows used by these lags (s)."""
+        at = (self._readings.at(self._temperature_of(lag), self.solution.parameters) for lag in lags)
+        return self._whiten(np.stack([of - self._now for of in at], axis=1))
 
     @property
     def shows_lag(self) -> bool:
         """Whether lags explain a part of the residuals beyond chance."""
-        without = self._residuals(0.0)
-        columns = np.stack([without - self._residuals(lag) for lag in _TRIED_S], axis=1)
-        directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-        known = directions[:, not_negligible(sizes**2)].T @ without
-        statistic = float(known @ known) / _excess(self.solution)
-        return chi_squared_test(statistic, len(known)).probability < _BY_CHANCE
+        of = self._beside.components(self._changed(_TRIED_S))
+        return of.scaled(_excess(self.solution) ** 0.5).test().probability < _BY_CHANCE
 
     def fitted(self) -> tuple[float, float]:
         """The lag of least χ² and its standard deviation, s."""
-        return fitted_lag(lambda lag: float(np.sum(self._residuals(lag) ** 2)), self.solution.estimate.degrees)
+        left = self._beside.left[:, 0]
+
+        def squares(lag: float) -> float:
+            """What no parameters explain of the residuals with that lag."""
+            return float(np.sum((left - self._beside.of(self._changed([lag]))[:, 0]) ** 2))
+
+        return fitted_lag(squares, self.solution.estimate.degrees)

@@ -25,12 +25,11 @@ _OWN_AXIS = 1.0 - 1e-4
 
 
 class MovesBetweenRests(NamedTuple):
-    """Moves between rests, arrays `(m,)`: mean temperature (°C), mean rate (rad/s), angle (rad), its scale
-    factor, and the fitted map's mean over it."""
+    """Moves between rests, arrays `(m,)`: mean temperature (°C), mean rate (rad/s), scale factor, and the fitted map's
+    mean over it."""
 
     temperature_c: np.ndarray
     rate_rad_per_s: np.ndarray
-    angle_rad: np.ndarray
     scale_factor: np.ndarray
     of_map: np.ndarray
 
@@ -56,37 +55,18 @@ def moves_between_rests(
     moving: np.ndarray,
     broken: np.ndarray,
 ) -> MovesBetweenRests:
-    """Every unbroken move with a rest on both sides. All arrays `(P,)` of a timeline's pieces.
-
-    `error_rad`: integrated error of the sensor at the end of each piece; `map_error_rad`: its part from the fitted
-    scale factor; `turned_rad`: angle of the table over each piece.
-    """
-    before = np.concatenate([[0.0], error_rad[:-1]])
-    by_map = np.diff(map_error_rad, prepend=0.0)
-    runs = _runs(moving, broken)
-    rows: list[tuple[float, ...]] = []
-    for number, (first, last) in enumerate(runs):
-        if not moving[first]:
-            continue
-        angle = float(turned_rad[first : last + 1].sum())
-        sides = [runs[k] for k in (number - 1, number + 1) if 0 <= k < len(runs)]
-        sides = [run for run in sides if not moving[run[0]] and not broken[run[0]]]
-        if broken[first] or len(sides) < 2 or abs(angle) < _LEAST_ANGLE:
-            continue
-        drift = np.mean([(error_rad[b] - before[a]) / max(duration_s[a : b + 1].sum(), 1e-12) for a, b in sides])
-        lasting = float(duration_s[first : last + 1].sum())
-        off = error_rad[last] - before[first] - drift * lasting
-        warm = float(np.average(temperature_c[first : last + 1], weights=duration_s[first : last + 1]))
-        rows.append((warm, angle / lasting, angle, off / angle, float(by_map[first : last + 1].sum()) / angle))
-    return MovesBetweenRests(*np.array(rows).reshape(len(rows), 5).T)
-
-
-def _runs(moving: np.ndarray, broken: np.ndarray) -> list[tuple[int, int]]:
-    """First and last piece of each run of pieces of one kind."""
+    """Every unbroken move with a rest on both sides. All arrays `(P,)` of a timeline's pieces: of each the integrated
+    error of the sensor, its part from the fitted scale factor, and the angle of the table."""
     kind = moving.astype(int) + 2 * broken
     begins = np.flatnonzero(np.diff(kind, prepend=-1))
-    ends = np.append(begins[1:], len(kind)) - 1
-    return [(int(a), int(b)) for a, b in zip(begins, ends, strict=True)]
+    kind = kind[begins]
+    pieces = error_rad, map_error_rad, turned_rad, duration_s, temperature_c * duration_s
+    error, by_map, angle, lasting, warm = (np.add.reduceat(of, begins) for of in pieces)
+    drift = error / np.maximum(lasting, 1e-12)
+    turns = (kind[1:-1] == 1) & (np.abs(angle[1:-1]) >= _LEAST_ANGLE)
+    m = 1 + np.flatnonzero(turns & (kind[:-2] == 0) & (kind[2:] == 0))
+    off = error[m] - 0.5 * (drift[m - 1] + drift[m + 1]) * lasting[m]
+    return MovesBetweenRests(warm[m] / lasting[m], angle[m] / lasting[m], off / angle[m], by_map[m] / angle[m])
 
 
 def closest_neighbours(moves: MovesBetweenRests, width_k: float) -> tuple[Group, ...]:
@@ -96,7 +76,7 @@ def closest_neighbours(moves: MovesBetweenRests, width_k: float) -> tuple[Group,
     """
     if not width_k > 0.0:
         raise ValueError(f"the temperature difference of neighbours must be positive, not {width_k}")
-    if not len(moves.angle_rad):
+    if not len(moves.scale_factor):
         return ()
     like = like_rates(moves.rate_rad_per_s, _ALIKE)
     warm = np.floor((moves.temperature_c - moves.temperature_c.min()) / width_k).astype(int)
@@ -111,7 +91,7 @@ def closest_neighbours(moves: MovesBetweenRests, width_k: float) -> tuple[Group,
         scatter = np.sqrt(max(squares, 0.0) / freedom) if freedom else None
         for inside in parts:
             count = int(inside.sum())
-            warm_c, rate, _, scale, of_map = (float(of[inside].mean()) for of in moves)
+            warm_c, rate, scale, of_map = (float(of[inside].mean()) for of in moves)
             error = None if scatter is None else float(scatter / np.sqrt(count))
             groups.append(Group(warm_c, rate, count, scale, error, of_map))
     return tuple(groups)
@@ -153,8 +133,7 @@ def neighbours_of(readings: ImuReadings, solution: ImuEstimate, width_k: float) 
         by_map = np.asarray(at.sums(columns[:, own])) @ scale
         beside = moving & (np.abs(turned[:, c.axis]) < _OWN_AXIS * path)
         broken = np.asarray(motion.line.gap)[at.first] | beside
-        sums = np.cumsum(of_channel), np.cumsum(by_map)
-        moves = moves_between_rests(*sums, turned[:, c.axis], seconds, warm, moving, broken)
+        moves = moves_between_rests(of_channel, by_map, turned[:, c.axis], seconds, warm, moving, broken)
         if groups := closest_neighbours(moves, width_k):
             result[c.name] = groups
     return result

@@ -21,43 +21,22 @@ from gradcal_jax.information.posterior import known_of
 
 
 class Whitened(NamedTuple):
-    """Rows of variance one, of the steps that have a reading: `rows` `(n, p)`, `data` `(n,)`; or `(n, U)`, of `U`
-    sensors with the same rows.
-
-    `prior` `(q, p)`: whitened rows of the prior, whose data are zero.
-    """
+    """Rows of variance one, of the steps that have a reading: `rows` `(n, p)`, `data` `(n,)`. `prior` `(q, p)`:
+    whitened rows of the prior, whose data are zero."""
 
     rows: np.ndarray
     data: np.ndarray
     prior: np.ndarray
-
-    def only(self, subset: np.ndarray) -> "Whitened":
-        """A subset of the readings `(n,)`: whitened rows are independent, so any subset is an experiment of its own."""
-        return Whitened(self.rows[subset], self.data[subset], self.prior)
 
     def without(self, own: slice | np.ndarray) -> "Whitened":
         """The rows without the columns `own` (a slice, or a mask) and the priors that concern them."""
         kept = ~np.any(self.prior[:, own] != 0.0, axis=1)
         return Whitened(np.delete(self.rows, own, axis=1), self.data, np.delete(self.prior[kept], own, axis=1))
 
-    def condensed(self) -> "Whitened":
-        """p + 1 rows (of U sensors p + U) with the same least squares and χ², also joined with a complement's."""
-        triangle = np.asarray(np.linalg.qr(np.column_stack([self.rows, self.data]), mode="r"))
-        count = self.rows.shape[1]
-        data = triangle[:, count:].reshape(len(triangle), *self.data.shape[1:])
-        return Whitened(triangle[:, :count], data, self.prior)
-
-    def joined(self, other: "Whitened") -> "Whitened":
-        """The readings of both."""
-        rows, data = np.concatenate([self.rows, other.rows]), np.concatenate([self.data, other.data])
-        return Whitened(rows, data, self.prior)
-
 
 class Estimate(NamedTuple):
     """`parameters` `(p,)`, in the engine's coordinates, with their posterior; `residuals` `(n,)`: whitened, of the
-    readings used; `chi_squared` counts the priors' rows too and has `degrees` degrees of freedom. Of `U` sensors with
-    the same rows `(p, U)`, `(n, U)`, `(U,)`.
-    """
+    readings used; `chi_squared` counts the priors' rows too and has `degrees` degrees of freedom."""
 
     parameters: np.ndarray
     known: Posterior
@@ -99,13 +78,3 @@ def factored(design: np.ndarray) -> Factored:
     known = known_of(singular, directions, scale)
     rank = known.spread.shape[1]
     return Factored(orthogonal, left[:, :rank], singular[:rank], directions[:rank], scale, known)
-
-
-def solve(white: Whitened) -> Estimate:
-    """Least squares, with minimal norm in the unobservable directions (`known.hidden`)."""
-    design = np.concatenate([white.rows, white.prior])
-    data = np.concatenate([white.data, np.zeros((len(white.prior), *white.data.shape[1:]))])
-    of = factored(design)
-    beta = of.fit(data)
-    squares = np.sum((data - design @ beta) ** 2, axis=0)
-    return Estimate(beta, of.known, white.data - white.rows @ beta, squares, len(design) - len(of.singular))

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from gradcal_jax.estimation import Whitened
+from gradcal_jax.estimation import Estimate, Whitened
+from gradcal_jax.estimation.solve import factored
 from gradcal_jax.information import NoiseSteps, at_readings, noise_steps, whiten
 from gradcal_jax.model import SensorModel
 
@@ -45,3 +46,13 @@ def normalised_errors(found, truth):
 def on_trajectory(line, model, readings):
     """Readings `(N, U)` taken on a plan's own trajectory: the regressors and steps are those of its prediction."""
     return Observations(noise_steps(line, model), at_readings(line, model), readings)
+
+
+def solve(white: Whitened) -> Estimate:
+    """Least squares of `U` sensors with the same rows, data `(n, U)`, with minimal norm in what is not observable."""
+    design = np.concatenate([white.rows, white.prior])
+    data = np.concatenate([white.data, np.zeros((len(white.prior), *white.data.shape[1:]))])
+    of = factored(design)
+    beta = of.fit(data)
+    squares = np.sum((data - design @ beta) ** 2, axis=0)
+    return Estimate(beta, of.known, white.data - white.rows @ beta, squares, len(design) - len(of.singular))

@@ -3,8 +3,8 @@
 from logs_zoo import STANDARD, spec_of
 from simulated_log import simulate_log
 
-from gradcal_jax.estimation.contradictions import lacks_of
 from gradcal_jax.estimation.estimate import estimate_log, estimate_rows
+from gradcal_jax.estimation.findings import lacks_of
 from gradcal_jax.records.log import Log, part_of
 
 

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from expected_errors import nees_band, normalised_errors, on_trajectory, whitened
+from expected_errors import nees_band, normalised_errors, on_trajectory, solve, whitened
 
-from gradcal_jax.estimation import solve
 from gradcal_jax.information import contrasts, information, posterior, residual, simulate_noise, statistic
 from gradcal_jax.information.imu_residual import box
 from gradcal_jax.information.verdicts import UNIT_OF

@@ -19,11 +19,9 @@ def test_the_drift_of_the_rests_beside_a_move_is_taken_off_it():
     turned = np.array([0.0, 3.0, 5.0, 0.0, -8.0, 0.0, 0.0])
     ends = np.cumsum(duration)
     bias = 1e-4 * ends + 0.5e-6 * ends**2
-    moves = moves_between_rests(
-        bias + 1e-3 * np.cumsum(turned), 2e-3 * np.cumsum(turned), turned, duration, np.full(7, 25.0), moving, broken
-    )
-    assert len(moves.angle_rad) == 1  # after the second the integral is broken, so it has one neighbour only
-    assert moves.angle_rad[0] == 8.0
+    error = np.diff(bias, prepend=0.0) + 1e-3 * turned
+    moves = moves_between_rests(error, 2e-3 * turned, turned, duration, np.full(7, 25.0), moving, broken)
+    assert len(moves.scale_factor) == 1  # after the second the integral is broken, so it has one neighbour only
     assert moves.scale_factor[0] == pytest.approx(1e-3, rel=1e-9)
     assert moves.of_map[0] == pytest.approx(2e-3, rel=1e-12)
     assert moves.rate_rad_per_s[0] == pytest.approx(0.8)

@@ -4,26 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from expected_errors import solve
 from logs_zoo import estimated, spec_of
 from scipy import stats
 from simulated_log import simulate_log
 
-from gradcal_jax.estimation import (
-    Whitened,
-    consistency,
-    find_standstills,
-    solve,
-    split,
-    whiteness,
-)
-from gradcal_jax.estimation.consistency import taken_up
+from gradcal_jax.estimation import Whitened, find_standstills, whiteness
+from gradcal_jax.estimation.added_columns import halves_test
 from gradcal_jax.estimation.log_rows import Options
+from gradcal_jax.estimation.solve import factored
 
-BINS = 'temperature = { basis = "bins", edges = [%s] }\nsmoothness = "%s"' % (  # noqa: UP031
-    ", ".join(f'"{t} degC"' for t in range(0, 41, 2)),
-    "30 deg/h",
-)
-POLYNOMIAL = 'temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "20 K" }'
 DEG_PER_H = np.radians(1.0) / 3600.0
 
 
@@ -40,22 +30,6 @@ def random_rows(rng, n=300, p=6, units=1):
 
 
 # --- least squares ----------------------------------------------------------------------------------------------------
-
-
-def test_condensed_rows_are_the_same_least_squares():
-    white, _ = random_rows(np.random.default_rng(0), units=2)
-    whole = solve(white)
-    subset = np.arange(300) < 120
-    halves = white.only(subset).condensed(), white.only(~subset).condensed()
-    # A row for each parameter and each sensor.
-    rows = white.rows.shape[1] + white.data.shape[1]
-    for small, count in ((white.condensed(), rows), (halves[0].joined(halves[1]), 2 * rows)):
-        assert len(small.data) == count
-        again = solve(small)
-        np.testing.assert_allclose(again.parameters, whole.parameters, rtol=1e-9)
-        np.testing.assert_allclose(again.chi_squared, whole.chi_squared, rtol=1e-9)
-        rows = np.eye(6)
-        np.testing.assert_allclose(again.known.covariance(rows), whole.known.covariance(rows), rtol=1e-9)
 
 
 def test_what_nothing_is_said_of_is_hidden_and_gets_the_smallest_parameters():
@@ -108,20 +82,28 @@ def test_bad_readings_count_for_less_and_are_named(small):
 # --- tests of the fit -------------------------------------------------------------------------------------------------
 
 
-def test_halves_agree_as_chance_has_it_and_a_change_is_named():
+def test_halves_agree_as_chance_has_it_and_a_change_is_noticed():
     rng = np.random.default_rng(6)
     white, _ = random_rows(rng, units=200)
-    subset = np.arange(300) < 150
+    half = np.arange(300) < 150
     chances = []
     for unit in range(200):
-        one = split(white._replace(data=white.data[:, unit]), "halves", subset, np.eye(6))
-        assert one.agreement.degrees == 6
-        chances.append(one.agreement.probability)
+        test = halves_test(white._replace(data=white.data[:, unit]), half)
+        assert test.degrees == 6
+        chances.append(test.probability)
     assert stats.kstest(chances, "uniform").pvalue > 1e-3
-    changed = white.data[:, 0] + np.where(subset, 0.0, white.rows[:, 2] * 1e-2)
-    one = split(white._replace(data=changed), "halves", subset, np.eye(6))
-    assert not one.agreement.passed
-    assert np.argmax(np.abs(one.differences)) == 2
+    changed = white.data[:, 0] + np.where(half, 0.0, white.rows[:, 2] * 1e-2)
+    assert not halves_test(white._replace(data=changed), half).passed
+
+
+def test_halves_are_two_fits_against_one():
+    """χ²_AB − χ²_A − χ²_B, by three fits without priors."""
+    white, _ = random_rows(np.random.default_rng(3))
+    half = np.arange(300) < 120
+    parts = (np.ones(300, bool), half, ~half)
+    fits = [solve(white._replace(rows=white.rows[of], data=white.data[of])).chi_squared[0] for of in parts]
+    test = halves_test(white._replace(data=white.data[:, 0]), half)
+    assert test.statistic == pytest.approx(fits[0] - fits[1] - fits[2], rel=1e-9)
 
 
 def test_whiteness_notices_what_lasts():
@@ -143,13 +125,12 @@ def test_whiteness_counts_what_the_parameters_took_up():
             truth = rng.standard_normal(16) / 0.5
             white = Whitened(rows, rows @ truth + rng.standard_normal(count), prior)
             fits.append((white, solve(white).residuals))
-        taken = taken_up(fits[0][0])
+        taken = factored(np.concatenate([rows, prior])).basis[:count]
         right = [whiteness(left, taken).probability for _, left in fits]
         plain = [whiteness(left).probability for _, left in fits]
         for level in (0.05, 0.01):
             assert stats.binomtest(int(np.sum(np.array(right) < level)), 2000, level).pvalue > 1e-4
         assert np.mean(np.array(plain) < 0.05) > likely
-        assert consistency(solve(fits[0][0]), fits[0][0], {}, np.eye(16)).whiteness.probability == right[0]
 
 
 def test_whiteness_without_a_fit_is_ljung_and_box():
@@ -157,14 +138,6 @@ def test_whiteness_without_a_fit_is_ljung_and_box():
     correlations = np.array([shocks[k:] @ shocks[:-k] for k in range(1, 21)]) / (shocks @ shocks)
     want = 400.0 * 402.0 * np.sum(correlations**2 / (400.0 - np.arange(1, 21)))
     assert whiteness(shocks).statistic == pytest.approx(want, rel=1e-12)
-
-
-def test_consistency_without_splits():
-    white, _ = random_rows(np.random.default_rng(7))
-    white = white._replace(data=white.data[:, 0])
-    quiet = consistency(solve(white), white, {"none": np.ones(300, bool)}, np.eye(6))
-    assert quiet.splits == ()
-    assert quiet.noise_scale == pytest.approx(1.0, abs=0.15)
 
 
 # --- standstills ------------------------------------------------------------------------------------------------------

@@ -198,7 +198,6 @@ KINDS = {
     "drift of 1 min": {"correlation_time_s": 60.0},
     "drift of 5 min": {"correlation_time_s": 300.0},
     "drift of 25 min": {"correlation_time_s": 1500.0},
-    "white": {"drift_std": 0.0},
     "random walk": {"drift_std": 400.0 * DEG_PER_H, "correlation_time_s": 1e7},
 }
 
@@ -208,7 +207,7 @@ KINDS = {
 def test_the_stated_sigma_covers_what_is_left(kind):
     """Of 95 % intervals at 40 temperatures, 60 channels of each kind of drift: 0.90 and more hold the truth.
 
-    (σ is larger than need be where the drift is fast: up to six times.)"""
+    (The slow noise is that of the class: of a gyro that is better than its class, σ is larger than need be.)"""
     inside, sizes, errors = [], [], []
     for seed in range(20):
         unit = vehicle(seed, **KINDS[kind])
@@ -224,7 +223,7 @@ def test_the_stated_sigma_covers_what_is_left(kind):
     share, sigma, error = np.mean(inside), np.mean(sizes), np.sqrt(np.mean(np.square(errors)))
     print(f"{kind}: {share:.3f} within 1.96 sigma; sigma {sigma:.3g}, error {error:.3g} deg/h rms")
     assert share >= 0.90
-    assert sigma < 6.0 * error
+    assert sigma < 3.0 * error
 
 
 def drift_at_start(unit, seed):

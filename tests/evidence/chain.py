@@ -20,7 +20,7 @@ from scipy.stats import chi2
 import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.estimation.estimate import with_options
-from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.model.imu_build import build_imu
 from gradcal_jax.spec.spec import spec_of
@@ -164,7 +164,7 @@ def _by_data(
         return None
     rows, _ = imu_rows(built, read, read[0].units[0], options)
     assert set(names) <= set(built.model.names())
-    fit = fitted_twice(built, read[0].units[0], rows, rows.temperature_c)
+    fit = fit_readings(built, read[0].units[0], rows, rows.temperature_c)
     return by_data(fit, hidden, names, covariance)
 
 

@@ -18,7 +18,7 @@ from unguided import recorded
 
 import gradcal_jax as gj
 from gradcal_jax.estimation.estimate import with_options
-from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.model.imu_build import build_imu, imu_posterior
 from gradcal_jax.spec import presets
@@ -47,7 +47,7 @@ def outcome(spec: Spec, seed: int, spoilt: float) -> dict[str, Any]:
     log, truth = recorded(spec, seed, spoilt)
     _, options, _ = with_options(spec, [log], Options())
     rows, _ = imu_rows(built, [log], log.units[0], options)
-    fit = fitted_twice(built, log.units[0], rows, rows.temperature_c)
+    fit = fit_readings(built, log.units[0], rows, rows.temperature_c)
     model, found = built.model, fit.solution.parameters
     reported, own = model.to_reported, slice(model.calibrated)
     true = np.array([truth[name] for name in model.names()])

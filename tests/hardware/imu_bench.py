@@ -8,7 +8,7 @@ from hardware_bench import unpredicted
 from matrix_errors import nees_of
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, clock_fit, imu_rows, with_options
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
@@ -110,7 +110,7 @@ def estimated(
     rows, _ = imu_rows(built, [log], log.units[0], options)
     assert log.temperature_c is not None
     # As it was read: what smooths a thermometer's steps in a ramp of an hour is too slow for one of a minute.
-    done, readings, found, _ = fitted_twice(built, log.units[0], rows, log.temperature_c[0])
+    done, readings, found, _ = fit_readings(built, log.units[0], rows, log.temperature_c[0])
     steps, _ = readings.linear(found.parameters)
     used = np.asarray(steps.used)
     apart = np.where(segments_of(done.motion, model).used, readings.observed - readings.expected(found.parameters), 0.0)

@@ -11,7 +11,7 @@ from imu_bench import Stage, made, short
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.estimation import ExecutedImu, executed_imu, readings_counted
-from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
@@ -153,7 +153,7 @@ def test_readings_that_were_not_made_are_not_counted(ran) -> None:
     assert made[1] < 0.65 * made[0]
     rows, _ = imu_rows(built, [fewer], log.units[0], Options())
     known = [
-        fitted_twice(built, log.units[0], imu_rows(built, [of], log.units[0], Options())[0], rows.temperature_c)
+        fit_readings(built, log.units[0], imu_rows(built, [of], log.units[0], Options())[0], rows.temperature_c)
         for of in (log, fewer)
     ]
     deviations = [np.sqrt(np.diag(fit.solution.known.covariance(built.model.to_reported))) for fit in known]

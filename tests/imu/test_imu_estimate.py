@@ -10,7 +10,7 @@ from scipy import stats
 
 from gradcal_jax.estimation import readings_of
 from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.imu_executed import ImuRows, across_stops, executed_imu
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.formulas import runs
@@ -119,7 +119,7 @@ def test_scale_factors_do_not_tell_how_a_case_hangs(seed, sensitivity):
     truth = draw_truth(spec, rng)
     logs, built = record(spec, truth, rng, lever=(0.03, -0.02, 0.01)), build_imu(spec)
     rows, _ = imu_rows(built, logs, "SN7", Options())
-    _, readings, found, _ = fitted_twice(built, "SN7", rows, rows.temperature_c)
+    _, readings, found, _ = fit_readings(built, "SN7", rows, rows.temperature_c)
     steps, _ = readings.linear(found.parameters)
     used = segments_of(readings.done.motion, built.model).used
 
@@ -329,7 +329,7 @@ def test_what_accelerometers_tell_of_a_move_counts_by_what_is_known_of_them(kind
     spec, rng = scene("two axes", 0.1), np.random.default_rng(4)
     (log,), built = record(spec, draw_truth(spec, rng), rng), build_imu(spec)
     rows, _ = imu_rows(built, [log], "SN7", Options())
-    done, _, found, _ = fitted_twice(built, "SN7", rows, rows.temperature_c)
+    done, _, found, _ = fit_readings(built, "SN7", rows, rows.temperature_c)
     biases = np.zeros((built.model.size, 3))
     for axis in range(3):
         biases[built.model.where("accelerometer", axis, SPECIFIC_FORCE_BIAS).start, axis] = 1.0

@@ -3,7 +3,7 @@
 import numpy as np
 from estimate_scenes import draw_truth, record, scene
 
-from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.model.imu_build import build_imu
 from gradcal_jax.spec.changes import changed
@@ -18,7 +18,7 @@ def test_noise_of_a_scale_factor_acts_on_what_is_sensed_across_the_axis():
     (log,) = record(spec, draw_truth(spec, rng), rng)
     built = build_imu(spec)
     rows, _ = imu_rows(built, [log], "SN7", Options())
-    readings = fitted_twice(built, "SN7", rows, rows.temperature_c).readings
+    readings = fit_readings(built, "SN7", rows, rows.temperature_c).readings
     model, straight = built.model, np.zeros(built.model.size)
     leaning = straight.copy()
     leaning[model.names().index("gyro_y.m_x0")] = LEANS

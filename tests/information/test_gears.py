@@ -9,7 +9,7 @@ from scipy import stats
 
 import gradcal_jax as gj
 from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
-from gradcal_jax.estimation.fit_of_log import fitted_twice
+from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.information import segments_of
 from gradcal_jax.information.error_budget import ErrorBudget
@@ -104,12 +104,12 @@ def test_the_rows_are_those_of_a_fit_with_the_errors_as_parameters(sizes):
     (log,) = (geared(one, np.array([2e-7, -4e-7]), np.zeros(2)) for one in record(spec, draw_truth(spec, rng), rng))
     built = build_imu(spec)
     rows, _ = imu_rows(built, [log], "SN7", Options())
-    fit = fitted_twice(built, "SN7", rows, rows.temperature_c)
+    fit = fit_readings(built, "SN7", rows, rows.temperature_c)
     about, plain = fit.solution.parameters, fit.readings._replace(common=None)
     count = fit.readings.common.shape[1]
     # Of each axis the scale, the backlash, and where it stands before its first turn.
     assert count == 6
-    without = fitted_twice(build_imu(scene("two axes", 0.1)), "SN7", rows, rows.temperature_c).solution
+    without = fit_readings(build_imu(scene("two axes", 0.1)), "SN7", rows, rows.temperature_c).solution
     steps, columns = plain.linear(about)
     apart = plain.observed - plain.expected(about)
     used = np.asarray(segments_of(plain.done.motion, built.model).used)
@@ -144,7 +144,7 @@ def test_a_plan_is_predicted_as_its_log_is_estimated(sizes):
     def deviations(spec: Spec) -> tuple[np.ndarray, np.ndarray]:
         built = build_imu(spec)
         rows, _ = imu_rows(built, logs, "SN7", Options())
-        known = fitted_twice(built, "SN7", rows, rows.temperature_c).solution.known
+        known = fit_readings(built, "SN7", rows, rows.temperature_c).solution.known
         own = np.eye(built.model.size)[: built.model.calibrated]
         return imu_posterior(built).deviations(own), known.deviations(own)
 

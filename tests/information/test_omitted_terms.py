@@ -11,8 +11,8 @@ from simulated_log import simulate_log
 import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.estimation.calibrations import calibration_map
-from gradcal_jax.estimation.contradictions import omitted_sentences, wrapped_sentence
 from gradcal_jax.estimation.estimate import estimate_log, estimate_sensors
+from gradcal_jax.estimation.findings import omitted_sentences, wrapped_sentence
 from gradcal_jax.estimation.log_rows import Options
 from gradcal_jax.model.imu_build import build_imu
 from gradcal_jax.motion import turns_of

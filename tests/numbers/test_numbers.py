@@ -160,8 +160,7 @@ def test_estimates_are_as_recorded(kept, request):
         # 5 rows a second are; now they are integrals of the motion that is interpolated between the rows. At points of
         # the standard method both are the same.
         loose = (1e-9, 1e-6, 1e-7) if name.startswith("axis standard") else (5e-4, 0.5, 0.1)
-        halves = dict.fromkeys(("gyro_x: odd moves against even ones", "gyro_x: first half against second"), "")
-        return _estimated(kept, found, *loose, TESTS_OF_AXES | halves)
+        return _estimated(kept, found, *loose, TESTS_OF_AXES)
     # An iteration ends when no parameter moves by more than a thousandth of its standard deviation, δ, so two ends are
     # up to 2δ apart; χ² moves by twice that times its root, and standard deviations with the products of errors.
     return _estimated(kept, found, 1e-6, 2e-3, 1e-3, {})

@@ -1,26 +1,19 @@
-"""What a log or an estimate shows by itself to be wrong: rows that no estimate may use, units of temperature, a plan
-that was broken off, requirements beyond the data, channels that no device has, and maps with more structure than the
-model; and the sentences on what counts although no residual shows it."""
+"""What a log or an estimate shows by itself to be wrong, and the sentences on what counts although no residual shows
+it.
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from types import MappingProxyType
+A `Finding` is one thing that was measured, against its limit. Gross errors, of which no estimate can be made, are
+refused with a sentence of their own: units, signs, axes, the mounting, the unit of temperature.
+"""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.estimation import (
-    CoarseFit,
-    Consistency,
-    ImuEstimate,
-    ImuReadings,
-    StructureTest,
-    size_of,
-    structure_test,
-)
-from gradcal_jax.estimation.hidden_maps import FALSE_ALARM, hidden_maps, tested_maps
-from gradcal_jax.information.verdicts import UNIT_OF
-from gradcal_jax.model import AXIS_NAMES, BIAS, KINDS, Channel, ImuModel
+from gradcal_jax.estimation.alignment_check import CoarseFit
+from gradcal_jax.estimation.consistency import Test
+from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, ImuModel
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.records.signal_faults import without_faults
 from gradcal_jax.spec.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
@@ -28,6 +21,8 @@ from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.spec_sections import Spec
 
+# Level at which by chance any of the tests of a fit fails once in a hundred.
+_RARE: Final = 0.01
 # K by which a die may be colder or warmer than the chamber's limits, self-heating included.
 _COLDER, _WARMER = 10.0, 35.0
 # K by which a converted temperature may leave the plan's range, and by which the wrong unit leaves it at least.
@@ -40,14 +35,40 @@ SCALE_FACTOR_ERROR: Final = 0.5
 _MISALIGNED, _PRIORS = 0.3, 50.0
 # Standard deviations of the spec beyond which an error of the table contradicts the spec.
 _CONTRADICTED: Final = 4.0
-# Standard deviations of the spec's misalignments beyond which a rotation of all sensors together is reported.
-_TURNED = 4.0
 # How far from a whole turn the angles of an axis that wrap may end, rad.
 _NEARLY: Final = np.radians(20.0)
 _OTHER_UNITS: Final = (
     ("°F", lambda t: (t - 32.0) / 1.8),
     ("K", lambda t: t - 273.15),
 )
+
+
+class Finding(NamedTuple):
+    """A `value` beyond its `limit` (of a test: the probability, below its level), with what to do about it, in a
+    sentence; `contradicts`: the data contradict the model, and the calibration is not valid."""
+
+    name: str
+    value: float
+    limit: float
+    advice: str
+    contradicts: bool = True
+
+
+def failed(tests: Mapping[str, Test], advice: Mapping[str, str]) -> list[Finding]:
+    """The tests that fail, each with the `advice` of its name."""
+    level = _RARE / max(len(tests), 1)
+    return [
+        Finding(name, test.probability, level, advice.get(name, ""))
+        for name, test in tests.items()
+        if test.probability < level
+    ]
+
+
+def sentences_of(findings: Sequence[Finding]) -> list[str]:
+    """All of them: which contradict the model, in one sentence, and the advice of each."""
+    contradicted = [one.name.replace("_", " ") for one in findings if one.contradicts]
+    whole = f"not valid: {'; '.join(contradicted)}: the data contradict the model, and no stated uncertainty is valid"
+    return [*([whole] if contradicted else []), *dict.fromkeys(one.advice for one in findings if one.advice)]
 
 
 def refuse_other_units(spec: Spec, temperature: np.ndarray, unit: str) -> None:
@@ -148,42 +169,48 @@ def refuse_implausible(where: str, names: Sequence[str], values: np.ndarray, pri
         )
 
 
-def beyond_the_spec(model: ImuModel, values: np.ndarray, priors: np.ndarray) -> dict[str, str]:
-    """By its name a sentence on each error of the table that is beyond what the spec says of it; `values` and `priors`
-    of all reported parameters, as of `refuse_implausible`.
+def beyond_the_spec(model: ImuModel, values: np.ndarray, priors: np.ndarray) -> Iterator[Finding]:
+    """Each error of the table that is beyond what the spec says of it; `values` and `priors` of all reported
+    parameters, as of `refuse_implausible`.
 
     A fault that the model lacks, such as backlash, appears as an error that the model has.
     """
     names = model.names()
-    return {
-        f"the table's {names[k]}": (
-            f"the table's {names[k].replace('_', ' ')} is {values[k] / priors[k]:+.1f} times its standard deviation in "
-            "the spec: is the spec of the table correct?"
-        )
-        for k in range(model.calibrated, model.size)
-        if abs(values[k]) > _CONTRADICTED * priors[k]
-    }
+    for k in range(model.calibrated, model.size):
+        if abs(values[k]) > _CONTRADICTED * priors[k]:
+            ratio = values[k] / priors[k]
+            yield Finding(
+                f"the table's {names[k]}",
+                ratio,
+                _CONTRADICTED,
+                f"the table's {names[k].replace('_', ' ')} is {ratio:+.1f} times its standard deviation in the spec: "
+                "is the spec of the table correct?",
+            )
 
 
-def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> Iterator[str]:
-    """A sentence for each axis about which all sensors are turned by far more than the spec's misalignments: names as
-    in `gyro_x.m_y`, values and priors as of `refuse_implausible`."""
+def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> Iterator[Finding]:
+    """Each axis about which all sensors are turned by far more than the spec's misalignments, which nothing else shows:
+    names as in `gyro_x.m_y`, values and priors as of `refuse_implausible`."""
     known = {name: (float(v), float(p)) for name, v, p in zip(names, values, priors, strict=True) if 0.0 < p < np.inf}
     for k, axis in enumerate(AXIS_NAMES):
         a, b = AXIS_NAMES[(k + 1) % 3], AXIS_NAMES[(k + 2) % 3]
         # A sensor along a that is turned about the axis leans towards b, and one along b away from a.
         both = [(f"{kind}_{one}.m_{other}", sign) for kind in KINDS for one, other, sign in ((a, b, 1.0), (b, a, -1.0))]
-        found = [(sign, known.get(name) or known.get(f"{name}0")) for name, sign in both]
-        sizes = np.array([sign * of[0] for sign, of in found if of])
+        leaning = [(sign, known.get(name) or known.get(f"{name}0")) for name, sign in both]
+        sizes = np.array([sign * of[0] for sign, of in leaning if of])
         if len(sizes) < 2:
             continue
-        mean, prior = float(np.mean(sizes)), float(np.mean([of[1] for _, of in found if of]))
-        alike = np.max(np.abs(sizes - mean)) < abs(mean) / 3.0
-        if alike and abs(mean) > _TURNED * prior / np.sqrt(len(sizes)):
-            yield (
+        mean, prior = float(np.mean(sizes)), float(np.mean([of[1] for _, of in leaning if of]))
+        alike, limit = np.max(np.abs(sizes - mean)) < abs(mean) / 3.0, _CONTRADICTED * prior / np.sqrt(len(sizes))
+        if alike and abs(mean) > limit:
+            yield Finding(
+                f"rotation of all sensors about {axis}",
+                abs(mean),
+                float(limit),
                 f"all sensors are turned by {np.degrees(mean):.3g} deg about {axis} from their orientation in the "
                 f"spec, but the spec's misalignments (1σ) about this axis are {np.degrees(prior):.2g} deg: are the "
-                "mounting and the zeros of the table's angles as in the spec?"
+                "mounting and the zeros of the table's angles as in the spec?",
+                contradicts=False,
             )
 
 
@@ -256,57 +283,56 @@ _UNCERTAIN: Final = 1e-5
 
 
 class RecordFaults(NamedTuple):
-    """Of one unit: sentences on rows that are left out, and by name those on what makes the calibration not valid."""
+    """Of one unit: sentences on rows that are left out, and what makes the calibration not valid."""
 
     left_out: tuple[str, ...] = ()
-    not_valid: Mapping[str, str] = MappingProxyType({})
+    findings: tuple[Finding, ...] = ()
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """All of them."""
-        return *self.left_out, *self.not_valid.values()
-
-    @property
-    def also(self) -> str:
-        """The sentences behind that of an error."""
-        return "".join(f"; {sentence}" for sentence in self.sentences)
+        return *self.left_out, *(one.advice for one in self.findings)
 
 
 def without_bad_rows(
     spec: Spec, logs: Sequence[Log], channels: Collection[str]
-) -> tuple[list[Log], Mapping[str, RecordFaults]]:
+) -> tuple[list[Log], dict[str, RecordFaults]]:
     """The logs with such rows masked, and by unit what was found in any of them; `channels`: those that are estimated,
     such as "gyro x"."""
-    cleaned, left_out, wrong = list[Log](), dict[str, list[str]](), dict[str, dict[str, str]]()
+    cleaned, found = list[Log](), dict[str, RecordFaults]()
     for log in logs:
-        clean, found = without_faults(log, channels)
-        for name, faults in found.items():
+        clean, faults_of = without_faults(log, channels)
+        cleaned.append(clean)
+        for name, faults in faults_of.items():
             if not clean.usable(name).any():
                 raise LogError(f"{name}: no usable row is left: {'; '.join(faults.sentences)}")
-        cleaned.append(clean)
-        for name, faults in found.items():
-            left_out.setdefault(name, []).extend(faults.sentences)
-            wrong.setdefault(name, {}).update(faults.coarse | _wrong_motion(spec, clean, name, channels))
-    return cleaned, {name: RecordFaults(tuple(left_out[name]), wrong[name]) for name in left_out}
+            before = found.get(name, RecordFaults())
+            coarse = (Finding(what, np.nan, np.nan, sentence) for what, sentence in faults.coarse.items())
+            own = {one.name: one for one in (*before.findings, *coarse, *_wrong_motion(spec, clean, name, channels))}
+            found[name] = RecordFaults((*before.left_out, *faults.sentences), tuple(own.values()))
+    return cleaned, found
 
 
-def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) -> dict[str, str]:
-    """What the rates of a unit show at the ends of standstills and within moves, by a name for each."""
+def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) -> Iterator[Finding]:
+    """What the rates of a unit show at the ends of standstills and within moves."""
     if log.standstill is None:
-        return {}
+        return
     angles = [axis.angle for axis in spec.rig.table.axis]
     known = min(float(np.hypot(float(a.reading_noise), float(a.standstill_offset))) for a in angles)
-    found = dict[str, str]()
     for k, label in enumerate(log.axes):
         if f"gyro {label}" not in channels:
             continue
         rate, usable = log.rate_rad_per_s[log.unit_index(name), :, k], log.usable(name)
         count, angle = estimation.lost_in_moves(log.time_s, rate, log.standstill >= 0, usable, log.stretch_starts)
-        if angle > max(_MATTERS * known, _UNCERTAIN):
-            found[f"samples of gyro {label} lost in moves"] = (
+        limit = max(_MATTERS * known, _UNCERTAIN)
+        if angle > limit:
+            yield Finding(
+                f"samples of gyro {label} lost in moves",
+                angle,
+                limit,
                 f"gyro {label}: samples are lost or repeated {count} times during moves. The angle of a move is "
                 f"therefore uncertain by {np.degrees(angle):.2g} deg on average: record every sample, or mark the rows "
-                "after lost samples as the start of a stretch"
+                "after lost samples as the start of a stretch",
             )
         seen = estimation.settling(log.time_s, rate, log.standstill >= 0, usable)
         if seen is None:
@@ -315,13 +341,16 @@ def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) ->
             (seen.after, seen.after_std, "beginnings", "after the table is marked as at rest"),
             (seen.before, seen.before_std, "ends", "before the table is marked as moving"),
         ):
-            if abs(angle) > max(_NO_CHANCE * std, _MATTERS * known):
-                found[f"gyro {label} at the {end} of standstills"] = (
+            limit = max(_NO_CHANCE * std, _MATTERS * known)
+            if abs(angle) > limit:
+                yield Finding(
+                    f"gyro {label} at the {end} of standstills",
+                    abs(angle),
+                    limit,
                     f"gyro {label} measures a turn of {np.degrees(abs(angle)):.2g} deg {words}, averaged over all "
                     "standstills: the samples are delayed or filtered, or standstills are marked while the table still "
-                    "moves"
+                    "moves",
                 )
-    return found
 
 
 # A log that is shorter than its plan by less than this, s and as a share, is whole: runs end with their last reading.
@@ -348,66 +377,6 @@ def _recorded_s(log: Log) -> float:
     return float(steps.sum())
 
 
-class MeasuredDiscrepancy(NamedTuple):
-    """The discrepancy of one map and axis, from `units` units together: standard deviation (`unit`) of the coefficients
-    beyond the structure, with its 95 % interval (`high` None: unbounded). `block`: its table in a spec."""
-
-    quantity: str
-    axis: str
-    units: int
-    unit: str
-    standard_deviation: float
-    low: float
-    high: float | None
-    block: str
-
-
-def structure_tests(spec: Spec, readings: ImuReadings, solution: ImuEstimate) -> Iterator[tuple[str, StructureTest]]:
-    """The test of each polynomial map of each gyro of an estimate, with the name of its channel."""
-    model, columns_of = readings.model, readings.whitened_terms()
-    for number, channel in enumerate(model.channels):
-        if channel.kind != "gyro":
-            continue
-        for term in hidden_maps(spec, channel.model):
-            white = solution.white.without(model.where("gyro", channel.axis, term.name))
-            # A discrepancy that the spec states is no contradiction of it, up to its size.
-            stated = 0.0 if channel.model.term(term.name) is None else float(term.std)
-            test = structure_test(white, columns_of(number, term), term, FALSE_ALARM, stated)
-            if test is not None:
-                yield channel.name, test
-
-
-def structure_in_words(test: StructureTest) -> str:
-    """A sentence on the degrees of a map that the data need."""
-    assert test.asked is not None
-    of_temperature, of_rate = test.asked
-    degree = f"degree {of_temperature} in temperature" + (f" and {of_rate} in rate" if test.quantity != BIAS else "")
-    return (
-        f"the log shows structure of the {test.quantity.replace('_', ' ')} that the model lacks (p-value "
-        f"{test.test.probability:.1g}): a polynomial of {degree} fits significantly better"
-    )
-
-
-def discrepancies(spec: Spec, tests: Iterable[tuple[str, StructureTest]]) -> Iterator[MeasuredDiscrepancy]:
-    """The discrepancy of each map and channel, from all units together; `tests` with the names of their channels."""
-    of_map: dict[tuple[str, str], list[StructureTest]] = {}
-    for channel, test in tests:
-        of_map.setdefault((channel, test.quantity), []).append(test)
-    for (channel, quantity), own in of_map.items():
-        size = size_of([test.components for test in own])
-        if size is None:
-            continue
-        of = tested_maps(spec)[quantity]
-        unit, factor = UNIT_OF[quantity]
-        high = None if size.high is None else size.high * factor
-        degrees = f"temperature_degree = {of.temperature_degree}"
-        degrees += "" if quantity == BIAS else f", rate_degree = {of.rate_degree}"
-        std = f'standard_deviation = "{size.std * factor:.3g} {unit}"'
-        block = f"[sensor.gyro.{quantity}]\ndiscrepancy = {{ {std}, {degrees} }}"
-        stated = (size.std * factor, size.low * factor, high)
-        yield MeasuredDiscrepancy(quantity, channel[-1], len(own), unit, *stated, block if size.std else "")
-
-
 def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str]) -> list[str]:
     """A sentence on the readings with the smallest robust weights; `names`: the channel of each reading."""
     low = np.argsort(weights)[: np.count_nonzero(weights < 1.0)]
@@ -415,30 +384,3 @@ def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str])
         return []
     named = ", ".join(f"{names[k]} at {time_s[k]:.6g} s" for k in low[:5])
     return [f"{len(low)} of {len(weights)} readings have less than full weight; the smallest weights: {named}"]
-
-
-def excess_of(tests: Consistency) -> float:
-    """The factor by which residuals exceed the spec's noise where the χ² test fails; otherwise 1."""
-    return max(1.0, tests.noise_scale) if not tests.fit.passed and tests.fit.degrees > 0 else 1.0
-
-
-def not_valid(contradicted: Sequence[str]) -> list[str]:
-    """A sentence on tests that fail, where any does."""
-    if not contradicted:
-        return []
-    return [f"not valid: {'; '.join(contradicted)}: the data contradict the model, and no stated uncertainty is valid"]
-
-
-def noise_sentences(tests: Consistency, larger: bool) -> list[str]:
-    """A sentence if the residuals are `larger`, or far smaller, than the noise of the spec."""
-    if larger:
-        return [
-            f"the residuals are {tests.noise_scale:.3g} times the noise of the spec: the model is incomplete, or "
-            "the noise figures are too small; requirements are judged with the larger noise"
-        ]
-    if tests.fit.probability <= 1.0 - 1e-3:
-        return []
-    return [
-        f"the residuals are only {tests.noise_scale:.3g} times the noise of the spec: the spec's noise figures are "
-        "larger than the noise of this sensor"
-    ]

@@ -56,8 +56,9 @@ def estimate(
 ) -> int:
     """Estimate a calibration from a log with the model of a spec, and test whether the data agree with the model.
 
-    Without a spec, estimate the bias over temperature of a vehicle that warms up at rest. With --gravity, calibrate an
-    IMU that lay still in many positions and was turned by hand between them.
+    Without a spec, estimate the bias over temperature of a vehicle that warms up at rest; of accelerometers, its change
+    with temperature. With --gravity, calibrate an IMU that lay still in many positions and was turned by hand between
+    them.
 
     The exit status is 1 if a target is missed, if a parameter cannot be observed, or if the data contradict the model.
 
@@ -137,6 +138,8 @@ def estimate(
             print(described(one, str(path)))
         for sensor in report.sensors:
             print(text_of_estimate(sensor))
+        for whole in report.joined:
+            print(text_of_forces(whole), end="")
     _write(report.calibrations, files, json)
     save_figure(lambda plots: plots.calibration.draw_estimate(report), plot, quiet=json)
     return DONE if report.as_wished else NOT_AS_WISHED
@@ -217,6 +220,19 @@ def text_of_estimate(report: "SensorEstimate") -> str:
         f"exceed 3σ, and the largest is {tested.largest:.1f}σ"
     )
     return "\n".join([*lines, *(f"note: {message}" for message in report.messages)])
+
+
+def text_of_forces(calibration: "Calibration") -> str:
+    """The accelerometers of a warm-up, in words; empty without any."""
+    from gradcal_jax.pages.tables import coefficients, tests
+
+    forces = tuple(channel for channel in calibration.channel if channel.kind == "accelerometer")
+    if not forces:
+        return ""
+    names = tuple(channel.name for channel in forces)
+    fits = tuple(test for test in calibration.fit if test.name.startswith(names))
+    shown = calibration.model_copy(update={"channel": forces, "fit": fits, "path": ()})
+    return "\n".join(["", strong("accelerometers"), coefficients(None, shown).text(), "", tests(shown).text(), ""])
 
 
 def text_of_held(report: "HandReport") -> str:

@@ -176,7 +176,7 @@ class EstimateReport(NamedTuple):
     @property
     def as_wished(self) -> bool:
         """Whether every target is met, every parameter observable and every test passed."""
-        return all(one.as_wished for one in self.sensors)
+        return all(one.as_wished for one in self.sensors) and not any(one.contradicted for one in self.joined)
 
 
 def estimate_log(

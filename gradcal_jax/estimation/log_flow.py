@@ -19,6 +19,7 @@ from gradcal_jax import estimation, identify
 from gradcal_jax.calibration import Calibration, Covariance, Noise
 from gradcal_jax.estimation.estimate import EstimateReport, SensorEstimate, estimate_log
 from gradcal_jax.estimation.log_rows import Options
+from gradcal_jax.estimation.warm_up_forces import forces_of_warm_up
 from gradcal_jax.identify import instability
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.identify.instability import (
@@ -185,7 +186,8 @@ def estimate_warm_up(
     options: Options | None = None,
     sources: dict[str, str] | None = None,
 ) -> EstimateReport:
-    """The bias over temperature, a cubic, of every unit in records at rest; each log has units of one clock.
+    """The bias over temperature, a cubic, of every unit in records at rest; each log has units of one clock. Of
+    accelerometers, its change over temperature (`warm_up_forces`), unless `axes` names gyros.
 
     The covariance includes the white noise of the record and the slow noise of the class. `options`, `sources` as of
     `estimate_log`. **Raises:** `LogError` without a temperature that spans 10 K, without a rest, and where the
@@ -237,10 +239,19 @@ def _unit(
         sensors[0] = sensors[0]._replace(messages=(*sensors[0].messages, words))
     named = ", ".join(channel.axis for c in calibrations for channel in c.channel)
     first = calibrations[0]
+    blocks = [c.covariance for c in calibrations if c.covariance is not None]
+    rows = {key: tuple(row for c in calibrations for row in getattr(c, key)) for key in _ROWS}
+    if log.force_axes and not axes:
+        forces = forces_of_warm_up(log, unit)
+        blocks.append(forces.covariance)
+        rows["channel"] += forces.channels
+        rows["fit"] += forces.tests
+        rows["contradicted"] += forces.contradicted
+        sensors[-1] = sensors[-1]._replace(messages=(*sensors[-1].messages, *forces.messages))
     whole = first.model_copy(
         update={
-            **{key: tuple(row for c in calibrations for row in getattr(c, key)) for key in _ROWS},
-            "covariance": joined([c.covariance for c in calibrations if c.covariance is not None]),
+            **rows,
+            "covariance": joined(blocks),
             "noise": noise,
             "frame": f"the axes {named} of the log, not orthogonalised",
             "provenance": {**first.provenance, "rows": ", ".join(c.provenance["rows"] for c in calibrations)},

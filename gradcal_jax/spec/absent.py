@@ -258,6 +258,11 @@ def accelerometer_grade(sensor: Sensor) -> Grade:
     return _by_noise("accelerometer", force.drift, "acceleration", force.velocity_random_walk)
 
 
+def grade_of_forces(velocity_random_walk: Quantity) -> Grade:
+    """The class of accelerometers of which only the velocity random walk (m/s/√s) is known."""
+    return _by_noise("accelerometer", (), "acceleration", velocity_random_walk)
+
+
 def _by_noise(kind: str, drift: Any, dimension: str, walk: Quantity) -> Grade:
     if size := max((float(d.standard_deviation) for d in drift), default=0.0):
         return _grade(kind, size, "drift", dimension, "its drift")

@@ -244,7 +244,10 @@ def _words(
     force, gyro, held = solution.accelerometer, solution.gyro, solution.positions
     for fit, what, unit in ((force, "forces", "m/s²"), (gyro, "rates", "rad/s")):
         if fit.gain != 1.0:
-            yield f"the {what} are counts, about {fit.gain:.4g} per {unit}; the scale factors include this factor"
+            yield (
+                f"the {what} are {fit.gain:.4g} times those in {unit}: counts, or another full-scale range than "
+                "that of the column map's scale; the scale factors include this factor"
+            )
     up = (held.force - force.centre) / np.linalg.norm(held.force - force.centre, axis=1, keepdims=True)
     spread, axes = np.linalg.eigh(up.T @ up / len(up))
     if spread[0] < _FLAT:

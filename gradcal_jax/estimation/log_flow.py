@@ -201,7 +201,7 @@ def estimate_warm_up(
         known = ", ".join(unit for log in logs for unit in log.units)
         raise LogError(f"there is no IMU '{missing[0]}' in this log; it has {known}")
     parts, sensors = zip(*parts, strict=True)
-    return EstimateReport(tuple(one for own in sensors for one in own), (), parts)
+    return EstimateReport(tuple(one for own in sensors for one in own), parts)
 
 
 def _unit(

@@ -212,10 +212,11 @@ def wrapped(values: Floats) -> Bools:
     """
     result = np.zeros(len(values), bool)
     step = np.diff(values)
-    if not np.isfinite(step).any():
+    bends = np.abs(np.diff(step))
+    if not np.isfinite(bends).any():
         return result
     far = _ACROSS * float(np.nanmax(np.abs(values)))
-    least = 6.0 * float(np.nanmedian(np.abs(np.diff(step))))
+    least = 6.0 * float(np.nanmedian(bends))
 
     across = np.flatnonzero(np.abs(step) > far)
     within = np.where(np.abs(step) > far, 0.0, step)

@@ -186,6 +186,8 @@ def test_rows_that_wrapped_at_full_scale_are_masked(peak, hertz):
         np.full(4000, np.nan),
         np.where(np.arange(4000) % 500 == 250, -90.0, 90.0),  # wrong single rows
         [],
+        [1.0, np.nan, -1.0],
+        [1.0, -1.0],
     ],
 )
 def test_what_only_steps_far_did_not_wrap(values):

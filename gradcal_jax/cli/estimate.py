@@ -1,5 +1,6 @@
 """`gradcal estimate`: a calibration from a log, with covariance, tests and verdicts."""
 
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -21,6 +22,7 @@ from gradcal_jax.cli.output import (
     writable,
 )
 from gradcal_jax.cli.precision import use_float64
+from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.recordings import Columns, LogFile, described, load, load_all, quantity
 
 if TYPE_CHECKING:
@@ -125,12 +127,14 @@ def estimate(
     from gradcal_jax.estimation.log_rows import Options
 
     sources = {"log": ", ".join(path.name for path in (log, *more)), "spec": "" if spec is None else spec.name}
-    options = Options(robust=robust, temperature_c=at, lag=lag_s, clock=clock)
-    if model is None:
-        report = estimate_warm_up(logs, axes=axis, options=options, sources=sources)
-    else:
-        only = axis[0] if axis else None
-        report = estimate_log(model, logs, axis=only, options=options, sources=sources)
+    with MovingLine(sys.stderr) as line:
+        shown = {} if line.plain else {"progress": line.show}
+        options = Options(robust=robust, temperature_c=at, lag=lag_s, clock=clock, **shown)
+        if model is None:
+            report = estimate_warm_up(logs, axes=axis, options=options, sources=sources)
+        else:
+            only = axis[0] if axis else None
+            report = estimate_log(model, logs, axis=only, options=options, sources=sources)
     if json:
         print(as_json(estimate_rows(report)))
     else:

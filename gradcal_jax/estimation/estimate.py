@@ -5,7 +5,6 @@ The spec describes the noise, the table and the terms; the executed motion is re
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
@@ -218,32 +217,22 @@ class _Prepared(NamedTuple):
     faults: Mapping[str, RecordFaults]
     noise: dict[str, np.ndarray]
 
-    def fits(self) -> dict[str, FittedRows]:
-        """The fit of every sensor by itself."""
-        found: dict[str, FittedRows] = {}
+    def estimates(self, sources: dict[str, str]) -> Iterator[SensorEstimate]:
+        """The estimate of every sensor by itself; errors say what else is wrong with its log."""
         for name in self.names:
-            with self.naming(name):
+            shown, progress = self.faults[name], self.options.progress
+            try:
+                progress(f"IMU {name}: rows of the log")
                 recorded = Recorded(*imu_rows(self.built, self.logs, name, self.options))
-                found[name] = fit_of(self.built, name, recorded, self.options)
-        return found
-
-    def report(self, name: str, fitted: FittedRows, sources: dict[str, str]) -> SensorEstimate:
-        """The estimate of a sensor from its fit."""
-        with self.naming(name):
-            report = report_of(fitted, self.logs, name, self.options, sources, self.noise, self.faults[name])
-        lacks = self.lacks
-        if lacks is not None:
-            report = report._replace(calibration=report.calibration.model_copy(update={"lacks": lacks}))
-        messages = *([lacks] if lacks else []), *self.said, *self.faults[name].sentences, *report.messages
-        return report._replace(messages=messages)
-
-    @contextmanager
-    def naming(self, name: str) -> Iterator[None]:
-        """Context whose `LogError`s say what else is wrong with the log of a sensor."""
-        try:
-            yield
-        except LogError as error:
-            raise LogError("; ".join([str(error), *self.faults[name].sentences])) from None
+                fitted = fit_of(self.built, name, recorded, self.options)
+                progress(f"IMU {name}: tests of the fit")
+                report = report_of(fitted, self.logs, name, self.options, sources, self.noise, shown)
+            except LogError as error:
+                raise LogError("; ".join([str(error), *shown.sentences])) from None
+            if self.lacks is not None:
+                report = report._replace(calibration=report.calibration.model_copy(update={"lacks": self.lacks}))
+            lacks = [self.lacks] if self.lacks else []
+            yield report._replace(messages=(*lacks, *self.said, *shown.sentences, *report.messages))
 
 
 def estimate_sensors(
@@ -256,20 +245,18 @@ def estimate_sensors(
 ) -> list[SensorEstimate]:
     """The estimate of every sensor in `units` (default: all) of a log; with several mountings, one log for each. Each
     IMU at a place of a fixture, in one log or in one each, is estimated by itself."""
-    options = options or Options()
+    options, sources = options or Options(), sources or {}
     if not spec.rig.table.place:
-        ready = _prepared(spec, logs, units, options)
-        return [ready.report(name, fitted, sources or {}) for name, fitted in ready.fits().items()]
+        return list(_prepared(spec, logs, units, options).estimates(sources))
     names = dict.fromkeys(name for log in logs for name in log.units)
     if unknown := [name for name in units if name not in names]:
         raise LogError(f"no IMU has the name {unknown[0]}: the logs have {', '.join(names)}")
     where, at = places_of(spec, list(names)), specs_at_places(spec)
-    each = {
-        name: _prepared(at[where[name]], [log for log in logs if name in log.units], [name], options)
-        for name in units or names
-    }
-    fits = {name: fitted for ready in each.values() for name, fitted in ready.fits().items()}
-    return [each[name].report(name, fitted, sources or {}) for name, fitted in fits.items()]
+    found = list[SensorEstimate]()
+    for name in units or names:
+        own = [log for log in logs if name in log.units]
+        found += _prepared(at[where[name]], own, [name], options).estimates(sources)
+    return found
 
 
 def _prepared(spec: Spec, logs: Sequence[Log], units: Sequence[str], options: Options) -> _Prepared:

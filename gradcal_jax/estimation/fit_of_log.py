@@ -274,6 +274,7 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
     elif isinstance(options.lag, str) and not stable and (options.lag == "fit" or _may_lag(built)):
 
         def fit_at(lag: float, before: Fit | None = None) -> Fit:
+            options.progress(f"IMU {name}: fit with a lag of {lag:.3g} s")
             # A lag may make readings of another IMU of the right ones.
             late = temperature_of(lag)
             at_lag = fit_readings(built, name, rows, late, before=before, checked=False)
@@ -287,6 +288,7 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
     if fit is not None and threshold is None:
         fit = _likely(built, name, fit)
     else:
+        options.progress(f"IMU {name}: fit")
         fit = fit_readings(built, name, rows, temperature, threshold)
         fit = _with_errors(fit, [temperature + doubt for doubt in doubts], threshold)
     possible = float(built.spec.sensor.temperature_lag or 0.0) if options.lag == "auto" and _may_lag(built) else 0.0

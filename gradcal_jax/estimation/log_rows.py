@@ -3,7 +3,7 @@ clocks, temperatures and their branches, and which rows may be used."""
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -47,6 +47,8 @@ class Options:
     """If stated: also compute scale factors without a map, from moves of one rate within this temperature range, K."""
     temperature_c: float | None = None
     """Temperature of a log without a thermometer, °C."""
+    progress: Callable[[str], None] = lambda _: None
+    """Called with what is being done."""
 
 
 # A comparison of clocks that is no better than this, a ratio, is worth less than a quartz.

@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from scipy import optimize
 
 from gradcal_jax.estimation import ExecutedImu, ImuEstimate, ImuReadings, ImuRows, chi_squared_test
 from gradcal_jax.estimation.added_columns import Beside, Whitener
@@ -16,7 +15,9 @@ _LONGEST_S: Final = 1800.0
 # that of the lag itself; otherwise minima far from zero may be deep.
 _SURE, _EXPECTED = 25.0, 9.0
 # Linearisations, until the lag changes by less than this share of its standard deviation.
-_ROUNDS, _STANDS = 6, 0.1
+_ROUNDS, _STANDS = 8, 0.1
+# Another lag, for the slope: a share of it, and at least so much (s).
+_APART, _APART_S = 0.05, 1.0
 # The time (s) at a record's begin from which its slope is taken, the rows that it needs, and the square of the slope in
 # standard deviations from which on it counts.
 _BEGINS_S, _FEWEST_ROWS, _NO_CHANCE = 20.0, 8, 16.0
@@ -75,30 +76,6 @@ class Lag(NamedTuple):
         return [f"the maps lag behind the measured temperature by {self.seconds:.4g} s (1σ {self.std:.2g} s)"]
 
 
-def fitted_lag(chi_squared: Callable[[float], float], degrees: int | None = None) -> tuple[float, float]:
-    """The lag (s) of least χ², and its standard deviation from the curvature of χ². With `degrees` of freedom that is
-    widened where the fit with that lag does not hold, by the root of χ² for each of them."""
-    known: dict[float, float] = {}
-
-    def value(lag: float) -> float:
-        if lag not in known:
-            known[lag] = chi_squared(lag)
-        return known[lag]
-
-    grid = [0.0, *np.geomspace(5.0, _LONGEST_S, 12).tolist()]
-    values = [value(lag) for lag in grid]
-    best = int(np.argmin(values))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    minimum: Any = optimize.minimize_scalar(value, bounds=(low, high), method="bounded", options={"xatol": 0.01})
-    lag = float(minimum.x) if minimum.fun < values[best] else grid[best]
-    # Three different lags, also where the minimum is at zero.
-    width = max(0.05 * lag, 1.0)
-    around = max(lag - width, 0.0) + width * np.arange(3.0)
-    bend = np.polyfit(around, [value(x) for x in around], 2)[0]
-    misfit = max(value(lag) / degrees, 1.0) if degrees else 1.0
-    return lag, float(np.sqrt(misfit / bend)) if bend > 0.0 else float("inf")
-
-
 class LateTemperatures:
     """The temperature (°C) of all rows as a function of a lag (s). Where a record begins while the temperature changes,
     the dies are late, as after a long time of that change; but they may have rested until then, or settle more slowly
@@ -154,18 +131,19 @@ def fit_with_lag(
     otherwise only one that the data show, or none. `fit_at`: with a lag (s), from another fit; `temperature_of` (°C, of
     all rows): with a lag; `size_s`: its standard deviation by the spec."""
     prompt = fit = fit_at(0.0, None)
-    of = _Linearised(prompt, temperature_of)
+    of = _Linearised(prompt, temperature_of, _TRIED_S)
     if not (wanted or of.shows_lag):
         return Lag(0.0), prompt, ()
-    lag, std = of.fitted()
+    following = _TRIED_S[of.best]
     for _ in range(_ROUNDS):
+        lag = following
         fit = fit_at(lag, fit)
-        again, std = _Linearised(fit, temperature_of).fitted()
-        if abs(again - lag) <= _STANDS * std:
+        apart = max(_APART * lag, _APART_S)
+        step, std = _Linearised(fit, temperature_of, [lag + apart]).step
+        following = float(np.clip(lag + step * apart, 0.0, _LONGEST_S))
+        std *= apart
+        if abs(following - lag) <= _STANDS * std:
             break
-        lag = again
-    else:
-        fit = fit_at(lag, fit)
     found, estimate = Lag(lag, std), fit.solution.estimate
     before, after = float(prompt.solution.estimate.chi_squared), float(estimate.chi_squared)
     if wanted:
@@ -189,31 +167,31 @@ def _excess(solution: ImuEstimate) -> float:
 
 
 class _Linearised:
-    """Residuals as a function of the lag, with the motion and the derivatives of a fit with another one."""
+    """The residuals of a fit, and how they would change with other lags (s), with its motion and derivatives."""
 
-    def __init__(self, fit: Fit, temperature_of: Callable[[float], np.ndarray]) -> None:
-        self.solution = fit.solution
-        self._readings, self._temperature_of = fit.readings, temperature_of
-        self._whiten, self._now = Whitener(fit.readings), fit.readings.expected(fit.solution.parameters)
-        self._beside = Beside(fit.solution.white)
-
-    def _changed(self, lags: Sequence[float]) -> np.ndarray:
-        """The whitened changes `(n, k)` of the rows used by these lags (s)."""
-        at = (self._readings.at(self._temperature_of(lag), self.solution.parameters) for lag in lags)
-        return self._whiten(np.stack([of - self._now for of in at], axis=1))
+    def __init__(self, fit: Fit, temperature_of: Callable[[float], np.ndarray], lags: Sequence[float]) -> None:
+        self.solution, readings = fit.solution, fit.readings
+        parameters = fit.solution.parameters
+        now = readings.expected(parameters)
+        changes = [readings.at(temperature_of(lag), parameters) - now for lag in lags]
+        self.columns = Whitener(readings)(np.stack(changes, axis=1))
+        self.beside = Beside(fit.solution.white)
 
     @property
     def shows_lag(self) -> bool:
         """Whether lags explain a part of the residuals beyond chance."""
-        of = self._beside.components(self._changed(_TRIED_S))
-        return of.scaled(_excess(self.solution) ** 0.5).test().probability < _BY_CHANCE
+        of = self.beside.components(self.columns).scaled(_excess(self.solution) ** 0.5)
+        return of.test().probability < _BY_CHANCE
 
-    def fitted(self) -> tuple[float, float]:
-        """The lag of least χ² and its standard deviation, s."""
-        left = self._beside.left[:, 0]
+    @property
+    def best(self) -> int:
+        """The number of the lag that leaves the smallest residuals."""
+        return int(np.argmin(np.sum((self.beside.left - self.beside.of(self.columns)) ** 2, axis=0)))
 
-        def squares(lag: float) -> float:
-            """What no parameters explain of the residuals with that lag."""
-            return float(np.sum((left - self._beside.of(self._changed([lag]))[:, 0]) ** 2))
-
-        return fitted_lag(squares, self.solution.estimate.degrees)
+    @property
+    def step(self) -> tuple[float, float]:
+        """The share of the change to the only other lag that is best, and its standard deviation; larger if the fit
+        does not hold."""
+        column, left = self.beside.of(self.columns)[:, 0], self.beside.left[:, 0]
+        gain = max(float(column @ column), np.finfo(float).tiny)
+        return float(column @ left) / gain, float(np.sqrt(_excess(self.solution) / gain))

@@ -12,7 +12,7 @@ from simulated_log import simulate_log
 from gradcal_jax.calibration.correction import term_values
 from gradcal_jax.estimation import ImuRows
 from gradcal_jax.estimation.estimate import estimate_log
-from gradcal_jax.estimation.lag_of_maps import LateTemperatures, fitted_lag
+from gradcal_jax.estimation.lag_of_maps import LateTemperatures
 from gradcal_jax.estimation.log_rows import Options, host_time
 from gradcal_jax.formulas import followed
 from gradcal_jax.information import information, posterior
@@ -234,13 +234,6 @@ def test_a_lag_goes_on_over_samples_that_were_lost():
     kept[20_000:20_010] = kept[20_011:20_101] = False
     holed = followed(warm[kept], time[kept], np.array([0, 20_000, 20_001]), 120.0)
     np.testing.assert_allclose(holed, whole[kept], atol=1e-9)
-
-
-@pytest.mark.parametrize(("at_s", "std_s"), [(-3.0, 4.0), (0.3, 0.5), (40.0, 2.0)])
-def test_how_well_a_lag_is_known_is_told_also_where_there_is_none(at_s, std_s):
-    lag, known = fitted_lag(lambda lag: ((lag - at_s) / std_s) ** 2)
-    assert lag == pytest.approx(max(at_s, 0.0), abs=0.1)
-    assert known == pytest.approx(std_s, rel=1e-6)
 
 
 PROGRAMME = """programme = [

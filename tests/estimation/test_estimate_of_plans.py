@@ -66,12 +66,3 @@ def test_a_thousand_units_err_as_predicted(name):
         achieved = np.sqrt(np.mean((errors @ rows.T) ** 2, axis=0)).reshape(grid_t.shape) * UNIT_OF[quantity][1]
         want = statistic(requirement.statistic, promised)
         assert statistic(requirement.statistic, achieved) == pytest.approx(want, rel=0.05)
-
-
-def test_units_share_one_whitening():
-    built, observations, _ = simulated("paper-static-standard", 3)
-    together = solve(whitened(observations, built.model))
-    for k in range(3):
-        alone = solve(whitened(observations._replace(readings=observations.readings[:, [k]]), built.model))
-        np.testing.assert_allclose(alone.parameters[:, 0], together.parameters[:, k], rtol=1e-9)
-        np.testing.assert_allclose(alone.residuals[:, 0], together.residuals[:, k], atol=1e-8)

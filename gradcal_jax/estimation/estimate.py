@@ -26,7 +26,7 @@ from gradcal_jax.estimation.added_columns import (
 )
 from gradcal_jax.estimation.bias_curves import BiasCurve, bias_curves
 from gradcal_jax.estimation.findings import (
-    Finding,
+    FitFinding,
     RecordFaults,
     beyond_the_data,
     beyond_the_spec,
@@ -407,10 +407,10 @@ def _advice(named: Mapping[str, Test], tests: Consistency) -> dict[str, str]:
     return found
 
 
-def _remarks(tests: Consistency, solution: ImuEstimate) -> Iterator[Finding]:
+def _remarks(tests: Consistency, solution: ImuEstimate) -> Iterator[FitFinding]:
     """What contradicts no model."""
     if solution.moved > _MOVED:
-        yield Finding(
+        yield FitFinding(
             "convergence",
             solution.moved,
             _MOVED,
@@ -419,7 +419,7 @@ def _remarks(tests: Consistency, solution: ImuEstimate) -> Iterator[Finding]:
             contradicts=False,
         )
     if tests.fit.probability > 1.0 - _TOO_GOOD:
-        yield Finding(
+        yield FitFinding(
             "small residuals",
             tests.noise_scale,
             1.0,

@@ -1,7 +1,7 @@
 """What a log or an estimate shows by itself to be wrong, and the sentences on what counts although no residual shows
 it.
 
-A `Finding` is one thing that was measured, against its limit. Gross errors, of which no estimate can be made, are
+A `FitFinding` is one thing that was measured, against its limit. Gross errors, of which no estimate can be made, are
 refused with a sentence of their own: units, signs, axes, the mounting, the unit of temperature.
 """
 
@@ -43,7 +43,7 @@ _OTHER_UNITS: Final = (
 )
 
 
-class Finding(NamedTuple):
+class FitFinding(NamedTuple):
     """A `value` beyond its `limit` (of a test: the probability, below its level), with what to do about it, in a
     sentence; `contradicts`: the data contradict the model, and the calibration is not valid."""
 
@@ -54,17 +54,17 @@ class Finding(NamedTuple):
     contradicts: bool = True
 
 
-def failed(tests: Mapping[str, Test], advice: Mapping[str, str]) -> list[Finding]:
+def failed(tests: Mapping[str, Test], advice: Mapping[str, str]) -> list[FitFinding]:
     """The tests that fail, each with the `advice` of its name."""
     level = _RARE / max(len(tests), 1)
     return [
-        Finding(name, test.probability, level, advice.get(name, ""))
+        FitFinding(name, test.probability, level, advice.get(name, ""))
         for name, test in tests.items()
         if test.probability < level
     ]
 
 
-def sentences_of(findings: Sequence[Finding]) -> list[str]:
+def sentences_of(findings: Sequence[FitFinding]) -> list[str]:
     """All of them: which contradict the model, in one sentence, and the advice of each."""
     contradicted = [one.name.replace("_", " ") for one in findings if one.contradicts]
     whole = f"not valid: {'; '.join(contradicted)}: the data contradict the model, and no stated uncertainty is valid"
@@ -169,7 +169,7 @@ def refuse_implausible(where: str, names: Sequence[str], values: np.ndarray, pri
         )
 
 
-def beyond_the_spec(model: ImuModel, values: np.ndarray, priors: np.ndarray) -> Iterator[Finding]:
+def beyond_the_spec(model: ImuModel, values: np.ndarray, priors: np.ndarray) -> Iterator[FitFinding]:
     """Each error of the table that is beyond what the spec says of it; `values` and `priors` of all reported
     parameters, as of `refuse_implausible`.
 
@@ -179,7 +179,7 @@ def beyond_the_spec(model: ImuModel, values: np.ndarray, priors: np.ndarray) -> 
     for k in range(model.calibrated, model.size):
         if abs(values[k]) > _CONTRADICTED * priors[k]:
             ratio = values[k] / priors[k]
-            yield Finding(
+            yield FitFinding(
                 f"the table's {names[k]}",
                 ratio,
                 _CONTRADICTED,
@@ -188,7 +188,7 @@ def beyond_the_spec(model: ImuModel, values: np.ndarray, priors: np.ndarray) -> 
             )
 
 
-def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> Iterator[Finding]:
+def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray) -> Iterator[FitFinding]:
     """Each axis about which all sensors are turned by far more than the spec's misalignments, which nothing else shows:
     names as in `gyro_x.m_y`, values and priors as of `refuse_implausible`."""
     known = {name: (float(v), float(p)) for name, v, p in zip(names, values, priors, strict=True) if 0.0 < p < np.inf}
@@ -203,7 +203,7 @@ def turned_together(names: Sequence[str], values: np.ndarray, priors: np.ndarray
         mean, prior = float(np.mean(sizes)), float(np.mean([of[1] for _, of in leaning if of]))
         alike, limit = np.max(np.abs(sizes - mean)) < abs(mean) / 3.0, _CONTRADICTED * prior / np.sqrt(len(sizes))
         if alike and abs(mean) > limit:
-            yield Finding(
+            yield FitFinding(
                 f"rotation of all sensors about {axis}",
                 abs(mean),
                 float(limit),
@@ -286,7 +286,7 @@ class RecordFaults(NamedTuple):
     """Of one unit: sentences on rows that are left out, and what makes the calibration not valid."""
 
     left_out: tuple[str, ...] = ()
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[FitFinding, ...] = ()
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -307,13 +307,13 @@ def without_bad_rows(
             if not clean.usable(name).any():
                 raise LogError(f"{name}: no usable row is left: {'; '.join(faults.sentences)}")
             before = found.get(name, RecordFaults())
-            coarse = (Finding(what, np.nan, np.nan, sentence) for what, sentence in faults.coarse.items())
+            coarse = (FitFinding(what, np.nan, np.nan, sentence) for what, sentence in faults.coarse.items())
             own = {one.name: one for one in (*before.findings, *coarse, *_wrong_motion(spec, clean, name, channels))}
             found[name] = RecordFaults((*before.left_out, *faults.sentences), tuple(own.values()))
     return cleaned, found
 
 
-def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) -> Iterator[Finding]:
+def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) -> Iterator[FitFinding]:
     """What the rates of a unit show at the ends of standstills and within moves."""
     if log.standstill is None:
         return
@@ -326,7 +326,7 @@ def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) ->
         count, angle = estimation.lost_in_moves(log.time_s, rate, log.standstill >= 0, usable, log.stretch_starts)
         limit = max(_MATTERS * known, _UNCERTAIN)
         if angle > limit:
-            yield Finding(
+            yield FitFinding(
                 f"samples of gyro {label} lost in moves",
                 angle,
                 limit,
@@ -343,7 +343,7 @@ def _wrong_motion(spec: Spec, log: Log, name: str, channels: Collection[str]) ->
         ):
             limit = max(_NO_CHANCE * std, _MATTERS * known)
             if abs(angle) > limit:
-                yield Finding(
+                yield FitFinding(
                     f"gyro {label} at the {end} of standstills",
                     abs(angle),
                     limit,

@@ -1,20 +1,22 @@
 """The log of a journal's records, without the folder of a run."""
 
-import contextlib
+import tempfile
+from pathlib import Path
 
 import numpy as np
 
 from gradcal_jax.hardware.journal import JournalContents
+from gradcal_jax.hardware.run_folder import rig_as_run
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.records.log import Log
-from gradcal_jax.records.run_log import _of_unit
+from gradcal_jax.records.run_log import log_of_records
 from gradcal_jax.spec.rig import RigFile
 
 
 def log_of(contents: JournalContents, recipe: Recipe, rig: RigFile, unit: str | None = None) -> Log:
     """The log of one IMU (by name; None: the rig's only one), decoded with the configuration in the journal."""
-    with contextlib.ExitStack() as stack:
-        return _of_unit(stack, None, contents, recipe, rig, unit, contents.records).whole()
+    rig = rig_as_run(contents, rig)
+    return log_of_records(contents.records, recipe, rig, unit, Path(tempfile.gettempdir()))
 
 
 def angles_of_rests(log: Log, axis: int = 0) -> np.ndarray:

@@ -55,23 +55,23 @@ def log(
 def _written(run: Path, unit: str | None, recorded: "Log | None", target: Path, *, quiet: bool) -> dict[str, Any]:
     """Write the log of an IMU; what `--json` prints of it."""
     from gradcal_jax.records.log_file import write_log
-    from gradcal_jax.records.run_log import log_in_blocks
+    from gradcal_jax.records.run_log import log
 
     # A day's samples lie on the disk that the log will be on.
-    with log_in_blocks(run, unit, recording=recorded, spool=target.parent) as result:
-        write_log(result, target)
-    about, counts, name = result.fields, result.counts(), result.fields["units"][0]
-    findings, provenance = about["findings"], about["provenance"]
-    record = {"log": str(target), "unit": name, "duration_s": result.duration_s, "rows": counts}
-    record |= {"standstills": result.standstills, "simulated": about["simulated"], "provenance": dict(provenance)}
-    record |= {"findings": [finding.message for finding in findings]}
+    made = log(run, unit, recording=recorded, scratch=target.parent)
+    write_log(made, target)
+    counts, name = made.counts(), made.units[0]
+    standing = 0 if made.standstill is None else int(made.standstill.max()) + 1
+    record = {"log": str(target), "unit": name, "duration_s": made.duration_s, "rows": counts}
+    record |= {"standstills": standing, "simulated": made.simulated, "provenance": dict(made.provenance)}
+    record |= {"findings": [finding.message for finding in made.findings]}
     if quiet:
         return record
     print(
-        f"{time_text(result.duration_s)} of {name}: {counts['used']} samples used of {about['rows_read']}, "
-        f"{result.standstills} standstills" + (" (simulated devices)" if about["simulated"] else "")
+        f"{time_text(made.duration_s)} of {name}: {counts['used']} samples used of {made.rows_read}, "
+        f"{standing} standstills" + (" (simulated devices)" if made.simulated else "")
     )
-    for finding in findings:
+    for finding in made.findings:
         print(f"note: {finding.message}")
     print(f"wrote {target}")
     return record

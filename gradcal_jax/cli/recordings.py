@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
-from gradcal_jax.tables.display import columns as aligned
-
 if TYPE_CHECKING:
     from gradcal_jax.records.log import Log
 
@@ -109,15 +107,4 @@ def quantity(text: str, dimension: str, option: str) -> float:
 
 def described(log: "Log", name: str) -> str:
     """A log in a few lines: its contents, the numbers of rows by use, and every fault."""
-    lines = [
-        f"{name}: {log.duration_s:.6g} s at {1.0 / log.sample_interval_s:.6g} Hz, "
-        f"{len(log.units)} IMU{'s' * (len(log.units) != 1)}, axes {', '.join(log.axes)}"
-        + (", SIMULATED" if log.simulated else "")
-    ]
-    counts = log.counts(0)
-    if set(counts) != {"used"}:
-        parts = ", ".join(f"{count} {reason}" for reason, count in counts.items())
-        lines.append(f"of {log.rows_read} rows: {parts}")
-    if log.findings:
-        lines.append(aligned([(f.done, f.message) for f in log.findings]))
-    return "\n".join(lines)
+    return f"{name}: " + "\n".join(log.summary_lines())

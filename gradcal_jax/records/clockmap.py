@@ -1,4 +1,4 @@
-"""A device's clock against the run's clock: one line per stream, with its residuals.
+"""A device's clock against the run's clock: one line per session, with its residuals.
 
 Bytes arrive late, never early: delayed by the unit, the adapter and the operating system, sometimes by much; of a burst
 that is read in pieces, all but the last piece waited for the rest. The delay of most arrivals carries no information,
@@ -13,23 +13,20 @@ where bytes take no time, both are only rounding).
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.records.spool import StoredColumn
-
 Floats = NDArray[np.float64]
-_Spans = Callable[[], Iterable[tuple[Floats, Floats]]]
 
 _ARRIVALS_A_STRETCH: Final = 8
 _STRETCHES: Final = 128
-_SPAN: Final = 1 << 18  # arrivals in memory at once
 _ROUNDING_S: Final = 1e-9
 _CREDIBLE: Final = 0.01  # no unit's clock is off by more
+_WINDOW_S: Final = 60.0
+"""Before and after a gap, in which the quickest arrivals are compared."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +46,12 @@ class ClockMap:
         """How much longer the unit's second is than the host's; positive: the unit's clock runs slow."""
         return self.rate - 1.0
 
-    def host_time_s(self, device_time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def host_time_s(self, device_time_s: Floats) -> Floats:
         return self.offset_s + self.rate * device_time_s
 
 
-def fit_arrivals(device: StoredColumn, host: StoredColumn, *, resolution_s: float = 0.0) -> ClockMap:
-    """Fit the line to the last samples of all chunks, in the order of arrival, which are read a span at a time.
+def fit_arrivals(device: Floats, host: Floats, *, resolution_s: float = 0.0) -> ClockMap:
+    """Fit the line to the last samples of all chunks, in the order of arrival.
 
     `resolution_s` of the coarser of the two stamps limits `rate_std` from below, over the whole span.
     An implausible rate, from a stretch too short to show one, counts as 1, known to `_CREDIBLE`.
@@ -62,77 +59,88 @@ def fit_arrivals(device: StoredColumn, host: StoredColumn, *, resolution_s: floa
     Raises `ValueError` for fewer than three arrivals, or times that do not increase.
     """
     count = len(device)
-    if count < 3 or not _increasing(device):
+    if count < 3 or not np.all(np.diff(device) > 0.0):
         raise ValueError(
             f"The relation of two clocks needs at least three samples whose device times increase; there are "
             f"{count} samples."
         )
-    firsts = range(0, count, _SPAN)
-    middle = sum(float(device[first : first + _SPAN].sum()) for first in firsts) / count
-
-    def part(first: int, end: int) -> tuple[Floats, Floats]:
-        return device[first:end] - middle, host[first:end]
-
-    def spans() -> Iterator[tuple[Floats, Floats]]:
-        return (part(first, min(first + _SPAN, count)) for first in firsts)
-
-    offset, rate = _line(spans)
-    stretches = _split(count, min(max(3, count // _ARRIVALS_A_STRETCH), _STRETCHES))
+    middle = float(device.mean())
+    x = device - middle
+    offset, rate = _line(x, host)
+    stretches = np.array_split(np.arange(count), min(max(3, count // _ARRIVALS_A_STRETCH), _STRETCHES))
     quickest = np.zeros(0, np.int64)
-    centred, stamps = np.zeros(0), np.zeros(0)
     for _ in range(20):
-        rows: list[tuple[int, float, float, float]] = []
-        for first, end in stretches:
-            x, y = part(first, end)
-            residual = y - offset - rate * x
-            least = int(np.argmin(residual))
-            rows.append((first + least, float(x[least]), float(y[least]), float(residual[least])))
-        fresh, *points = (np.array(column) for column in zip(*rows, strict=True))
-        bulk = _not_above(points[2])
-        if np.array_equal(fresh[bulk], quickest):
+        residual = host - offset - rate * x
+        fresh = np.array([rows[np.argmin(residual[rows])] for rows in stretches])
+        fresh = fresh[_not_above(residual[fresh])]
+        if np.array_equal(fresh, quickest):
             break
-        quickest, centred, stamps = fresh[bulk], points[0][bulk], points[1][bulk]
-        offset, rate = _line(lambda at=(centred, stamps): [at])
-    most = max(float((stamps - offset - rate * centred).max()), _ROUNDING_S)
-    line = offset, rate
-
-    def kept() -> Iterator[tuple[Floats, Floats]]:
-        for x, y in spans():
-            near = y - line[0] - line[1] * x <= most
-            yield x[near], y[near]
-
-    offset, rate = _line(kept)
+        quickest = fresh
+        offset, rate = _line(x[quickest], host[quickest])
+    most = max(float((host - offset - rate * x)[quickest].max()), _ROUNDING_S)
+    near = host - offset - rate * x <= most
+    offset, rate = _line(x[near], host[near])
     unknown = 0.0
     if abs(rate - 1.0) > _CREDIBLE:
         # The stretch is too short and all arrivals are late: the slope is that of the delays.
-        unknown, rate, offset = _CREDIBLE, 1.0, min(float(np.min(y - x)) for x, y in spans())
-        line = offset, rate
-        quick = np.concatenate([np.sort(y - offset - x)[:3] for x, y in spans()])
-        most = float(np.sort(quick)[2])
-    used, squares, largest, low, high = 0, 0.0, 0.0, math.inf, -math.inf
-    for x, y in kept():
-        if len(x):
-            residual = y - offset - rate * x
-            used, squares = used + len(x), squares + float((residual**2).sum())
-            largest = max(largest, float(np.max(np.abs(residual))))
-            low, high = min(low, float(x.min())), max(high, float(x.max()))
+        unknown, rate, offset = _CREDIBLE, 1.0, float(np.min(host - x))
+        near = host - offset - x <= np.sort(host - offset - x)[2]
+    residual = (host - offset - rate * x)[near]
+    largest = float(np.max(np.abs(residual)))
     # Errors at both ends, each anywhere within the residuals (± a/√3) and within a step of the grid (resolution / √12).
     ends = math.hypot(largest / math.sqrt(3.0), resolution_s / math.sqrt(12.0))
-    rate_std = max(math.sqrt(2.0) * ends / (high - low), unknown)
-    return ClockMap(offset - rate * middle, rate, rate_std, math.sqrt(squares / used), largest, used, count - used)
+    rate_std = max(math.sqrt(2.0) * ends / float(np.ptp(x[near])), unknown)
+    rms = float(np.sqrt(np.mean(residual**2)))
+    return ClockMap(offset - rate * middle, rate, rate_std, rms, largest, len(residual), count - len(residual))
 
 
-def _increasing(column: StoredColumn) -> bool:
-    return all(bool(np.all(np.diff(column[first : first + _SPAN + 1]) > 0.0)) for first in range(0, len(column), _SPAN))
+def bridge_gaps(samples: Any, round_s: float, sample_s: float) -> None:
+    """Let the sensor's clock go on by the computer's behind a restart, and behind a gap at which a short counter, with
+    a period of `round_s` (0: it is long), does not show whole periods; the samples of these are added to `gap`.
+
+    The quickest arrivals before a gap and after it are equally late, but for the time that is missing.
+    """
+    restarted = samples["restarted"]
+    unsure = (samples["gap"] > 0) | samples["disturbed"]
+    places = np.flatnonzero(restarted | unsure if round_s else restarted)
+    places = places[places > 0]
+    if not len(places):
+        return
+    device, host = samples["time_s"].copy(), samples["host_s"].copy()
+    late = host - _rate_of_longest(device, host, places) * device
+    restarts = np.append(np.flatnonzero(restarted), len(device))
+    shift = np.zeros(len(device))
+    for row in places.tolist():
+        low = int(np.searchsorted(host, host[row] - _WINDOW_S))
+        # (Later gaps make what follows later still, and a restart has another clock.)
+        high = int(np.searchsorted(host, host[row] + _WINDOW_S, side="right"))
+        high = min(high, int(restarts[np.searchsorted(restarts, row, side="right")]))
+        later_s = float(late[row:high].min() - (late - shift)[low:row].min()) - float(shift[row - 1])
+        if restarted[row]:
+            least_s = float(device[row - 1] - device[row]) + sample_s
+            shift[row:] = shift[row - 1] + max(later_s, least_s)
+        elif later_s > 0.5 * round_s:
+            samples["gap"][row] += round(later_s / sample_s)
+            shift[row:] = shift[row - 1] + later_s
+    samples["time_s"] = device + shift
 
 
-def _split(count: int, parts: int) -> list[tuple[int, int]]:
-    """First and end of `parts` pieces whose lengths differ by one at most, the longer ones first."""
-    ends = np.cumsum([count // parts + (number < count % parts) for number in range(parts)]).tolist()
-    return list(zip([0, *ends[:-1]], ends, strict=True))
+def _rate_of_longest(device: Floats, host: Floats, places: NDArray[np.int64]) -> float:
+    """The rate of the clock in the longest part between two of the `places`."""
+    edges = np.concatenate([[0], places, [len(device)]])
+    longest = int(np.argmax(np.diff(edges)))
+    part = slice(edges[longest], edges[longest + 1])
+    arrivals = last_of_chunks(device[part], host[part])
+    return fit_arrivals(*arrivals).rate if len(arrivals[0]) > 2 else 1.0
 
 
-def _not_above(residual: NDArray[np.float64]) -> NDArray[np.bool_]:
+def last_of_chunks(device: Floats, host: Floats) -> tuple[Floats, Floats]:
+    """The stamps of the last samples of all chunks, which waited least: samples of one chunk share the host's time."""
+    last = np.append(host[1:] > host[:-1], True)
+    return device[last], host[last]
+
+
+def _not_above(residual: Floats) -> NDArray[np.bool_]:
     """Without the stretches that lie above the bulk, which had no quick arrival. At least three stay."""
     middle = float(np.median(residual))
     spread = 1.4826 * float(np.median(np.abs(residual - middle)))
@@ -140,11 +148,8 @@ def _not_above(residual: NDArray[np.float64]) -> NDArray[np.bool_]:
     return kept if kept.sum() >= 3 else np.ones(residual.size, bool)
 
 
-def _line(spans: _Spans) -> tuple[float, float]:
+def _line(x: Floats, y: Floats) -> tuple[float, float]:
     """Least squares: value at x = 0, and slope."""
-    sums = [(len(x), float(x.sum()), float(y.sum())) for x, y in spans()]
-    count, *totals = (sum(column) for column in zip(*sums, strict=True))
-    x_mean, y_mean = (total / count for total in totals)
-    products = [(float((x - x_mean) @ (y - y_mean)), float((x - x_mean) @ (x - x_mean))) for x, y in spans()]
-    cross, own = (sum(column) for column in zip(*products, strict=True))
-    return y_mean - cross / own * x_mean, cross / own
+    x_mean, y_mean = float(x.mean()), float(y.mean())
+    slope = float((x - x_mean) @ (y - y_mean)) / float((x - x_mean) @ (x - x_mean))
+    return y_mean - slope * x_mean, slope

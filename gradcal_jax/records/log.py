@@ -279,8 +279,7 @@ class Log:
     __repr__ = summary
 
     def summary_lines(self) -> list[str]:
-        """Its contents in lines: length, units, axes, arrays, faults."""
-        rows = len(self.time_s)
+        """Its contents in lines: length, units, axes, arrays, the numbers of rows by use, faults."""
         units = ", ".join(self.units) if len(self.units) <= 3 else f"{len(self.units)} units"
         arrays = {"temperature": self.temperature_c, "second temperature": self.second_temperature_c}
         arrays |= {"host time": self.host_time_s, "table angle": self.table_angle_rad}
@@ -289,10 +288,13 @@ class Log:
         also += [f"{len(self.stretch_starts)} stretches"] if len(self.stretch_starts) > 1 else []
         forces = f"; specific forces of {', '.join(self.force_axes)}" if self.force_axes else ""
         lines = [
-            f"Log of {units}: {self.duration_s:.6g} s, {rows} rows" + ", SIMULATED" * self.simulated,
+            f"log of {units}: {self.duration_s:.6g} s at {1.0 / self.sample_interval_s:.6g} Hz"
+            + ", SIMULATED" * self.simulated,
             f"  rates of {', '.join(self.axes) or 'no axis'}{forces}",
         ]
         lines += [f"  with {', '.join(also)}"] if also else []
+        counts = ", ".join(f"{count} {reason}" for reason, count in self.counts(0).items())
+        lines.append(f"  of {self.rows_read} rows: {counts}")
         return lines + ([text_columns([(f.done, f.message) for f in self.findings])] if self.findings else [])
 
     _shown = summary_lines
@@ -304,7 +306,7 @@ class Log:
         shape = (len(self.units), rows, len(self.axes))
         if self.time_s.ndim != 1 or rows < 2:
             raise LogError(f"a log needs at least two rows, not {rows}")
-        if not (np.isfinite(self.time_s).all() and np.all(np.diff(self.time_s) > 0)):
+        if not (np.isfinite(self.time_s).all() and np.all(self.time_s[1:] > self.time_s[:-1])):
             raise LogError("the times of a log must increase from row to row")
         if self.rate_rad_per_s.shape != shape or 0 in (*shape[:2], shape[2] + len(self.force_axes)):
             raise LogError(

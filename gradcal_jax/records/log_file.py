@@ -1,10 +1,9 @@
-"""The file of a log: netCDF (HDF5), written whole or block by block."""
+"""The file of a log: netCDF (HDF5)."""
 
-import itertools
 import json
 import logging
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -21,105 +20,55 @@ from gradcal_jax.records.log import (
     Log,
     LogError,
     LogVariable,
-    Reason,
 )
 from gradcal_jax.tables.display import printable
 from gradcal_jax.tables.netcdf import NetcdfError, NetcdfVariable, load_netcdf, write_netcdf
 
 _LOG = logging.getLogger(__name__)
 
-Columns = Mapping[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class LogInBlocks:
-    """A log whose rows are made as they are wanted, because all of them may take more memory than there is."""
-
-    rows: int
-    fields: Mapping[str, Any]
-    """The fields of `Log` that have no dimension [time]."""
-    blocks: Callable[[], Iterator[tuple[int, Columns]]]
-    """Yields all rows in order, as blocks: the number of the first row, and the columns by the fields of `Log`."""
-    duration_s: float
-    standstills: int
-    masked: int
-    """Rows that the device marked as bad."""
-
-    def checked(self) -> Iterator[tuple[int, Columns]]:
-        """The blocks. Errors: `LogError` where the times do not increase from one to the next."""
-        last_s = -np.inf
-        for first, columns in self.blocks():
-            stamps = columns["time_s"]
-            if not (np.isfinite(stamps).all() and np.all(np.diff(stamps, prepend=last_s) > 0.0)):
-                raise LogError("the times of a log must increase from row to row")
-            last_s = float(stamps[-1])
-            yield first, columns
-
-    def counts(self) -> dict[str, int]:
-        """As `Log.counts`."""
-        marked = {Reason.MARKED.words: self.masked} if self.masked else {}
-        return {"used": self.rows - self.masked, **self.fields["rows_removed"], **marked}
-
-    def whole(self) -> Log:
-        """All of it, in memory."""
-        arrays: dict[str, NDArray[Any]] = {}
-        for first, columns in self.blocks():
-            for name, values in columns.items():
-                at, count = _ROWS[name], values.shape[_ROWS[name]]
-                if name not in arrays:
-                    arrays[name] = np.empty((*values.shape[:at], self.rows, *values.shape[at + 1 :]), values.dtype)
-                arrays[name][(slice(None),) * at + (slice(first, first + count),)] = values
-        return Log(**arrays, **self.fields)
-
-
-_ROWS: Final[Mapping[str, int]] = {
-    variable.field: variable.dimensions.index("time")
-    for variable in VARIABLES.values()
-    if "time" in variable.dimensions
-}
-"""For each field with rows: the position of the dimension [time]."""
 _LABELS: Final = {"unit": "units", "axis": "axes", "force_axis": "force_axes", "table_axis": "table_axes"}
 """Dimensions with labels, and the fields of `Log` that have these."""
+_BLOCK: Final = 1 << 16
+"""Rows that are written at once: those of a run of days are on the disk."""
 
 
-def write_log(log: Log | LogInBlocks, path: str | Path) -> None:
+def write_log(log: Log, path: str | Path) -> None:
     """Write a log as netCDF (HDF5), each variable with its unit, for any program that reads labelled arrays.
 
     Errors: `LogError` where it cannot be written.
     """
-    if isinstance(log, LogInBlocks):
-        of, rows, blocks = log.fields, log.rows, log.checked()
-    else:
-        of, rows = {one.name: getattr(log, one.name) for one in fields(log)}, len(log.time_s)
-        blocks = iter([(0, {name: values for name in _ROWS if (values := of[name]) is not None})])
-    begins = next(blocks)
-    labels = {name: of[field] for name, field in _LABELS.items()}
-    labels = {name: np.array(words, object) for name, words in labels.items() if words or name == "axis"}
-    by_rows = {name: variable for name, variable in VARIABLES.items() if variable.field in begins[1]}
-    variables = by_rows | {name: variable for name, variable in VARIABLES.items() if variable.field not in _ROWS}
-    whole = {name: of[variable.field] for name, variable in variables.items() if variable.field not in _ROWS}
-    if (readings := of["readings"]) is not None:
-        variables |= OF_READINGS
-        whole |= {name: getattr(readings, variable.field) for name, variable in OF_READINGS.items()}
-    sizes = {"time": rows} | {name: len(words) for name, words in labels.items()}
-    sizes |= {variables[name].dimensions[0]: len(values) for name, values in whole.items()}
+    labels = {name: np.array(getattr(log, field), object) for name, field in _LABELS.items()}
+    labels = {name: words for name, words in labels.items() if len(words) or name == "axis"}
+    variables: dict[str, LogVariable] = {}
+    arrays: dict[str, NDArray[Any]] = {}
+    for kinds, holder in ((VARIABLES, log), (OF_READINGS, log.readings)):
+        for name, variable in kinds.items() if holder is not None else ():
+            if (values := getattr(holder, variable.field)) is not None:
+                variables[name], arrays[name] = variable, values
+    sizes = {name: len(words) for name, words in labels.items()}
+    for name, variable in variables.items():
+        sizes |= dict(zip(variable.dimensions, arrays[name].shape, strict=True))
 
     def contents() -> Iterator[tuple[str, tuple[slice, ...], NDArray[Any]]]:
-        for name, values in (*labels.items(), *whole.items()):
-            yield name, (), values
-        for first, columns in itertools.chain([begins], blocks):
-            for name, variable in by_rows.items():
-                values, at = columns[variable.field], _ROWS[variable.field]
-                rows = slice(first, first + values.shape[at])
-                yield name, (*(slice(None),) * at, rows), values
+        for name, words in labels.items():
+            yield name, (), words
+        for name, values in arrays.items():
+            dimensions = variables[name].dimensions
+            if "time" not in dimensions:
+                yield name, (), values
+                continue
+            before = (slice(None),) * dimensions.index("time")
+            for first in range(0, sizes["time"], _BLOCK):
+                place = (*before, slice(first, min(first + _BLOCK, sizes["time"])))
+                yield name, place, values[place]
 
     attributes: dict[str, str | int] = {
         "format": FORMAT,
-        "rows_read": of["rows_read"],
-        "rows_removed": json.dumps(dict(of["rows_removed"])),
-        "findings": json.dumps([asdict(finding) for finding in of["findings"]], ensure_ascii=False),
-        "simulated": int(of["simulated"]),
-        "provenance": json.dumps(dict(of["provenance"]), ensure_ascii=False),
+        "rows_read": log.rows_read,
+        "rows_removed": json.dumps(dict(log.rows_removed)),
+        "findings": json.dumps([asdict(finding) for finding in log.findings], ensure_ascii=False),
+        "simulated": int(log.simulated),
+        "provenance": json.dumps(dict(log.provenance), ensure_ascii=False),
     }
     written = {
         name: NetcdfVariable(variable.dimensions, variable.kind, {"units": variable.unit, "long_name": variable.words})

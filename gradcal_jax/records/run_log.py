@@ -1,4 +1,4 @@
-"""From a run's journal to a log: samples decoded from the raw bytes, angles and standstills from the events.
+"""From a run's journal to a log: samples decoded from the raw bytes, readings and standstills from the events.
 
 Only rows of stretches with data are kept; all others are counted as removed. A pause ends stretches and standstills,
 because the state of the rig in it is unknown. In a standstill all axes stand. Every poll of an axis's angle is one
@@ -8,32 +8,40 @@ The time stamp of a row is the sensor's clock, aligned with the computer's where
 computer's clock, by a straight line through the quickest arrivals, whose slope and residuals are in the log's
 provenance. Where a run was resumed or an IMU restarted, the computer's clock gives the length of the interruption.
 
-A log is made block by block from a spool on the disk, so that a run of days takes no more memory than one of an hour.
+The columns of the log are views of the samples' file, which is mapped into memory: a run of days takes no more memory
+than one of an hour.
 """
 
-import contextlib
 import itertools
-from collections.abc import Generator, Iterator, Mapping, Sequence
-from dataclasses import replace
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gradcal_jax import formulas
 from gradcal_jax.hardware.errors import HardwareError
-from gradcal_jax.hardware.journal import Event, JournalContents, records_of
+from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, records_of
 from gradcal_jax.hardware.roles import STANDARD_GRAVITY, ImuBatch, imu_batch
 from gradcal_jax.hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.records.alignment import Alignment, AngleTrack, align
-from gradcal_jax.records.clockmap import ClockMap
-from gradcal_jax.records.log import SERIAL_NUMBER, AngleReadings, Finding, Log, Reason
-from gradcal_jax.records.log_file import LogInBlocks
-from gradcal_jax.records.parts import Part, PlacedPart, part_with_table, parts_of
+from gradcal_jax.records.clockmap import ClockMap, bridge_gaps, fit_arrivals, last_of_chunks
+from gradcal_jax.records.log import SERIAL_NUMBER, AngleReadings, Finding, Log
+from gradcal_jax.records.samples import Rows, SampleFile, compacted
 from gradcal_jax.records.sessions import Session, sessions_of
-from gradcal_jax.records.spool import SampleSpool
-from gradcal_jax.records.table_angles import MOVE_COMMANDS, SETTLED_S
+from gradcal_jax.records.table_angles import (
+    MARGIN_S,
+    MOVE_COMMANDS,
+    SETTLED_S,
+    held_rates,
+    known_standstills,
+    standstills,
+    table_readings,
+)
 from gradcal_jax.spec.bench import RigTable
 from gradcal_jax.spec.rig import ImuDevice, RigFile
 
@@ -41,38 +49,31 @@ from gradcal_jax.spec.rig import ImuDevice, RigFile
 _BETWEEN_SESSIONS_S: Final = 60.0
 # A jump of the wall clock by less than this does not mean that the computer was off or asleep.
 _CLOCK_SET_S: Final = 10.0
+_FEWEST_ARRIVALS: Final = 3
 Floats = NDArray[np.float64]
 
 
-def log(folder: str | Path, unit: str | None = None, *, recording: Log | None = None) -> Log:
-    """The log of a run, decoded from its journal's raw bytes: rates in rad/s, times in s, temperatures in °C, the
-    table's angles in rad, standstills.
+def log(
+    folder: str | Path, unit: str | None = None, *, recording: Log | None = None, scratch: str | Path | None = None
+) -> Log:
+    """The log of a run, decoded from its journal's raw bytes: rates in rad/s, times in s, temperatures in °C, readings
+    of the table's angles in rad, standstills.
 
     `unit`: the unit whose log is wanted, where the table carries several. `recording`: the unit's data in this run by
-    another logger; its clock is aligned by the motion. Errors: `ValueError` where the folder is not a run's, or the
-    recording is not of it; `HardwareError` where the journal holds no samples of a stretch with data.
+    another logger; its clock is aligned by the motion. `scratch`: where the samples lie, about as many bytes as the
+    log has, as long as the log exists (default: the run's folder). Errors: `ValueError` where the folder is not a
+    run's, or the recording is not of it; `HardwareError` where the journal holds no samples of a stretch with data.
     """
-    with log_in_blocks(folder, unit, recording=recording) as found:
-        return found.whole()
-
-
-@contextlib.contextmanager
-def log_in_blocks(
-    folder: str | Path, unit: str | None = None, *, recording: Log | None = None, spool: Path | None = None
-) -> Generator[LogInBlocks]:
-    """As `log`, of a run whose samples do not fit into memory: they lie in a temporary file in the folder `spool` (of
-    about the size of the log) until this context ends."""
     run = RunFolder(Path(folder))
     about = {name: str(text) for name, text in run.notes().get("about", {}).items()}
-    with contextlib.ExitStack() as stack:
-        if recording is not None:
-            found = _of_recording(stack, spool, run.events(), run.recipe(), run.rig(), recording, unit)
-        else:
-            events = (one for one in records_of(run.journal_path) if isinstance(one, Event) and one.name == SESSION)
-            first = JournalContents(list(itertools.islice(events, 1)))
-            found = _of_unit(stack, spool, first, run.recipe(), run.rig(), unit, records_of(run.journal_path))
-        provenance = {**about, **found.fields["provenance"]}
-        yield replace(found, fields={**found.fields, "provenance": provenance})
+    scratch = Path(folder if scratch is None else scratch)
+    if recording is not None:
+        of_run = _of_recording(run.events(), run.recipe(), run.rig(), recording, unit, scratch)
+    else:
+        events = (one for one in records_of(run.journal_path) if isinstance(one, Event) and one.name == SESSION)
+        rig = rig_as_run(JournalContents(list(itertools.islice(events, 1))), run.rig())
+        of_run = log_of_records(records_of(run.journal_path), run.recipe(), rig, unit, scratch)
+    return replace(of_run, provenance={**about, **of_run.provenance})
 
 
 def units_in(folder: str | Path) -> list[str | None]:
@@ -81,51 +82,91 @@ def units_in(folder: str | Path) -> list[str | None]:
     return list(names) if len(names) > 1 else [None]
 
 
-def _of_unit(
-    stack: contextlib.ExitStack,
-    spool: Path | None,
-    contents: JournalContents,
-    recipe: Recipe,
-    rig: RigFile,
-    unit: str | None,
-    records: Any,
-) -> LogInBlocks:
-    """The log of a unit from all `records` of the journal; `contents` holds the begin of the first session at least."""
-    rig = rig_as_run(contents, rig)
+@dataclass
+class _Part:
+    """The rows of one session that count, from `first` to before `end` of the log's; their times are the session's."""
+
+    session: Session
+    clock: ClockMap
+    ranges: list[tuple[int, int]]
+    """Of the samples of the file."""
+    sample_s: float
+    read: int
+    restarts: int = 0
+    bad_bytes: int = 0
+    repeated: int = 0
+    first: int = 0
+    end: int = 0
+
+
+def log_of_records(
+    records: Iterable[Event | Chunk], recipe: Recipe, rig: RigFile, unit: str | None, scratch: Path
+) -> Log:
+    """The log of a unit from all records of the journal; `rig`: as it was when the run began."""
     device = _device(rig, unit)
-    sessions = sessions_of(records, device, stack.enter_context(SampleSpool(folder=spool)))
     names = [axis.name for axis in rig.axis]
+    with SampleFile(scratch, table_axes=len(names)) as file:
+        sessions = sessions_of(records, device, file)
+        rows = file.rows()
     # The axes of the spec, in that order; a single axis may have another name.
     drawn = [axis.name for axis in recipe.spec.rig.table.axis]
     axes = _axes_of(sessions, drawn if set(drawn) <= set(names) else names)
-    found = [parts_of(session, axes) for session in sessions]
-    parts, aside = [part for kept, _ in found for part in kept], sum(left for _, left in found)
+    parts = [part for session in sessions if (part := _part_of(session, rows)) is not None]
     if not parts:
         raise HardwareError(
             "The journal has no samples to use: the run ended before the first part whose data are used."
         )
-    provenance = _provenance(parts, sessions, recipe, (device.name, device.driver))
+    provenance = {"unit": device.name, "driver": device.driver}
     events = (event for session in sessions for event in session.events)
     identities = (e.data for e in events if e.name == "identity" and e.data["device"] == device.name)
     if number := next((str(of["serial_number"]) for of in identities if of.get("serial_number")), ""):
         provenance[SERIAL_NUMBER] = number
-    return _joined(parts, _labels(axes, recipe, rig), device.serial_number or device.name, provenance, aside)
+    labels = _labels(axes, recipe, rig)
+    made = _joined(rows, parts, axes, labels, device.serial_number or device.name, ("x", "y", "z"))
+    return replace(made, provenance=_provenance(made, parts, sessions, recipe) | provenance)
+
+
+def _part_of(session: Session, rows: Rows) -> _Part | None:
+    """The samples of a session in stretches with data; None where there are too few."""
+    stream = session.stream
+    if stream is None or (decoder := stream.decoder) is None or not session.stretches():
+        return None
+    own = rows[stream.first : stream.end]
+    bridge_gaps(own, decoder.round_samples * decoder.sample_s, decoder.sample_s)
+    device, host = last_of_chunks(own["time_s"], own["host_s"])
+    if len(device) < _FEWEST_ARRIVALS:
+        return None
+    resolution_s = max(decoder.resolution_s, time.get_clock_info("monotonic").resolution)
+    clock = fit_arrivals(device, host, resolution_s=resolution_s)
+    ranges = _ranges_that_count(session, own, clock, stream.first)
+    if not ranges:
+        return None
+    restarts = int(np.count_nonzero(own["restarted"][1:]))
+    counts = restarts, decoder.bad_bytes, decoder.repeated_datagrams
+    return _Part(session, clock, ranges, decoder.sample_s, len(own), *counts)
+
+
+def _ranges_that_count(session: Session, own: Rows, clock: ClockMap, first: int) -> list[tuple[int, int]]:
+    """The samples in stretches with data, which get the computer's times; none where there are fewer than two."""
+    # (In place, and by comparisons: an array of all rows in memory is as large as they are many.)
+    host = own["host_s"]
+    np.multiply(own["time_s"], clock.rate, out=host)
+    host += clock.offset_s
+    kept = np.zeros(len(own), bool)
+    for start_s, end_s in session.stretches():
+        kept |= (host > start_s) & (host <= end_s)
+    ranges = [(low, high) for low, high in (formulas.runs(kept) + first).tolist()]
+    return ranges if np.count_nonzero(kept) > 1 else []
 
 
 def _of_recording(
-    stack: contextlib.ExitStack,
-    spool: Path | None,
-    contents: JournalContents,
-    recipe: Recipe,
-    rig: RigFile,
-    recorded: Log,
-    unit: str | None,
-) -> LogInBlocks:
+    contents: JournalContents, recipe: Recipe, rig: RigFile, recorded: Log, unit: str | None, scratch: Path
+) -> Log:
     """The log of a unit that another logger recorded, with the run's table and chamber.
 
-    Each part of the run is aligned with the recording by the motion (`alignment`). Temperatures are the recording's,
-    or else the chamber's. Raises `HardwareError` where the run has no stretch with data, `NoAlignment` (a `ValueError`)
-    where the recording does not show the run's motion.
+    Each session of the run is aligned with the recording by the motion (`alignment`). Temperatures are the
+    recording's, or else the chamber's. Raises `HardwareError` where the run has no stretch with data, `NoAlignment` (a
+    `ValueError`) where the recording does not show the run's motion.
     """
     rig = rig_as_run(contents, rig)
     number = recorded.unit_index(unit or 0)
@@ -140,32 +181,34 @@ def _of_recording(
     turned = rates
     if not set(rates) & set(labels) and table.axis[-1].name in labels:
         turned = {table.axis[-1].name: _about_innermost(table, rates)}
-    parts: list[Part] = []
     alignments: list[Alignment] = []
-    samples = stack.enter_context(SampleSpool(len(rates), spool))
-    for session in sessions:
-        if session.stretches():
+    recorded_in = [session for session in sessions if session.stretches()]
+    with SampleFile(scratch, len(rates), len(rig.axis)) as file:
+        for session in recorded_in:
             tracks = {label: _track(session.events, axis) for axis, label in zip(axes, labels, strict=True)}
             alignments.append(align(recorded.time_s, turned, tracks))
-            first = len(samples)
-            samples.push(_as_samples(recorded, number, rates, alignments[-1], session.events))
-            clock, every_s = _clock_of(alignments[-1]), recorded.sample_interval_s
-            part = part_with_table(session, samples, first, len(samples), clock, axes, every_s)
-            parts += [] if part is None else [part]
+            file.push(_as_samples(recorded, number, rates, alignments[-1], session.events))
+        rows = file.rows()
+    parts: list[_Part] = []
+    for place, (session, alignment) in enumerate(zip(recorded_in, alignments, strict=True)):
+        first, end = place * len(recorded.time_s), (place + 1) * len(recorded.time_s)
+        clock = _clock_of(alignment)
+        if ranges := _ranges_that_count(session, rows[first:end], clock, first):
+            parts.append(_Part(session, clock, ranges, recorded.sample_interval_s, end - first))
     if not parts:
         raise HardwareError("The recording has no samples from any part of the run whose data are used.")
     who = recorded.units[number]
-    provenance = _provenance(parts, sessions, recipe, (who, "recorded elsewhere"))
+    made = _joined(rows, parts, axes, labels, who, tuple(rates))
+    provenance = _provenance(made, parts, sessions, recipe) | {"unit": who, "driver": "recorded elsewhere"}
     provenance["clock_offset_std_s"] = ", ".join(f"{one.offset_std_s:.1e}" for one in alignments)
-    log = _joined(parts, labels, who, provenance, 0, tuple(rates))
     message = "; ".join(
         f"the recording's clock was determined from {one.readings} readings of {one.bursts} turns, to "
         f"{one.offset_std_s:.2g} s and {1e6 * one.rate_std:.2g} ppm (1σ; delays of the table's readings are not "
         "included)"
         for one in alignments
     )
-    findings = (*log.fields["findings"], Finding("clock determined from the motion", "keep", 0, message))
-    return replace(log, fields={**log.fields, "findings": findings})
+    findings = (*made.findings, Finding("clock determined from the motion", "keep", 0, message))
+    return replace(made, findings=findings, provenance=provenance)
 
 
 def _about_innermost(table: RigTable, rates_dps: Mapping[str, Floats]) -> Floats:
@@ -252,157 +295,146 @@ def _labels(axes: Sequence[str], recipe: Recipe, rig: RigFile) -> tuple[str, ...
     return tuple(turned) if len(axes) == len(rig.axis) == len(turned) == 1 else tuple(axes)
 
 
-# ------------------------------------------------------------------------------------------------------------ joined
-
-
 def _joined(
-    parts: Sequence[Part],
-    labels: tuple[str, ...],
-    unit: str,
-    provenance: dict[str, str],
-    aside: int,
-    axes: tuple[str, ...] = ("x", "y", "z"),
-) -> LogInBlocks:
-    placed = _placed(parts)
+    rows: Rows, parts: Sequence[_Part], axes: Sequence[str], labels: tuple[str, ...], unit: str, gyros: tuple[str, ...]
+) -> Log:
+    """The log of the samples in the ranges of the parts, which are moved to the beginning of `rows`."""
+    read = len(rows)
     starts: list[int] = []
+    count = 0
+    for part in parts:
+        part.first = count
+        for low, high in part.ranges:
+            starts.append(count)
+            count += high - low
+        part.end = count
+    rows = compacted(rows, [some for part in parts for some in part.ranges])
+    broken = np.flatnonzero((rows["gap"] > 0) | rows["restarted"])
     readings: list[AngleReadings] = []
-    for one in placed:
-        part = one.part
-        starts += sorted({one.first, *(one.first + start for start in part.seen.starts)})
-        # The reading's time by the rows' two clocks, which differ by less than a part in a thousand.
-        own = part.table.readings
-        at = own.row.tolist()
-        since = own.time_s - np.array([part.rows.host_s(row) for row in at])
-        stamps = one.stamps(np.array([part.rows.device_s(row) for row in at]))
-        readings.append(replace(own, time_s=stamps + since, row=own.row + one.first))
-    rows = placed[-1].first + len(parts[-1].rows)
-    read = aside + sum(part.read for part in parts)
-    forced, doubly = (any(getattr(part.seen, what) for part in parts) for what in ("forces", "second"))
-    fields: dict[str, Any] = {
-        "units": (unit,),
-        "axes": axes,
-        "force_axes": ("x", "y", "z") if forced else (),
-        "table_axes": labels,
-        "readings": AngleReadings.in_order(readings) if labels else None,
-        "stretch_starts": np.array(starts, np.int64),
-        "rows_read": read,
-        "rows_removed": {"not in a stretch of data": read - rows} if read > rows else {},
-        "findings": _findings(parts),
-        "simulated": any(part.session.simulated for part in parts),
-        "provenance": provenance,
-    }
-    last = placed[-1]
-    ends_s = float(last.stamps(np.array([last.part.rows.device_s(len(last.part.rows) - 1)]))[0])
-    return LogInBlocks(
-        rows,
-        fields,
-        lambda: _blocks(placed, forced, doubly),
-        duration_s=ends_s - placed[0].begins_s,
-        standstills=last.standing + len(last.part.standing),
-        masked=sum(part.seen.marked for part in parts),
+    since_s: list[Floats] = []
+    standing, spins = 0, True
+    rows["standstill"] = -1
+    for part in parts:
+        own, events = rows[part.first : part.end], part.session.events
+        host = own["host_s"].copy()
+        for first_s, mounting in part.session.mountings():
+            own["mounting"][int(np.searchsorted(host, first_s)) :] = mounting - 1
+        for low, high in _standing(part, host, axes):
+            own["standstill"][low:high] = standing
+            standing += 1
+        late_s = part.sample_s + part.clock.residual_max_s
+        of_axes = [table_readings(events, axis, k, host, late_s) for k, axis in enumerate(axes)]
+        of_part = AngleReadings.in_order(of_axes)
+        readings.append(replace(of_part, row=of_part.row + part.first))
+        since_s.append(of_part.time_s - host[of_part.row])
+        held = [held_rates(events, axis, float(host[-1])) for axis in axes]
+        for k, knots in enumerate(held):
+            own["table_rate"][:, k] = 0.0 if knots is None else np.radians(np.interp(host, *knots))
+        spins = spins and any(knots is not None for knots in held)
+    _place(rows, parts)
+    # The reading's time by the rows' two clocks, which differ by less than a part in a thousand.
+    placed = [replace(r, time_s=rows["time_s"][r.row] + s) for r, s in zip(readings, since_s, strict=True)]
+    return Log(
+        time_s=rows["time_s"],
+        rate_rad_per_s=rows["rate"][None],
+        units=(unit,),
+        axes=gyros,
+        temperature_c=rows["temperature_c"][None],
+        table_axes=labels,
+        table_rate_rad_per_s=rows["table_rate"][:, : len(axes)] if spins else None,
+        standstill=rows["standstill"],
+        mounting=rows["mounting"] if np.all(rows["mounting"] >= 0) else None,
+        host_time_s=rows["host_s"],
+        status=rows["status"][None],
+        stretch_starts=np.union1d(starts, broken).astype(np.int64),
+        rows_read=read,
+        rows_removed={"not in a stretch of data": read - count} if read > count else {},
+        findings=_findings(rows, parts),
+        simulated=any(part.session.simulated for part in parts),
+        specific_force_m_per_s2=rows["force"][None] if np.isfinite(rows["force"]).any() else None,
+        force_axes=("x", "y", "z") if np.isfinite(rows["force"]).any() else (),
+        readings=AngleReadings.in_order(placed) if labels else None,
+        second_temperature_c=rows["second_c"][None] if np.isfinite(rows["second_c"]).any() else None,
     )
 
 
-def _blocks(placed: Sequence[PlacedPart], forced: bool, doubly: bool) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
-    spins = all(one.part.table.spins for one in placed)
-    mounted = all(one.part.seen.mounted for one in placed)
-    for one in placed:
-        part = one.part
-        for first, stamps, host, block in one.blocks():
-            standing = part.standstill(first, len(host))
-            columns: dict[str, NDArray[Any]] = {
-                "time_s": stamps,
-                "host_time_s": host + one.host_s,
-                "rate_rad_per_s": np.radians(block["gyro_dps"])[None],
-                "temperature_c": np.ascontiguousarray(block["temperature_c"])[None],
-                "standstill": np.where(standing >= 0, standing + one.standing, -1),
-                "status": np.where(block["status"] != 0, np.uint16(Reason.MARKED.value), np.uint16(0))[None],
-            }
-            if forced:
-                columns["specific_force_m_per_s2"] = (block["acceleration_g"] * STANDARD_GRAVITY)[None]
-            if doubly:
-                columns["second_temperature_c"] = np.ascontiguousarray(block["second_c"])[None]
-            if spins:
-                columns["table_rate_rad_per_s"] = np.radians(part.table.rates_dps(host))
-            if mounted:
-                columns["mounting"] = part.session.mountings(host) - 1
-            yield one.first + first, columns
+def _standing(part: _Part, host: Floats, axes: Sequence[str]) -> list[tuple[int, int]]:
+    """First row of every standstill of known angles, and the row after its last one."""
+    # The stamps are as uncertain as the residuals of the clocks' line: a row may be earlier or later by that much.
+    unsure_s = part.clock.residual_max_s
+    times = np.array(standstills(part.session.events, axes)).reshape(-1, 2)
+    low = np.searchsorted(host, times[:, 0] + SETTLED_S + part.sample_s + unsure_s)
+    high = np.searchsorted(host, times[:, 1] - MARGIN_S - unsure_s)
+    # Of a standstill that a pause cut short no row may be left.
+    low, high = low[low < high], high[low < high]
+    known = np.ones(len(low), bool)
+    for axis in axes:
+        known &= known_standstills(part.session.events, axis, host[low], host[high - 1])
+    return list(zip(low[known].tolist(), high[known].tolist(), strict=True))
 
 
-def _placed(parts: Sequence[Part]) -> list[PlacedPart]:
+def _place(rows: Rows, parts: Sequence[_Part]) -> None:
     """All parts on the clocks of the first.
 
     The computer's clock continues in the next session, unless the computer was restarted or slept in between: the wall
     clock then gives the difference. The log's clock is the sensor's; the computer's gives the begin of the first part
     and the distance between two parts.
     """
-    first = parts[0]
-    placed = [PlacedPart(first, first.rows.device_s(0), first.rows.host_s(0), 0.0, 0, 0)]
-    shift_s = 0.0
-    for before, part in itertools.pairwise(parts):
-        last = len(before.rows) - 1
-        end_s = before.rows.host_s(last) + placed[-1].host_s
-        stood_s = part.session.origin_s - before.session.origin_s
-        # Simulated devices run on their own clock, which is independent of the wall clock.
-        if stood_s > _CLOCK_SET_S and not part.session.simulated:
-            shift_s += stood_s
-        apart_s = part.rows.host_s(0) + shift_s - end_s
-        device_s = part.rows.device_s(0)
-        if apart_s <= 0.0:
-            again = part.session is before.session
-            least_s = part.rows.device_s(1) - device_s if again else _BETWEEN_SESSIONS_S
-            shift_s += least_s - apart_s
-        ended_s = float(placed[-1].stamps(np.array([before.rows.device_s(last)]))[0])
-        begins_s = ended_s + (part.rows.host_s(0) + shift_s) - end_s
-        row, standing = placed[-1].first + last + 1, placed[-1].standing + len(before.standing)
-        placed.append(PlacedPart(part, device_s, begins_s, shift_s, row, standing))
-    return placed
+    shift_s, begins_s = 0.0, float(rows["host_s"][0])
+    for number, part in enumerate(parts):
+        own = rows[part.first : part.end]
+        if number:
+            before = parts[number - 1]
+            stood_s = part.session.origin_s - before.session.origin_s
+            # Simulated devices run on their own clock, which is independent of the wall clock.
+            if stood_s > _CLOCK_SET_S and not part.session.simulated:
+                shift_s += stood_s
+            last = rows[before.end - 1]
+            apart_s = float(own["host_s"][0] - last["host_s"]) + shift_s
+            if apart_s <= 0.0:
+                shift_s += _BETWEEN_SESSIONS_S - apart_s
+                apart_s = _BETWEEN_SESSIONS_S
+            begins_s = float(last["time_s"]) + apart_s
+        own["time_s"] -= float(own["time_s"][0])
+        own["time_s"] += begins_s
+        own["host_s"] += shift_s
 
 
-_UNKNOWN = "samples are missing, nobody can tell how many, and the log continues by the computer's clock,"
-_REFUSED = "attempts at a step that the run itself did not accept are left out: see the journal for the reasons"
-
-
-def _findings(parts: Sequence[Part]) -> tuple[Finding, ...]:
-    missing, gaps = (sum(getattr(part.seen, name) for part in parts) for name in ("missing", "gaps"))
+def _findings(rows: Rows, parts: Sequence[_Part]) -> tuple[Finding, ...]:
+    broken = np.setdiff1d(np.flatnonzero(rows["gap"] > 0), [part.first for part in parts])
+    missing, gaps = int(rows["gap"][broken].sum()), len(broken)
     unsure = max(part.clock.residual_max_s for part in parts)
-    anew = sum(part.restarted for part in parts)
-    unknown = sum(part.after_gap for part in parts)
-    refused = sum({id(part.session): part.session.refused() for part in parts}.values())
-    bad, twice = (sum(getattr(part, name) for part in parts) for name in ("bad_bytes", "repeated"))
+    anew, bad, twice = (sum(getattr(p, name) for p in parts) for name in ("restarts", "bad_bytes", "repeated"))
+    refused = sum(part.session.refused() for part in parts)
     lateness = (
         f"the computer was so busy that its time stamps are accurate only to {unsure:.2g} s: as an additional "
-        "margin, this time is left out"
+        "margin, this time is left out at both ends of every standstill"
     )
     times = f"{anew} time{'s' * (anew > 1)} during the run; the samples lost in a restart are not counted as missing"
-    gap = [Finding("gap", "split", gaps, f"{missing} samples are missing at {gaps} places")] if missing else []
-    others = [
-        (unsure > SETTLED_S, Finding("late stamps", "mask", 0, f"{lateness} at both ends of every standstill")),
-        (unknown, Finding("gap of unknown length", "split", unknown, f"{_UNKNOWN} at {unknown} places")),
+    attempts = "attempts at a step that the run itself did not accept are left out: see the journal for the reasons"
+    all_of = (
+        (gaps, Finding("gap", "split", gaps, f"about {missing} samples are missing at {gaps} places")),
+        (unsure > SETTLED_S, Finding("late stamps", "mask", 0, lateness)),
         (anew, Finding("unit restarted", "split", anew, f"the IMU restarted {times}")),
         (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no valid datagram")),
-        (refused, Finding("refused attempt", "mask", refused, _REFUSED)),
+        (refused, Finding("refused attempt", "mask", refused, attempts)),
         (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice; each is used once")),
-    ]
-    return (*gap, *(one for there, one in others if there))
+    )
+    return tuple(finding for there, finding in all_of if there)
 
 
-def _provenance(
-    parts: Sequence[Part], sessions: Sequence[Session], recipe: Recipe, unit: tuple[str, str]
-) -> dict[str, str]:
-    first_rows = itertools.accumulate((len(part.rows) for part in parts[:-1]), initial=0)
+def _provenance(log: Log, parts: Sequence[_Part], sessions: Sequence[Session], recipe: Recipe) -> dict[str, str]:
+    clocks = [part.clock for part in parts]
     entries: dict[str, Any] = {
         "recipe": recipe.fingerprint,
         "title": recipe.title or "",
         "run": exit_status(JournalContents([event for session in sessions for event in session.events])),
         "sessions": len(sessions),
-        "unit": unit[0],
-        "driver": unit[1],
-        "simulated": "the devices were simulated" if any(p.session.simulated for p in parts) else "no",
-        "clock_from_row": ", ".join(str(row) for row in first_rows),
-        "clock_rate_error": ", ".join(f"{part.clock.rate_error:.3e}" for part in parts),
-        "clock_rate_std": ", ".join(f"{part.clock.rate_std:.1e}" for part in parts),
-        "clock_residual_rms_s": ", ".join(f"{part.clock.residual_rms_s:.1e}" for part in parts),
+        "simulated": "the devices were simulated" if log.simulated else "no",
+        "clock_from_row": ", ".join(str(part.first) for part in parts),
+        "clock_rate_error": ", ".join(f"{clock.rate_error:.3e}" for clock in clocks),
+        "clock_rate_std": ", ".join(f"{clock.rate_std:.1e}" for clock in clocks),
+        "clock_residual_rms_s": ", ".join(f"{clock.residual_rms_s:.1e}" for clock in clocks),
         "seams": sum(event.name == "seam" for session in sessions for event in session.events),
     }
     return {name: str(value) for name, value in entries.items()}

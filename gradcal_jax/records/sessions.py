@@ -1,21 +1,18 @@
-"""The sessions of a run from its journal: events in memory, samples decoded into a spool."""
+"""The sessions of a run from its journal: events in memory, samples decoded into a file."""
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-
-import numpy as np
-from numpy.typing import NDArray
 
 from gradcal_jax.hardware.journal import Chunk, Event
 from gradcal_jax.hardware.roles import ImuBatch, ImuDecoder, join
 from gradcal_jax.hardware.run_folder import SESSION, breaks_off
 from gradcal_jax.hardware.setup import config_of, known_driver
-from gradcal_jax.records.spool import SampleSpool
+from gradcal_jax.records.samples import SampleFile
 from gradcal_jax.spec.rig import ImuDevice
 
-Floats = NDArray[np.float64]
-# Batches, and samples, that are joined at once.
-_BATCHES, _SAMPLES = 4096, 1 << 15
+# Samples that are joined at once.
+_SAMPLES = 1 << 15
 
 
 @dataclass
@@ -75,55 +72,22 @@ class Session:
         """How many attempts at a step the run refused."""
         return sum(event.name == "not done" for event in self.events)
 
-    def mountings(self, host: Floats) -> NDArray[np.int64]:
-        """The number of the mounting at times, from 1; 0 where the operator was never asked to mount the units."""
+    def mountings(self) -> list[tuple[float, int]]:
+        """Times, and the number of the mounting from each on, from 1; 0: the operator was never asked to mount the
+        units."""
         hung = [(event.time_s, int(event.data["mounting"])) for event in self.events if event.name == "hung"]
-        numbers = np.array([self.mounting, *(number for _, number in hung)], np.int64)
-        return numbers[np.searchsorted(np.array([time for time, _ in hung]), host, side="right")]
-
-
-def sessions_of(
-    records: Iterable[Event | Chunk], device: ImuDevice | None = None, samples: SampleSpool | None = None
-) -> list[Session]:
-    """The sessions of a run; with a `device`, a unit, its `samples` are decoded as they are read."""
-    sessions: list[Session] = []
-    mounting = 0
-    for record in records:
-        if isinstance(record, Event):
-            if record.name == SESSION:
-                _end(sessions)
-                data = record.data
-                of = int(data["number"]), bool(data["simulated"]), float(data["wall_clock_s"])
-                sessions.append(Session(*of, record.time_s, mounting))
-                if device is not None and samples is not None:
-                    sessions[-1].stream = Stream(device, samples)
-            elif record.name == "hung":
-                mounting = int(record.data["mounting"])
-            # Where the unit measures its own temperature, the chamber's many readings are not needed.
-            if sessions and (device is None or record.name != "chamber"):
-                sessions[-1].events.append(record)
-                if (stream := sessions[-1].stream) is not None and record.name == "configuration":
-                    stream.configure(record)
-        elif sessions and record.received and (stream := sessions[-1].stream) is not None:
-            stream.push(record)
-    _end(sessions)
-    return sessions
-
-
-def _end(sessions: Sequence[Session]) -> None:
-    if sessions and (stream := sessions[-1].stream) is not None:
-        stream.flush()
+        return [(-math.inf, self.mounting), *hung]
 
 
 class Stream:
-    def __init__(self, device: ImuDevice, samples: SampleSpool) -> None:
-        self._device, self.samples = device, samples
+    """The samples of an IMU in one session: those of `file` from `first` to before `end`."""
+
+    def __init__(self, device: ImuDevice, file: SampleFile) -> None:
+        self._device, self._file = device, file
         self._early: list[Chunk] = []
         self._waiting: list[ImuBatch] = []
-        self._waiting_samples = 0
-        self.first = self.end = len(samples)
-        self.restarts: list[int] = []
-        """Rows before which the IMU restarted."""
+        self._count = 0
+        self.first = self.end = len(file)
         self.decoder: ImuDecoder | None = None
 
     def configure(self, event: Event) -> None:
@@ -144,13 +108,42 @@ class Stream:
             self._early.append(chunk)
             return
         self._waiting.append(self.decoder.push(chunk.data, chunk.time_s))
-        self._waiting_samples += len(self._waiting[-1])
-        if len(self._waiting) == _BATCHES or self._waiting_samples >= _SAMPLES:
+        self._count += len(self._waiting[-1])
+        if len(self._waiting) == _SAMPLES or self._count >= _SAMPLES:
             self.flush()
 
     def flush(self) -> None:
-        batch, self._waiting, self._waiting_samples = join(self._waiting), [], 0
-        rows = self.end + np.flatnonzero(batch.restarted)
-        self.restarts += rows[rows > self.first].tolist()
-        self.samples.push(batch)
-        self.end = len(self.samples)
+        self._file.push(join(self._waiting))
+        self._waiting, self._count = [], 0
+        self.end = len(self._file)
+
+
+def sessions_of(
+    records: Iterable[Event | Chunk], device: ImuDevice | None = None, file: SampleFile | None = None
+) -> list[Session]:
+    """The sessions of a run; with a `device`, an IMU, its samples are decoded into the `file` as they are read."""
+    sessions: list[Session] = []
+    mounting = 0
+    for record in records:
+        stream = sessions[-1].stream if sessions else None
+        if isinstance(record, Chunk):
+            if stream is not None and record.received:
+                stream.push(record)
+            continue
+        if record.name == SESSION:
+            if stream is not None:
+                stream.flush()
+            stream = None if device is None or file is None else Stream(device, file)
+            data = record.data
+            of = int(data["number"]), bool(data["simulated"]), float(data["wall_clock_s"])
+            sessions.append(Session(*of, record.time_s, mounting, stream=stream))
+        elif record.name == "hung":
+            mounting = int(record.data["mounting"])
+        elif record.name == "configuration" and stream is not None:
+            stream.configure(record)
+        # Where the unit measures its own temperature, the chamber's many readings are not needed.
+        if sessions and (device is None or record.name != "chamber"):
+            sessions[-1].events.append(record)
+    if sessions and (stream := sessions[-1].stream) is not None:
+        stream.flush()
+    return sessions

@@ -1,6 +1,5 @@
-"""The angles of a run's table, from the events of its journal: standstills, readings, and rates that are held."""
+"""The angles of a run's table, from the events of its journal: standstills, readings, rates of spins."""
 
-import bisect
 import math
 from collections.abc import Sequence
 from typing import Final
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from gradcal_jax.hardware.journal import Event
 from gradcal_jax.hardware.run_folder import breaks_off
 from gradcal_jax.records.log import AngleReadings, ReadingKind
-from gradcal_jax.records.row_times import RowTimes
 
 # Not "stopped": what stood stands on, and what moved was told to.
 MOVE_COMMANDS: Final = ("move", "homing")
@@ -22,39 +20,6 @@ SETTLED_S: Final = 0.1
 # A motor whose move takes longer than its trapezoid by more than this did not follow it.
 _LATE_S: Final = 0.2
 Floats = NDArray[np.float64]
-
-
-class RunAngles:
-    """The axes of a table at the rows of a log, of which `runs` (first, end) are standstills. A row may be `late_s`
-    earlier or later than its time.
-
-    `readings` are small; the rates are made for a block of rows at a time.
-    """
-
-    def __init__(
-        self,
-        events: Sequence[Event],
-        axes: Sequence[str],
-        rows: RowTimes,
-        runs: Sequence[tuple[int, int]],
-        late_s: float,
-    ) -> None:
-        self._known = [_known(events, axis, rows, runs) for axis in axes]
-        self._rates = [_held_rates(events, axis, rows.host_s(len(rows) - 1)) for axis in axes]
-        self.readings = AngleReadings.in_order(
-            [_table_readings(events, axis, k, rows, late_s) for k, axis in enumerate(axes)]
-        )
-        self.spins = any(knots is not None for knots in self._rates)
-        """Whether the rates of an axis are known, because it turns at constant rates."""
-
-    def known_in(self, run: int) -> bool:
-        """Whether every axis was read in a standstill, or since its last command before it."""
-        return all(known[run] for known in self._known)
-
-    def rates_dps(self, host: Floats) -> Floats:
-        """The rates held at times. `(n, L)`, deg/s"""
-        rates = [np.zeros(len(host)) if knots is None else np.interp(host, *knots) for knots in self._rates]
-        return np.stack(rates, axis=1)
 
 
 def standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[float, float]]:
@@ -85,7 +50,18 @@ def standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[floa
     return [(start, end) for start, end in intervals if end > start]
 
 
-def _table_readings(events: Sequence[Event], axis: str, number: int, host: RowTimes, late_s: float) -> AngleReadings:
+def known_standstills(events: Sequence[Event], axis: str, first_s: Floats, last_s: Floats) -> NDArray[np.bool_]:
+    """For standstills from `first_s` to `last_s`, whether the angle of the axis was read since its last command of
+    motion (a typed angle holds until the axis is turned again)."""
+    own = [event for event in events if event.data.get("axis") == axis]
+    moved = np.array([-math.inf, *(e.data.get("began_s", e.time_s) for e in own if e.name in MOVE_COMMANDS)])
+    still = [e.data for e in own if e.name == "angle" and not e.data["moving"]]
+    times = np.array(sorted(float(data["time_s"]) for data in still if data["position_deg"] is not None))
+    since_s = moved[np.maximum(np.searchsorted(moved, first_s) - 1, 0)]
+    return np.searchsorted(times, since_s) < np.searchsorted(times, last_s + 2.0 * MARGIN_S, side="right")
+
+
+def table_readings(events: Sequence[Event], axis: str, number: int, host: Floats, late_s: float) -> AngleReadings:
     """The readings of an axis, `number` of the log's, at the times `host` of its rows.
 
     A standing axis is at its angle from the first reading that shows it standing to its next command. Its row is the
@@ -106,12 +82,12 @@ def _table_readings(events: Sequence[Event], axis: str, number: int, host: RowTi
         next_row: bool = False,
         until_s: float | None = None,
     ) -> None:
-        row = host.search(at_s)
-        if not next_row and row > 0 and (row == len(host) or at_s - host.host_s(row - 1) < host.host_s(row) - at_s):
+        row = int(np.searchsorted(host, at_s))
+        if not next_row and row > 0 and (row == len(host) or at_s - host[row - 1] < host[row] - at_s):
             row -= 1
         # Where no samples are near, the reading has no row.
         near_s = SETTLED_S + late_s if until_s is None else until_s - at_s
-        if row < len(host) and abs(host.host_s(row) - at_s) <= near_s:
+        if row < len(host) and abs(host[row] - at_s) <= near_s:
             rows.append((time_s, row, math.radians(float(event.data["position_deg"])), kind))
 
     def close(until_s: float) -> None:
@@ -130,8 +106,8 @@ def _table_readings(events: Sequence[Event], axis: str, number: int, host: RowTi
                 add(time_s, event, min(at_s, end_s), kind, next_row=at_s < end_s)
         if stands and len(rows) == count and begin_s < end_s:
             time_s, event = stands[-1]
-            samples_s = host.host_s(min(host.search(max(time_s, begin_s)), len(host) - 1)) + 2.0 * SETTLED_S
-            add(time_s, event, samples_s, kind, next_row=True, until_s=end_s)
+            row = min(int(np.searchsorted(host, max(time_s, begin_s))), len(host) - 1)
+            add(time_s, event, float(host[row]) + 2.0 * SETTLED_S, kind, next_row=True, until_s=end_s)
         stands.clear()
 
     for event in events:
@@ -154,7 +130,7 @@ def _table_readings(events: Sequence[Event], axis: str, number: int, host: RowTi
     return AngleReadings(times, at.astype(whole), np.full(len(rows), number, whole), angles, none, kinds.astype(whole))
 
 
-def _held_rates(events: Sequence[Event], axis: str, end_s: float) -> tuple[Floats, Floats] | None:
+def held_rates(events: Sequence[Event], axis: str, end_s: float) -> tuple[Floats, Floats] | None:
     """Times up to `end_s`, and the rates of an axis between which straight lines are drawn, deg/s: the commanded rate
     of its spins, the reference of the standard method, zero where it stands. None for an axis that never spins."""
     if not any(_spins(event, axis) for event in events):
@@ -184,21 +160,3 @@ def _held_rates(events: Sequence[Event], axis: str, end_s: float) -> tuple[Float
 
 def _spins(event: Event, axis: str) -> bool:
     return event.name == "move" and event.data["axis"] == axis and event.data["kind"] == "spin"
-
-
-def _known(events: Sequence[Event], axis: str, rows: RowTimes, runs: Sequence[tuple[int, int]]) -> list[bool]:
-    """Whether an axis was read in each standstill, or since its last command of motion before it."""
-    commands = [e for e in events if e.name in MOVE_COMMANDS and e.data["axis"] == axis]
-    moved_s = [float(e.data.get("began_s", e.time_s)) for e in commands]
-    read_s = [
-        float(e.data["time_s"])
-        for e in events
-        if e.name == "angle" and e.data["axis"] == axis and e.data["position_deg"] is not None and not e.data["moving"]
-    ]
-    known: list[bool] = []
-    for first, end in runs:
-        number = bisect.bisect_left(moved_s, rows.host_s(first))
-        since_s = moved_s[number - 1] if number else -math.inf
-        after = bisect.bisect_left(read_s, since_s)
-        known.append(after < len(read_s) and read_s[after] <= rows.host_s(end - 1) + 2.0 * MARGIN_S)
-    return known

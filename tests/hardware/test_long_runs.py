@@ -21,14 +21,24 @@ CYCLE_S, TURN_S = 60.0, 4.0
 ROUND_S = 16
 
 CHILD = """
-import json, resource, sys
+import json, sys, threading, time
+from pathlib import Path
 from gradcal_jax.cli import main
+peak_kb = [0]
+
+def look():
+    while True:
+        status = Path("/proc/self/status").read_text(encoding="ascii")
+        peak_kb[0] = max(peak_kb[0], int(status.split("RssAnon:")[1].split()[0]))
+        time.sleep(0.01)
+
+threading.Thread(target=look, daemon=True).start()
 sys.argv = ["gradcal", "log", sys.argv[1], "--json"]
 try:
     main()
 except SystemExit as end:
     assert not end.code, end.code
-print(json.dumps(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024), file=sys.stderr)
+print(json.dumps(peak_kb[0] / 1024), file=sys.stderr)
 """
 
 
@@ -71,13 +81,15 @@ def recorded_run(path: Path, duration_s: float) -> Path:
 
 
 def memory_mb(folder: Path, rows: int) -> float:
-    """The largest memory of a process that makes the log of a run."""
+    """The largest memory of a process that makes the log of a run: its own, without the files that are mapped into it,
+    which the system takes back where it needs memory."""
     done = subprocess.run([sys.executable, "-c", CHILD, str(folder)], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)["rows"]["used"] == rows
     return float(done.stderr.splitlines()[-1])
 
 
 @pytest.mark.long
+@pytest.mark.skipif(sys.platform != "linux", reason="the memory of a process is read from /proc")
 def test_a_run_of_30_h_is_read_in_little_memory(tmp_path: Path) -> None:
     """300 MB, the program itself included: what a run of three minutes takes, and the rest."""
     hour_s = 3600

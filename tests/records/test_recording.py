@@ -204,7 +204,7 @@ def test_datagrams_lost_whole_are_counted_with_their_rounds() -> None:
         lost=lose_101,
     )
     (gap,) = log.findings
-    assert (gap.kind, gap.message) == ("gap", "101 samples are missing at 1 places")
+    assert (gap.kind, gap.message) == ("gap", "about 101 samples are missing at 1 places")
     assert log.stretch_starts.tolist()[1:] == [int(np.argmax(np.diff(log.time_s))) + 1]
     assert np.diff(log.time_s).max() == pytest.approx(102 * 0.008)
     require_rest_in_standstills(log)
@@ -219,7 +219,7 @@ def test_a_gap_whose_length_nobody_can_tell_goes_on_by_the_computers_clock() -> 
         late_s=lambda number: 0.002 if number < 80 else 0.05,
         lost=lose_101,
     )
-    (gap,) = (finding for finding in log.findings if finding.kind == "gap of unknown length")
+    (gap,) = (finding for finding in log.findings if finding.kind == "gap")
     assert gap.count == 1
     begins = int(np.argmax(np.diff(log.time_s))) + 1
     assert begins in log.stretch_starts
@@ -247,8 +247,8 @@ def test_a_unit_that_begins_anew_in_mid_run_splits_the_log_and_is_said() -> None
     np.testing.assert_allclose(log.time_s, log.host_time_s, atol=0.01)
     require_rest_in_standstills(log)
     table, sensor = turned_deg(log, lambda rows: rows[len(rows) // 2])
-    assert table == pytest.approx([360.0, -360.0, 0.0, 360.0, -360.0], abs=1e-9)
-    assert sensor == pytest.approx([360.0, -360.0, 0.0, 360.0, -360.0], abs=0.1)
+    assert table == pytest.approx([360.0, -360.0, 360.0, -360.0], abs=1e-9)
+    assert sensor == pytest.approx([360.0, -360.0, 360.0, -360.0], abs=0.1)
 
 
 # ------------------------------------------------------------------------------------------ pauses, axes and sessions
@@ -365,6 +365,7 @@ def test_a_unit_of_a_fast_clock_that_begins_anew_goes_on_where_the_computer_says
     (start,) = log.stretch_starts.tolist()[1:]
     by_host = float(log.host_time_s[start] - log.host_time_s[start - 1])
     assert 0.0 < by_host < 2.0
-    assert log.time_s[start] - log.time_s[start - 1] == pytest.approx(by_host, abs=1e-6)
+    by_sensor = by_host / (1.0 + float(log.provenance["clock_rate_error"]))
+    assert log.time_s[start] - log.time_s[start - 1] == pytest.approx(by_sensor, abs=1e-6)
     # One seam a session, also of the session that gave no data, however many parts there are of it.
     assert (log.provenance["sessions"], log.provenance["seams"]) == ("2", "2")

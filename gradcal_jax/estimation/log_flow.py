@@ -62,7 +62,6 @@ def noise(
     longest_s: float = 1200.0,
     margin: float = 2.5,
     angle_random_walk: float | None = None,
-    temperature_c: tuple[float, float] | None = None,
     bias_degree: int | None = None,
     lag: float | Literal["auto", "fit", "none"] = "auto",
     rate: float | None = None,
@@ -72,9 +71,8 @@ def noise(
     `log`: a log, or `(n,)` rates in rad/s, `rate` of them a second. One channel, masked where the table moves, less
     its bias over temperature (`bias_degree`, `lag` in s: see `instability.at_rest`). The drift is measured from
     an average over `averaging_time_s`, for `shortest_s` to `longest_s`, and must stay within `margin` standard
-    deviations. `angle_random_walk`: rad/√s; None: from the Allan deviation. `temperature_c`: only rows between two
-    temperatures. Returns `bound` (`drift_std` in rad/s, `correlation_time_s`), the Allan deviation with its fit,
-    and `drift_block()`, text for a spec.
+    deviations. `angle_random_walk`: rad/√s; None: from the Allan deviation. Returns `bound` (`drift_std` in rad/s,
+    `correlation_time_s`), the Allan deviation with its fit, and `drift_block()`, text for a spec.
 
     Errors: `LogError` where nothing stands still, or too little is left.
     """
@@ -86,7 +84,6 @@ def noise(
         longest_s=longest_s,
         margin=margin,
         angle_random_walk=angle_random_walk,
-        temperature_c=temperature_c,
     )
 
 

@@ -29,17 +29,15 @@ probability 95 %. `raise_margin=False` gives the paper's κ = k.
 0, with a message that states how large a drift could be hidden and from which Δ on it would be significant.
 """
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int
+from jaxtyping import ArrayLike, Float, Int
 from scipy import optimize, special
 
-from gradcal_jax.arrays import AnyArray, namespace
-from gradcal_jax.identify.largest_drift import LargestDrift, largest_drift, longest_integration_time
+from gradcal_jax.identify.largest_drift import LargestDrift
 from gradcal_jax.identify.limiting_function import (
     drift_shape_of_mean,
     limiting_function_of_mean,
@@ -50,7 +48,6 @@ Times = Float[np.ndarray, " times"]
 Taus = Float[np.ndarray, " taus"]
 # Probability that a record of pure random walk shows a drift.
 _CHANCE_OF_FALSE_DRIFT = 0.05
-_SCATTER_BLOCKS = 8
 
 
 @dataclass(frozen=True)
@@ -106,19 +103,16 @@ def smallest_bounding_variance(
     *,
     margin: ArrayLike = 2.5,
     random_walk_margin: Float[ArrayLike, " times"] | None = None,
-) -> Float[AnyArray, " taus"]:
+) -> Float[np.ndarray, " taus"]:
     """σ²(τ) of the feasible boundary, in the square of the rates' unit; zero where random walk alone bounds.
 
-    `random_walk_margin` is κ(t); without it κ = k as in the paper. A closed form, differentiable in every argument
-    except where the deciding t changes.
+    `random_walk_margin` is κ(t); without it κ = k as in the paper. A closed form.
     """
-    given = (integration_time_s, largest_drift, correlation_time_s)
-    xp = namespace(given, averaging_time_s, angle_random_walk, margin)
-    t, drift, tau = (xp.asarray(x) for x in given)
+    t, drift, tau = (np.asarray(x) for x in (integration_time_s, largest_drift, correlation_time_s))
     walk = random_walk_variance_of_mean(t, averaging_time_s, angle_random_walk)
-    granted = (margin if random_walk_margin is None else xp.asarray(random_walk_margin)) ** 2 * walk
+    granted = (margin if random_walk_margin is None else np.asarray(random_walk_margin)) ** 2 * walk
     shape = drift_shape_of_mean(t[:, None], averaging_time_s, tau[None, :])
-    return xp.maximum(xp.max(((drift**2 - granted) / margin**2)[:, None] / shape, axis=0), 0.0)
+    return np.maximum(np.max(((drift**2 - granted) / margin**2)[:, None] / shape, axis=0), 0.0)
 
 
 def largest_of_random_walk(
@@ -252,53 +246,6 @@ def fit_direct_bound(
     )
 
 
-def scatter_of_bound(
-    bound: DirectBound,
-    rate: Float[np.ndarray, " samples"],
-    sample_interval_s: float,
-    *,
-    valid: Bool[np.ndarray, " samples"] | None = None,
-) -> tuple[float, float] | None:
-    """Standard deviations of σ and of ln τ, from how the largest drift differs between blocks of the record.
-
-    The maximum over K blocks exceeds that over one but has the same scatter for exponential tails (Gumbel). So D_θ* is
-    shifted by each block's deviation from the blocks' mean, at all t together, and bounded again. Integration times
-    longer than a block are shifted in proportion to the longest one that fits. `None` where no drift shows, or there
-    are too few blocks of twice the shortest window.
-    """
-    usable = np.ones(len(rate), bool) if valid is None else valid
-    t, delta = bound.integration_time_s, bound.averaging_time_s
-    blocks = min(_SCATTER_BLOCKS, int(len(rate) * sample_interval_s / (2 * (delta + t[0]))))
-    if not bound.drift_shows or blocks < 4:
-        return None
-    edges = np.linspace(0, len(rate), blocks + 1).astype(np.int64)
-    parts = [(rate[a:b], usable[a:b]) for a, b in itertools.pairwise(edges.tolist())]
-    room = [longest_integration_time(mask, sample_interval_s, delta) for _, mask in parts]
-    parts = [part for part, held in zip(parts, room, strict=True) if held >= np.median(room)]
-    fits = t <= float(np.median(room)) * (1 + 1e-12)
-    if len(parts) < 4 or not fits.any():
-        return None
-    drifts = [largest_drift(values, sample_interval_s, t[fits], delta, valid=mask) for values, mask in parts]
-    each = np.stack([one.largest_drift for one in drifts])
-    away = np.empty((len(parts), len(t)))
-    away[:, fits] = each - each.mean(axis=0)
-    last = int(np.flatnonzero(fits)[-1])
-    away[:, ~fits] = away[:, last, None] / bound.largest_drift[last] * bound.largest_drift[~fits]
-    walk_margin = bound.random_walk_limit / np.sqrt(
-        random_walk_variance_of_mean(t, delta, max(bound.angle_random_walk, np.finfo(float).tiny))
-    )
-    stds, times = [], []
-    for displaced in np.maximum(bound.largest_drift + away, 0.1 * bound.largest_drift):
-        variance, excess = _boundary(
-            t, displaced, delta, bound.angle_random_walk, bound.boundary_correlation_time_s,
-            bound.margin, walk_margin, _log_weights(t),
-        )  # fmt: skip
-        best = int(np.argmin(excess))
-        stds.append(float(np.sqrt(variance[best])))
-        times.append(float(np.log(bound.boundary_correlation_time_s[best])))
-    return float(np.std(stds, ddof=1)), float(np.std(times, ddof=1))
-
-
 def _hidden_drift(t: Times, largest: Times, level: Times, delta: float, angle_random_walk: float, tau: float) -> float:
     """The largest σ for which D_θ* may be as small as these by chance; nearly every record exceeds `level`."""
     telling = level > 0  # at other t the record is too short and allows any drift
@@ -331,15 +278,15 @@ def _no_drift_shows(
 
 
 def _boundary(
-    t: Float[AnyArray, " times"],
-    largest: Float[AnyArray, " times"],
+    t: Float[np.ndarray, " times"],
+    largest: Float[np.ndarray, " times"],
     delta: ArrayLike,
     angle_random_walk: ArrayLike,
-    taus: Float[AnyArray, " taus"],
+    taus: Float[np.ndarray, " taus"],
     margin: ArrayLike,
-    walk_margin: Float[AnyArray, " times"],
-    weight: Float[AnyArray, " times"],
-) -> tuple[Float[AnyArray, " taus"], Float[AnyArray, " taus"]]:
+    walk_margin: Float[np.ndarray, " times"],
+    weight: Float[np.ndarray, " times"],
+) -> tuple[Float[np.ndarray, " taus"], Float[np.ndarray, " taus"]]:
     """(σ², mean excess) of the pairs on the boundary."""
     variance = smallest_bounding_variance(
         t, largest, delta, angle_random_walk, taus, margin=margin, random_walk_margin=walk_margin

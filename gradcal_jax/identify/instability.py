@@ -12,7 +12,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from gradcal_jax import formulas, identify, units
-from gradcal_jax.estimation.log_rows import BRANCHES, branch_of
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.information.verdicts import finite
 from gradcal_jax.records.log import SENSOR_RATE, EvenSeries, Log, LogError, Reason
@@ -54,28 +53,6 @@ class RestRecord:
     """If the record has gaps: the numbers of lost rows, by reason, and what helps."""
     samples_per_row: float = 1.0
     """If rows are single samples: the number of samples of the sensor for each row; NaN: unknown, but more than one."""
-    part: str = ""
-    """The part of the record that is used, in words; empty: the whole record."""
-
-    def within(self, temperature_c: tuple[float, float] | None = None, branch: str | None = None) -> "RestRecord":
-        """The rows within a range of temperature, on a branch of it: "heating", "cooling" or "steady". **Raises:**
-        `LogError` where no usable row is left."""
-        if temperature_c is None and branch is None:
-            return self
-        if self.temperature_c is None:
-            raise LogError("the log has no temperature, so it has no temperature ranges or branches")
-        valid, words = self.valid, list[str]()
-        if temperature_c is not None:
-            low, high = temperature_c
-            valid = valid & (self.temperature_c >= low) & (self.temperature_c <= high)
-            words.append(f"between {low:.4g} and {high:.4g} °C")
-        if branch is not None:
-            of_rows = branch_of(self.temperature_c, self.time_s)
-            valid = valid & np.array([BRANCHES[way] == branch for way in of_rows.tolist()])
-            words.append(branch)
-        if not valid.any():
-            raise LogError(f"no usable row {'is' if temperature_c is None else 'lies'} {', '.join(words)}")
-        return replace(self, valid=valid, part=", ".join(words))
 
     def walk_of_sensor(self, walk: float) -> float:
         """The sensor's angle random walk, where that of the rows is `walk` (rad/√s): single samples hold the noise of
@@ -128,12 +105,6 @@ class Instability:
     allan: identify.AllanDeviation
     allan_fit: identify.AllanFit
     bound: identify.DirectBound
-    temperature_c: tuple[float, float] | None
-    """The temperatures of the rows used; None: all of the record."""
-    scatter: tuple[float, float] | None
-    """Standard deviations of σ (rad/s) and of ln τ, from blocks of the record; None for too few blocks."""
-    branch: str | None = None
-    """The branch of the temperature of the rows used; None: all."""
 
     __repr__ = summary
 
@@ -334,17 +305,13 @@ def instability(
     longest_s: float = 1200.0,
     margin: float = 2.5,
     angle_random_walk: float | None = None,
-    temperature_c: tuple[float, float] | None = None,
-    branch: str | None = None,
     count: int = 200,
 ) -> Instability:
     """Allan deviation with its fit, and the paper's Direct Bound with that fit's random walk or `angle_random_walk`
     (rad/√s).
 
-    Integration times are limited by the longest unbroken stretch. `temperature_c`: only windows of rows within this
-    range; `branch`: of that branch of the temperature. **Raises:** `LogError` where too little is left.
+    Integration times are limited by the longest unbroken stretch. **Raises:** `LogError` where it is too short.
     """
-    rest = rest.within(temperature_c, branch)
     valid = rest.valid
     interval = rest.sample_interval_s
     room = identify.longest_integration_time(valid, interval, averaging_time_s)
@@ -356,7 +323,7 @@ def instability(
             f"integrate for {shortest_s:g} s; use a shorter average{', or a longer record' * (not rest.lost)}"
             + (rest.lost and f"; {rest.lost}")
         )
-    allan, fit = allan_of(replace(rest, valid=valid))
+    allan, fit = allan_of(rest)
     walk = fit.angle_random_walk.value if angle_random_walk is None else angle_random_walk
     if angle_random_walk is None and walk <= fit.angle_random_walk.standard_error:
         raise LogError(
@@ -369,8 +336,7 @@ def instability(
     bound = identify.fit_direct_bound(
         observed, walk, margin=margin, rate_in_words=lambda rate: f"{rate * DEG_PER_H:.3g} deg/h"
     )
-    scatter = identify.scatter_of_bound(bound, rest.rate, interval, valid=valid)
-    return Instability(rest, allan, fit, bound, temperature_c, scatter, branch)
+    return Instability(rest, allan, fit, bound)
 
 
 def instability_row(result: Instability) -> dict[str, Any]:
@@ -379,8 +345,6 @@ def instability_row(result: Instability) -> dict[str, Any]:
     return {
         "axis": result.rest.axis,
         "unit": result.rest.unit,
-        "temperature_c": result.temperature_c,
-        "branch": result.branch,
         "drift_shows": bound.drift_shows,
         "drift_std_deg_per_h": bound.drift_std * DEG_PER_H,
         "correlation_time_s": bound.correlation_time_s,
@@ -389,8 +353,6 @@ def instability_row(result: Instability) -> dict[str, Any]:
         "averaging_time_s": bound.averaging_time_s,
         "deciding_time_s": bound.deciding_time_s,
         "deciding_span_s": result.deciding_span_s,
-        "drift_std_scatter_deg_per_h": None if result.scatter is None else result.scatter[0] * DEG_PER_H,
-        "correlation_time_scatter_ln": None if result.scatter is None else result.scatter[1],
         "hidden_drift_std_deg_per_h": finite(bound.hidden_drift_std * DEG_PER_H),
         "advised_averaging_time_s": bound.advised_averaging_time_s,
         "boundary": np.stack([bound.boundary_correlation_time_s, bound.boundary_drift_std * DEG_PER_H], 1).tolist(),
@@ -422,7 +384,6 @@ def allan_row(rest: RestRecord, allan: identify.AllanDeviation, fit: identify.Al
     return {
         "axis": rest.axis,
         "unit": rest.unit,
-        "part": rest.part,
         "sample_interval_s": rest.sample_interval_s,
         "confidence": fit.confidence,
         "coefficients": {

@@ -41,4 +41,4 @@ def draw_allan_and_bound(
 
 
 def _name(rest: RestRecord) -> str:
-    return f"axis {rest.axis}, IMU {rest.unit}" + (f", {rest.part}" if rest.part else "")
+    return f"axis {rest.axis}, IMU {rest.unit}"

@@ -1,5 +1,3 @@
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from plain_drifts import drifts
@@ -8,7 +6,6 @@ from scipy.signal import lfilter
 from gradcal_jax.identify.direct_bound import (
     fit_direct_bound,
     largest_of_random_walk,
-    scatter_of_bound,
     smallest_bounding_variance,
 )
 from gradcal_jax.identify.largest_drift import integration_times, largest_drift
@@ -35,15 +32,15 @@ def observe(rate, averaging_time_s, longest_s=1200.0):
 
 def test_the_boundary_is_closed_and_the_smallest():
     """With the paper's margin: each pair of the boundary touches the data, and any smaller σ leaves them."""
-    t = jnp.geomspace(1.0, 1000.0, 60)
-    tau = jnp.geomspace(5.0, 5000.0, 9)
-    data = 2.5 * limiting_function_of_mean(t, 1.3, 200.0, 4.0, 30.0) * (1.0 + 0.1 * jnp.sin(7.0 * jnp.log(t)))
+    t = np.geomspace(1.0, 1000.0, 60)
+    tau = np.geomspace(5.0, 5000.0, 9)
+    data = 2.5 * limiting_function_of_mean(t, 1.3, 200.0, 4.0, 30.0) * (1.0 + 0.1 * np.sin(7.0 * np.log(t)))
     variance = smallest_bounding_variance(t, data, 30.0, 4.0, tau, margin=2.5)
     for time, square in zip(tau, variance, strict=True):
-        limit = 2.5 * limiting_function_of_mean(t, jnp.sqrt(square), time, 4.0, 30.0)
-        assert float(jnp.max(data / limit)) == pytest.approx(1.0, rel=1e-9)
-        smaller = 2.5 * limiting_function_of_mean(t, 0.999 * jnp.sqrt(square), time, 4.0, 30.0)
-        assert float(jnp.max(data / smaller)) > 1.0
+        limit = 2.5 * limiting_function_of_mean(t, np.sqrt(square), time, 4.0, 30.0)
+        assert float(np.max(data / limit)) == pytest.approx(1.0, rel=1e-9)
+        smaller = 2.5 * limiting_function_of_mean(t, 0.999 * np.sqrt(square), time, 4.0, 30.0)
+        assert float(np.max(data / smaller)) > 1.0
 
 
 def test_the_model_itself_comes_back():
@@ -65,8 +62,8 @@ def test_mixing_the_two_alignments_would_ruin_it():
     data = 2.5 * np.asarray(limiting_function_of_mean(t, DEG_PER_H, 120.0, WALK, 10.0))
     right = smallest_bounding_variance(t, data, 10.0, WALK, np.array([120.0]))
     wrong = smallest_bounding_variance(t, data, 1e9, WALK, np.array([120.0]))
-    assert float(jnp.sqrt(right[0])) / DEG_PER_H == pytest.approx(1.0, rel=1e-6)
-    assert float(jnp.sqrt(wrong[0])) / DEG_PER_H > 4.0
+    assert float(np.sqrt(right[0])) / DEG_PER_H == pytest.approx(1.0, rel=1e-6)
+    assert float(np.sqrt(wrong[0])) / DEG_PER_H > 4.0
 
 
 @pytest.mark.parametrize(
@@ -98,7 +95,7 @@ def test_the_process_found_bounds_fresh_records_of_the_same_kind(drift_std, corr
     at_true = smallest_bounding_variance(
         bound.integration_time_s, bound.largest_drift, 120.0, WALK, np.array([correlation_time_s])
     )
-    assert float(jnp.sqrt(at_true[0])) / DEG_PER_H > drift_std
+    assert float(np.sqrt(at_true[0])) / DEG_PER_H > drift_std
 
 
 def test_the_papers_fixed_margin_reads_the_extremes_of_random_walk_as_drift():
@@ -173,14 +170,6 @@ def test_the_answer_does_not_depend_on_the_unit_of_angle():
     assert degrees.correlation_time_s == pytest.approx(radians.correlation_time_s, rel=1e-4)
 
 
-def test_the_boundary_is_differentiable():
-    t = jnp.geomspace(1.0, 1000.0, 20)
-    data = 2.5 * limiting_function_of_mean(t, 1.3, 200.0, 4.0, 30.0)
-    total = lambda walk: smallest_bounding_variance(t, data, 30.0, walk, jnp.array([100.0])).sum()  # noqa: E731
-    central = (total(4.0001) - total(3.9999)) / 0.0002
-    assert float(jax.grad(total)(4.0)) == pytest.approx(float(central), rel=1e-6)
-
-
 def test_the_drift_that_decides_is_placed():
     rate = at_rest(4, 10, 3 * DEG_PER_H, 120.0)
     rate[20_000:20_100] += 50 * DEG_PER_H
@@ -190,19 +179,6 @@ def test_the_drift_that_decides_is_placed():
     without[19_900:20_200] = False
     observed = largest_drift(rate, 1.0, integration_times(1.0, 1200.0, 1.0), 60.0, valid=without)
     assert fit_direct_bound(observed, WALK).drift_std < 0.5 * bound.drift_std
-
-
-def test_the_scatter_of_bounds_is_known_from_one_record():
-    """Between twelve records of ten hours σ and ln τ scatter as each of them says, within a factor of 2.5."""
-    result, said = [], []
-    for seed in range(12):
-        rate = at_rest(seed, 10, 3 * DEG_PER_H, 120.0)
-        bound = fit_direct_bound(observe(rate, 60.0), WALK)
-        result.append((bound.drift_std, np.log(bound.correlation_time_s)))
-        said.append(scatter_of_bound(bound, rate, 1.0))
-    ratio = np.median(said, axis=0) / np.std(result, axis=0)
-    assert np.all((ratio > 0.4) & (ratio < 2.5))
-    assert scatter_of_bound(bound, rate[:400], 1.0) is None
 
 
 def test_wrong_arguments_get_a_sentence():

@@ -4,7 +4,7 @@ A small TOML file, the column map, has the meaning of the columns, with units: `
 from. A number is (number - zero) × scale in the column's unit; columns of text and `.npy` are named by number, too, and
 those of a two-dimensional array by `index`. Times count from the first row. Of several sensors on one table there are
 `[[sensor]]` tables with `name`, `rate`, `force`, `temperature` and `status`, in place of those at the top. Raw counts
-of unknown scale are kept unchanged with `wrong_units = "keep"`.
+of unknown scale are kept unchanged with `values = "keep"` under [policy].
 """
 
 import logging
@@ -41,7 +41,7 @@ from gradcal_jax.tables.section import Section
 _LOG = logging.getLogger(__name__)
 
 FORMAT: Final = "gradcal-columns/1"
-_MEND: Final = '(correct the map, or set [policy] wrong_units = "keep")'
+_MEND: Final = '(correct the map, or set [policy] values = "keep")'
 _MANY: Final = 200
 """If more rows than this have only whole numbers as rates, this is not by chance."""
 
@@ -220,7 +220,7 @@ def _rows_hz(log: Columns) -> float:
 def _refuse_contradictions(table: Numbers, columns: ColumnMap) -> None:
     """Unless units are to be kept whatever they are."""
     measured = [source for source in columns.sources() if isinstance(source, Measured)]
-    for source in measured if columns.policy.wrong_units == "refuse" else ():
+    for source in measured if columns.policy.values == "refuse" else ():
         for name in table.names(source):
             if question := question_of(name, source):
                 raise LogError(f"{question} {_MEND}")
@@ -228,7 +228,7 @@ def _refuse_contradictions(table: Numbers, columns: ColumnMap) -> None:
 
 def _refuse_counts(table: Numbers, columns: ColumnMap) -> None:
     """Where rates in degrees or radians a second are whole numbers alone."""
-    for source in columns.sources() if columns.policy.wrong_units == "refuse" else ():
+    for source in columns.sources() if columns.policy.values == "refuse" else ():
         if isinstance(source, RateColumn) and source.unit in ("deg/s", "rad/s") and source.scale == 1.0:
             values = table.numbers(source)
             known = values[np.isfinite(values)]

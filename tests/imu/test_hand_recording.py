@@ -29,7 +29,7 @@ MAP = (
     'format = "gradcal-columns/1"\nname = "Xsens MTi"\ntime = { column = "t_s", unit = "s" }\n'
     + "".join(f'rate.{a} = {{ column = "gyro_counts", index = {k}, unit = "rad/s" }}\n' for k, a in enumerate("xyz"))
     + "".join(f'force.{a} = {{ column = "acc_counts", index = {k}, unit = "m/s^2" }}\n' for k, a in enumerate("xyz"))
-    + '[policy]\nwrong_units = "keep"\n'
+    + '[policy]\nvalues = "keep"\n'
 )
 PRINTED = {
     "accelerometer": {

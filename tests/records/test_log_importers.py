@@ -4,7 +4,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from described_logs import contents
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
@@ -13,8 +12,6 @@ from gradcal_jax.records import table_readers
 from gradcal_jax.records.column_names import EXAMPLE, map_to_fill_in
 from gradcal_jax.records.importers import import_log, parse_column_map, read_column_map
 from gradcal_jax.records.log import LogError
-from gradcal_jax.records.log_file import write_log
-from gradcal_jax.tables.netcdf import load_netcdf
 from gradcal_jax.tables.problems import SpecError
 
 HEAD = 'format = "gradcal-columns/1"\n'
@@ -282,20 +279,15 @@ def test_specific_forces_are_read_masked_and_judged(tmp_path):
     assert log.counts() == {"used": n - 1, "missing force": 1}
     assert import_log(path, plain(FORCES), rows=(0, 9)).specific_force_m_per_s2.shape == (1, 9, 3)
     with pytest.raises(LogError, match="without a specific force"):
-        import_log(path, plain(FORCES + "[policy]\nmissing_forces = 'refuse'\n"))
+        import_log(path, plain(FORCES + "[policy]\nrows = 'refuse'\n"))
     with pytest.raises(LogError, match=r"usually 1 m/s²: is its unit g"):
         import_log(path, plain(FORCES.replace('"mg"', '"m/s^2", scale = 1e-3')))
     counts = FORCES.replace('"acc"', '"counts"').replace('"mg"', '"m/s^2"')
     with pytest.raises(LogError, match="is its unit g, or counts"):
         import_log(path, plain(counts))
-    kept = import_log(path, plain(counts + "[policy]\nwrong_units = 'keep'\n"))
-    assert [finding.kind for finding in kept.findings] == ["wrong unit"]
+    kept = import_log(path, plain(counts + "[policy]\nvalues = 'keep'\n"))
+    assert [finding.kind for finding in kept.findings] == ["question"]
     assert kept.specific_force_m_per_s2[0, 0, 2] == 33000.0
-    # A log with forces is one that other programs are told the contents of.
-    write_log(log, tmp_path / "log.nc")
-    described = contents(load_netcdf(tmp_path / "log.nc"))
-    assert described.labels.force_axis == ("x", "y", "z")
-    assert described.variables.specific_force is not None
 
 
 def test_forces_of_several_sensors_are_of_the_same_axes():
@@ -319,7 +311,7 @@ def test_several_sensors_on_one_table(tmp_path):
                 f'rate.z = {{ column = "{name}", index = 2, unit = "rad/s" }}\n'
                 for name, temperature in (("a", 'temperature = { column = "ta", unit = "degC" }\n'), ("b", ""))
             )
-            + '[policy]\nmissing_temperatures = "keep"\nwrong_units = "keep"\n'
+            + '[policy]\nvalues = "keep"\n'
         ),
     )
     assert log.units == ("SN-a", "SN-b")
@@ -338,7 +330,7 @@ def test_several_sensors_on_one_table(tmp_path):
     ("text", "sentence"),
     [
         ("", "format: this key is missing"),
-        (PLAIN + "[policy]\ngaps = 'mask'", 'policy.gaps = "mask": expected "split" or "refuse"'),
+        (PLAIN + "[policy]\nrows = 'split'", 'policy.rows = "split": expected "mask" or "refuse"'),
         (PLAIN.replace("deg/s", "deg"), "rate.x.unit"),
         (PLAIN.replace('"ms"', '"m"'), "time.unit"),
         (PLAIN + 'tempreature = { column = "a", unit = "degC" }', 'nearest: "temperature"'),
@@ -367,7 +359,7 @@ def test_a_faulty_column_map_is_told_by_key(text, sentence):
         ("a.npy", b"\x93NUMPY nonsense", "", "cannot be read as NumPy's .npy"),
         ("a.mat", b"MATLAB 7.3 MAT-file", "", "-v7"),
         ("a.mat", b"nonsense" * 40, "", "cannot be read as MATLAB"),
-        ("a.csv", b"t,gx\n1,1\n2,2\n3,4\n9,9\n10,10\n11,11\n", "[policy]\ngaps = 'refuse'\n", "as an error"),
+        ("a.csv", b"t,gx\n1,1\n2,2\n3,4\n9,9\n10,10\n11,11\n", "[policy]\nrows = 'refuse'\n", "as an error"),
     ],
 )
 def test_a_faulty_file_gets_a_sentence(tmp_path, name, content, extra, sentence):
@@ -449,7 +441,7 @@ def test_every_row_of_any_text_table_is_accounted_for(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("rows") / "a.csv"
     path.write_text("t,gx\n" + "\n".join(lines) + "\n", encoding="utf-8")
     try:
-        log = import_log(path, plain("[policy]\nwrong_units = 'keep'\n"))
+        log = import_log(path, plain("[policy]\nvalues = 'keep'\n"))
     except LogError:
         return
     expected = sum(1 for line in lines if line.split("#")[0].strip())
@@ -502,5 +494,5 @@ def test_a_header_that_contradicts_its_map_is_a_question(tmp_path, header, units
         return
     with pytest.raises(LogError, match=asked):
         import_log(tmp_path / "a.csv", parse_column_map(text))
-    kept = text + '[policy]\nwrong_units = "keep"\n'
+    kept = text + '[policy]\nvalues = "keep"\n'
     assert import_log(tmp_path / "a.csv", parse_column_map(kept)).counts() == {"used": 50}

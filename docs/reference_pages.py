@@ -8,6 +8,7 @@ from functools import cache
 from typing import Any, Final
 
 from gradcal_jax.cli.app import build
+from gradcal_jax.records.log import FORMAT, OF_READINGS, VARIABLES
 from gradcal_jax.tables import schemas
 
 _PLAIN: Final = {"string": "text", "integer": "whole number", "number": "number", "boolean": "`true` or `false`"}
@@ -33,7 +34,20 @@ def pages() -> dict[str, str]:
     """The text of every reference page, by its path."""
     made = {f"reference/{name}.md": reference(name) for name in schemas.schema_names()}
     made["reference/commands.md"] = commands_page()
+    made["reference/log.md"] = log_page()
     return made
+
+
+def log_page() -> str:
+    """The variables of a log, which is a netCDF-4 file."""
+    head = (
+        f"# {FORMAT}\n\nThis page lists all variables of a log, a netCDF-4 file; `time`, `rate`, `stretch_start` are "
+        "required. Its attributes have the number of rows of the source (`rows_read`), those removed by reason, the "
+        "findings and the provenance (JSON).\n\n| variable | dimensions | unit | meaning |\n|---|---|---|---|\n"
+    )
+    variables = {**VARIABLES, **OF_READINGS}
+    rows = [f"| `{name}` | {', '.join(v.dimensions)} | {v.unit} | {v.words} |" for name, v in variables.items()]
+    return head + "\n".join(rows) + "\n"
 
 
 def commands_page() -> str:

@@ -19,7 +19,6 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "text": ("hardware.text_unit", "TextSensor"),
     "prediction": ("tables.contracts", "Prediction"),
     "columns": ("records.importers", "ColumnMap"),
-    "log": ("records.log_contents", "LogContents"),
     "calibration": ("calibration", "Calibration"),
     "recipe": ("recipe.recipe", "Recipe"),
     "sweep": ("sweeps.sweep_file", "SweepFile"),

@@ -3,18 +3,13 @@
 import re
 
 import jsonschema
-import numpy as np
 import pytest
 import tomlkit
-import xarray
 from calibration_samples import HEAD, WHOLE, a_truth, axis_text, calibration_of, document
-from described_logs import contents
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.calibration import Calibration, parse_calibration, read_calibration, write_calibration
-from gradcal_jax.records.log import Log
-from gradcal_jax.records.log_file import write_log
 from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.schemas import schema
 from gradcal_jax.tables.writing import to_toml
@@ -105,17 +100,3 @@ def test_arbitrary_bytes_get_a_sentence(tmp_path_factory, content, honest):
     except SpecError:
         return
     assert found == parse_calibration(WHOLE)  # what was added was a comment, or nothing
-
-
-def test_a_log_is_what_its_contract_says(tmp_path):
-    log = Log(
-        np.arange(60.0), np.ones((1, 60, 3)), ("SN-7",), ("x", "y", "z"), temperature_c=np.full((1, 60), 20.0),
-        standstill=np.zeros(60, np.int64), host_time_s=np.arange(60.0), simulated=True,
-    )  # fmt: skip
-    write_log(log, tmp_path / "log.nc")
-    with xarray.open_dataset(tmp_path / "log.nc", engine="h5netcdf", decode_times=False) as opened:
-        described = contents(opened)
-    jsonschema.validate(described.model_dump(mode="json", exclude_none=True), schema("log"))
-    assert described.rows == described.rows_read == 60
-    assert described.variables.rate.units == "rad s-1"
-    assert described.simulated == 1

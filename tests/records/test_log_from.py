@@ -1,8 +1,7 @@
-"""A log from arrays, a DataFrame or a Dataset is the one that a recording's import gives."""
+"""A log from arrays or a DataFrame is the one that a recording's import gives."""
 
 import numpy as np
 import pytest
-import xarray
 
 import gradcal_jax as gj
 from gradcal_jax.records.log import LogError
@@ -42,26 +41,17 @@ def test_arrays_in_si(imported):
     same(gj.log_from(TIME, np.radians(RATES), temperature=WARM, angle={"inner": np.radians(ANGLE)}), imported)
 
 
-def test_a_data_frame_with_units(imported):
+def test_columns_of_a_data_frame_with_units(imported):
     pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame(NAMES)
     log = gj.log_from(
-        "t", ["gx", "gy", "gz"], temperature="temp", angle={"inner": "angle"}, data=frame,
+        frame.t, frame[["gx", "gy", "gz"]], temperature=frame.temp, angle={"inner": frame.angle},
         units={"rate": "deg/s", "angle": "deg"},
     )  # fmt: skip
     same(log, imported)
-    frame["t"] = pandas.to_datetime(1.7e9 + TIME, unit="s")
-    stamped = gj.log_from("t", "gx", data=frame, units={"rate": "deg/s"})
+    stamps = pandas.to_datetime(1.7e9 + TIME, unit="s")
+    stamped = gj.log_from(stamps, frame.gx, units={"rate": "deg/s"})
     np.testing.assert_allclose(stamped.time_s, TIME, atol=1e-6)
-
-
-def test_a_dataset_has_its_units_in_its_attributes(imported):
-    units = {"t": "s", "temp": "degC", "angle": "deg"}
-    variables = {name: ("row", values, {"units": units.get(name, "deg/s")}) for name, values in NAMES.items()}
-    log = gj.log_from(
-        "t", ["gx", "gy", "gz"], temperature="temp", angle={"inner": "angle"}, data=xarray.Dataset(variables)
-    )
-    same(log, imported)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +59,6 @@ def test_a_dataset_has_its_units_in_its_attributes(imported):
     [
         ((TIME, RATES[:100]), "the shape"),
         ((TIME, np.zeros((2000, 4))), "expected"),
-        (("t", "gx"), "give data"),
     ],
 )
 def test_what_does_not_fit_is_a_sentence(arguments, said):
@@ -77,9 +66,7 @@ def test_what_does_not_fit_is_a_sentence(arguments, said):
         gj.log_from(*arguments)
 
 
-def test_names_and_units_are_checked():
-    with pytest.raises(LogError, match="nearest: 'gx'"):
-        gj.log_from("t", "gxx", data=NAMES)
+def test_units_are_checked():
     with pytest.raises(LogError, match="nearest: 'rate'"):
         gj.log_from(TIME, RATES, units={"rates": "deg/s"})
 

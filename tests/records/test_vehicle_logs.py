@@ -177,12 +177,6 @@ def test_files_without_raw_samples_or_reader_are_refused_with_the_remedy(tmp_pat
         read_vehicle_log(path)
 
 
-def test_a_thermometer_that_steps_by_a_degree_is_named(tmp_path):
-    rows = sensor_gyro(STAMPS_US, RATE, np.rint(TEMPERATURE), 5)
-    log = read_vehicle_log(ulog(tmp_path / "a.ulg", ("sensor_gyro", 0, rows)))
-    assert any("steps of 1 degC" in finding.message for finding in log.findings)
-
-
 @pytest.mark.parametrize(
     ("name", "package", "ending"),
     [

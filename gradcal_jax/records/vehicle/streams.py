@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from gradcal_jax.records.log import SENSOR_RATE, Finding, Floats, Log, LogError, naming, quietly
-from gradcal_jax.records.log_faults import Columns, Policy, examine
+from gradcal_jax.records.log_faults import Columns, examine
 
 KINDS: Final = {
     ".ulg": "ulog",
@@ -21,8 +21,7 @@ KINDS: Final = {
     ".bin": "dataflash",
 }
 """File name endings, each with the module that reads such files."""
-_WORDS: Final = {"ulog": "ULog", "dataflash": "DataFlash"}
-_FIRMWARE: Final = {"ulog": {"firmware": "px4"}, "dataflash": {"firmware": "ardupilot"}}
+_FIRMWARE: Final = {"ulog": "px4", "dataflash": "ardupilot"}
 _FROM_MAVLINK: Final = (
     "has MAVLink messages. Their HIGHRES_IMU, as PX4 sends it, is not the output of the sensor: the gyro bias of "
     "PX4's estimator is subtracted, and the temperature is that of the barometer. A calibration needs the log of "
@@ -44,11 +43,10 @@ class GyroStream:
     rate_rad_per_s: Floats
     temperature_c: Floats | None
     """Temperature of the gyro at the same time stamps."""
-    host_time_s: Floats | None = None
     notes: tuple[str, ...] = ()
     """Properties of this source that matter for a calibration, in sentences."""
     sensor_rate: str | None = None
-    """The sensor's own sample rate, in the words of `files.log.log.SENSOR_RATE`."""
+    """The sensor's own sample rate, in the words of `records.log.SENSOR_RATE`."""
 
 
 def is_vehicle_log(path: Path) -> bool:
@@ -65,25 +63,30 @@ def read_vehicle_log(path: str | Path, *, unit: str | None = None, rows: tuple[i
     and where the library that reads them is not installed.
     """
     path = Path(path)
-    streams = _streams(path)
-    names = [stream.name for stream in streams]
+    clocks = _clocks(path)
+    names = [stream.name for streams in clocks for stream in streams]
     with naming(path):
         if unit is not None and unit not in names:
             raise LogError(f"there is no IMU '{unit}' in this log; it has {', '.join(names)}")
-        chosen = _of_one_clock(streams, streams[0 if unit is None else names.index(unit)])
-        return _log(chosen, [stream for stream in streams if stream not in chosen], path, rows)
+        chosen = next(of for of in clocks if unit is None or unit in [stream.name for stream in of])
+        log = _log(chosen, path, rows)
+    others = [name for name in names if name not in log.units]
+    if not others:
+        return log
+    text = f"the log also has other gyros, with clocks of their own: {', '.join(others)}; choose one with --unit"
+    return replace(log, findings=(Finding("other units", "keep", 0, text), *log.findings))
 
 
 def read_vehicle_logs(path: str | Path, *, rows: tuple[int, int | None] | None = None) -> list[Log]:
     """All gyros of a vehicle's log: a log for each clock, otherwise as `read_vehicle_log`."""
     path = Path(path)
-    streams = _streams(path)
+    clocks = _clocks(path)
     with naming(path):
-        clocks = [_of_one_clock(streams, stream) for stream in streams]
-        return [_log(of, (), path, rows) for of, first in zip(clocks, streams, strict=True) if of[0] is first]
+        return [_log(streams, path, rows) for streams in clocks]
 
 
-def _streams(path: Path) -> list[GyroStream]:
+def _clocks(path: Path) -> list[list[GyroStream]]:
+    """The gyros of a log, those with common stamps together."""
     if not path.exists():
         raise LogError(f"{path} does not exist")
     if path.is_dir():
@@ -93,22 +96,23 @@ def _streams(path: Path) -> list[GyroStream]:
     kind = KINDS[path.suffix.lower()]
     reader = importlib.import_module(f"gradcal_jax.records.vehicle.{kind}")
     with naming(path):
-        with quietly(_WORDS[kind]):
+        with quietly({"ulog": "ULog", "dataflash": "DataFlash"}[kind]):
             gyros: Sequence[GyroStream] = reader.gyros(path)
-        if not (streams := [stream for stream in gyros if len(stream.time_s) > 1]):
+        clocks = dict[tuple[str | None, bytes], list[GyroStream]]()
+        for stream in gyros:
+            if len(stream.time_s) > 1:
+                clocks.setdefault((stream.sensor_rate, stream.time_s.tobytes()), []).append(stream)
+        if not clocks:
             raise LogError("the log has no samples of a gyro")
-        return streams
+        return list(clocks.values())
 
 
-def _of_one_clock(streams: Sequence[GyroStream], first: GyroStream) -> list[GyroStream]:
-    return [s for s in streams if s.sensor_rate == first.sensor_rate and np.array_equal(s.time_s, first.time_s)]
-
-
-def _log(
-    streams: Sequence[GyroStream], others: Sequence[GyroStream], path: Path, rows: tuple[int, int | None] | None
-) -> Log:
+def _log(streams: Sequence[GyroStream], path: Path, rows: tuple[int, int | None] | None) -> Log:
+    """The log of gyros with common stamps."""
     first = streams[0]
-    known = [stream.temperature_c for stream in streams if stream.temperature_c is not None]
+    provenance = {"source": path.name, "firmware": _FIRMWARE[KINDS[path.suffix.lower()]]}
+    if first.sensor_rate is not None:
+        provenance[SENSOR_RATE] = first.sensor_rate
     nothing = np.full(len(first.time_s), np.nan)
     warm = [nothing if stream.temperature_c is None else stream.temperature_c for stream in streams]
     columns = Columns(
@@ -116,30 +120,12 @@ def _log(
         units=tuple(stream.name for stream in streams),
         axes=("x", "y", "z"),
         time_s=first.time_s,
-        temperature_c=np.stack(warm) if known else None,
-        host_time_s=first.host_time_s,
-        provenance={"source": path.name, **_FIRMWARE.get(KINDS.get(path.suffix.lower(), ""), {})}
-        | ({} if first.sensor_rate is None else {SENSOR_RATE: first.sensor_rate}),
+        temperature_c=np.stack(warm) if np.isfinite(warm).any() else None,
+        provenance=provenance,
     )
-    # A gyro without a thermometer is still useful for its noise.
-    policy = Policy(missing_temperatures="mask" if len(known) == len(streams) else "keep")
-    log = examine(columns if rows is None else columns.part(rows), policy)
+    log = examine(columns if rows is None else columns.part(rows))
     notes = [Finding("source", "keep", 0, note) for stream in streams for note in stream.notes]
-    for stream in streams:
-        if stream.temperature_c is not None and (step := _step(stream.temperature_c)) > 0.4:
-            text = f"the temperature of {stream.name} is recorded in steps of {step:.3g} degC"
-            notes.append(Finding("coarse thermometer", "keep", 0, text))
-    if others:
-        names = ", ".join(stream.name for stream in others)
-        text = f"the log also has other gyros, with clocks of their own: {names}; choose one with --unit"
-        notes.append(Finding("other units", "keep", 0, text))
     return replace(log, findings=(*notes, *log.findings))
-
-
-def _step(temperature: Floats) -> float:
-    """The smallest change of a thermometer, K; 0 where there is none."""
-    levels = np.unique(temperature[np.isfinite(temperature)])
-    return float(np.min(np.diff(levels))) if 1 < len(levels) < 500 else 0.0
 
 
 def interpolated(time_s: Floats, of_time_s: Floats, values: Floats) -> Floats:

@@ -47,7 +47,7 @@ def gyros(path: Path) -> Sequence[GyroStream]:
         thermometer = singles.get(name)
         if thermometer is not None and thermometer.temperature_c is not None:
             at = interpolated(stream.time_s, thermometer.time_s, thermometer.temperature_c)
-            stream = GyroStream(name, stream.time_s, stream.rate_rad_per_s, at, None, stream.notes)
+            stream = GyroStream(name, stream.time_s, stream.rate_rad_per_s, at)
         singles[name] = stream
     return list(singles.values())
 

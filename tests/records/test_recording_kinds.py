@@ -9,7 +9,6 @@ import pytest
 
 from gradcal_jax import identify
 from gradcal_jax.identify.instability import at_rest
-from gradcal_jax.records.column_names import contradiction
 from gradcal_jax.records.importers import import_log, parse_column_map
 from gradcal_jax.records.log import Log
 from gradcal_jax.units import DEG_PER_SQRT_H
@@ -63,27 +62,6 @@ def test_sound_stamps_are_kept_to_the_last_digit(tmp_path: Path):
 
 def log_start(time: np.ndarray) -> float:
     return float(f"{np.round(time[0], 8):.9g}")
-
-
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [
-        ("Gyroscope x (rad/s)", "rad/s"),
-        ("w_RS_S_x [rad s^-1]", "rad/s"),
-        ("gx [dps]", "deg/s"),
-        ("a_RS_S_x [m s^-2]", "m/s^2"),
-        ("timestamp [ns]", "ns"),
-        ("Time (s)", "s"),
-        ("Temperature (C)", "degC"),
-        ("gx (raw)", "deg/s"),
-        ("gx (LSB)", "deg/s"),
-        ("gx [1]", "deg/s"),
-        ("gx (x axis)", "deg/s"),
-        ("rate", "deg/s"),
-    ],
-)
-def test_names_that_agree_or_say_nothing_are_not_questioned(name: str, unit: str):
-    assert contradiction(name, unit) is None
 
 
 def test_the_plateau_of_a_coarse_thermometer_is_no_fault(tmp_path: Path):

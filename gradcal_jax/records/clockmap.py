@@ -106,22 +106,25 @@ def bridge_gaps(samples: Any, round_s: float, sample_s: float) -> None:
     places = places[places > 0]
     if not len(places):
         return
-    device, host = samples["time_s"].copy(), samples["host_s"].copy()
-    late = host - _rate_of_longest(device, host, places) * device
+    device: Floats = samples["time_s"].copy()
+    host: Floats = samples["host_s"].copy()
+    late: Floats = host - _rate_of_longest(device, host, places) * device
     restarts = np.append(np.flatnonzero(restarted), len(device))
-    shift = np.zeros(len(device))
-    for row in places.tolist():
+    shift: Floats = np.zeros(len(device))
+    total_s = 0.0
+    for row, end in zip(places.tolist(), [*places[1:].tolist(), len(device)], strict=True):
         low = int(np.searchsorted(host, host[row] - _WINDOW_S))
         # (Later gaps make what follows later still, and a restart has another clock.)
         high = int(np.searchsorted(host, host[row] + _WINDOW_S, side="right"))
         high = min(high, int(restarts[np.searchsorted(restarts, row, side="right")]))
-        later_s = float(late[row:high].min() - (late - shift)[low:row].min()) - float(shift[row - 1])
+        later_s = float(late[row:high].min() - (late[low:row] - shift[low:row]).min()) - total_s
         if restarted[row]:
             least_s = float(device[row - 1] - device[row]) + sample_s
-            shift[row:] = shift[row - 1] + max(later_s, least_s)
+            total_s += max(later_s, least_s)
         elif later_s > 0.5 * round_s:
             samples["gap"][row] += round(later_s / sample_s)
-            shift[row:] = shift[row - 1] + later_s
+            total_s += later_s
+        shift[row:end] = total_s
     samples["time_s"] = device + shift
 
 

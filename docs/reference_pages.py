@@ -46,7 +46,10 @@ def log_page() -> str:
         "findings and the provenance (JSON).\n\n| variable | dimensions | unit | meaning |\n|---|---|---|---|\n"
     )
     variables = {**VARIABLES, **OF_READINGS}
-    rows = [f"| `{name}` | {', '.join(v.dimensions)} | {v.unit} | {v.words} |" for name, v in variables.items()]
+    rows = [
+        f"| `{name}` | {', '.join(v.dimensions)} | {v.unit} | {v.words[:1].upper()}{v.words[1:]}. |"
+        for name, v in variables.items()
+    ]
     return head + "\n".join(rows) + "\n"
 
 

@@ -11,7 +11,6 @@ from gradcal_jax.records.log_file import read_log, write_log
 from gradcal_jax.tables.netcdf import load_netcdf
 
 
-
 def whole_log():
     rng = np.random.default_rng(1)
     time = np.arange(60) * 0.1

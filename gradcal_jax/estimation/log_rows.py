@@ -247,6 +247,12 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
                 f"the log does not compare the sensor's clock with the computer's: the estimate assumes a clock error "
                 f"of {error}, but a prediction from the spec assumes {HOST_CLOCK * 1e6:g} ppm; {_CLOCK_MEND}"
             )
+    if clock == "sensor" and not stamped and float(error or 0.0) > 0.0 and not said:
+        said.append(
+            "the log does not compare the sensor's clock with the computer's, so it cannot show a clock error beyond "
+            f"the stated {error}: such an error is a scale-factor error of the same size, also where it depends on "
+            f"temperature, as of a crystal without compensation (some 70 ppm at -20 degC). Log the computer's time, too"
+        )
     # Who states which clock counts answers for it.
     chosen = options.clock or spec.sensor.clock
     doubted = [] if chosen else [f for f in apart if abs(f.slope - 1.0) > _DOUBTED * _clocks_differ_by(f, error)]

@@ -191,7 +191,10 @@ def branch_sentences(spec: Spec) -> list[str]:
         widest = max(widest, width)
     if sentences and _goes_one_way(spec):
         returns = f"change the temperature back by {2.0 * widest:g} K or more{minutes_of_change(spec, 2.0 * widest)}"
-        sentences.append(f"one-way ramp, so the plan cannot observe a hysteresis: {returns}")
+        sentences.append(
+            "one-way ramp, so the plan cannot observe a hysteresis, nor tell a drift during the run from a dependence "
+            f"on temperature: {returns}"
+        )
     return sentences
 
 

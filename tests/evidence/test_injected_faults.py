@@ -27,7 +27,7 @@ from typing import Any
 import pytest
 from fault_list import AXIS, AXIS_FULL, BACKLASH, FAULTS, HARMONICS, UNIT, UNIT_FULL, Fault, encoders, none
 from fault_scenes import Judged, judge
-from further_faults import FURTHER
+from further_faults import FURTHER, UNSEEN
 from scipy.stats import binom
 
 from gradcal_jax.cli import main
@@ -191,6 +191,15 @@ def test_a_sound_log_accuses_nobody(tmp_path: Path) -> None:
     assert [one.verdict for one in found.judged] == ["met", "met"]
     assert not found.beyond, found.beyond
     assert not [line for line in found.sentences if ACCUSES.search(line)]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fault", UNSEEN, ids=str)
+def test_what_no_log_can_show_is_said(fault: Fault, tmp_path: Path) -> None:
+    """The error is beyond U, and nothing in the log contradicts the spec: the limit of the log is stated."""
+    found = outcome(fault, tmp_path)
+    assert found.beyond
+    assert re.search(fault.words, found.printed)
 
 
 @pytest.mark.evidence

@@ -184,8 +184,8 @@ def test_slopes_that_a_branch_does_not_have_are_refused():
 def test_a_one_way_plan_says_the_cure_with_its_minutes():
     """Also where neither spec nor requirement knows of hysteresis: at the slower of the chamber's rates."""
     cure = (
-        "one-way ramp, so the plan cannot observe a hysteresis: change the temperature back by 20 K or more "
-        "(13.3 min at "
+        "one-way ramp, so the plan cannot observe a hysteresis, nor tell a drift during the run from a dependence on "
+        "temperature: change the temperature back by 20 K or more (13.3 min at "
     )
     assert branch_sentences(gj.parse_spec(presets.text("tactical-mems")))[-1] == f"{cure}1.5 K/min)"
     assert not any("one-way" in s for s in branch_sentences(gj.parse_spec(presets.text("heat-and-cool"))))

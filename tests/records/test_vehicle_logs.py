@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vehicle_samples import dataflash, imu_rows, sensor_gyro, sensor_gyro_fifo, ulog
+from vehicle_samples import at_rest, dataflash, imu_rows, sensor_gyro, sensor_gyro_fifo, ulog
 
 from gradcal_jax.cli import main
 from gradcal_jax.records.importers import import_log, parse_column_map
@@ -131,6 +131,38 @@ def test_what_ardupilot_took_off_is_put_back(tmp_path):
     np.testing.assert_allclose(log.rate_rad_per_s[0], raw, atol=5e-7)  # float32 in the log
     np.testing.assert_allclose(log.rate_rad_per_s[1], raw, atol=5e-7)
     assert any("offsets and thermal calibration have been removed" in f.message for f in log.findings)
+
+
+def test_what_ardupilot_took_off_accelerometers_is_put_back(tmp_path):
+    """In its own order: thermal part, offset, scale; then the board, yaw 90 (2), from the sensor's axes."""
+    raw = at_rest(ROWS)
+    own = {"INS_ACC1_CALTEMP": 33.0, "INS_TCAL1_ACC1_Y": 900.0, "INS_TCAL1_ACC2_Y": -30.0}
+    offsets, scales = [0.2, -0.1, 0.05], [1.02, 0.99, 1.0]
+    for letter, offset, scale in zip("XYZ", offsets, scales, strict=True):
+        own |= {f"INS_ACCOFFS_{letter}": offset, f"INS_ACCSCAL_{letter}": scale}
+    clamped, at = np.clip(TEMPERATURE.astype(float), 31.0, 36.5) - 35.0, 33.0 - 35.0
+    corrected = raw.copy()
+    corrected[:, 1] -= 1e-6 * (900.0 * (clamped - at) - 30.0 * (clamped**2 - at**2))
+    corrected = (corrected - offsets) * scales
+    turned = np.stack([-corrected[:, 1], corrected[:, 0], corrected[:, 2]], axis=1)
+    rows = imu_rows(STAMPS_US, 0, RATE, TEMPERATURE, turned)
+    log = read_vehicle_log(dataflash(tmp_path / "a.bin", rows, PARAMETERS | own | {"AHRS_ORIENTATION": 2.0}))
+    assert log.force_axes == ("x", "y", "z")
+    np.testing.assert_allclose(log.specific_force_m_per_s2[0], raw, atol=3e-6)
+
+
+@pytest.mark.parametrize("later_us", [0, 130])
+def test_accelerometers_of_a_ulog_are_beside_the_gyro_of_their_device(tmp_path, later_us):
+    """At the gyro's stamps, or interpolated to them; an accelerometer of another chip is left out."""
+    slope = np.arange(ROWS)[:, None] * np.array([1e-4, -2e-4, 1e-4]) + [0.0, 0.0, 9.8]
+    topics = [("sensor_gyro", 0, sensor_gyro(STAMPS_US, RATE, TEMPERATURE, 11))]
+    topics += [("sensor_accel", 0, sensor_gyro(STAMPS_US + later_us, slope, TEMPERATURE, 11))]
+    log = read_vehicle_log(ulog(tmp_path / "a.ulg", *topics))
+    step = float(np.median(np.diff(STAMPS_US)))
+    expected = slope - later_us / step * np.array([1e-4, -2e-4, 1e-4])
+    np.testing.assert_allclose(log.specific_force_m_per_s2[0][1:], expected[1:], atol=2e-5)
+    other = [topics[0], ("sensor_accel", 0, sensor_gyro(STAMPS_US, slope, TEMPERATURE, 12))]
+    assert read_vehicle_log(ulog(tmp_path / "b.ulg", *other)).force_axes == ()
 
 
 def test_offsets_that_change_in_the_log_and_a_turned_board(tmp_path):

@@ -95,9 +95,15 @@ def dataflash(path, imu, parameters, start_us=0):
     return path
 
 
-def imu_rows(time_us, which, rate, temperature):
+def at_rest(rows):
+    """Specific forces of a vehicle at rest, m/s²."""
+    return np.array([0.3, -0.2, 9.8]) + 0.02 * np.random.default_rng(rows).standard_normal((rows, 3))
+
+
+def imu_rows(time_us, which, rate, temperature, force=None):
     rows = np.zeros(len(time_us), [(name, kind) for name, kind, _ in IMU_FIELDS])
     rows["TimeUS"], rows["I"], rows["T"] = time_us, which, temperature
     for axis, letter in enumerate("XYZ"):
         rows[f"Gyr{letter}"] = rate[:, axis]
+        rows[f"Acc{letter}"] = (at_rest(len(rows)) if force is None else force)[:, axis]
     return rows

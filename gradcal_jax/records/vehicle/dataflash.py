@@ -1,17 +1,19 @@
 """ArduPilot's DataFlash (.bin). Indexed by pymavlink's DFReader; the samples are then taken out all at once.
 
-    IMU     TimeUS, I (which one; IMU2 and IMU3 in old logs), GyrX, GyrY, GyrZ in rad/s, T in °C
+    IMU     TimeUS, I (which one; IMU2 and IMU3 in old logs), GyrX, GyrY, GyrZ in rad/s, AccX, AccY, AccZ in m/s²,
+            T in °C
     PARM    TimeUS, Name, Value: the parameters at the start, and whenever one changes
 
 Sources: ArduPilot, `libraries/AP_InertialSensor/AP_InertialSensor_Backend.cpp` (`_rotate_and_correct_gyro`) and
-`AP_InertialSensor_tempcal.cpp`. What is logged is after, in this order and in the sensor's frame,
+`AP_InertialSensor_tempcal.cpp`. What is logged of gyros is after, in this order and in the sensor's frame,
 
     P(T_cal − 35 °C) − P(T − 35 °C)    with P(d) = 1e-6 (c₁ d + c₂ d² + c₃ d³), c from INS_TCALn_GYRk_*, both
                                        temperatures kept within TMIN and TMAX; where INS_TCALn_ENABLE is 1 (2 learns,
                                        nothing is applied) and INS_GYRn_CALTEMP is not below −80 °C
     − INS_GYRnOFFS_*                   the offset at T_cal
 
-and then turned by the board's orientation. All three are undone here, with the parameters in force at each sample.
+and then turned by the board's orientation. Accelerometers likewise (ACC in the place of GYR), and times INS_ACCnSCAL_*
+before they are turned. All of it is undone here, with the parameters in force at each sample.
 """
 
 import contextlib
@@ -67,33 +69,45 @@ def gyros(path: Path) -> Sequence[GyroStream]:
 
 def _undone(number: int, table: Any, in_force: Callable[[str, Floats, float], Floats]) -> GyroStream:
     time = table["TimeUS"].astype(np.float64) * 1e-6
-    logged = np.stack([table[f"Gyr{axis}"].astype(np.float64) for axis in "XYZ"], axis=1)
     names = table.dtype.names
     temperature = table["T"].astype(np.float64) if "T" in names else np.full(len(table), np.nan)
     orientation = in_force("AHRS_ORIENTATION", time, 0.0)
     if np.ptp(orientation) > 0.0:
         raise LogError("AHRS_ORIENTATION changes within the log")
-    rate = logged @ _to_sensor(int(orientation[0])).T
-    n = number + 1
+    n, turned = number + 1, _to_sensor(int(orientation[0])).T
     learning = in_force(f"INS_TCAL{n}_ENABLE", time, 0.0)
-    caltemp = in_force(f"INS_GYR{n}_CALTEMP", time, -300.0)
-    corrected = (learning == 1.0) & (caltemp >= _UNSET_BELOW_C) & np.isfinite(temperature)
     low, high = in_force(f"INS_TCAL{n}_TMIN", time, -100.0), in_force(f"INS_TCAL{n}_TMAX", time, -100.0)
     now = np.clip(temperature, low, high) - _REFERENCE_C
-    then = np.clip(caltemp, low, high) - _REFERENCE_C
-    for axis, letter in enumerate("XYZ"):
-        thermal = np.zeros(len(time))
-        for power in (1, 2, 3):
-            coefficient = in_force(f"INS_TCAL{n}_GYR{power}_{letter}", time, 0.0)
-            thermal += 1e-6 * coefficient * (now**power - then**power)
-        rate[:, axis] += np.where(corrected, thermal, 0.0)
-        rate[:, axis] += in_force(f"INS_GYR{n if n > 1 else ''}OFFS_{letter}", time, 0.0)
-    note = "offsets" + (" and thermal calibration" if corrected.any() else "")
+    anything_corrected = False
+
+    def raw(kind: str) -> Floats:
+        nonlocal anything_corrected
+        logged = np.stack([table[f"{kind.capitalize()}{axis}"].astype(np.float64) for axis in "XYZ"], axis=1)
+        values = logged @ turned
+        place = f"{kind}{n if n > 1 else ''}"
+        caltemp = in_force(f"INS_{kind}{n}_CALTEMP", time, -300.0)
+        corrected = (learning == 1.0) & (caltemp >= _UNSET_BELOW_C) & np.isfinite(temperature)
+        anything_corrected |= bool(corrected.any())
+        then = np.clip(caltemp, low, high) - _REFERENCE_C
+        for axis, letter in enumerate("XYZ"):
+            thermal = np.zeros(len(time))
+            for power in (1, 2, 3):
+                coefficient = in_force(f"INS_TCAL{n}_{kind}{power}_{letter}", time, 0.0)
+                thermal += 1e-6 * coefficient * (now**power - then**power)
+            if kind == "ACC":
+                values[:, axis] /= in_force(f"INS_{place}SCAL_{letter}", time, 1.0)
+            values[:, axis] += np.where(corrected, thermal, 0.0)
+            values[:, axis] += in_force(f"INS_{place}OFFS_{letter}", time, 0.0)
+        return values
+
+    rate = raw("GYR")
+    force = raw("ACC") if {"AccX", "AccY", "AccZ"} <= set(names) else None
+    note = "offsets" + (" and thermal calibration" if anything_corrected else "")
     if orientation[0]:
         note += f" and the board's orientation ({int(orientation[0])})"
     known = temperature if np.isfinite(temperature).any() else None
     note = f"IMU{number}: ArduPilot's {note} have been removed from the data with the parameters in the log"
-    return GyroStream(f"IMU{number}", time, rate, known, notes=(note,))
+    return GyroStream(f"IMU{number}", time, rate, known, notes=(note,), force_m_per_s2=force)
 
 
 def _to_sensor(orientation: int) -> Floats:

@@ -47,6 +47,8 @@ class GyroStream:
     """Properties of this source that matter for a calibration, in sentences."""
     sensor_rate: str | None = None
     """The sensor's own sample rate, in the words of `records.log.SENSOR_RATE`."""
+    force_m_per_s2: Floats | None = None
+    """`(samples, 3)` of the accelerometers beside it, at the same time stamps."""
 
 
 def is_vehicle_log(path: Path) -> bool:
@@ -115,11 +117,14 @@ def _log(streams: Sequence[GyroStream], path: Path, rows: tuple[int, int | None]
         provenance[SENSOR_RATE] = first.sensor_rate
     nothing = np.full(len(first.time_s), np.nan)
     warm = [nothing if stream.temperature_c is None else stream.temperature_c for stream in streams]
+    forces = [stream.force_m_per_s2 for stream in streams if stream.force_m_per_s2 is not None]
     columns = Columns(
         rate_rad_per_s=np.stack([stream.rate_rad_per_s for stream in streams]),
         units=tuple(stream.name for stream in streams),
         axes=("x", "y", "z"),
         time_s=first.time_s,
+        specific_force_m_per_s2=np.stack(forces) if len(forces) == len(streams) else None,
+        force_axes=("x", "y", "z") if len(forces) == len(streams) else (),
         temperature_c=np.stack(warm) if np.isfinite(warm).any() else None,
         provenance=provenance,
     )

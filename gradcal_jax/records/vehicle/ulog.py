@@ -4,6 +4,7 @@ sensor_gyro         one sample (or the mean of a FIFO's) of a gyro, rotated to t
                     came from the sensor: rad/s, `temperature` in °C, `device_id`, `timestamp_sample` in µs
 sensor_gyro_fifo    the FIFO itself: `samples` of x, y, z as counts times `scale`, `dt` µs apart, the last one at
                     `timestamp_sample`; no temperature
+sensor_accel        the same of an accelerometer, m/s²; beside the gyro whose `device_id` it has, at its own stamps
 sensor_combined     not the sensor: offsets, thermal calibration and the estimator's bias are taken off
 vehicle_imu_status  `gyro_rate_hz`, at which sensor_gyro of `gyro_device_id` is published: the logger keeps every n-th
 
@@ -12,6 +13,7 @@ no gyro as slowly.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +23,7 @@ from gradcal_jax.records.log import LogError, library
 from gradcal_jax.records.vehicle.streams import GyroStream, interpolated
 
 _RAW: Final = ("sensor_gyro", "sensor_gyro_fifo")
+_FORCES: Final = "sensor_accel"
 _SLOWEST_HZ: Final = 90.0
 _THINNED: Final = 1.1
 """If the published rate exceeds the rate of the rows by more than this factor, rows are missing."""
@@ -31,9 +34,9 @@ def gyros(path: Path) -> Sequence[GyroStream]:
     reader: Any = library("pyulog", "pyulog")
     # Names alone are looked at of what is in sensor_combined.
     with path.open("rb") as opened:
-        log = reader.ULog(opened, [*_RAW, "sensor_combined", "vehicle_imu_status"])
+        log = reader.ULog(opened, [*_RAW, _FORCES, "sensor_combined", "vehicle_imu_status"])
     topics = [data for data in log.data_list if data.name in _RAW]
-    names = {data.name for data in log.data_list} - {"vehicle_imu_status"}
+    names = {data.name for data in log.data_list} - {_FORCES, "vehicle_imu_status"}
     start_s = float(log.start_timestamp) * 1e-6
     if not topics:
         only = "only sensor_combined, from which calibration and bias are already subtracted" if names else "no gyro"
@@ -49,7 +52,15 @@ def gyros(path: Path) -> Sequence[GyroStream]:
             at = interpolated(stream.time_s, thermometer.time_s, thermometer.temperature_c)
             stream = GyroStream(name, stream.time_s, stream.rate_rad_per_s, at)
         singles[name] = stream
-    return list(singles.values())
+    forces = {_device(data): data for data in log.data_list if data.name == _FORCES}
+    return [_with_forces(s, forces[s.name], start_s) if s.name in forces else s for s in singles.values()]
+
+
+def _with_forces(stream: GyroStream, data: Any, start_s: float) -> GyroStream:
+    """A gyro with the accelerometers of its chip, interpolated to its stamps where they have others."""
+    time = _stamps(data) * 1e-6 - start_s
+    each = [interpolated(stream.time_s, time, data.data[axis].astype(np.float64)) for axis in "xyz"]
+    return replace(stream, force_m_per_s2=np.stack(each, axis=1))
 
 
 def _device(data: Any) -> str:

@@ -45,7 +45,8 @@ def ardupilot_correction(values, number, axis, temperature):
 def left(errors, calibration):
     """Errors `(temperatures, 3)` in the stated σ of the calibration's fit at `FIT`, and that σ in deg/h."""
     fit = calibration.model_copy(update={"unseen": ()})
-    sigma = np.stack([calibration_map(fit, c, "bias", FIT, np.zeros(1))[1].values[:, 0] for c in fit.channel], axis=1)
+    gyros = [c for c in fit.channel if c.kind == "gyro"]
+    sigma = np.stack([calibration_map(fit, c, "bias", FIT, np.zeros(1))[1].values[:, 0] for c in gyros], axis=1)
     return errors / (sigma * DEG_PER_H), sigma
 
 

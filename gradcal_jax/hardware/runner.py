@@ -94,7 +94,7 @@ class Runner:
         chamber = self.bench.chamber
         self._chamber = None if chamber is None else ChamberControl(chamber, self.clock, self._event)
         latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
-        self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, keep_track=alone)
+        self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, alone)
         self._losses: dict[str, SampleLosses] = {}
         # Units whose samples are awaited; they send none while the axes search for their references.
         self._streaming: set[str] = set()

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from simulated_devices.espec import EspecOptions, SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
-from simulated_devices.gyro import Mounting, SensorTruth, SimulatedSensor
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
 from simulated_devices.line_clock import CountedTransport
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
@@ -20,7 +19,9 @@ from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import frames, lines, registers
 from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
+from gradcal_jax.hardware.roles import STANDARD_GRAVITY
 from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.hardware.simulate.imu import EARTH_RATE, ErrorTerm, ImuTruth, SimulatedImu, TableTruth, TriadTruth
 from gradcal_jax.hardware.simulate.lab import unit_options
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.transport import Transport
@@ -151,19 +152,29 @@ grbl_bench = _lines_bench("grbl", SimulatedGrbl, _axis)
 aerosmith_bench = _lines_bench("aerosmith-like", SimulatedAerosmith, _axis)
 
 
+EARTH_RATE_DPS = float(np.degrees(EARTH_RATE))
+
+
+def perfect(*, scale_factor: float = 0.0, clock_error: float = 0.0) -> ImuTruth:
+    """A unit without noise, whose gyros have a scale-factor error."""
+    errors = (ErrorTerm(np.full((3, 1, 1), scale_factor), lambda t: np.ones((len(t), 1)), "own"),)
+    triads = {"gyro": TriadTruth(errors, 0.0), "accelerometer": TriadTruth((), 0.0)}
+    return ImuTruth(triads, clock_error=clock_error)
+
+
 def sensor_on_table(
     clock: Clock,
-    truth: SensorTruth | None = None,
+    truth: ImuTruth | None = None,
     *,
     sample_rate_hz: float = 125.0,
     axis: AxisPlant | None = None,
     chamber: ChamberPlant | None = None,
     seed: int = 1,
-    mounting: Mounting | None = None,
-) -> SimulatedSensor:
-    return SimulatedSensor(
-        truth or SensorTruth(),
-        mounting or Mounting(),
+) -> SimulatedImu:
+    """A unit on a vertical axis, at 45 degrees of latitude."""
+    return SimulatedImu(
+        truth or perfect(),
+        TableTruth(((0.0, 0.0, 1.0),), np.pi / 4.0, STANDARD_GRAVITY),
         chamber or ChamberPlant(ChamberTruth(), clock.now()),
         [axis or AxisPlant(None, clock.now())],
         sample_rate_hz=sample_rate_hz,
@@ -175,7 +186,7 @@ def sensor_on_table(
 @contextmanager
 def frames_bench(
     clock: Clock,
-    sensor: SimulatedSensor | None = None,
+    sensor: SimulatedImu | None = None,
     rate_hz: float = 125.0,
     burst_s: float = 0.016,
     **port_options: Any,
@@ -191,7 +202,7 @@ class Rig:
     """A simulated rig under the template's rig file. The unit sends its samples every `burst_s`. The board is opened
     without its waiting time."""
 
-    def __init__(self, clock: Clock, truth: SensorTruth | None = None, *, burst_s: float = 0.128) -> None:
+    def __init__(self, clock: Clock, truth: ImuTruth | None = None, *, burst_s: float = 0.128) -> None:
         plant = ChamberPlant(ChamberTruth(start_c=24.8, load_time_constant_s=60.0), clock.now())
         axis = AxisPlant(None, clock.now())
         self.chamber = SimulatedEspec(plant, clock)

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from simulated_devices.line_clock import FastClock
 from simulated_devices.port_lab import SimulatedLab
@@ -23,20 +24,14 @@ from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
 from gradcal_jax.recipe.recipe import read_recipe
 from gradcal_jax.spec.rig import read_rig
-from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.writing import write_toml, write_whole
 
 
 def serve(folder: Path, speed: float, seed: int, units: int, sample_rate_hz: float) -> None:
     clock, spec = FastClock(speed), read_recipe(folder / "recipe.toml").spec
-    if isinstance(spec, Spec):
-        burst_s = 0.016 if speed == 1.0 else 0.5
-        made = SimulatedLab(
-            spec, clock, seed=seed, units=units, sample_rate_hz=sample_rate_hz, burst_s=burst_s, room_c=20.0
-        )
-    else:
-        made = SimulatedLab(spec, clock, seed=seed, burst_s=2.0)
-    with made as lab:
+    burst_s = 0.016 if speed == 1.0 else 0.5
+    options: Any = {"seed": seed, "units": units, "sample_rate_hz": sample_rate_hz}
+    with SimulatedLab(spec, clock, burst_s=burst_s, room_c=20.0, **options) as lab:
         write_toml(lab.rig, folder / "rig.toml")
         write_whole(folder / "hidden_truth.json", json.dumps(lab.truths()))
         print("ready", flush=True)

@@ -299,7 +299,7 @@ def test_simulated_f4_satisfies_an_independent_modbus_client() -> None:
         client = minimalmodbus.Instrument(serial.Serial(port.url, 9600, timeout=0.5), 1)
         assert client.read_register(100, 1, signed=True) == 25.0
         client.write_register(300, -40.0, 1, functioncode=6, signed=True)
-        assert device.registers[300] == -400
+        assert device.words[300] == -400
         assert client.read_registers(602, 2) == [65536 - 700, 1800]
         client.write_registers(300, [123])
         assert client.read_register(300, 1) == 12.3

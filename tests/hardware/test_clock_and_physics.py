@@ -5,14 +5,13 @@ import time
 
 import numpy as np
 import pytest
-from hardware_bench import frames_bench, sensor_on_table
-from simulated_devices.gyro import EARTH_RATE_DPS, Mounting, Powers, SensorTruth
+from hardware_bench import EARTH_RATE_DPS, frames_bench, perfect, sensor_on_table
 from simulated_devices.limited_axis import LimitedAxis
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.roles import join
-from gradcal_jax.hardware.simulate.imu import Process
+from gradcal_jax.hardware.simulate.imu import ImuTruth, Process, TriadTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 
 # --- clock ------------------------------------------------------------------------------------------------------------
@@ -241,57 +240,9 @@ def test_an_axis_behind_a_gear_turns_by_less_than_its_motor_counts() -> None:
 # --- sensor -----------------------------------------------------------------------------------------------------------
 
 
-def test_sensor_error_is_bias_and_scale_factor_of_temperature_and_rate() -> None:
-    clock = LineClock()
-    truth = SensorTruth(
-        bias_dps=((0.01, 0.002, 0.0, 0.0),) * 3,
-        scale_factor=(((1e-3, 2e-4), (5e-4, 0.0)),) * 3,
-        bias_basis=Powers(3, 20.0, 50.0),
-        temperature_basis=Powers(1, 20.0, 50.0),
-        rate_basis=Powers(1, 0.0, 300.0),
-    )
-    axis = AxisPlant()
-    axis.spin(0.0, 150.0, 1e6)
-    sensor = sensor_on_table(clock, truth, axis=axis, chamber=ChamberPlant(ChamberTruth(start_c=70.0, ambient_c=70.0)))
-    sensor.take(10)
-    measured = sensor.take(100).rate_dps.mean(axis=0)
-    # x = (70 - 20)/50 = 1, y = 150/300 (the Earth's rate changes y by nothing that matters here).
-    earth = EARTH_RATE_DPS * np.sin(np.radians(45.0))
-    expected = 0.012 + (1.0 + 1e-3 + 5e-4 + 0.5 * 2e-4) * (150.0 + earth)
-    assert measured[2] == pytest.approx(expected, rel=1e-8)
-
-
-def test_sensor_sees_the_earth_and_gravity_in_its_attitude() -> None:
-    clock = LineClock()
-    axis = AxisPlant()
-    axis.set_zero(0.0, 90.0)
-    mounting = Mounting(axes=((1.0, 0.0, 0.0),), latitude_deg=0.0)
-    samples = sensor_on_table(clock, axis=axis, mounting=mounting).take(4)
-    # Turned by 90 degrees about east: what was up lies along the sensor's y, what was north along -z.
-    np.testing.assert_allclose(samples.acceleration_g[0], [0.0, 1.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(samples.rate_dps[0], [0.0, 0.0, -EARTH_RATE_DPS], atol=1e-12)
-
-
-def test_sensor_noise_has_the_stated_size_and_correlation() -> None:
-    clock = LineClock()
-    walk = SensorTruth(angle_random_walk_deg_sqrt_s=0.1 / 60.0)
-    white = sensor_on_table(clock, walk, seed=5).take(50_000).rate_dps
-    angle = np.diff(np.cumsum(white, axis=0)[::125] / 125.0, axis=0)
-    # Axis by axis: the Earth's rate is another constant on each.
-    np.testing.assert_allclose(np.std(angle, axis=0), 0.1 / 60.0, rtol=0.12)
-    drift = SensorTruth(processes=(Process(1.0 / 3600.0, 5.0, 1.0),))
-    states = sensor_on_table(clock, drift, seed=6).take(250_000).rate_dps[:, 0]
-    states = states - states.mean()
-    assert np.std(states) == pytest.approx(1.0 / 3600.0, rel=0.1)
-    assert np.mean(states[625:] * states[:-625]) / np.var(states) == pytest.approx(np.exp(-1.0), abs=0.1)
-
-
 def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once() -> None:
-    truth = SensorTruth(
-        processes=(Process(1.0, 10.0, 1.0), Process(0.1, 100.0, 1.0), Process(1e-4, 60.0, 0.0, 1.0)),
-        angle_random_walk_deg_sqrt_s=0.01,
-        turn_on_dps=0.1,
-    )
+    drifts = (Process(1.0, 10.0, 1.0), Process(0.1, 100.0, 1.0), Process(1e-4, 60.0, 0.0, 1.0))
+    truth = ImuTruth({"gyro": TriadTruth((), white=0.01, walk=1e-3, drifts=drifts)})
     one, many = (sensor_on_table(LineClock(), truth, seed=9) for _ in range(2))
     whole = one.take(400).rate_dps
     parts = np.concatenate([many.take(count).rate_dps for count in (1, 2, 16, 31, 50, 300)])
@@ -306,7 +257,7 @@ def test_a_turn_read_through_the_line_is_the_turn_that_was_made() -> None:
     clock = LineClock()
     axis = AxisPlant()
     axis.move_to(20.0, 720.0, 150.0, 300.0)
-    sensor = sensor_on_table(clock, SensorTruth(clock_error=50e-6), axis=axis)
+    sensor = sensor_on_table(clock, perfect(clock_error=50e-6), axis=axis)
     with frames_bench(clock, sensor, burst_s=0.064) as (unit, _, _):
         unit.configure()
         decoder = unit.decoder()

@@ -1,7 +1,6 @@
 """What the how-to "connect my device" writes is a green `rig check`, on peers not written from it; and its errors."""
 
 import re
-import struct
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,11 @@ import pytest
 from hardware_bench import sensor_on_table
 from simulated_devices.line_chambers import SimulatedCts
 from simulated_devices.line_tables import SimulatedGrbl
+from simulated_devices.modbus import ModbusSlave
 from simulated_devices.port import SimulatedPort
 from simulated_devices.text_unit import SimulatedTextUnit, TextUnitOptions
 
 from gradcal_jax.cli import main
-from gradcal_jax.hardware.checksums import crc16_modbus
 from gradcal_jax.hardware.clock import Clock, RealClock
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 
@@ -22,32 +21,11 @@ TEXT = (Path(__file__).parents[2] / "docs" / "how-to" / "connect.md").read_text(
 BLOCKS = dict(re.findall(r"```toml\n# (\w+)\.toml\n(.+?)```", TEXT, flags=re.S))
 
 
-class Oven:
-    """A slave with three registers."""
-
-    def __init__(self) -> None:
-        self.words = {1: 265, 2: 230, 23: 0}
-
-    def receive(self, data: bytes) -> list[bytes]:
-        if crc16_modbus(data[:-2]) != data[-2:]:
-            return []
-        function, register, value = struct.unpack(">BHH", data[1:6])
-        if register not in self.words:
-            body = bytes([function | 0x80, 2])
-        elif function == 3:
-            body = bytes([3, 2]) + struct.pack(">h", self.words[register])
-        else:
-            self.words[register] = value
-            body = data[1:6]
-        reply = data[:1] + body
-        return [reply + crc16_modbus(reply)]
-
-
 def peer(name: str, clock: Clock) -> Any:
     if name == "cts":
         return SimulatedCts(ChamberPlant(ChamberTruth(), clock.now()), clock)
     if name == "modbus":
-        return Oven()
+        return ModbusSlave({1: 265, 2: 230, 23: 0})
     if name == "grbl":
         return SimulatedGrbl(AxisPlant(None, clock.now()), clock)
     return SimulatedTextUnit(sensor_on_table(clock, sample_rate_hz=100.0), clock, TextUnitOptions(boot_s=1.5))

@@ -21,7 +21,6 @@ import numpy as np
 import pytest
 from hardware_bench import BOARD_CHANGES, chunks_of, sensor_on_table
 from hardware_evidence import record
-from hardware_processes import laboratory, start_run
 from simulated_devices.espec import SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
 from simulated_devices.line_tables import SimulatedGrbl
@@ -30,14 +29,11 @@ from simulated_devices.port import SimulatedPort
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.journal import Journal, read_journal
 from gradcal_jax.hardware.roles import join
-from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import DRIVERS, config_of, open_rig
 from gradcal_jax.hardware.simulate.lab import unit_options
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, track_of
-from gradcal_jax.recipe.recipe import Recipe
-from gradcal_jax.records.run_log import log as log_of_run
+from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep
 from gradcal_jax.spec.rig import read_rig, rig_of
 from gradcal_jax.tables.writing import write_toml
 
@@ -186,62 +182,6 @@ def test_three_units_at_full_rate_for_ten_minutes_lose_nothing(tmp_path: Path) -
         f"{found['bytes'] / 1e6:.0f} MB; longest wait between two chunks {1e3 * wait:.0f} ms; the simulated devices "
         f"beside it used {sim:.0f} %",
         "tests/hardware/test_full_rate.py",
-    )
-
-
-@pytest.mark.evidence
-def test_three_units_of_gyros_and_accelerometers_at_full_rate(tmp_path: Path) -> None:
-    """The recipe of a whole unit on two axes, in real time, with its guard: journal, logs, estimates of all three."""
-    from imu_bench import made, short  # here: the programs above have the memory of a run alone
-
-    recipe, run = made(short()), tmp_path / "run"
-    write_toml(recipe, tmp_path / "recipe.toml")
-    with laboratory(tmp_path, 1.0, 4, units=len(UNITS), sample_rate_hz=RATE_HZ):
-        process = start_run(tmp_path, run, 1.0, guard=True)
-        said = process.communicate(timeout=600.0)[0]
-        assert process.returncode == 0, said
-    record(
-        "three units of gyros and accelerometers at 2000 samples/s, a unit's recipe on two axes, in real time",
-        whole(run, recipe, json.loads((tmp_path / "hidden_truth.json").read_text(encoding="utf-8"))),
-        "tests/hardware/test_full_rate.py",
-    )
-
-
-def whole(run: Path, recipe: Recipe, hidden: dict[str, Any]) -> str:
-    """Shows that journal and logs of all units are complete and their estimates as sure as they say; the figures."""
-    from imu_bench import estimated
-    from scipy.stats import chi2
-
-    folder = RunFolder(run)
-    contents, (step,) = folder.contents(), track_of(recipe, ["tilt", "spin"]).steps
-    assert contents.damaged_bytes == 0
-    (begins,) = (e.data["begins_s"] for e in contents.events if e.name == "step begins")
-    registers = {e.data["device"]: e.data["registers"] for e in contents.events if e.name == "configuration"}
-    found, samples = [], 0
-    for device in folder.rig().imu:
-        chunks = list(chunks_of(contents, device.name))
-        decoder = DRIVERS[device.driver].load().decoder_of(config_of(device, "imu", ()), registers[device.name])
-        read = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks])
-        assert int(np.maximum(read.gap_before[1:], 0).sum()) == 0
-        assert decoder.bad_bytes <= 20 + 20 + 26
-        # The counter repeats after 256 samples; the number of samples excludes that so many are missing.
-        assert abs(len(read) - RATE_HZ * (chunks[-1].time_s - chunks[0].time_s)) < 100
-        log = log_of_run(run, device.name)
-        assert log.host_time_s is not None
-        assert np.all(np.rint(np.diff(log.time_s) * RATE_HZ) == 1)
-        during = (log.host_time_s > begins) & (log.host_time_s <= begins + step.duration_s)
-        assert abs(int(during.sum()) - RATE_HZ * step.duration_s) < 100
-        assert np.isfinite(log.specific_force_m_per_s2).all()
-        samples += len(read)
-        found.append(estimated(log, recipe.spec, hidden["units"][device.name] | hidden["installation"]))
-    for squares, degrees, nees, count in found:
-        assert chi2.ppf(0.005 / 3.0, degrees) < squares < chi2.ppf(1.0 - 0.005 / 3.0, degrees), found
-        assert chi2.ppf(0.005 / 3.0, count) < nees < chi2.ppf(1.0 - 0.005 / 3.0, count), found
-    return (
-        f"{contents.events[-1].time_s - contents.events[0].time_s:.0f} s, of them {step.duration_s:.0f} s of data; "
-        f"{samples} samples of both kinds, none missing; journal whole, "
-        f"{folder.journal_path.stat().st_size / 1e6:.0f} MB; of each unit's log "
-        + "; ".join(f"χ² {s:.0f} of {d}, NEES {n:.0f} of {c}" for s, d, n, c in found)
     )
 
 

@@ -16,7 +16,7 @@ import pytest
 from hardware_evidence import record
 from hardware_processes import laboratory
 from imu_bench import estimated, made, short
-from killing import STANDING, TURNING, Killer, require_seams
+from killing import SAFE, STANDING, STARTING, TURNING, WAITING, Killer, require_seams
 from scipy.stats import chi2
 
 from gradcal_jax.hardware.journal import Event
@@ -150,9 +150,13 @@ def require_and_record(sums: Sums, took_s: float, on: str = "") -> None:
 
 
 @pytest.mark.evidence
-def test_killed_runs_of_units_are_consistent(tmp_path: Path) -> None:
+def test_a_hundred_kills_lose_nothing(tmp_path: Path) -> None:
     began = time.monotonic()
     sums, recipe = Sums(), quick(2)
-    for seed in range(20, 28):
-        killed_run(tmp_path / f"run{seed}", recipe, 3, seed, sums)
+    for seed in range(20, 30):
+        killed_run(tmp_path / f"run{seed}", recipe, 10, seed, sums)
+    kills = sums.kills
+    assert kills.total() == 100
+    assert kills[TURNING] + kills[STANDING] >= 50, kills
+    assert min(kills[state] for state in (STARTING, WAITING, TURNING, STANDING, SAFE)) >= 3, kills
     require_and_record(sums, time.monotonic() - began)

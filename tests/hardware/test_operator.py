@@ -393,7 +393,7 @@ def test_early_turns_make_up_for_late_ones() -> None:
         late = []
         for person.hand in (slow, replace(slow, reaction_s=0.0), replace(slow, reaction_s=0.0)):
             control.move("turns", turn, clock.now(), lambda: None)
-            control.settle("x", lambda: None)
+            control.settle_all(lambda: None)
             late.append(control.late_s)
     assert 4.0 < late[0] < 12.0
     # Each takes two of the four seconds.

@@ -115,7 +115,7 @@ def test_an_axis_goes_to_its_start_unless_it_was_watched_and_stands_there() -> N
         assert started(40.0, watched=True) == [40.0]
         stage.plant.move_to(clock.now(), 55.0, 60.0, 60.0)
         clock.sleep(3.0)
-        axes._read("tilt")
+        axes.read()
         assert started(40.0, watched=True) == [40.0]
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from hardware_bench import served
 from simulated_devices.line_clock import LineClock
+from simulated_devices.modbus import ModbusSlave
 
-from gradcal_jax.hardware.checksums import crc16_modbus
 from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
 from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
 from gradcal_jax.hardware.line_protocol import shipped
@@ -31,34 +31,22 @@ OVEN: dict[str, Any] = {
 }
 
 
-class Slave:
-    """Holding registers and input registers by function and address; what is written into `stuck` stays as it was."""
+class Slave(ModbusSlave):
+    """An oven; what is written into `stuck` stays as it was."""
 
-    def __init__(self) -> None:
-        self.words = {(4, 1): 235, (3, 2): 230, (3, 23): 0}
+    read_only = frozenset({1})
+
+    def __init__(self, words: dict[int, int] | None = None) -> None:
+        super().__init__({1: 235, 2: 230, 23: 0} | (words or {}))
         self.stuck: set[int] = set()
-        self.heard: list[bytes] = []
+        self.asked: set[tuple[int, int]] = set()
 
-    def receive(self, data: bytes) -> list[bytes]:
-        assert crc16_modbus(data[:-2]) == data[-2:]
-        self.heard.append(data)
-        function, register, value = struct.unpack(">BHH", data[1:6])
-        if function in (3, 4):
-            words = [self.words.get((function, register + k)) for k in range(value)]
-            if None in words:
-                body = bytes([function | 0x80, 2])
-            else:
-                body = bytes([function, 2 * value]) + b"".join(struct.pack(">H", word & 0xFFFF) for word in words)
-        elif function == 6:
-            if register not in self.stuck:
-                self.words[3, register] = value
-            body = data[1:6]
-        else:
-            values = struct.unpack(f">{value}H", data[7 : 7 + 2 * value])
-            self.words |= {(3, register + k): word for k, word in enumerate(values)}
-            body = data[1:6]
-        reply = data[:1] + body
-        return [reply + crc16_modbus(reply)]
+    def _answer(self, body: bytes) -> bytes:
+        self.asked.add((body[0], int.from_bytes(body[1:3], "big")))
+        return super()._answer(body)
+
+    def write(self, register: int, values: tuple[int, ...]) -> int:
+        return 0 if register in self.stuck else super().write(register, values)
 
 
 def changed(**tables: Any) -> dict[str, Any]:
@@ -82,15 +70,16 @@ def test_a_chamber_from_its_description_alone() -> None:
     with served(device, clock, 9600) as (_, transport):
         chamber = RegistersChamber(open_exchange(transport, clock, config), config)
         assert (chamber.read().air_c, chamber.read().mode, chamber.read().conditioning) == (23.5, "OFF", False)
+        assert device.asked == {(4, 1), (3, 2), (3, 23)}
         chamber.hold(-12.5)
-        assert (device.words[3, 2], device.words[3, 23]) == (65536 - 125, 1)
+        assert (device.words[2], device.words[23]) == (65536 - 125, 1)
         assert (chamber.read().setpoint_c, chamber.read().mode) == (-12.5, "RUN")
         with pytest.raises(LimitExceeded, match="outside -40 to 150 degC"):
             chamber.hold(151.0)
         with pytest.raises(Rejected, match="makes them by steps"):
             chamber.ramp(30.0, 1.0)
         assert chamber.safe(ChamberSafe.STANDBY).verified
-        assert device.words[3, 23] == 0
+        assert device.words[23] == 0
         # A register that takes no value: local mode.
         device.stuck.add(2)
         with pytest.raises(NotVerified, match=r"oven: setpoint \(setpoint = 40\) was sent 3 times"):
@@ -102,13 +91,12 @@ def test_a_chamber_from_its_description_alone() -> None:
 def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) -> None:
     entry = {"address": 40, "type": kind, "decimals": 0 if kind == "float32" else 2}
     tables = changed(registers={"setpoint": entry}) | {"line": {"low_word_first": low_first}}
-    clock, device, config = LineClock(), Slave(), RegistersConfig(tables, reply_timeout_s=0.2)
-    device.words |= {(3, 40): 0, (3, 41): 0}
+    clock, device, config = LineClock(), Slave({40: 0, 41: 0}), RegistersConfig(tables, reply_timeout_s=0.2)
     with served(device, clock, 9600) as (_, transport):
         chamber = RegistersChamber(open_exchange(transport, clock, config), config)
         chamber.hold(-12.25)
         words = struct.unpack(">HH", struct.pack(">f", -12.25) if kind == "float32" else struct.pack(">i", -1225))
-        assert (device.words[3, 40], device.words[3, 41]) == (words[::-1] if low_first else words)
+        assert (device.words[40], device.words[41]) == (words[::-1] if low_first else words)
         assert chamber.read().setpoint_c == -12.25
 
 

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hardware_bench import Rig, chunks_of, fit_clock, once
+from hardware_bench import EARTH_RATE_DPS, Rig, chunks_of, fit_clock, once, perfect
 from simulated_devices.faults import Faults
-from simulated_devices.gyro import EARTH_RATE_DPS, SensorTruth
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.hardware.dry_run import dry_run_of
@@ -23,6 +22,7 @@ from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_j
 from gradcal_jax.hardware.roles import ChamberLimits, join
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.setup import open_rig
+from gradcal_jax.hardware.simulate.imu import ImuTruth
 from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
 
 WAYS = {
@@ -66,7 +66,7 @@ TRACK = Track(
 
 
 @contextmanager
-def lab(folder: Path, truth: SensorTruth | None = None) -> Iterator[tuple[Rig, Runner]]:
+def lab(folder: Path, truth: ImuTruth | None = None) -> Iterator[tuple[Rig, Runner]]:
     clock = LineClock()
     with Rig(clock, truth) as rig, open_rig(rig.rig, clock) as bench, Journal(folder / "journal") as journal:
         yield rig, Runner(TRACK, bench, journal, clock, safe_deadline_s=10.0)
@@ -87,7 +87,7 @@ def when_step_begins(runner: Runner, number: int, act) -> None:
 
 def test_a_run_does_what_the_track_says_and_its_journal_tells_the_truth(tmp_path: Path) -> None:
     began = time.monotonic()
-    with lab(tmp_path, SensorTruth(clock_error=80e-6, scale_factor=(((1e-3,),),) * 3)) as (rig, runner):
+    with lab(tmp_path, perfect(clock_error=80e-6, scale_factor=1e-3)) as (rig, runner):
         shown: list[RunProgress] = []
         runner.on_progress = shown.append
         result = runner.run()

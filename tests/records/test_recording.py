@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hardware_bench import sensor_on_table, short_recipe
+from hardware_bench import perfect, sensor_on_table, short_recipe
 from journal_log import angles_of_rests, log_of
 from simulated_devices.frames import SimulatedFrames
-from simulated_devices.gyro import SensorTruth
 from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents
@@ -92,7 +91,7 @@ def session(
     start_s = told.start_s
     clock = LineClock(start_s)
     plant = AxisPlant(None, start_s)
-    truth = SensorTruth(clock_error=told.clock_error)
+    truth = perfect(clock_error=told.clock_error)
     sensor = sensor_on_table(clock, truth, axis=plant, sample_rate_hz=125.0)
     unit = SimulatedFrames(sensor, clock)
     begun = {"number": told.number, "simulated": told.simulated, "wall_clock_s": told.wall_clock_s}

@@ -1,13 +1,14 @@
 """A simulated Watlow F4T on Modbus TCP: the peer of `drivers.watlow_f4t`, with the state that the controller has.
 
 While its control loop is off it takes set points and does nothing with them, also once the loop is on again. A set
-point that is written while the loop is on is gone to at once, or by the ramp where the ramp's action says so. Registers
-that do not exist are refused (exception 2), set points outside its limits (3), and functions other than 3, 6 and 16
-(1).
+point that is written while the loop is on is gone to at once, or by the ramp where the ramp's action says so. Set
+points outside its limits are refused (exception 3).
 """
 
 import struct
 from dataclasses import dataclass, field
+
+from simulated_devices.modbus import ModbusSlave
 
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate.plants import ChamberPlant
@@ -17,7 +18,6 @@ _OFF, _ON, _AUTO = 62, 63, 10
 
 @dataclass
 class WatlowF4TOptions:
-    address: int = 1
     low_c: float = -70.0
     high_c: float = 180.0
     fahrenheit: bool = False
@@ -41,40 +41,27 @@ class _Memory:
         return struct.unpack(">f", bits.to_bytes(4, "big"))[0]
 
 
-class SimulatedWatlowF4T:
+class SimulatedWatlowF4T(ModbusSlave):
+    read_only = frozenset({2810, 2814, 2820, 1356})
+
     def __init__(self, plant: ChamberPlant, clock: Clock, options: WatlowF4TOptions | None = None) -> None:
         self.plant = plant
         self.options = options or WatlowF4TOptions()
         self._clock = clock
-        self._buffer = b""
-        self.memory = _Memory(
+        words = (
             {4: 4, 5: 0, 12: 0xE240, 13: 1, 2730: _OFF, 2794: _OFF, 2796: 57, 2814: _OFF, 16566: 61, 16568: 251}
             | {16 + place: ord(letter) for place, letter in enumerate("F4T1L1EAA1D1AAA")}
             | {6730: 30 if self.options.fahrenheit else 15}
             | {1356 + 100 * number: 88 for number in range(6)}
             | dict.fromkeys((16594, 16596, 16598, 16600, 16822, 16824, 16826, 16828), _OFF)
         )
+        super().__init__(words, tcp=True)
+        self.memory = _Memory(self.words)
         low, high = self.options.low_c, self.options.high_c
         floats = {2774: low, 2776: high, 2782: 23.0, 2798: 1.0, 2810: 0.0, 2820: 0.0}
         for register, value in floats.items():
             self.memory.put(register, value)
         plant.switch(clock.now(), False)
-
-    def receive(self, data: bytes) -> list[bytes]:
-        self._buffer += data
-        replies: list[bytes] = []
-        while len(self._buffer) >= 8:
-            (number, protocol, length, unit) = struct.unpack(">HHHB", self._buffer[:7])
-            if protocol != 0 or not 2 <= length <= 254:
-                self._buffer = self._buffer[1:]
-                continue
-            if len(self._buffer) < 6 + length:
-                break
-            body, self._buffer = self._buffer[7 : 6 + length], self._buffer[6 + length :]
-            if unit == self.options.address:
-                answer = self._answer(body)
-                replies.append(struct.pack(">HHHB", number, 0, len(answer) + 1, unit) + answer)
-        return replies
 
     def reboot(self) -> None:
         """The loop comes back off."""
@@ -82,44 +69,19 @@ class SimulatedWatlowF4T:
         self.memory.words |= {2730: _OFF, 2814: _OFF}
         self._switch()
 
-    # -------------------------------------------------------------------------------------------------------- parts
-
-    def _answer(self, body: bytes) -> bytes:
-        function = body[0]
-        if function not in (3, 6, 16):
-            return bytes([function | 0x80, 1])
-        needs = 5 if function != 16 or len(body) < 5 else 6 + 2 * int.from_bytes(body[3:5], "big")
-        if len(body) != needs:
-            return bytes([function | 0x80, 3])
-        register, count = struct.unpack(">HH", body[1:5])
-        self._look()
-        if function == 3:
-            if not 1 <= count <= 125:
-                return bytes([0x83, 3])
-            words = [self.memory.words.get(register + place) for place in range(count)]
-            found = [word for word in words if word is not None]
-            if len(found) < count:
-                return bytes([0x83, 2])
-            return struct.pack(f">BB{count}H", 3, 2 * count, *found)
-        values = (count,) if function == 6 else struct.unpack(f">{count}H", body[6 : 6 + 2 * count])
-        refusal = self._write(register, values)
-        return bytes([function | 0x80, refusal]) if refusal else body[:5]
-
-    def _look(self) -> None:
+    def word(self, register: int) -> int | None:
         now = self._clock.now()
         self.memory.put(2820, self.plant.air_c(now))
         self.memory.put(2810, self.plant.set_point_c(now))
+        return self.words.get(register)
 
-    def _write(self, register: int, values: tuple[int, ...]) -> int:
-        memory, before = self.memory, dict(self.memory.words)
-        if any(register + place not in before for place in range(len(values))) or register in (2810, 2814, 2820, 1356):
-            return 2
-        memory.words |= {register + place: value for place, value in enumerate(values)}
-        now = self._clock.now()
+    def write(self, register: int, values: tuple[int, ...]) -> int:
+        memory, before, now = self.memory, dict(self.words), self._clock.now()
+        super().write(register, values)
         if register == 2782:
             target = memory.get(2782)
             if not self.options.low_c <= target <= self.options.high_c:
-                memory.words = before
+                self.words |= before
                 return 3
             if memory.words[2814] == _AUTO:
                 ramps = memory.words[2794] in (85, 13)

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from gradcal_jax.hardware.checksums import CrcOfRows
-from gradcal_jax.hardware.line_protocol import described, unit_problems
+from gradcal_jax.hardware.line_protocol import DescribedSensor, described, unit_problems
 from gradcal_jax.tables.problems import Problem
-from gradcal_jax.tables.quantity import Count, Frequency, Number, Quantity, SizeOfTime, Text, Time
+from gradcal_jax.tables.quantity import Frequency, Number, Text
 from gradcal_jax.tables.section import Section
 
 FORMAT: Final = "gradcal-frames/1"
@@ -108,15 +108,11 @@ class Status(Section):
     """Bit of the first byte that is set while the unit starts; in a stream it shows a restart."""
 
 
-class FramedSensor(Section):
+class FramedSensor(DescribedSensor):
     """A complete description of a sensor that sends frames."""
 
     format: Literal["gradcal-frames/1"]
     """Name and version of this file format."""
-    title: Text = "The sensor"
-    """A title for tables and pages."""
-    rate: Frequency
-    """Number of samples per second."""
     sync: Hex
     """Bytes with which every frame begins, as hexadecimal digits."""
     length: Annotated[int, Field(strict=True, ge=4, le=1000)]
@@ -139,12 +135,6 @@ class FramedSensor(Section):
     """A second thermometer, or the temperatures of the accelerometers."""
     status: Status | None = None
     """Status of the sample."""
-    baudrate: Count | Annotated[int, Field(strict=True, gt=10**6, le=10**7)] = 115200
-    """Bits per second."""
-    boot: SizeOfTime = Quantity(0.0, "0 s", "time")
-    """Waiting time after the port is opened."""
-    timeout: Time = Quantity(3.0, "3 s", "time")
-    """Timeout for the sensor's first frames."""
 
     @property
     def columns(self) -> dict[str, FrameColumn]:

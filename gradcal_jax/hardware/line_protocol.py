@@ -82,6 +82,21 @@ def unit_problems(table: Section, kinds: Mapping[str, str]) -> Iterator[Problem]
             yield Problem((name,), str(problem), getattr(table, name))
 
 
+class DescribedSensor(Section):
+    """What the descriptions of all sensors have."""
+
+    title: q.Text = "The sensor"
+    """A title for tables and pages."""
+    rate: q.Frequency
+    """Number of samples per second."""
+    baudrate: q.Count | Annotated[int, Field(strict=True, gt=10**6, le=10**7)] = 115200
+    """Bits per second."""
+    boot: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
+    """Waiting time after the port is opened, because opening it restarts many boards."""
+    timeout: q.Time = q.Quantity(3.0, "3 s", "time")
+    """Timeout for the sensor's first samples."""
+
+
 class DeviceUnits(Section):
     """`[units]`: units of the numbers that the device sends and receives."""
 

@@ -51,7 +51,7 @@ ENTRY_POINTS: Final = "gradcal.drivers"
 class Driver:
     """A driver's module, and the names of its device's and its configuration's class in it.
 
-    The module also has `open_exchange(line, clock, config)` or, for a unit, `decoder_of(config, registers)`. A
+    The module also has `open_exchange(line, clock, config)`; the configuration of a unit has `decoder()`. A
     configuration may have `lacks_for(safe)`: a sentence where a device with these options cannot take a safe state of
     the rig file, else an empty text.
     """
@@ -77,8 +77,8 @@ DRIVERS: Final[Mapping[str, Driver]] = {
     "registers": Driver("chamber", f"{_HERE}.registers", "RegistersChamber", "RegistersConfig"),
     "lines": Driver(None, f"{_HERE}.lines", "lines_device", "LinesConfig"),
     OPERATOR: Driver("axis", f"{_HERE}.operator", "OperatorAxis", "OperatorConfig"),
-    "frames": Driver("imu", f"{_HERE}.frames", "FramesStream", "FramesConfig"),
-    "text_unit": Driver("imu", f"{_HERE}.text_unit", "TextUnitStream", "TextUnitConfig"),
+    "frames": Driver("imu", f"{_HERE}.frames", "ListeningImu", "FramesConfig"),
+    "text_unit": Driver("imu", f"{_HERE}.text_unit", "ListeningImu", "TextUnitConfig"),
 }
 """The drivers that come with this program; `driver_of` knows those of other packages, too."""
 
@@ -157,9 +157,10 @@ class _Options(Section):
 def _options_of(driver: Driver, *, line: bool = True) -> type[Section]:
     """The table of a driver's options; `line`: with those of a serial line."""
     fields: dict[str, Any] = {}
-    for name, kind in typing.get_type_hints(driver.config(), include_extras=True).items():
-        spelt, dimension, _ = _spelt(name)
-        fields[spelt] = (Annotated[Quantity, Of(dimension)] if dimension else kind, None)
+    kinds = typing.get_type_hints(driver.config(), include_extras=True)
+    for option in dataclasses.fields(driver.config()):
+        spelt, dimension, _ = _spelt(option.name)
+        fields[spelt] = (Annotated[Quantity, Of(dimension)] if dimension else kinds[option.name], None)
     for name, choices in _LINE_OPTIONS.items() if line else ():
         fields.setdefault(name, (choices, None))
     return create_model("Options", __base__=_Options, **fields)

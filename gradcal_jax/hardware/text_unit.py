@@ -14,15 +14,14 @@ In `line` a field in braces is a number, `{}` a number and `{:text}` a text that
 """
 
 import re
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Final, Literal, cast
+from collections.abc import Iterator
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from gradcal_jax.hardware.line_protocol import reply_pattern, unit_problems
-from gradcal_jax.tables.document import model_of
+from gradcal_jax.hardware.line_protocol import DescribedSensor, described, reply_pattern, unit_problems
 from gradcal_jax.tables.problems import Problem, instead
-from gradcal_jax.tables.quantity import Count, Frequency, Quantity, SizeOfTime, Text, Time
+from gradcal_jax.tables.quantity import Text
 from gradcal_jax.tables.section import Section
 
 FORMAT: Final = "gradcal-text/1"
@@ -46,17 +45,13 @@ class SensorTime(Section):
     """Value at which the time restarts at 0; absent: it never restarts."""
 
 
-class TextSensor(Section):
+class TextSensor(DescribedSensor):
     """A complete description of a sensor that prints lines of text."""
 
     format: Literal["gradcal-text/1"]
     """Name and version of this file format."""
-    title: Text = "The sensor"
-    """A title for tables and pages."""
     line: Text
     """A line that the sensor prints, with fields in braces in place of the numbers."""
-    rate: Frequency
-    """Number of samples per second."""
     gyro: Text = "deg/s"
     """Unit of rates."""
     acceleration: Text = "m/s^2"
@@ -70,12 +65,6 @@ class TextSensor(Section):
     checksum: Literal["none", "xor8"] = "none"
     """Text at the end of the line: "none"; or "xor8": an asterisk and two hexadecimal digits, the exclusive or of
     the characters between "$" and "*"."""
-    baudrate: Count = 115200
-    """Bits per second."""
-    boot: SizeOfTime = Quantity(0.0, "0 s", "time")
-    """Waiting time after the port is opened, because opening it restarts many boards."""
-    timeout: Time = Quantity(3.0, "3 s", "time")
-    """Timeout for the sensor's first lines."""
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -111,10 +100,6 @@ class TextSensor(Section):
         return reply_pattern(self.line, _NUMBER, tabs=True, padded=True)
 
 
-def text_unit_of(value: object) -> TextSensor:
-    """The description in a rig file. Raises `ValueError`, or (as `SpecError`) everything that is wrong with it."""
-    if not isinstance(value, Mapping):
-        raise ValueError(
-            f'expected a table that describes the device, with the keys format = "{FORMAT}", line = "…", rate = "…"'
-        )
-    return model_of(TextSensor, cast("Mapping[str, Any]", value), FORMAT, "")
+def text_unit_of(value: object, changes: object = None) -> TextSensor:
+    """The description of a rig file: see `line_protocol.described`."""
+    return described(TextSensor, FORMAT, value, changes)

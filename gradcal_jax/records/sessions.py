@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from gradcal_jax.hardware.journal import Chunk, Event
 from gradcal_jax.hardware.roles import ImuBatch, ImuDecoder, join
 from gradcal_jax.hardware.run_folder import SESSION, breaks_off
-from gradcal_jax.hardware.setup import config_of, known_driver
+from gradcal_jax.hardware.setup import config_of
 from gradcal_jax.records.samples import SampleFile
 from gradcal_jax.spec.rig import ImuDevice
 
@@ -94,9 +94,7 @@ class Stream:
         """The decoder is that of the unit's first configuration in the session."""
         if event.data["device"] != self._device.name or self.decoder is not None:
             return
-        config = config_of(self._device, "imu", ("imu", self._device.name))
-        module = known_driver(self._device.driver).load()
-        self.decoder = module.decoder_of(config, event.data["registers"])
+        self.decoder = config_of(self._device, "imu", ("imu", self._device.name)).decoder()
         for chunk in self._early:
             self.push(chunk)
         self._early.clear()

@@ -190,12 +190,12 @@ def frames_bench(
     rate_hz: float = 125.0,
     burst_s: float = 0.016,
     **port_options: Any,
-) -> Iterator[tuple[frames.FramesStream, SimulatedFrames, SimulatedPort]]:
+) -> Iterator[tuple[frames.ListeningImu, SimulatedFrames, SimulatedPort]]:
     config = frames.FramesConfig(**unit_options(rate_hz))
     sensor = sensor or sensor_on_table(clock, sample_rate_hz=rate_hz)
     device = SimulatedFrames(sensor, clock, rate_hz=rate_hz, burst_s=burst_s)
     with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield frames.FramesStream(transport, clock, config), device, port
+        yield frames.ListeningImu(transport, clock, config), device, port
 
 
 class Rig:

@@ -30,7 +30,7 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.journal import Journal, read_journal
 from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.runner import Runner, RunProgress
-from gradcal_jax.hardware.setup import DRIVERS, config_of, open_rig
+from gradcal_jax.hardware.setup import config_of, open_rig
 from gradcal_jax.hardware.simulate.lab import unit_options
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep
@@ -134,13 +134,12 @@ def streamed(folder: Path, seconds: float) -> dict[str, Any]:
     said = json.loads(done.stdout)
     contents = read_journal(folder / "journal")
     assert contents.damaged_bytes == 0
-    registers = {e.data["device"]: e.data["registers"] for e in contents.events if e.name == "configuration"}
     begin = min(e.data["begins_s"] for e in contents.events if e.name == "step begins")
     end = next(e.time_s for e in contents.events if e.name == "ending")
     units: dict[str, dict[str, float]] = {}
     for device in read_rig(folder / "rig.toml").imu:
         config = config_of(device, "imu", ())
-        decoder = DRIVERS[device.driver].load().decoder_of(config, registers[device.name])
+        decoder = config.decoder()
         samples = join([decoder.push(chunk.data, chunk.time_s) for chunk in chunks_of(contents, device.name)])
         during = (samples.host_time_s >= begin) & (samples.host_time_s <= end)
         delays = np.diff(np.array([chunk.time_s for chunk in chunks_of(contents, device.name)]))

@@ -16,7 +16,7 @@ from simulated_devices.text_unit import SimulatedTextUnit, TextUnitOptions
 
 from gradcal_jax.hardware.checksums import xor8
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, TextUnitDecoder, decoder_of
+from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, TextUnitDecoder
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.roles import ImuBatch, join
 from gradcal_jax.hardware.run_folder import new_folder
@@ -43,7 +43,7 @@ PLAIN = {key: value for key, value in COUNTED.items() if key != "counter"} | {
 
 
 def decoder(protocol: dict[str, Any]) -> TextUnitDecoder:
-    return decoder_of(TextUnitConfig(protocol), {})
+    return TextUnitConfig(protocol).decoder()
 
 
 def printed(number: int, gyro: float = 1.5) -> bytes:

@@ -10,7 +10,7 @@ import pytest
 from hardware_bench import Rig, once, short_recipe
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, decoder_of
+from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig
 from gradcal_jax.hardware.interlocks import ExecutedStep, SampleLosses
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.runner import Runner, RunProgress
@@ -77,7 +77,7 @@ def test_a_unit_that_stops_measuring_ends_the_run(tmp_path: Path) -> None:
 def test_lost_lines_of_a_unit_that_does_not_count_are_noticed_by_their_rate(share: float) -> None:
     described = {"format": "gradcal-text/1", "line": "{gyro_x} {gyro_y} {gyro_z}", "rate": "50 Hz"}
     losses, random = (
-        SampleLosses(decoder_of(TextUnitConfig(described), {}), 50.0, None, 0.0),
+        SampleLosses(TextUnitConfig(described).decoder(), 50.0, None, 0.0),
         np.random.default_rng(1),
     )
     line = b"0.001 0.002 0.003\r\n"

@@ -64,11 +64,6 @@ class ExchangeDriver(Generic[Config]):
         )
 
 
-class ImuDriver(ExchangeDriver[Config]):
-    def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
-        return self._exchange.transport.read_stamped(timeout_s)
-
-
 class ChamberDriver(ExchangeDriver[Config], roles.TemperatureChamber, ABC):
     _BOUNDS: str
     """What the limits `low` and `high` of a set point are, and what to do about them."""

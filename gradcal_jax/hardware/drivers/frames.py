@@ -4,38 +4,28 @@ Unverified on real hardware: everything; each description says what its sources 
 """
 
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.listening import SECONDS, ListeningImu, SampleTimes, conversion
+from gradcal_jax.hardware.drivers.listening import SECONDS, ListeningConfig, ListeningImu, SampleTimes, conversion
 from gradcal_jax.hardware.frames import FrameColumn, FramedSensor, RowCheck, bytes_of, framed_sensor_of, numbers_of
-from gradcal_jax.hardware.roles import ImuBatch, ImuSettings, imu_batch, join
-from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.hardware.roles import ImuBatch, imu_batch, join
+
+__all__ = ["FrameDecoder", "FramesConfig", "ListeningImu"]
 
 _BLOCK = 1 << 14  # frames that are checked together
 _REMEMBERED = 15
 _UNITS = {"gyro": ("deg/s", 1.0), "acceleration": ("mg", 1e-3)}
 
 
-@dataclass(frozen=True)
-class FramesConfig:
-    """Options of the rig file. `protocol`: the name of a description, or its tables; `changes`: tables that differ. 0:
-    the description's value."""
-
-    protocol: Any = ""
-    changes: Any = None
-    baudrate: int = 0
+class FramesConfig(ListeningConfig):
+    driver = "frames"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         unit = self.described
-        if not self.baudrate:
-            object.__setattr__(self, "baudrate", unit.baudrate)
         needed = 10 * unit.length * float(unit.rate)
         if self.baudrate < needed:
             raise ValueError(
@@ -46,6 +36,18 @@ class FramesConfig:
     @cached_property
     def described(self) -> FramedSensor:
         return framed_sensor_of(self.protocol, self.changes)
+
+    def decoder(self) -> "FrameDecoder":
+        return FrameDecoder(self.described)
+
+    @property
+    def expected(self) -> str:
+        unit = self.described
+        return f"frames of {unit.length} bytes that begin with {unit.sync} and have a right checksum"
+
+    @property
+    def registers(self) -> dict[str, str]:
+        return {"sync": self.described.sync, "length": str(self.described.length)}
 
 
 class FrameDecoder:
@@ -181,28 +183,3 @@ class FrameDecoder:
         numbers = numbers_of(rows, column.at, column.type, self._unit.order, column.values).astype(np.float64)
         values = numbers / column.counts * column.factor * scale + zero
         return np.repeat(values, 3 // column.values, axis=1)
-
-
-def decoder_of(config: FramesConfig, registers: Mapping[str, str]) -> FrameDecoder:
-    return FrameDecoder(config.described)
-
-
-class FramesStream(ListeningImu[FramesConfig]):
-    _DRIVER = "frames"
-
-    def __init__(self, transport: Transport, clock: Clock, config: FramesConfig) -> None:
-        unit = config.described
-        super().__init__(transport, clock, config, unit.title, float(unit.boot), float(unit.timeout))
-        self._unit = unit
-
-    def configure(self) -> ImuSettings:
-        self._listen()
-        return ImuSettings(float(self._unit.rate), {"sync": self._unit.sync, "length": str(self._unit.length)})
-
-    def decoder(self) -> FrameDecoder:
-        return FrameDecoder(self._unit)
-
-    @property
-    def _expected(self) -> str:
-        unit = self._unit
-        return f"frames of {unit.length} bytes that begin with {unit.sync} and have a right checksum"

@@ -4,18 +4,21 @@ A counter that wraps early shows losses modulo its modulus, and the log adds the
 long counter shows them all, and that the unit restarted. Without a stamp the rate of samples alone shows a loss.
 """
 
-from abc import abstractmethod
-from typing import Any, Final
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from gradcal_jax import units
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.base import Config, ImuDriver
+from gradcal_jax.hardware.drivers.base import ExchangeDriver
 from gradcal_jax.hardware.errors import FramingError, ReplyTimeout, printable
 from gradcal_jax.hardware.framing import LineFramer
+from gradcal_jax.hardware.line_protocol import DescribedSensor
 from gradcal_jax.hardware.request_reply import Exchange
-from gradcal_jax.hardware.roles import Identity, ImuDecoder, KeptSettings
+from gradcal_jax.hardware.roles import Identity, ImuDecoder, ImuSettings, KeptSettings
 from gradcal_jax.hardware.transport import Transport
 
 _ENOUGH = 3
@@ -69,29 +72,61 @@ def conversion(unit: str, wanted: str, factor: float = 1.0) -> tuple[float, floa
     return units.convert(1.0, unit, wanted) * factor - zero, zero
 
 
-class ListeningImu(ImuDriver[Config]):
-    """A unit that sends by itself, and cannot be asked who it is: what it sends is its identity."""
+@dataclass(frozen=True)
+class ListeningConfig(ABC):
+    """Options of the rig file. `protocol`: the name of a description, or its tables; `changes`: tables that differ. 0:
+    the description's value."""
 
-    _DRIVER: str
+    driver: ClassVar[str]
+    protocol: Any = ""
+    changes: Any = None
+    baudrate: int = 0
 
-    def __init__(
-        self, transport: Transport, clock: Clock, config: Config, title: str, boot_s: float, timeout_s: float
-    ) -> None:
-        super().__init__(Exchange(transport, LineFramer(), clock, title, timeout_s), config)
-        self._ready_s, self._timeout_s = clock.now() + boot_s, timeout_s
-        self.settings = KeptSettings()
+    def __post_init__(self) -> None:
+        if not self.baudrate:
+            object.__setattr__(self, "baudrate", self.described.baudrate)
+
+    @cached_property
+    @abstractmethod
+    def described(self) -> DescribedSensor: ...
 
     @abstractmethod
     def decoder(self) -> ImuDecoder: ...
 
     @property
     @abstractmethod
-    def _expected(self) -> str:
+    def expected(self) -> str:
         """What the description expects, for a message."""
+
+    @property
+    @abstractmethod
+    def registers(self) -> dict[str, str]:
+        """What a run's journal says of the description."""
+
+
+class ListeningImu(ExchangeDriver[ListeningConfig]):
+    """A unit that sends by itself, and cannot be asked who it is: what it sends is its identity."""
+
+    def __init__(self, transport: Transport, clock: Clock, config: ListeningConfig) -> None:
+        unit = config.described
+        self._timeout_s = float(unit.timeout)
+        super().__init__(Exchange(transport, LineFramer(), clock, unit.title, self._timeout_s), config)
+        self._ready_s = clock.now() + float(unit.boot)
+        self.settings = KeptSettings()
+
+    def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:
+        return self._exchange.transport.read_stamped(timeout_s)
+
+    def decoder(self) -> ImuDecoder:
+        return self._config.decoder()
 
     def identify(self) -> Identity:
         self._listen()
-        return Identity(self._DRIVER, self._title)
+        return Identity(self._config.driver, self._title)
+
+    def configure(self) -> ImuSettings:
+        self._listen()
+        return ImuSettings(float(self._config.described.rate), self._config.registers)
 
     def start(self) -> None: ...
 
@@ -115,6 +150,6 @@ class ListeningImu(ImuDriver[Config]):
         if not received:
             raise ReplyTimeout(f"{where} sent nothing {wait}. Check power, cable, port, baud rate, and `boot`.")
         raise FramingError(
-            f"{where} sent {printable(received[-80:])!r} {wait}, but the description expects {self._expected}. Compare "
-            "them character by character; unreadable text means a wrong baud rate."
+            f"{where} sent {printable(received[-80:])!r} {wait}, but the description expects {self._config.expected}. "
+            "Compare them character by character; unreadable text means a wrong baud rate."
         )

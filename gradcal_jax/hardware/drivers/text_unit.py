@@ -1,36 +1,36 @@
 """Driver of IMUs that print their samples as lines of text, as a rig file describes them (`hardware.text_unit`)."""
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from gradcal_jax.hardware.checksums import xor8
-from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.listening import SECONDS, ListeningImu, SampleTimes, conversion
+from gradcal_jax.hardware.drivers.listening import SECONDS, ListeningConfig, ListeningImu, SampleTimes, conversion
 from gradcal_jax.hardware.framing import LineFramer
-from gradcal_jax.hardware.roles import ImuBatch, ImuSettings, imu_batch, join
+from gradcal_jax.hardware.roles import ImuBatch, imu_batch, join
 from gradcal_jax.hardware.text_unit import NAMES, TextSensor, text_unit_of
-from gradcal_jax.hardware.transport import Transport
+
+__all__ = ["ListeningImu", "TextUnitConfig", "TextUnitDecoder"]
 
 
-@dataclass(frozen=True)
-class TextUnitConfig:
-    """Options of the rig file. `protocol`: the description's tables. 0: the description's value."""
-
-    protocol: Any = None
-    baudrate: int = 0
-
-    def __post_init__(self) -> None:
-        if not self.baudrate:
-            object.__setattr__(self, "baudrate", self.described.baudrate)
+class TextUnitConfig(ListeningConfig):
+    driver = "text_unit"
 
     @cached_property
     def described(self) -> TextSensor:
-        return text_unit_of(self.protocol)
+        return text_unit_of(self.protocol, self.changes)
+
+    def decoder(self) -> "TextUnitDecoder":
+        return TextUnitDecoder(self.described)
+
+    @property
+    def expected(self) -> str:
+        return repr(self.described.line) + (" with a checksum" if self.described.checksum != "none" else "")
+
+    @property
+    def registers(self) -> dict[str, str]:
+        return {"line": self.described.line}
 
 
 class TextUnitDecoder:
@@ -87,27 +87,3 @@ class TextUnitDecoder:
         astray = np.array(disturbed) & bool(self.round_samples)
         columns = host_time_s, times, table[:, 0:3] * gyro, table[:, 3:6] * force, temperature
         return imu_batch(*columns, second_c=second, gap_before=gaps, disturbed=astray, restarted=restarted)
-
-
-def decoder_of(config: TextUnitConfig, registers: Mapping[str, str]) -> TextUnitDecoder:
-    return TextUnitDecoder(config.described)
-
-
-class TextUnitStream(ListeningImu[TextUnitConfig]):
-    _DRIVER = "text_unit"
-
-    def __init__(self, transport: Transport, clock: Clock, config: TextUnitConfig) -> None:
-        unit = config.described
-        super().__init__(transport, clock, config, unit.title, float(unit.boot), float(unit.timeout))
-        self._unit = unit
-
-    def configure(self) -> ImuSettings:
-        self._listen()
-        return ImuSettings(float(self._unit.rate), {"line": self._unit.line})
-
-    def decoder(self) -> TextUnitDecoder:
-        return TextUnitDecoder(self._unit)
-
-    @property
-    def _expected(self) -> str:
-        return repr(self._unit.line) + (" with a checksum" if self._unit.checksum != "none" else "")

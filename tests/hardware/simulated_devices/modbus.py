@@ -12,7 +12,7 @@ from gradcal_jax.hardware.checksums import crc16_modbus
 
 
 class ModbusSlave:
-    """`words`: its registers by number; those of `read_only` cannot be written. Subclasses change `word` and `write`."""
+    """`words`: its registers by number; those of `read_only` cannot be written."""
 
     read_only: frozenset[int] = frozenset()
 

@@ -3,4 +3,4 @@
 from gradcal_jax.hardware.setup import Driver
 
 CHAMBER = Driver("chamber", "gradcal_acme.chamber", "AcmeChamber", "AcmeConfig")
-UNIT = Driver("imu", "gradcal_acme.unit", "FramesStream", "FramesConfig")
+UNIT = Driver("imu", "gradcal_acme.unit", "ListeningImu", "FramesConfig")

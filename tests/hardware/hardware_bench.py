@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from simulated_devices.espec import EspecOptions, SimulatedEspec
+from simulated_devices.espec import SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
 from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
 from simulated_devices.line_clock import CountedTransport
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.port import SimulatedPort
-from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
-from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
+from simulated_devices.watlow_f4 import SimulatedWatlowF4
+from simulated_devices.watlow_f4t import SimulatedWatlowF4T
 
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers import frames, lines, registers
@@ -63,20 +63,6 @@ def espec_config(
     return lines.LinesConfig(protocol="espec", changes={"line": line, **changes}, reply_timeout_s=reply_timeout_s)
 
 
-@contextmanager
-def espec_bench(
-    clock: Clock,
-    options: EspecOptions | None = None,
-    config: lines.LinesConfig | None = None,
-    truth: ChamberTruth | None = None,
-    **port_options: Any,
-) -> Iterator[tuple[lines.LinesChamber, SimulatedEspec, SimulatedPort]]:
-    device = SimulatedEspec(ChamberPlant(truth or ChamberTruth(), clock.now()), clock, options)
-    config = config or espec_config()
-    with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield lines.LinesChamber(lines.open_exchange(transport, clock, config), config), device, port
-
-
 def f4_config(reply_timeout_s: float = 0.2, changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
     """A rig with a limit controller on input 1 and a probe in the load, or with other changes."""
     own = {
@@ -91,47 +77,25 @@ def f4t_config(reply_timeout_s: float = 0.2, changes: dict[str, Any] | None = No
     return registers.RegistersConfig("watlow-f4t", changes, reply_timeout_s=reply_timeout_s)
 
 
-@contextmanager
-def f4_bench(
-    clock: Clock,
-    options: WatlowF4Options | None = None,
-    config: registers.RegistersConfig | None = None,
-    truth: ChamberTruth | None = None,
-    **port_options: Any,
-) -> Iterator[tuple[registers.RegistersChamber, SimulatedWatlowF4, SimulatedPort]]:
-    device = SimulatedWatlowF4(ChamberPlant(truth or ChamberTruth(), clock.now()), clock, options)
-    config = config or f4_config()
-    with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield registers.RegistersChamber(registers.open_exchange(transport, clock, config), config), device, port
+def _lines_config(protocol: str) -> Callable[[], lines.LinesConfig]:
+    return lambda: lines.LinesConfig(protocol=protocol, reply_timeout_s=0.2, home_timeout_s=2.0)
 
 
-@contextmanager
-def f4t_bench(
-    clock: Clock,
-    options: WatlowF4TOptions | None = None,
-    config: registers.RegistersConfig | None = None,
-    truth: ChamberTruth | None = None,
-    **port_options: Any,
-) -> Iterator[tuple[registers.RegistersChamber, SimulatedWatlowF4T, SimulatedPort]]:
-    device = SimulatedWatlowF4T(ChamberPlant(truth or ChamberTruth(), clock.now()), clock, options)
-    config = config or f4t_config()
-    with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield registers.RegistersChamber(registers.open_exchange(transport, clock, config), config), device, port
+def _bench(simulated: Any, plant_of: Any, config_of: Callable[[], Any]) -> Any:
+    """A context with the driver, its simulated device, and the port between them."""
 
-
-def _lines_bench(protocol: str, simulated: Any, plant_of: Any) -> Any:
     @contextmanager
     def bench(
-        clock: Clock,
-        options: dict[str, Any] | None = None,
-        config: lines.LinesConfig | None = None,
-        truth: Any = None,
-        **port_options: Any,
+        clock: Clock, options: Any = None, config: Any = None, truth: Any = None, **port_options: Any
     ) -> Iterator[tuple[Any, Any, SimulatedPort]]:
-        device = simulated(plant_of(truth, clock), clock, **(options or {}))
-        config = config or lines.LinesConfig(protocol=protocol, reply_timeout_s=0.2, home_timeout_s=2.0)
+        more = options if isinstance(options, dict) else {} if options is None else {"options": options}
+        device = simulated(plant_of(truth, clock), clock, **more)
+        config = config or config_of()
+        room, make = (lines, lines.lines_device)
+        if isinstance(config, registers.RegistersConfig):
+            room, make = registers, registers.RegistersChamber
         with served(device, clock, config.baudrate, **port_options) as (port, transport):
-            yield lines.lines_device(lines.open_exchange(transport, clock, config), config), device, port
+            yield make(room.open_exchange(transport, clock, config), config), device, port
 
     return bench
 
@@ -144,12 +108,15 @@ def _axis(truth: AxisTruth | None, clock: Clock) -> AxisPlant:
     return AxisPlant(truth, clock.now())
 
 
-thermotron_bench = _lines_bench("thermotron-3800", SimulatedThermotron, _chamber)
-cts_bench = _lines_bench("cts", SimulatedCts, _chamber)
-julabo_bench = _lines_bench("julabo", SimulatedJulabo, _chamber)
-f4t_scpi_bench = _lines_bench("watlow-f4t-scpi", SimulatedF4TScpi, _chamber)
-grbl_bench = _lines_bench("grbl", SimulatedGrbl, _axis)
-aerosmith_bench = _lines_bench("aerosmith-like", SimulatedAerosmith, _axis)
+espec_bench = _bench(SimulatedEspec, _chamber, espec_config)
+f4_bench = _bench(SimulatedWatlowF4, _chamber, f4_config)
+f4t_bench = _bench(SimulatedWatlowF4T, _chamber, f4t_config)
+thermotron_bench = _bench(SimulatedThermotron, _chamber, _lines_config("thermotron-3800"))
+cts_bench = _bench(SimulatedCts, _chamber, _lines_config("cts"))
+julabo_bench = _bench(SimulatedJulabo, _chamber, _lines_config("julabo"))
+f4t_scpi_bench = _bench(SimulatedF4TScpi, _chamber, _lines_config("watlow-f4t-scpi"))
+grbl_bench = _bench(SimulatedGrbl, _axis, _lines_config("grbl"))
+aerosmith_bench = _bench(SimulatedAerosmith, _axis, _lines_config("aerosmith-like"))
 
 
 EARTH_RATE_DPS = float(np.degrees(EARTH_RATE))

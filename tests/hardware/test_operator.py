@@ -18,7 +18,7 @@ from hardware_bench import served, unpredicted
 from journal_log import angles_of_rests, log_of
 from simulated_devices.line_clock import LineClock
 from simulated_devices.line_tables import SimulatedGrbl
-from simulated_devices.operator import OperatorOptions, SimulatedOperator
+from simulated_devices.operator import SimulatedOperator
 from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.hardware.axis_control import AxisControl
@@ -87,10 +87,10 @@ def test_a_dial_of_one_turn_is_read_nearest_to_the_goal() -> None:
 
 @contextlib.contextmanager
 def gimbal(
-    clock: Clock, options: OperatorOptions | None = None, **config: float | str
+    clock: Clock, hand: SimulatedHand | None = None, slips: float = 0.0, **config: float | str
 ) -> Iterator[tuple[operator.OperatorAxis, SimulatedOperator, AxisPlant]]:
     plant = AxisPlant(AxisTruth(reading_noise_deg=0.01), clock.now())
-    person = SimulatedOperator({"x": plant}, clock, options)
+    person = SimulatedOperator({"x": plant}, clock, hand, slips=slips)
     settings = operator.OperatorConfig(**config)  # type: ignore[arg-type]
     with served(person, clock, settings.baudrate) as (_, transport):
         console = operator.open_exchange(transport, clock, settings)
@@ -130,7 +130,7 @@ def test_a_person_turns_and_types_what_the_dial_shows() -> None:
 
 def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more() -> None:
     clock = LineClock()
-    with gimbal(clock, OperatorOptions(slips=0.6, seed=3)) as (axis, person, plant):
+    with gimbal(clock, SimulatedHand(3), slips=0.6) as (axis, person, plant):
         axis.home()
         settled(axis, clock)
         for goal in (90.0, 180.0, 270.0):
@@ -138,14 +138,14 @@ def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more(
             assert settled(axis, clock) == pytest.approx(plant.state(clock.now())[0], abs=0.05)
         assert sum("," in typed for typed in person.typed) > 0
         assert sum("is not understood" in heard for heard in person.heard) > 0
-    with gimbal(clock, OperatorOptions(miss_deg=0.001), miss_deg=1.0) as (axis, person, plant):
+    with gimbal(clock, SimulatedHand(miss_deg=0.001), miss_deg=1.0) as (axis, person, plant):
         axis.home()
         settled(axis, clock)
         axis.move_to(90.0, 30.0, 10.0)
         # Somebody misread the mark by ten degrees, says so twice, and is believed.
         clock.sleep(2.0)
         plant.turn_by_hand(clock.now() + 20.0, 80.0, 0.5)
-        person._types_s = clock.now() + 25.0
+        person.person.answers_s = clock.now() + 25.0
         assert settled(axis, clock) == pytest.approx(80.0, abs=0.05)
         assert "differs by 10 deg from 90 deg; correct the angle, or type it again to confirm:" in person.heard[-1]
 
@@ -175,7 +175,7 @@ def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
 def test_who_is_late_is_rung_for_and_a_port_that_is_gone_is_said() -> None:
     clock = LineClock()
     bells: list[bytes] = []
-    with gimbal(clock, OperatorOptions(reading_s=100.0), remind_s=30.0) as (axis, person, _):
+    with gimbal(clock, SimulatedHand(reading_s=100.0), remind_s=30.0) as (axis, person, _):
         listen = person.receive
         person.receive = lambda data: bells.append(data) or listen(data)  # type: ignore[method-assign]
         axis.home()
@@ -195,7 +195,7 @@ def test_an_encoder_is_read_and_its_motor_is_left_alone() -> None:
     plant = AxisPlant(AxisTruth(reading_noise_deg=0.001), clock.now())
     plant.set_zero(clock.now(), 720.0)
     board = SimulatedGrbl(plant, clock)
-    person = SimulatedOperator({"x": plant}, clock, OperatorOptions(types_angles=False))
+    person = SimulatedOperator({"x": plant}, clock)
     with served(person, clock, 9600) as (_, text), served(board, clock, 115200) as (_, line):
         settings = lines.LinesConfig(protocol="grbl", changes={"line": {"boot": "0 s"}}, reply_timeout_s=0.2)
         encoder = lines.lines_device(lines.open_exchange(line, clock, settings), settings)

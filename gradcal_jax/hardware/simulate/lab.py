@@ -216,12 +216,12 @@ class SimulatedPerson:
     ) -> None:
         self.hand, self._clock, self._plants, self._hang = hand, clock, plants, hang
         self._random = np.random.default_rng([hand.seed, 4])
-        self._answers_s, self._mounting, self._axis, self._types = math.inf, 0, "", True
+        self.answers_s, self._mounting, self._axis, self._types = math.inf, 0, "", True
 
     def ask(self, question: str) -> None:
         hand, random, now = self.hand, self._random, self._clock.now()
         if hung := _HANG.search(question):
-            self._mounting, self._answers_s = int(hung[1]), now + _HANGS_S
+            self._mounting, self.answers_s = int(hung[1]), now + _HANGS_S
             return
         # A doubted answer is given again in the same way: "press Enter again", "type it again".
         self._types = "Enter" not in question
@@ -237,16 +237,16 @@ class SimulatedPerson:
             plant.set_zero(now, angle - 360.0 * round(angle / 360.0))
             self._turn(zero[1], 0.0, now + hand.reaction_s, _HOME_S)
         else:
-            self._answers_s = now + hand.reading_s
+            self.answers_s = now + hand.reading_s
 
     def ring(self) -> None:
         """It is late, and turns no faster."""
 
     def answer(self) -> tuple[str, float] | None:
-        at_s = self._answers_s
+        at_s = self.answers_s
         if self._clock.now() < at_s:
             return None
-        self._answers_s = math.inf
+        self.answers_s = math.inf
         if self._mounting and self._hang is not None:
             self._hang(self._mounting)
         if self._mounting or not self._types:
@@ -255,12 +255,12 @@ class SimulatedPerson:
         return f"{self._plants[self._axis].reading(at_s) % 360.0:.{self.hand.digits}f} deg", at_s
 
     def withdraw(self, why: str) -> None:
-        self._answers_s, self._mounting = math.inf, 0
+        self.answers_s, self._mounting = math.inf, 0
 
     def _turn(self, name: str, goal_deg: float, begins_s: float, lasts_s: float) -> None:
         miss = self.hand.miss_deg * float(self._random.standard_normal())
         self._plants[name].turn_by_hand(begins_s, goal_deg + miss, lasts_s)
-        self._axis, self._answers_s = name, begins_s + lasts_s + self.hand.reading_s
+        self._axis, self.answers_s = name, begins_s + lasts_s + self.hand.reading_s
 
 
 class SimulatedStream:

@@ -8,7 +8,7 @@ from simulated_devices.espec import EspecOptions, SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
 from simulated_devices.line_clock import FastClock
 from simulated_devices.line_tables import SimulatedGrbl
-from simulated_devices.operator import OperatorOptions, SimulatedOperator
+from simulated_devices.operator import SimulatedOperator
 from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.hardware.clock import Clock
@@ -30,7 +30,7 @@ class SimulatedLab(lab.SimulatedLab):
         self.chamber = SimulatedEspec(self.chamber_plant, clock, EspecOptions(high_c=high_c + 5.0, low_c=low_c - 5.0))
         plants = dict(zip(map(str, axes), self.axis_plants, strict=True))
         hang = self._hang if len(drawn.mounting) > 1 else None
-        operator = SimulatedOperator(plants, clock, OperatorOptions(seed=seed, slips=0.02), hang=hang)
+        operator = SimulatedOperator(plants, clock, lab.SimulatedHand(seed), hang, slips=0.02)
         self.imus = {
             name: SimulatedFrames(sensor, clock, rate_hz=sample_rate_hz, burst_s=burst_s)
             for name, sensor in self.units.items()

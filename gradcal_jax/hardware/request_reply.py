@@ -92,13 +92,6 @@ class Exchange:
         with self.alone():
             self._send(request, pause_after_s)
 
-    def text(self, request: bytes, reply_timeout_s: float, silence_s: float, *, longest_s: float = 2.0) -> bytes:
-        """The reply to `request` where no mark ends it: all bytes until none came for `silence_s`."""
-        with self.alone():
-            self._send(request, None)
-            received = self.transport.read(reply_timeout_s)
-            return received + self.transport.drain(silence_s, longest_s=longest_s)
-
     def _send(self, request: bytes, pause_after_s: float | None) -> None:
         self.clock.sleep_until(self._next_request_s)
         self.transport.drain()

@@ -166,7 +166,6 @@ class AxisLimits:
     lowest_deg: float | None
     highest_deg: float | None
     resolution_deg: float
-    hardware_watchdog: bool
     by_hand: bool = False
     acceleration_step_dps2: float = 0.0
     typed: bool = False
@@ -213,12 +212,6 @@ class MotionAxis(Protocol):
 
     def stop(self) -> None:
         """Controlled stop; returns when the axis stands."""
-
-    def arm_watchdog(self) -> None:
-        """Switch the device's watchdog on, where it has one; from now on `heartbeat` must come in time."""
-
-    def heartbeat(self) -> None:
-        """In time, once the watchdog is on."""
 
     def safe(self, policy: AxisSafe) -> SafeReport: ...
 

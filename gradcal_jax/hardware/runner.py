@@ -7,8 +7,8 @@ reference or the chamber acknowledges. A step that was interrupted, by a pause o
 from its beginning: the chamber goes to the step's first temperature and is stable there, the axes go to their angles,
 and the journal marks the interruption.
 
-Beside the executing thread, one thread reads the chamber, one feeds the watchdogs of axes, and one for each unit writes
-its bytes to the disk: no slow device delays a move or lets a watchdog expire.
+Beside the executing thread, one thread reads the chamber, and one for each unit writes its bytes to the disk: no slow
+device delays a move.
 
 A runner with `first_step` resumes after a crash (see `run_folder`); `guard` makes a rig safe when this process is
 killed.
@@ -32,7 +32,7 @@ from gradcal_jax.hardware.errors import HardwareError, LimitExceeded, sentence_o
 from gradcal_jax.hardware.guard import make_safe, put_back
 from gradcal_jax.hardware.interlocks import ExecutedStep, Interlocks, SampleLosses, Situation, StepNotDone
 from gradcal_jax.hardware.journal import Journal, event_fields
-from gradcal_jax.hardware.roles import ImuSettings, MotionAxis
+from gradcal_jax.hardware.roles import ImuSettings
 from gradcal_jax.hardware.setup import Bench, require_identity
 from gradcal_jax.hardware.supervision import RunProgress, RunResult, RunState, SafeOutcome
 from gradcal_jax.hardware.track import Course, Stable, Track, TrackStep
@@ -187,13 +187,8 @@ class Runner:
             start("The chamber is not monitored", watch)
         self.begun = True
         self.on_begin()
-        # The search for references lets go of a watchdog, and the units' data begin after it.
+        # The units' data begin after the search for references.
         self._axes.home(self.track.moved, self._duties)
-        guarded = [axis for axis in self.bench.axes.values() if axis.limits().hardware_watchdog]
-        for axis in guarded:
-            axis.arm_watchdog()
-        if guarded:
-            start("A watchdog could not be reset", partial(self._feed_watchdogs, guarded))
         for name in self.bench.imus:
             unit = self.bench.imus[name]
             unit.start()
@@ -201,12 +196,6 @@ class Runner:
             self._streaming.add(name)
             # A simulated unit waits on the clock, not on a line.
             start(name, partial(self._carry_bytes, name), waits_on_clock=self.bench.simulated)
-
-    def _feed_watchdogs(self, axes: list[MotionAxis]) -> None:
-        while self._working.is_set():
-            for axis in axes:
-                axis.heartbeat()
-            self.clock.sleep(_SLICE_S)
 
     def _fail(self, problem: str) -> None:
         self._problem = problem

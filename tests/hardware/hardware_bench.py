@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from simulated_devices.espec import SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
-from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
+from simulated_devices.line_chambers import SimulatedCts, SimulatedThermotron
 from simulated_devices.line_clock import CountedTransport
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.port import SimulatedPort
@@ -113,8 +113,6 @@ f4_bench = _bench(SimulatedWatlowF4, _chamber, f4_config)
 f4t_bench = _bench(SimulatedWatlowF4T, _chamber, f4t_config)
 thermotron_bench = _bench(SimulatedThermotron, _chamber, _lines_config("thermotron-3800"))
 cts_bench = _bench(SimulatedCts, _chamber, _lines_config("cts"))
-julabo_bench = _bench(SimulatedJulabo, _chamber, _lines_config("julabo"))
-f4t_scpi_bench = _bench(SimulatedF4TScpi, _chamber, _lines_config("watlow-f4t-scpi"))
 grbl_bench = _bench(SimulatedGrbl, _axis, _lines_config("grbl"))
 aerosmith_bench = _bench(SimulatedAerosmith, _axis, _lines_config("aerosmith-like"))
 

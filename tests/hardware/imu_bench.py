@@ -10,9 +10,7 @@ from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, clock_fit, imu_rows, with_options
-from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
-from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.information import segments_of, whiten
 from gradcal_jax.model.imu_build import build_imu
@@ -84,18 +82,6 @@ def made(spec: Spec) -> Recipe:
     return unpredicted(spec)
 
 
-def stopped_in_its_second_cycle(recipe: Recipe, folder: Path) -> None:
-    """A simulated run that somebody stops in the middle of the second cycle."""
-    runners: list[Runner] = []
-
-    def look(progress: RunProgress) -> None:
-        if progress.steps_done == 1 and progress.step_left_s is not None and progress.step_left_s < 25.0:
-            runners[0].request("stop", "enough")
-
-    result = execute.run(recipe, folder, simulate=True, seed=8, on_progress=look, with_runner=runners.append)
-    assert (result.exit_status, result.steps_done) == ("stopped", 1)
-
-
 def estimated(
     log: Log, spec: Spec, truth: dict[str, float], clock: Literal["sensor", "host"] | None = None
 ) -> tuple[float, int, float, int]:
@@ -140,10 +126,10 @@ class Stage:
     def not_asked(self, *said: Any) -> Any:
         raise AssertionError("nothing but turns is asked for here")
 
-    identify = home = spin = stop = arm_watchdog = heartbeat = safe = close = not_asked
+    identify = home = spin = stop = safe = close = not_asked
 
     def limits(self) -> AxisLimits:
-        return AxisLimits(100.0, 100.0, None, None, 0.001, hardware_watchdog=False)
+        return AxisLimits(100.0, 100.0, None, None, 0.001)
 
     def read(self) -> AxisReading:
         now = self.clock.now()

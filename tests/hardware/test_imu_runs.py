@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hardware_evidence import record
-from imu_bench import Stage, estimated, hand, made, short, stopped_in_its_second_cycle, triad
+from imu_bench import Stage, estimated, made, short, triad
 from journal_log import angles_of_rests
 from scipy.stats import chi2
 from simulated_devices.line_clock import LineClock
@@ -288,39 +288,6 @@ def show_in_bands(proof: str, said: tuple[float, int, float, int]) -> None:
     assert in_band(squares, degrees), (proof, said)
     assert in_band(nees, count), (proof, said)
     record(proof, f"χ² {squares:.0f} of {degrees}, NEES {nees:.0f} of {count}", "test_imu_runs")
-
-
-@pytest.mark.evidence
-def test_three_units_on_a_two_axis_table(tmp_path: Path) -> None:
-    """Three cycles of `hand2` with three units on the table, five times: together within the bands, and each within
-    that of one of fifteen."""
-    recipe, said = made(hand(14.5)), list[tuple[float, int, float, int]]()
-    for seed in range(5, 10):
-        run = tmp_path / f"run{seed}"
-        assert execute.run(recipe, run, simulate=True, seed=seed, units=3).exit_status == "success"
-        hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
-        for name, own in hidden["units"].items():
-            said.append(estimated(run_log.log(run, name), recipe.spec, own | hidden["installation"]))
-    for squares, degrees, nees, count in said:
-        assert in_band(squares, degrees, among=len(said)), said
-        assert in_band(nees, count, among=len(said)), said
-    squares, degrees, nees, count = (sum(of) for of in zip(*said, strict=True))
-    show_in_bands(f"a two-axis table, {len(said)} units, three at once", (squares, int(degrees), nees, int(count)))
-
-
-@pytest.mark.evidence
-def test_a_run_that_was_interrupted_goes_on(tmp_path: Path) -> None:
-    """Stopped in the middle of the second of three cycles and gone on with: the cycle is made again, and the estimate
-    from both parts is as sure as it says."""
-    recipe, run = made(short(3)), tmp_path / "run"
-    stopped_in_its_second_cycle(recipe, run)
-    assert execute.resume(run).exit_status == "success"
-    log = run_log.log(run)
-    assert log.provenance["seams"] == "1"
-    assert len(log.stretch_starts) == 2
-    hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
-    truth = hidden["units"]["unit1"] | hidden["installation"]
-    show_in_bands("a unit's run stopped in mid-cycle and gone on with", estimated(log, recipe.spec, truth))
 
 
 @pytest.mark.evidence

@@ -257,7 +257,6 @@ def test_abort_at_random_instants_leaves_everything_verified_safe() -> None:
         for _ in range(8):
             bench.chamber.hold(float(generator.uniform(-30.0, 60.0)))
             axis.spin(float(generator.uniform(-200.0, 200.0)), 200.0)
-            axis.arm_watchdog()
             clock.sleep(float(generator.uniform(0.01, 0.9)))
             outcomes = make_safe(bench, clock, deadline_s=10.0)
             assert [outcome.name for outcome in outcomes] == ["table", "chamber", "unit1"]
@@ -391,7 +390,7 @@ def test_a_search_for_the_reference_that_goes_on_does_not_undo_a_stop() -> None:
             self.plant.spin(clock.now(), 30.0, 100.0)
 
     clock, searching = RealClock(), threading.Event()
-    axis = Slow(AxisPlant(None, clock.now()), clock, AxisLimits(100.0, 100.0, None, None, 0.001, False))
+    axis = Slow(AxisPlant(None, clock.now()), clock, AxisLimits(100.0, 100.0, None, None, 0.001))
     table = {"name": "a", "driver": "simulated", "port": "COM1", "safe": "hold", "gravity_loaded": False}
     rig = rig_of({"format": "gradcal-rig/1", "axis": [table]})
     control = AxisControl({"a": axis}, clock, lambda *_, **__: None)

@@ -15,16 +15,14 @@ from hardware_bench import (
     Rig,
     aerosmith_bench,
     cts_bench,
-    f4t_scpi_bench,
     grbl_bench,
-    julabo_bench,
     short_recipe,
     thermotron_bench,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_log import angles_of_rests, log_of
-from simulated_devices.line_chambers import SimulatedCts, SimulatedF4TScpi, SimulatedJulabo, SimulatedThermotron
+from simulated_devices.line_chambers import SimulatedCts, SimulatedThermotron
 from simulated_devices.line_clock import LineClock
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.port import SimulatedPort
@@ -211,12 +209,11 @@ def test_a_value_that_was_written_is_shown_by_itself_alone(value: float, spec: s
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("chamber", "table"),
-    [("thermotron-3800", "grbl"), ("cts", "aerosmith-like"), ("julabo", "grbl"), ("watlow-f4t-scpi", "aerosmith-like")],
+    [("thermotron-3800", "grbl"), ("cts", "aerosmith-like")],
 )
 def test_a_run_on_devices_that_are_described_alone(chamber: str, table: str, tmp_path: Path) -> None:
     clock = LineClock()
-    simulated = {"thermotron-3800": SimulatedThermotron, "cts": SimulatedCts, "julabo": SimulatedJulabo}
-    simulated["watlow-f4t-scpi"] = SimulatedF4TScpi
+    simulated = {"thermotron-3800": SimulatedThermotron, "cts": SimulatedCts}
     tables = {"grbl": SimulatedGrbl, "aerosmith-like": SimulatedAerosmith}
     with Rig(clock) as lab:
         air, axis = simulated[chamber](lab.chamber.plant, clock), tables[table](lab.axis, clock)
@@ -274,40 +271,7 @@ def test_a_ramp_is_shown_before_the_target_is_told_and_taken_off_at_the_end() ->
         assert device.target_c == 20.0
 
 
-def test_a_bath_in_local_mode_or_on_another_set_point_is_noticed() -> None:
-    with julabo_bench(LineClock(), {"first_is_lost": True}) as (bath, device, _):
-        assert bath.identify().model == "Julabo HIGHTECH FL HL/SL VERSION 4.0"
-        device.remote = False
-        with pytest.raises(NotVerified, match="local mode"):
-            bath.hold(30.0)
-        device.remote, device.chosen = True, 1
-        with pytest.raises(Rejected, match="first of the three set points"):
-            bath.identify()
-
-
-def test_set_points_that_an_f4t_ignores_while_its_loop_is_off_are_noticed() -> None:
-    with f4t_scpi_bench(LineClock()) as (chamber, device, _):
-        device.receive(b":SOURCE:CLOOP1:SPOINT 60\n")
-        assert device.ignored == [":SOURCE:CLOOP1:SPOINT 60"]
-        chamber.hold(60.0)
-        assert chamber.read().setpoint_c == 60.0
-        chamber.standby()
-        obeys, device._obeys = device._obeys, lambda text, now: "OUTPUT1" in text or obeys(text, now)
-        with pytest.raises(NotVerified, match="setpoint -20"):
-            chamber.hold(-20.0)
-
-
-def test_an_f4t_that_was_left_ramping_or_in_fahrenheit() -> None:
-    with f4t_scpi_bench(LineClock()) as (chamber, device, _):
-        device.action = "BOTH"
-        chamber.hold(60.0)
-        assert (device.action, chamber.read().setpoint_c) == ("OFF", 60.0)
-        device.unit = "F"
-        with pytest.raises(Rejected, match="must be Celsius"):
-            chamber.identify()
-
-
-@pytest.mark.parametrize("bench", [thermotron_bench, cts_bench, julabo_bench, f4t_scpi_bench])
+@pytest.mark.parametrize("bench", [thermotron_bench, cts_bench])
 def test_an_alarm_is_in_the_reading(bench: Any) -> None:
     with bench(LineClock()) as (chamber, device, _):
         chamber.hold(30.0)

@@ -29,7 +29,7 @@ from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceed
 from gradcal_jax.hardware.execute import run, run_session
 from gradcal_jax.hardware.journal import Chunk, read_journal
 from gradcal_jax.hardware.roles import AxisLimits, AxisSafe, ChamberLimits
-from gradcal_jax.hardware.run_folder import RunFolder, new_folder
+from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.lab import SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
@@ -369,7 +369,7 @@ def test_a_stretch_in_which_no_cycle_fits_is_not_read_where_angles_are_typed() -
 
 
 def test_an_axis_whose_angle_is_typed_is_not_read_at_rest() -> None:
-    typed = AxisLimits(120.0, 200.0, None, None, 0.01, hardware_watchdog=False, by_hand=True, typed=True)
+    typed = AxisLimits(120.0, 200.0, None, None, 0.01, by_hand=True, typed=True)
     encoder = replace(typed, typed=False)
     typed_plan, read_plan = (
         track_of(made, ["x"]) for made in (hand_recipe(), hand_recipe(**{"plan.cycle.moves": READ_AT_REST}))
@@ -569,46 +569,6 @@ def test_somebody_at_the_terminal_of_gradcal_run(tmp_path: Path) -> None:
     angles = [event.data for event in contents.events if event.name == "angle"]
     assert [round(angle["position_deg"], 3) for angle in angles] == [0.02, 360.38]
     assert [event.data["what"] for event in contents.events if event.name == "request"] == ["soft pause", "abort"]
-
-
-@pytest.mark.evidence
-def test_a_pause_at_the_terminal_an_end_of_input_and_a_resumed_run(tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    with laboratory(tmp_path) as (lab, recipe, rig):
-        plant = lab.axis_plants[0]
-
-        def turn(terminal: AtTerminal, words: str, to_deg: float, typed: str) -> None:
-            terminal.wait_for(words)
-            terminal.wait_for("type the angle that its scale shows: ")
-            plant.turn_by_hand(time.monotonic(), to_deg, 1.0)
-            time.sleep(1.2)
-            terminal.type(typed)
-
-        with AtTerminal("run", recipe, "--rig", rig, "-o", folder) as terminal:
-            terminal.wait_for("press Enter to begin; type anything else to end without a run: ")
-            terminal.type("\n")
-            turn(terminal, "zero mark", 0.0, "0 deg\n")
-            terminal.wait_for("running")
-            terminal.type("\x03")
-            terminal.wait_for("press Enter to continue")
-            terminal.type("\n")
-            terminal.wait_for("turn by +360 deg")
-            terminal.type("\x04")  # Ctrl-D: nobody is there any more
-            assert terminal.ends() == 3
-            assert "has no more input (Ctrl-D" in " ".join(terminal.said.split()), terminal.said[-1500:]
-        with AtTerminal("run", "--resume", folder) as terminal:
-            turn(terminal, "zero mark", 0.1, "0.1 deg\n")
-            turn(terminal, "turn by +360 deg", 360.2, "360.2 deg\n")
-            turn(terminal, "turn by -360 deg", 0.1, "0.1 deg\n")
-            assert terminal.ends() == 0, terminal.said[-1500:]
-    found = RunFolder(folder)
-    log = log_of(found.contents(), found.recipe(), found.rig())
-    assert log.standstill is not None
-    # The rest before the lost turn, and those of the step that was begun again.
-    assert np.round(np.degrees(angles_of_rests(log)), 6).tolist() == [0.0, 0.1, 360.2, 0.1]
-    assert log.provenance["run"] == "success"
-    states = [event.data["state"] for event in found.contents().events if event.name == "state"]
-    assert states[:5] == ["running", "pausing", "paused", "running", "aborting"]
 
 
 def test_a_terminal_hands_on_whole_lines_and_lends_one_to_somebody_else() -> None:

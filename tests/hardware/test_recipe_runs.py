@@ -2,14 +2,12 @@
 
 import json
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hardware_bench import short_recipe, unpredicted
 from hardware_evidence import record
-from hardware_processes import laboratory, start_run
 from journal_log import log_of
 from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
@@ -17,7 +15,7 @@ from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.execute import run_session
-from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
+from gradcal_jax.hardware.journal import Chunk, JournalContents
 from gradcal_jax.hardware.run_folder import (
     RunFolder,
     RunFolderError,
@@ -36,7 +34,6 @@ from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.motion_plan import PlanSchedule, row_count
 from gradcal_jax.spec.spec import parse_spec
-from gradcal_jax.tables.writing import write_toml
 
 SPEED = 20.0
 
@@ -271,33 +268,6 @@ def test_resuming_refuses_another_recipe_another_version_and_another_device(tmp_
 
 
 # ----------------------------------------------------------------------------------------------- guarded, and aborted
-
-
-@pytest.mark.long
-def test_a_guard_makes_the_rig_safe_when_the_run_is_killed(tmp_path: Path) -> None:
-    write_toml(short_recipe(1.0), tmp_path / "recipe.toml")
-    with laboratory(tmp_path, SPEED) as process:
-        run = start_run(tmp_path, tmp_path / "run", SPEED, guard=True)
-        end = time.monotonic() + 60.0
-        while time.monotonic() < end and b"step begins" not in (_bytes(tmp_path / "run/journal")):
-            time.sleep(0.1)
-        run.kill()
-        run.wait()
-        assert run.stdout is not None
-        run.stdout.close()
-        while time.monotonic() < end and _bytes(tmp_path / "run/journal").count(b"made safe") < 3:
-            time.sleep(0.2)
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.stdin.write("state\n")
-        process.stdin.flush()
-        assert process.stdout.readline().split() == ["STANDBY", "0.0"]
-    safe = [event.data for event in read_journal(tmp_path / "run/journal").events if event.name == "made safe"]
-    assert [(entry["by"], entry["verified"]) for entry in safe] == [("guard", True)] * 3
-
-
-def _bytes(path: Path) -> bytes:
-    return path.read_bytes() if path.exists() else b""
 
 
 # While a table is mute virtual time is real: a set point that is under way takes six seconds, and ends first.

@@ -155,7 +155,7 @@ def test_a_track_beyond_the_devices_limits_does_not_start(tmp_path: Path) -> Non
 def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
     from gradcal_jax.hardware.roles import AxisLimits
 
-    axis = AxisLimits(100.0, 100.0, -180.0, 180.0, 0.001, False)
+    axis = AxisLimits(100.0, 100.0, -180.0, 180.0, 0.001)
     chamber = ChamberLimits(-40.0, 85.0, 0.1, True, 0.1, 3.0)
     good = AxisCommand(0.0, "a", "go", position_deg=170.0, rate_dps=50.0, acceleration_dps2=50.0)
     track = Track((TrackStep("one", 5.0, temperature_c=20.0, ramp_k_per_min=1.0, moves=(good,)),))

@@ -12,7 +12,7 @@ from gradcal_jax.hardware.roles import AxisLimits
 from gradcal_jax.hardware.simulate.lab import SimulatedAxis, SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 
-TOLD = AxisLimits(300.0, 400.0, None, None, 0.01, hardware_watchdog=False, told=True)
+TOLD = AxisLimits(300.0, 400.0, None, None, 0.01, told=True)
 
 
 def test_a_person_without_a_dial_says_that_it_stands():

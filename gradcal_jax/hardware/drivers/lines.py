@@ -251,7 +251,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         ]
         rate, acceleration = (min(value for value in values if value is not None) for values in (fastest, strongest))
         step = units.to_unit(float(known.step), "deg")
-        return AxisLimits(rate, acceleration, ends[0], ends[1], step, hardware_watchdog=False)
+        return AxisLimits(rate, acceleration, ends[0], ends[1], step)
 
     def read(self) -> AxisReading:
         # The motion is read first: a position read after that is the final one if the axis stood.

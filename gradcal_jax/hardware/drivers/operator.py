@@ -156,7 +156,7 @@ class OperatorAxis(MotionAxis):
         grid = config.resolution_deg if self._encoder is None else self._encoder.limits().resolution_deg
         alone, most = self._encoder is None, (config.max_rate_dps, config.max_acceleration_dps2)
         reads = {"typed": alone and not self._told, "told": alone and self._told}
-        return AxisLimits(*most, *ends, grid, hardware_watchdog=False, by_hand=True, **reads)
+        return AxisLimits(*most, *ends, grid, by_hand=True, **reads)
 
     def read(self) -> AxisReading:
         if self._question:

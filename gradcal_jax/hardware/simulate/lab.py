@@ -423,4 +423,4 @@ def _limits_of(says: TableAxis, *, told: bool) -> roles.AxisLimits:
     rate, acceleration = to_unit(float(says.max_rate), "deg/s"), to_unit(float(says.max_acceleration), "deg/s^2")
     travel = float(np.degrees(float(says.travel)))
     lowest, highest = (None, None) if np.isinf(travel) else (-travel, travel)
-    return roles.AxisLimits(rate, acceleration, lowest, highest, _AXIS_STEP_DEG, hardware_watchdog=False, told=told)
+    return roles.AxisLimits(rate, acceleration, lowest, highest, _AXIS_STEP_DEG, told=told)

@@ -229,30 +229,24 @@ class AxisPlant:
 
     def move_to(self, now_s: float, target_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         """Trapezoid (or triangle) to an angle; a motion under way is stopped first."""
-        self.move_through(now_s, ((target_deg, rate_dps, acceleration_dps2),))
-
-    def move_through(self, now_s: float, legs: Sequence[tuple[float, float, float]]) -> None:
-        """Trapezoids to one angle after the other, each with its rate and acceleration."""
         with self._lock:
             now_s = max(now_s, self._known_until_s)
             position, rate = self.state(now_s)
-            phases = self._change(now_s, position, rate, 0.0, legs[0][2])
-            for target_deg, rate_dps, acceleration_dps2 in legs:
-                start = phases[-1]
-                self._held(start.position_deg, 0.0)
-                target_deg += self._too_far(start.position_deg)
-                way = target_deg - start.position_deg
-                peak = min(rate_dps, math.sqrt(abs(way) * acceleration_dps2))
-                if peak > 0.0:
-                    up, cruise = peak / acceleration_dps2, abs(way) / peak - peak / acceleration_dps2
-                    sign = math.copysign(1.0, way)
-                    ramp = 0.5 * peak * up * sign
-                    begin = start.start_s
-                    phases[-1] = _Phase(begin, start.position_deg, 0.0, sign * acceleration_dps2)
-                    phases.append(_Phase(begin + up, start.position_deg + ramp, sign * peak, 0.0))
-                    down = begin + up + cruise
-                    phases.append(_Phase(down, target_deg - ramp, sign * peak, -sign * acceleration_dps2))
-                    phases.append(_Phase(down + up, target_deg, 0.0, 0.0))
+            phases = self._change(now_s, position, rate, 0.0, acceleration_dps2)
+            start = phases[-1]
+            self._held(start.position_deg, 0.0)
+            target_deg += self._too_far(start.position_deg)
+            way = target_deg - start.position_deg
+            peak = min(rate_dps, math.sqrt(abs(way) * acceleration_dps2))
+            if peak > 0.0:
+                up, cruise = peak / acceleration_dps2, abs(way) / peak - peak / acceleration_dps2
+                sign = math.copysign(1.0, way)
+                ramp = 0.5 * peak * up * sign
+                begin, down = start.start_s, start.start_s + up + cruise
+                phases[-1] = _Phase(begin, start.position_deg, 0.0, sign * acceleration_dps2)
+                phases.append(_Phase(begin + up, start.position_deg + ramp, sign * peak, 0.0))
+                phases.append(_Phase(down, target_deg - ramp, sign * peak, -sign * acceleration_dps2))
+                phases.append(_Phase(down + up, target_deg, 0.0, 0.0))
             self._replace(now_s, phases)
 
     @property

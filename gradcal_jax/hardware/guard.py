@@ -160,17 +160,15 @@ class Guard:
         if now < self._next_start_s:
             return ""
         self._next_start_s = now + _LONGEST_PAUSE_S
-        self._end()
-        self._start()
-        if self._begun:
-            self._say("begun")
-        for line in self._before:
-            self._say(line)
+        self._replace()
         why = "had died" if code is not None else f"had not answered for {_SILENT_S:g} s"
         return f"the guard {why}; another guard has replaced it"
 
     def close(self) -> None:
-        """The run ends here; the guard begins now if it has to act."""
+        """The run ends here; the guard begins now if it has to act. One that died since the last beat is replaced."""
+        if self._begun and self.process.poll() is not None:
+            with suppress(HardwareError):
+                self._replace()
         with self._lock, suppress(OSError):
             self._input.close()
         if self._begun:
@@ -216,6 +214,15 @@ class Guard:
                 f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: see "
                 "the guard's message above."
             )
+
+    def _replace(self) -> None:
+        """Start another guard, which hears all that this one had heard. Raises `HardwareError` where it cannot work."""
+        self._end()
+        self._start()
+        if self._begun:
+            self._say("begun")
+        for line in self._before:
+            self._say(line)
 
     def _end(self) -> None:
         self.process.kill()

@@ -1,6 +1,6 @@
 """The chamber drivers against their simulated peers: behaviour, refusals, faults of the line, and identity.
 
-minimalmodbus and pymodbus, which share nothing with this package, check the simulated F4 and F4T.
+minimalmodbus and pymodbus, which share nothing with this package, check the simulated F4 and the driver of the F4T.
 """
 
 import asyncio
@@ -27,7 +27,7 @@ from simulated_devices.faults import Faults
 from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
 from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
-from simulated_devices.watlow_f4t import SimulatedWatlowF4T, WatlowF4TOptions
+from simulated_devices.watlow_f4t import WatlowF4TOptions
 
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.registers import RegistersChamber, open_exchange
@@ -341,37 +341,6 @@ def test_f4t_messages_byte_for_byte() -> None:
         parse_written(tcp, bytes.fromhex("0007 0000 0006 01 10 0ADE 0002"), told)
     with pytest.raises(Rejected, match="register address"):
         parse_words(tcp, bytes.fromhex("0007 0000 0003 01 83 02"), asked, 2)
-
-
-def test_simulated_f4t_satisfies_an_independent_client_and_ignores_set_points_while_its_loop_is_off() -> None:
-    client_of = pytest.importorskip("pymodbus.client").ModbusTcpClient
-    clock = RealClock()
-    device = SimulatedWatlowF4T(ChamberPlant(ChamberTruth(start_c=25.0, ambient_c=25.0), clock.now()), clock)
-    with SimulatedPort(device, clock, on_socket=True) as port:
-        host, _, number = port.url.removeprefix("socket://").partition(":")
-        client = client_of(host, port=int(number))
-        assert client.connect()
-
-        def read(register: int) -> float:
-            words = client.read_holding_registers(register, count=2, device_id=1).registers
-            return client.convert_from_registers(words, client.DATATYPE.FLOAT32, word_order="little")
-
-        def write(register: int, value: float) -> bool:
-            words = client.convert_to_registers(value, client.DATATYPE.FLOAT32, word_order="little")
-            return not client.write_registers(register, words, device_id=1).isError()
-
-        assert (read(2820), read(2774), read(2776)) == (25.0, -70.0, 180.0)
-        # Taken, shown, and ignored; also once the loop is on.
-        assert write(2782, 60.0)
-        assert (read(2782), read(2810)) == (60.0, 25.0)
-        client.write_register(2730, 10, device_id=1)
-        assert client.read_holding_registers(2814, device_id=1).registers == [10]
-        assert read(2810) == 25.0
-        assert write(2782, 60.0)
-        assert read(2810) == 60.0
-        assert not write(2782, 200.0)
-        assert client.read_holding_registers(9999, device_id=1).isError()
-        client.close()
 
 
 def test_f4t_driver_speaks_with_an_independent_server() -> None:

@@ -54,56 +54,6 @@ def test_virtual_time_stands_still_while_a_party_works() -> None:
         assert clock.now() == 10.0
 
 
-def test_virtual_time_waits_for_bytes_on_their_way_but_not_for_ever() -> None:
-    clock = LineClock(patience_s=0.2)
-    line = clock.link("line")
-    line.change(attached=True)
-    line.change(to_device=5, host_is_there=True)
-    sleeper = threading.Thread(target=clock.sleep_until, args=(1.0,))
-    sleeper.start()
-    time.sleep(0.05)
-    assert clock.now() == 0.0
-    line.change(to_device=-5)
-    sleeper.join(timeout=1.0)
-    assert clock.now() == 1.0
-    line.change(to_host=3)  # an open port that nobody reads
-    started = time.monotonic()
-    clock.sleep_until(2.0)
-    assert 0.15 < time.monotonic() - started < 2.0
-
-
-def test_virtual_time_keeps_real_pace_while_somebody_waits_on_a_silent_line() -> None:
-    clock = LineClock()
-    woken: list[float] = []
-
-    def sleeper() -> None:
-        with clock.party():
-            for _ in range(3):
-                clock.sleep(0.1)
-                woken.append(time.monotonic())
-            clock.sleep(1e6)
-
-    with clock.party():
-        began = time.monotonic()
-        threading.Thread(target=sleeper, daemon=True).start()
-        time.sleep(0.2)
-        assert woken == []
-        with clock.real_pace():
-            while len(woken) < 3 and time.monotonic() < began + 20.0:
-                time.sleep(0.01)
-            assert len(woken) == 3
-            assert woken[2] - woken[0] > 0.15
-            time.sleep(0.1)
-        held = clock.now()
-        time.sleep(0.1)
-        assert 0.3 <= clock.now() == held < 20.0
-    # Nobody works any more: time runs as it always does.
-    end = time.monotonic() + 20.0
-    while clock.now() < 1e6 and time.monotonic() < end:
-        time.sleep(0.01)
-    assert clock.now() > 1e6
-
-
 def test_virtual_clock_keeps_the_pace_that_was_asked_for() -> None:
     clock = LineClock(speed=100.0)
     started = time.monotonic()

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import select
 import stat
 import subprocess
 import sys
@@ -146,34 +145,6 @@ def test_unplugged_line_raises_disconnected_everywhere() -> None:
         with Transport(port.url, clock=RealClock()) as again:
             again.write(b"back")
             assert again.read(1.0).startswith(b"b")
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
-def test_a_port_that_is_unplugged_takes_nobody_elses_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its descriptor's number goes to the next file that is opened, maybe just before it would be read."""
-    path, handles = tmp_path / "rig.toml", list[int]()
-    path.write_bytes(b"not yours")
-    port = SimulatedPort(Echo(), RealClock())
-
-    def unplugged_meanwhile(reading: list[int], *_: object) -> tuple[list[int], list[int], list[int]]:
-        port.unplug()
-        while reading[0] not in handles:
-            handles.append(os.open(path, os.O_RDONLY))
-        return reading, [], []
-
-    monkeypatch.setattr(select, "select", unplugged_meanwhile)
-    assert port._receive() == b""
-    assert os.read(handles[-1], 20) == b"not yours"
-    for handle in handles:
-        os.close(handle)
-    port.close()
-
-
-def test_stream_that_nobody_reads_is_dropped_and_counted_not_waited_for() -> None:
-    with SimulatedPort(Echo(), RealClock()) as port, Transport(port.url, clock=RealClock()) as line:
-        port.say(b"x" * 300_000)
-        assert port.lost_bytes > 100_000
-        assert len(line.drain(0.05)) + port.lost_bytes == 300_000
 
 
 def test_importing_the_room_needs_no_jax() -> None:

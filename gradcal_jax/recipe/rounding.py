@@ -31,6 +31,7 @@ from gradcal_jax.tables.section import Section
 _HAIR: Final = Decimal("1e-6")  # of a step: rounding of the arithmetic, never of the plan
 # Relative difference of accelerations that changes nothing of a turn.
 _SAME_ACCELERATION: Final = 1e-3
+_SHAPE: Final = "linear ramps"
 # By kind of text: which of the steps, its dimension, the fewest steps of a value other than zero, and the way to round.
 _KINDS: Final[Mapping[str, tuple[str, str, int, str]]] = {
     "temperature": ("temperature", "temperature", 0, ROUND_HALF_EVEN),
@@ -163,13 +164,11 @@ class _Rounder:
             return 2.0 * math.pi * round(turns)
         return units.parse(self.to("angle", angle), "angle")
 
-    def shape(self, move: ResolvedMove) -> str:
-        """The shape of a turn's ramps; noted where it is not the plan's."""
-        shape = "linear ramps"
+    def note_shape(self, move: ResolvedMove) -> None:
+        """Note a turn's shape where it is not the controllers'."""
         note = f'turns of shape "{move.shape}" are executed as trapezoids of the same angle, peak rate and duration'
-        if move.shape != shape and note not in self.notes:
+        if move.shape != _SHAPE and note not in self.notes:
             self.notes.append(note)
-        return shape
 
 
 # ------------------------------------------------------------------------------------------------- gradient method
@@ -229,13 +228,13 @@ def _cycle(spec: Spec, schedule: PlanSchedule, cycle: Table, rounder: _Rounder) 
             moves.append(turn)
             at[k] += move.repeat * move.angle
             continue
-        shape = rounder.shape(move)
+        rounder.note_shape(move)
         angle = rounder.on_grid(before[k]) - at[k] if move.repeat == 1 else move.angle
         if angle == 0.0:
             # Less than a step of the controller: no turn.
             moves.append({"rest": rounder.to("time", move.duration, ROUND_CEILING)})
             continue
-        moves.append(_turn(angle, move, shape, steepest, fastest, rounder) | kept)
+        moves.append(_turn(angle, move, steepest, fastest, rounder) | kept)
         at[k] += move.repeat * units.parse(moves[-1]["turn"], "angle") if "turn" in moves[-1] else move.repeat * angle
     cycle["moves"] = moves
     answer_s = float(spec.rig.table.answer_time)
@@ -290,7 +289,7 @@ def _keep_period(
         table[key] = rounder.to("time", longest - over, ROUND_FLOOR)
 
 
-def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest: float, rounder: _Rounder) -> Table:
+def _turn(angle: float, move: ResolvedMove, steepest: float, fastest: float, rounder: _Rounder) -> Table:
     """A turn by `angle` with a move's peak rate and ramps, on the grids of angle, rate and time, no steeper than the
     table may."""
     peak = abs(move.peak_rate)
@@ -310,12 +309,11 @@ def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest
     if units.parse(text, "angular rate") <= 0.0:
         text = rounder.to("rate", float(rounder.steps.rate))
     peak = units.parse(text, "angular rate")
-    least = (math.pi / 2.0 if shape == "cosine ramps" else 1.0) * peak / steepest
-    if shape == "linear ramps":
-        planned = peak / max(ramp, least)
-        made = makeable_acceleration(planned, rounder.acceleration, steepest)
-        if abs(made - planned) > _SAME_ACCELERATION * planned:
-            ramp = least = peak / made
+    least = peak / steepest
+    planned = peak / max(ramp, least)
+    made = makeable_acceleration(planned, rounder.acceleration, steepest)
+    if abs(made - planned) > _SAME_ACCELERATION * planned:
+        ramp = least = peak / made
     duration_text = rounder.to("time", size / peak + max(ramp, least), ROUND_CEILING)
     duration = units.parse(duration_text, "time")
     if peak > 2.0 * size / duration:
@@ -323,7 +321,7 @@ def _turn(angle: float, move: ResolvedMove, shape: str, steepest: float, fastest
         text = rounder.to("rate", 2.0 * size / duration, ROUND_FLOOR)
         if units.parse(text, "angular rate") <= size / duration:
             text = units.format_quantity(2.0 * size / duration, "deg/s")
-    return written | {"peak_rate": text, "duration": duration_text, "shape": shape}
+    return written | {"peak_rate": text, "duration": duration_text, "shape": _SHAPE}
 
 
 def _shown(value: Any) -> str:

@@ -111,40 +111,25 @@ def _chamber_command(course: Course, limits: ChamberLimits | None) -> tuple[str,
 def _beyond_chamber(course: Course, limits: ChamberLimits | None) -> list[str]:
     if limits is None:
         return ["sets a temperature, but the rig has no chamber."]
-    problems: list[str] = []
-    lowest, highest = limits.lowest_c, limits.highest_c
-    if not lowest <= course.temperature_c <= highest:
-        problems.append(f"sets {course.temperature_c:g} degC; the chamber accepts {lowest:g} to {highest:g}.")
-    slowest, fastest = limits.slowest_ramp_k_per_min, limits.fastest_ramp_k_per_min
-    if course.ramp_k_per_min is not None and limits.hardware_ramp and not slowest <= course.ramp_k_per_min <= fastest:
-        problems.append(f"ramps at {course.ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
-    return problems
+    return limits.beyond(course.temperature_c, course.ramp_k_per_min)
 
 
 def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str]:
     if move.kind == "stop":
         return []
-    problems: list[str] = []
-    rate, acceleration, step = abs(move.rate_dps), move.acceleration_dps2, limits.acceleration_step_dps2
-    fastest, strongest = limits.max_rate_dps, limits.max_acceleration_dps2
-    if not 0.0 < rate <= fastest * (1.0 + 1e-9):
-        problems.append(f"turns at {rate:g} deg/s; the axis accepts up to {fastest:g}.")
-    if not 0.0 < acceleration <= strongest * (1.0 + 1e-9):
-        problems.append(f"accelerates at {acceleration:g} deg/s²; the axis accepts up to {strongest:g}.")
+    acceleration, step = move.acceleration_dps2, limits.acceleration_step_dps2
+    problems = limits.beyond(abs(move.rate_dps), acceleration, goal if move.kind in ("go", "turn") else None)
     made = step * max(1, round(acceleration / step)) if step else acceleration
     if move.kind == "turn" and abs(made - acceleration) > _LIKE_ACCELERATION * acceleration:
         problems.append(
             f"accelerates at {acceleration:g} deg/s², but its controller rounds this to {made:g}: make the "
             f'recipe with acceleration = "{step:.9g} deg/s^2" in [rig.resolution] of the spec.'
         )
-    lowest, highest = limits.travel_deg
-    if move.kind in ("go", "turn") and not lowest - 1e-6 <= goal <= highest + 1e-6:
-        problems.append(f"goes to {goal:g} deg; its travel is {lowest:g} to {highest:g} deg.")
     if move.kind == "spin" and limits.by_hand:
         problems.append(
             "turns at a constant rate, but is turned by hand: use turns in the plan, or a motor-driven axis."
         )
-    elif move.kind == "spin" and (lowest, highest) != (-math.inf, math.inf):
+    elif move.kind == "spin" and limits.travel_deg != (-math.inf, math.inf):
         problems.append("turns continuously, but its travel is limited.")
     return problems
 

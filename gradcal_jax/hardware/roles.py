@@ -106,6 +106,17 @@ class ChamberLimits:
     fastest_ramp_k_per_min: float = float("inf")
     ramp_step_k_per_min: float = 0.0
 
+    def beyond(self, temperature_c: float, ramp_k_per_min: float | None = None) -> list[str]:
+        """What of a command is beyond the limits, a sentence without its subject each."""
+        lowest, highest = self.lowest_c, self.highest_c
+        slowest, fastest = max(self.slowest_ramp_k_per_min, 1e-9), self.fastest_ramp_k_per_min
+        problems: list[str] = []
+        if not lowest <= temperature_c <= highest:
+            problems.append(f"sets {temperature_c:g} degC; the chamber accepts {lowest:g} to {highest:g}.")
+        if ramp_k_per_min is not None and self.hardware_ramp and not slowest <= ramp_k_per_min <= fastest:
+            problems.append(f"ramps at {ramp_k_per_min:g} K/min; the chamber accepts {slowest:g} to {fastest:g}.")
+        return problems
+
 
 @dataclass(frozen=True)
 class ChamberReading:
@@ -174,6 +185,19 @@ class AxisLimits:
     @property
     def travel_deg(self) -> tuple[float, float]:
         return travel_of(self.lowest_deg, self.highest_deg)
+
+    def beyond(self, rate_dps: float, acceleration_dps2: float, position_deg: float | None = None) -> list[str]:
+        """What of a command is beyond the limits, a sentence without its subject each."""
+        fastest, strongest = self.max_rate_dps, self.max_acceleration_dps2
+        lowest, highest = self.travel_deg
+        problems: list[str] = []
+        if not 0.0 < rate_dps <= fastest * (1.0 + 1e-9):
+            problems.append(f"turns at {rate_dps:g} deg/s; the axis accepts up to {fastest:g}.")
+        if not 0.0 < acceleration_dps2 <= strongest * (1.0 + 1e-9):
+            problems.append(f"accelerates at {acceleration_dps2:g} deg/s²; the axis accepts up to {strongest:g}.")
+        if position_deg is not None and not lowest - 1e-6 <= position_deg <= highest + 1e-6:
+            problems.append(f"goes to {position_deg:g} deg; its travel is {lowest:g} to {highest:g} deg.")
+        return problems
 
 
 def travel_of(lowest_deg: float | None, highest_deg: float | None) -> tuple[float, float]:

@@ -74,7 +74,7 @@ def test_a_chamber_from_its_description_alone() -> None:
         chamber.hold(-12.5)
         assert (device.words[2], device.words[23]) == (65536 - 125, 1)
         assert (chamber.read().setpoint_c, chamber.read().mode) == (-12.5, "RUN")
-        with pytest.raises(LimitExceeded, match="outside -40 to 150 degC"):
+        with pytest.raises(LimitExceeded, match="sets 151 degC; the chamber accepts -40 to 150"):
             chamber.hold(151.0)
         with pytest.raises(Rejected, match="makes them by steps"):
             chamber.ramp(30.0, 1.0)

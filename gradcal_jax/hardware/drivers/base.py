@@ -64,21 +64,23 @@ class ExchangeDriver(Generic[Config]):
         )
 
 
-class ChamberDriver(ExchangeDriver[Config], roles.TemperatureChamber, ABC):
-    _BOUNDS: str
-    """What the limits `low` and `high` of a set point are, and what to do about them."""
+def _require(problems: list[str]) -> None:
+    if problems:
+        raise LimitExceeded(f"This command {' It '.join(problems)} Change the plan.")
 
+
+class ChamberDriver(ExchangeDriver[Config], roles.TemperatureChamber, ABC):
     def _plausible(self, temperature_c: float) -> float:
         if not _LOWEST_PLAUSIBLE_C <= temperature_c <= _HIGHEST_PLAUSIBLE_C:
             what = f"{self._title} reports {temperature_c} degC, which is not plausible"
             raise FramingError(f"{what}. Check the line, the sensor, and the description of the protocol.")
         return temperature_c
 
-    def _check(self, temperature_c: float) -> None:
+    def _check(self, temperature_c: float, ramp_k_per_min: float | None = None) -> roles.ChamberLimits:
+        """The limits. Raises `LimitExceeded` for a command beyond them."""
         limits = self.limits()
-        if not limits.lowest_c <= temperature_c <= limits.highest_c:
-            bounds = self._BOUNDS.format(low=limits.lowest_c, high=limits.highest_c, device=self._title)
-            raise LimitExceeded(f"{temperature_c:.1f} degC is outside {bounds}")
+        _require(limits.beyond(temperature_c, ramp_k_per_min))
+        return limits
 
     def safe(self, policy: roles.ChamberSafe, ambient_c: float = 23.0) -> roles.SafeReport:
         if policy is roles.ChamberSafe.STANDBY:
@@ -129,15 +131,11 @@ class AxisDriver(ExchangeDriver[Options], roles.MotionAxis, ABC):
     def _degrees(self, own: float) -> float:
         return self._config.zero_deg + self._config.direction * (own * 360.0 / self._per_turn())
 
-    def _require_travel(self, position_deg: float, travel_deg: tuple[float, float]) -> None:
-        lowest, highest = travel_deg
-        if not lowest - 1e-9 <= position_deg <= highest + 1e-9:
-            raise LimitExceeded(f"{position_deg:g} deg is outside the travel, {lowest:g} to {highest:g} deg.")
-
-    def _require_motion(self, rate_dps: float, fastest_dps: float, acceleration_dps2: float, most_dps2: float) -> None:
-        for value, most, unit in ((rate_dps, fastest_dps, "deg/s"), (acceleration_dps2, most_dps2, "deg/s²")):
-            if not 0.0 < value <= most * (1.0 + 1e-9):
-                raise LimitExceeded(f"{value:g} {unit} lies outside 0 to {most:g} {unit}.")
+    def _check(self, rate_dps: float, acceleration_dps2: float, position_deg: float | None = None) -> roles.AxisLimits:
+        """The limits. Raises `LimitExceeded` for a command beyond them."""
+        limits = self.limits()
+        _require(limits.beyond(rate_dps, acceleration_dps2, position_deg))
+        return limits
 
     def _require_ready(self, *, referenced: bool) -> None:
         reading = self.read()
@@ -267,8 +265,6 @@ class DescribedDevice(ExchangeDriver[Described], ABC):
 
 
 class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
-    _BOUNDS = "{low:g} to {high:g} degC, the limits in the protocol of {device}. Change the plan."
-
     @abstractmethod
     def _tell_shown(self, name: str, value: float, *, ramps: bool = False) -> float:
         """Send a command's value, in the device's unit, until the device shows it; returns the value shown. `ramps`:
@@ -318,10 +314,7 @@ class DescribedChamber(DescribedDevice[Described], ChamberDriver[Described]):
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         if "ramp" not in self._config.described.tell:
             raise Rejected(f"The protocol of {self._title} has no ramps: the run makes them by steps of the set point.")
-        limits = self.limits()
-        if not max(limits.slowest_ramp_k_per_min, 1e-9) <= rate_k_per_min <= limits.fastest_ramp_k_per_min:
-            raise LimitExceeded(f"{rate_k_per_min:g} K/min is outside the range of {self._title}.")
-        self._check(temperature_c)
+        limits = self._check(temperature_c, rate_k_per_min)
         self._make_ready()
         now = self.read()
         if not now.conditioning or abs(now.setpoint_c - now.air_c) >= _SETTLED_K:

@@ -89,8 +89,6 @@ _STOPS_OFF_DEG = 5.0
 class SimulatedChamber(ChamberDriver[ChamberPlant]):
     """Role `TemperatureChamber`, on a plant: from `lowest_c` to `highest_c`, ramps of any rate."""
 
-    _BOUNDS = "{low:g} to {high:g} degC, the limits of the {device}."
-
     def __init__(self, plant: ChamberPlant, clock: Clock, lowest_c: float, highest_c: float) -> None:
         self.plant, self._clock, self._title = plant, clock, "simulated chamber"
         self._limits = roles.ChamberLimits(lowest_c, highest_c, 0.1, hardware_ramp=True)
@@ -157,7 +155,8 @@ class SimulatedAxis(AxisDriver[AxisOptions]):
         self._referenced, self._off_deg = True, 0.0
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        self._require(position_deg, rate_dps, acceleration_dps2)
+        self._check(rate_dps, acceleration_dps2, position_deg)
+        self._acceleration_dps2 = acceleration_dps2
         if self._limits.told:
             # A motor that is switched on and off stops anywhere near, and nothing shows where.
             self._off_deg = _STOPS_OFF_DEG * float(self._random.standard_normal())
@@ -165,7 +164,8 @@ class SimulatedAxis(AxisDriver[AxisOptions]):
         self.plant.move_to(self._clock.now(), goal_deg, rate_dps, acceleration_dps2)
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
-        self._require(0.0, abs(rate_dps), acceleration_dps2)
+        self._check(abs(rate_dps), acceleration_dps2)
+        self._acceleration_dps2 = acceleration_dps2
         self.plant.spin(self._clock.now(), rate_dps, acceleration_dps2)
 
     def stop(self) -> None:
@@ -179,12 +179,6 @@ class SimulatedAxis(AxisDriver[AxisOptions]):
     def _on_grid(self, angle_deg: float) -> float:
         step = self._limits.resolution_deg
         return step * round(angle_deg / step)
-
-    def _require(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        limits = self._limits
-        self._require_travel(position_deg, limits.travel_deg)
-        self._require_motion(rate_dps, limits.max_rate_dps, acceleration_dps2, limits.max_acceleration_dps2)
-        self._acceleration_dps2 = acceleration_dps2
 
     def _per_turn(self) -> float:
         return 360.0

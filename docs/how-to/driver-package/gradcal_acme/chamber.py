@@ -28,8 +28,6 @@ def open_exchange(transport: Transport, clock: Clock, config: AcmeConfig) -> Exc
 class AcmeChamber(ChamberDriver[AcmeConfig]):
     """`safe` is the base's, by `hold`, `standby` and `read`."""
 
-    _BOUNDS = "{low:g} to {high:g} degC, the range of the chamber. Change the plan."
-
     def identify(self) -> Identity:
         return Identity("acme", "ACME 1", serial_number=f"{self._number('SN?'):.0f}")
 

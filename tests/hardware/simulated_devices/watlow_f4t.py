@@ -70,9 +70,11 @@ class SimulatedWatlowF4T(ModbusSlave):
         self._switch()
 
     def word(self, register: int) -> int | None:
-        now = self._clock.now()
-        self.memory.put(2820, self.plant.air_c(now))
-        self.memory.put(2810, self.plant.set_point_c(now))
+        # Both words of a number are of one instant.
+        if register == 2820:
+            self.memory.put(2820, self.plant.air_c(self._clock.now()))
+        elif register == 2810:
+            self.memory.put(2810, self.plant.set_point_c(self._clock.now()))
         return self.words.get(register)
 
     def write(self, register: int, values: tuple[int, ...]) -> int:

@@ -18,7 +18,6 @@ TOLD = AxisLimits(300.0, 400.0, None, None, 0.01, told=True)
 def test_a_person_without_a_dial_says_that_it_stands():
     clock = LineClock()
     with gimbal(clock, angle="none") as (axis, person, plant):
-        person.options.types_angles = False
         assert not axis.limits().typed
         assert axis.limits().told
         axis.move_to(90.0, 72.0, 14.4)
@@ -36,6 +35,7 @@ def test_a_person_without_a_dial_says_that_it_stands():
 def test_what_is_typed_without_a_dial_is_asked_again():
     clock = LineClock()
     with gimbal(clock, angle="none") as (axis, person, _):
+        person.always_types = True
         axis.move_to(90.0, 72.0, 14.4)
         end = clock.now() + 60.0
         while not any("press Enter when" in heard for heard in person.heard):

@@ -1,6 +1,7 @@
 """A simulated operator at a terminal: the person of the simulated laboratory, by the bytes of a line.
 
-`slips` is the rate of typing errors; the answer to a repeated question is right.
+`slips` is the rate of typing errors; the answer to a repeated question is right. `always_types`: an angle, also where
+Enter is asked for.
 """
 
 import math
@@ -31,6 +32,7 @@ class SimulatedOperator:
         self.typed: list[str] = []
         self._random, self._slips, self._slipped = np.random.default_rng([hand.seed, 5]), slips, False
         self._text = ""
+        self.always_types = False
 
     def receive(self, data: bytes) -> list[bytes]:
         self._text += data.decode("utf-8", "replace").replace("\a", "")
@@ -48,7 +50,7 @@ class SimulatedOperator:
         answer = self.person.answer()
         if answer is None:
             return []
-        text, _ = answer
+        text = answer[0] or "90 deg" * self.always_types
         self._slipped = bool(text) and not self._slipped and float(self._random.random()) < self._slips
         if self._slipped:
             text = text.replace(".", ",").replace("0", "o")

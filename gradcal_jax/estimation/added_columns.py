@@ -246,7 +246,7 @@ def angle_columns(spec: Spec, whiten: Whitener, beside: Beside) -> list[AngleCol
         errors = np.zeros((*ends.shape, len(own) + 1))
         errors[..., number, :] = np.stack([*own, np.zeros_like(angle) if sides is None else sides], axis=-1)
         places.append((axis.name, orders, sides is not None))
-        rows.append(whiten.by_shown_angles(*errors))
+        rows.append(whiten.by_shown_angles(errors[0], errors[1]))
     found = list[AngleColumns]()
     every = _split(whiten(np.concatenate(rows, axis=1)), [of.shape[1] for of in rows])
     for (name, orders, both_ways), columns in zip(places, every, strict=True):

@@ -134,7 +134,7 @@ def fit_with_lag(
     of = _Linearised(prompt, temperature_of, _TRIED_S)
     if not (wanted or of.shows_lag):
         return Lag(0.0), prompt, ()
-    following = _TRIED_S[of.best]
+    lag, std, following = 0.0, 0.0, _TRIED_S[of.best]
     for _ in range(_ROUNDS):
         lag = following
         fit = fit_at(lag, fit)

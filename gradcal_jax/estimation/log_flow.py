@@ -225,7 +225,7 @@ def _unit(
     if np.isfinite(folded):
         noise = Noise(
             angle_random_walk=Quantity.of(float(walk) / float(np.sqrt(folded)), "rad/sqrt(s)") if folded > 1 else walk,
-            rate_random_walk=max(s.rate_random_walk for s in noises),
+            rate_random_walk=max((k for s in noises if (k := s.rate_random_walk) is not None), default=None),
             sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
         )
     else:

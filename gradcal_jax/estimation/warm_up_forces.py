@@ -58,6 +58,7 @@ def forces_of_warm_up(log: Log, unit: str) -> ForcesOfWarmUp:
     **Raises:** `LogError` where the record shows no white noise of an accelerometer.
     """
     channels, names, blocks = list[CalibratedChannel](), list[str](), list[np.ndarray]()
+    centre = 0.0
     tests, contradicted, messages = list[FitTest](), list[str](), list[str]()
     for axis in log.force_axes:
         rest = at_rest(log, axis, unit, bias_degree=DEGREE, lag="none", force=True)
@@ -72,6 +73,7 @@ def forces_of_warm_up(log: Log, unit: str) -> ForcesOfWarmUp:
         assert whole.temperature_c is not None
         used = whole.temperature_c[whole.valid]
         span = float(used.min()), float(used.max())
+        centre = round(0.5 * sum(span), 1)
         channel, matrix, test, words = _channel(_means(whole), span, walk.value, axis)
         channels.append(channel)
         blocks.append(matrix)
@@ -89,7 +91,6 @@ def forces_of_warm_up(log: Log, unit: str) -> ForcesOfWarmUp:
     for k, block in enumerate(blocks):
         here = slice(k * DEGREE, (k + 1) * DEGREE)
         matrix[here, here] = block
-    centre = float(channels[0].term[0].temperature.centre)
     messages.insert(
         0,
         f"accelerometers at rest: a bias and a tilt cannot be separated, so the biases are changes from {centre:g} "
@@ -149,6 +150,7 @@ def _channel(
     if chance < _RARE:
         covariance = covariance * (statistic / degrees)
     valid = Quantity.of(low, "degC"), Quantity.of(high, "degC")
+    still = Quantity.of(0.0, "rad/s")
     basis = TemperaturePolynomial(
         basis="polynomial", degree=DEGREE, centre=Quantity.of(centre, "degC"), scale=Quantity.of(scale, "K")
     )
@@ -162,7 +164,7 @@ def _channel(
         kind="accelerometer",
         axis=axis,
         valid_temperature=valid,
-        valid_rate=(Quantity.of(0.0, "rad/s"),) * 2,
+        valid_rate=(still, still),
         term=(term,),
     )
     test = FitTest(name=f"{channel.name}: chi-squared", statistic=statistic, degrees=degrees, chance=chance)

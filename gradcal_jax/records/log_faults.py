@@ -261,8 +261,8 @@ def _in_order(columns: Columns, policy: Policy, found: _Findings, removed: dict[
     if (time := columns.time_s) is None:
         if columns.sample_rate_hz is None:
             raise LogError("the column map has neither a column of time stamps nor a sample rate: give one of them")
-        return columns, np.arange(rows) / columns.sample_rate_hz
-    order: Whole = np.arange(rows)
+        return columns, np.arange(rows, dtype=np.float64) / float(columns.sample_rate_hz)
+    order = np.arange(rows, dtype=np.int64)
     readable = np.abs(time) < _ABSURD
     refuse_intervals(time[readable])
     ahead = stamps_ahead(time, readable)
@@ -279,7 +279,7 @@ def _in_order(columns: Columns, policy: Policy, found: _Findings, removed: dict[
             )
         action = "refuse" if policy.rows == "refuse" else "sort"
         found.add("rows out of order", action, count, f"{words}; the rows were sorted by time stamp")
-        order = np.asarray(np.argsort(np.where(readable & ~ahead, time, np.inf), kind="stable"), np.int64)
+        order = np.argsort(np.where(readable & ~ahead, time, np.inf), kind="stable").astype(np.int64)
         time, readable, ahead = time[order] - time[order[0]], readable[order], ahead[order]
     _, duplicate, unordered = against_earlier(time, readable & ~ahead)
     if np.count_nonzero(duplicate) > _COARSE * rows:
@@ -502,8 +502,8 @@ def _against_table(columns: Columns, time: Floats, unit: int, axis: int, usable:
     rates = columns.table_rate_rad_per_s
     if rates is None and columns.table_angle_rad is not None:
         rates = np.gradient(columns.table_angle_rad, time, axis=0)
-    of_axes: list[Floats] = [] if rates is None else list(rates.T)
-    for label, of_table in zip(columns.table_axes, of_axes, strict=False):
+    for k, label in enumerate(columns.table_axes if rates is not None else ()):
+        of_table = np.asarray(rates)[:, k]
         rows = usable & np.isfinite(of_table)
         if np.count_nonzero(rows) < 10:
             continue

@@ -129,17 +129,6 @@ def repeated(count: int, body: Callable[[Carry], Carry], start: Carry) -> Carry:
     return start
 
 
-def scanned(step: Callable[[Carry, Any], tuple[Carry, Any]], start: Carry, over: Any) -> Any:
-    """Stacked outputs of `step(carry, row) -> (carry, out)` for the rows of `over` in order."""
-    if namespace(start, over) is jnp:
-        return jax.lax.scan(step, start, over)[1]
-    rows = []
-    for row in zip(*over, strict=True):
-        start, out = step(start, row)
-        rows.append(out)
-    return np.stack(rows)
-
-
 def running_sum(values: Any) -> Any:
     """Sums of all rows up to and including each one; NumPy's with the rounding of every addition made good (Knuth's
     two-sum), which in thousands of additions would grow to a hundred times that of the sums themselves.
@@ -174,10 +163,3 @@ def size_class(count: int) -> int:
         return count
     power = 1 << (count - 1).bit_length()
     return power * 3 // 4 if count <= power * 3 // 4 else power
-
-
-def filled(values, count: int, filling):
-    """`(n, …)` padded to `(count, …)` at the end."""
-    xp = namespace(values)
-    rest = xp.full((count - values.shape[0], *values.shape[1:]), filling, dtype=values.dtype)
-    return xp.concatenate([values, rest])

@@ -71,7 +71,6 @@ moves = [
 ]
 [design]
 minimise = "full range"
-free = ["duration","peak_rate","ramp"]
 starts = 2
 moves = 2
 """

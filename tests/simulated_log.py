@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from gradcal_jax import formulas
-from gradcal_jax.design.turn_plan import gyro_of
+from gradcal_jax.design.visits import gyro_of
 from gradcal_jax.model import BIAS, HARMONICS, SCALE_FACTOR, TEMPERATURE_GRADIENT, SensorModel
 from gradcal_jax.model.build import Assembled, assemble
 from gradcal_jax.motion import Trajectory

@@ -26,7 +26,7 @@ def hidden(each: str) -> dict[str, object]:
     return {"standard_deviation": each, "temperature_degree": 5, "rate_degree": 5}
 
 
-FREE = ["duration", "peak_rate", "ramp"]
+FREE: list[str] = []
 BIAS = {"temperature": {"basis": "polynomial", "degree": 3, "centre": "20 degC", "scale": "50 K"}}
 REALISTIC = {
     "rig.table.axis[0].angle.reading_noise": "0 deg",
@@ -46,7 +46,7 @@ MOVING: dict[str, dict[str, object]] = {
     # More starts and another seed where those found better: there are many local optima.
     "cycle-length-free": {"design.free": [*FREE, "cycle"], "design.starts": 64},
     "bias-unknown": {"sensor.gyro.bias": BIAS, "design.seed": 1},
-    "whole-turns": {"design.whole_turns": True, "rig.table.axis[0].angle.harmonics": HARMONICS},
+    "whole-turns": {"design.angle_step": "360 deg", "rig.table.axis[0].angle.harmonics": HARMONICS},
     "realistic-budget": REALISTIC,
     "headline_discrepancy": {"sensor.gyro.scale_factor.discrepancy": hidden("5 ppm")},
     "headline_discrepancy_10ppm": {"sensor.gyro.scale_factor.discrepancy": hidden("10 ppm")},

@@ -1,7 +1,6 @@
 """`gradcal optimise`: the plan of least residual within the limits of sensor, rig and time, for several times
 (`--motion`), or as it is (`--steps 0`), as a recipe."""
 
-import math
 import signal
 import sys
 from collections.abc import Mapping
@@ -76,10 +75,10 @@ def optimise(
         Draw the errors before and after the search (with --motion, the errors for each duration) into this file (.png,
         .svg, .pdf).
     steps
-        Number of iterations from each start, by default 240; if the search changes poses, the total number of
-        gradients, by default 14000 (some minutes). 0: write the plan in the spec as a recipe, without a search.
+        Number of gradients in all, by default 14000, of a single axis 4500 (some minutes). 0: write the plan in the
+        spec as a recipe, without a search.
     quick
-        Use only a few starts or gradients; this takes seconds, and the result is within a few per cent of the best.
+        Use only a few gradients; this takes seconds, and the result is within a few per cent of the best.
     until_met
         Stop at the first plan that meets every target with a margin of 10 %. If the plan in the spec already meets
         them, do not search.
@@ -149,8 +148,7 @@ def search_and_watch(spec: "Spec", *, quick: bool = False, **options: Any) -> tu
 
     best: Optimised | None = None
     with _Interrupt() as interrupt, MovingLine(sys.stderr) as line:
-        if not spec.turns_one_gyro:
-            line.show("compiling the objective and its gradient: 10 to 30 s")
+        line.show("compiling the objective and its gradient: 10 to 30 s")
         for event in run_search(spec, quick=quick, stop=lambda: interrupt.asked, **options):
             if isinstance(event, Optimised):
                 best = event
@@ -162,20 +160,14 @@ def search_and_watch(spec: "Spec", *, quick: bool = False, **options: Any) -> tu
 
 def optimum_text(best: "Optimised") -> str:
     """An optimised plan as text."""
-    from gradcal_jax.design.turn_search import belief_of
+    from gradcal_jax.design.optimise import belief_of
 
     before = "not observable with the plan in the spec" if best.before is None else amount(best.before, best.unit)
     lines = [
         strong(f"{best.name}: {before} -> {amount(best.now, best.unit)} (rounded to the controllers' steps)"),
-        f"{best.structure}; {amount(best.optimum, best.unit)} before rounding",
+        best.structure,
         best.sentence,
     ]
-    if len(best.starts) > 1:
-        kept = [value for value in best.starts if value < math.inf]
-        those = f"{len(best.starts)} starts"
-        if len(kept) < len(best.starts):
-            those = f"{len(kept)} of {those} met the limits and" if kept else f"none of {those} met the limits"
-        lines.append(those + (f" ended between {kept[0]:.4g} and {kept[-1]:.4g} {best.unit}" if kept else ""))
     if belief := belief_of(best.spec):
         lines.append(belief)
     if best.active:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gradcal_jax.design.pose_cycle import PoseTurn, TableLimits
+from gradcal_jax.design.slots import PoseTurn, TableLimits
 
 Cycle = tuple[PoseTurn, ...]
 

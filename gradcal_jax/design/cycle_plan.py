@@ -2,150 +2,73 @@
 numbers that controllers take."""
 
 import math
-import pickle
 from collections.abc import Mapping, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
-from gradcal_jax.design import ProgrammeCoordinates
 from gradcal_jax.design.cycle_moves import Cycle
+from gradcal_jax.design.cycle_rounding import CycleRounding
 from gradcal_jax.design.descent import Descent
-from gradcal_jax.design.free_course import FreeCourse, behind_on_leg, cycles_of_leg, legs_of
+from gradcal_jax.design.free_course import (
+    FreeCourse,
+    ProgrammeCoordinates,
+    behind_on_leg,
+    cycles_of_leg,
+    legs_of,
+)
 from gradcal_jax.design.plan_objective import (
     Aim,
     ExactObjective,
 )
 from gradcal_jax.design.pose_cycle import (
     READINGS_OF_A_REST,
-    SHAPE,
-    STEEPNESS,
     WINDOW,
-    CycleCoordinates,
     CycleObjective,
-    CycleStructure,
     GridElement,
-    PoseTurn,
     Ramp,
     Statistics,
-    TableLimits,
     further,
     largest_alike,
-    structure_of,
 )
-from gradcal_jax.design.turn_search import programme_keys
+from gradcal_jax.design.programme_rounding import programme_keys
+from gradcal_jax.design.slots import (
+    CycleCoordinates,
+    CycleStructure,
+    PoseTurn,
+    TableLimits,
+    Visits,
+    structure_of,
+    time_of,
+)
+from gradcal_jax.design.visits import (
+    LEAST_TURN,
+    VisitTimes,
+    cycle_of,
+    moves_of_visits,
+    reading_spacing,
+    reading_spacing_of_others,
+    rest_spacing,
+    shortest_rest,
+)
 from gradcal_jax.information.error_budget import columns_of_imu
 from gradcal_jax.information.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.information.residual import Statistic
+from gradcal_jax.information.verdicts import mission_weights
 from gradcal_jax.model import Hysteresis, ImuModel, TemperatureDifference
-from gradcal_jax.model.imu_build import course_before, geometry, waves_of
+from gradcal_jax.model.imu_build import course_before, fineness, geometry, waves_of
 from gradcal_jax.recipe.rounding import steps_of
 from gradcal_jax.recipe.tracks import makeable_acceleration
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.design import Design
 from gradcal_jax.spec.motion_plan import MotionPlan, PlanSchedule
+from gradcal_jax.spec.requirement import MissionHeadingRequirement
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
-
-# A smaller turn, deg, says nothing of a sensor, and is lost among the readings about it.
-_SHOWS = 0.5
-# Resolution of turns (deg), rates (deg/s) and rests (s) in a plan.
-_ANGLE, _RATE, _FINE_RATE, _REST = 0.01, 0.1, 0.01, 0.1
-# Share of the largest rate beyond which a turn keeps its rate when it is rounded.
-_FASTEST = 0.98
-_SLACK = 1e-9
-
-
-class CycleRounding(NamedTuple):
-    """Of cycles on the `axes` of a table within `limits`: the controllers' step of time `grid` (s), that of all angles
-    (rad; None: any angle), and whether a cycle is `closed`."""
-
-    limits: TableLimits
-    axes: tuple[str, ...]
-    grid: float
-    angle_step: float | None
-    closed: bool
-
-    def on_steps(self, cycle: Cycle) -> Cycle:
-        """The cycle with its turns rounded to whole angle steps, without turns of none."""
-        step, turned, result = self.angle_step or 1.0, {}, []
-        for t in cycle:
-            if t.axis >= 0:
-                goal = turned.get(t.axis, (0.0, 0.0))[0] + t.angle
-                count = round((goal - turned.get(t.axis, (0.0, 0.0))[1]) / step)
-                turned[t.axis] = goal, turned.get(t.axis, (0.0, 0.0))[1] + count * step
-                t = t._replace(angle=count * step)
-            if t.angle or t.rest or t.axis < 0:
-                result.append(t)
-        return tuple(result)
-
-    def rounded(self, cycle: Cycle, period: float, whole: Float[np.ndarray, " L"]) -> Cycle:
-        """Rounded turns, rates and rests that fit into the `period` (s) and turn every axis by the `whole` (rad)."""
-        step = _ANGLE if self.angle_step is None else 0.0
-        items, net = [], {}
-        for t in cycle:
-            degrees, rate = math.degrees(t.angle), math.degrees(t.rate)
-            degrees = round(degrees / step) * step if step else degrees
-            if t.axis >= 0:
-                most = math.floor(math.degrees(float(self.limits.rates[t.axis])) / _RATE + _SLACK) * _RATE
-                rate = min(math.ceil(rate / _RATE - _SLACK) * _RATE, most)
-                net[t.axis] = net.get(t.axis, 0.0) + degrees
-            rest = max(round(t.rest / _REST) * _REST, self.limits.shortest) if t.rest > 0.0 else 0.0
-            items.append([t.axis, round(degrees, 6), round(rate, 6), round(rest, 6)])
-        for axis, total in net.items() if self.closed else ():
-            last = max(k for k, item in enumerate(items) if item[0] == axis)
-            items[last][1] = round(items[last][1] - total + math.degrees(float(whole[axis])), 6)
-        for item in items:
-            # A turn that shows nothing: another one of its axis takes it along.
-            if item[0] >= 0 and 0.0 < abs(item[1]) < _SHOWS:
-                largest = max((of for of in items if of[0] == item[0]), key=lambda of: abs(of[1]))
-                if largest is not item:
-                    largest[1], item[1] = round(largest[1] + item[1], 6), 0.0
-        items = [item for item in items if item[1] or item[3]]
-
-        # The longest rests share what the controllers' steps of time cost, or leave.
-        turning = (self._made(l, a, w)[1] for l, a, w, _ in items if l >= 0 and a)
-        rests = sorted((item for item in items if item[3]), key=lambda item: -item[3])
-        change = math.floor((period - math.fsum([*turning, *(item[3] for item in items)])) / _REST + _SLACK)
-        for k in range(abs(change)) if rests else ():
-            item = rests[k % len(rests)]
-            item[3] = max(round(item[3] + math.copysign(_REST, change), 6), self.limits.shortest)
-        return tuple(PoseTurn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
-
-    def _made(self, axis: int, degrees: float, rate: float) -> tuple[float, float]:
-        """Peak rate (deg/s) and duration (s) of a turn in whole steps of the controllers' time: steepest, in the
-        nearest number of steps that its limits allow; one near its largest rate, which says most, keeps it."""
-        size, grid, slow = math.radians(abs(degrees)), self.grid, self.limits.slow
-        most = min(float(self.limits.rates[axis]), slow if math.radians(rate) <= slow else math.inf)
-        # θ = A·(duration − ramp), with ramp = steep·A and no flat part at the least.
-        steep = STEEPNESS / float(self.limits.accelerations[axis])
-        peaks = (min(w, math.sqrt(size / steep)) for w in (math.radians(rate), most))
-        planned, quickest = ((size / w + steep * w) / grid for w in peaks)
-        duration = max(round(planned), math.ceil(quickest - _SLACK)) * grid
-        if math.radians(rate) >= _FASTEST * most:
-            duration = math.ceil(planned - _SLACK) * grid
-            return min(rate, math.degrees(min(most, 2.0 * size / duration))), duration
-        peak = 2.0 * size / (duration + math.sqrt(max(duration**2 - 4.0 * steep * size, 0.0)))
-        peak = math.ceil(math.degrees(peak) / _FINE_RATE - _SLACK) * _FINE_RATE
-        return min(peak, math.degrees(most), math.degrees(2.0 * size / duration)), duration
-
-    def moves(self, cycle: Cycle) -> list[dict[str, str]]:
-        """A cycle as a list of moves for a spec."""
-        moves: list[dict[str, str]] = []
-        for t in cycle:
-            if t.axis >= 0 and t.angle:
-                rate, duration = self._made(t.axis, math.degrees(t.angle), math.degrees(t.rate))
-                turn = {"turn": f"{math.degrees(t.angle):.10g} deg", "axis": self.axes[t.axis]}
-                turn |= {"peak_rate": f"{rate:.8g} deg/s", "duration": f"{duration:.8g} s", "shape": SHAPE}
-                moves.append(turn)
-            if t.rest:
-                moves.append({"rest": f"{t.rest:.6g} s"})
-        return moves
-
+from gradcal_jax.tables.problems import Problem, SpecError
 
 # Points of a requirement's grid on each side that a search evaluates: of a mean over one side those of the file.
 _SEARCH_GRID = 31
@@ -168,11 +91,16 @@ _READINGS_OF_A_STAY = 8
 # What is left of the time for rounding, s: of a course of the file, and of a free one.
 _LEFT, _LEFT_OF_COURSE = 1e-3, 0.2
 _SLACK = 1e-9
+# A turn shorter than this many times the shortest is left out.
+_VANISHED = 3.0
+# Largest turn (rad) and longest rest (s) of an axis that has the table in visits: of any size.
+_UNBOUNDED = 1e9
 # Shortest soak that a programme may begin with, s.
 _BRIEF = 1.0
 NO_COURSE = (
     'design.free = ["programme"] needs a plan with one mounting that does not continue an interrupted run; its '
-    "temperature programme must be ramps whose data are used, after at most one soak whose data are not used"
+    "temperature programme must be ramps whose data are used, after at most one soak whose data are not used; an axis "
+    "that has the table in a few visits follows the programme of the file"
 )
 
 
@@ -188,7 +116,7 @@ class RepeatedCycle(NamedTuple):
 class CyclePlan:
     """A spec's plan as the search sees it: the objective of a cycle, its start, and what a cycle's plan leaves."""
 
-    def __init__(self, spec: Spec) -> None:
+    def __init__(self, spec: Spec, times: VisitTimes | None = None) -> None:
         self.exact = exact = ExactObjective(spec)
         self.spec, self.design, builts = spec, exact.design, exact.builts
         self.built = builts[0]
@@ -207,9 +135,17 @@ class CyclePlan:
                 aims.append((aim, _statistics_of(quantity, aim.statistic, unseen)))
         self.turns_free = "cycle" in self.design.free or not self.design.free
         self._stands = isinstance(spec.plan, MotionPlan) and spec.plan.cycle is None
-        self._schedule = spec.executable_schedule if self._stands else spec.plain_schedule
-        stretches = self._schedule.stretches
-        if self._stands:
+        if times is not None:
+            self._schedule = spec.gradient_schedule
+        else:
+            self._schedule = spec.executable_schedule if self._stands else spec.plain_schedule
+        stretches, self._visits = self._schedule.stretches, None
+        if times is not None:
+            self.limits = _limits(self.exact.cases[0].spec, self.design, (), [case.spec for case in self.exact.cases])
+            self._visits, turns = self._in_visits(times)
+            self._own = times.own
+            self.start = RepeatedCycle(turns, times.cycles)
+        elif self._stands:
             whole = stretches[0].duration
             each = max(_OF_MEMORY * _longest_memory(models), whole / _STANDING)
             count = max(round(whole / each), _STANDING // 4)
@@ -218,11 +154,16 @@ class CyclePlan:
         else:
             turns = _cycle_of(spec)
             self.start = RepeatedCycle(turns, max(1, stretches[0].cycles))
-        self.closed = max(self.start.cycles, *(s.cycles for s in stretches)) > 1 or len(stretches) > 1
-        self.limits = _limits(spec, self.design, turns)
-        spare = math.ceil(len(turns) * (1.0 + _SPARE) / _SLOTS) * _SLOTS
-        self.slots = max(min(spare, self.design.moves or _MOST_TURNS), len(turns))
-        self.coordinates = CycleCoordinates(self.limits, self.slots)
+        self.repeats = max(self.start.cycles, *(s.cycles for s in stretches)) > 1 or len(stretches) > 1
+        if times is None:
+            self.limits = _limits(spec, self.design, turns)
+            spare = math.ceil(len(turns) * (1.0 + _SPARE) / _SLOTS) * _SLOTS
+            self.slots = max(min(spare, self.design.moves or _MOST_TURNS), len(turns))
+        else:
+            self.repeats, self.slots = times.cycles > 1, len(turns)
+        self.by_time = times is not None and not np.any(np.isfinite(self.limits.reach))
+        self.closed = self.repeats and not self.by_time
+        self.coordinates = CycleCoordinates(self.limits, self.slots, self._visits)
         step = self.design.angle_step
         self.rounding = CycleRounding(
             self.limits,
@@ -246,7 +187,9 @@ class CyclePlan:
             of_logs=exact.of_logs,
             window=self._window,
             points=self._points,
-            waves=waves_of(spec),
+            waves=waves_of(spec) if times is None else None,
+            nodes=1 if times is None else fineness(spec, self.built.model, self.built.motion.line)[1],
+            lag=spec.sensor.lag if self._one_run else None,
             readings=_READINGS_OF_A_STAY if self._stands else READINGS_OF_A_REST,
             worst=exact.worst,
             worst_model=self.design.robust == "worst",
@@ -258,7 +201,9 @@ class CyclePlan:
         elif not self.turns_free:
             raise ValueError(f"optimise can change no part of this plan: the table is at rest, and {NO_COURSE}")
         self.value = partial(_value, self.objective, self.slots, self.free_course)
-        self.descent = _descent_of(self.value)
+        self.descent = Descent(self.value)
+        # (One by one its operations would compile a dozen programs.)
+        self._decode = jax.jit(self.coordinates.decode)
 
     def free_ramps(self, z: Any, of: CycleStructure) -> Ramp:
         """The ramps of a free course."""
@@ -280,17 +225,15 @@ class CyclePlan:
         first, *rest = schedule.segments
         ramps = rest if first.kind == "soak" and not first.used else schedule.segments
         fixed = any(s.kind != "ramp" or not s.used for s in ramps) or not ramps
-        if fixed or len(spec.rig.table.mounting) > 1:
+        if fixed or len(spec.rig.table.mounting) > 1 or self._one_run:
             if "programme" in free:
                 raise ValueError(NO_COURSE)
             return None
         soak = first.duration if first.kind == "soak" else _BRIEF
         time = sum(s.duration for s in ramps) - (0.0 if first.kind == "soak" else _BRIEF)
         chamber = spec.rig.chamber
-        numbers = (soak, time, time, *chamber.range, chamber.max_heating, chamber.max_cooling)
-        coordinates = ProgrammeCoordinates(
-            *(np.asarray(float(v)) for v in numbers), stretches=legs_of(len(ramps)), soak_used=False
-        )
+        numbers = (soak, time, *chamber.range, chamber.max_heating, chamber.max_cooling)
+        coordinates = ProgrammeCoordinates(*(np.asarray(float(v)) for v in numbers), stretches=legs_of(len(ramps)))
         before = course_before(spec)
         past = np.zeros(0) if before is None else before
         model, lag = self._model, float(spec.sensor.lag or 0.0)
@@ -310,12 +253,16 @@ class CyclePlan:
     def cycle_at(self, point: np.ndarray, of: CycleStructure, cycles: int) -> RepeatedCycle:
         """The cycle of such numbers."""
         count = 3 * self.slots
-        turns = self.coordinates.cycle(point[:count].reshape(3, -1), of)
+        turns = self.coordinates.cycle_of(self._decode(point[:count].reshape(3, -1), of), of)
         return RepeatedCycle(turns, cycles, tuple(point[count:].tolist()))
 
     def in_words(self, cycle: RepeatedCycle) -> str:
         """The structure of a cycle and its course."""
         words = f"{len(cycle.turns)} turns in each of {cycle.cycles} cycles"
+        if self._visits is not None:
+            number = (self._visits.group[-1] + 1) * cycle.cycles
+            kind = "the same moves in each cycle" if self.repeats else "each with its own moves"
+            words = f"{number} visits of {self._own:.4g} s, {kind}"
         if self.free_course is None:
             return words
         of = self.free_course.coordinates.programme(np.array(cycle.course))
@@ -327,7 +274,7 @@ class CyclePlan:
     def _cycles_together(self, models: Sequence[ImuModel]) -> int:
         """How many cycles are filtered together."""
         stretches = self._schedule.stretches
-        if not self.closed and len(_parts(self._schedule, (1,) * len(stretches), 0.0)) == 1:
+        if not self.repeats and len(_parts(self._schedule, (1,) * len(stretches), 0.0)) == 1:
             return 1
         longest = _longest_memory(models)
         fit = math.ceil(_BEFORE + _MEMORY * longest * self.start.cycles / stretches[0].duration)
@@ -339,7 +286,10 @@ class CyclePlan:
             stretches = self._schedule.stretches
             left = _LEFT if self.free_course is None else _LEFT_OF_COURSE
             period = min(stretches[0].duration / count, *(s.duration for s in stretches)) - left / count
-            counts = tuple(max(1, int(s.duration / period)) for s in stretches)
+            if self._visits is not None and self.repeats:
+                period = (self._visits.own + self._visits.other) * (self._visits.group[-1] + 1)
+            behind = 0.0 if self._visits is None else self._visits.other
+            counts = tuple(max(1, int((s.duration + behind) / period)) for s in stretches)
             # They are kept, and so must be no tracers of a program that happens to ask first.
             with jax.ensure_compile_time_eval():
                 ramps = self._ramps(counts, period) if self.free_course is None else None
@@ -347,9 +297,72 @@ class CyclePlan:
         return self._courses[count]
 
     def structure(self, cycle: RepeatedCycle, *, turnable: bool = True) -> CycleStructure:
-        """The structure of a cycle."""
-        period = self.course(cycle.cycles).period
-        return structure_of(cycle.turns, self.slots, self.limits, period, closed=self.closed, turnable=turnable)
+        """The structure of a cycle; where its turns are not `turnable`, they are by pose."""
+        period, flags = self.course(cycle.cycles).period, {"turnable": turnable, "timed": self.by_time and turnable}
+        return structure_of(cycle.turns, self.slots, self.limits, period, closed=self.closed, **flags)
+
+    def without_brief(self, cycle: RepeatedCycle) -> RepeatedCycle:
+        """A cycle of visits without turns that are hardly longer than the shortest."""
+        assert self._visits is not None
+        turns, group = list(cycle.turns), self._visits.group
+        for k, t in enumerate(turns):
+            if t.axis >= 0 and time_of(t, self.limits) < _VANISHED * self._visits.least:
+                turns[k] = PoseTurn(-1, 0.0, 0.0, 0.0)
+                if k and group[k - 1] == group[k] and turns[k - 1].rest:
+                    turns[k - 1] = turns[k - 1]._replace(rest=turns[k - 1].rest + t.rest)
+        return cycle._replace(turns=tuple(turns))
+
+    def snapped(self, cycle: RepeatedCycle) -> RepeatedCycle:
+        """A cycle whose turns are whole angle steps."""
+        return cycle._replace(turns=self.rounding.on_steps(cycle.turns, slots=self._visits is not None))
+
+    @property
+    def draws(self) -> bool:
+        """Whether random cycles are among its starts: of an axis that has the table in visits."""
+        return self._visits is not None
+
+    @property
+    def _one_run(self) -> bool:
+        """Whether one cycle of visits is the whole plan."""
+        return self._visits is not None and not self.repeats
+
+    def _in_visits(self, times: VisitTimes) -> tuple[Visits, Cycle]:
+        """The slots of the visits: a rest before the first turn of all, then turns with rests between them and, where
+        no other axis waits, behind the last. With the moves of the file's cycle, as many as it has, in every visit."""
+        resolved = cycle_of(self.spec)
+        assert resolved is not None
+        own, slots, group = moves_of_visits(resolved), [], []
+        whole, period = self._schedule.stretches[0].duration, times.own + times.other
+        tail = times.other if times.cycles > 1 else max(whole - times.visits * period + times.other, 0.0)
+        tail = tail if tail > _LEFT else 0.0
+        for visit in range(times.visits):
+            turns = [PoseTurn(-1, 0.0, 0.0, self.limits.shortest)]
+            for move in own[visit % len(own)]:
+                if move.is_rest:
+                    turns[-1] = turns[-1]._replace(rest=turns[-1].rest + move.duration)
+                else:
+                    turns.append(PoseTurn(0, move.angle, move.fastest, 0.0))
+            turns = turns if visit == 0 else turns[1:]
+            if times.other and (visit < times.visits - 1 or tail):
+                turns[-1] = turns[-1]._replace(rest=0.0)
+            empty = times.turns + (visit == 0) - len(turns)
+            slots += turns + [PoseTurn(-1, 0.0, 0.0, 0.0)] * empty
+            group += [visit] * (times.turns + (visit == 0))
+        every = reading_spacing_of_others(self.spec, self.limits.read_every)
+        # For the steps of time to which turns are rounded.
+        spare = 0.5 * float(steps_of(self.spec).time) * (times.turns + 1)
+        other = times.other + spare if times.other else 0.0
+        return Visits(np.array(group), times.own - spare, other, every, tail, LEAST_TURN), tuple(slots)
+
+    def drawn(self, rng: np.random.Generator) -> RepeatedCycle:
+        """A random cycle with all turns that fit, of an axis that has the table in visits."""
+        visits, count = self._visits, self.slots
+        assert visits is not None
+        last = np.append(np.diff(visits.group) > 0, bool(visits.tail)) & (visits.other > 0.0)
+        turns = [PoseTurn(0 if k else -1, 1.0, 1.0, 0.0 if last[k] else 1.0) for k in range(count)]
+        full = self.start._replace(turns=tuple(turns))
+        point = np.concatenate([rng.standard_normal(3 * count), np.array(full.course)])
+        return self.cycle_at(point, self.structure(full), full.cycles)
 
     def _ramps(self, counts: Sequence[int], period: float) -> Ramp:
         """All parts of the plan with one slope: see `Ramp`."""
@@ -360,7 +373,8 @@ class CyclePlan:
         samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
         past = [] if (before := course_before(self.spec)) is None else before.tolist()
         for part in _parts(self._schedule, counts, period):
-            mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0] - part.slope * lag
+            mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0]
+            begins -= 0.0 if self._one_run else part.slope * lag
             step, number = part.slope * period, len(part.temperatures)
             if not polynomials:
                 before = self._window - 1
@@ -406,16 +420,39 @@ class CyclePlan:
     def spec_of(self, cycle: RepeatedCycle) -> Spec:
         """The spec with a cycle's moves, in numbers that a controller takes."""
         if self.design.angle_step is not None:
-            cycle = cycle._replace(turns=self.rounding.on_steps(cycle.turns))
+            cycle = self.snapped(cycle)
         spec = self.spec
         if self.free_course is not None:
             spec = changed(spec, programme_keys(spec, self.free_course.coordinates, np.array(cycle.course)))
         if self._stands:
             return spec
+        if self._visits is not None:
+            return changed(spec, self._keys_of_visits(cycle.turns, self._visits))
         tables = spec.model_dump(mode="json", exclude_unset=True)
         period, whole = self.course(cycle.cycles).period, self.structure(cycle).whole
         tables["plan"]["cycle"]["moves"] = self.rounding.moves(self.rounding.rounded(cycle.turns, period, whole))
         return spec_of(tables)
+
+    def _keys_of_visits(self, turns: Cycle, visits: Visits) -> dict[str, Any]:
+        """The keys of a plan whose axis has the table in visits."""
+        moves: list[dict[str, Any]] = []
+        parts, reads = self.rounding.visits(turns, visits), math.isfinite(visits.every)
+        behind = 0.0
+        least = visits.other - float(steps_of(self.spec).time) * (len(turns) / len(parts))
+        for number, (part, wait) in enumerate(parts):
+            if wait < least:
+                words = f"the turns of visit {number + 1} take {least - wait:.3g} s more than it has"
+                raise SpecError([Problem(("plan", "cycle", "moves"), words)])
+            moves += self.rounding.moves(part)
+            behind = wait
+            if visits.other and number < len(parts) - 1:
+                moves.append({"rest": f"{wait:.9g} s", "other_axes": True} | ({} if reads else {"read": "none"}))
+        cycle: dict[str, Any] = {"moves": moves}
+        if visits.other:
+            cycle["other_axes"] = {"duration": f"{behind:.9g} s", "read": reads}
+        every = self.limits.read_every
+        spaced = {} if every == reading_spacing(self.spec) else {"rig.table.axis[0].angle.read_every": f"{every:.9g} s"}
+        return {"plan.cycle": cycle, **spaced}
 
 
 def _value(objective: CycleObjective, slots: int, course: FreeCourse | None, z: Any, args: tuple[Any, ...]) -> Any:
@@ -426,22 +463,6 @@ def _value(objective: CycleObjective, slots: int, course: FreeCourse | None, z: 
         assert course is not None
         ramps = course.ramps(z[3 * slots :], of.period)
     return objective.value(jnp.reshape(z[: 3 * slots], (3, slots)), of, ramps, sharpness, targets)
-
-
-def _descent_of(value: "partial[Any]") -> Descent:
-    """Descents of an objective. Those of plans that differ in nothing that the program holds share one, so that another
-    search of a spec, or for other targets, in one process compiles nothing."""
-    objective, *others = value.args
-    try:
-        return _compiled_once(pickle.dumps(partial(_value, objective.without_targets(), *others)))
-    except (AttributeError, TypeError, pickle.PicklingError):
-        # A user's own term may be of a class that cannot be pickled.
-        return Descent(value)
-
-
-@lru_cache(maxsize=8)
-def _compiled_once(value: bytes) -> Descent:
-    return Descent(pickle.loads(value))
 
 
 class CycleCourse(NamedTuple):
@@ -516,7 +537,18 @@ def _cycle_of(spec: Spec) -> Cycle:
     return tuple(turns)
 
 
-def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
+def _limits(spec: Spec, design: Design, start: Cycle, scenarios: Sequence[Spec] = ()) -> TableLimits:
+    """The limits of a spec's table; with `scenarios`, of an axis that has the table in visits, the strictest of all."""
+    if scenarios:
+        every = [_limits(one, design, ()) for one in scenarios]
+        return every[0]._replace(
+            rates=np.min([of.rates for of in every], axis=0),
+            accelerations=np.min([of.accelerations for of in every], axis=0),
+            reach=np.array([[max(of.reach[0, 0] for of in every), min(of.reach[0, 1] for of in every)]]),
+            largest=_UNBOUNDED,
+            longest=_UNBOUNDED,
+            read_every=rest_spacing(spec),
+        )
     axes, gyro, forces = spec.rig.table.axis, spec.sensor.gyro, spec.sensor.accelerometer
     usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
     slow = 0.0 if forces is None else float(forces.read_on_moves_below or 0.0) * (1.0 + _SLACK)
@@ -527,9 +559,9 @@ def _limits(spec: Spec, design: Design, start: Cycle) -> TableLimits:
         np.array([makeable_acceleration(a, None if step is None else float(step), a) for a in steepest]),
         np.array([a.reach for a in axes], dtype=float),
         np.array(spec.executable_schedule.start, dtype=float),
-        largest_alike(max(_LARGEST, *(abs(t.angle) for t in start)), waves_of(spec)),
-        float(design.shortest_rest),
-        max(float(design.longest_rest), *(t.rest for t in start)),
+        largest_alike(max([_LARGEST, *(abs(t.angle) for t in start)]), waves_of(spec)),
+        shortest_rest(spec, design),
+        max([float(design.longest_rest), *(t.rest for t in start)]),
         slow,
         float(axes[0].angle.read_every) if read else math.inf,
     )
@@ -540,6 +572,8 @@ def _statistics_of(quantity: RequiredQuantity, of: Statistic, unseen: Mapping[st
     requirement, elements = quantity.requirement, []
     for e in quantity.elements:
         rows, alone, added = e.contrasts()
+        if isinstance(requirement, MissionHeadingRequirement):
+            rows, alone, added = e.contrasts().times(mission_weights(requirement, of)[:, 0])
         alone, added = alone if np.any(alone) else None, added + quantity.beside**2
         added = added + sum(np.sum((rows @ columns[e.where]) ** 2, axis=1) for columns in unseen.values())
         elements.append(GridElement(e.where, np.asarray(rows), alone, added, e.path))

@@ -40,8 +40,6 @@ class Descent:
         self._solver: Any = optimistix.BFGS(rtol=tolerance, atol=tolerance)
         self._function = lambda y, args: (function(y, args), None)
         self._advance = jax.jit(self._advanced, static_argnums=0, compiler_options=compiler_options())
-        every = jax.vmap(self._advanced, in_axes=(None, 0, None, 0, None))
-        self._advance_all = jax.jit(every, static_argnums=0, compiler_options=compiler_options())
         # (One by one its operations would compile a dozen programs.)
         self._begun = eqx.filter_jit(self._begin)
         # Of points of each size.
@@ -89,27 +87,6 @@ class Descent:
             yield Reached(np.asarray(y), float(state.f_info.f), np.asarray(state.f_info.grad), done, ended)
             if ended:
                 return
-
-    def side_by_side(
-        self,
-        points: Float[np.ndarray, "m n"],
-        args: Any,
-        *,
-        evaluations: int,
-        stop: Callable[[], bool] = lambda: False,
-        together: int = 20,
-    ) -> Float[np.ndarray, "m n"]:
-        """The ends of descents from many points with the same `args`, by one program in which all of them take their
-        steps at once: for a GPU. After every `together` evaluations, `stop()` ends all."""
-        y = jnp.asarray(points, dtype=float)
-        static = self._static_of(y[0])
-        dynamic = jax.vmap(lambda one: eqx.filter(self._begun(one), eqx.is_array))(y)
-        for done in range(0, evaluations, together):
-            count = min(together, evaluations - done)
-            made, y, dynamic = self._advance_all(static, y, args, dynamic, count)
-            if stop() or not np.any(np.asarray(made) == count):
-                break
-        return np.asarray(y)
 
 
 class _Static:

@@ -9,17 +9,72 @@ point acts through a minimum or maximum, of which the derivative is that of the 
 import math
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace
-from gradcal_jax.design.other_plans import ProgrammeCoordinates
 from gradcal_jax.design.pose_cycle import Ramp
+from gradcal_jax.motion import Programme
 
 # Legs of a course at least, and cycles that stand for all others: on a leg at least, and in all about.
 _LEGS, _FEWEST, _SAMPLES = 4, 3, 12
 _GROWS = 3.0
+# Least duration of a stretch, as a share of an even one; distance of a vector's values from their bounds, as a share.
+_LEAST_SHARE = 0.1
+_INSIDE = 1e-4
+
+
+class ProgrammeCoordinates(eqx.Module):
+    """Temperature programmes of `stretches` slopes after a soak, each from any real vector: durations are least times
+    and shares of what is left, slopes lie between the steepest cooling and heating and end within the range.
+
+    `soak`, `time` (of the programme, without the soak): s. `coldest`, `warmest`: °C; `heating`, `cooling`: K/s, sizes.
+    """
+
+    soak: Float[AnyArray, ""]
+    time: Float[AnyArray, ""]
+    coldest: Float[AnyArray, ""]
+    warmest: Float[AnyArray, ""]
+    heating: Float[AnyArray, ""]
+    cooling: Float[AnyArray, ""]
+    stretches: int = eqx.field(static=True)
+
+    @property
+    def size(self) -> int:
+        """Number of free coordinates."""
+        return 2 * self.stretches + 1
+
+    def programme(self, z: Float[AnyArray, " size"]) -> Programme:
+        """The programme of a vector, without its soak."""
+        timed, sloped, first = (z[: self.stretches], z[self.stretches : 2 * self.stretches], z[2 * self.stretches :])
+        xp = namespace(z, self.time)
+        least = _LEAST_SHARE * self.time / self.stretches
+        weight = xp.exp(timed - xp.max(timed))
+        durations = least + (self.time - self.stretches * least) * weight / xp.sum(weight)
+        slopes = 0.5 * (self.heating - self.cooling) + 0.5 * (self.heating + self.cooling) * xp.tanh(sloped)
+        here = _between(self.coldest, self.warmest, first[0])
+        start, reached = here, []
+        for k in range(self.stretches):
+            there = xp.clip(here + slopes[k] * durations[k], self.coldest, self.warmest)
+            reached.append((there - here) / durations[k])
+            here = there
+        return Programme(xp.asarray(start), durations, xp.stack(reached), xp.zeros(durations.shape))
+
+    def vector(self, start: float, durations: np.ndarray, slopes: np.ndarray) -> Float[np.ndarray, " size"]:
+        """Coordinates of a programme of at most `stretches` slopes (°C, s, K/s), the longest ones halved as often as
+        necessary; values at a bound are moved slightly inside."""
+        while len(durations) < self.stretches:
+            k = int(np.argmax(durations))
+            durations = np.insert(durations, k, 0.5 * durations[k])
+            durations[k + 1] *= 0.5
+            slopes = np.insert(slopes, k, slopes[k])
+        time, heating, cooling = (float(v) for v in (self.time, self.heating, self.cooling))
+        spare = np.maximum(durations / time - _LEAST_SHARE / self.stretches, _INSIDE)
+        size = (2.0 * slopes - heating + cooling) / (heating + cooling)
+        first = _share(float(self.coldest), float(self.warmest), np.array([start]))
+        return np.concatenate([np.log(spare), np.arctanh(np.clip(size, _INSIDE - 1.0, 1.0 - _INSIDE)), first])
 
 
 class FreeCourse(NamedTuple):
@@ -111,3 +166,13 @@ def cycles_of_leg(
 def legs_of(own: int) -> int:
     """How many legs a search's courses have, of a plan with `own` ones."""
     return max(own, _LEGS)
+
+
+def _share(low: float, high: float, value: np.ndarray) -> np.ndarray:
+    """The inverse of `_between`."""
+    share = np.clip((value - low) / (high - low), _INSIDE, 1.0 - _INSIDE)
+    return np.log(share / (1.0 - share))
+
+
+def _between(low, high, z):
+    return low + (high - low) * 0.5 * (1.0 + namespace(z).tanh(0.5 * z))

@@ -3,7 +3,7 @@
 **The relaxed problem.** A plan spends its motion time on rates and temperatures: a measure m on (T, ω). If the random
 walk were the only error and every motion possible, the information would be `I(m) = ∫ ω²ψψᵀ dm / N²`; readings, drifts,
 acceleration and travel only reduce it. So no plan is better than the minimum of `Ψ(I(m))` over all measures
-whose total is the motion time and whose temperature marginal is the programme's (or any, where the programme is free).
+whose total is the motion time and whose temperature marginal is the programme's.
 
 **Convexity.** `√(φᵀI⁻¹φ) = sup_x φᵀx (xᵀIx)^(−1/2)` is convex in I, and so are means and maxima of it. For any weights
 `w` that replace each maximum over temperature by a mean (`w ≥ 0`, summing to one for each rate), `Ψ_w = mean_j Σ_i w_ij
@@ -16,9 +16,7 @@ largest `tr(G·I(m))` over the measures, every feasible I' and every c > 0 satis
 
 Any I gives a valid limit; a better one gives a tighter limit. A prior I₀ adds
 `tr(G·I₀)` to d. For fixed T the integrand is a polynomial in ω, whose largest value is found from its derivative's
-roots. The root mean square is handled likewise, with the weights `w = s/(nΨ)` of its own gradient (Cauchy–Schwarz). For
-D-optimality, `Ψ = det(I)^(−1/2p)`: log det is concave, and `Ψ* ≥ Ψ·√(p/d)` with `d` the largest `tr(I⁻¹I(m))` (Kiefer
-and Wolfowitz, 1960).
+roots. The root mean square is handled likewise, with the weights `w = s/(nΨ)` of its own gradient (Cauchy–Schwarz).
 
 A **discrepancy** γ joins the parameters with its prior. A calibration that does not carry γ̂ leaves
 `cᵀCc + (χᵀΓχ − αᵀCα)`, α being χ's part of c, of which the bracket is not negative: the proof leaves it out.
@@ -38,7 +36,7 @@ import scipy.linalg
 from jaxtyping import Array, Float
 from numpy.polynomial import chebyshev
 
-from gradcal_jax.design.criteria import Criterion, Optimality
+from gradcal_jax.design.criteria import Criterion
 from gradcal_jax.design.noise_floor import root_of
 from gradcal_jax.model import Polynomial, SensorModel
 
@@ -61,12 +59,11 @@ class Limit(NamedTuple):
 
 
 def limit(
-    criterion: Criterion | Optimality,
+    criterion: Criterion,
     model: SensorModel,
     *,
     motion_time: float,
     temperatures: np.ndarray,
-    fixed_programme: bool,
     max_rate: float,
     noise_density: float,
     floor: Float[np.ndarray, " g"] | None = None,
@@ -75,24 +72,19 @@ def limit(
 ) -> Limit:
     """The limit for a scale-factor criterion, whether B(T) is known or not (knowing it only adds information).
 
-    `motion_time` s: of the axis; `temperatures` °C: points over which the motion time is spread evenly
-    (`fixed_programme`) or freely. `noise_density` rad²/s: N², see `least_noise_density`.
+    `motion_time` s: of the axis; `temperatures` °C: points over which the motion time is spread
+    evenly. `noise_density` rad²/s: N², see `least_noise_density`.
     `floor`: a variance that no plan removes, of each of the criterion's rows. `prior_share`: the share of
     the prior's variance that counts here, where `floor` counts the rest. `tolerance`: largest relative difference of
     `certified` and `reached`.
     Errors: `ValueError` for a criterion or a map that the proof does not cover.
     """
-    if isinstance(criterion, Criterion):
-        # A discrepancy adds a variance that is not negative, which the proof leaves out: see the module's head.
-        added = np.zeros(len(criterion.rows)) if floor is None else floor
-        criterion = Criterion(criterion.rows, None, added, criterion.shape, criterion.statistic)
+    # A discrepancy adds a variance that is not negative, which the proof leaves out: see the module's head.
+    added = np.zeros(len(criterion.rows)) if floor is None else floor
+    criterion = Criterion(criterion.rows, None, added, criterion.shape, criterion.statistic)
     if model.scale is None or not isinstance(model.scale.rate, Polynomial):
         raise ValueError("this limit exists only for a scale factor that is a polynomial in rate")
-    if isinstance(criterion, Optimality) and criterion.kind == "E":
-        raise ValueError(
-            "there is no limit for E-optimality: minimise A-optimality, D-optimality or a residual instead"
-        )
-    arguments = model, motion_time / noise_density, prior_share, np.asarray(temperatures), fixed_programme
+    arguments = model, motion_time / noise_density, prior_share, np.asarray(temperatures)
     # A maximum over fewer temperatures is no larger, so its certificate is valid for all of them.
     problem, whole = _Problem(_thinned(criterion), *arguments), _Problem(criterion, *arguments)
     # Useful rates fill the empty columns, so that every stage has the same shape and is compiled once.
@@ -117,9 +109,9 @@ def limit(
 class _Problem:
     """The relaxed problem in columns of about unit size."""
 
-    def __init__(self, criterion, model: SensorModel, gain: float, prior_share: float, temperatures, fixed):
+    def __init__(self, criterion, model: SensorModel, gain: float, prior_share: float, temperatures):
         self.criterion, self.model = criterion, model
-        self.temperatures, self.fixed_programme = temperatures, fixed
+        self.temperatures = temperatures
         # Information of a unit rate in the whole time.
         self.gain = gain
         assert model.scale is not None
@@ -130,7 +122,7 @@ class _Problem:
         self.rows = np.asarray(criterion.rows)[:, where]
         prior = model.prior_rows()[:, where]
         self.prior = prior.T @ prior / prior_share
-        self.beyond = np.asarray(getattr(criterion, "beyond", np.zeros(len(self.rows))))
+        self.beyond = np.asarray(criterion.beyond)
 
     def moments(self, k: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Rows whose squares are the information of all time at the temperature k and a rate."""
@@ -144,7 +136,7 @@ class _Problem:
         arrays = [jnp.asarray(a) for a in (self._points(rates), self.prior, self.rows, self.beyond, sharpness)]
 
         def both(z):
-            how = self.fixed_programme, _statistic(self.criterion), self._shape
+            how = self.criterion.statistic, self.criterion.shape
             value, gradient = _value(jnp.asarray(z.reshape(logs.shape)), *arrays, *how)
             return float(value), np.asarray(gradient).ravel()
 
@@ -154,13 +146,9 @@ class _Problem:
     def _points(self, rates: np.ndarray) -> np.ndarray:
         return self.moments(np.repeat(np.arange(len(rates)), rates.shape[1]), rates.ravel())
 
-    @property
-    def _shape(self) -> tuple[int, int]:
-        return getattr(self.criterion, "shape", (len(self.rows), 1))
-
     def _halves(self, rates, logs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Columns' sizes, the triangular factor R of the scaled information, and R⁻ᵀ of the criterion's rows."""
-        weights = np.asarray(_shares(jnp.asarray(logs), self.fixed_programme))
+        weights = np.asarray(_shares(jnp.asarray(logs)))
         # From the weighted rows themselves: their product would lose half the digits.
         weighted = np.concatenate([self._points(rates) * np.sqrt(weights).reshape(-1, 1), root_of(self.prior)])
         size = np.linalg.norm(weighted, axis=0)
@@ -170,29 +158,21 @@ class _Problem:
     def value(self, rates, logs) -> float:
         """The exact criterion at these weights."""
         half = self._halves(rates, logs)[2]
-        if _statistic(self.criterion) == "D":
-            return float(np.exp(np.linalg.slogdet(half.T @ half)[1] / (2 * len(half))))
-        return _dual(self._deviations(half), _statistic(self.criterion), np.inf)[0]
+        return _dual(self._deviations(half), self.criterion.statistic, np.inf)[0]
 
     def _deviations(self, half: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.sum(half**2, axis=0) + self.beyond).reshape(self._shape)
+        return np.sqrt(np.sum(half**2, axis=0) + self.beyond).reshape(self.criterion.shape)
 
     def certify(self, rates, logs, sharpness: float, max_rate: float) -> tuple[float, np.ndarray]:
         """The lower limit that these weights certify, and the most useful rate at each temperature."""
         size, factor, half = self._halves(rates, logs)
-        count = len(half)
-        if _statistic(self.criterion) == "D":
-            # tr(I⁻¹ m) = |R⁻ᵀ m|²
-            useful = scipy.linalg.solve_triangular(factor, np.eye(count), trans=1) / size[None, :]
-            share, value, enough = np.ones(count), self.value(rates, logs), float(count)
-        else:
-            values = self._deviations(half)
-            near = _dual(values, _statistic(self.criterion), sharpness)[1]
-            useful = scipy.linalg.solve_triangular(factor, half).T / size[None, :]
-            share, value = (near / (2.0 * values)).ravel(), float(np.sum(near * values))
-            enough = float(share @ np.sum(half**2, axis=0))
+        values = self._deviations(half)
+        near = _dual(values, self.criterion.statistic, sharpness)[1]
+        useful = scipy.linalg.solve_triangular(factor, half).T / size[None, :]
+        share, value = (near / (2.0 * values)).ravel(), float(np.sum(near * values))
+        enough = float(share @ np.sum(half**2, axis=0))
         density, peaks = self._largest(useful, share, max_rate)
-        most = float(np.mean(density)) if self.fixed_programme else float(np.max(density))
+        most = float(np.mean(density))
         most += float(share @ np.einsum("gi,ij,gj->g", useful, self.prior, useful))
         if np.any(self.beyond):
             return max(value + enough - most, 0.0), peaks
@@ -219,40 +199,29 @@ class _Problem:
         return np.array(largest), np.array(where)
 
 
-def _statistic(criterion: Criterion | Optimality) -> str:
-    if isinstance(criterion, Optimality):
-        return "rms" if criterion.kind == "A" else criterion.kind
-    return criterion.statistic
-
-
-def _thinned(criterion: Criterion | Optimality) -> Criterion | Optimality:
+def _thinned(criterion: Criterion) -> Criterion:
     """A criterion with a maximum over temperature on fewer temperatures, ends included; others unchanged."""
-    if _statistic(criterion) not in ("max", "mean of max"):
+    if criterion.statistic not in ("max", "mean of max"):
         return criterion
-    assert isinstance(criterion, Criterion)
     every, across = criterion.shape
     kept = np.unique(np.round(np.linspace(0, every - 1, min(every, _TEMPERATURES))).astype(int))
     some = lambda v: v.reshape(every, across, -1)[kept].reshape(len(kept) * across, -1)  # noqa: E731
     return Criterion(some(criterion.rows), None, some(criterion.beyond)[:, 0], (len(kept), across), criterion.statistic)
 
 
-def _shares(logs: Float[Array, "n m"], fixed_programme: bool) -> Float[Array, "n m"]:
-    """The measure: for each temperature a distribution over rate, or one distribution over both."""
-    if not fixed_programme:
-        return jax.nn.softmax(logs)
+def _shares(logs: Float[Array, "n m"]) -> Float[Array, "n m"]:
+    """The measure: for each temperature a distribution over rate."""
     return jax.nn.softmax(logs, axis=1) / logs.shape[0]
 
 
-def _relaxed(logs, points, prior, rows, beyond, sharpness, fixed_programme: bool, statistic: str, shape) -> Array:
+def _relaxed(logs, points, prior, rows, beyond, sharpness, statistic: str, shape) -> Array:
     """The logarithm of the smooth criterion at these weights."""
-    weights = jnp.reshape(_shares(logs, fixed_programme), (-1, 1))
+    weights = jnp.reshape(_shares(logs), (-1, 1))
     information = (points * weights).T @ points + prior
     size = jnp.sqrt(jnp.diag(information))
     factor = jnp.linalg.cholesky(information / size[:, None] / size[None, :])
     # The inverse of a small factor and one product: XLA solves for many right-hand sides one after another.
     half = jax.scipy.linalg.solve_triangular(factor, jnp.eye(len(size)), lower=True) @ (rows / size[None, :]).T
-    if statistic == "D":
-        return jnp.linalg.slogdet(half.T @ half)[1] / (2 * rows.shape[1])
     values = jnp.reshape(jnp.sqrt(jnp.sum(half**2, axis=0) + beyond), shape)
     if statistic == "mean":
         return jnp.log(jnp.mean(values))

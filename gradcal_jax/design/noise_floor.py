@@ -7,16 +7,9 @@
 the integrated error is seen through a window of frequencies in which slow motion is limited by drift and fast motion
 by the readings. No design avoids every frequency (large-sieve inequality); the best ε is taken.
 
-**The bias.** Suppose that M(T, ω) is known and the rate's noise is observed continuously instead of through readings.
-Then generalised least squares in T gives the least variance of B, and every reading is a function of this observation.
-Under the angle random walk alone the information is `∫ ψψᵀ dt/N²`, under a drift alone that of a continuous observation
-(below). A rate random walk and all noise that depends on the rate are left out, and the variances add as they do below.
-Where the programme is free, only the angle random walk counts: over all measures m of the time t on the temperatures,
-for every θ (with P the prior's information),
-
-    min_m cᵀ(∫ψψᵀdm/N² + P)⁻¹c ≥ min_m max_a 2a·cᵀθ − a²·θᵀ(∫ψψᵀdm/N² + P)θ ≥ (cᵀθ)²/(t·max_T(ψᵀθ)²/N² + θᵀPθ);
-
-the θ of a linear programme (the largest cᵀθ with |ψᵀθ| ≤ 1) makes this an equality without a prior (Elfving, 1952).
+**The bias.** Suppose that M(T, ω) is known and the error of the rate is observed at every instant instead of through
+readings. Then generalised least squares in T gives the least covariance of B, and every reading is a function of this
+observation. All noise that depends on the rate is left out.
 
 **Processes that multiply the rate** (instability of the scale factor, an error of the temperature or of the sensor's
 clock) cannot be distinguished from the scale factor itself. Suppose that `M(T, ω) + δ(t)` is observed at every rate at
@@ -43,7 +36,7 @@ import numpy as np
 import scipy.linalg
 
 from gradcal_jax.information import information
-from gradcal_jax.model import BIAS, SCALE_FACTOR, Basis, Map, Processes, SensorModel, gyro_model
+from gradcal_jax.model import SCALE_FACTOR, Basis, Map, Processes, SensorModel, gyro_model
 from gradcal_jax.motion import Programme, held, quadrature
 
 # Begin and end of windows, s; the sensor's temperature (°C) and its rate (K/s) at times (s).
@@ -61,10 +54,6 @@ _INSET, _AT_ONCE = 1e-9, 1e-12
 # The time at the table is divided into at least this many equal parts of one temperature, two or more for each turn.
 PARTS = 48
 _AT_KNOT = 1e-6
-# Temperatures of a linear programme.
-_GRID = 2001
-# Observable: singular values of scaled columns above this share of the largest.
-_SEEN = 1e-9
 # Longest step of a continuous observation: as a share of the shortest correlation time, and in s.
 _SHARE_OF_CORRELATION = 0.05
 _LONGEST_S = 5.0
@@ -106,8 +95,8 @@ def scale_factor_floor(model: SensorModel, windows: Windows, temperature: Course
     """`(len(at),)`, the variance of M at the temperatures `at` (°C) that no motion in the windows removes.
 
     `windows` (begin, end; s, in order): all times at which the axis may turn; the chamber's slope is constant in each.
-    `temperature(t)`: the sensor's (°C), and its rate (K/s). Without windows (a free programme) only constant errors
-    count. A limit to which this is added may count only the share `PRIOR_OF_WALK` of the variance of the map's prior.
+    `temperature(t)`: the sensor's (°C), and its rate (K/s). A limit to which this is added may count only the share
+    `PRIOR_OF_WALK` of the variance of the map's prior.
     """
     p, scale = model.processes, model.scale
     if scale is None:
@@ -123,69 +112,10 @@ def scale_factor_floor(model: SensorModel, windows: Windows, temperature: Course
         one = _constant(scale.temperature)
         floor += 1.0 / (one @ prior @ one + 1.0 / clock)
     moving = np.flatnonzero((variance > 0.0) & (decay > 0.0))
-    if not len(moving) or not windows:
-        return floor
     for k in moving:
         seen = _continuous_look(scale.temperature, windows, temperature, float(variance[k]), float(decay[k]))
         root = np.linalg.qr(np.concatenate([seen, root_of(len(moving) * prior)]), mode="r")
         floor += np.sum(scipy.linalg.solve_triangular(root, wanted.T, trans=1) ** 2, axis=0)
-    return floor
-
-
-def bias_floor(model: SensorModel, windows: Windows, temperature: Course, rows: np.ndarray) -> np.ndarray:
-    """`(g,)`, the variance of combinations `rows` `(g, p)` of B's parameters that no plan removes.
-
-    `windows` (all times whose data are used) and `temperature`: as for `scale_factor_floor`.
-    """
-    p, bias = model.processes, model.bias
-    assert bias is not None
-    gain = np.where(p.rate_gain == 0.0, p.bias_gain, 0.0)
-    variance, decay = (gain * p.initial_std) ** 2, p.decay
-    moving = np.flatnonzero((variance > 0.0) & (decay > 0.0))
-    edges = np.array(windows)
-    nodes, weights = quadrature(_NODES)
-    width = np.diff(edges, axis=1)
-    t, _ = temperature((edges[:, :1] + width * nodes).ravel())
-    looks = [bias.temperature(t) * (np.sqrt((width * weights).ravel()) / float(model.angle_random_walk))[:, None]]
-    looks += [
-        _continuous_look(bias.temperature, windows, temperature, float(variance[k]), float(decay[k])) for k in moving
-    ]
-    # Every noise takes an equal share of the prior's variance.
-    prior = model.prior_rows()[:, model.where(BIAS)] * len(looks) ** 0.5
-    floor = np.zeros(len(rows))
-    for look in looks:
-        seen = np.concatenate([look, prior])
-        scale = np.linalg.norm(seen, axis=0)
-        _, singular, directions = np.linalg.svd(seen / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-        # An unobservable direction is left out, which only makes the variance smaller.
-        there = singular > _SEEN * singular[0]
-        half = (rows / np.where(scale > 0.0, scale, np.inf)) @ directions[there].T / singular[there]
-        floor += np.sum(half**2, axis=1)
-    return floor
-
-
-def bias_floor_anywhere(
-    model: SensorModel, time: float, temperatures: tuple[float, float], rows: np.ndarray
-) -> np.ndarray:
-    """As `bias_floor`, where the `time` (s) of the data is spent on any of the `temperatures` (°C) between two."""
-    # Imported where it is used: the import takes a third of a second, and few commands compute a limit.
-    from scipy import optimize
-
-    bias = model.bias
-    assert bias is not None
-    values = bias.temperature(np.linspace(*temperatures, _GRID))
-    prior = model.prior_rows()[:, model.where(BIAS)]
-    floor = np.zeros(len(rows))
-    for k, row in enumerate(rows):
-        bounded = np.concatenate([values, -values])
-        best = optimize.linprog(-row, A_ub=bounded, b_ub=np.ones(len(bounded)), bounds=(None, None))
-        if best.x is None:
-            continue
-        # The maximum may lie between two points of the grid.
-        along = values @ best.x
-        largest = np.max(np.abs(along)) + 0.5 * np.max(np.abs(np.diff(along)))
-        walk = time * largest**2 / float(model.angle_random_walk) ** 2
-        floor[k] = (row @ best.x) ** 2 / (walk + np.sum((prior @ best.x) ** 2))
     return floor
 
 

@@ -11,18 +11,18 @@ import numpy as np
 
 from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.design.plan_limit import limit
-from gradcal_jax.design.pose_search import EVALUATIONS, QUICK_EVALUATIONS, PoseSearch
-from gradcal_jax.design.searching import Optimised, PlanSearch, Price, SearchStep, search_plans
-from gradcal_jax.design.turn_plan import (
-    motion_time,
-    with_motion,
+from gradcal_jax.design.pose_search import (
+    EVALUATIONS,
+    EVALUATIONS_OF_VISITS,
+    QUICK_EVALUATIONS,
+    QUICK_EVALUATIONS_OF_VISITS,
+    PoseSearch,
 )
-from gradcal_jax.design.turn_search import STEPS, TurnSearch
+from gradcal_jax.design.searching import Optimised, Price, SearchStep, search_plans
+from gradcal_jax.design.visits import motion_time, visit_choices, with_motion
 from gradcal_jax.information.verdicts import limit_of
-from gradcal_jax.spec.design import TIMES
+from gradcal_jax.spec.design import TIMES, Design
 from gradcal_jax.spec.motion_plan import duration_of
-from gradcal_jax.spec.plan import StandardPlan
-from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
@@ -47,17 +47,17 @@ def optimise(
 ) -> Optimised:
     """The best plan that gradient descent finds for a spec, rounded to the controllers' steps.
 
-    Of one gyro along the only axis of a table the search changes what [design] frees; of any other IMU a cycle of turns
-    and poses. `steps`: iterations of each start (240) or, of poses, gradients in all (14000). `quick`: few of them,
+    The search changes a cycle of turns and rests, or of a table at rest the chamber's course, as [design] frees them.
+    `steps`: gradients in all (14000; 4500 where one gyro turns about the only axis of a table). `quick`: few of them,
     within some per cent of the best in seconds. `until_met`: no further than to a plan that meets every target with a
-    margin of 10 %. `watch` is called with progress (`api.searching.SearchStep`: `best` in `unit`, `share` of the
-    work). Returns `api.searching.Optimised`: the rounded `spec`, `now` its residual and `before` the first plan's,
+    margin of 10 %. `watch` is called with progress (`design.searching.SearchStep`: `best` in `unit`, `share` of the
+    work). Returns `design.searching.Optimised`: the rounded `spec`, `now` its residual and `before` the first plan's,
     in `unit` (ppm or deg/h; minutes, where time is minimised), all requirements in `rows`, `converged` and a `sentence`
     with the reason, and the limits that bind with their shadow prices. It is the best of several local
     optima: `limit` bounds what another plan could still gain.
 
-    Errors: `ValueError` without a [design] for an axis, where limits exclude each other, where nothing can be observed,
-    for targets that are not met in the time allowed, and for `until_met` without a target or with a minimised time.
+    Errors: `ValueError` where limits exclude each other, where nothing can be observed, for targets that are not met in
+    the time allowed, and for `until_met` without a target or with a minimised time.
     """
     for event in run_search(spec, steps=steps, quick=quick, until_met=until_met):
         if isinstance(event, Optimised):
@@ -79,32 +79,41 @@ def run_search(
 ) -> Iterator[SearchStep | Optimised]:
     """The search of `optimise`: a `SearchStep` every few iterations and the `Optimised` plan at the end.
 
-    One gyro along the only axis of a table: the course of its turns, of the chamber, or the set points; any other IMU:
-    a cycle of turns and poses. `steps`: iterations of each start (None: 240) or, of poses, gradients in all (None:
-    14000). `quick`: few of them. `until_met`: no further than to a plan that, rounded, meets every target with a margin
-    of 10 %; no search where the spec's own plan does. `motion` s: time without soaks, in the place of [design]'s or the
-    plan's. `stop`: called after every step; once true, the best plan so far
-    is finished. Errors: `ValueError` when limits exclude each other, nothing can be observed, the table is turned by
-    hand or, with `until_met`, there is no target.
+    `motion` s: time without soaks, in the place of [design]'s or the plan's. `stop`: called after every step; once
+    true, the best plan so far is finished. Errors: `ValueError` when limits exclude each other, nothing can be
+    observed, the table is turned by hand or, with `until_met`, there is no target.
     """
     spec = expect_spec(spec)
-    stands = isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None
+    stands, design = not spec.gradient_schedule.steps, spec.design or Design()
     if spec.rig.table.drive == "hand" and not stands:
         raise ValueError(BY_HAND)
-    if motion is None and spec.design is not None and spec.design.minimise in TIMES:
+    if motion is None and design.minimise in TIMES:
         if until_met:
             raise ValueError(NO_UNTIL_MET)
         yield from minimise_time(spec, partial(run_search, spec, steps=steps, quick=quick, stop=stop), stop)
         return
-    if spec.turns_one_gyro:
-        searched: PlanSearch = TurnSearch(spec, steps=steps or STEPS, quick=quick, motion=motion, stop=stop)
+    if motion is None and (design.max_motion or design.max_total):
+        motion = motion_time(spec, design)
+    timed = spec if motion is None else with_motion(spec, motion)
+    if spec.turns_one_gyro and not stands:
+        plans = [CyclePlan(timed, times) for times in visit_choices(timed, design)]
+        evaluations = QUICK_EVALUATIONS_OF_VISITS if quick else len(plans) * EVALUATIONS_OF_VISITS
     else:
-        if motion is None and spec.design is not None and (spec.design.max_motion or spec.design.max_total):
-            motion = motion_time(spec, spec.design)
-        timed = spec if motion is None else with_motion(spec, motion)
-        evaluations = steps or (QUICK_EVALUATIONS if quick else EVALUATIONS)
-        searched = PoseSearch(CyclePlan(timed), evaluations, stop)
-    yield from search_plans(searched, until_met=until_met)
+        plans, evaluations = [CyclePlan(timed)], QUICK_EVALUATIONS if quick else EVALUATIONS
+    yield from search_plans(PoseSearch(plans, steps or evaluations, stop), until_met=until_met)
+
+
+def belief_of(spec: Spec) -> str:
+    """A sentence on the maps that a design takes as exact; empty where each has a discrepancy or smoothness."""
+    gyro = spec.sensor.gyro
+    sections = {} if gyro is None else {"bias": gyro.bias, "scale factor": gyro.scale_factor}
+    sure = [name for name, s in sections.items() if s is not None and s.discrepancy is None and s.smoothness is None]
+    if not sure:
+        return ""
+    return (
+        f"assumed: the {' and the '.join(sure)} {'have' if len(sure) > 1 else 'has'} exactly the structure in the "
+        "spec; if the spec states a discrepancy, the plan is robust against deviations from this structure"
+    )
 
 
 # --- the shortest plan ------------------------------------------------------------------------------------------------
@@ -205,14 +214,15 @@ def _refuse_what_no_plan_meets(spec: Spec, longest: float) -> None:
 
 def _least(spec: Spec, longest: float) -> float:
     """A lower bound on the duration: the steepest ramp of the chamber, with one turn at the table."""
-    if isinstance(spec.schedule, StandardSchedule) or not spec.schedule.steps:
+    schedule = spec.gradient_schedule
+    if not schedule.steps:
         return longest * _SHORTEST
-    chamber, ramps = spec.rig.chamber, [s for s in spec.schedule.segments if s.kind == "ramp"]
+    chamber, ramps = spec.rig.chamber, [s for s in schedule.segments if s.kind == "ramp"]
     steepest = (
         abs(s.temperature_end - s.temperature_start) / (chamber.max_heating if s.slope > 0.0 else chamber.max_cooling)
         for s in ramps
     )
-    return min(longest, max(math.fsum(steepest), duration_of(spec.schedule.steps)))
+    return min(longest, max(math.fsum(steepest), duration_of(schedule.steps)))
 
 
 def _between(short: float, long: float, too_much: float | None, enough: float) -> float:
@@ -234,12 +244,10 @@ def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimi
     return best._replace(
         name="motion time",
         unit="min",
-        before=spec.gradient_schedule.motion / 60.0 if not isinstance(spec.schedule, StandardSchedule) else None,
-        optimum=minutes,
+        before=spec.gradient_schedule.motion / 60.0,
         now=minutes,
         sentence=f"{best.sentence}; the remaining error is {best.now:.3g} times the target; the search allowed at most "
         f"{longest / 60.0:.4g} min",
-        starts=(),
         active=(*best.active, bound),
         prices=prices,
     )

@@ -4,11 +4,10 @@ targets, in every scenario."""
 import math
 from collections.abc import Sequence
 from statistics import fmean
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.design import KEPT, Optimality
 from gradcal_jax.design.pose_cycle import EXCESS
 from gradcal_jax.information import (
     Posterior,
@@ -17,7 +16,6 @@ from gradcal_jax.information.error_budget import own_of_imu
 from gradcal_jax.information.imu_residual import ImuResidual, imu_residual, quantity_of
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.information.verdicts import UNIT_OF, limit_of
-from gradcal_jax.model import BIAS, SCALE_FACTOR, SensorModel
 from gradcal_jax.model.imu_build import (
     BuiltImu,
     build_imu,
@@ -25,7 +23,7 @@ from gradcal_jax.model.imu_build import (
     imu_posterior,
 )
 from gradcal_jax.spec.changes import changed
-from gradcal_jax.spec.design import ALL, OPTIMALITIES, TIMES, WORST, Design, Scenario
+from gradcal_jax.spec.design import ALL, TIMES, WORST, Design, Scenario
 from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.spec_sections import Spec
 
@@ -50,6 +48,8 @@ def _leaves(tables: dict[str, Any], before: str):
             yield key, value
 
 
+KEPT: Final = 1e-3
+"""Largest log excess at which a limit counts as satisfied."""
 MARGIN: Final = 0.1
 """A target is met with margin if the residual is below the target by this fraction or more."""
 MET: Final = f"every target is met with a margin of {MARGIN:.0%}"
@@ -74,18 +74,7 @@ def known_after(cases: Sequence[PlanCase]) -> tuple[list[BuiltImu], list[Posteri
     return builts, [own_of_imu(built, imu_posterior(built)) for built in builts]
 
 
-class Left(NamedTuple):
-    """A number of a plan that is no residual: a chance, or an optimality (in ppm or deg/h)."""
-
-    value: float
-
-    def statistic(self, name: Statistic | None = None) -> float | None:
-        """The number itself; None: not observable."""
-        del name
-        return self.value if math.isfinite(self.value) else None
-
-
-Residuals = Sequence[Sequence[ImuResidual | Left]]
+Residuals = Sequence[Sequence[ImuResidual]]
 
 
 class Aim(NamedTuple):
@@ -100,7 +89,7 @@ class Aim(NamedTuple):
     counted: bool
     limiting: bool
 
-    def log(self, left: ImuResidual | Left) -> float:
+    def log(self, left: ImuResidual) -> float:
         """The logarithm of the statistic over its limit."""
         value = left.statistic(self.statistic)
         return math.log(value / self.limit) if value else math.inf
@@ -108,7 +97,7 @@ class Aim(NamedTuple):
 
 class ExactObjective:
     """What the [design] of a spec minimises: the logarithms of the residuals over their `aims`, in each of its `cases`:
-    of the requirements in order, then an optimality, if there is one.
+    of the requirements in order.
 
     Of several counted aims the mean or the `worst`; over the cases the worst, or the mean: of ratios to targets the
     geometric one.
@@ -139,22 +128,14 @@ class ExactObjective:
                 f'minimise = "{name}" finds the shortest plan that meets the targets: give at least one requirement a '
                 "target"
             )
-        if name in OPTIMALITIES:
-            kind = "bias" if self.builts[0].model.channels[0].model.scale is None else SCALE_FACTOR
-            self.aims += (Aim(name, *UNIT_OF[kind], "max", 1.0, True, False),)
         if not self.aims:
             raise ValueError("the spec has no [[requirement]] to minimise: add one")
         self._quantities = [tuple(quantity_of(built, r) for r in spec.requirement) for built in self.builts]
 
     def residuals(self, spec: Spec) -> Residuals:
         """What a spec's plan leaves at each place in each scenario, in the order of the aims."""
-        builts, known = known_after(cases_of(spec))
-        left: list[list[ImuResidual | Left]] = []
-        for built, of, quantities in zip(builts, known, self._quantities, strict=True):
-            left.append([q.residual(of) for q in quantities])
-            if self.design.minimise in OPTIMALITIES:
-                left[-1].append(Left(self.aims[-1].per_si * _optimality(built, of, self.design.minimise)))
-        return left
+        _, known = known_after(cases_of(spec))
+        return [[q.residual(of) for q in quantities] for of, quantities in zip(known, self._quantities, strict=True)]
 
     def value_of(self, residuals: Residuals) -> float:
         """What a search minimises: the objective of a plan that leaves these residuals, and the cost of its excess."""
@@ -191,8 +172,7 @@ class ExactObjective:
             rows = [r for r, aim in zip(self.spec.requirement, self.aims, strict=False) if aim.counted]
             return name, "of the target" if all(r.target is not None for r in rows) else "", 1.0
         (aim,) = counted
-        of_map = "" if aim.name in OPTIMALITIES else f" ({aim.statistic})"
-        return aim.name + of_map, aim.unit, aim.limit
+        return f"{aim.name} ({aim.statistic})", aim.unit, aim.limit
 
     def met(self, residuals: Residuals) -> bool:
         """Whether every target is met by its rule with `MARGIN`, and a hidden map noticed, in every case. Errors:
@@ -238,17 +218,3 @@ def _aim_of(requirement: Requirement, design: Design) -> tuple[Statistic, float]
     Of a requirement that alone is minimised its own statistic counts."""
     limit = None if requirement.name == design.minimise else limit_of(requirement)
     return (requirement.statistic, 1.0) if limit is None else limit
-
-
-def optimality(model: SensorModel, name: str) -> Optimality:
-    """The optimality criterion of that name of a gyro's reported coefficients: of its scale factor, if it has one."""
-    where = model.where(BIAS if model.scale is None else SCALE_FACTOR)
-    return Optimality(model.to_reported[where], cast("Any", name[0]))
-
-
-def _optimality(built: BuiltImu, known: Posterior, name: str) -> float:
-    """The criterion of the first gyro, SI."""
-    channel = built.model.channels[0]
-    of, where = optimality(channel.model, name), built.model.where(channel.kind, channel.axis)
-    part, rows = Posterior(known.spread[where], known.hidden[where]), np.asarray(of.rows)
-    return float(of.of_root((rows @ part.spread).T)) if np.all(np.isfinite(part.deviations(rows))) else math.inf

@@ -1,9 +1,4 @@
-"""A cycle of poses, turns and rests as continuous coordinates, and its objective, traced by JAX.
-
-A *cycle* is a ring of slots: a turn of one axis, then a rest of the table. It returns to its first pose up to whole
-turns, so that it repeats. Free are the pose that every turn reaches, its peak rate, and the rests, which share the time
-that the turns leave of a cycle's period. Which axis turns in which slot is an argument of the compiled program, as is
-whether a slot has a turn and a rest at all: one program serves every cycle of its number of slots.
+"""The objective of a cycle of turns and rests (`design.slots`), traced by JAX.
 
 On a ramp of constant slope cycles differ in temperature alone, and a polynomial at a shifted temperature is a
 polynomial: the columns of a cycle are those of another times one small matrix S. What a cycle adds when the W − 1
@@ -17,7 +12,6 @@ As S is a polynomial of j, its singular values over j leave degree + 1 products 
 
 import math
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -29,6 +23,7 @@ from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray
 from gradcal_jax.design.criteria import largest, smooth_statistic
+from gradcal_jax.design.slots import SHAPE, STEEPNESS, CycleCoordinates, CycleStructure, Decoded
 from gradcal_jax.information import gram, imu_system, segments_of
 from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.information.noise_steps import NoiseSteps
@@ -40,21 +35,8 @@ from gradcal_jax.motion.table_motion import largest_turn, nodes_of_turn
 
 # Cycles whose noise is filtered together: with two, standard deviations agree with those of all cycles to about 1e-3.
 WINDOW = 2
-# Turns are the controllers' trapezoids: their shape, and how much steeper than on average their ramps are at most.
-SHAPE, STEEPNESS = "linear ramps", 1.0
-# A turn below this (rad) has its rate's sign smoothed; a share of the fastest rate that a turn of its angle can reach.
-_TINY, _REACHED = 1e-3, 0.9999
-# Exponent of the smooth minimum of the two limits of a rate.
-_SMOOTH = 8
-# s: softness of the time that is left for rests.
-_SOFT = 0.5
-# Penalty on missing time, as the square of its share of a tenth of the period; on longer turns and rests alike.
-_PENALTY = 10.0
 # Numbers of quadrature nodes.
 _NODES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
-# Sizes of a coordinate's unit, so that the objective's curvature is alike in all: of a pose (rad), of the logits of a
-# rate's share of its limit, and of a rest's share of the time.
-_UNITS = np.array([[4.0], [20.0], [15.0]])
 # Readings that stand for all those of a rest in a search, each with the weight of its share of them.
 READINGS_OF_A_REST = 2
 # Sharpness at which the number of readings of a rest is halfway between a smooth and a whole number.
@@ -67,36 +49,8 @@ _ROUNDING = 1e-9
 EXCESS = 10.0
 # The objective of a cycle that has none.
 _NOWHERE = 1e3
-# Shares of a limit at which coordinates begin at most.
-_LOW, _HIGH, _NEAR_LIMIT = 0.02, 0.98, 0.999
-
-
-class PoseTurn(NamedTuple):
-    """A turn of `axis` (−1: none) by `angle` rad at up to `rate` rad/s, then a rest of `rest` s (0: none)."""
-
-    axis: int
-    angle: float
-    rate: float
-    rest: float
-
-
-class TableLimits(NamedTuple):
-    """Limits of the table's `L` axes and of a cycle.
-
-    `rates` rad/s, `accelerations` rad/s², `reach` `(L, 2)` rad: lowest and highest angle. `start` rad: angles at which
-    a cycle begins. `largest` rad: of one turn. `shortest`, `longest` s: rests. `slow` rad/s: up to which accelerometers
-    are read on a move. `read_every` s: spacing of the readings of a rest; infinite: one at its end.
-    """
-
-    rates: Float[np.ndarray, " L"]
-    accelerations: Float[np.ndarray, " L"]
-    reach: Float[np.ndarray, "L 2"]
-    start: Float[np.ndarray, " L"]
-    largest: float
-    shortest: float
-    longest: float
-    slow: float
-    read_every: float = math.inf
+# Readings that stand for all those of a time of other axes.
+_READINGS_OF_OTHERS = 8
 
 
 class Ramp(NamedTuple):
@@ -114,60 +68,6 @@ class Ramp(NamedTuple):
     behind: Float[AnyArray, " O"] = np.zeros(0)
 
 
-class CycleStructure(NamedTuple):
-    """What is fixed in a cycle of `K` slots: the `axis` of each turn (−1: none), whether it `rests`, whether it is
-    `slow`; `before`: the slot of the axis's turn before it (−1: none); `closes`: the last turn of its axis; `whole`
-    rad: by which the cycle turns each axis; `period` s; `turnable`: whether poses are free."""
-
-    axis: Int[AnyArray, " K"]
-    rests: Bool[AnyArray, " K"]
-    slow: Bool[AnyArray, " K"]
-    before: Int[AnyArray, " K"]
-    closes: Bool[AnyArray, " K"]
-    whole: Float[AnyArray, " L"]
-    period: Float[AnyArray, ""]
-    turnable: Bool[AnyArray, ""]
-
-
-class Decoded(NamedTuple):
-    """Numbers of a cycle: `angle` rad, peak `rate` rad/s, `ramp` and `turning` s of each turn, `rest` s, and the time
-    (s) that rests beyond the shortest have (negative: the turns take too long)."""
-
-    angle: AnyArray
-    rate: AnyArray
-    ramp: AnyArray
-    turning: AnyArray
-    rest: AnyArray
-    left: AnyArray
-
-
-def structure_of(
-    cycle: Sequence[PoseTurn],
-    slots: int,
-    limits: TableLimits,
-    period: float,
-    *,
-    closed: bool = True,
-    turnable: bool = True,
-) -> CycleStructure:
-    """The structure of a cycle of at most `slots` turns, which lasts `period` s. `closed`: it returns to its begin, up
-    to whole turns. `turnable`: its poses are free."""
-    count, axes = len(cycle), len(limits.rates)
-    axis, rests, slow = np.full(slots, -1), np.zeros(slots, bool), np.zeros(slots, bool)
-    axis[:count] = [t.axis for t in cycle]
-    rests[:count] = [t.rest > 0.0 for t in cycle]
-    slow[:count] = [0.0 < t.rate <= limits.slow for t in cycle]
-    before, last = np.full(slots, -1), np.full(axes, -1)
-    for k in range(count):
-        if axis[k] >= 0:
-            before[k], last[axis[k]] = last[axis[k]], k
-    closes = np.isin(np.arange(slots), last) & closed
-    net = np.array([sum(t.angle for t in cycle if t.axis == l) for l in range(axes)])
-    free = np.all(np.isinf(limits.reach), axis=1)
-    whole = np.where(free, np.round(net / (2.0 * np.pi)) * 2.0 * np.pi, 0.0)
-    return CycleStructure(axis, rests, slow, before, closes, whole, np.asarray(period), np.asarray(turnable))
-
-
 def nodes_for(turned: float, waves: int) -> int:
     """Quadrature nodes for a piece that turns so far (rad), with waves of so many cycles a turn."""
     (least,) = nodes_of_turn(np.array([turned]), waves)
@@ -177,93 +77,6 @@ def nodes_for(turned: float, waves: int) -> int:
 def largest_alike(least: float, waves: int) -> float:
     """The largest turn (rad) for which the nodes suffice that a turn of `least` needs."""
     return largest_turn(nodes_for(least, waves), waves)
-
-
-class CycleCoordinates(NamedTuple):
-    """`(3, K)` numbers of any size to a cycle of `K` slots within the limits of the table."""
-
-    limits: TableLimits
-    slots: int
-
-    def encode(self, cycle: Sequence[PoseTurn], of: CycleStructure) -> Float[np.ndarray, "3 K"]:
-        """Coordinates of a cycle, moved off the bounds."""
-        z, limits = np.zeros((3, self.slots)), self.limits
-        here = limits.start.copy()
-        for k, t in enumerate(cycle):
-            if t.axis >= 0:
-                here[t.axis] += t.angle
-                low, high = limits.reach[t.axis]
-                if np.isfinite(high):
-                    z[0, k] = np.arcsin(np.clip((2.0 * here[t.axis] - low - high) / (high - low), -_HIGH, _HIGH))
-                else:
-                    z[0, k] = here[t.axis]
-                share = t.rate / float(self._fastest(np.hypot(t.angle, _TINY), np.array(t.axis), of.slow[k], np))
-                share = np.clip(share, _LOW, _NEAR_LIMIT)
-                z[1, k] = np.log(share / (1.0 - share))
-            if t.rest > 0.0:
-                z[2, k] = np.log(max(t.rest - limits.shortest, _SOFT / 10.0))
-        return z / _UNITS
-
-    def _fastest(self, size, axis, slow, xp):
-        """The largest peak rate of turns of a `size` (rad), rad/s."""
-        of_axis = xp.asarray(self.limits.rates)[axis]
-        of_axis = xp.where(slow, xp.minimum(of_axis, self.limits.slow), of_axis) if self.limits.slow else of_axis
-        by_ramps = xp.sqrt(xp.asarray(self.limits.accelerations)[axis] * size / STEEPNESS)
-        far = by_ramps / of_axis
-        return _REACHED * by_ramps * (1.0 + far**_SMOOTH) ** (-1.0 / _SMOOTH)
-
-    def decode(self, z: Float[AnyArray, "3 K"], of: CycleStructure) -> Decoded:
-        """The cycle of coordinates."""
-        limits, turns, z = self.limits, of.axis >= 0, z * _UNITS
-        axis = jnp.maximum(of.axis, 0)
-        low, high = jnp.asarray(limits.reach)[axis].T
-        bounded = jnp.isfinite(high)
-        at = jnp.where(of.turnable, z[0], jax.lax.stop_gradient(z[0]))
-        middle, half = jnp.where(bounded, 0.5 * (low + high), 0.0), jnp.where(bounded, 0.5 * (high - low), 0.0)
-        pose = jnp.where(bounded, middle + half * jnp.sin(at), at)
-        begin = jnp.asarray(limits.start)[axis]
-        pose = jnp.where(of.closes, begin + jnp.asarray(of.whole)[axis], pose)
-        angle = jnp.where(turns, pose - jnp.where(of.before >= 0, pose[of.before], begin), 0.0)
-        size = jnp.sqrt(angle**2 + _TINY**2)
-        rate = jax.nn.sigmoid(z[1]) * self._fastest(size, axis, of.slow, jnp)
-        ramp, turning = self._times(size, rate, of)
-        left = of.period - jnp.sum(turning) - limits.shortest * jnp.sum(jnp.where(of.rests, 1.0, 0.0))
-        shares = jax.nn.softmax(jnp.where(of.rests, z[2], -jnp.inf))
-        shares = jnp.where(of.rests, shares, 0.0)
-        rests = jnp.where(of.rests, limits.shortest, 0.0) + _SOFT * jax.nn.softplus(left / _SOFT) * shares
-        return Decoded(angle, rate * angle / size, ramp, turning, rests, left)
-
-    def plain(self, angle: Float[AnyArray, " m"], rate, rest, of: CycleStructure) -> Decoded:
-        """The cycle of its own numbers (rad, rad/s, s): `m` turns by an angle with a peak rate, each with a rest after
-        it; all rests are in proportion to these, and fill the period."""
-        fill = (0, self.slots - angle.shape[0])
-        angle, rate, rest = (jnp.pad(x, fill, constant_values=c) for x, c in ((angle, 0.0), (rate, 1.0), (rest, 0.0)))
-        size = jnp.sqrt(angle**2 + _TINY**2)
-        ramp, turning = self._times(size, rate, of)
-        left, rest = of.period - jnp.sum(turning), jnp.where(of.rests, rest, 0.0)
-        return Decoded(angle, rate * angle / size, ramp, turning, rest * (left / jnp.sum(rest)), left)
-
-    def _times(self, size: AnyArray, rate: AnyArray, of: CycleStructure) -> tuple[AnyArray, AnyArray]:
-        """Seconds of the ramps and of the whole turns, as steep as the axes allow."""
-        steepest = jnp.asarray(self.limits.accelerations)[jnp.maximum(of.axis, 0)]
-        ramp = jnp.where(of.axis >= 0, STEEPNESS * rate / steepest, 0.0)
-        return ramp, jnp.where(of.axis >= 0, size / rate + ramp, 0.0)
-
-    def penalty(self, of: Decoded, period: AnyArray) -> AnyArray:
-        """What a cycle beyond its limits adds to the objective."""
-        long = jnp.maximum(jnp.abs(of.angle) - self.limits.largest, 0.0) / self.limits.largest
-        rests = jnp.maximum(of.rest - self.limits.longest, 0.0) / self.limits.longest
-        missing = jnp.minimum(of.left, 0.0) / (0.1 * period)
-        return _PENALTY * (missing**2 + jnp.sum(long**2) + jnp.sum(rests**2))
-
-    def cycle(self, z: Float[np.ndarray, "3 K"], of: CycleStructure) -> tuple[PoseTurn, ...]:
-        """The cycle of coordinates, without its empty slots."""
-        angle, rate, _, _, rests, _ = (np.asarray(x) for x in self.decode(jnp.asarray(z), of))
-        turns = (
-            PoseTurn(int(l), float(a), float(abs(w)), float(r))
-            for l, a, w, r in zip(np.asarray(of.axis), angle, rate, rests, strict=True)
-        )
-        return tuple(t for t in turns if t.axis >= 0 or t.rest > 0.0)
 
 
 class GridElement(NamedTuple):
@@ -308,12 +121,13 @@ class CycleObjective:
     noise likewise, in a mean with their `weights` (`of_logs`, else of the residuals); and `EXCESS` times what the
     `limiting` ones exceed. `known`: for each model, the information before the plan begins; `geometries`: its table and
     mountings.
-    `readings`: how many stand for all those of a rest.
+    `readings`: how many stand for all those of a rest. `waves`: as `nodes_for`; None: no column has waves, and every
+    part of a turn has so many `nodes`. `lag` s: of the temperature, which is steady as the plan begins; None: the
+    ramps are those of the sensor itself.
 
     With a sharpness that is the number `math.inf` the readings of rests are those of a prediction. With any other one a
     few readings stand for them, of which the number is smooth, too: it grows with the rest.
-
-    Programs take targets as arguments, so that plans for other targets need none of their own."""
+    """
 
     def __init__(
         self,
@@ -329,23 +143,22 @@ class CycleObjective:
         of_logs: bool,
         window: int,
         points: int,
-        waves: int,
+        waves: int | None,
         readings: int,
+        nodes: int = 1,
+        lag: float | None = None,
         worst: bool,
         worst_model: bool,
     ) -> None:
         self.coordinates, self.models, self.known = coordinates, models, known
+        # Those of the coordinates may be eased, and are then no plain numbers.
+        self.limits = coordinates.limits
         self.geometries = [jax.tree.map(jnp.asarray, geometry) for geometry in geometries]
         self.statistics, self.window, self.points = (*statistics, *limiting), window, points
         self.targets, self.minimised, self.weights, self.of_logs = targets, len(statistics), weights, of_logs
+        self.nodes, self.lag = nodes, lag
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
         self.readings = readings if math.isfinite(coordinates.limits.read_every) else 1
-
-    def without_targets(self) -> "CycleObjective":
-        """The same with targets of 1, for programs that take them as arguments."""
-        same = copy(self)
-        same.targets = np.ones(len(self.targets))
-        return same
 
     def value(
         self,
@@ -354,12 +167,9 @@ class CycleObjective:
         ramps: Ramp,
         sharpness,
         targets: Float[AnyArray, " m"] | None = None,
-        coordinates: CycleCoordinates | None = None,
     ) -> Float[AnyArray, ""]:
-        """The objective of a cycle on stacked `ramps`; where it has no value, a large one. `coordinates`: of other
-        limits than those of the search."""
-        coordinates = coordinates or self.coordinates
-        decoded = coordinates.decode(z, of)
+        """The objective of a cycle on stacked `ramps`; where it has no value, a large one."""
+        decoded = self.coordinates.decode(z, of)
         logs = self.logs(decoded, of, ramps, sharpness, targets)
         logs, beyond = logs[:, : self.minimised], logs[:, self.minimised :]
         each = largest_log(logs, sharpness, axis=1) if self.worst else jnp.mean(logs, axis=1)
@@ -371,7 +181,7 @@ class CycleObjective:
             total = jax.scipy.special.logsumexp(each, b=self.weights)
         # From above, as all that is sharp: a limit is kept with a little room.
         total = total + EXCESS * jnp.sum(largest_log(jnp.stack([beyond, jnp.zeros_like(beyond)]), sharpness, axis=0))
-        total = total + coordinates.penalty(decoded, of.period)
+        total = total + self.coordinates.penalty(decoded, of.period)
         return jnp.where(jnp.isfinite(total), total, _NOWHERE)
 
     def logs(
@@ -410,24 +220,20 @@ class CycleObjective:
     def _motion(
         self, ramp: Ramp, decoded: Decoded, of: CycleStructure, model: ImuModel, geometry: Geometry, sharpness
     ) -> tuple[TableMotion, Segments]:
-        k, window = self.coordinates.slots, self.window
-        limits = self.coordinates.limits
-        rests = self._rests(decoded.rest, sharpness)
-        moves = []
-        for _ in range(k):
-            moves.append(turn(SHAPE, 1.0, 4.0, ramp=1.0))
-            moves += [rest(1.0, read_at_end=True)] * rests.duration.shape[1]
-        # Only what is discrete is taken from this schedule; all its numbers are replaced.
-        whole = math.fsum(move.duration for move in moves)
-        line = gradient_plan(programme(0.0, [(whole * window, 0.0)]), tuple(moves), read_every=None)
-        none = jnp.zeros(rests.duration.shape)
+        window = self.window
+        rests, visits = self._rests(decoded.rest, sharpness), self.coordinates.visits
+        layout = _layout_of(self.coordinates, rests)
+        line = layout.line(window)
+
+        def in_order(of_turns: AnyArray, of_rests: AnyArray, of_waits: AnyArray) -> AnyArray:
+            return jnp.concatenate([of_turns, jnp.reshape(of_rests, (-1,)), of_waits])[layout.order]
+
+        none, still = jnp.zeros(rests.duration.shape), jnp.zeros(len(layout.waits))
+        waits = jnp.asarray(layout.waits) * (1.0 if visits is None else visits.stretch)
         numbers = [
-            jnp.reshape(jnp.concatenate([of_turn[:, None], of_rests], axis=1), (-1,))
-            for of_turn, of_rests in (
-                (decoded.turning, rests.duration),
-                (decoded.rate, none),
-                (decoded.ramp, none),
-            )
+            in_order(decoded.turning, rests.duration, waits),
+            in_order(decoded.rate, none, still),
+            in_order(decoded.ramp, none, still),
         ]
         course = replace(
             line.programme,
@@ -437,12 +243,11 @@ class CycleObjective:
         )
         of_line = replace(line, duration=numbers[0], peak_rate=numbers[1], ramp=numbers[2], programme=course)
         move = np.asarray(line.pieces.move)
-        share = jnp.reshape(jnp.concatenate([jnp.ones((k, 1)), rests.share], axis=1), (-1,))[move]
-        track = replace(of_line.trajectory(None), share=share)
+        share = in_order(jnp.ones(self.coordinates.slots), rests.share, jnp.asarray(layout.readings))[move]
+        track = replace(of_line.trajectory(self.lag), share=share)
         count = len(move) // window
-        each = 1 + rests.duration.shape[1]
-        slot, turns = move // each, move % each == 0
-        axis = jnp.where(turns, of.axis[slot], -1)
+        slot, turns = layout.slot[move], layout.turns[move]
+        axis = jnp.where(turns, jnp.append(of.axis, -1)[slot], -1)
         example = np.arange(count)
         kind = np.arange(len(move)) % count
         nodes = self._nodes(turns[:count], np.asarray(line.pieces.varying)[:count])
@@ -450,7 +255,7 @@ class CycleObjective:
         history = None
         if ramp.history.shape[0]:
             history, track = ramp.history, replace(track, start=track.start + ramp.elapsed)
-        start = np.asarray(limits.start)
+        start = np.asarray(self.coordinates.limits.start)
         path = history, model.others, ramp.behind
         motion = TableMotion(track, axis, mounting, geometry, start, kind, example, nodes, *path)
         return motion, self._segments(line, turns, slot, track.duration, of, model)
@@ -474,7 +279,9 @@ class CycleObjective:
 
     def _nodes(self, turns: np.ndarray, varying: np.ndarray) -> np.ndarray:
         """Quadrature nodes of the pieces of a cycle."""
-        limits = self.coordinates.limits
+        limits = self.limits
+        if self.waves is None:
+            return np.where(turns, self.nodes, 1)
         in_ramp = float(np.max(STEEPNESS * limits.rates**2 / (2.0 * limits.accelerations)))
         ramps, flat = (nodes_for(turned, self.waves) for turned in (in_ramp, limits.largest))
         return np.where(~turns, 1, np.where(varying, ramps, flat))
@@ -497,14 +304,16 @@ class CycleObjective:
             np.asarray(self.coordinates.limits.start), each, each, each,
         )  # fmt: skip
         at = segments_of(plain, model)
-        slot = slot_of_piece[at.first]
+        # (A time of other axes that is not read belongs to the turn after it.)
+        slot = slot_of_piece[at.last]
         moves = at.axis >= 0
-        axis = jnp.where(moves, of.axis[slot], -1)
-        there = jnp.where(moves, of.axis[slot] >= 0, of.rests[slot])
+        of_slot = jnp.append(of.axis, -1)[slot]
+        axis = jnp.where(moves, of_slot, -1)
+        there = jnp.where(moves, of_slot >= 0, jnp.append(of.rests, True)[slot])
         there = there & (at.sums(duration) > 0.0)
         used = jnp.asarray(at.used) & there[at.row_segment]
         forces = np.array([c.kind != "gyro" for c in model.channels])[at.row_channel] & moves[at.row_segment]
-        used = used & (~forces | of.slow[slot[at.row_segment]])
+        used = used & (~forces | jnp.append(of.slow, False)[slot[at.row_segment]])
         return at._replace(axis=axis, used=used)
 
 
@@ -514,6 +323,50 @@ class _Rests(NamedTuple):
 
     duration: AnyArray
     share: AnyArray
+
+
+class _Layout(NamedTuple):
+    """The moves of a cycle in order: of each the `slot` (a time of other axes: the one after the last), whether it
+    `turns`, and its place (`order`) among all turns, all rests and all `waits` (s), of which `readings` stand at the
+    end."""
+
+    slot: Int[np.ndarray, " M"]
+    turns: Bool[np.ndarray, " M"]
+    order: Int[np.ndarray, " M"]
+    read: Bool[np.ndarray, " M"]
+    waits: Float[np.ndarray, " w"]
+    readings: Float[np.ndarray, " w"]
+
+    def line(self, window: int) -> Schedule:
+        """A schedule with these moves, of which only what is discrete counts."""
+        moves = [
+            turn(SHAPE, 1.0, 4.0, ramp=1.0) if turns else rest(1.0, read_at_end=bool(read))
+            for turns, read in zip(self.turns, self.read, strict=True)
+        ]
+        whole = math.fsum(move.duration for move in moves)
+        return gradient_plan(programme(0.0, [(whole * window, 0.0)]), tuple(moves), read_every=None)
+
+
+def _layout_of(coordinates: CycleCoordinates, rests: _Rests) -> _Layout:
+    count, each = rests.duration.shape
+    visits = coordinates.visits
+    waits, every = ([], math.inf) if visits is None else (visits.waits(), visits.every)
+    rows: list[tuple[int, bool, int, bool]] = []
+    times, readings = [], []
+    for k in range(count):
+        rows.append((k, True, k, True))
+        rows += [(k, False, count + k * each + i, True) for i in range(each)]
+        for at, time in waits:
+            if at != k:
+                continue
+            read = math.isfinite(every)
+            parts = _READINGS_OF_OTHERS if read else 1
+            for _ in range(parts):
+                rows.append((count, False, count * (1 + each) + len(times), read))
+                times.append(time / parts)
+                readings.append(time / parts / every if read else 1.0)
+    slot, turns, order, read = (np.array(of) for of in zip(*rows, strict=True))
+    return _Layout(slot, turns, order, read, np.array(times), np.array(readings))
 
 
 def _soft_count(spacings: AnyArray, sharpness) -> AnyArray:

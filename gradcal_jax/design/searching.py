@@ -94,25 +94,21 @@ def priced(value: float, limits: Sequence[PricedLimit], log: Callable[[np.ndarra
 class Optimised(NamedTuple):
     """An optimised spec (rounded), and the record of its search. Values in `unit`.
 
-    `before`: of the plan in the spec, None where it observes too little; `optimum`: before rounding; `now`: of the
-    rounded plan, exactly. `rows`: every requirement. `kept`: nothing better was found than the spec's own plan, which
-    it is. `starts`: where the starts of the chosen structure ended, `inf` where one exceeds a limit. `active`: the
-    limits that bind, in words. `evaluations`: of the objective and its gradient, where they are counted.
+    `before`: of the plan in the spec, None where it observes too little; `now`: of the rounded plan, exactly. `rows`:
+    every requirement. `kept`: nothing better was found than the spec's own plan, which it is. `active`: the limits that
+    bind, in words. `evaluations`: of the objective and its gradient.
     """
 
     spec: Spec
     name: str
     unit: str
     before: float | None
-    optimum: float
     now: float
     converged: bool
     sentence: str
     rows: tuple[RequirementChange, ...]
     structure: str
     kept: bool = False
-    starts: tuple[float, ...] = ()
-    gradient_norm: float | None = None
     active: tuple[str, ...] = ()
     prices: tuple[Price, ...] = ()
     evaluations: int | None = None
@@ -132,16 +128,13 @@ def record_of(best: Optimised) -> dict[str, Any]:
         "before": best.before,
         "objective": best.name,
         "unit": best.unit,
-        "found": best.optimum,
         "now": finite(best.now),
         "converged": best.converged,
         "kept": best.kept,
         "gain": best.gain,
         "sentence": best.sentence,
-        "gradient_norm": best.gradient_norm,
         "structure": best.structure,
         "evaluations": best.evaluations,
-        "starts": [float(f"{v:.6g}") for v in best.starts if np.isfinite(v)] or None,
         "active_limits": list(best.active),
         "shadow_prices": [
             {"limit": p.limit, "per": p.per, "change": p.change}
@@ -154,10 +147,9 @@ def record_of(best: Optimised) -> dict[str, Any]:
 
 
 class PlanSearch(Protocol):
-    """A search over points of its own kind. `own_counts`: whether the spec's own plan is a candidate."""
+    """A search over points of its own kind."""
 
     objective: ExactObjective
-    own_counts: bool
 
     def run(self) -> Iterator[tuple[float, Any]]:
         """The completed share and the best point so far, now and then; the last one is the optimum."""
@@ -192,12 +184,12 @@ class _Best(NamedTuple):
 
 def search_plans(search: PlanSearch, *, until_met: bool) -> Iterator[SearchStep | Optimised]:
     """As `optimise`, by one search: a step whenever it proposes a point. The result is never worse than the spec's own
-    plan, where that counts."""
-    objective, own = search.objective, search.own_counts
+    plan."""
+    objective = search.objective
     spec, (name, unit, _), last = objective.spec, objective.name_and_unit(), PlanOutcome()
     before = objective.residuals(spec)
     start = finite(objective.shown(before))
-    best = _Best(spec, before, objective.value_of(before) if own else math.inf)
+    best = _Best(spec, before, objective.value_of(before))
 
     def is_met(plan: Spec, left: Residuals) -> bool:
         """By the terms that the spec names, as the search minimises them, and by all that a verdict counts."""
@@ -224,22 +216,20 @@ def search_plans(search: PlanSearch, *, until_met: bool) -> Iterator[SearchStep 
         if point is not seen:
             seen = point
             improve(point)
-        if own or best.point is not None:
-            missed = objective.missed(best.left).items()
-            words = ", ".join(f"{n} is {math.exp(by):.3g} times its limit" for n, by in missed)
-            now = objective.shown(best.left)
-            yield SearchStep(name, unit, start, now, share, best.words, words)
-            if met:
-                break
+        missed = objective.missed(best.left).items()
+        words = ", ".join(f"{n} is {math.exp(by):.3g} times its limit" for n, by in missed)
+        yield SearchStep(name, unit, start, objective.shown(best.left), share, best.words, words)
+        if met:
+            break
     plan, left, kept = best.plan, best.left, best.point is None
     if kept:
         with suppress(SpecError):
             plan = rounded(spec).spec
         left = objective.residuals(plan)
-    now = objective.shown(left) if own or not kept else math.inf
+    now = objective.shown(left)
     missed, changes = objective.missed(left), requirement_changes(spec, plan)
     counted_missed = [] if not until_met or met else missed_targets(plan, 0.0)
-    result = Optimised(plan, name, unit, start, now, now, True, "", changes, best.words, kept)
+    result = Optimised(plan, name, unit, start, now, True, "", changes, best.words, kept)
     result = result._replace(**search.record(result, None if met else best.point, last))
     sentence = result.sentence
     if not searched:

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.calibration import UnseenError
-from gradcal_jax.design import Criterion
+from gradcal_jax.design.criteria import Criterion
 from gradcal_jax.information import Posterior, estimator_of_means, imu_system, noise_parts, statistic
 from gradcal_jax.information.budget import Sensitivity, information_lost, sensitivity_of, weights_of
 from gradcal_jax.information.gears import BACKLASH, SCALE_OF_ANGLE, apart_from_gears

@@ -21,9 +21,8 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
-from gradcal_jax.design import Criterion
+from gradcal_jax.design.criteria import Criterion, criterion_of
 from gradcal_jax.design.cycle_plan import CyclePlan
-from gradcal_jax.design.turn_plan import criterion_of
 from gradcal_jax.information import Posterior, information
 from gradcal_jax.information.error_budget import (
     PRIOR,

@@ -420,7 +420,7 @@ def _motion(spec: Spec, of: ImuModel, change: Callable[[Schedule], Schedule] | N
     if decays:
         line, source = line.divided(*_divisions_by_decay(line, max(decays)))
         axis, mounting = axis[source], mounting[source]
-    fine = _fineness(spec, of, line)
+    fine = fineness(spec, of, line)
     motion = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), start, *fine)
     smooth = trajectory.divided_motion(motion, *_breaks(of), *fine)
     if not of.knows_path:
@@ -441,7 +441,7 @@ def _divisions(spec: Spec, of: ImuModel, built: BuiltImu) -> tuple[object, ...]:
     for."""
     path = [term for term in of.terms if isinstance(term, PathTerm)]
     times = of.others, [(type(term), term.name) for term in path]
-    return spec.sensor.lag, times, _breaks(of), _fineness(spec, of, built.motion.line)
+    return spec.sensor.lag, times, _breaks(of), fineness(spec, of, built.motion.line)
 
 
 def _schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[Schedule, list[int], np.ndarray]:
@@ -463,7 +463,7 @@ def _divisions_by_decay(line: trajectory.Trajectory, decay: float) -> tuple[np.n
     return pieces, 0.5**order
 
 
-def _fineness(spec: Spec, of: ImuModel, line: trajectory.Trajectory) -> tuple[int | None, int]:
+def fineness(spec: Spec, of: ImuModel, line: trajectory.Trajectory) -> tuple[int | None, int]:
     """The fastest wave in a column, in cycles a turn, and the number of nodes of a turning piece without waves. No
     column has waves if every gyro lies along the only axis of a table, whose encoder's error counts at the readings."""
     orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]

@@ -126,11 +126,6 @@ def divide(duration: float, readings: tuple[float, ...], longest: float = np.inf
     return tuple(edges), tuple(read)
 
 
-def even_division(count: int, read: bool) -> Division:
-    """A part of a move in `count` equal pieces, all ending with a reading, or none."""
-    return tuple(float(k) / count for k in range(count + 1)), (read,) * count
-
-
 def rest(duration: float, read_every: float | None = None, *, read_at_end: bool = False) -> Move:
     """A rest of `duration` s, read every `read_every` s, at its end, or not at all.
 

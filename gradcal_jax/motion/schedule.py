@@ -1,13 +1,11 @@
 """A plan as arrays: moves and their times, their pieces, the chamber's programme.
 
 The discrete part of a plan (which pieces there are, which are read) is in index arrays. They are *arguments* of every
-computation like its times and rates, so that a compiled program serves every plan of its sizes. Only `Schedule.padded`
-pads sizes, with pieces of no duration that are not read and have no effect.
+computation like its times and rates, so that a compiled program serves every plan of its sizes.
 
 Symbols: `M` moves, `P` pieces, `F` fillers (standing that fills what the moves of a stretch leave of it).
 """
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
@@ -16,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax import formulas
-from gradcal_jax.arrays import AnyArray, PytreeModule, filled, namespace, put, running_sum, size_class
+from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, put, running_sum
 from gradcal_jax.formulas import reading_times, repetitions
 from gradcal_jax.motion.motion import Move, PieceTable, divide, joined, standing
 from gradcal_jax.motion.programme import Programme
@@ -32,10 +30,9 @@ _AT_KNOT = 1e-6
 class Pieces(PytreeModule):
     """Properties of every piece: `(P,)` arrays; see `motion.PieceTable` for the first ones.
 
-    `move`: index of the move with its times and rates; `segment` numbers the executed moves. `relaxed`: its one reading
-    represents a number of readings that need not be whole. `gap`: its data are not used, and a new origin is read at
-    its end. A piece is the part of its move's piece from the knot `low` of the programme to the knot `high` (−1: no
-    knot), so that the temperature within is smooth.
+    `move`: index of the move with its times and rates; `segment` numbers the executed moves. `gap`: its data are not
+    used, and a new origin is read at its end. A piece is the part of its move's piece from the knot `low` of the
+    programme to the knot `high` (−1: no knot), so that the temperature within is smooth.
     """
 
     move: Int[AnyArray, " P"]
@@ -48,7 +45,6 @@ class Pieces(PytreeModule):
     at_rest: Bool[AnyArray, " P"]
     moving: Bool[AnyArray, " P"]
     varying: Bool[AnyArray, " P"]
-    relaxed: Bool[AnyArray, " P"]
     gap: Bool[AnyArray, " P"]
     segment: Int[AnyArray, " P"]
     low: Int[AnyArray, " P"]
@@ -59,17 +55,15 @@ class Schedule(PytreeModule):
     """A plan of one channel. `duration` s, `peak_rate` rad/s, `ramp` s of each move; `fill_move` last for the
     time between the knots `fill_from` and `fill_to` of the programme less that of all moves, `fill_counts` times each.
 
-    `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list pieces; entries equal to P (padding)
-    refer to none. `has_gaps`: whether the data of some pieces are not used; `cut`: whether knots of the programme may
-    divide pieces. The first piece begins at the knot `first_knot`. `spacing` s: true spacing of the readings of relaxed
-    pieces. `rates`: the reference is a held rate at set points (standard method) instead of an angle; `points`: whether
-    the set points share the run's noise or are independent.
+    `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list pieces. `has_gaps`: whether the data
+    of some pieces are not used; `cut`: whether knots of the programme may divide pieces. The first piece begins at the
+    knot `first_knot`. `rates`: the reference is a held rate at set points (standard method) instead of an angle;
+    `points`: whether the set points share the run's noise or are independent.
     """
 
     duration: Float[AnyArray, " M"]
     peak_rate: Float[AnyArray, " M"]
     ramp: Float[AnyArray, " M"]
-    spacing: Float[AnyArray, ""]
     programme: Programme
     pieces: Pieces
     moving_pieces: Int[AnyArray, " K"]
@@ -127,7 +121,7 @@ class Schedule(PytreeModule):
             u_start=u_start,
             u_end=u_end,
             terms=p.terms * self.peak_rate[p.move][:, None],
-            share=xp.where(p.relaxed, duration / self.spacing, 1.0),
+            share=xp.ones(duration.shape),
             level=sensor.level[within] + sensor.slope[within] * since,
             slope=sensor.slope[within],
             excess=sensor.excess[within] * (1.0 if thermal_lag is None else xp.exp(-sensor.lag_rate * since)),
@@ -145,36 +139,6 @@ class Schedule(PytreeModule):
             lagged=thermal_lag is not None,
         )
 
-    def padded(self, moves: int | None = None, stretches: int | None = None) -> "Schedule":
-        """The same plan with sizes padded to few classes, so that one compiled program serves many plans.
-
-        `moves`, `stretches`: sizes that the caller prescribes.
-        """
-        count = size_class(self.piece_count)
-        moves = size_class(self.duration.shape[0]) if moves is None else moves
-        p = self.pieces
-        filling = {"u_end": 1.0, "at_rest": True, "low": _NO_KNOT, "high": _NO_KNOT}
-        longer = {name: filled(getattr(p, name), count, filling.get(name, 0)) for name in p.__dataclass_fields__}
-        longer["segment"] = filled(p.segment, count, int(np.max(p.segment, initial=0)) + 1)
-        none = lambda places: filled(places, size_class(len(places)), count)  # noqa: E731
-        stretches = size_class(len(self.programme.durations)) if stretches is None else stretches
-        of = self.programme
-        changes = {name: filled(getattr(of, name), stretches, 0.0) for name in ("durations", "slopes", "jumps")}
-        fillers = size_class(len(self.fill_move))
-        numbers = {name: filled(getattr(self, name), moves, 0.0) for name in ("duration", "peak_rate", "ramp")}
-        return replace(
-            self,
-            **numbers,
-            programme=replace(of, **changes),
-            pieces=Pieces(**longer),
-            moving_pieces=none(self.moving_pieces),
-            varying_pieces=none(self.varying_pieces),
-            fill_move=filled(self.fill_move, fillers, moves),
-            fill_from=filled(self.fill_from, fillers, 0),
-            fill_to=filled(self.fill_to, fillers, 0),
-            fill_counts=filled(filled(self.fill_counts, fillers, 0.0).T, moves, 0.0).T,
-        )
-
 
 def make_schedule(
     programme: Programme,
@@ -185,23 +149,22 @@ def make_schedule(
     gaps: tuple[int, ...] = (),
     fillers: list[tuple[int, int, int, np.ndarray]] | None = None,
     inner_knots: tuple[int, ...] = (),
-    spacing: float | None = None,
     rates: bool = False,
     points: Points = "one run",
 ) -> Schedule:
     """A schedule from `moves` (duration, peak rate, ramp) in the order in which they are `placed` (move, pieces).
 
     `gaps`: placements whose data are not used. `fillers`: (move, from knot, to knot, counts). `inner_knots`: those of
-    the programme at which the chamber may change its slope within a piece. `spacing`: pieces at rest are relaxed.
+    the programme at which the chamber may change its slope within a piece.
     """
     table = joined([pieces for _, pieces in placed])
     sizes = [len(pieces.read) for _, pieces in placed]
     segment = np.repeat(np.arange(len(placed)), sizes)
     count = len(segment)
     whole = np.full(count, _NO_KNOT)
-    move, relaxed = np.repeat(np.array([move for move, _ in placed]), sizes), ~table.moving & (spacing is not None)
+    move = np.repeat(np.array([move for move, _ in placed]), sizes)
     gap = np.isin(segment, np.array(gaps, int))
-    beside = {"relaxed": relaxed, "gap": gap, "segment": segment, "low": whole, "high": whole}
+    beside = {"gap": gap, "segment": segment, "low": whole, "high": whole}
     pieces = Pieces(move=move, **{name: np.asarray(of) for name, of in table._asdict().items()}, **beside)
     duration, peak, ramp = (np.array(column, dtype=float) for column in zip(*moves, strict=True))
     fillers = fillers or []
@@ -209,7 +172,7 @@ def make_schedule(
     counts = np.array([f[3] for f in fillers], float).reshape(len(fillers), len(moves))
     moving, varying = np.flatnonzero(pieces.moving), np.flatnonzero(pieces.varying)
     schedule = Schedule(
-        duration, peak, ramp, np.asarray(1.0 if spacing is None else float(spacing)), programme, pieces, moving,
+        duration, peak, ramp, programme, pieces, moving,
         varying, fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(gaps), bool(inner_knots), rates,
         points,
     )  # fmt: skip

@@ -1,7 +1,7 @@
 """`[design]`: the free variables and the objective of `optimise`.
 
-Two kinds of search. Of a gyro along the only axis of a table that is read: the course of the turns, of the chamber, or
-the set points (`free`). Of every other IMU: a cycle of turns and poses. Keys of the other kind are refused.
+Of a gyro that turns about the only axis of a table that is read the moves of its visits to the table are searched; of
+every other IMU a cycle of turns and poses. Keys of the other kind are refused.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,18 +15,9 @@ from gradcal_jax.tables.section import Section
 
 TIMES = ("motion time", "total time")
 """What can be minimised instead of a requirement's residual; the targets are then limits."""
-OPTIMALITIES = ("A-optimality", "D-optimality", "E-optimality")
-"""Classical criteria of the parameters' covariance, as a standard deviation: see `gradcal_jax.design.criteria`."""
-
-Free = Literal[
-    "gradient", "rest", "peak_rate", "duration", "turn", "ramp", "cycle", "temperatures", "rates", "integration",
-    "programme",
-]  # fmt: skip
-"""What may change. Gradient plans with motion: `duration` (of turns and rests; `rest` and `turn` mean the same),
-`peak_rate`, `ramp` (the time from rest to the peak rate), `gradient` (one slope for each visit), `cycle` (its length).
-Gradient plans without motion: `programme`. Standard plans: `temperatures`, `rates`, `integration` (and with it the time
-of a point). Cycles of turns and poses: `cycle` (all of it) and `programme` (the chamber's legs, turning points and
-slopes)."""
+Free = Literal["cycle", "programme"]
+"""What may change: `cycle` (all moves; of one axis always its moves, and with this word its length) and `programme`
+(the chamber's legs, turning points and slopes)."""
 
 
 class Scenario(Section):
@@ -50,20 +41,16 @@ class Design(Section):
     """What `optimise` minimises, and what it may change."""
 
     minimise: q.Text = ALL
-    """A requirement's name, "motion time" or "total time". For a single axis also "A-optimality", "D-optimality" or
-    "E-optimality"; for other IMUs also "all requirements" (geometric mean of the residuals, each divided by its target)
-    or "worst ratio" (largest of these ratios). If one requirement is minimised, the targets of the others are
-    limits."""
+    """A requirement's name, "all requirements" (geometric mean of the residuals, each divided by its target), "worst
+    ratio" (largest of these ratios), "motion time" or "total time". If one requirement is minimised, the targets of the
+    others are limits."""
     free: Annotated[tuple[Free, ...], Field(min_length=1)] = ()
-    """Which parts of the plan may change. For cycles of turns and poses: "cycle" and "programme"; absent: the cycle
-    and, with a `hysteresis` in the spec, the programme."""
+    """Which parts of the plan may change: "cycle" and "programme". Absent: the cycle and, with a `hysteresis` in the
+    spec or a table at rest, the programme. Of one axis: its moves; with "cycle" also the length of its cycle."""
     max_motion: q.Time | None = None
     """Longest ramp."""
     max_total: q.Time | None = None
     """Longest allowed duration of the plan, soaks included."""
-    cycles: Literal["own", "alike"] = "own"
-    """"own": every visit (the part of a cycle in which the axis may turn) has moves of its own; "alike": all visits
-    have the same moves; absent: the same moves if there are many visits."""
     moves: Annotated[q.Count, Field(le=400)] | None = None
     """For a single axis: the number of turns in each visit (the part of a cycle in which this axis may turn), 40 at
     most; absent: as many as are likely to help. For other IMUs: the largest number of turns in a cycle; absent: 80."""
@@ -71,8 +58,6 @@ class Design(Section):
     """Number of searches from different plans."""
     seed: q.Whole = 0
     """Seed of the search."""
-    whole_turns: q.Flag = False
-    """Whether every turn must be a whole number of revolutions, so that the encoder's periodic errors cancel."""
     robust: Literal["mean", "worst"] = "mean"
     """Whether the mean or the worst case counts, over the scenarios."""
     scenario: Annotated[tuple[Scenario, ...], Field(max_length=1000)] = ()
@@ -80,16 +65,15 @@ class Design(Section):
     angle_step: q.PositiveAngle | None = None
     """Every turn is a multiple of this angle; absent: any angle."""
     shortest_rest: q.Time = q.Quantity(2.0, "2 s", "time")
-    """Shortest rest."""
+    """Shortest rest. Of one axis, absent: 2 s, or the time between two readings of its angle, if this is shorter."""
     longest_rest: q.Time = q.Quantity(120.0, "2 min", "time")
     """Longest rest."""
 
 
 # Keys that one of the two kinds of search alone reads.
-_OF_AXIS: Final = ("cycles", "starts", "whole_turns")
-_OF_POSES: Final = ("angle_step", "shortest_rest", "longest_rest")
+_OF_AXIS: Final = ("starts",)
+_OF_POSES: Final = ("longest_rest",)
 _MOVES_OF_AXIS: Final = 40
-_FREE_OF_POSES: Final = ("cycle", "programme")
 
 
 def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> Iterator[Problem]:
@@ -97,7 +81,7 @@ def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> I
 
     `names`: of the requirements. `of_axis`: whether the turns of one axis are searched, or poses.
     """
-    others, useless = ((*TIMES, *OPTIMALITIES), _OF_POSES) if of_axis else ((ALL, WORST, *TIMES), _OF_AXIS)
+    others, useless = (ALL, WORST, *TIMES), _OF_POSES if of_axis else _OF_AXIS
     if design.minimise not in (*names, *others):
         ending = hint(design.minimise, [*names, *others])
         of = f"the name of a requirement ({one_of(names)}) or " if names else "a requirement's name or "
@@ -106,12 +90,6 @@ def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> I
         if name in design.model_fields_set:
             kind = "the turns of one axis" if of_axis else "a cycle of turns and poses"
             yield Problem((name,), f"has no effect if the search varies {kind}; leave this key out")
-    if of_axis and not design.free:
-        yield Problem(("free",), "this key is missing: it states which parts of the plan may change", kind="missing")
-    for k, name in enumerate(() if of_axis else design.free):
-        if name not in _FREE_OF_POSES:
-            message = f"a search of a cycle of turns and poses can change only {' and '.join(_FREE_OF_POSES)}"
-            yield Problem(("free", k), message, name)
     if design.moves is not None:
         if of_axis and design.moves > _MOVES_OF_AXIS:
             yield Problem(("moves",), f"must be at most {_MOVES_OF_AXIS} turns in each visit", design.moves)

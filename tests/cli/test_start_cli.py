@@ -2,14 +2,13 @@
 
 import io
 import itertools
-import tomllib
 
 import numpy as np
 import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
-from gradcal_jax.design.turn_plan import design_block, design_of, measure
+from gradcal_jax.design.plan_objective import ExactObjective
 from gradcal_jax.hardware.setup import configs_of
 from gradcal_jax.records.importers import parse_column_map
 from gradcal_jax.spec.absent import absent_terms
@@ -45,7 +44,7 @@ def test_a_preset_asks_nothing_and_its_files_are_sound_and_met(preset, tmp_path,
     assert [row.verdict for row in prediction.requirements] == ["met", "met"]
     assert prediction.omitted == ()
     assert not any("distinct rates" in s or "beyond" in s for s in prediction.warnings), prediction.warnings
-    assert measure(spec).objective.name_and_unit()[0] == "gyro scale factor (mean of max)"
+    assert ExactObjective(spec).name_and_unit()[0] == "gyro scale factor (mean of max)"
     # Nothing is overwritten unasked.
     assert main(["start", "--preset", preset, "-o", str(out)]) == 2
     assert "exists" in capsys.readouterr().err
@@ -195,18 +194,8 @@ def test_presets_carry_a_design_to_uncomment(name):
     head, block = text.split("# [design]", 1)
     lines = ["[design]" + block.splitlines()[0], *(line.removeprefix("# ") for line in block.splitlines()[1:])]
     spec = gj.parse_spec(head + "\n".join(lines))
-    assert design_of(spec).minimise == spec.requirement[0].name
-    assert measure(spec).objective.name_and_unit()[1] in ("ppm", "deg/h")
-
-
-def test_a_missing_design_is_said_with_one_to_paste():
-    spec = gj.parse_spec(gj.presets.text("tactical-mems"))
-    with pytest.raises(ValueError, match="To paste") as caught:
-        design_of(spec)
-    pasted = str(caught.value).split("\n\n", 1)[1]
-    assert tomllib.loads(pasted)["design"]["minimise"] == "scale factor"
-    assert design_block(spec) == pasted
-    assert design_of(gj.parse_spec(gj.presets.text("tactical-mems") + pasted)).starts == 8
+    assert spec.design.minimise == spec.requirement[0].name
+    assert ExactObjective(spec).name_and_unit()[1] in ("ppm", "deg/h")
 
 
 @pytest.mark.parametrize(

@@ -40,17 +40,3 @@ def test_a_step_to_where_there_is_no_value_is_made_shorter():
 
     *_, last = Descent(steep, tolerance=1e-9)(np.array([0.5, 0.6]), 3.0, evaluations=200)
     assert last.point == pytest.approx([0.01, 0.01], rel=1e-3)
-
-
-def test_descents_side_by_side_end_where_each_ends_alone():
-    descent, points = Descent(valley, tolerance=1e-9), np.random.default_rng(0).normal(size=(7, 2))
-    for evaluations in (30, 400):
-        alone = []
-        for point in points:
-            *_, last = descent(point, (1.0,), evaluations=evaluations)
-            alone.append(last.point)
-        together = descent.side_by_side(points, (1.0,), evaluations=evaluations)
-        np.testing.assert_allclose(together, alone, atol=1e-6)
-    *_, one_look = descent(points[0], (1.0,), evaluations=20)
-    stopped = descent.side_by_side(points, (1.0,), evaluations=400, stop=lambda: True)
-    np.testing.assert_allclose(stopped[0], one_look.point, atol=1e-9)

@@ -8,17 +8,8 @@ import numpy as np
 import pytest
 
 from gradcal_jax.design.cycle_moves import Neighbourhood
-from gradcal_jax.design.pose_cycle import (
-    CycleCoordinates,
-    PoseTurn,
-    TableLimits,
-    further,
-    inverse,
-    largest_alike,
-    largest_log,
-    nodes_for,
-    structure_of,
-)
+from gradcal_jax.design.pose_cycle import further, inverse, largest_alike, largest_log, nodes_for
+from gradcal_jax.design.slots import CycleCoordinates, PoseTurn, TableLimits, structure_of
 
 LIMITS = TableLimits(
     rates=np.array([3.0, 5.0]),

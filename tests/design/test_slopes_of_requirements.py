@@ -9,7 +9,7 @@ import pytest
 
 import gradcal_jax as gj
 from gradcal_jax.design.cycle_plan import CyclePlan
-from gradcal_jax.design.pose_cycle import _UNITS as UNITS
+from gradcal_jax.design.slots import _UNITS as UNITS
 
 IMU = Path(__file__).parents[2] / "experiments" / "imu"
 QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}

@@ -129,7 +129,6 @@ def test_a_short_run_gives_back_the_hidden_parameters_within_its_covariance(tmp_
 DESIGN = """
 [design]
 minimise = "full range"
-free     = ["peak_rate", "duration", "rest"]
 starts   = 1
 """
 

@@ -75,11 +75,11 @@ def test_a_verdict_follows_its_rule_and_says_it(keys, said):
 
 
 def test_a_target_limits_a_search_by_its_rule():
-    from gradcal_jax.design.turn_plan import measure
+    from gradcal_jax.design.plan_objective import ExactObjective
 
     text = gj.presets.text("paper-dynamic-gradient").replace("coverage    = 1 ", "coverage    = 2 ")
-    spec = gj.parse_spec(text + '[design]\nminimise = "motion time"\nfree = ["duration"]\nmax_motion = "100 min"\n')
-    assert measure(spec).factors[0] == pytest.approx(2.0 / 80e-6)
+    spec = gj.parse_spec(text + '[design]\nminimise = "motion time"\nmax_motion = "100 min"\n')
+    assert ExactObjective(spec).aims[0].limit == pytest.approx(80.0 / 2.0)
 
 
 @pytest.mark.parametrize("keys", [{"coverage": 0.0}, {"coverage": -1.0}])

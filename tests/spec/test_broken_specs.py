@@ -46,7 +46,7 @@ WHY = {
     "requirement_statistic_misspelt": 'nearest: "mean of max"',
     "programme_item_unknown": 'nearest: "ramp_to"',
     "design_minimises_nothing_known": 'nearest: "full"',
-    "design_frees_unknown": 'nearest: "rest"',
+    "design_frees_unknown": 'nearest: "cycle"',
     "basis_centre_in_kelvin": "degC",
     "rig_max_rate_too_low": 'max_rate of axis "x", 90 deg/s',
     "plan_gradient_too_steep": "rig.chamber.max_heating, 2 K/min",

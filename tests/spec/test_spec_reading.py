@@ -295,13 +295,13 @@ def test_requirements_must_be_estimated_unique_and_inside_the_basis():
 
 def test_design_is_validated_with_known_keys():
     document = tables()
-    document["design"] = {"minimise": "full range", "free": ["gradient", "rest", "peak_rate"], "max_motion": "100 min"}
+    document["design"] = {"minimise": "full range", "free": ["cycle"], "max_motion": "100 min"}
     assert spec_file.spec_of(document).design.starts == 16
-    document["design"] |= {"minimise": "ful range", "free": ["gradints"], "seeds": 3}
+    document["design"] |= {"minimise": "ful range", "free": ["cycel"], "seeds": 3}
     with pytest.raises(SpecError) as caught:
         spec_file.spec_of(document)
     assert {problem.dotted for problem in caught.value.problems} == {"design.free[0]", "design.seeds"}
-    document["design"] = {"minimise": "ful range", "free": ["gradient"]}
+    document["design"] = {"minimise": "ful range", "free": ["cycle"]}
     with pytest.raises(SpecError, match='nearest: "full range"'):
         spec_file.spec_of(document)
 

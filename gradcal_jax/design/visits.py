@@ -1,0 +1,208 @@
+"""When the axis of a gyro alone on a table has that table, and how long a plan may take.
+
+The table is its axis's in *visits*; in between other axes turn. The numbers of visits and of turns in each have no
+gradient: a search tries a few of them.
+"""
+
+import math
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+from gradcal_jax.formulas import repetitions
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.design import Design
+from gradcal_jax.spec.motion_plan import MotionPlan
+from gradcal_jax.spec.moves import ResolvedMove
+from gradcal_jax.spec.plan import RampItem, StandardPlan
+from gradcal_jax.spec.sensor import GyroTriad
+from gradcal_jax.spec.spec_sections import Spec
+
+# Shortest useful turn; s.
+LEAST_TURN: Final = 1.0
+# Largest number of visits with moves of their own; beyond, the cycle repeats.
+_MOST_OWN: Final = 20
+# Turns of all visits together, about, and of each at least: one for every power of a cubic.
+_TURNS: Final = 36
+_LEAST_TURNS: Final = 4
+# Numbers of visits that are searched where the cycle's length is free.
+_FREE_VISITS: Final = (3, 4, 6)
+
+
+class ResolvedCycle(NamedTuple):
+    """One cycle in SI: the moves one after the other, then the other axes' time, then idle standing (not read).
+
+    `other_read_every` is None where the axis is not read while the others turn.
+    """
+
+    moves: tuple[ResolvedMove, ...]
+    moving: float
+    other: float
+    other_read_every: float | None
+    idle: float
+
+    @property
+    def duration(self) -> float:
+        """Duration of the whole cycle (s)."""
+        return self.moving + self.other + self.idle
+
+
+def motion_time(spec: Spec, design: Design) -> float:
+    """The duration of the ramp (s) by [design], else the plan's. Errors: `ValueError` where no time is left."""
+    schedule = spec.gradient_schedule
+    limits = [] if design.max_motion is None else [float(design.max_motion)]
+    if design.max_total is not None:
+        limits.append(float(design.max_total) - schedule.soak)
+    limits = limits or [schedule.motion]
+    if min(limits) <= 0.0:
+        raise ValueError(
+            f"design.max_total leaves no time for the ramp: the soak alone takes {schedule.soak / 60.0:.4g} min"
+        )
+    return min(limits)
+
+
+def with_motion(spec: Spec, time: float) -> Spec:
+    """The spec with ramps that last, with steps between them, `time` s in all: every slope by the same factor.
+
+    Errors: `ValueError` for a plan without a ramp, or where the steps take longer; `SpecError` where the chamber or a
+    cycle needs more.
+    """
+    schedule = spec.gradient_schedule
+    ramps = math.fsum(s.duration for s in schedule.segments if s.kind == "ramp")
+    left = time - (schedule.motion - ramps)
+    if not ramps or left <= 0.0:
+        raise ValueError(f"the plan has no ramp that could last {time / 60.0:.4g} min")
+
+    def slower(slope: float) -> str:
+        return f"{60.0 * slope * ramps / left:.12g} K/min"
+
+    plan = spec.plan
+    assert isinstance(plan, MotionPlan)
+    if plan.programme is not None:
+        keys: dict[str, Any] = {
+            f"plan.programme[{k}].rate": slower(item.rate)
+            for k, item in enumerate(plan.programme)
+            if isinstance(item, RampItem)
+        }
+    else:
+        one = plan.gradient
+        keys = {"plan.gradient": [slower(s) for s in one] if isinstance(one, tuple) else slower(float(one or 0.0))}
+    return changed(spec, keys)
+
+
+def gyro_of(spec: Spec) -> GyroTriad:
+    """The gyro of a spec that has one."""
+    assert spec.sensor.gyro is not None
+    return spec.sensor.gyro
+
+
+def cycle_of(spec: Spec) -> ResolvedCycle | None:
+    """The cycle of a plan about the only axis of a table; None where the axis stands.
+
+    A rest that is read once, at its end, has no spacing; nor has a time of other axes in which nothing is read.
+    """
+    if isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None:
+        return None
+    schedule, others = spec.gradient_schedule, spec.plan.cycle.other_axes
+    every = reading_spacing(spec)
+    moves: list[ResolvedMove] = []
+    for step in schedule.every_step:
+        spacing = every if step.move.reads_as_table else step.move.read_every
+        spaced = spacing is not None and math.isfinite(spacing)
+        moves.append(replace(step.move, repeat=1, read_every=spacing if spaced else None))
+    moving, behind = math.fsum(move.duration for move in moves), math.fsum(s.move.duration for s in schedule.after)
+    other = 0.0 if others is None else float(others.duration)
+    other_every = None
+    if others is not None and others.read:
+        spacing = every if others.read_every is None else float(others.read_every)
+        other_every = min(spacing, other)
+    return ResolvedCycle(tuple(moves), moving, other, other_every, behind - other)
+
+
+def reading_spacing(spec: Spec) -> float:
+    """Spacing (s) of the readings of the only axis where the plan does not say it; infinite: at the end of a rest."""
+    return float(spec.rig.table.axis[0].angle.read_every)
+
+
+def visit_times(cycle: ResolvedCycle) -> tuple[float, float]:
+    """The duration (s) of one turn at the table, and the time after it for other axes."""
+    others = [move.duration for move in cycle.moves if move.other_axes]
+    each = (cycle.moving - sum(others)) / (len(others) + 1)
+    return each, others[0] if others else cycle.duration - cycle.moving
+
+
+class VisitTimes(NamedTuple):
+    """A cycle of so many `visits` of `own` s, after each of which other axes have the table for `other` s; how many
+    such `cycles` the plan has; and the number of `turns` in each visit."""
+
+    visits: int
+    own: float
+    other: float
+    cycles: int
+    turns: int
+
+
+def visit_choices(spec: Spec, design: Design) -> list[VisitTimes]:
+    """The visits that a search tries for a plan that turns one gyro."""
+    cycle, time = cycle_of(spec), spec.gradient_schedule.stretches[0].duration
+    assert cycle is not None
+    own, other = visit_times(cycle)
+    if "cycle" in design.free:
+        # The axis keeps its share of the time. The last visit ends with the ramp.
+        share = own / (own + other)
+        options = [(n, share * time / n, (1.0 - share) * time / (n - 1), 1) for n in _FREE_VISITS]
+    else:
+        count, each = repetitions(time, own, own + other)[0], sum(m.other_axes for m in cycle.moves) + 1
+        ramps = [s for s in spec.gradient_schedule.segments if s.kind == "ramp"]
+        alone = len(ramps) == 1 and len(spec.gradient_schedule.stretches) == 1
+        options = [(count, own, other, 1) if count <= _MOST_OWN and alone else (each, own, other, count // each)]
+    choices = []
+    for count, each, between, cycles in options:
+        fitting = max(1, int(0.5 * each / (LEAST_TURN + shortest_rest(spec, design))))
+        wanted = max(_LEAST_TURNS, -(-_TURNS // count)) if cycles == 1 else 2 * _LEAST_TURNS
+        turns = design.moves or min(wanted, fitting)
+        turns = max([turns, *map(_turns_of, moves_of_visits(cycle))])
+        least = turns * (LEAST_TURN + shortest_rest(spec, design))
+        if least > each:
+            raise ValueError(
+                f"the moves need at least {least:.4g} s, but the axis may turn for only {each:.4g} s in each visit: "
+                "use fewer moves or a longer cycle"
+            )
+        choices.append(VisitTimes(count, each, between, cycles, turns))
+    return choices
+
+
+def shortest_rest(spec: Spec, design: Design) -> float:
+    """The shortest rest, s; of one axis, unless it is stated, no longer than until its angle is read."""
+    least = float(design.shortest_rest)
+    if spec.turns_one_gyro and "shortest_rest" not in design.model_fields_set:
+        return min(least, rest_spacing(spec))
+    return least
+
+
+def rest_spacing(spec: Spec) -> float:
+    """How often a table of one axis is read at rest, s: as its first rest says, or else the table."""
+    cycle = cycle_of(spec)
+    of_rests = [m.read_every for m in cycle.moves if m.is_rest and m.read_every] if cycle is not None else []
+    return float(of_rests[0]) if of_rests else reading_spacing(spec)
+
+
+def moves_of_visits(cycle: ResolvedCycle) -> list[list[ResolvedMove]]:
+    """The moves of each visit of a cycle."""
+    visits: list[list[ResolvedMove]] = [[]]
+    for move in cycle.moves:
+        if move.other_axes:
+            visits.append([])
+        else:
+            visits[-1].append(move)
+    return visits
+
+
+def _turns_of(moves: list[ResolvedMove]) -> int:
+    return sum(not move.is_rest for move in moves)
+
+
+def reading_spacing_of_others(spec: Spec, spacing: float) -> float:
+    """How often the table is read (s) while other axes turn, where it is read as at rest every `spacing` s; infinite:
+    not at all."""
+    cycle = cycle_of(spec)
+    return math.inf if cycle is None or cycle.other_read_every is None else spacing

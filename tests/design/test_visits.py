@@ -1,0 +1,200 @@
+"""Plans of an axis that has its table in visits, as numbers: whatever these are, the rig can execute the plan."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given as given_any
+from hypothesis import settings
+from hypothesis import strategies as st
+from search_problem import SPEC, exact
+
+from gradcal_jax.design.cycle_plan import CyclePlan, RepeatedCycle
+from gradcal_jax.design.slots import time_of
+from gradcal_jax.design.visits import cycle_of, visit_choices
+from gradcal_jax.recipe.rounding import rounded
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.design import Design
+from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.spec.spec_sections import Spec
+
+DEG = math.pi / 180.0
+
+
+@pytest.fixture(scope="module")
+def spec() -> Spec:
+    return parse_spec(SPEC)
+
+
+def plan_of(spec: Spec) -> CyclePlan:
+    (times,) = visit_choices(spec, spec.design or Design())
+    return CyclePlan(spec, times)
+
+
+def many_visits(spec: Spec) -> Spec:
+    """One hundred short visits, all with the same moves."""
+    back = {"turn": "-360 deg", "peak_rate": "100 deg/s", "shape": "linear ramps"}
+    moves = [{"rest": "5 s"}, back | {"turn": "360 deg"}, {"rest": "5 s"}, back]
+    others = {"duration": "5 s", "read": True}
+    keys = {"plan.cycle": {"moves": moves, "other_axes": others}, "rig.table.axis[0].angle.read_every": "1 s"}
+    return changed(spec, keys)
+
+
+def limited(spec: Spec, travel: float) -> Spec:
+    turn = {"turn": "20 deg", "duration": "12 s", "shape": "linear ramps"}
+    moves = [{"rest": "5 s"}, turn, {"rest": "5 s"}, turn | {"turn": "-20 deg"}]
+    return changed(spec, {"rig.table.axis[0].travel": f"{travel:.6g} deg", "plan.cycle.moves": moves})
+
+
+KINDS = {
+    "own moves in each visit": lambda spec: spec,
+    "the same moves in many": many_visits,
+    "little travel": lambda spec: limited(spec, 90.0),
+    "much travel": lambda spec: limited(spec, 5000.0),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_any_vector_is_a_plan_within_the_limits(spec, kind):
+    plan = plan_of(KINDS[kind](spec))
+    limits, visits = plan.limits, plan.coordinates.visits
+
+    @settings(max_examples=10, deadline=None)
+    @given_any(seed=st.integers(0, 1000), size=st.floats(0.1, 3.0))
+    def holds(seed: int, size: float) -> None:
+        rng = np.random.default_rng(seed)
+        drawn = plan.drawn(rng)
+        of = plan.structure(drawn)
+        z = plan.point(drawn, of) + size * rng.standard_normal(3 * plan.slots)
+        decoded = plan.coordinates.decode(jnp.asarray(z.reshape(3, -1)), jax.tree.map(jnp.asarray, of))
+        angle, rate, ramp, turning, rests, left = (np.asarray(x) for x in decoded)
+        assert np.all(np.abs(rate) <= limits.rates[0] * (1 + 1e-9))
+        assert np.all(ramp <= 0.5 * turning * (1 + 1e-6) + 1e-9)
+        assert np.all(np.abs(rate) <= limits.accelerations[0] * ramp * (1 + 1e-9))
+        assert np.all(rests[of.rests] >= limits.shortest - 1e-9)
+        place = np.cumsum(angle)
+        low, high = limits.reach[0]
+        assert np.all((place >= low - 1e-9) & (place <= high + 1e-9))
+        np.testing.assert_allclose(angle, np.sign(rate) * np.abs(rate) * (turning - ramp), rtol=1e-5, atol=1e-2)
+        if left > 0.0:
+            filled = np.bincount(visits.group, turning * (of.axis >= 0) + rests)
+            np.testing.assert_allclose(filled, visits.own, atol=0.6 if not plan.by_time else 1e-6)
+
+    holds()
+
+
+def test_numbers_of_a_plan_are_found_again(spec):
+    for kind in ("own moves in each visit", "much travel"):
+        plan = plan_of(KINDS[kind](spec))
+        drawn = plan.drawn(np.random.default_rng(1))
+        of = plan.structure(drawn)
+        again = plan.cycle_at(plan.point(drawn, of), of, drawn.cycles)
+        for one, other in zip(drawn.turns, again.turns, strict=True):
+            assert one.axis == other.axis
+            np.testing.assert_allclose(one[1:], other[1:], rtol=2e-2, atol=1e-2)
+
+
+def too_long(plan: CyclePlan, cycle: RepeatedCycle) -> bool:
+    """Whether turns by pose, or of whole steps, take longer than there is time with the shortest rests."""
+    turns, visits = plan.snapped(cycle).turns if plan.design.angle_step else cycle.turns, plan.coordinates.visits
+    rests = [plan.limits.shortest * (t.rest > 0.0) for t in turns]
+    taken = np.bincount(visits.group, [time_of(t, plan.limits) + rest for t, rest in zip(turns, rests, strict=True)])
+    return bool(np.any(taken > visits.own + 0.5))
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "whole turns"])
+def test_any_plan_is_written_as_it_is_executed(spec, kind):
+    """Nothing is left to round, the axis leaves the table on time, and stays within its travel."""
+    given = changed(spec, {"design.angle_step": "360 deg"}) if kind == "whole turns" else KINDS[kind](spec)
+    given = changed(given, {"rig.resolution.acceleration": "0.0000001 deg/s^2"})
+    plan, written = plan_of(given), 0
+    for seed in range(6):
+        drawn = plan.drawn(np.random.default_rng(seed))
+        if kind == "much travel":
+            # (Random poses so far apart take too long.)
+            turns = tuple(t._replace(rate=math.radians(200.0) if t.angle else 0.0) for t in plan.start.turns)
+            start = plan.start._replace(turns=turns)
+            of = plan.structure(start)
+            near = 0.02 * np.random.default_rng(seed).standard_normal(3 * plan.slots)
+            drawn = plan.cycle_at(plan.point(start, of) + near, of, 1)
+        if too_long(plan, drawn):
+            continue
+        made, written = plan.spec_of(drawn), written + 1
+        assert rounded(made).changes == ()
+        assert sum(s.cycles for s in made.gradient_schedule.stretches) == plan.start.cycles
+        assert made.gradient_schedule.motion == pytest.approx(given.gradient_schedule.motion, rel=1e-9)
+        cycle = cycle_of(made)
+        places = np.cumsum([m.angle for m in cycle.moves]) / DEG
+        assert np.max(np.abs(places)) <= float(given.rig.table.axis[0].travel) / DEG * (1 + 1e-9)
+        others = [m.duration for m in cycle.moves if m.other_axes]
+        if kind != "the same moves in many":
+            assert len(others) == 3
+            assert min(others) >= 780.0 - 1e-6
+        if kind == "whole turns":
+            turns = [m.angle / (2.0 * math.pi) for m in cycle.moves if not m.is_rest]
+            assert turns
+            np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
+    assert written
+
+
+DISCREPANCY = {"standard_deviation": "20 ppm", "temperature_degree": 3, "rate_degree": 3}
+UNSTABLE = [{"standard_deviation": "20 ppm", "correlation_time": "20 min"}]
+CHANGES = {
+    "plain": {},
+    "hidden structure": {"sensor.gyro.scale_factor.discrepancy": DISCREPANCY},
+    "instability, lag": {"sensor.gyro.scale_factor_instability": UNSTABLE, "sensor.thermal_lag": "2 min"},
+    "offsets of standstills": {"rig.table.axis[0].angle.standstill_offset": "0.02 deg"},
+    "scenarios": {
+        "design.scenario": [{}, {"sensor": {"gyro": {"angle_random_walk": "0.2 deg/sqrt(h)"}}}],
+        "design.robust": "worst",
+    },
+}
+
+
+def objective_at(plan: CyclePlan, cycle, sharpness: float):
+    of = plan.structure(cycle)
+    args = jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, sharpness, plan.objective.targets
+    return jnp.asarray(plan.point(cycle, of)), args
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_the_objective_of_a_search_is_that_of_its_plan(spec, name):
+    """But for rounding, and for the few readings that stand for those of other axes' time; with its gradient."""
+    given = changed(spec, CHANGES[name] | {"rig.table.axis[0].angle.read_every": "1 s"})
+    plan = plan_of(given)
+    cycle = plan.drawn(np.random.default_rng(2))
+    z, args = objective_at(plan, cycle, 1e5)
+    value, gradient = jax.jit(jax.value_and_grad(plan.value))(z, (*args[:2], 50.0, args[3]))
+    sharp = float(jax.jit(plan.value)(z, args))
+    assert math.exp(sharp) == pytest.approx(exact(plan.spec_of(cycle)), rel=0.03)
+    direction = np.random.default_rng(3).standard_normal(z.shape)
+    along = [float(jax.jit(plan.value)(z + h * direction, (*args[:2], 50.0, args[3]))) for h in (1e-5, -1e-5)]
+    assert float(gradient @ direction) == pytest.approx((along[0] - along[1]) / 2e-5, rel=1e-5)
+    assert float(value) == pytest.approx(sharp, abs=0.05)
+
+
+def test_the_plan_of_the_file_is_a_start(spec):
+    for given in (spec, many_visits(spec)):
+        plan = plan_of(given)
+        z, args = objective_at(plan, plan.start, 1e5)
+        assert math.exp(float(plan.value(z, args))) == pytest.approx(exact(given), rel=0.15)
+
+
+def test_turns_that_shrink_to_nothing_are_left_out(spec):
+    plan = plan_of(spec)
+    drawn = plan.drawn(np.random.default_rng(1))
+    brief = drawn.turns[1]._replace(angle=0.5, rate=1.0)
+    assert time_of(brief, plan.limits) < 3.0
+    fewer = plan.without_brief(drawn._replace(turns=(drawn.turns[0], brief, *drawn.turns[2:])))
+    assert [t.axis for t in fewer.turns[:3]] == [-1, -1, 0]
+    assert fewer.turns[0].rest == pytest.approx(drawn.turns[0].rest + brief.rest)
+
+
+def test_visits_of_another_length_keep_the_axiss_share_of_the_time(spec):
+    choices = visit_choices(spec, Design(free=("cycle",)))
+    assert [c.visits for c in choices] == [3, 4, 6]
+    for c in choices:
+        assert c.visits * c.own == pytest.approx(3000.0 * 120.0 / 900.0)
+        assert c.visits * c.own + (c.visits - 1) * c.other == pytest.approx(3000.0)

@@ -36,15 +36,6 @@ def monomials(x: Array, degree: int) -> Array:
     return xp.stack(columns, axis=-1)
 
 
-def chebyshev(x: Array, degree: int) -> Array:
-    """Chebyshev polynomials of the first kind, `(...) -> (..., degree + 1)`; orthogonal on [-1, 1]."""
-    xp = x.__array_namespace__()
-    columns = [xp.ones_like(x), x]
-    for _ in range(2, degree + 1):
-        columns.append(2.0 * x * columns[-1] - columns[-2])
-    return xp.stack(columns[: degree + 1], axis=-1)
-
-
 def legendre(x: Array, degree: int) -> Array:
     """Legendre polynomials with P(1) = 1, `(...) -> (..., degree + 1)`; orthogonal on [-1, 1]."""
     xp = x.__array_namespace__()

@@ -431,8 +431,6 @@ def _polynomial(rng: np.random.Generator, degree: int, centre: str, scale: str) 
     basis: Table = {"basis": "polynomial", "degree": degree, "scale": scale}
     if centre:
         basis["centre"] = centre
-    if _chance(rng, 0.3):
-        basis["internal"] = _one(rng, ("legendre", "chebyshev"))
     return basis
 
 

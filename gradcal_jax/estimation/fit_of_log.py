@@ -347,7 +347,7 @@ def calibration_of(
     covariant = [k for k in range(model.calibrated) if np.isfinite(deviations[k]) and names[k] in kept]
     matrix = solution.known.covariance(reported[own])[np.ix_(covariant, covariant)]
     frame = spec.sensor.frame
-    case = frame is not None and frame.fixed_by == "case"
+    case = frame == "case"
     section: dict[str, Any] = {
         "format": FORMAT,
         "title": spec.title or f"calibration of {name}",

@@ -275,7 +275,7 @@ def quantity_of(built: BuiltImu, requirement: Requirement, most: int | None = No
     (temperatures, rates), beside = box(requirement, most), 0.0
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
         frame = built.spec.sensor.frame
-        if frame is None or frame.fixed_by != "case":
+        if frame != "case":
             beside = float(built.spec.rig.table.mounting[0].accuracy)
     elif isinstance(requirement, GyroBiasRequirement | AccelerometerBiasRequirement):
         # A sensitivity to dT/dt that is a figure and no parameter.

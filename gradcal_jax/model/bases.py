@@ -6,12 +6,10 @@ monomials. `to_reported @ engine = reported` connects them.
 """
 
 from functools import lru_cache
-from typing import Literal
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
-from numpy.polynomial import chebyshev as np_chebyshev
 from numpy.polynomial import legendre as np_legendre
 
 from gradcal_jax import formulas
@@ -51,12 +49,11 @@ class Basis(PytreeModule):
 
 
 @lru_cache(maxsize=64)
-def _monomials(degree: int, internal: str) -> np.ndarray:
+def _monomials(degree: int) -> np.ndarray:
     """`(size, size)`: coefficients of orthogonal polynomials to those of monomials; a shared read-only array."""
-    convert = np_legendre.leg2poly if internal == "legendre" else np_chebyshev.cheb2poly
     matrix = np.zeros((degree + 1, degree + 1))
     for k, unit in enumerate(np.eye(degree + 1)):
-        monomials = convert(unit)
+        monomials = np_legendre.leg2poly(unit)
         matrix[: len(monomials), k] = monomials
     matrix.flags.writeable = False
     return matrix
@@ -68,7 +65,6 @@ class Polynomial(Basis):
     degree: int = eqx.field(static=True)
     centre: float = eqx.field(static=True)
     scale: float = eqx.field(static=True)
-    internal: Literal["legendre", "chebyshev"] = eqx.field(static=True, default="legendre")
 
     def __check_init__(self):
         if self.degree < 0:
@@ -79,8 +75,7 @@ class Polynomial(Basis):
             )
 
     def __call__(self, x: Float[AnyArray, "..."]) -> Float[AnyArray, "... size"]:
-        values = formulas.legendre if self.internal == "legendre" else formulas.chebyshev
-        return values((x - self.centre) / self.scale, self.degree)
+        return formulas.legendre((x - self.centre) / self.scale, self.degree)
 
     @property
     def size(self) -> int:
@@ -88,7 +83,7 @@ class Polynomial(Basis):
 
     @property
     def to_reported(self) -> np.ndarray:
-        return _monomials(self.degree, self.internal)
+        return _monomials(self.degree)
 
     @property
     def constant(self) -> np.ndarray:

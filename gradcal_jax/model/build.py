@@ -160,7 +160,7 @@ def gyro_channel(
 def basis(section) -> model.Basis:
     """A basis of the core from its section of a spec."""
     if isinstance(section, PolynomialKeys):
-        return model.Polynomial(section.degree, float(section.centre), float(section.scale), section.internal)
+        return model.Polynomial(section.degree, float(section.centre), float(section.scale))
     if isinstance(section, SplineKeys):
         return model.BSpline(tuple(float(k) for k in section.knots), section.degree)
     return model.Bins(tuple(float(e) for e in section.edges))

@@ -230,7 +230,7 @@ class ImuModel(PytreeModule):
                 if not isinstance(basis, Polynomial) or term.late is not None:
                     return None
                 places = begin + np.arange(term.size).reshape(basis.size, count).T
-                if (key := (basis.degree, basis.centre, basis.scale, basis.internal)) not in known:
+                if (key := (basis.degree, basis.centre, basis.scale)) not in known:
                     known[key] = basis.shifts(by)[:, None]
                 result[:, places[:, :, None], places[:, None, :]] = known[key]
             elif isinstance(term, Discrepancy) and term.late is None:

@@ -228,7 +228,7 @@ def _installation(spec: Spec) -> tuple[model.InstallationTerm, ...]:
         if harmonics := axis.angle.harmonics:
             stds = np.repeat(np.array([float(h.amplitude) for h in harmonics]), 2)
             terms.append(model.AxisHarmonics(stds, tuple(h.order for h in harmonics), k, axis.name))
-    if spec.sensor.frame is not None and spec.sensor.frame.fixed_by == "case":
+    if spec.sensor.frame == "case":
         terms.append(model.MountingError(np.repeat(np.array([float(m.accuracy) for m in table.mounting]), 3)))
     if site.gravity_accuracy and spec.sensor.accelerometer is not None:
         terms.append(model.CommonScale(np.array([float(site.gravity_accuracy)]), "gravity"))

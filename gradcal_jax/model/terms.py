@@ -289,7 +289,7 @@ def _continued(own: Basis | None, higher: HigherPolynomials | None) -> bool:
     """Whether higher polynomials continue those of a map, in the engine's form."""
     if own is None or higher is None:
         return own is higher
-    if not isinstance(own, Polynomial) or own.internal != "legendre":
+    if not isinstance(own, Polynomial):
         return False
     return (own.size, own.centre, own.scale) == (higher.lowest, higher.centre, higher.scale)
 

@@ -33,8 +33,6 @@ class PolynomialKeys(Section):
     """Highest power."""
     centre: q.Quantity
     scale: q.Quantity
-    internal: Literal["legendre", "chebyshev"] = "legendre"
-    """Orthogonal polynomials used for the computation; results are always given in powers of x."""
 
     @property
     def size(self) -> int:

@@ -1,5 +1,4 @@
-"""`[rig]` of a spec: site, table (axes, encoders, mountings, places), chamber, controllers' resolution, loops of
-simulated sensors."""
+"""`[rig]` of a spec: site, table (axes, encoders, mountings, places), chamber, controllers' resolution."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -315,8 +314,6 @@ class RigTable(Section):
 class Rig(Section):
     """The rig: site, table and chamber."""
 
-    name: q.Text | None = None
-    """A title for tables and pages."""
     site: Site = Site()
     """Where the rig stands."""
     table: RigTable

@@ -304,13 +304,13 @@ def _site(spec: "Spec") -> Iterator[Problem]:
 
 def _frame(spec: "Spec") -> Iterator[Problem]:
     frame, mountings = spec.sensor.frame, spec.rig.table.mounting
-    of_case = frame is not None and frame.fixed_by == "case"
+    of_case = frame == "case"
     if len(mountings) > 1 and not of_case:
-        message = 'with several mountings, the misalignments refer to the case: expected fixed_by = "case"'
-        yield Problem(("sensor", "frame", "fixed_by"), message, frame and frame.fixed_by)
+        message = 'with several mountings, the misalignments refer to the case: expected frame = "case"'
+        yield Problem(("sensor", "frame"), message, frame)
     for i, mounting in enumerate(mountings):
         if of_case and not mounting.accuracy:
-            message = 'must be above zero, because the misalignments refer to the case (sensor.frame.fixed_by = "case")'
+            message = 'must be above zero, because the misalignments refer to the case (sensor.frame = "case")'
             yield Problem(("rig", "table", "mounting", i, "accuracy"), message, "0 deg")
 
 

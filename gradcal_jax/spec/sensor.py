@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal, cast
 from pydantic import BeforeValidator, Field
 
 from gradcal_jax.spec import temperature_path as path_terms
-from gradcal_jax.spec.bases import Degree, PolynomialKeys, RateBasis, TemperatureBasis
+from gradcal_jax.spec.bases import Degree, PolynomialKeys, RateBasis, TemperatureBasis, TemperaturePolynomial
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import Section, one_or_more
@@ -104,10 +104,6 @@ class _ErrorFunction(Section):
     """A function of `temperature` and `rate`, as far as a table has these bases; the keys `smoothness`, `discrepancy`
     and `prior` mean the same in every table that has them."""
 
-    lag: q.Time | None = None
-    """Known first-order lag of this map behind the sensor's temperature; absent: no lag. At the start, the lag is in
-    equilibrium, as after a soak."""
-
     @property
     def _bases(self) -> dict[str, TemperatureBasis | RateBasis]:
         bases = ((name, getattr(self, name, None)) for name in ("temperature", "rate"))
@@ -121,8 +117,8 @@ class _ErrorFunction(Section):
     def _problems(self) -> Iterator[Problem]:
         bases = self._bases
         polynomials = {name: basis for name, basis in bases.items() if isinstance(basis, PolynomialKeys)}
-        if self.lag is not None and "temperature" in bases.keys() - polynomials.keys():
-            yield Problem(("lag",), "a map with its own lag must be a polynomial in temperature", self.lag.text)
+        if (lag := getattr(self, "lag", None)) is not None and "temperature" in bases.keys() - polynomials.keys():
+            yield Problem(("lag",), "a map with its own lag must be a polynomial in temperature", lag.text)
         if (smoothness := getattr(self, "smoothness", None)) is not None and polynomials == bases:
             message = 'neighbouring coefficients exist only for "b-spline" and "bins"; leave this key out'
             yield Problem(("smoothness",), message, smoothness.text)
@@ -136,6 +132,12 @@ class _ErrorFunction(Section):
         if isinstance(prior, tuple) and len(cast("tuple[q.Quantity, ...]", prior)) != self.size:
             message = f"expected one figure for all coefficients, or {self.size}, one for each coefficient"
             yield Problem(("prior",), message)
+
+
+class _LateFunction(_ErrorFunction):
+    lag: q.Time | None = None
+    """Known first-order lag of this map behind the sensor's temperature; absent: no lag. At the start, the lag is in
+    equilibrium, as after a soak."""
 
 
 class BiasDiscrepancy(Section):
@@ -159,7 +161,7 @@ class ScaleFactorDiscrepancy(Section):
     """Highest degree in rate of the hidden polynomials."""
 
 
-class Bias(_ErrorFunction):
+class Bias(_LateFunction):
     """The estimated bias B(T)."""
 
     temperature: TemperatureBasis
@@ -172,7 +174,7 @@ class Bias(_ErrorFunction):
     """Possible structure of the map beyond its basis."""
 
 
-class ScaleFactor(_ErrorFunction):
+class ScaleFactor(_LateFunction):
     """The estimated scale-factor error M(T, ω): products of functions of temperature and functions of
     rate."""
 
@@ -309,7 +311,7 @@ BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
 
 
 class _ErrorTerm(_ErrorFunction):
-    temperature: TemperatureBasis | None = None
+    temperature: TemperaturePolynomial | None = None
     """Basis over temperature; absent: constant."""
 
 
@@ -352,16 +354,20 @@ class SpecificForceDrift(_Process):
 _DriftsOfForce = Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)]
 
 
-class SpecificForceBias(_ErrorTerm):
+class SpecificForceBias(_LateFunction):
     """An accelerometer's bias over temperature."""
 
+    temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
     prior: SpecificForcePrior | None = None
     """Standard deviation of each coefficient before the calibration, or a list of them; absent: unknown."""
 
 
-class SpecificForceScale(_ErrorTerm):
+class SpecificForceScale(_LateFunction):
     """An accelerometer's scale factor over temperature."""
 
+    temperature: TemperatureBasis | None = None
+    """Basis over temperature; absent: constant."""
     prior: ScaleFactorPrior | None = None
     """Standard deviation of each coefficient before the calibration, a ratio, or a list of them;
     absent: unknown."""
@@ -444,14 +450,6 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
             yield Problem(("lever_arm",), message)
 
 
-class BodyFrame(Section):
-    """`[sensor.frame]`: the frame to which the misalignments refer."""
-
-    fixed_by: Literal["table axes", "case"] = "table axes"
-    """"table axes": the frame follows from the table's axes at zero and the nominal mounting; "case": the frame of the
-    IMU's case, whose orientation is known to within the error of the mounting."""
-
-
 class Sensor(_Instrument):
     """An IMU: gyros, accelerometers, or both."""
 
@@ -462,8 +460,10 @@ class Sensor(_Instrument):
     """Common properties of the gyros."""
     accelerometer: AccelerometerTriad | None = None
     """Common properties of the accelerometers."""
-    frame: BodyFrame | None = None
-    """The frame to which the misalignments refer."""
+    frame: Literal["table axes", "case"] = "table axes"
+    """The frame to which the misalignments refer. "table axes": it follows from the table's axes at zero and the
+    nominal mounting; "case": the frame of the IMU's case, whose orientation is known to within the error of the
+    mounting."""
 
     def _problems(self) -> Iterator[Problem]:
         for name, triad in (("gyro", self.gyro), ("accelerometer", self.accelerometer)):

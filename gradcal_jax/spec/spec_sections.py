@@ -79,7 +79,7 @@ class Spec(TitledFile):
         if isinstance(self.plan, MotionPlan) and self.plan.cycle is not None:
             begins = next(iter(map(float, self.plan.cycle.start.values())), 0.0)
         read = table.standing == "read" or isinstance(self.plan, StandardPlan)
-        return simple and level and read and not begins and (frame is None or frame.fixed_by != "case")
+        return simple and level and read and not begins and frame != "case"
 
     @cached_property
     def schedule(self) -> PlanSchedule | StandardSchedule:

@@ -62,7 +62,7 @@ def test_an_imu_at_another_place_than_the_spec_has_is_noticed(run):
 def test_every_place_is_off_by_its_own_accuracy():
     """Where the frame is the case's. The drawn rotations are small, of the size that the spec says, and not alike."""
     places = [{"name": f"p{k}", "x": "+y", "y": "-x", "accuracy": "0.5 deg"} for k in range(64)]
-    keys = {"rig.table.mounting": [{"accuracy": "1 mrad"}], "sensor.frame": {"fixed_by": "case"}}
+    keys = {"rig.table.mounting": [{"accuracy": "1 mrad"}], "sensor.frame": "case"}
     spec = changed(short(1), {"rig.table.place": places, **keys})
     table, _, _ = draw_table(spec, 1)
     drawn = np.array([held.mountings[0] for held in draw_places(spec, table, 1)])

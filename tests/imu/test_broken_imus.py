@@ -64,8 +64,8 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("sensor.accelerometer.bias.prior", "-20 mg", "sensor.accelerometer.bias.prior", "above"),
     ("sensor.accelerometer.second_order.prior", "1000 ug", "sensor.accelerometer.second_order.prior", "ug/g^2"),
     ("sensor.accelerometer.scale_factor.rate", {}, "sensor.accelerometer.scale_factor.rate", "unknown"),
-    ("sensor.frame", {"fixed_by": "the wall"}, "sensor.frame.fixed_by", "table axes"),
-    ("sensor.frame", {"fixed_by": "case"}, "rig.table.mounting[0].accuracy", "above zero"),
+    ("sensor.frame", "the wall", "sensor.frame", "table axes"),
+    ("sensor.frame", "case", "rig.table.mounting[0].accuracy", "above zero"),
     ("sensor.thermal_lag", "-5 s", "sensor.thermal_lag", "at least"),
     ("sensor.sample_clock_error", "5 s", "sensor.sample_clock_error", "scale factor"),
     # the rig
@@ -102,7 +102,7 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     ("rig.table.mounting", {"x": "+x", "y": "+x", "z": "+z"}, "rig.table.mounting[0]", "right-handed"),
     ("rig.table.mounting", {"x": "+x", "y": "+z", "z": "+y"}, "rig.table.mounting[0]", "right-handed"),
     ("rig.table.mounting", {"x": "up"}, "rig.table.mounting[0].x", "+x"),
-    ("rig.table.mounting", [{}, {}], "sensor.frame.fixed_by", "several mountings"),
+    ("rig.table.mounting", [{}, {}], "sensor.frame", "several mountings"),
     ("rig.table.mounting", [], "rig.table.mounting", "at least 1"),
     ("rig.chamber", GONE, "rig.chamber", "missing"),
     # requirements

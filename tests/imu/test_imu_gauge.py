@@ -244,7 +244,7 @@ def test_a_vertical_axis_alone_is_told_which_axes_it_does_not_turn():
             "accelerometers' scale factor",
         ),
         (
-            {"sensor__frame": {"fixed_by": "case"}, "rig__table__mounting": {"accuracy": "1 mrad"}},
+            {"sensor__frame": "case", "rig__table__mounting": {"accuracy": "1 mrad"}},
             "the plan does not reduce the uncertainty of the mounting (1e+03 urad)",
             "gyros' misalignment and the accelerometers' misalignment",
         ),

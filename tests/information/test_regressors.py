@@ -105,21 +105,20 @@ def test_the_discrepancys_functions_are_the_polynomials_left_out():
     scene = Scene(-12.0, ((8.0, 0.5),), (ACTS[2],), bias=POLYNOMIALS[0], scale=POLYNOMIALS)
     line = core(scene)[0].trajectory()
     legendre = np.polynomial.legendre.legval
-    for internal in ("legendre", "chebyshev"):
-        bases = (Polynomial(1, 20.0, 50.0, internal), Polynomial(2, 0.0, 300 * DEG, internal))
-        beyond = make_map(*bases, discrepancy=(1e-3, 2, 4))
-        made = gyro_model(None, beyond, 1e-5)
-        assert beyond.beyond.size == 1 * 5 + 2 * 2 == made.size - beyond.size
-        result = made.columns(gauss_nodes(line, made))[:, made.where("scale_factor_discrepancy")].sum(0)
-        pairs = [(2, j) for j in range(5)] + [(i, j) for i in range(2) for j in (3, 4)]
-        time, act = walk(scene), ACTS[2]
+    bases = (Polynomial(1, 20.0, 50.0), Polynomial(2, 0.0, 300 * DEG))
+    beyond = make_map(*bases, discrepancy=(1e-3, 2, 4))
+    made = gyro_model(None, beyond, 1e-5)
+    assert beyond.beyond.size == 1 * 5 + 2 * 2 == made.size - beyond.size
+    result = made.columns(gauss_nodes(line, made))[:, made.where("scale_factor_discrepancy")].sum(0)
+    pairs = [(2, j) for j in range(5)] + [(i, j) for i in range(2) for j in (3, 4)]
+    time, act = walk(scene), ACTS[2]
 
-        def weighted(t, i, j, time=time):
-            omega = rate_at(time, np.array([t]))[0]
-            x, y = (sensor_temperature(scene, np.array([t]))[0] - 20.0) / 50.0, omega / (300 * DEG)
-            return omega * legendre(x, np.eye(3)[i]) * legendre(y, np.eye(5)[j])
+    def weighted(t, i, j, time=time):
+        omega = rate_at(time, np.array([t]))[0]
+        x, y = (sensor_temperature(scene, np.array([t]))[0] - 20.0) / 50.0, omega / (300 * DEG)
+        return omega * legendre(x, np.eye(3)[i]) * legendre(y, np.eye(5)[j])
 
-        wanted = [quad(weighted, 0, act.duration, args=p, epsabs=1e-13)[0] for p in pairs]
-        np.testing.assert_allclose(result, wanted, atol=1e-11)
-        values = beyond.beyond.values(np.array([70.0]), np.array([300 * DEG]))
-        np.testing.assert_allclose(values, 1.0, rtol=1e-13)
+    wanted = [quad(weighted, 0, act.duration, args=p, epsabs=1e-13)[0] for p in pairs]
+    np.testing.assert_allclose(result, wanted, atol=1e-11)
+    values = beyond.beyond.values(np.array([70.0]), np.array([300 * DEG]))
+    np.testing.assert_allclose(values, 1.0, rtol=1e-13)

@@ -120,15 +120,8 @@ def test_the_augmented_filter_meets_whitening_as_far_as_its_priors_let_it(prior,
     compare_with_kalman(scene, made, compare_with_dense(scene, made), tolerance)
 
 
-def test_neither_the_internal_form_nor_the_basis_scaling_matters():
+def test_the_basis_scaling_does_not_matter():
     scene = SCENES["paper-like"]
-    wanted = engine(scene).deviations(core_model(scene).to_reported)
-    other = replace(
-        scene,
-        scale=(Polynomial(1, 20.0, 50.0, "chebyshev"), Polynomial(3, 0.0, 300.0 * DEG, "chebyshev")),
-    )
-    found = engine(other).deviations(core_model(other).to_reported)
-    np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=0)
     # Twice the scales, no prior: a coefficient of degree (i, j) grows by 2^(i + j).
     flat = replace(scene, scale_prior=np.inf)
     wide = replace(flat, scale=(Polynomial(1, 20.0, 100.0), Polynomial(3, 0.0, 600.0 * DEG)))

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from numpy.polynomial import chebyshev, legendre
+from numpy.polynomial import legendre
 
 from gradcal_jax import model as models
 from gradcal_jax.model import BIAS, HARMONICS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Bins, BSpline, Polynomial, make_map
@@ -11,14 +11,12 @@ from gradcal_jax.model import BIAS, HARMONICS, SCALE_FACTOR, TEMPERATURE_GRADIEN
 X = np.linspace(-60.0, 95.0, 9)
 
 
-@pytest.mark.parametrize("internal", ["legendre", "chebyshev"])
 @pytest.mark.parametrize("degree", [0, 1, 4])
-def test_reported_coefficients_are_those_of_the_normalised_monomials(internal, degree):
-    basis = Polynomial(degree, 20.0, 50.0, internal)
+def test_reported_coefficients_are_those_of_the_normalised_monomials(degree):
+    basis = Polynomial(degree, 20.0, 50.0)
     engine = np.random.default_rng(degree).standard_normal(basis.size)
     values = np.asarray(basis(jnp.asarray(X))) @ engine
-    evaluate = legendre.legval if internal == "legendre" else chebyshev.chebval
-    np.testing.assert_allclose(values, evaluate((X - 20.0) / 50.0, engine), rtol=1e-12)
+    np.testing.assert_allclose(values, legendre.legval((X - 20.0) / 50.0, engine), rtol=1e-12)
     reported = basis.to_reported @ engine
     np.testing.assert_allclose(values, np.polynomial.polynomial.polyval((X - 20.0) / 50.0, reported), rtol=1e-11)
 
@@ -92,10 +90,9 @@ def test_priors_are_rows_of_one_over_their_deviation():
     assert flat.prior_rows().shape == (6, flat.size)
 
 
-@pytest.mark.parametrize("internal", ["legendre", "chebyshev"])
-def test_smoothness_is_on_neighbours_whatever_the_engine_computes_in(internal):
+def test_smoothness_is_on_neighbours_whatever_the_engine_computes_in():
     """Bins in rate have neighbours, powers of temperature have none: differences of reported coefficients by bin."""
-    of = make_map(Polynomial(2, 20.0, 50.0, internal), Bins((-1.0, 0.0, 0.5, 1.0)), smoothness_std=0.5)
+    of = make_map(Polynomial(2, 20.0, 50.0), Bins((-1.0, 0.0, 0.5, 1.0)), smoothness_std=0.5)
     reported = np.random.default_rng(3).standard_normal((3, 3))  # power of temperature, bin
     engine = np.linalg.solve(of.to_reported, reported.ravel())
     rows = of.prior_rows()

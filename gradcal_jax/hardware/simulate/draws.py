@@ -317,4 +317,4 @@ def draw_places(spec: Spec, truth: TableTruth, seed: int) -> list[TableTruth]:
 
 def _in_case(spec: Spec) -> bool:
     """Whether the mounting's error counts, as of a frame that is the case's."""
-    return spec.sensor.frame is not None and spec.sensor.frame.fixed_by == "case"
+    return spec.sensor.frame == "case"

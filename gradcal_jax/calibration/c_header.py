@@ -11,24 +11,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.calibration.correction import SIGNALS, correct, linear_part
+from gradcal_jax.calibration.correction import SIGNALS, linear_part
 from gradcal_jax.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration
-from gradcal_jax.calibration.path_losses import Loss
 from gradcal_jax.calibration.polynomials import in_powers
 from gradcal_jax.records.log import Floats
 from gradcal_jax.spec import presets
-from gradcal_jax.units import DEG_PER_H, G
+from gradcal_jax.units import G
 
 _POINTS, _FACTORS = 200, 4
 # Rounds of a header, and the change, as a share of the largest value, at which they end.
 _FEWEST, _MOST, _SETTLED = 6, 40, 3e-7
 
 
-def header(calibration: Calibration, left_out: Sequence[str], lost: Sequence[str]) -> tuple[str, list[Loss]]:
-    """The header's text, and the largest error of its float32 against the calibration itself, by channel. `left_out`:
-    coefficients that were set to zero; `lost`: what a header cannot carry, in words."""
+Sample = tuple[float, Floats, Floats]
+
+
+def header(calibration: Calibration, rounds: int, sample: Sample, left_out: Sequence[str], lost: Sequence[str]) -> str:
+    """The header's text. `rounds`, `sample`: of `settled`; `left_out`: coefficients that were set to zero; `lost`: what
+    a header cannot carry, in words."""
     inputs, terms = inputs_of(calibration), list(_terms(calibration))
-    errors, rounds, (at, raw, out) = _errors(calibration, inputs)
+    at, raw, out = sample
     inverse = np.linalg.inv(_linear(calibration, inputs)[0])
     arrays: list[str] = []
     rows: list[str] = []
@@ -45,7 +47,7 @@ def header(calibration: Calibration, left_out: Sequence[str], lost: Sequence[str
     remarks += [f"set to zero, because they did not pass validation: {', '.join(left_out)}"] if left_out else []
     remarks += [f"lost: {words}" for words in lost]
     rounding = float(np.max(np.abs(inverse) @ np.abs(raw)))  # of raw counts far off zero
-    text = Template(presets.template("calibration.h")).substitute(
+    return Template(presets.template("calibration.h")).substitute(
         serial_number=_comment(calibration.serial_number),
         remarks="".join(f" * {_comment(line)}\n" for line in remarks),
         frame=_comment(calibration.frame),
@@ -64,7 +66,6 @@ def header(calibration: Calibration, left_out: Sequence[str], lost: Sequence[str
         out=_listed(out),
         tolerance=_literal(max(4e-6 * float(np.max(np.abs(out))), 4e-7 * rounding, 1e-7)),
     )
-    return text, errors
 
 
 def inputs_of(calibration: Calibration) -> list[str]:
@@ -118,15 +119,19 @@ def _evaluated(table: NDArray[Any], x: Any, w: Any) -> Any:
     return total
 
 
-def _linear(calibration: Calibration, inputs: list[str]) -> tuple[Floats, Floats]:
+def _linear(calibration: Calibration, inputs: Sequence[str]) -> tuple[Floats, Floats]:
     """The linear part at the middle temperature; the inverse of its matrix is the divisor of each channel's error."""
     low, high = (float(t) for t in calibration.valid_temperature)
     return linear_part(calibration.channel, 0.5 * (low + high), inputs)
 
 
-def _errors(calibration: Calibration, inputs: list[str]) -> tuple[list[Loss], int, tuple[float, Floats, Floats]]:
-    """The largest error of the header by channel; how many rounds it takes; and a reading, no round number, with the
-    header's result."""
+def after_rounds(calibration: Calibration, raw: Floats, temperature_c: Floats, rounds: int) -> Floats:
+    """The result `(n, channels)` of the header's function."""
+    return next(itertools.islice(rounds_in_single(calibration, raw, temperature_c), rounds - 1, None))
+
+
+def settled(calibration: Calibration, inputs: Sequence[str]) -> tuple[int, Sample]:
+    """How many rounds the header takes; and a temperature and a reading, no round numbers, with the header's result."""
     rng = np.random.default_rng(0)
     low, high = (float(t) for t in calibration.valid_temperature)
     temperature = rng.uniform(low, high, _POINTS).astype(np.float32).astype(np.float64)
@@ -139,21 +144,12 @@ def _errors(calibration: Calibration, inputs: list[str]) -> tuple[list[Loss], in
         true.append(rng.uniform(ends[:, 0], ends[:, 1], (_POINTS, len(names))))
     matrix, bias = _linear(calibration, inputs)
     raw = (np.concatenate(true, axis=1) @ matrix.T + bias).astype(np.float32).astype(np.float64)
-    # Without the rate of the temperature, terms that it multiplies are zero.
-    exact = correct(calibration.channel, dict(zip(inputs, raw.T, strict=True)), temperature)
     rounds, in_header = 0, np.zeros_like(raw)
     for now in itertools.islice(rounds_in_single(calibration, raw, temperature), _MOST):
         change, rounds, in_header = np.max(np.abs(now - in_header), axis=0), rounds + 1, now
         if rounds >= _FEWEST and np.all(change <= _SETTLED * np.max(np.abs(now), axis=0)):
             break
-    errors: list[Loss] = []
-    for channel in calibration.channel:
-        apart = float(np.max(np.abs(in_header[:, inputs.index(channel.input)] - exact[channel.input])))
-        unit, factor = ("deg/h", DEG_PER_H) if channel.kind == "gyro" else ("ug", 1e6 / G)
-        fitted = not all(in_powers(c, term).exact for c, term in _terms(calibration) if c is channel)
-        what = "polynomials in place of other bases" if fitted else "rounding"
-        errors.append(Loss(channel.label, what, apart * factor, unit))
-    return errors, rounds, (float(temperature[0]), raw[0], in_header[0])
+    return rounds, (float(temperature[0]), raw[0], in_header[0])
 
 
 def _label(signal: str) -> str:

@@ -174,7 +174,8 @@ def export(
     Parameters
     ----------
     format
-        The format: ardupilot, px4, kalibr, matrices, c-header or csv. Leave --format out if you use --template.
+        The format: ardupilot, px4, c-header, kalibr, matrices, gains, tracker, ins or csv. Leave --format out if you
+        use --template.
     template
         Your own template in the Jinja language; gradcal start export-gains writes an example.
     output

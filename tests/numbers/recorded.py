@@ -111,8 +111,7 @@ def exported(of: Any, target: str) -> Tables:
         done = export(of, target, **options)
     except ValueError as error:
         return {"refused": str(error)}
-    losses = [[*loss] for loss in done.losses if ": lag of " not in loss.what]
-    return {"numbers": numbers(done.text, target), "losses": losses}
+    return {"numbers": numbers(done.text, target), "losses": [[*loss] for loss in done.losses]}
 
 
 def numbers(text: str, target: str) -> list[list[float]]:

@@ -4,44 +4,68 @@ import contextlib
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any, Final
-
-from cyclopts import App, CycloptsError, Group
+from typing import TYPE_CHECKING, Any, Final
 
 import gradcal_jax
-from gradcal_jax.cli.calibrated import apply, export, validate
-from gradcal_jax.cli.check import check
-from gradcal_jax.cli.demo import demo
-from gradcal_jax.cli.estimate import estimate
-from gradcal_jax.cli.log import log
-from gradcal_jax.cli.noise import noise
-from gradcal_jax.cli.optimise import optimise
 from gradcal_jax.cli.output import BROKEN_PIPE, DONE, FAILED, INTERRUPTED, WRONG_INPUT, complain, is_plain
-from gradcal_jax.cli.predict import limit, predict
-from gradcal_jax.cli.report import report
-from gradcal_jax.cli.rig import rig_app
-from gradcal_jax.cli.run import run as run_command
-from gradcal_jax.cli.start import start
-from gradcal_jax.cli.sweep import sweep
+
+if TYPE_CHECKING:
+    from cyclopts import App
 
 _HELP: Final = """Plan and run calibrations of gyros, accelerometers and IMUs, and predict the errors that remain.
 
 A spec file describes sensor, rig and plan. Begin with `gradcal start`.
 """
-
-GROUPS: Final[tuple[tuple[str, tuple[Any, ...]], ...]] = (
-    ("Begin", (demo, start, check)),
-    ("Predict the result, and find a plan", (predict, optimise, limit)),
-    ("Execute a plan", (rig_app, run_command, log)),
-    ("Calibrate", (estimate, apply, validate, export, report)),
-    ("Measure the noise of a sensor", (noise,)),
-    ("Compute many plans", (sweep,)),
+Command = tuple[str, str, str]
+GROUPS: Final[tuple[tuple[str, tuple[Command, ...]], ...]] = (
+    (
+        "Begin",
+        (
+            ("demo", "demo:demo", "Run the whole procedure in about a minute, on simulated devices."),
+            (
+                "start",
+                "start:start",
+                "Ask questions about sensor and rig, and write a spec, a rig file and a column map.",
+            ),
+            ("check", "check:check", "List all errors of a spec, or describe its plan; print a recipe as a table."),
+        ),
+    ),
+    (
+        "Predict the result, and find a plan",
+        (
+            ("predict", "predict:predict", "Predict the error that remains after the plan, for every requirement."),
+            ("optimise", "optimise:optimise", "Minimise this error, and write the new plan as a recipe."),
+            ("limit", "predict:limit", "Prove a lower limit for the error of all plans on this rig."),
+        ),
+    ),
+    (
+        "Execute a plan",
+        (
+            ("rig", "rig:rig_app", "Check the devices of a rig, or watch a run."),
+            ("run", "run:run", "Execute a recipe on a rig, or rehearse it on simulated devices."),
+            ("log", "log:log", "Write the log of a run: samples, angles, temperatures and standstills."),
+        ),
+    ),
+    (
+        "Calibrate",
+        (
+            ("estimate", "estimate:estimate", "Estimate a calibration from a log, and test the model of the spec."),
+            ("apply", "calibrated:apply", "Correct the rates and specific forces of a log with a calibration."),
+            ("validate", "calibrated:validate", "Test a calibration on a different log."),
+            ("export", "calibrated:export", "Write a calibration in the format of another program."),
+            ("report", "report:report", "Make one HTML page that describes a plan, a run or a calibration."),
+        ),
+    ),
+    ("Measure the noise of a sensor", (("noise", "noise:noise", "Print the noise of a record at rest."),)),
+    ("Compute many plans", (("sweep", "sweep:sweep", "Predict the plan of a spec for many values of its keys."),)),
 )
-"""The commands in the order of work, as `gradcal --help` lists them."""
+"""The commands in the order of work, as `gradcal --help` lists them: name, place and purpose."""
 
 
-def build() -> App:
-    """The application with every command."""
+def build() -> "App":
+    """The application with every command; a command is imported when it is used."""
+    from cyclopts import App, Group
+
     app = App(
         name="gradcal",
         help=_HELP,
@@ -53,11 +77,20 @@ def build() -> App:
     app.register_install_completion_command(add_to_startup=False)
     for number, (title, commands) in enumerate(GROUPS):
         group = Group(title, sort_key=number)
-        for place, command in enumerate(commands):
-            app.command(command)
-            added = command if isinstance(command, App) else app[command.__name__]
-            added.group, added.sort_key = (group,), place
+        for name, place, _ in commands:
+            app.command(f"gradcal_jax.cli.{place}", name=name, group=group)
     return app
+
+
+def _help() -> str:
+    """What `gradcal --help` prints, which needs no import."""
+    lines = ["Usage: gradcal COMMAND", "", _HELP, "Commands:"]
+    lines += ["  --help, -h: Display this message and exit.", "  --version: Display application version."]
+    lines += ["  --install-completion: Install shell completion for this application."]
+    for title, commands in GROUPS:
+        lines += ["", f"{title}:", *(f"  {name}: {purpose}" for name, _, purpose in commands)]
+    lines += ["", "The options of a command: gradcal COMMAND --help"]
+    return "\n".join(lines)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -66,16 +99,17 @@ def run(arguments: Sequence[str] | None = None) -> int:
         # A terminal that cannot show ° or √ gets a replacement, not a traceback.
         if (reconfigure := getattr(stream, "reconfigure", None)) is not None:
             reconfigure(errors="replace")
+    tokens = sys.argv[1:] if arguments is None else list(arguments)
     try:
+        if tokens in ([], ["-h"], ["--help"]):
+            print(_help())
+            sys.stdout.flush()
+            return DONE
         app = build()
-        tokens = sys.argv[1:] if arguments is None else list(arguments)
         command, bound, _ = app.parse_args(tokens, console=_wide(tokens), exit_on_error=False, print_error=False)
         status = command(*bound.args, **bound.kwargs)
         sys.stdout.flush()
         return status if isinstance(status, int) else DONE
-    except CycloptsError as error:
-        complain(f"{error}\nSee gradcal --help.")
-        return WRONG_INPUT
     except KeyboardInterrupt:
         complain("interrupted")
         return INTERRUPTED
@@ -91,6 +125,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         complain(_too_large(error))
         return WRONG_INPUT
     except Exception as error:
+        if type(error).__module__.startswith("cyclopts"):
+            complain(f"{error}\nSee gradcal --help.")
+            return WRONG_INPUT
         # A device or a run can have failed only where a command has loaded the hardware package.
         errors = sys.modules.get("gradcal_jax.hardware.errors")
         status = FAILED if errors is not None and isinstance(error, errors.HardwareError) else WRONG_INPUT
@@ -117,7 +154,7 @@ def _too_large(error: BaseException) -> str:
 
 def _wide(tokens: Sequence[str]) -> Any:
     """A console that does not fold help at 80 columns away from a terminal; None where no help is requested."""
-    if not is_plain(sys.stdout) or not (set(tokens) & {"--help", "-h"} or not tokens):
+    if not is_plain(sys.stdout) or not set(tokens) & {"--help", "-h"}:
         return None
     from rich.console import Console
 

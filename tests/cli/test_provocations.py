@@ -99,11 +99,75 @@ BYTES = {
 
 
 @pytest.mark.parametrize("name", BYTES)
-@pytest.mark.parametrize("command", ["check --files-only", "show"])
-def test_bytes_of_a_file(name, command, folder, capsys):
+def test_bytes_of_a_file(name, folder, capsys):
     Path("given.toml").write_bytes(BYTES[name])
-    status = main([*command.split(), "given.toml"])
+    status = main(["check", "--files-only", "given.toml"])
     judged(status, capsys.readouterr().err)
+
+
+MAP = """
+format = "gradcal-columns/1"
+name = "SN-1"
+time = { column = "t", unit = "s" }
+[rate]
+x = { column = "gx", unit = "deg/s" }
+"""
+ROWS = "t,gx\n" + "".join(f"{k / 100:.2f},{0.01 * (k % 7):.4f}\n" for k in range(500))
+SPEC, CSV, CHECK, NOISE = (
+    "given.toml",
+    "given.csv",
+    "check --files-only given.toml",
+    "noise given.csv --columns map.toml",
+)
+WRONG = {
+    "a unit": (SPEC, GOOD.replace('"120 s"', '"120 sek"'), CHECK, "nearest: 'sec'"),
+    "no unit": (SPEC, GOOD.replace('"120 s"', "120"), CHECK, 'such as "10 s"'),
+    "a key": (SPEC, GOOD.replace("max_rate", "max_rte"), CHECK, 'nearest: "max_rate"'),
+    "nan in a spec": (SPEC, GOOD.replace("degree = 3", "degree = nan"), CHECK, "a whole number"),
+    "an empty spec": (SPEC, "", CHECK, "format: this key is missing"),
+    "a spec in UTF-16": (SPEC, GOOD.encode("utf-16"), CHECK, "not text in UTF-8"),
+    "no file": (SPEC, GOOD, "check none.toml", "does not exist"),
+    "a folder": (SPEC, GOOD, "check folder.toml", "is a directory"),
+    "an empty table": (CSV, "", NOISE, "is empty"),
+    "a head alone": (CSV, "t,gx\n", NOISE, "given.csv"),
+    "a table in UTF-16": (CSV, ROWS.encode("utf-16"), NOISE, 'encoding = "latin-1" or "utf-16"'),
+    "no such column": (CSV, ROWS.replace("gx", "roll", 1), NOISE, "there is no column 'gx'"),
+    "semicolons": (CSV, ROWS.replace(",", ";"), NOISE, 'delimiter = ";"'),
+    "words in a table": (CSV, ROWS.replace(",0.0100", ",none", 3), NOISE, "given.csv"),
+    "nothing but nan": (CSV, "t,gx\n" + "".join(f"{k},nan\n" for k in range(500)), NOISE, "given.csv"),
+    "line ends of Windows and a word": (CSV, ROWS.replace("\n", "\r\n").replace("0.0200", "x", 1), NOISE, "given.csv"),
+    "a zip": (CSV, b"PK\x03\x04" + bytes(500), NOISE, "given.csv"),
+    "a spec for a calibration": (SPEC, GOOD, "export given.toml --format csv", 'expected "gradcal-calibration/3"'),
+    "a file that exists": (SPEC, GOOD, "start tactical-mems -o given.toml", "overwrite it with --force"),
+    "a folder that does not exist": (SPEC, GOOD, "start tactical-mems -o no/where.toml", "make it first"),
+    "a file for a folder": (SPEC, GOOD, "start --preset drone-gyro -o given.toml", "name a directory"),
+    "a command": (SPEC, GOOD, "chek given.toml", 'Did you mean "check"?'),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_input_is_one_sentence_with_its_remedy_and_nothing_is_written(name, folder, capsys):
+    file, content, command, said = WRONG[name]
+    Path("map.toml").write_text(MAP, encoding="utf-8")
+    Path(file).write_bytes(content if isinstance(content, bytes) else content.encode())
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert main(command.split()) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("gradcal: ")
+    assert said in err
+    assert err.count("\n") <= 2
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="rights of folders")
+def test_a_folder_that_may_not_be_written_is_a_sentence(folder, capsys):
+    folder.chmod(0o500)
+    try:
+        assert main(["start", "tactical-mems", "-o", "x.toml"]) == 2
+    finally:
+        folder.chmod(0o700)
+    assert "x.toml: Permission denied" in capsys.readouterr().err
 
 
 def run(arguments, folder, before="", **options):

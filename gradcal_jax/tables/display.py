@@ -13,8 +13,8 @@ from unicodedata import category
 WIDTH: Final = 80
 LINES: Final = 15
 _NARROWEST: Final = 20
-# Longest sequence whose entries are shown, and the columns for the value of a key within a value.
-_FEW, _INNER = 6, 24
+# Longest sequence whose entries are shown.
+_FEW: Final = 6
 
 
 def printable(text: str) -> str:
@@ -72,17 +72,13 @@ def _cut(text: str, width: int = WIDTH) -> str:
 
 def _listing(value: object) -> list[str]:
     """Class and fields: on one line, or else a line for each field."""
-    name = type(value).__name__
-    fields = dict(_fields(value))
-    whole = f"{name}({_arguments(fields, WIDTH)})"
+    name, fields = type(value).__name__, dict(_fields(value))
+    whole = f"{name}({', '.join(f'{key}={_brief(entry)}' for key, entry in fields.items())})"
     if len(whole) <= WIDTH:
         return [whole]
     title = fields.pop("title", None)
-    margin = max((len(key) for key in fields), default=0) + 4
-    rows = [f"  {key:<{margin - 2}}{_brief(entry, WIDTH - margin)}" for key, entry in fields.items()]
-    if len(rows) >= LINES:
-        others = ", ".join(list(fields)[LINES - 2 :])
-        rows = [*rows[: LINES - 2], f"  and {others}"]
+    margin = max((len(key) for key in fields), default=0)
+    rows = [f"  {key:<{margin}}  {_brief(entry)}" for key, entry in fields.items()]
     return [name if title is None else f"{name}: {title}", *rows]
 
 
@@ -101,64 +97,21 @@ def _fields(value: object) -> Iterator[tuple[str, Any]]:
             yield name, entry
 
 
-def _has_fields(value: object) -> bool:
-    kind = type(value)
-    return dataclasses.is_dataclass(kind) or hasattr(kind, "model_fields") or hasattr(kind, "_fields")
-
-
-def _arguments(fields: Mapping[str, Any], width: int) -> str:
-    return ", ".join(f"{key}={_brief(entry, width)}" for key, entry in fields.items())
-
-
-def _brief(value: Any, width: int) -> str:
-    """A value in at most `width` columns."""
-    return _cut(_text(value, width), width)
-
-
-def _text(value: Any, width: int) -> str:
-    if isinstance(value, Enum):
-        return value.name
-    if isinstance(value, str):
-        first, *more = value.splitlines() or [""]
-        return f"{_cut(repr(first), width - 12)} ({len(more) + 1} lines)" if more else repr(value)
+def _brief(value: Any) -> str:
+    """A value in less than a line."""
     if isinstance(value, float):
         return getattr(value, "text", None) or f"{float(value):.6g}"
-    if value is None or isinstance(value, bool | int | complex | bytes):
-        return repr(value)
+    if isinstance(value, Enum):
+        return value.name
+    if value is None or isinstance(value, bool | int | complex | bytes | str):
+        return _cut(repr(value))
     if hasattr(value, "shape") and hasattr(value, "dtype"):
-        return _array(value)
-    if _has_fields(value):
-        return f"{type(value).__name__}({_arguments(dict(_fields(value)), _INNER)})"
-    if isinstance(value, Mapping):
-        return _mapping(value, width)
-    if isinstance(value, Sequence):
-        return _sequence(value, width)
+        return f"{value.dtype}[{', '.join(map(str, value.shape))}]"
     if isinstance(value, PurePath):
         return str(value)
-    return getattr(value, "__qualname__", None) or f"<{type(value).__name__}>"
-
-
-def _array(value: Any) -> str:
-    shape = tuple(value.shape)
-    if type(value).__module__ == "numpy" and len(shape) <= 1 and value.size <= _FEW and value.dtype.kind in "biuf":
-        texts = [f"{number:.6g}" for number in value.ravel().tolist()]
-        return texts[0] if shape == () else f"[{', '.join(texts)}]"
-    return f"{value.dtype}[{', '.join(map(str, shape))}]"
-
-
-def _mapping(value: Mapping[Any, Any], width: int) -> str:
-    if len(value) <= _FEW:
-        text = ", ".join(f"{key}: {_brief(entry, _INNER)}" for key, entry in value.items())
-        if len(text) + 2 <= width:
-            return f"{{{text}}}"
-    return f"{len(value)} entries: {', '.join(str(key) for key, _ in zip(value, range(_FEW + 2), strict=False))}"
-
-
-def _sequence(value: Sequence[Any], width: int) -> str:
-    if len(value) <= _FEW:
-        text = ", ".join(_brief(entry, width) for entry in value)
-        if len(text) + 2 <= width:
-            return f"({text})"
-    names = [getattr(entry, "name", None) for entry in value[: _FEW + 2]]
-    what = f"{len(value)} × {type(value[0]).__name__}" if value else "none"
-    return f"{what}: {', '.join(map(str, names))}" if all(isinstance(name, str) for name in names) else what
+    if not isinstance(value, Mapping | Sequence):
+        return getattr(value, "__qualname__", None) or type(value).__name__
+    if len(value) > _FEW:
+        return f"{len(value)} entries"
+    listed = value.items() if isinstance(value, Mapping) else value
+    return _cut(f"({', '.join(_brief(entry) for entry in listed)})")

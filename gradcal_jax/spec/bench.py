@@ -91,8 +91,6 @@ _TURN: Final = 2.0 * math.pi
 Direction = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Vector = tuple[q.Number, q.Number, q.Number]
 Length = Annotated[q.Quantity, q.Of("length")]
-# Largest error of a rotation matrix that is written with six digits.
-_ROTATION: Final = 1e-5
 Spacing = Annotated[q.Quantity, q.Of("time", above="0 s", infinite="rest")]
 
 
@@ -224,20 +222,8 @@ class Place(Mounting):
 
     name: q.Text  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
     """Name of the place. The IMU of the same name in a run or log is mounted at this place."""
-    matrix: tuple[Vector, Vector, Vector] | None = None
-    """Instead of x, y and z: the rotation matrix from the body to the fixture, row by row."""
     lever_arm: tuple[Length, Length, Length] | None = None
     """Position of the IMU relative to the intersection of the table's axes, in the fixture's frame."""
-
-    def _problems(self) -> Iterator[Problem]:
-        if self.matrix is not None:
-            rows = list(enumerate(self.matrix))
-            errors = (sum(a * b for a, b in zip(u, v, strict=True)) - (i == j) for i, u in rows for j, v in rows)
-            if _determinant(self.matrix) < 0.0 or max(map(abs, errors)) > _ROTATION:
-                message = "is not a rotation matrix: its rows must be orthogonal, of length 1 and right-handed"
-                yield Problem(("matrix",), message)
-            if self.model_fields_set & {"x", "y", "z"}:
-                yield Problem(("matrix",), "this matrix replaces x, y and z: leave these keys out")
 
 
 _Axes = Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]

@@ -78,10 +78,8 @@ def rotation_of(held: Mounting) -> "NDArray[np.float64]":
     import numpy as np
     from scipy.spatial.transform import Rotation  # pyright: ignore[reportMissingTypeStubs]
 
-    matrix = held.matrix if isinstance(held, Place) else None
-    first = np.array(held.columns).T if matrix is None else np.array(matrix)
     vector = np.zeros(3) if held.rotation is None else np.array([float(a) for a in held.rotation])
-    return first @ Rotation.from_rotvec(vector).as_matrix()
+    return np.array(held.columns).T @ Rotation.from_rotvec(vector).as_matrix()
 
 
 def _direction(column: Sequence[float]) -> str:

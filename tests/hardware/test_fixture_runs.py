@@ -18,7 +18,7 @@ from gradcal_jax.spec.changes import changed
 PLACES = [
     {"name": "left"},
     {"name": "right", "x": "+y", "y": "-x"},
-    {"name": "back", "matrix": [[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]},
+    {"name": "back", "rotation": ["53.13010235415598 deg", "0 deg", "0 deg"]},
 ]
 
 

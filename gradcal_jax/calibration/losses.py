@@ -65,11 +65,12 @@ def losses_of(calibration: Calibration, inputs: Sequence[str], corrected: Correc
         of = f"{np.degrees(largest):.4g} deg/s" if channel.kind == "gyro" else "1 g"
         for what, values, scale, words in (
             ("at rest", resting, factor, unit),
-            ("within the ranges of rates and forces", moving, PPM / largest, f"ppm of {of}"),
+            ("within the ranges of rates and forces", moving, PPM / max(largest, _NOTHING), f"ppm of {of}"),
             ("while the temperature changes", warming, factor, f"{unit} at 1 K/min"),
         ):
             size = float(np.max(np.abs(values[:, k])))
-            if size > _NOTHING:
+            covered = largest > 0.0 or values is not moving  # data at rest cover no rates
+            if size > _NOTHING and covered:
                 losses.append(Loss(channel.label, what, size * scale, words))
     return losses
 

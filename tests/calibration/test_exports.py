@@ -96,8 +96,9 @@ def test_px4_takes_off_the_bias_within_what_it_says():
         left = px4_correction(parameters, channel.axis, T, 2) - bias(channel, T)
         assert np.max(np.abs(left)) * DEG_PER_H < 0.05
         # It corrects in steps of 1 °C.
-        steps = np.abs(bias(channel, T) - bias(channel, np.floor(T)))
-        assert loss(done, channel.label, "at rest") == pytest.approx(np.max(steps) * DEG_PER_H, rel=0.1)
+        fine = np.linspace(-30.0, 70.0, 1001)
+        steps = np.abs(bias(channel, fine) - bias(channel, np.floor(fine)))
+        assert loss(done, channel.label, "at rest") == pytest.approx(np.max(steps) * DEG_PER_H, rel=1e-3)
     assert any("device id" in note for note in export(CALIBRATION, "px4").notes)
 
 

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -128,8 +129,9 @@ def estimate(
 
     sources = {"log": ", ".join(path.name for path in (log, *more)), "spec": "" if spec is None else spec.name}
     with MovingLine(sys.stderr) as line:
-        shown = {} if line.plain else {"progress": line.show}
-        options = Options(robust=robust, temperature_c=at, lag=lag_s, clock=clock, **shown)
+        options = Options(robust=robust, temperature_c=at, lag=lag_s, clock=clock)
+        if not line.plain:
+            options = replace(options, progress=line.show)
         if model is None:
             report = estimate_warm_up(logs, axes=axis, options=options, sources=sources)
         else:

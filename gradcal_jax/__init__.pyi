@@ -10,6 +10,7 @@ from gradcal_jax.calibration.exports import export as export
 from gradcal_jax.design.optimise import frontier as frontier
 from gradcal_jax.design.optimise import optimise as optimise
 from gradcal_jax.design.plan_limit import limit as limit
+from gradcal_jax.design.recipe_of_plan import make_recipe as make_recipe
 from gradcal_jax.estimation.hand_estimate import estimate_by_hand as estimate_by_hand
 from gradcal_jax.estimation.log_flow import allan as allan
 from gradcal_jax.estimation.log_flow import estimate as estimate
@@ -22,11 +23,10 @@ from gradcal_jax.identify.limiting_function import limiting_function_of_mean as 
 from gradcal_jax.identify.thermal import fit_thermal_bias as fit_thermal_bias
 from gradcal_jax.information import posterior as posterior
 from gradcal_jax.information import residual as residual
+from gradcal_jax.information.differentiable import differentiable as differentiable
 from gradcal_jax.information.plan_sentences import check as check
-from gradcal_jax.information.prediction import make_recipe as make_recipe
 from gradcal_jax.information.prediction import monte_carlo as monte_carlo
 from gradcal_jax.information.prediction import predict as predict
-from gradcal_jax.information.sensitivity import differentiable as differentiable
 from gradcal_jax.information.sensitivity import sensitivity as sensitivity
 from gradcal_jax.model import SensorModel as SensorModel
 from gradcal_jax.motion import gradient_plan as gradient_plan

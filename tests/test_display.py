@@ -98,7 +98,7 @@ def test_the_repr_of_every_public_class_fits_whatever_it_holds(kind):
 def test_all_results_of_functions_are_among_the_classes():
     names = {kind.__name__ for kind in public_classes()}
     expected = """
-        AllanDeviation AllanFit AxisValidation Calibration Corrected Differentiable DifferentiableCycle EstimateReport
+        AllanDeviation AllanFit AxisValidation Calibration Corrected Differentiable EstimateReport
         Export FrontierPoint HandReport Instability Log Move Optimised PlanLimit Posterior Prediction Programme Recipe
         RigFile RunResult Schedule Sensitivities SensorModel Spec Sweep ThermalBias TwinRow
     """

@@ -48,7 +48,6 @@ ALL = (
     Report("presets", ("tests/evidence/test_every_preset.py",), RUNS),
     Report("random_plans", ("tests/evidence/test_random_plans.py",), RUNS),
     Report("tests_of_the_fit", ("tests/evidence/test_started_rigs.py",), RUNS),
-    Report("loops", ("tests/evidence/test_loops.py",), RUNS),
     Report("gravity", ("tests/evidence/test_gravity_as_encoder.py",), RUNS),
     Report("hardware", ("tests/hardware",), RUNS),
     Report("proofs", ("tests", "--ignore=tests/evidence", "--ignore=tests/hardware"), (*RUNS, "design", "identify")),

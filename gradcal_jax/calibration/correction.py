@@ -291,13 +291,9 @@ def on_path(calibration: Calibration, channel: CalibratedChannel, own: Floats, l
         if one.width is not None:
             low, high = formulas.play_states(own, float(one.width))
             function = 0.5 * (low + high) - own
-            if one.polynomial is not None:
-                function = function * one.polynomial(np.clip(own, *channel.valid_temperature))
             known &= high - low <= _KNOWN_K
         elif one.second_thermometer:
             function = known_temperature(log, unit, second=True) - own
-        elif one.time_constant is not None:
-            function = (own - later(float(one.time_constant))) / float(one.time_constant)
         else:
             function = temperature_slope(own, log.time_s)
         to = scale if one.unit in ("1/K", _SCALE_BY_SLOPE) else bias

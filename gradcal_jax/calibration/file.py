@@ -21,7 +21,6 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from gradcal_jax import formulas
 from gradcal_jax.records.log import Floats
 from gradcal_jax.spec.bases import RateBasis, TemperatureBasis, increasing
 from gradcal_jax.tables import quantity as q
@@ -87,22 +86,6 @@ class CalibratedTerm(Section):
         return math.prod(basis.size for basis in (self.temperature, self.rate) if basis is not None)
 
 
-class PathPolynomial(Section):
-    """A Legendre polynomial of (T − centre)/scale, by which the coefficient of a play varies with temperature T."""
-
-    degree: Annotated[q.Whole, Field(ge=1, le=20)]
-    """Degree of the polynomial."""
-    centre: q.Temperature
-    """Temperature at which the argument of the polynomial is 0."""
-    scale: q.PositiveTemperatureDifference
-    """Change of temperature over which the argument of the polynomial changes by 1."""
-
-    def __call__(self, temperature_c: np.ndarray) -> np.ndarray:
-        """Its values at temperatures (°C)."""
-        x = (np.asarray(temperature_c) - float(self.centre)) / float(self.scale)
-        return formulas.legendre(x, self.degree)[..., self.degree]
-
-
 class PathCoefficient(Section):
     """An error that depends on past temperatures (hysteresis, dT/dt), in addition to the maps, which are the mean
     of heating and cooling. `apply` computes it from the temperatures of a log and subtracts it; exports cannot contain
@@ -120,10 +103,6 @@ class PathCoefficient(Section):
     """SI unit of the estimate and its standard deviation."""
     width: q.PositiveTemperatureDifference | None = None
     """Half-width of the hysteresis (of its play); absent: the term is not a hysteresis."""
-    polynomial: PathPolynomial | None = None
-    """The function of temperature by which the play is multiplied; absent: 1."""
-    time_constant: q.Time | None = None
-    """Time constant of the first-order lag of a sensitivity to dT/dt; absent: no lag."""
     second_thermometer: q.Flag = False
     """Whether the coefficient multiplies the difference between the second thermometer and the first."""
     own: q.Flag = False

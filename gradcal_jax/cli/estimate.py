@@ -256,8 +256,8 @@ def text_of_held(report: "HandReport") -> str:
 
 
 def _rows_of_held(report: "HandReport") -> Iterator[tuple[Any, ...]]:
+    from gradcal_jax.estimation.calibration_rows import deviations_of
     from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
-    from gradcal_jax.information.verdicts import deviations_of
 
     std = deviations_of(report.calibration.covariance)
     for channel in report.calibration.channel:

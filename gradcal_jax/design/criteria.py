@@ -12,16 +12,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, fixed, namespace
+from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.information import SquareRootInformation
 from gradcal_jax.information.imu_residual import box, heading_contrasts
-from gradcal_jax.information.residual import Statistic, contrasts
+from gradcal_jax.information.residual import EXACT, Statistic, contrasts, statistic
 from gradcal_jax.information.verdicts import mission_weights
 from gradcal_jax.model import BIAS, SCALE_FACTOR, SensorModel
 from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
-
-EXACT = np.asarray(np.inf)
-"""Value of `sharpness` for which a criterion equals the statistic."""
 
 
 class Criterion(eqx.Module):
@@ -49,7 +46,7 @@ class Criterion(eqx.Module):
 
     def __call__(self, info: SquareRootInformation, sharpness: Float[AnyArray, ""] | float = EXACT):
         """The statistic: exact for an infinite sharpness, from above otherwise."""
-        return smooth_statistic(self.statistic, self.map(info), sharpness)
+        return statistic(self.statistic, self.map(info), sharpness)
 
 
 def criterion_of(model: SensorModel, requirement: Requirement) -> Criterion:
@@ -63,26 +60,3 @@ def criterion_of(model: SensorModel, requirement: Requirement) -> Criterion:
     # Such that the unweighted statistic of missions is the weighted one.
     rows, alone, beyond = of.times(mission_weights(requirement, requirement.statistic)[:, 0])
     return Criterion(rows, alone if np.any(alone) else None, beyond, (len(at[0]), len(at[1])), requirement.statistic)
-
-
-def smooth_statistic(name: Statistic, values: Float[AnyArray, "n_T n_w"], sharpness):
-    """A statistic of a map: exact for an infinite sharpness, from above otherwise."""
-    xp = namespace(values)
-    if name == "mean":
-        return xp.mean(values)
-    if name == "rms":
-        return xp.sqrt(xp.mean(values**2))
-    if name == "max":
-        return largest(xp.reshape(values, (-1, 1)), sharpness)[0]
-    return xp.mean(largest(values, sharpness))
-
-
-def largest(values: Float[AnyArray, "n m"], sharpness) -> Float[AnyArray, " m"]:
-    """Maximum along the first axis, exact for an infinite sharpness, or from above."""
-    xp = namespace(values, sharpness)
-    peak = xp.max(values, axis=0)
-    soft = xp.isfinite(sharpness)
-    k = xp.where(soft, sharpness, 1.0)
-    scale = fixed(peak)
-    norm = scale * xp.sum((values / scale[None]) ** k, axis=0) ** (1.0 / k)
-    return xp.where(soft, norm, peak)

@@ -2,7 +2,7 @@
 numbers that controllers take."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -28,9 +28,7 @@ from gradcal_jax.design.pose_cycle import (
     READINGS_OF_A_REST,
     WINDOW,
     CycleObjective,
-    GridElement,
     Ramp,
-    Statistics,
     further,
     largest_alike,
 )
@@ -54,10 +52,9 @@ from gradcal_jax.design.visits import (
     rest_spacing,
     shortest_rest,
 )
-from gradcal_jax.information.error_budget import columns_of_imu
-from gradcal_jax.information.imu_residual import RequiredQuantity, quantity_of
-from gradcal_jax.information.residual import Statistic
-from gradcal_jax.information.verdicts import mission_weights
+from gradcal_jax.information.imu_residual import quantity_of
+from gradcal_jax.information.residual import Residual
+from gradcal_jax.information.unseen import unseen_columns
 from gradcal_jax.model import Hysteresis, ImuModel, TemperatureDifference
 from gradcal_jax.model.imu_build import course_before, fineness, geometry, waves_of
 from gradcal_jax.recipe.rounding import steps_of
@@ -65,13 +62,10 @@ from gradcal_jax.recipe.tracks import makeable_acceleration
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.design import Design
 from gradcal_jax.spec.motion_plan import MotionPlan, PlanSchedule
-from gradcal_jax.spec.requirement import MissionHeadingRequirement
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.problems import Problem, SpecError
 
-# Points of a requirement's grid on each side that a search evaluates: of a mean over one side those of the file.
-_SEARCH_GRID = 31
 # Slots for turns that a search inserts, as a share, and multiples of slots, each of which is compiled once.
 _SPARE, _SLOTS = 0.35, 4
 _MOST_TURNS = 80
@@ -127,12 +121,12 @@ class CyclePlan:
             )
         known = [_gram(m.prior_rows()) for m in models]
         self._points = self.built.points
-        aims: list[tuple[Aim, Statistics]] = []
-        unseen = columns_of_imu(self.built)
+        aims: list[tuple[Aim, Residual]] = []
+        unseen = unseen_columns(self.built)
         for r, aim in zip(spec.requirement, exact.aims, strict=False):
             if aim.counted or aim.limiting:
-                quantity = quantity_of(self.built, r, None if len(r.grid) == 1 else _SEARCH_GRID)
-                aims.append((aim, _statistics_of(quantity, aim.statistic, unseen)))
+                quantity = quantity_of(self.built, r)
+                aims.append((aim, quantity.statistic(aim.statistic, unseen)))
         self.turns_free = "cycle" in self.design.free or not self.design.free
         self._stands = isinstance(spec.plan, MotionPlan) and spec.plan.cycle is None
         if times is not None:
@@ -408,15 +402,6 @@ class CyclePlan:
         ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
         return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
 
-    def left_by(self, angle: Any, rate: Any, rest: Any) -> dict[str, Any]:
-        """What the spec's own cycle with other numbers (see `CycleCoordinates.plain`) leaves of every requirement, in
-        the unit of `shown`, of the first scenario."""
-        of, ramps = jax.tree.map(jnp.asarray, self.structure(self.start)), self.course(self.start.cycles).ramps
-        ramps = self.free_ramps(jnp.asarray(self.start.course), of) if ramps is None else ramps
-        units = np.array([1.0 / aim.per_si for aim in self.exact.aims])
-        logs = self.objective.logs(self.coordinates.plain(angle, rate, rest, of), of, ramps, math.inf, units)[0]
-        return {aim.name: jnp.exp(x) for x, aim in zip(logs, self.exact.aims, strict=True)}
-
     def spec_of(self, cycle: RepeatedCycle) -> Spec:
         """The spec with a cycle's moves, in numbers that a controller takes."""
         if self.design.angle_step is not None:
@@ -565,20 +550,6 @@ def _limits(spec: Spec, design: Design, start: Cycle, scenarios: Sequence[Spec] 
         slow,
         float(axes[0].angle.read_every) if read else math.inf,
     )
-
-
-def _statistics_of(quantity: RequiredQuantity, of: Statistic, unseen: Mapping[str, np.ndarray]) -> Statistics:
-    """A requirement's statistic for the objective, with the `unseen` errors that no plan shows."""
-    requirement, elements = quantity.requirement, []
-    for e in quantity.elements:
-        rows, alone, added = e.contrasts()
-        if isinstance(requirement, MissionHeadingRequirement):
-            rows, alone, added = e.contrasts().times(mission_weights(requirement, of)[:, 0])
-        alone, added = alone if np.any(alone) else None, added + quantity.beside**2
-        added = added + sum(np.sum((rows @ columns[e.where]) ** 2, axis=1) for columns in unseen.values())
-        elements.append(GridElement(e.where, np.asarray(rows), alone, added, e.path))
-    shape = len(quantity.temperatures), len(quantity.rates)
-    return Statistics(tuple(elements), shape, of, requirement.axis == "all")
 
 
 def _gram(rows: np.ndarray) -> np.ndarray:

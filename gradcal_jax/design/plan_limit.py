@@ -35,9 +35,9 @@ from gradcal_jax.design.noise_floor import (
 )
 from gradcal_jax.design.visits import LEAST_TURN, ResolvedCycle, cycle_of, motion_time, with_motion
 from gradcal_jax.information import statistic
-from gradcal_jax.information.error_budget import floor_of_plan
 from gradcal_jax.information.imu_residual import box, imu_residual
 from gradcal_jax.information.prediction import requirement_rows
+from gradcal_jax.information.unseen import floor_of_plan
 from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import (
     AXIS_NAMES,

@@ -12,9 +12,9 @@ from gradcal_jax.design.pose_cycle import EXCESS
 from gradcal_jax.information import (
     Posterior,
 )
-from gradcal_jax.information.error_budget import own_of_imu
 from gradcal_jax.information.imu_residual import ImuResidual, imu_residual, quantity_of
 from gradcal_jax.information.residual import Statistic
+from gradcal_jax.information.unseen import own_of_imu
 from gradcal_jax.information.verdicts import UNIT_OF, limit_of
 from gradcal_jax.model.imu_build import (
     BuiltImu,

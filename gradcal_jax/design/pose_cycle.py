@@ -22,12 +22,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray
-from gradcal_jax.design.criteria import largest, smooth_statistic
 from gradcal_jax.design.slots import SHAPE, STEEPNESS, CycleCoordinates, CycleStructure, Decoded
 from gradcal_jax.information import gram, imu_system, segments_of
 from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.information.noise_steps import NoiseSteps
-from gradcal_jax.information.residual import Statistic
+from gradcal_jax.information.residual import Residual
 from gradcal_jax.model import ImuModel
 from gradcal_jax.motion import Geometry, Schedule, TableMotion, body_nodes, gradient_plan, programme
 from gradcal_jax.motion.motion import rest, turn
@@ -79,43 +78,6 @@ def largest_alike(least: float, waves: int) -> float:
     return largest_turn(nodes_for(least, waves), waves)
 
 
-class GridElement(NamedTuple):
-    """A linear function of the parameters on a grid: `rows` `(g, k)` of the parameters `where`; the variance `added` to
-    its own, less that of `alone`. `path` `(s, g, k)`: added to the rows in each state of the service, of which the
-    worst counts."""
-
-    where: slice
-    rows: AnyArray
-    alone: AnyArray | None
-    added: AnyArray
-    path: AnyArray | None = None
-
-
-class Statistics(NamedTuple):
-    """How a requirement sums up its elements on a grid of `shape`, in SI; `together`: their root mean square counts,
-    not the worst."""
-
-    elements: tuple[GridElement, ...]
-    shape: tuple[int, int]
-    kind: Statistic
-    together: bool
-
-    def __call__(self, info: AnyArray, covariance: AnyArray, sharpness) -> AnyArray:
-        del info
-        each = []
-        for e in self.elements:
-            c = covariance[e.where, e.where]
-            states = [e.rows] if e.path is None else [e.rows + state for state in np.asarray(e.path)]
-            each_state = [jnp.sum((rows @ c) * rows, axis=1) for rows in states]
-            variance = each_state[0] if len(states) == 1 else jnp.max(jnp.stack(each_state), axis=0)
-            variance = variance + e.added
-            if e.alone is not None:
-                variance = variance - jnp.sum((e.alone @ c) * e.alone, axis=1)
-            each.append(smooth_statistic(self.kind, jnp.reshape(jnp.sqrt(variance), self.shape), sharpness))
-        together = jnp.stack(each)
-        return jnp.sqrt(jnp.mean(together**2)) if self.together else _largest(together, sharpness)
-
-
 class CycleObjective:
     """The logarithm of a cycle's residuals over their `targets` (SI): their mean or the worst, over `models` of the
     noise likewise, in a mean with their `weights` (`of_logs`, else of the residuals); and `EXCESS` times what the
@@ -135,8 +97,8 @@ class CycleObjective:
         geometries: Sequence[Geometry],
         models: Sequence[ImuModel],
         known: Sequence[Float[np.ndarray, "p p"]],
-        statistics: Sequence[Statistics],
-        limiting: Sequence[Statistics],
+        statistics: Sequence[Residual],
+        limiting: Sequence[Residual],
         targets: Float[np.ndarray, " m"],
         *,
         weights: Float[np.ndarray, " s"],
@@ -199,8 +161,8 @@ class CycleObjective:
             on_ramp = partial(self.information, model, geometry, decoded, of, sharpness=sharpness)
             each.append(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
         for info in each:
-            covariance = inverse(info)
-            all_logs.append(jnp.log(jnp.stack([s(info, covariance, sharpness) for s in self.statistics]) / over))
+            root = inverse_root(info)
+            all_logs.append(jnp.log(jnp.stack([s(root, sharpness) for s in self.statistics]) / over))
         return jnp.stack(all_logs)
 
     def information(
@@ -385,11 +347,6 @@ def _is_exact(sharpness) -> bool:
     return isinstance(sharpness, float) and math.isinf(sharpness)
 
 
-def _largest(values: AnyArray, sharpness) -> AnyArray:
-    """The largest value of all, or a norm just above it."""
-    return largest(values[:, None], sharpness)[0]
-
-
 def largest_log(logs: AnyArray, sharpness, axis: int) -> AnyArray:
     """The largest of logarithms, from above; infinite sharpness: exact."""
     k = jnp.where(jnp.isfinite(sharpness), sharpness, 1.0)
@@ -398,12 +355,11 @@ def largest_log(logs: AnyArray, sharpness, axis: int) -> AnyArray:
     )
 
 
-def inverse(info: Float[AnyArray, "p p"]) -> Float[AnyArray, "p p"]:
-    """The covariance of an information matrix; NaN for a singular one."""
+def inverse_root(info: Float[AnyArray, "p p"]) -> Float[AnyArray, "p p"]:
+    """A root of the covariance by an information matrix; NaN for a singular one."""
     scale = 1.0 / jnp.sqrt(jnp.diagonal(info))
     factor = jnp.linalg.cholesky(info * scale[:, None] * scale[None, :])
-    half = jax.scipy.linalg.solve_triangular(factor, jnp.diag(scale), lower=True)
-    return half.T @ half
+    return jax.scipy.linalg.solve_triangular(factor, jnp.diag(scale), lower=True).T
 
 
 def further(shifts: Float[np.ndarray, "J p p"]) -> Float[np.ndarray, "d p p"]:

@@ -252,16 +252,6 @@ class CycleCoordinates(NamedTuple):
         rate = jax.nn.sigmoid(z[1]) * self._fastest(size, axis, of.slow, jnp)
         return angle, rate * angle / size, *self._times(size, rate, of)
 
-    def plain(self, angle: Float[AnyArray, " m"], rate, rest, of: CycleStructure) -> Decoded:
-        """The cycle of its own numbers (rad, rad/s, s): `m` turns by an angle with a peak rate, each with a rest after
-        it; all rests are in proportion to these, and fill the period."""
-        fill = (0, self.slots - angle.shape[0])
-        angle, rate, rest = (jnp.pad(x, fill, constant_values=c) for x, c in ((angle, 0.0), (rate, 1.0), (rest, 0.0)))
-        size = jnp.sqrt(angle**2 + _TINY**2)
-        ramp, turning = self._times(size, rate, of)
-        left, rest = of.period - jnp.sum(turning), jnp.where(of.rests, rest, 0.0)
-        return Decoded(angle, rate * angle / size, ramp, turning, rest * (left / jnp.sum(rest)), left)
-
     def _times(self, size: AnyArray, rate: AnyArray, of: CycleStructure) -> tuple[AnyArray, AnyArray]:
         """Seconds of the ramps and of the whole turns, as steep as the axes allow."""
         steepest = jnp.asarray(self.limits.accelerations)[jnp.maximum(of.axis, 0)]

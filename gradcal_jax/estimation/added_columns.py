@@ -18,12 +18,12 @@ from gradcal_jax.estimation.imu_readings import ImuReadings
 from gradcal_jax.estimation.imu_solve import ImuEstimate
 from gradcal_jax.estimation.solve import Whitened, factored
 from gradcal_jax.information import Posterior, encoder_rows, imu_system, rows_of_angles, segments_of
-from gradcal_jax.information.gears import sides_of
 from gradcal_jax.information.imu_residual import imu_residual
 from gradcal_jax.information.posterior import OBSERVABLE
 from gradcal_jax.model import BIAS, DISCREPANCY, SCALE_FACTOR, Discrepancy, ImuModel, SensorModel, Term, make_map
 from gradcal_jax.model.build import basis
 from gradcal_jax.model.imu_build import BuiltImu
+from gradcal_jax.model.terms import sides
 from gradcal_jax.spec.absent import with_typical
 from gradcal_jax.spec.bases import RatePolynomial, TemperaturePolynomial
 from gradcal_jax.spec.spec_sections import Spec
@@ -240,12 +240,15 @@ def angle_columns(spec: Spec, whiten: Whitener, beside: Beside) -> list[AngleCol
         return []
     ends, places, rows = np.stack(motion.angles()), [], []
     for number, axis in enumerate(spec.rig.table.axis):
-        angle, sides = ends[..., number], sides_of(ends[..., number])
+        angle = ends[..., number]
+        side = np.stack(sides(*angle))
+        # Zero for an axis that turns in one direction only.
+        both_ways = np.ptp(side) == 1.0
         orders = sorted(set(_ORDERS) - {wave.order for wave in axis.angle.harmonics})
         own = [angle, *(wave(order * angle) for order in orders for wave in (np.cos, np.sin))]
         errors = np.zeros((*ends.shape, len(own) + 1))
-        errors[..., number, :] = np.stack([*own, np.zeros_like(angle) if sides is None else sides], axis=-1)
-        places.append((axis.name, orders, sides is not None))
+        errors[..., number, :] = np.stack([*own, side * both_ways], axis=-1)
+        places.append((axis.name, orders, bool(both_ways)))
         rows.append(whiten.by_shown_angles(errors[0], errors[1]))
     found = list[AngleColumns]()
     every = _split(whiten(np.concatenate(rows, axis=1)), [of.shape[1] for of in rows])

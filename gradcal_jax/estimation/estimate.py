@@ -25,6 +25,7 @@ from gradcal_jax.estimation.added_columns import (
     structure_tests,
 )
 from gradcal_jax.estimation.bias_curves import BiasCurve, bias_curves
+from gradcal_jax.estimation.calibration_rows import coefficient_rows, judged_by_data
 from gradcal_jax.estimation.findings import (
     FitFinding,
     RecordFaults,
@@ -49,17 +50,17 @@ from gradcal_jax.estimation.fit_of_log import (
 from gradcal_jax.estimation.lag_of_maps import Lag
 from gradcal_jax.estimation.log_rows import Options, count_rows, imu_rows, with_earth, with_options
 from gradcal_jax.information import segments_of
-from gradcal_jax.information.error_budget import (
+from gradcal_jax.information.imu_residual import internal_misalignments
+from gradcal_jax.information.plan_sentences import one_way_sentences, prior_deviations
+from gradcal_jax.information.prediction import requirement_row
+from gradcal_jax.information.unseen import (
     EstimatedRun,
     budget_of_estimate,
     omitted_noise_of_imu,
     ramp_of_record,
     unseen_errors,
 )
-from gradcal_jax.information.imu_residual import internal_misalignments
-from gradcal_jax.information.plan_sentences import one_way_sentences, prior_deviations
-from gradcal_jax.information.prediction import requirement_row
-from gradcal_jax.information.verdicts import coefficient_rows, finite, judged_by_data
+from gradcal_jax.information.verdicts import finite
 from gradcal_jax.model import AXIS_NAMES, KINDS, ImuModel
 from gradcal_jax.model.imu_build import BuiltImu, build_imu
 from gradcal_jax.records.log import Log, LogError

@@ -20,7 +20,6 @@ from gradcal_jax.calibration import (
     Covariance,
     Noise,
     PathCoefficient,
-    PathPolynomial,
     Residuals,
     TableError,
     build_term,
@@ -33,20 +32,25 @@ from gradcal_jax.estimation import (
     TablePoints,
     Test,
 )
+from gradcal_jax.estimation.calibration_rows import (
+    fit_rows,
+    provenance_of,
+    random_walks,
+    result_of_requirement,
+    section_of,
+)
 from gradcal_jax.estimation.findings import (
     SCALE_FACTOR_ERROR,
     refuse_implausible,
     refuse_misaligned,
     wrapped_sentence,
 )
+from gradcal_jax.estimation.imu_readings import errors_of_gears
 from gradcal_jax.estimation.lag_of_maps import Fit, Lag, LateTemperatures, fit_with_lag
 from gradcal_jax.estimation.log_rows import Options, read_by_events
-from gradcal_jax.information.gears import errors_of_gears
 from gradcal_jax.information.plan_sentences import prior_deviations, unobserved_parameters
-from gradcal_jax.information.verdicts import fit_rows, provenance_of, random_walks, result_of_requirement, section_of
 from gradcal_jax.model import (
     AXIS_NAMES,
-    SECOND,
     Channel,
     Discrepancy,
     GradientOfBias,
@@ -445,24 +449,15 @@ def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarr
             of_path: dict[str, Any] = {}
             if isinstance(term, Hysteresis):
                 of_path["width"] = Quantity.of(float(term.width), "K")
-            elif isinstance(term, TemperatureDifference) and term.other.name == SECOND:
+            elif isinstance(term, TemperatureDifference):
                 of_path["second_thermometer"] = True
             elif isinstance(term, OwnTerm):
                 of_path["own"] = True
-            elif isinstance(term, TemperatureDifference):
-                of_path["time_constant"] = Quantity.of(term.other.lag, "s")
-            polynomials: dict[str, dict[str, Any]] = {}
-            if isinstance(term, Hysteresis) and (over := term.over_temperature) is not None:
-                at = {"centre": Quantity.of(over.centre, "degC"), "scale": Quantity.of(over.scale, "K")}
-                polynomials = {
-                    name: {"polynomial": PathPolynomial(degree=k, **at)}
-                    for k, name in enumerate(term.names()[-over.size :], start=1)
-                }
             for name, value, std in zip(term.names(), values[own], deviations[own], strict=True):
                 if not isinstance(term, PathTerm) or name not in term.nuisances:
                     yield PathCoefficient(
                         channel=c.name, name=name, value=float(value), standard_deviation=float(std), unit=term.unit,
-                        **of_path, **polynomials.get(name, {}),
+                        **of_path,
                     )  # fmt: skip
 
 

@@ -18,9 +18,9 @@ from gradcal_jax.calibration import (
     build_term,
 )
 from gradcal_jax.estimation import Test
+from gradcal_jax.estimation.calibration_rows import coefficient_rows, fit_rows, provenance_of
 from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions, solve_by_hand
 from gradcal_jax.estimation.log_rows import Options, bridged_temperature, time_of
-from gradcal_jax.information.verdicts import coefficient_rows, fit_rows, provenance_of
 from gradcal_jax.model import AXIS_NAMES
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.records.signal_faults import quiet_windows, refuse_repeated, without_faults

@@ -26,6 +26,7 @@ from gradcal_jax.information import (
     segments_of,
     whiten,
 )
+from gradcal_jax.information.gears import errors_of_angles, gears_of
 from gradcal_jax.model import (
     AxisHarmonics,
     BaseTilt,
@@ -37,6 +38,7 @@ from gradcal_jax.model import (
     NonOrthogonality,
 )
 from gradcal_jax.motion import Geometry, rotation
+from gradcal_jax.spec.spec_sections import Spec
 
 # Readings of one standstill differ by less, rad.
 _TURNS = np.radians(1.0)
@@ -446,3 +448,12 @@ def _angles_read(log: ImuRows, rows: np.ndarray, moved: np.ndarray) -> np.ndarra
         turns = np.abs(apart[0] - apart[1]) > _TURNS
         result[:, axis] = angles[known[np.where(np.where(turns, apart[0] < apart[1], nearer), before, after)]]
     return result
+
+
+def errors_of_gears(spec: Spec, readings: ImuReadings, about: np.ndarray | None) -> np.ndarray | None:
+    """Changes of the readings `(R, k)` by one standard deviation of each, of sensors with the parameters `about` (None:
+    ideal ones); None without any. (An angle of a milliradian shows misalignments of per cents.)"""
+    if not (errors := errors_of_angles(readings.done.motion, gears_of(spec))):
+        return None
+    before, after = np.stack([error for _, error in errors], axis=-1)
+    return readings.of_shown_angles(before, after, about)

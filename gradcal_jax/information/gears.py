@@ -1,19 +1,18 @@
 """Errors of a drive whose angle is read at the motor, scale error and backlash, in the readings of an IMU."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from gradcal_jax.arrays import AnyArray, namespace, placed
 from gradcal_jax.information import encoder_rows, imu_system, rows_of_angles, segments_of, whiten
+from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.model import BodyNodes, ImuModel
 from gradcal_jax.model.terms import UNTOLD_BEGIN, sides
 from gradcal_jax.motion import TableMotion
 from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.spec_sections import Spec
-
-if TYPE_CHECKING:
-    from gradcal_jax.estimation import ImuReadings
 
 BACKLASH: Final = "backlash of the table's drive"
 SCALE_OF_ANGLE: Final = "scale of the table's angle"
@@ -32,43 +31,38 @@ def gears_of(spec: Spec) -> list[tuple[float, float]]:
     return sizes if np.any(sizes) else []
 
 
-def errors_of_gears(spec: Spec, readings: "ImuReadings", about: np.ndarray | None) -> np.ndarray | None:
-    """Changes of the readings `(R, k)` by one standard deviation of each, of sensors with the parameters `about` (None:
-    ideal ones); None without any. (An angle of a milliradian shows misalignments of per cents.)"""
-    if not (errors := errors_of_angles(readings.done.motion, gears_of(spec))):
-        return None
-    before, after = np.stack([error for _, error in errors], axis=-1)
-    return readings.of_shown_angles(before, after, about)
-
-
-def errors_of_angles(motion: TableMotion, gears: Sequence[tuple[float, float]]) -> list[tuple[str, np.ndarray]]:
+def errors_of_angles(motion: TableMotion, gears: Sequence[tuple[float, float]]) -> list[tuple[str, AnyArray]]:
     """What one standard deviation of each error changes in the angles (rad) before and after every piece, `(2, P, L)`,
-    with the name of its source."""
-    ends, errors = np.stack(motion.angles()), list[tuple[str, np.ndarray]]()
+    with the name of its source; of known numbers, those that change anything."""
+    xp, errors = namespace(motion.angles()), list[tuple[str, AnyArray]]()
+    ends = xp.stack(motion.angles())
     for number, (scale, lash) in enumerate(gears):
         angle = ends[..., number]
-        side = np.stack(sides(*angle))
+        side = xp.stack(sides(*angle))
         of_axis = (
             (SCALE_OF_ANGLE, scale * angle),
             (BACKLASH, lash * side),
             (BACKLASH, UNTOLD_BEGIN * lash * (side == 0.0)),
         )
         for name, error in of_axis:
-            if np.ptp(error) > 0.0:
-                errors.append((name, np.zeros(ends.shape)))
-                errors[-1][1][..., number] = error
+            if xp is not np or np.ptp(error) > 0.0:
+                errors.append((name, placed(ends.shape, ((..., number), error))))
     return errors
 
 
 def rows_of_gears(
-    motion: TableMotion, model: ImuModel, nodes: BodyNodes, gears: Sequence[tuple[float, float]]
-) -> tuple[list[str], np.ndarray]:
-    """What they change in the rows of a plan, `(R, k)`, and what each is."""
-    errors, at = errors_of_angles(motion, gears), segments_of(motion, model)
+    motion: TableMotion,
+    model: ImuModel,
+    nodes: BodyNodes,
+    gears: Sequence[tuple[float, float]],
+    at: Segments | None = None,
+) -> tuple[list[str], AnyArray]:
+    """What they change in the rows of a plan, `(R, k)`, and what each is. `at`: as of `imu_system`."""
+    errors, at = errors_of_angles(motion, gears), at or segments_of(motion, model)
     if not errors:
         return [], np.zeros((len(at.row_segment), 0))
-    before, after = np.stack([error for _, error in errors], axis=-1)
-    return [name for name, _ in errors], rows_of_angles(at, encoder_rows(motion, model, nodes), before, after)
+    before, after = namespace(errors[0][1]).stack([error for _, error in errors], axis=-1)
+    return [name for name, _ in errors], rows_of_angles(at, encoder_rows(motion, model, nodes, at), before, after)
 
 
 def apart_from_gears(
@@ -83,10 +77,3 @@ def apart_from_gears(
     of_errors = whitened[:, :count].T @ whitened
     by_errors = np.linalg.solve(np.eye(count) + of_errors[:, :count], of_errors[:, count:])
     return both[:, count:] - both[:, :count] @ by_errors, list(zip(named, by_errors, strict=True))
-
-
-def sides_of(angle: np.ndarray) -> np.ndarray | None:
-    """The side, ±½, on which an axis stands by its last turn, before and after every piece, `(2, P)`, as its angles;
-    None if it turns in one direction only."""
-    side = np.stack(sides(*angle))
-    return side if np.ptp(side) == 1.0 else None

@@ -1,14 +1,14 @@
 """Residuals of an IMU's quantities after a plan: linear functions of its parameters, and statistics; and the part of
 the error of a mission that is the unit's own noise."""
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.information import Posterior, contrasts, residual, statistic
+from gradcal_jax.information import Posterior, contrasts, statistic
 from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows, own_variance
-from gradcal_jax.information.residual import Contrasts, Statistic
+from gradcal_jax.information.residual import Contrasts, GridElement, Residual, Statistic
 from gradcal_jax.information.verdicts import UNIT_OF, finite, mission_weights
 from gradcal_jax.model import (
     AXIS_NAMES,
@@ -201,40 +201,6 @@ def together(requirement: Requirement, each: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(np.mean(each**2, axis=0)) if requirement.axis == "all" else np.max(each, axis=0))
 
 
-class QuantityElement(NamedTuple):
-    """A linear function of an IMU's parameters in `where` on `g` points, with a model's discrepancy apart; or a map of
-    a channel, by its model, the map's name and the temperatures and rates of a grid. `path` `(s, g, k)`: what is added
-    to the rows in each state of the service, of which the worst counts at every point."""
-
-    label: str
-    where: slice
-    of: Contrasts | tuple[SensorModel, Any, np.ndarray, np.ndarray]
-    path: np.ndarray | None = None
-
-    def deviations(self, known: Posterior, *, whole: bool = False) -> np.ndarray:
-        """Standard deviation on the points. `whole`: of errors that include what a calibration does not carry."""
-        part = Posterior(known.spread[self.where], known.hidden[self.where])
-        if whole:
-            return np.max([part.deviations(np.asarray(state.rows)) for state in self.states()], axis=0)
-        if self.path is None and not isinstance(self.of, Contrasts):
-            return residual(part, *self.of).ravel()
-        return np.max([state.left(part) for state in self.states()], axis=0)
-
-    def states(self) -> list[Contrasts]:
-        """The error at every point of the grid in each state of the service."""
-        at_rest = self.contrasts()
-        if self.path is None:
-            return [at_rest]
-        return [at_rest._replace(rows=np.asarray(at_rest.rows) + state) for state in self.path]
-
-    def contrasts(self) -> Contrasts:
-        """The error at every point of the grid, without the path of the temperature."""
-        if isinstance(self.of, Contrasts):
-            return self.of
-        model, term, *grid = self.of
-        return contrasts(model, term, *(x.ravel() for x in np.meshgrid(*grid, indexing="ij")))
-
-
 class RequiredQuantity(NamedTuple):
     """A requirement's quantity on its grid, independent of the plan, for computing a `ImuResidual`. `beside`: an
     independent error that no plan changes."""
@@ -242,11 +208,22 @@ class RequiredQuantity(NamedTuple):
     requirement: Requirement
     temperatures: np.ndarray
     rates: np.ndarray
-    elements: tuple[QuantityElement, ...]
+    elements: tuple[GridElement, ...]
     beside: float
 
+    def statistic(self, name: Statistic, unseen: Mapping[str, np.ndarray]) -> Residual:
+        """A statistic as a function of the covariance, with the columns `(p, k)` of `unseen` errors added."""
+        added = tuple(
+            np.full(len(e.of.beyond), self.beside**2)
+            + sum(np.sum((e.of.rows @ columns[e.where]) ** 2, axis=1) for columns in unseen.values())
+            for e in self.elements
+        )
+        shape, requirement = (len(self.temperatures), len(self.rates)), self.requirement
+        weights = mission_weights(requirement, name)
+        return Residual(self.elements, added, shape, name, requirement.axis == "all", weights)
+
     def residual(self, known: Posterior, *, whole: bool = False) -> ImuResidual:
-        """The residual of the quantity for a posterior; `whole` as of `QuantityElement.deviations`."""
+        """The residual of the quantity for a posterior; `whole` as of `GridElement.deviations`."""
         shape = len(self.elements), len(self.temperatures), len(self.rates)
         deviations = np.stack([element.deviations(known, whole=whole) for element in self.elements]).reshape(shape)
         if self.beside:
@@ -256,23 +233,22 @@ class RequiredQuantity(NamedTuple):
         return ImuResidual(self.requirement, labels, self.temperatures, self.rates, deviations * factor, unit, factor)
 
 
-def box(requirement: Requirement, most: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """A requirement's temperatures (°C) and rates (rad/s) on its grid, or on one of at most `most` a side; for missions
-    their indices."""
+def box(requirement: Requirement) -> tuple[np.ndarray, np.ndarray]:
+    """A requirement's temperatures (°C) and rates (rad/s) on its grid; for missions their indices."""
     if isinstance(requirement, MissionHeadingRequirement):
         return np.arange(float(len(requirement.mission))), np.zeros(1)
     cold, warm = requirement.temperature
-    temperatures = np.linspace(float(cold), float(warm), min(most or requirement.grid[0], requirement.grid[0]))
+    temperatures = np.linspace(float(cold), float(warm), requirement.grid[0])
     if not isinstance(requirement, GyroScaleFactorRequirement):
         return temperatures, np.zeros(1)
     slow, fast = requirement.rate
-    return temperatures, np.linspace(float(slow), float(fast), min(most or requirement.grid[1], requirement.grid[1]))
+    return temperatures, np.linspace(float(slow), float(fast), requirement.grid[1])
 
 
-def quantity_of(built: BuiltImu, requirement: Requirement, most: int | None = None) -> RequiredQuantity:
-    """A requirement's quantity on its grid, or on one of at most `most` a side. `beside`: the mounting's uncertainty,
+def quantity_of(built: BuiltImu, requirement: Requirement) -> RequiredQuantity:
+    """A requirement's quantity on its grid. `beside`: the mounting's uncertainty,
     added to a misalignment relative to the case, or that of a sensitivity to dT/dt, added to a bias on a slope."""
-    (temperatures, rates), beside = box(requirement, most), 0.0
+    (temperatures, rates), beside = box(requirement), 0.0
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
         frame = built.spec.sensor.frame
         if frame != "case":
@@ -293,19 +269,19 @@ def imu_residual(built: BuiltImu, known: Posterior, requirement: Requirement) ->
 
 def _elements(
     built: BuiltImu, requirement: Requirement, temperatures: np.ndarray, rates: np.ndarray
-) -> Iterator[QuantityElement]:
+) -> Iterator[GridElement]:
     """Each element of a quantity, temperatures first."""
     model = built.model
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         own: ChannelKind = "gyro" if requirement.quantity == "gyro_misalignment" else "accelerometer"
         for label, rows in internal_misalignments(model, own, temperatures, built.about):
             if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
-                yield QuantityElement(label, slice(None), _plain(rows))
+                yield GridElement(label, slice(None), _plain(rows))
     elif isinstance(requirement, MissionHeadingRequirement):
         for c in model.channels:
             axis = AXIS_NAMES[c.axis]
             if c.kind == "gyro" and requirement.axis in ("all", "worst", axis):
-                yield QuantityElement(axis, model.where(c.kind, c.axis), heading_contrasts(c.model, requirement))
+                yield GridElement(axis, model.where(c.kind, c.axis), heading_contrasts(c.model, requirement))
     else:
         kind, terms = _TERMS[requirement.quantity]
         for c in model.channels:
@@ -342,9 +318,9 @@ def _states(channel: Channel, requirement: Requirement, temperatures: np.ndarray
     of_dt[model.where(gradient)] = 1.0
     for term in model.terms:
         if isinstance(term, Hysteresis) and term.name.startswith(head):
-            of_play[:, model.where(term.name)] = float(term.width) * term.coefficients(temperatures)
+            of_play[:, model.where(term.name).start] = float(term.width)
         elif isinstance(term, TemperatureDifference) and bool(term.signals) == (gradient == GRADIENT_OF_SCALE):
-            of_dt[model.where(term.name)] = term.by_slope
+            of_dt[model.where(term.name)] = -term.other.lag
     return np.stack([slope * of_dt - sign * of_play for sign, slope in states])
 
 
@@ -371,23 +347,24 @@ def _of_term(
     temperatures: np.ndarray,
     rates: np.ndarray,
     about: np.ndarray | None,
-) -> QuantityElement:
+) -> GridElement:
     """The linear function of one term of a channel on the grid."""
     of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
     if isinstance(of, Map):
-        element = QuantityElement(label, own, (channel.model, term, temperatures, rates))
+        grid = np.meshgrid(temperatures, rates, indexing="ij")
+        own_part = contrasts(channel.model, term, *(of.ravel() for of in grid))
         if about is None or term != SCALE_FACTOR or not any(map(channel.model.term, _MISALIGNMENTS)):
-            return element
-        own_part, around = element.contrasts(), ((0, 0), _around(model, channel))
+            return GridElement(label, own, own_part)
+        around = (0, 0), _around(model, channel)
         left = _row(model, channel.kind, channel.axis, term, temperatures, about)
         left[:, own] -= _signal_rows(channel, term, temperatures)
         rows = np.pad(np.asarray(own_part.rows), around) + np.repeat(left, len(rates), axis=0)
         alone = np.pad(np.asarray(own_part.alone), around)
-        return QuantityElement(label, slice(None), Contrasts(rows, alone, own_part.beyond))
+        return GridElement(label, slice(None), Contrasts(rows, alone, own_part.beyond))
     if about is None:
-        return QuantityElement(label, own, _plain(_signal_rows(channel, term, temperatures)))
+        return GridElement(label, own, _plain(_signal_rows(channel, term, temperatures)))
     rows = _row(model, channel.kind, channel.axis, term, temperatures, about)
-    return QuantityElement(label, slice(None), _plain(rows))
+    return GridElement(label, slice(None), _plain(rows))
 
 
 def _around(model: ImuModel, channel: Channel) -> tuple[int, int]:

@@ -24,6 +24,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -38,7 +39,7 @@ from gradcal_jax.information.posterior import (
     spread_of,
     square_root,
 )
-from gradcal_jax.information.whitening import whiten
+from gradcal_jax.information.whitening import whiten, whitened_factor
 from gradcal_jax.model import AXIS_NAMES, BodyGroup, BodyNodes, EncoderNoise, ImuModel
 from gradcal_jax.model.terms import block_diagonal
 from gradcal_jax.motion import TableMotion
@@ -111,7 +112,19 @@ def imu_information(
     # The errors stand first, so that what is left of the factor is the information without them.
     count = common[0].shape[1] if common else 0
     whole = square_root(np.concatenate([*rows, block_diagonal([np.eye(count), model.prior_rows()])]))
-    return SquareRootInformation(whole.factor[count:, count:], whole.scale[count:])
+    return whole.without(count)
+
+
+def traced_information(
+    motion: TableMotion, model: ImuModel, nodes: BodyNodes, at: Segments, common: AnyArray | None
+) -> SquareRootInformation:
+    """The same of one motion, differentiable. `at`: its segments."""
+    steps, columns = imu_system(motion, model, nodes, at, common)
+    count = 0 if common is None else common.shape[1]
+    below = block_diagonal([np.eye(count), model.prior_rows()])
+    if namespace(steps, columns, below) is np:
+        return square_root(np.concatenate([whiten(steps, columns), below])).without(count)
+    return SquareRootInformation(*whitened_factor(steps, columns, jnp.asarray(below))).without(count)
 
 
 def imu_unweighted(motion: TableMotion, model: ImuModel, nodes: BodyNodes) -> Posterior:
@@ -400,9 +413,12 @@ def _running_least(values: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
     return np.minimum.accumulate(values) if namespace(values) is np else jax.lax.cummin(values)
 
 
-def encoder_rows(motion: TableMotion, model: ImuModel, nodes: BodyNodes) -> Float[AnyArray, "R 2 L"]:
-    """What an encoder error of one rad adds to every row (rad, m/s): at the end of its segment, and before it."""
-    axes, at = motion.geometry.axis_count, segments_of(motion, model)
+def encoder_rows(
+    motion: TableMotion, model: ImuModel, nodes: BodyNodes, at: Segments | None = None
+) -> Float[AnyArray, "R 2 L"]:
+    """What an encoder error of one rad adds to every row (rad, m/s): at the end of its segment, and before it. `at`: as
+    of `imu_system`."""
+    axes, at = motion.geometry.axis_count, at or segments_of(motion, model)
     of_errors = _observations(motion, nodes, at, model, len(model.channels) + 2 * axes, len(model.channels))
     return of_errors[:, len(model.channels) :].reshape(-1, 2, axes)
 
@@ -410,13 +426,14 @@ def encoder_rows(motion: TableMotion, model: ImuModel, nodes: BodyNodes) -> Floa
 def rows_of_angles(
     at: Segments,
     of_errors: Float[AnyArray, "R 2 L"],
-    before: Float[np.ndarray, "P L k"],
-    after: Float[np.ndarray, "P L k"],
+    before: Float[AnyArray, "P L k"],
+    after: Float[AnyArray, "P L k"],
 ) -> Float[AnyArray, "R k"]:
     """What errors of the shown angles (rad), before and after every piece, add to the rows; `of_errors`: see
     `encoder_rows`."""
-    ends = np.stack([after[at.last], before[at.first]], axis=1)[at.row_segment]
-    return np.einsum("rsl,rslk->rk", of_errors, ends)
+    xp = namespace(of_errors, before, after)
+    ends = xp.stack([after[at.last], before[at.first]], axis=1)[at.row_segment]
+    return xp.einsum("rsl,rslk->rk", of_errors, ends)
 
 
 def _observations(motion: TableMotion, nodes: BodyNodes, at: Segments, model: ImuModel, n: int, encoders: int):

@@ -46,6 +46,16 @@ class SquareRootInformation(NamedTuple):
             inverse = half.T @ half
         return inverse / (self.scale[:, None] * self.scale[None, :])
 
+    def root(self) -> Float[AnyArray, "p p"]:
+        """A root of the covariance, `C = root rootᵀ`; not finite for unobservable parameters."""
+        half = solve_transposed(self.factor, namespace(self.factor).eye(len(self.scale)))
+        return half.T / self.scale[:, None]
+
+    def without(self, count: int) -> "SquareRootInformation":
+        """The information about all parameters but the first `count`."""
+        inverse = None if self.inverse is None else self.inverse[count:, count:]
+        return SquareRootInformation(self.factor[count:, count:], self.scale[count:], inverse)
+
     def deviations(self, contrasts: Float[AnyArray, "g p"]) -> Float[AnyArray, " g"]:
         """Standard deviation of each linear combination of the parameters; differentiable, for observable ones."""
         solved = solve_transposed(self.factor, (contrasts / self.scale[None, :]).T)

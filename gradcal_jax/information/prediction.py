@@ -1,11 +1,10 @@
-"""The prediction of a spec, as the contract gradcal-prediction/1, its Monte Carlo simulation, and its recipe."""
+"""The prediction of a spec, as the contract gradcal-prediction/1, and its Monte Carlo simulation."""
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-import gradcal_jax
 from gradcal_jax.information import (
     STATISTICS,
     Posterior,
@@ -13,13 +12,7 @@ from gradcal_jax.information import (
     imu_system,
     simulated_errors,
 )
-from gradcal_jax.information.error_budget import (
-    CountedPosteriors,
-    ErrorBudget,
-    budget_of_imu,
-    limited_by,
-    shares_of_variance,
-)
+from gradcal_jax.information.error_budget import ErrorBudget, limited_by, shares_of_variance
 from gradcal_jax.information.gears import rows_of_gears
 from gradcal_jax.information.imu_residual import (
     ImuResidual,
@@ -31,6 +24,7 @@ from gradcal_jax.information.imu_residual import (
 )
 from gradcal_jax.information.plan_sentences import plan_warnings
 from gradcal_jax.information.residual import Statistic
+from gradcal_jax.information.unseen import CountedPosteriors, budget_of_imu
 from gradcal_jax.information.verdicts import (
     UNIT_OF,
     decision_rule,
@@ -40,7 +34,6 @@ from gradcal_jax.information.verdicts import (
     specific_risk,
     target_of,
     verdict_of,
-    versions_of,
 )
 from gradcal_jax.model import Discrepancy, ImuModel
 from gradcal_jax.model.imu_build import (
@@ -51,18 +44,12 @@ from gradcal_jax.model.imu_build import (
     unweighted_estimator,
 )
 from gradcal_jax.model.terms import block_diagonal
-from gradcal_jax.recipe.recipe import FORMAT, Predicted, Recipe, RecipeOrigin
-from gradcal_jax.recipe.rounding import ControllerSteps, rounded, steps_of
-from gradcal_jax.recipe.tracks import Stability, tracks_of
 from gradcal_jax.spec.absent import absent_terms, with_typical
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.contracts import AbsentRow, ParameterRow, PlaceRow, Prediction, RequirementRow
 from gradcal_jax.tables.display import summary
-
-if TYPE_CHECKING:
-    from gradcal_jax.design.searching import Optimised
 
 
 def predict(spec: Spec, *, limits: bool = False, place: str | None = None) -> Prediction:
@@ -346,61 +333,3 @@ def _enough(runs: int, parameters: int) -> None:
         raise ValueError(
             f"{runs} runs cannot test a covariance of {parameters} parameters: ask for {2 * parameters} or more"
         )
-
-
-_VERSIONS = ("jax", "numpy", "equinox")
-NOT_OPTIMISED = "not optimised: the plan of the spec"
-
-
-def make_recipe(
-    plan: "Spec | Optimised",
-    *,
-    resolution: ControllerSteps | None = None,
-    stability: Stability | None = None,
-    status: str = "",
-    seed: int | None = None,
-    optimisation: Mapping[str, Any] | None = None,
-    notes: tuple[str, ...] = (),
-) -> Recipe:
-    """The plan of a spec, or an optimised one, made executable, with the prediction (ppm, deg/h) of what is executed.
-
-    `resolution`: the controllers' steps; None: those of `[rig.resolution]`, and defaults. `stability`: when a
-    temperature counts as stable, and how long to wait for it. Turns become trapezoids of the same angle, peak rate and
-    duration. `status`, `seed`, `optimisation` (of TOML's types) and `notes` are copied; an optimised plan has its own.
-
-    Errors: `SpecError` where the rounded plan leaves a limit of the rig.
-    """
-    spec = expect_spec(getattr(plan, "spec", plan))
-    if not isinstance(plan, Spec):
-        from gradcal_jax.design.searching import record_of
-
-        status, optimisation = status or plan.sentence, optimisation or record_of(plan)
-        seed = plan.spec.design.seed if seed is None and plan.spec.design is not None else seed
-    steps = resolution or steps_of(spec)
-    executable = rounded(spec, steps)
-    chamber, motion = tracks_of(executable.spec, None if steps.acceleration is None else float(steps.acceleration))
-    rows = Predicted.of(predict(executable.spec, limits=True))
-    fields: dict[str, Any] = {
-        "format": FORMAT,
-        "title": spec.title,
-        "status": status or NOT_OPTIMISED,
-        "notes": (*notes, *executable.notes) or None,
-        "rounded": executable.changes or None,
-        "made": RecipeOrigin(
-            by=f"gradcal {gradcal_jax.__version__}", versions=versions_of(_VERSIONS), **_without_none(seed=seed)
-        ),
-        "resolution": ControllerSteps(**_without_none(**{n: getattr(steps, n) for n in ControllerSteps.model_fields})),
-        # With defaults, which may change in another version.
-        "stability": Stability(**{n: getattr(stability or Stability(), n) for n in Stability.model_fields}),
-        "chamber": chamber,
-        "motion": motion,
-        "prediction": rows,
-        "optimisation": None if optimisation is None else dict(optimisation),
-        "spec": executable.spec,
-    }
-    return Recipe(**_without_none(**fields))
-
-
-def _without_none(**values: Any) -> dict[str, Any]:
-    """The values that are not None: a file has no key for None."""
-    return {name: value for name, value in values.items() if value is not None}

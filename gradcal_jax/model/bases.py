@@ -1,7 +1,7 @@
 """Bases: functions of one variable in interchangeable forms.
 
 A basis maps a temperature (°C) or a rate (rad/s) to the values of its functions. The *engine* computes in
-well-conditioned coordinates (Legendre or Chebyshev); *reported* coefficients are those of the paper's normalised
+well-conditioned coordinates (Legendre polynomials); *reported* coefficients are those of the paper's normalised
 monomials. `to_reported @ engine = reported` connects them.
 """
 

@@ -179,7 +179,6 @@ def section_map(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:
         smoothness_std=or_infinite(section.smoothness),
         common_std=turn_on_std,
         discrepancy=None if beyond is None else (float(beyond.standard_deviation), beyond.temperature_degree, degree),
-        shapes=shapes_of(section),
         late=late_of(section),
     )
 
@@ -190,16 +189,9 @@ def late_of(section: Section) -> OtherTemperature | None:
     return OtherTemperature.late(float(lag)) if lag else None
 
 
-def shapes_of(section: Section) -> np.ndarray | None:
-    """A factor `(coefficients, coefficients)` of the prior's covariance where each coefficient has a prior of its own;
-    None otherwise."""
-    prior = getattr(section, "prior", None)
-    return np.diag([float(size) for size in prior]) if isinstance(prior, tuple) else None
-
-
-def or_infinite(value: float | tuple[float, ...] | None) -> float:
-    """The prior's standard deviation; infinite (a flat prior) where it is absent, or one for each coefficient."""
-    return float(value) if isinstance(value, float) else np.inf
+def or_infinite(value: float | tuple[float, ...] | None) -> np.ndarray:
+    """The prior's standard deviation, or that of each coefficient; infinite (a flat prior) where it is absent."""
+    return np.asarray(np.inf if value is None else value, dtype=float)
 
 
 def held_rates(schedule: StandardSchedule) -> Schedule:

@@ -51,7 +51,6 @@ from gradcal_jax.model.build import (
     named_processes,
     or_infinite,
     processes_of,
-    shapes_of,
     table_schedule,
 )
 from gradcal_jax.motion import Geometry, Schedule, TableMotion
@@ -74,7 +73,6 @@ SECOND_ORDER = "second_order"
 HYSTERESIS = "hysteresis_{}K"
 SCALE_FACTOR_HYSTERESIS = "scale_factor_hysteresis_{}K"
 GRADIENT_OF_SCALE = "scale_factor_temperature_gradient"
-LATE_GRADIENT = "late_temperature_gradient_{}s"
 DIFFERENCE = "thermometer_difference"
 _CONSTANT = Polynomial(0, 0.0, 1.0)
 _LAGGED = 16
@@ -133,15 +131,17 @@ def build_imu(
     # A lagging unit's exponentials are no polynomials; a play is linear in T on each piece.
     own = any(isinstance(t, OwnTerm) for c in model_.channels for t in c.model.terms)
     exponential = spec.sensor.lag is not None or bool(_decays(model_)) or own
-    # A play is linear in T on each piece, and what it varies by multiplies it.
-    plays = [t.over_temperature for c in model_.channels for t in c.model.terms if isinstance(t, Hysteresis)]
-    degree = max(degree, *(1 + over.degree for over in plays if over is not None), 0)
     points = max(degree + 1, _LAGGED if exponential else 2 if model_.knows_path else 1)
     rough = model_.knows_path or any(b.breaks for b in bases)
     if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
         return BuiltImu(spec, model_, like.motion, points, rough, sources, gears=like.gears)
     gears = gears_of(spec) if like is None else like.gears
     return BuiltImu(spec, model_, _motion(spec, model_, change), points, rough, sources, gears=gears)
+
+
+def plan_schedule(spec: Spec) -> Schedule:
+    """The schedule of a spec's plan."""
+    return table_schedule(spec.schedule, spec)
 
 
 def course_before(spec: Spec) -> np.ndarray | None:
@@ -269,7 +269,6 @@ def _signal_maps(triad: GyroTriad | AccelerometerTriad, axis: str) -> list[Signa
             symbol.format(*of),
             unit,
             float(triad.turn_on_bias or 0.0) if key == "bias" else 0.0,
-            shapes_of(section),
         )
         for key, over, signals, name, symbol, unit in (_OF_GYRO if isinstance(triad, GyroTriad) else _OF_ACCELEROMETER)
         if (section := getattr(triad, key)) is not None
@@ -302,34 +301,17 @@ def _path_terms(
     def play(p: PlayOfBias, signals: tuple[str, ...], name: str, si_unit: str) -> PathTerm:
         std, width = np.asarray(float(p.prior)), np.asarray(float(p.width))
         named = name.format(f"{float(width):g}")
-        over = variation = None
-        if (v := p.over_temperature) is not None:
-            over = HigherPolynomials(1, v.degree, float(v.centre), float(v.scale))
-            variation = np.asarray(float(v.standard_deviation))
-        return Hysteresis(
-            std=std, width=width, signals=signals, name=named, si_unit=si_unit,
-            over_temperature=over, variation=variation,
-        )  # fmt: skip
+        return Hysteresis(std=std, width=width, signals=signals, name=named, si_unit=si_unit)
 
     terms: list[PathTerm | OwnTerm] = [play(p, (), HYSTERESIS, f"{unit}/K") for p in triad.hysteresis]
     terms += [play(p, own, SCALE_FACTOR_HYSTERESIS, "1/K") for p in triad.scale_factor_hysteresis]
     if (gradient := triad.scale_factor_temperature_gradient) is not None:
         terms.append(GradientOfScale(std=np.asarray(float(gradient.prior)), signals=own, name=GRADIENT_OF_SCALE))
-
-    def differs(prior: float, name: str, other: OtherTemperature, gain: float, si_unit: str) -> PathTerm:
-        return TemperatureDifference(
-            std=np.asarray(prior), other=other, gain=gain, signals=(), name=name, si_unit=si_unit
-        )
-
-    per_slope, per_kelvin = f"{unit.removesuffix('/s')}/K", f"{unit}/K"
-    for late in triad.late_temperature_gradient:
-        for lag in late.lags:
-            other, name = OtherTemperature.late(lag), LATE_GRADIENT.format(f"{lag:g}")
-            terms.append(differs(float(late.prior) / len(late.lags) ** 0.5, name, other, -1.0 / lag, per_slope))
     if (second := triad.thermometer_difference) is not None:
         assert sensor.second_thermometer is not None
         other = OtherTemperature(SECOND, float(sensor.second_thermometer.lag))
-        terms.append(differs(float(second.prior), DIFFERENCE, other, 1.0, per_kelvin))
+        std = np.asarray(float(second.prior))
+        terms.append(TemperatureDifference(std=std, other=other, signals=(), name=DIFFERENCE, si_unit=f"{unit}/K"))
     return terms + [_own_term(one) for one in triad.own]
 
 
@@ -358,14 +340,21 @@ def _signal_map(
     symbol: str,
     unit: str,
     common_std: float = 0.0,
-    shapes: np.ndarray | None = None,
 ) -> SignalMap:
     over = getattr(section, "temperature", None)
     of_temperature: Basis = _CONSTANT if over is None else basis(over)
     std = or_infinite(section.prior)
-    fields = {"signals": signals, "name": name, "symbol": symbol, "si_unit": unit, "has_prior": bool(np.isfinite(std))}
-    fields["late"] = late_of(section)
-    return SignalMap(temperature=of_temperature, std=np.asarray(std), common_std=common_std, shapes=shapes, **fields)
+    return SignalMap(
+        temperature=of_temperature,
+        std=std,
+        common_std=common_std,
+        signals=signals,
+        name=name,
+        symbol=symbol,
+        si_unit=unit,
+        has_prior=bool(np.all(np.isfinite(std))),
+        late=late_of(section),
+    )
 
 
 def geometry(rig: Rig) -> Geometry:
@@ -417,11 +406,13 @@ def _motion(spec: Spec, of: ImuModel, change: Callable[[Schedule], Schedule] | N
     stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
     mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
     decays = [*_decays(of), *([] if spec.sensor.lag is None else [float(line.lag_rate)])]
-    if decays:
-        line, source = line.divided(*_divisions_by_decay(line, max(decays)))
+    division = _divisions_by_decay(line, max(decays, default=0.0))
+    if len(division[0]):
+        line, source = line.divided(*division)
         axis, mounting = axis[source], mounting[source]
     fine = fineness(spec, of, line)
     motion = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), start, *fine)
+    motion = replace(motion, divisions=(division,))
     smooth = trajectory.divided_motion(motion, *_breaks(of), *fine)
     if not of.knows_path:
         return smooth
@@ -459,7 +450,7 @@ def _divisions_by_decay(line: trajectory.Trajectory, decay: float) -> tuple[np.n
     decays = np.where(line.gap, 0.0, line.duration) * decay
     halves = np.ceil(np.log2(np.maximum(decays / _LAG_TIMES, 1.0))).astype(int)
     pieces = np.repeat(np.arange(len(halves)), halves)
-    order = np.concatenate([np.arange(count, 0, -1) for count in halves]) if len(pieces) else np.zeros(0)
+    order = np.concatenate([np.zeros(0), *(np.arange(count, 0, -1) for count in halves)])
     return pieces, 0.5**order
 
 

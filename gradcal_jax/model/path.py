@@ -16,10 +16,6 @@ exact for both extreme initial states (η = ±c·w), and linear between them. On
 −w + w·(hi − lo)/(2w), so the first 2w of a one-way ramp observe the sum c·w + η alone. The prior of η is `FREE` times
 that of c·w, wider than its range: what such a beginning says of c rests on the law of the play, and is given up.
 
-A loop that is wider at some temperatures than at others, as of relays (Preisach), has a coefficient that varies with
-temperature, `c + Σ c_k L_k(T)` with Legendre polynomials L_k, k = 1 …: the first function times these. What plays with
-constant coefficients leave of such a loop differs between heating and cooling, as no structure of a map does.
-
 `max(T − w, min(T + w, ·))` is a clamp. Clamps compose to clamps, so the states along a course are a running composition
 (`running_clamps`), exact at reversals: nothing is smoothed, and nothing is rounded.
 """
@@ -31,7 +27,6 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.formulas import running_clamps, then
-from gradcal_jax.model.bases import HigherPolynomials
 from gradcal_jax.model.nodes import Nodes, OtherTemperature, SharedNodes
 from gradcal_jax.model.terms import Term
 
@@ -82,23 +77,20 @@ def _shared(nodes: Nodes) -> list[SharedNodes]:
 
 class Hysteresis(PathTerm):
     """A play of half-width `width` K: the coefficient c (for each K), and the amplitude η of the initial state (in the
-    unit of the error itself), with the priors `std` and `FREE·std·width`. `over_temperature`: the polynomials by which
-    c varies, with the coefficients c_k and the prior `variation` of each. See the head of the module."""
+    unit of the error itself), with the priors `std` and `FREE·std·width`. See the head of the module."""
 
     std: Float[AnyArray, ""]
     width: Float[AnyArray, ""]
     signals: tuple[str, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     si_unit: str = eqx.field(static=True)
-    over_temperature: HigherPolynomials | None = None
-    variation: Float[AnyArray, ""] | None = None
 
     @property
     def size(self) -> int:
-        return 2 + (0 if self.over_temperature is None else self.over_temperature.size)
+        return 2
 
     def names(self) -> list[str]:
-        return [self.name, *self.nuisances, *(f"{self.name}_b{k}0" for k in range(1, self.size - 1))]
+        return [self.name, *self.nuisances]
 
     @property
     def nuisances(self) -> list[str]:
@@ -106,16 +98,7 @@ class Hysteresis(PathTerm):
 
     def prior_rows(self) -> Float[AnyArray, "size size"]:
         xp = namespace(self.std, self.width)
-        stds = [self.std, FREE * self.std * self.width]
-        stds += [] if self.variation is None else [self.variation] * (self.size - 2)
-        return xp.diag(1.0 / xp.stack(stds))
-
-    def coefficients(self, temperature: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s size"]:
-        """`(…, size)`: the rows of c at temperatures (°C)."""
-        xp = namespace(temperature)
-        one, none = xp.ones((*temperature.shape, 1)), xp.zeros((*temperature.shape, 1))
-        rest = [] if self.over_temperature is None else [self.over_temperature(temperature)]
-        return xp.concatenate([one, none, *rest], axis=-1)
+        return xp.diag(1.0 / xp.stack([self.std, FREE * self.std * self.width]))
 
     def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m size"]]:
         groups, (lowest, highest), result = _shared(nodes), self._before(nodes), []
@@ -124,8 +107,7 @@ class Hysteresis(PathTerm):
             within = running_clamps(t - self.width, t + self.width)
             low, high = then((lowest[g.pieces][:, None], highest[g.pieces][:, None]), within)
             behind, open_ = 0.5 * (low + high) - t, (high - low) / (2.0 * self.width)
-            varying = [] if self.over_temperature is None else [behind[..., None] * self.over_temperature(t)]
-            result.append(xp.concatenate([xp.stack([behind, open_], axis=-1), *varying], axis=-1))
+            result.append(xp.stack([behind, open_], axis=-1))
         return result
 
     def _before(self, nodes: Nodes) -> tuple[Float[AnyArray, " P"], Float[AnyArray, " P"]]:
@@ -149,23 +131,16 @@ class Hysteresis(PathTerm):
 
 
 class TemperatureDifference(PathTerm):
-    """`gain` times what an `other` temperature is less that of the maps. Of the second thermometer: the difference of
-    two points. Of a first-order lag of τ, with the gain −1/τ: dT/dt, later by that lag, since T − L = τ dL/dt."""
+    """What an `other` temperature, of the second thermometer, is less that of the maps."""
 
     std: Float[AnyArray, ""]
     other: OtherTemperature = eqx.field(static=True)
-    gain: float = eqx.field(static=True)
     signals: tuple[str, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     si_unit: str = eqx.field(static=True)
 
-    @property
-    def by_slope(self) -> float:
-        """The function for a constant dT/dt of 1 K/s."""
-        return -self.gain * self.other.lag
-
     def functions(self, nodes: Nodes) -> list[Float[AnyArray, "k m 1"]]:
-        return [self.gain * (g.temperature_at(self.other) - g.temperature)[..., None] for g in _shared(nodes)]
+        return [(g.temperature_at(self.other) - g.temperature)[..., None] for g in _shared(nodes)]
 
 
 class GradientOfScale(PathTerm):

@@ -195,7 +195,7 @@ def gyro_model(
     processes: Processes | None = None,
     reference: Reference | None = None,
     *,
-    temperature_gradient_std: float | None = None,
+    temperature_gradient_std: float | np.ndarray | None = None,
     harmonics: dict[int, float] | None = None,
     backlash: float = 0.0,
     signals: Sequence[SignalMap] = (),

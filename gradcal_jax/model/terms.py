@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
-from gradcal_jax.linalg import triangular_factor
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
 from gradcal_jax.model.nodes import NodeGroup, Nodes, OtherTemperature, SharedNodes
 
@@ -69,7 +68,7 @@ class Term(PytreeModule):
 class Discrepancy(Term):
     """Functions that the structure of a map omits: the next Legendre polynomials, each with standard deviation `std`.
 
-    Legendre polynomials for any internal form of the map, since the prior is on these functions. Without `rate` they
+    Legendre polynomials, since the prior is on these functions. Without `rate` they
     are functions of temperature alone.
     """
 
@@ -145,24 +144,22 @@ class Discrepancy(Term):
 class Map(Term):
     """A calibrated function: `B(T)` (`rate` is None, rad/s) or `M(T, ω)`, which the rate multiplies, with its priors.
 
-    `prior_std`: standard deviation of each *reported* coefficient, rad/s for B and 1 for M; `inf` is flat.
+    `prior_std`: standard deviation of every *reported* coefficient, or of each, rad/s for B and 1 for M; `inf` is flat.
     `common_std`: of an error common to the whole map, inseparable from its constant (turn-on bias of B).
     `smoothness_std`: standard deviation of the difference of neighbouring coefficients; `inf` is none.
     `beyond`: functions that the structure omits, a term of its own in a model.
-    `shapes`: instead of `prior_std`, the prior's covariance `shapes shapesᵀ` of the reported coefficients.
     `late`: the temperature that the map follows; None: the sensor's own.
     """
 
     temperature: Basis
     rate: Basis | None
-    prior_std: Float[AnyArray, ""]
+    prior_std: Float[AnyArray, "*sizes"]
     smoothness_std: Float[AnyArray, ""]
     common_std: Float[AnyArray, ""]
     beyond: Discrepancy | None = None
     name: str = eqx.field(static=True, default=BIAS)
     has_prior: bool = eqx.field(static=True, default=False)
     has_smoothness: bool = eqx.field(static=True, default=False)
-    shapes: Float[AnyArray, "size m"] | None = None
     late: OtherTemperature | None = eqx.field(static=True, default=None)
 
     @property
@@ -214,9 +211,7 @@ class Map(Term):
 
     def prior_rows(self) -> Float[AnyArray, "q size"]:
         xp, rows = namespace(self.prior_std, self.smoothness_std, self.common_std), []
-        if self.shapes is not None:
-            rows.append(_prior_of_shapes(self.to_reported, self.constant, self.shapes, self.common_std))
-        elif self.has_prior:
+        if self.has_prior:
             rows.append(_prior_with_common(self.to_reported, self.constant, self.prior_std, self.common_std))
         if self.has_smoothness:
             rows.append(xp.asarray(self.differences()) / self.smoothness_std)
@@ -256,23 +251,17 @@ class Map(Term):
 
 
 def _prior_with_common(reported: np.ndarray, constant: np.ndarray, std, common_std) -> Float[AnyArray, "size size"]:
-    """Rows of the prior `diag(σ²) + σ_c² v vᵀ` on the reported coefficients, `v` being the constant function's.
+    """Rows of the prior `D² + σ_c² v vᵀ` on the reported coefficients, `D = diag(σ)`, `v` of the constant function.
 
-    A rank-one update of the identity has the square root `1 − γ v vᵀ`, so no factorisation is needed:
-    `(1 + c v vᵀ)^(-1/2) = 1 − (1 − 1/√(1 + c|v|²)) v vᵀ/|v|²`.
+    With `u = D⁻¹v`, a rank-one update of the identity has the square root `1 − γ u uᵀ`, so no factorisation is needed:
+    `(1 + c u uᵀ)^(-1/2) = 1 − (1 − 1/√(1 + c|u|²)) u uᵀ/|u|²`.
     """
-    v = reported @ constant
-    square = v @ v
-    shrink = 1.0 - 1.0 / namespace(std, common_std).sqrt(1.0 + (common_std / std) ** 2 * square)
-    return (reported - shrink * (np.outer(v, v) / square @ reported)) / std
-
-
-def _prior_of_shapes(reported: np.ndarray, constant: np.ndarray, shapes, common_std) -> Float[AnyArray, "size size"]:
-    """Rows of the prior `shapes shapesᵀ + σ_c² v vᵀ` on the reported coefficients, `v` being the constant
-    function's."""
-    xp = namespace(shapes, common_std)
-    factor = triangular_factor(xp.concatenate([shapes, common_std * (reported @ constant)[:, None]], axis=1).T)
-    return xp.linalg.solve(factor.T, xp.asarray(reported))
+    xp = namespace(std, common_std)
+    sizes = xp.broadcast_to(xp.asarray(std), constant.shape)
+    u, rows = reported @ constant / sizes, reported / sizes[:, None]
+    square = u @ u
+    shrink = 1.0 - 1.0 / xp.sqrt(1.0 + common_std**2 * square)
+    return rows - shrink * (xp.outer(u, u) / square @ rows)
 
 
 def block_diagonal(blocks: Sequence[AnyArray]) -> AnyArray:
@@ -304,19 +293,18 @@ class SignalMap(Term):
     """A function of temperature times a product of signals: misalignment, sensitivity to acceleration, second order.
 
     `signals`: names in the nodes (`SharedNodes.signal`), "|…|" for a magnitude; none: the function itself. `std`: of
-    each *reported* coefficient; `inf` is flat. `symbol`: name of the coefficients. `common_std`, `shapes`,
+    every *reported* coefficient, or of each; `inf` is flat. `symbol`: name of the coefficients. `common_std`,
     `late`: as of `Map`.
     """
 
     temperature: Basis
-    std: Float[AnyArray, ""]
+    std: Float[AnyArray, "*sizes"]
     signals: tuple[str, ...] = eqx.field(static=True)
     name: str = eqx.field(static=True)
     symbol: str = eqx.field(static=True)
     si_unit: str = eqx.field(static=True)
     has_prior: bool = eqx.field(static=True, default=True)
     common_std: float | Float[AnyArray, ""] = 0.0
-    shapes: Float[AnyArray, "size m"] | None = None
     late: OtherTemperature | None = eqx.field(static=True, default=None)
 
     @property
@@ -337,8 +325,6 @@ class SignalMap(Term):
         return self.temperature.to_reported
 
     def prior_rows(self) -> Float[AnyArray, "q size"]:
-        if self.shapes is not None:
-            return _prior_of_shapes(self.to_reported, self.temperature.constant, self.shapes, self.common_std)
         if not self.has_prior:
             return np.zeros((0, self.size))
         return _prior_with_common(self.to_reported, self.temperature.constant, self.std, self.common_std)
@@ -466,11 +452,10 @@ def make_map(
     temperature: Basis,
     rate: Basis | None = None,
     *,
-    prior_std: float = np.inf,
-    smoothness_std: float = np.inf,
+    prior_std: float | np.ndarray = np.inf,
+    smoothness_std: float | np.ndarray = np.inf,
     common_std: float = 0.0,
     discrepancy: tuple[float, int, int] | None = None,
-    shapes: np.ndarray | None = None,
     late: OtherTemperature | None = None,
 ) -> Map:
     """A map from plain numbers (SI). `discrepancy` is (standard deviation, highest degree in T, highest degree in ω).
@@ -505,9 +490,8 @@ def make_map(
         common_std=scalar(common_std),
         beyond=beyond,
         name=name,
-        has_prior=bool(np.isfinite(prior_std)),
+        has_prior=bool(np.all(np.isfinite(prior_std))),
         has_smoothness=bool(np.isfinite(smoothness_std)),
-        shapes=shapes,
         late=late,
     )
 

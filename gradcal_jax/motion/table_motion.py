@@ -116,7 +116,8 @@ class TableMotion(PytreeModule):
     `start_angles` rad: of the axes at the begin of the motion. Pieces of one `kind` differ only in temperature and by
     whole turns; `example` is a piece of each of the `K` kinds, and `nodes` its number of nodes. `history` °C: turning
     points of the temperature before the motion, in order; `others`: temperatures beside that of the sensor, as first-
-    order lags of it, and `behind` K: how far they are behind as the motion begins (None: not at all).
+    order lags of it, and `behind` K: how far they are behind as the motion begins (None: not at all). `divisions`: the
+    divisions of the plan's line by which the pieces arose, in order (`Trajectory.divided`).
     """
 
     line: Trajectory
@@ -130,6 +131,7 @@ class TableMotion(PytreeModule):
     history: Float[AnyArray, " H"] | None = None
     others: tuple[OtherTemperature, ...] = eqx.field(static=True, default=())
     behind: Float[AnyArray, " O"] | None = None
+    divisions: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
 
     @once
     def angles(self) -> tuple[Float[AnyArray, "P L"], Float[AnyArray, "P L"]]:
@@ -272,10 +274,11 @@ def _divided(
     order = np.lexsort((at, pieces))
     pieces, at = pieces[order], at[order]
     apart = (np.diff(pieces, prepend=-1) != 0) | (np.diff(at, prepend=-1.0) > edge)
-    line, source = motion.line.divided(pieces[apart], at[apart])
+    division = pieces[apart], at[apart]
+    line, source = motion.line.divided(*division)
     of_pieces = motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles
     path = {"history": motion.history, "others": motion.others, "behind": motion.behind}
-    return replace(table_motion(line, *of_pieces, waves, least), **path)
+    return replace(table_motion(line, *of_pieces, waves, least), **path, divisions=(*motion.divisions, division))
 
 
 def motion_divided_by_plays(

@@ -165,7 +165,7 @@ class Trajectory(PytreeModule):
             "u_start": u_start + width * v0,
             "u_end": u_start + width * v1,
             "level": self.level[source] + self.slope[source] * since,
-            "excess": self.excess[source] * np.exp(-self.lag_rate * since),
+            "excess": self.excess[source] * namespace(since).exp(-self.lag_rate * since),
             "read": self.read[source] & last,
             "at_rest": self.at_rest[source] & (last | ~self.moving[source]),
         }

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from gradcal_jax.calibration import Calibration
-from gradcal_jax.information.error_budget import BESIDE_THE_AXIS
 from gradcal_jax.information.gears import SCALE_OF_ANGLE
+from gradcal_jax.information.unseen import BESIDE_THE_AXIS
 from gradcal_jax.information.verdicts import versions_of
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.spec.absent import absent_terms

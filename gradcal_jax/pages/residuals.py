@@ -7,10 +7,10 @@ import numpy as np
 from gradcal_jax.calibration import Calibration
 from gradcal_jax.estimation.calibrations import calibrated_parameters, calibrated_posterior
 from gradcal_jax.information import Posterior, posterior
-from gradcal_jax.information.error_budget import TURN_ON, CountedPosteriors, widened
 from gradcal_jax.information.imu_residual import ImuResidual, quantity_of
 from gradcal_jax.information.posterior import square_root
 from gradcal_jax.information.prediction import counted_posteriors
+from gradcal_jax.information.unseen import TURN_ON, CountedPosteriors, widened
 from gradcal_jax.information.verdicts import run_of
 from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.pages.sources import Sources

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 from gradcal_jax.calibration import Calibration
+from gradcal_jax.estimation.calibration_rows import coefficient_rows
 from gradcal_jax.estimation.calibrations import standard_terms
 from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.information.verdicts import coefficient_rows
 from gradcal_jax.recipe.recipe import Predicted
 from gradcal_jax.tables.contracts import Prediction, RequirementRow
 from gradcal_jax.tables.display import amount

@@ -423,7 +423,6 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
         _gradient_of_bias(ForceTemperatureGradient, "acceleration temperature-gradient sensitivity", "0 ug/(K/min)"),
     ] = None
     hysteresis: Annotated[tuple[path_terms.PlayOfForce, ...], Field(max_length=10)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
-    late_temperature_gradient: Annotated[tuple[path_terms.LateGradientOfForce, ...], Field(max_length=5)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
     thermometer_difference: path_terms.DifferenceOfForce | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     velocity_increments: bool = False
     """Whether the accelerometers output an increment of velocity for each sample. If they do, an error of the sample

@@ -10,33 +10,6 @@ from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import Section
 
 
-class VariationOfBias(Section):
-    """How the coefficient of a play varies with temperature: Legendre polynomials of the degrees 1 to `degree` in (T −
-    `centre`)/`scale` are added to the coefficient. A loop that is not a sum of plays, for example a loop of many
-    relays, is wider at some temperatures than at others."""
-
-    standard_deviation: q.PositiveBiasSlope
-    """Standard deviation of the coefficient of each polynomial before the calibration."""
-    degree: Annotated[int, Field(ge=1, le=20)]
-    """Highest degree."""
-    centre: q.Temperature
-    """Temperature at which the argument of the polynomials is 0."""
-    scale: q.PositiveTemperatureDifference
-    """Change of temperature over which the argument of the polynomials changes by 1."""
-
-
-class VariationOfForce(VariationOfBias):
-    """Variation of the coefficient of an accelerometer's play with temperature, like that of a gyro's."""
-
-    standard_deviation: q.PositiveAccelerationSlope
-
-
-class VariationOfScaleFactor(VariationOfBias):
-    """Variation of the coefficient of a scale factor's play with temperature, like that of a bias."""
-
-    standard_deviation: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
-
-
 class PlayOfBias(Section):
     """An error that depends on past temperatures: a play follows the temperature with a backlash of ± `width`,
     and the error is proportional to the difference between play and temperature. If the temperature changes by more
@@ -46,22 +19,18 @@ class PlayOfBias(Section):
     """Half-width of the play."""
     prior: q.PositiveBiasSlope
     """Standard deviation of the coefficient (error for each K between play and temperature) before the calibration."""
-    over_temperature: VariationOfBias | None = None
-    """Estimated variation of the coefficient with temperature; absent: the coefficient is constant."""
 
 
 class PlayOfForce(PlayOfBias):
     """Hysteresis of an accelerometer's bias, modelled like that of a gyro's bias."""
 
     prior: q.PositiveAccelerationSlope
-    over_temperature: VariationOfForce | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class PlayOfScaleFactor(PlayOfBias):
     """Hysteresis of the scale factor, modelled like that of the bias."""
 
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
-    over_temperature: VariationOfScaleFactor | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class ScaleFactorTemperatureGradient(Section):
@@ -69,36 +38,6 @@ class ScaleFactorTemperatureGradient(Section):
 
     prior: q.PositiveScaleFactorGradient
     """Standard deviation of the coefficient before the calibration."""
-
-
-class LateGradientOfBias(Section):
-    """Bias proportional to dT/dt after a first-order lag, for example of a part that heats slowly. At the start, the
-    lag is in equilibrium, as after a soak."""
-
-    time_constant: q.Time
-    """Time constant of the lag."""
-    prior: q.SizeOfGradientSensitivity
-    """Standard deviation of the coefficient before the calibration."""
-    time_constant_uncertainty: q.Time | None = None
-    """Standard uncertainty of the time constant; absent: the time constant is known. The error is then modelled by
-    two terms, with a longer and a shorter time constant."""
-
-    @property
-    def lags(self) -> tuple[float, ...]:
-        """The time constants of its terms, s. With independent coefficients of 1/√2 of the prior each, the sum of both
-        has its variance, and their difference that of the coefficient times the time constant's error."""
-        time, apart = float(self.time_constant), float(self.time_constant_uncertainty or 0.0)
-        return (time - apart, time + apart) if apart else (time,)
-
-    def _problems(self) -> Iterator[Problem]:
-        if min(self.lags) <= 0.0:
-            yield Problem(("time_constant_uncertainty",), "must be less than the time constant")
-
-
-class LateGradientOfForce(LateGradientOfBias):
-    """Bias of an accelerometer, proportional to dT/dt after a first-order lag."""
-
-    prior: q.ForceGradientSensitivity
 
 
 class DifferenceOfBias(Section):
@@ -159,8 +98,6 @@ class TemperaturePath(Section):
     """Scale-factor error proportional to dT/dt."""
     own: Annotated[tuple[OwnError, ...], Field(max_length=20)] = ()
     """Error terms of your own."""
-    late_temperature_gradient: Annotated[tuple[LateGradientOfBias, ...], Field(max_length=5)] = ()
-    """Bias proportional to dT/dt that a first-order lag has filtered; the biases of several entries are added."""
     thermometer_difference: DifferenceOfBias | None = None
     """Bias proportional to the difference of the two thermometers."""
 
@@ -170,12 +107,7 @@ class TemperaturePath(Section):
         return any(getattr(self, key) for key in TemperaturePath.model_fields)
 
     def _problems(self) -> Iterator[Problem]:
-        differ_by = {
-            "hysteresis": "width",
-            "scale_factor_hysteresis": "width",
-            "late_temperature_gradient": "time_constant",
-        }
-        for key, of in differ_by.items():
-            values = [float(getattr(entry, of)) for entry in getattr(self, key)]
-            if len(set(values)) < len(values):
-                yield Problem((key,), f"two entries have the same {of}, so their coefficients cannot be separated")
+        for key in ("hysteresis", "scale_factor_hysteresis"):
+            widths = [float(play.width) for play in getattr(self, key)]
+            if len(set(widths)) < len(widths):
+                yield Problem((key,), "two entries have the same width, so their coefficients cannot be separated")

@@ -36,7 +36,9 @@ def turning(*, back: bool = False, late: bool = False) -> Spec:
         for move in ({"turns": turns, "axis": "turn", "peak_rate": "80 deg/s"}, {"rest": "60 s"})
     ]
     lagging = {
-        "sensor.gyro.late_temperature_gradient": [{"time_constant": "10 min", "prior": "5 deg/h/(K/min)"}],
+        "sensor.second_thermometer": {"lag": "10 min"},
+        "sensor.clock": "sensor",
+        "sensor.gyro.thermometer_difference": {"prior": "0.5 deg/h/K"},
         "sensor.gyro.scale_factor.lag": "2 min",
     }
     return gj.changed(

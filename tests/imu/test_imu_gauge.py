@@ -174,33 +174,20 @@ def test_a_plan_that_lacks_nothing_is_told_nothing():
 
 
 @pytest.mark.parametrize(
-    ("moves", "said"),
+    ("moves", "name", "remedy"),
     [
-        ([go(0, 0), go(90, 0), go(270, 0), go(90, 90), *turns("tilt"), *_HOME], "accelerometer z never points down"),
-        ([go(0, 0), go(180, 0), go(90, 90), *turns("tilt"), *_HOME], "accelerometer x never points down"),
-        ([go(0, 0), go(180, 0), go(90, 90), go(270, 90), *_HOME], "accelerometer y never points up"),
-        ([go(0, 0), go(90, 0), go(180, 0), go(270, 0), *turns("tilt"), *_HOME], "no turn is about gyro z"),
-        ([*turns("spin"), go(0, 90), go(0, 180), *_HOME], "are in one plane"),
-        ([*turns("spin"), {"rest": "8 s"}], 'the axis "tilt" never turns'),
+        ([go(0, 0), go(90, 0), go(270, 0), go(90, 90), *turns("tilt"), *_HOME], "accelerometer_z.", "up, down"),
+        ([go(0, 0), go(180, 0), go(90, 90), go(270, 90), *_HOME], "accelerometer_y.", "up, down"),
+        ([go(0, 0), go(90, 0), go(180, 0), go(270, 0), *turns("tilt"), *_HOME], "gyro_z.b00", "turn about the gyro"),
+        ([*turns("spin"), go(0, 90), go(0, 180), *_HOME], "gyro_x.g_", "not in one plane"),
+        ([*turns("spin"), {"rest": "8 s"}], "gyro_x.m_", "rotated by 180 deg"),
     ],
-    ids=["z down", "x down", "y up", "no turn", "one plane", "outer axis stands"],
+    ids=["z down", "y up", "no turn", "one plane", "outer axis stands"],
 )
-def test_a_plan_that_lacks_something_is_told_what(moves, said):
+def test_a_plan_that_lacks_something_is_told_what(moves, name, remedy):
     found = sentences(moves)
-    assert any(said in sentence for sentence in found), found
-    assert any("not observable: " in sentence for sentence in found)
-
-
-def test_two_axes_of_the_table_that_never_meet_from_the_other_side_are_told_of_the_reversal():
-    """Free non-orthogonality, outer turns at spins of 0° and 90° alone, misalignments known to 1 mrad before."""
-    moves = [go(0, 0), *turns("tilt"), go(0, 90), *turns("tilt"), *_HOME]
-    found = sentences(moves, rig__table__axis__0__orthogonality="1 deg", sensor__gyro__misalignment__prior="100 urad")
-    assert any('turn "spin" by 180 deg' in sentence for sentence in found), found
-    reversed_too = [*moves[:-1], go(0, 180), *turns("tilt"), *_HOME]
-    found = sentences(
-        reversed_too, rig__table__axis__0__orthogonality="1 deg", sensor__gyro__misalignment__prior="100 urad"
-    )
-    assert not any("by 180 deg" in sentence for sentence in found), found
+    about = [s for s in found if name in s and s.startswith(("not observable: ", "the plan cannot observe"))]
+    assert any(remedy in sentence for sentence in about), found
 
 
 def test_a_single_up_direction_is_told_apart_from_four():
@@ -221,9 +208,10 @@ def test_a_vertical_axis_alone_is_told_which_axes_it_does_not_turn():
     document["plan"]["cycle"] = {"moves": [{"rest": "8 s"}, {"turn": "720 deg"}, {"turn": "-720 deg"}]}
     document["plan"]["temperature"] = ["20 degC", "25 degC"]
     found = predict(spec_of(document)).warnings
-    for sentence in ("no turn is about gyro x", "no turn is about gyro y", "accelerometer z never points down"):
-        assert any(sentence in said for said in found), sentence
-    assert not any("no turn is about gyro z" in said for said in found)
+    unseen = [said for said in found if said.startswith("not observable: ")]
+    for name in ("gyro_x.b00", "gyro_y.b00", "accelerometer_z."):
+        assert any(name in said for said in unseen), name
+    assert not any("gyro_z.b00" in said for said in unseen)
     assert table(EAST, UP).axis_count == 2
 
 
@@ -235,18 +223,18 @@ def test_a_vertical_axis_alone_is_told_which_axes_it_does_not_turn():
     [
         (
             {"sensor__sample_clock_error": "200 ppm", "sensor__clock": "sensor"},
-            "the plan does not reduce the uncertainty of the sample clock (200 ppm)",
-            "gyros' scale factor",
+            "the plan does not reduce the uncertainty of sample_clock (200 ppm)",
+            "gyro_x.b00",
         ),
         (
             {"rig__site__gravity_accuracy": "500 ug"},
             "the plan does not reduce the uncertainty of gravity (500 ug)",
-            "accelerometers' scale factor",
+            "accelerometer_x.s",
         ),
         (
             {"sensor__frame": "case", "rig__table__mounting": {"accuracy": "1 mrad"}},
-            "the plan does not reduce the uncertainty of the mounting (1e+03 urad)",
-            "gyros' misalignment and the accelerometers' misalignment",
+            "the plan does not reduce the uncertainty of mounting1_x, mounting1_y, mounting1_z (1e+03 urad)",
+            "accelerometer_y.m_x",
         ),
     ],
     ids=["clock", "gravity", "mounting"],
@@ -262,22 +250,11 @@ def test_a_freedom_that_its_prior_alone_limits_is_said_with_what_it_limits(chang
 def test_an_azimuth_that_poses_about_one_axis_do_not_tell_is_said(azimuth, said):
     """The Earth's horizontal rate times its sine is 4.4 deg/h for 20°, far beyond what a bias is left with at rest."""
     found = sentences([go(90 * k % 360, 0, "60 s") for k in range(5)], rig__table__azimuth=azimuth)
-    azimuth_stays = "the plan does not reduce the uncertainty of the azimuth of the base"
-    about = [sentence for sentence in found if sentence.startswith(azimuth_stays)]
+    about = [s for s in found if s.startswith("the plan does not reduce the uncertainty of azimuth")]
     assert bool(about) == said
-    assert all("the gyros' bias" in sentence and "survey the azimuth" in sentence for sentence in about)
+    assert all(".a" in sentence and "measure it by other means" in sentence for sentence in about)
 
 
 def test_a_freedom_that_hardly_counts_is_not_said():
     small = {"sensor__sample_clock_error": "0.01 ppm", "rig__site__gravity_accuracy": "0.01 ug"}
     assert sentences(_EVERYTHING, **small) == ()
-
-
-def test_a_requirement_that_is_left_as_it_was_is_said():
-    document = copy.deepcopy(shipped("hand"))
-    document["plan"]["cycle"] = {"moves": [{"rest": "8 s"}, *turns("spin")]}
-    document["plan"]["temperature"] = ["20 degC", "25 degC"]
-    found = predict(spec_of(document)).warnings
-    said = [sentence for sentence in found if "depends only on the priors" in sentence]
-    assert any("'accelerometer scale factor'" in sentence for sentence in said), found
-    assert not any("'gyro bias'" in sentence for sentence in said)

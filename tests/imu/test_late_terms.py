@@ -1,5 +1,5 @@
-"""Terms that follow the temperature late, against masses that are stepped sample by sample: dT/dt by a lag, a second
-thermometer, maps with lags of their own."""
+"""Terms that follow the temperature late, against masses that are stepped sample by sample: a second thermometer, maps
+with lags of their own."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from loop_laws import draw_with_loops
-from loop_scene import errors_on_branches, recorded
+from loop_scene import recorded
 from loop_scene import spec_of as spec_of_loop
 
 import gradcal_jax as gj
@@ -30,11 +29,8 @@ from gradcal_jax.tables.problems import SpecError
 HOUR = np.pi / 180.0 / 3600.0
 LINEAR = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "30 K"}
 BY_RATE = {"basis": "polynomial", "degree": 0, "centre": "0 deg/s", "scale": "100 deg/s"}
-LAGS, SECOND_S, BIAS_S, SCALE_S = (70.0, 500.0), 120.0, 200.0, 90.0
+SECOND_S, BIAS_S, SCALE_S = 120.0, 200.0, 90.0
 PATH: dict[str, Any] = {
-    "late_temperature_gradient": [
-        {"time_constant": f"{lag:g} s", "prior": "3 deg/h/(K/min)"} for lag in LAGS
-    ],
     "thermometer_difference": {"prior": "5 deg/h/K"},
 }  # fmt: skip
 GYRO: dict[str, Any] = {
@@ -45,7 +41,6 @@ GYRO: dict[str, Any] = {
 FORCE: dict[str, Any] = {
     "axes": ["z"], "velocity_random_walk": "0.05 m/s/sqrt(h)",
     "bias": {"temperature": LINEAR, "prior": "2 mg", "lag": f"{BIAS_S} s"}, "scale_factor": {"prior": "500 ppm"},
-    "late_temperature_gradient": [{"time_constant": "500 s", "prior": "50 ug/(K/min)"}],
     "thermometer_difference": {"prior": "100 ug/K"},
 }  # fmt: skip
 SENSOR = {"clock": "sensor", "second_thermometer": {"lag": f"{SECOND_S} s"}, "gyro": GYRO, "accelerometer": FORCE}
@@ -105,8 +100,7 @@ def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
     for g in built.body_nodes().groups:
         earth[g.pieces] = g.earth[g.kind, 0, 2][:, None]
     drive = earth - np.where(built.motion.axis[:, None] == 0, rate, 0.0)
-    result = {f"late_temperature_gradient_{lag:g}s": (temperature - late(lag)) / lag for lag in LAGS}
-    result["thermometer_difference"] = late(SECOND_S) - temperature
+    result = {"thermometer_difference": late(SECOND_S) - temperature}
     result["a1"] = (late(BIAS_S) - 20.0) / 30.0
     if channel == "gyro_z":
         result["b01"] = (late(SCALE_S) - 20.0) / 30.0 * drive
@@ -129,7 +123,7 @@ def test_columns_are_the_integrals_of_the_definition(lag):
             assert size > 0.0, name
             assert own == pytest.approx(dense[kept], rel=1e-5, abs=1e-6 * size), name
             compared += 1
-    assert compared == 8
+    assert compared == 5
 
 
 @pytest.mark.parametrize(
@@ -148,10 +142,6 @@ def test_columns_are_the_integrals_of_the_definition(lag):
             },
             "must be a polynomial in temperature",
         ),
-        (
-            {"gyro": GYRO | {"late_temperature_gradient": PATH["late_temperature_gradient"][:1] * 2}},
-            "have the same time_constant",
-        ),
     ],
 )
 def test_what_has_no_meaning_is_refused(changes, says):
@@ -160,22 +150,19 @@ def test_what_has_no_meaning_is_refused(changes, says):
 
 
 def test_a_requirement_counts_the_slope_of_the_service():
-    """At a constant dT/dt the functions are that slope, and minus the lag of the second thermometer times it."""
+    """At a constant dT/dt the function is minus the lag of the second thermometer times it."""
     sensor = {key: SENSOR[key] for key in ("clock", "second_thermometer", "gyro")}
     of = {"name": "b", "quantity": "gyro_bias", "temperature": ["15 degC", "30 degC"], "branch": "heating", "grid": [2]}
     built = build_imu(spec_with(sensor, requirement=[of | {"slope": ["1 K/min", "1 K/min"]}]))
     (element,) = quantity_of(built, built.spec.requirement[0]).elements
     assert element.path is not None
     own = dict(zip(built.model.channels[0].model.names(), element.path[0, 0], strict=True))
-    for lag in LAGS:
-        assert own[f"late_temperature_gradient_{lag:g}s"] == pytest.approx(1.0 / 60.0)
     assert own["thermometer_difference"] == pytest.approx(-SECOND_S / 60.0)
 
 
 FOLLOWED = {
     "sensor.second_thermometer": {"lag": "4 min"},
     "sensor.gyro.hysteresis": [],
-    "sensor.gyro.late_temperature_gradient": [{"time_constant": "12 min", "prior": "8 deg/h/(K/min)"}],
     "sensor.gyro.thermometer_difference": {"prior": "4 deg/h/K"},
     "sensor.gyro.bias.lag": "2 min",
 }
@@ -201,8 +188,8 @@ def test_estimates_have_the_drawn_masses_of_simulated_sensors():
             true = truth.names[f"{one.channel}.{one.name}"]
             standardised.append((one.value - true) / one.standard_deviation)
     standardised = np.array(standardised).reshape(6, -1)
-    # Three gyros, of each dT/dt, dT/dt late, and the difference.
-    assert standardised.shape[1] == 9
+    # Three gyros, of each dT/dt and the difference.
+    assert standardised.shape[1] == 6
     assert 0.55 < np.mean(standardised**2) < 1.6
     assert sum(bool(followed(number)[0].calibration.contradicted) for number in range(6)) <= 1
 
@@ -251,29 +238,3 @@ def test_a_column_map_reads_the_second_thermometer(tmp_path):
     again = read_log(tmp_path / "log.nc").second_temperature_c
     assert again is not None
     np.testing.assert_array_equal(again, log.second_temperature_c)
-
-
-@pytest.mark.long
-def test_an_uncertain_time_constant_is_counted():
-    """Of masses of 1 and 10 min under a spec with 45 s and 7.5 min: with a stated uncertainty the errors on both legs
-    are as large as predicted, and less than without."""
-    times = (("45 s", "15 s", "1.1"), ("7.5 min", "2.5 min", "11"))
-    uncertain = [
-        {"time_constant": t, "time_constant_uncertainty": u, "prior": f"{p} deg/h/(K/min)"} for t, u, p in times
-    ]
-    known = [{key: one[key] for key in ("time_constant", "prior")} for one in uncertain]
-    left = {}
-    for name, late in (("uncertain", uncertain), ("known", known)):
-        spec = gj.changed(spec_of_loop(ways=2, plays=False), {"sensor.gyro.late_temperature_gradient": late})
-        apart = []
-        for number in range(8):
-            truth = draw_with_loops(spec_of_loop(ways=2), 41, number, "thermal masses")
-            (report,) = estimate_sensors(spec, [recorded(truth, spec, ways=2, seed=300 + number)])
-            apart.append(errors_on_branches(report, truth))
-        errors, stds = np.stack(apart).transpose(1, 0, 2, 3, 4)
-        left[name] = np.sqrt(np.mean(errors**2)), np.sqrt(np.mean(errors**2) / np.mean(stds**2))
-    assert 0.6 < left["uncertain"][1] < 1.3
-    assert left["known"][1] > 1.5
-    assert left["uncertain"][0] < 0.7 * left["known"][0]
-    with pytest.raises(SpecError, match="less than the time constant"):
-        gj.changed(spec, {"sensor.gyro.late_temperature_gradient": [known[0] | {"time_constant_uncertainty": "1 min"}]})

@@ -22,7 +22,6 @@ from gradcal_jax.identify.instability import at_rest
 from gradcal_jax.plots.calibration import draw_estimate, draw_loop, legs_of
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.records.log_file import read_log, write_log
-from gradcal_jax.spec.changes import changed
 
 HOUR = np.pi / 180.0 / 3600.0
 
@@ -91,31 +90,6 @@ def test_an_exact_play_is_recovered():
             assert one.standard_deviation < 0.4 * HOUR
 
 
-def test_a_coefficient_that_varies_over_temperature_is_recovered():
-    """Of a play of 10 K whose coefficient is a line over temperature."""
-    varies = {"standard_deviation": "4 deg/h/K", "degree": 2, "centre": "20 degC", "scale": "40 K"}
-    key = "sensor.gyro.hysteresis"
-    plays = [{"width": f"{w:g} K", "prior": "1 deg/h/K"} for w in WIDTHS]
-    plays = [p | {"over_temperature": varies} if p["width"] == "10 K" else p for p in plays]
-    spec, (log, temperature, behind) = changed(spec_of(ways=2), {key: plays}), without_a_loop()
-    both = np.array([0.5, 4.0]) * HOUR
-    loop = behind * (both[0] + both[1] * (temperature - 20.0) / 40.0)
-    with_loop = replace(log, rate_rad_per_s=log.rate_rad_per_s + loop[None, :, None] * np.array([1.0, 0.0, 0.0]))
-    (report,) = estimate_sensors(spec, [with_loop])
-    assert report.calibration.contradicted == ()
-    found = {(one.channel, one.name): one for one in report.calibration.path}
-    for axis, values in (("x", both), ("y", np.zeros(2))):
-        for name, value in zip(("hysteresis_10K", "hysteresis_10K_b10"), values, strict=True):
-            one = found[f"gyro_{axis}", name]
-            assert abs(one.value - value) < 4.0 * one.standard_deviation, (axis, name)
-    one = found["gyro_x", "hysteresis_10K_b10"]
-    assert one.value > 4.0 * one.standard_deviation
-    assert found["gyro_x", "hysteresis_10K"].polynomial is None
-    of = found["gyro_x", "hysteresis_10K_b10"].polynomial
-    assert of is not None
-    assert (of.degree, float(of.centre), float(of.scale)) == (1, 20.0, 40.0)
-
-
 def test_a_one_way_record_says_what_remains():
     report, _ = estimated(ways=1)
     assert any(m.startswith("one-way ramp: hysteresis is not observable; ±") for m in report.messages)
@@ -175,19 +149,14 @@ def test_apply_follows_the_plays_along_a_log(tmp_path):
     assert again == pytest.approx(apply(calibration, log).log.rate_rad_per_s, abs=1e-12, nan_ok=True)
 
 
-@pytest.mark.parametrize("span", [(-60.0, 90.0), (0.0, 40.0)], ids=["within its range", "beyond it"])
-def test_a_play_of_the_scale_factor_and_dt_dt_are_taken_off_exactly(span):
-    """Of rates that were made by the definition, sample by sample: `measured = ω(1 + b + c·h + d·Ṫ)`. Beyond the range
-    of the data, a coefficient that varies has its value at the edge."""
-    low, high = (f"{end} degC" for end in span)
+def test_a_play_of_the_scale_factor_and_dt_dt_are_taken_off_exactly():
+    """Of rates that were made by the definition, sample by sample: `measured = ω(1 + b + c·h + d·Ṫ)`."""
     channel = CalibratedChannel(
-        kind="gyro", axis="x", valid_temperature=(low, high), valid_rate=("-300 deg/s", "300 deg/s"),  # pyright: ignore[reportArgumentType]
+        kind="gyro", axis="x", valid_temperature=("-60 degC", "90 degC"), valid_rate=("-300 deg/s", "300 deg/s"),  # pyright: ignore[reportArgumentType]
         term=(build_term("scale_factor", "1", ("rate x",), {"b00": 1e-3}),),
     )  # fmt: skip
     on_path = [
         {"name": "scale_factor_hysteresis_8K", "value": 4e-5, "unit": "1/K", "width": "8 K"},
-        {"name": "scale_factor_hysteresis_8K_b20", "value": 1e-5, "unit": "1/K", "width": "8 K"}
-        | {"polynomial": {"degree": 2, "centre": "20 degC", "scale": "40 K"}},
         {"name": "scale_factor_temperature_gradient", "value": 2e-2, "unit": "s/K"},
     ]
     path = [PathCoefficient(channel="gyro_x", standard_deviation=1e-6, **of) for of in on_path]  # pyright: ignore[reportArgumentType]
@@ -201,8 +170,7 @@ def test_a_play_of_the_scale_factor_and_dt_dt_are_taken_off_exactly(span):
             state = of[k] = max(t - 8.0, min(t + 8.0, state))
     true = 2.0 * np.sin(time / 7.0)
     slope = temperature_slope(temperature, time)
-    varying = 4e-5 + 1e-5 * (1.5 * ((np.clip(temperature, *span) - 20.0) / 40.0) ** 2 - 0.5)
-    scale = varying * (0.5 * (states[0] + states[1]) - temperature) + 2e-2 * slope
+    scale = 4e-5 * (0.5 * (states[0] + states[1]) - temperature) + 2e-2 * slope
     log = Log(time, (true * (1.0 + 1e-3 + scale))[None, :, None], ("u",), ("x",), temperature[None])
     done = apply(calibration, log)
     assert done.log.rate_rad_per_s[0, :, 0] == pytest.approx(true, rel=1e-12, abs=1e-12)

@@ -10,7 +10,7 @@ from search_problem import SPEC
 
 import gradcal_jax as gj
 from gradcal_jax.information.prediction import predict
-from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.spec import parse_spec
 
 # Everything that has a figure of its own: walk, lag, offset, clock.
@@ -88,10 +88,31 @@ def test_a_plan_is_moved_as_its_file_would(spec, residual, slopes):
     assert along == pytest.approx((at(1e-6) - at(-1e-6)) / 2e-6, rel=1e-4)
 
 
-def test_a_plan_without_turns_is_a_function_of_the_chambers_course():
-    spec = parse_spec(gj.presets.text("paper-static-gradient"))
-    (row,) = predict(spec).requirements
-    assert gj.differentiable(spec)({})[row.name] == pytest.approx(row.decisive, rel=1e-13)
+@pytest.mark.parametrize("preset", gj.presets.names())
+def test_its_value_is_the_prediction_of_every_preset(preset):
+    spec = parse_spec(gj.presets.text(preset))
+    residual = gj.differentiable(spec)({})
+    for row in predict(spec).requirements:
+        assert row.decisive is not None
+        assert float(residual[row.name]) == pytest.approx(row.decisive, rel=1e-9), row.name
+
+
+def test_at_a_random_point_it_is_the_prediction_of_that_file():
+    """Other rests, whose changes the last standing takes up."""
+    spec = parse_spec(gj.presets.text("accelerometer-six-positions"))
+    residual = gj.differentiable(spec)
+    own = residual.quantities["move durations"]
+    rests = np.flatnonzero((residual.quantities["peak rates"] == 0.0) & (own > 0.0))
+    shorter = own.copy()
+    shorter[rests] *= np.random.default_rng(0).uniform(0.9, 1.0, len(rests))
+    moves = tables_of(spec)["plan"]["cycle"]["moves"]
+    resting = [k for k, move in enumerate(moves) if "rest" in move]
+    assert len(resting) == len(rests)
+    keys = {f"plan.cycle.moves[{k}].rest": f"{float(shorter[at])!r} s" for k, at in zip(resting, rests, strict=True)}
+    found = residual({"move durations": shorter})
+    for row in predict(changed(spec, keys)).requirements:
+        assert row.decisive is not None
+        assert float(found[row.name]) == pytest.approx(row.decisive, rel=1e-9)
 
 
 def test_many_at_once_are_one_after_the_other(residual):
@@ -109,60 +130,45 @@ def test_what_the_spec_has_not_is_said(spec, residual):
         gj.differentiable(changed(spec, {"requirement": [], "design": None}))
 
 
-TURNS = [("spin", 720), ("spin", -700), ("tilt", 50), ("spin", 40), ("tilt", 450), ("tilt", -500), ("spin", 300)]
-
-
-def imu_moves(turns) -> list[dict[str, str]]:
-    """Steepest trapezoids, and rests."""
-    moves = []
-    for (axis, _), degrees, rate in zip(TURNS, turns, (100, 250, 60, 80, 200, 150, 40), strict=True):
-        duration = abs(degrees) / rate + rate / 400.0
-        ramped = {"peak_rate": f"{rate} deg/s", "duration": f"{duration:.12g} s", "shape": "linear ramps"}
-        moves += [{"turn": f"{degrees:.12g} deg", "axis": axis} | ramped, {"rest": "25 s"}]
-    return moves
-
-
 @pytest.fixture(scope="module")
 def imu():
-    """A gyro and an accelerometer triad on two axes."""
+    """A gyro and an accelerometer triad on two axes whose gears have errors."""
     line = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"}
     spec = gj.read_spec(Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml")
-    moves = imu_moves([t for _, t in TURNS])
+    moves = []
+    for axis, angle in (("spin", 720), ("tilt", 50), ("spin", -720), ("tilt", -50)):
+        moves += [{"turn": f"{angle} deg", "axis": axis, "peak_rate": "60 deg/s"}, {"rest": "25 s"}]
     maps = {f"sensor.{t}.{m}.temperature": line for t in ("gyro", "accelerometer") for m in ("bias", "scale_factor")}
     maps["sensor.gyro.scale_factor.rate"] = {"basis": "polynomial", "degree": 1, "scale": "300 deg/s"}
+    gears = {f"rig.table.axis[{k}].angle.scale_error": "20 ppm" for k in (0, 1)}
+    gears |= {f"rig.table.axis[{k}].angle.backlash": "30 arcsec" for k in (0, 1)}
     kept = [
         r.model_dump(mode="json", exclude_unset=True) | {"grid": [21] * len(r.grid)}
         for r in spec.requirement
         if "scale" in r.name
     ]
-    return changed(spec, maps | {"sensor.gyro.axes": ["x"], "plan.cycle.moves": moves, "requirement": kept})
+    course = {"plan.temperature": ["20 degC", "30 degC"], "plan.gradient": "1 K/min"}
+    return changed(
+        spec, maps | gears | course | {"sensor.gyro.axes": ["x"], "plan.cycle.moves": moves, "requirement": kept}
+    )
+
+
+def test_gears_are_in_it(imu):
+    residual = gj.differentiable(imu)({})
+    for row in predict(imu).requirements:
+        assert float(residual[row.name]) == pytest.approx(row.decisive, rel=1e-9)
 
 
 @pytest.mark.long
-def test_an_imu_is_a_function_of_its_cycle(imu):
-    """Its value is what `predict` says, also of other numbers, its gradient the difference, and `vmap` changes
-    nothing."""
+def test_an_imu_is_differentiated_with_its_gears(imu):
+    """The gradient is the difference, in every quantity; compiled, its value is the prediction."""
     residual = gj.differentiable(imu)
-    rng, own = np.random.default_rng(0), residual.quantities
-    turns = own["turns"] + np.array([0.3, -0.2, 0.1, 0.1, 0.2, -0.3, -0.2])  # of each axis the same in all
-    moves = imu_moves(np.degrees(turns))
-    assert own["turns"].shape == own["peak rates"].shape == own["rests"].shape == (len(TURNS),)
-    call = jax.jit(lambda q: residual(q))
-    for numbers, spec in ((own, imu), ({**own, "turns": turns}, changed(imu, {"plan.cycle.moves": moves}))):
-        found, expected = call(numbers), {r.name: r.decisive for r in predict(spec).requirements}
-        assert found.keys() == expected.keys()
-        for name, value in expected.items():
-            assert float(found[name]) == pytest.approx(value, rel=1e-2)
-    name = "gyro scale factor"
-    together = jax.jit(jax.vmap(jax.value_and_grad(lambda q: residual(q)[name])))
-    many = {key: value * (1.0 + 0.05 * rng.standard_normal((3, len(TURNS)))) for key, value in own.items()}
-    values, slopes = together(many)
-    for k in range(3):
-        one = {key: value[k] for key, value in many.items()}
-        assert float(values[k]) == pytest.approx(float(call(one)[name]), rel=1e-9)
-    for key, step in (("turns", 1e-3), ("peak rates", 1e-4), ("rests", 1e-2)):
-        moved = [{**one, key: one[key] + sign * step * np.eye(len(TURNS))[2]} for sign in (1.0, -1.0)]
-        difference = np.subtract(*(float(call(q)[name]) for q in moved)) / (2.0 * step)
-        assert float(slopes[key][2, 2]) == pytest.approx(difference, rel=1e-4, abs=1e-7)
-    with pytest.raises(ValueError, match="has no 'rest': it has turns"):
-        residual({"rest": 1.0})
+    name = imu.requirement[0].name
+    value, slopes = jax.jit(jax.value_and_grad(lambda q: residual(q)[name]))(residual.quantities)
+    assert float(value) == pytest.approx(predict(imu).requirements[0].decisive, rel=1e-9)
+    rng = np.random.default_rng(0)
+    for key, own in residual.quantities.items():
+        way = 1e-5 * own * rng.standard_normal(own.shape)
+        more, less = (float(residual({key: own + sign * way})[name]) for sign in (1.0, -1.0))
+        along = float(np.sum(slopes[key] * way))
+        assert along == pytest.approx(0.5 * (more - less), rel=1e-2, abs=1e-11 * float(value)), key

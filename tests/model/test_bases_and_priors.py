@@ -90,7 +90,7 @@ def test_priors_are_rows_of_one_over_their_deviation():
     assert flat.prior_rows().shape == (6, flat.size)
 
 
-def test_smoothness_is_on_neighbours_whatever_the_engine_computes_in():
+def test_smoothness_is_on_neighbours():
     """Bins in rate have neighbours, powers of temperature have none: differences of reported coefficients by bin."""
     of = make_map(Polynomial(2, 20.0, 50.0), Bins((-1.0, 0.0, 0.5, 1.0)), smoothness_std=0.5)
     reported = np.random.default_rng(3).standard_normal((3, 3))  # power of temperature, bin

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from gradcal_jax.calibration import FORMAT, ORDER, Calibration
+from gradcal_jax.design.recipe_of_plan import make_recipe
 from gradcal_jax.hardware import execute
-from gradcal_jax.information import prediction as predictions
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
@@ -63,7 +63,7 @@ def spec(**changes: object) -> Spec:
 def recipe() -> Recipe:
     """Of `spec`, as it stands."""
     record = {"objective": "all rates (mean of max)", "unit": "ppm", "now": 3.25}
-    return predictions.make_recipe(spec(), optimisation=record)
+    return make_recipe(spec(), optimisation=record)
 
 
 def rehearse(made: Recipe, folder: Path, seed: int = 3) -> dict[str, Any]:

@@ -33,7 +33,6 @@ _XYZ: Final = "xyz"
 _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
 _GRADIENT: Final = "bias_temperature_gradient"
-_LATE: Final = "late_temperature_gradient"
 _PLAY: Final = "hysteresis_{:g}K"
 _DIFFERENCE: Final = "thermometer_difference"
 # The lag of a second thermometer is as the spec says within this share.
@@ -186,25 +185,13 @@ def _legendre(powers: PolynomialKeys, degree: int, x: Vectors) -> Vectors:
 def _draw_differences(
     sensor: Sensor, kind: Kind, second_lag_s: float, random: np.random.Generator, names: dict[str, float]
 ) -> Iterator[ErrorTerm]:
-    """Errors of three sensors by masses that follow the temperature late; `names`: their names and values, added to."""
+    """Errors of three sensors by the difference of two thermometers; `names`: their names and values, added to."""
     triad: Any = getattr(sensor, kind)
-    late = [
-        (f"{_LATE}_{float(of.time_constant):g}s", of, _uncertain_lag(of, random))
-        for of in triad.late_temperature_gradient
-    ]
-    second = triad.thermometer_difference
-    for name, of, lag_s in [*late, *([] if second is None else [(_DIFFERENCE, second, second_lag_s)])]:
-        values = float(of.prior) * random.standard_normal(3)
-        names |= _named(kind, name, values, triad.axes)
-        # A mass that is behind by τ dT/dt is cooler where that is positive.
-        slopes = values * (1.0 if of is second else -1.0 / lag_s)
-        yield ErrorTerm(slopes[:, None, None], lambda apart_k: apart_k[:, None], "one", lag_s, differs=True)
-
-
-def _uncertain_lag(of: Any, random: np.random.Generator) -> float:
-    """The time constant, s: by a triangular distribution of its uncertainty, which ends before zero."""
-    apart = min(6.0**0.5 * float(of.time_constant_uncertainty or 0.0), 0.9 * float(of.time_constant))
-    return float(of.time_constant) + (apart * float(random.triangular(-1.0, 0.0, 1.0)) if apart else 0.0)
+    if triad.thermometer_difference is not None:
+        values = float(triad.thermometer_difference.prior) * random.standard_normal(3)
+        names |= _named(kind, _DIFFERENCE, values, triad.axes)
+        slopes = values[:, None, None]
+        yield ErrorTerm(slopes, lambda apart_k: apart_k[:, None], "one", second_lag_s, differs=True)
 
 
 def draw_truth(spec: Spec, seed: int, number: int) -> ImuTruth:

@@ -1,0 +1,207 @@
+"""A spec's requirements as a pure function of its figures, for `jax.grad`, `vmap`, `jit` and libraries that use them.
+
+It is the computation of `predict` with other numbers. What is discrete is that of the spec's own plan: which pieces
+there are, which of them are read, where they are divided, and on how many nodes each is integrated.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax.arrays import AnyArray, namespace, put
+from gradcal_jax.information.error_budget import source_name
+from gradcal_jax.information.gears import rows_of_gears
+from gradcal_jax.information.imu_residual import quantity_of
+from gradcal_jax.information.imu_rows import segments_of, traced_information
+from gradcal_jax.information.residual import Residual
+from gradcal_jax.information.unseen import unseen_columns
+from gradcal_jax.information.verdicts import UNIT_OF
+from gradcal_jax.model import ImuModel
+from gradcal_jax.model.imu_build import BuiltImu, build_imu, plan_schedule, unweighted_estimator
+from gradcal_jax.motion import Schedule, TableMotion, body_nodes
+from gradcal_jax.spec.spec import expect_spec
+from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.display import summary
+
+_LAG = "thermal lag"
+# Nodes of a motion at most for which every piece has nodes of its own; of more, pieces that are alike share theirs.
+_MOST_NODES = 100_000
+# Fields of the encoders' noise, by error source.
+_ENCODER: dict[str, Callable[[ImuModel], Any]] = {
+    "rate accuracy": lambda m: m.encoder.rate,
+    "reading noise": lambda m: m.encoder.reading,
+    "standstill offset": lambda m: m.encoder.offset,
+    "timing error": lambda m: m.encoder.timing,
+}
+_WHITE = {"gyro": "angle random walk", "accelerometer": "velocity random walk"}
+# Fields of the moves and of the programme's stretches, and whether a field belongs to the moves.
+_PLAN: dict[str, tuple[Callable[[Schedule], Any], bool]] = {
+    "move durations": (lambda s: s.duration, True),
+    "peak rates": (lambda s: s.peak_rate, True),
+    "speed-up times": (lambda s: s.ramp, True),
+    "chamber durations": (lambda s: s.programme.durations, False),
+    "chamber slopes": (lambda s: s.programme.slopes, False),
+    "chamber steps": (lambda s: s.programme.jumps, False),
+    "first temperature": (lambda s: s.programme.start, False),
+}
+
+
+class _Drift(NamedTuple):
+    """The places of a source's processes among those of the channels of one kind."""
+
+    kind: str
+    members: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Differentiable:
+    """Every requirement's residual as a pure function of `quantities`.
+
+    `quantities`: the spec's own figures by name, SI (°C, K/s for the chamber): numbers of the sensor and the rig, `()`
+    or one for each such error or axis, `(k,)`; of each move of the plan's cycle, `(m,)`; of each stretch of the
+    chamber's programme, `(s,)`, with the step (K) at its beginning. Changed times must leave room for the moves; rests
+    that fill a stretch follow. In a plan of many long cycles, every cycle must begin at the same pose: there the turns
+    of each axis should sum to whole ones.
+    """
+
+    quantities: dict[str, np.ndarray]
+    _built: BuiltImu
+    _schedule: Schedule
+    _moves: np.ndarray
+    _residuals: dict[str, tuple[Residual, float]]
+
+    __repr__ = summary
+
+    def __call__(self, quantities: Mapping[str, Any]) -> dict[str, Float[AnyArray, ""]]:
+        """Residuals in the units of `predict`, by requirement: the statistic that its verdict judges, with what the
+        spec names. Quantities that are absent have the spec's values.
+
+        Errors: `ValueError` for a name that the spec does not have.
+        """
+        if unknown := set(quantities) - set(self.quantities):
+            raise ValueError(f"the spec has no {sorted(unknown)[0]!r}: it has {', '.join(self.quantities)}")
+        figures: dict[str, Any] = {**self.quantities, **quantities}
+        schedule, model = self._planned(figures), self._sensed(figures)
+        xp = namespace(*figures.values())
+        if xp is jnp:
+            # NumPy arrays cannot hold traced values; integer arrays (which pieces there are) stay concrete.
+            traced = lambda x: jnp.asarray(x) if eqx.is_inexact_array(x) else x  # noqa: E731
+            schedule = jax.tree.map(traced, schedule)
+        motion = self._moved(schedule, figures.get(_LAG))
+        nodes, at = body_nodes(motion, self._built.points), segments_of(self._built.motion, self._built.model)
+        common = rows_of_gears(motion, model, nodes, self._built.gears, at)[1] if self._built.gears else None
+        root = traced_information(motion, model, nodes, at, common).root()
+        return {name: xp.asarray(of(root) * factor) for name, (of, factor) in self._residuals.items()}
+
+    def _moved(self, schedule: Schedule, lag: Any) -> TableMotion:
+        """The motion of a plan, with the divisions of the spec's own one."""
+        line, own = schedule.trajectory(lag), self._built.motion
+        for pieces, at in own.divisions:
+            line, _ = line.divided(pieces, at)
+        return replace(own, line=line)
+
+    def _planned(self, figures: Mapping[str, Any]) -> Schedule:
+        schedule = self._schedule
+        for name, (field, of_moves) in _PLAN.items():
+            whole = put(field(schedule), self._moves, figures[name]) if of_moves else figures[name]
+            schedule = eqx.tree_at(field, schedule, whole)
+        return schedule
+
+    def _sensed(self, figures: Mapping[str, Any]) -> ImuModel:
+        model = self._built.model
+        for name, field in _ENCODER.items():
+            if name in figures:
+                model = eqx.tree_at(field, model, figures[name])
+        for name, number in _installed(model).items():
+            model = eqx.tree_at(lambda m, number=number: m.installation[number].stds, model, figures[name])
+        drifts = _drifts(self._built)
+        for k, channel in enumerate(model.channels):
+            own = channel.model
+            if (white := _WHITE[channel.kind]) in figures:
+                own = eqx.tree_at(lambda m: m.angle_random_walk, own, figures[white])
+            for name, (kind, members) in drifts.items():
+                if kind == channel.kind:
+                    initial, driving, at = own.processes.initial_std, own.processes.diffusion, np.array(members)
+                    share = figures[name] / self.quantities[name]
+                    changed = put(initial, at, initial[at] * share), put(driving, at, driving[at] * share)
+                    own = eqx.tree_at(lambda m: (m.processes.initial_std, m.processes.diffusion), own, changed)
+            model = eqx.tree_at(lambda m, k=k: m.channels[k].model, model, own)
+        return model
+
+
+def differentiable(spec: Spec) -> Differentiable:
+    """A spec's requirements as a pure function of figures of the sensor, the rig and the plan: at the spec's own
+    `quantities` it equals `predict`, in the same units.
+
+    Needs float64 (`jax_enable_x64`). Errors: `ValueError` for a spec without requirements, and for an estimator that
+    does not weight by the noise.
+    """
+    spec = expect_spec(spec)
+    if not spec.requirement:
+        raise ValueError("the spec has no [[requirement]], so there is no result to compute: add a requirement")
+    if unweighted_estimator(spec):
+        raise ValueError(
+            'estimator = "least squares" is not a function that can be differentiated: use estimator = "best linear"'
+        )
+    built, schedule = build_imu(spec), plan_schedule(spec)
+    moves = np.setdiff1d(np.arange(len(schedule.duration)), schedule.fill_move)
+    built = built._replace(motion=_on_own_nodes(built.motion, schedule))
+    unseen, residuals = unseen_columns(built), dict[str, tuple[Residual, float]]()
+    for requirement in spec.requirement:
+        of = quantity_of(built, requirement).statistic(requirement.statistic, unseen)
+        residuals[requirement.name] = of, UNIT_OF[requirement.quantity][1]
+    return Differentiable(_figures(built, schedule, moves), built, schedule, moves, residuals)
+
+
+def _on_own_nodes(motion: TableMotion, schedule: Schedule) -> TableMotion:
+    """The motion with kinds of pieces that stay alike where the numbers of the moves change one by one."""
+    own = motion.nodes[motion.kind]
+    if int(np.sum(own)) <= _MOST_NODES:
+        each = np.arange(len(motion.kind))
+        return replace(motion, kind=each, example=each, nodes=own)
+    source = np.arange(schedule.piece_count)
+    line = schedule.trajectory()
+    for pieces, at in motion.divisions:
+        line, of = line.divided(pieces, at)
+        source = source[of]
+    both = np.stack([motion.kind, np.asarray(schedule.pieces.move)[source]])
+    _, example, kind = np.unique(both, axis=1, return_index=True, return_inverse=True)
+    return replace(motion, kind=np.reshape(kind, -1), example=example, nodes=motion.nodes[motion.kind[example]])
+
+
+def _drifts(built: BuiltImu) -> dict[str, _Drift]:
+    """The processes of every kind of channels by the name of their error source."""
+    return {
+        source_name(kind, name): _Drift(kind, members)
+        for kind, sources in built.sources.items()
+        for name, members in sources.items()
+    }
+
+
+def _installed(model: ImuModel) -> dict[str, int]:
+    """The numbers of the installation's terms by the name of their first parameter."""
+    return {term.names()[0].replace("_", " "): number for number, term in enumerate(model.installation)}
+
+
+def _figures(built: BuiltImu, schedule: Schedule, moves: np.ndarray) -> dict[str, np.ndarray]:
+    """The spec's own quantities."""
+    model, figures = built.model, dict[str, Any]()
+    for channel in model.channels:
+        figures.setdefault(_WHITE[channel.kind], channel.model.angle_random_walk)
+    figures |= {name: field(model) for name, field in _ENCODER.items()}
+    figures = {name: value for name, value in figures.items() if np.any(value)}
+    figures |= {name: model.installation[number].stds for name, number in _installed(model).items()}
+    for name, (kind, members) in _drifts(built).items():
+        own = next(c.model.processes for c in model.channels if c.kind == kind)
+        initial, driving = (np.asarray(of)[list(members)] for of in (own.initial_std, own.diffusion))
+        figures[name] = np.where(initial == 0.0, driving, initial)
+    if built.spec.sensor.lag is not None:
+        figures[_LAG] = built.spec.sensor.lag
+    figures |= {name: field(schedule)[moves] if own else field(schedule) for name, (field, own) in _PLAN.items()}
+    return {name: np.array(value, dtype=float) for name, value in figures.items()}

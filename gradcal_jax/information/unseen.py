@@ -1,0 +1,283 @@
+"""Errors that no residual of a run shows, as columns of a posterior's spread.
+
+Within one run the sample clock, the scale of an encoder, the cosine of a mounting, the offset of a thermometer or the
+Earth's rate act as a constant of a map, or as its slope over temperature: the data fit as well with them as without,
+and the estimate is off by a direction `v` of the parameters times the error. Each is therefore no parameter, but a
+column of the posterior's spread: the covariance is `C + Σ v vᵀ`, for predictions and estimates.
+
+`θ` of the input axis against the table's, each of two angles with standard deviation σ, multiplies the scale factor by
+`cos θ ≈ 1 − (θ₁² + θ₂²)/2`, whose root mean square is √2 σ². The Earth's rate along an axis of unknown direction is
+rectangular within ±15.04 deg/h (GUM, 4.3.7).
+"""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from gradcal_jax.calibration import UnseenError
+from gradcal_jax.information import Posterior
+from gradcal_jax.information.gears import BACKLASH, SCALE_OF_ANGLE
+from gradcal_jax.model import (
+    BIAS,
+    SCALE_FACTOR,
+    TEMPERATURE_GRADIENT,
+    Channel,
+    Hysteresis,
+    ImuModel,
+    Map,
+    SignalMap,
+)
+from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.motion import EARTH_RATE, Trajectory, Turns, turns_of
+from gradcal_jax.spec.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.spec.changes import changed
+from gradcal_jax.spec.spec_sections import Spec
+
+TURN_ON: Final = "turn-on bias"
+BESIDE_THE_AXIS: Final = "misalignment of the input axis from the table's axis"
+UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
+# Temperatures at which the slope of a map is taken, and the step of the difference, K.
+_AT: Final = 64
+_STEP_K: Final = 0.01
+# Part of a run over which its ramp is measured, s.
+_MINUTES: Final = 300.0
+# Share of a coefficient's variance below which a column is left out of a file.
+_NEGLIGIBLE: Final = 1e-4
+# Last parts of the keys of omitted terms that are no noise: columns, or terms with parameters.
+_NO_NOISE: Final = frozenset({
+    "thermal_lag", "bias_temperature_gradient", "temperature_offset", "temperature_lag", "mounting_accuracy",
+    "scale_error", "backlash", "turn_on_bias", "hysteresis", "scale_factor_hysteresis", "lever_arm",
+})  # fmt: skip
+
+Columns = Mapping[str, np.ndarray]
+
+
+class EstimatedRun(NamedTuple):
+    """An estimate in the place of a plan: its parameters `(p,)`, the range of temperature of its data (°C), and the
+    standard deviation of its lag (s) beyond what the covariance contains (None: the spec's). `one_way`: the temperature
+    never returns; `clock_doubt`: a ratio by which the log's clocks are apart."""
+
+    parameters: np.ndarray
+    temperature_c: tuple[float, float]
+    ramp: float
+    lag_std: float | None = None
+    one_way: bool = False
+    clock_doubt: float = 0.0
+
+
+class CountedPosteriors(NamedTuple):
+    """Posteriors of a plan or an estimate. `own`: with what the spec names; `whole`: with what it omits, at its class's
+    typical figures; `any_run`: with the bias of another power-on as well. `built`: whose model the last two are of.
+    `fit`, `columns`: the parts of `any_run`: of noise and priors alone, and of what no residual shows, by name (in an
+    estimate without the turn-on bias)."""
+
+    own: Posterior
+    whole: Posterior
+    any_run: Posterior
+    built: Any
+    fit: Posterior
+    columns: Columns = MappingProxyType({})
+
+    def judged(self, run: str) -> Posterior:
+        """What a verdict judges in "any run" or in "this run"."""
+        return self.any_run if run == "any run" else self.whole
+
+
+def unseen_columns(
+    built: BuiltImu, spec: Spec | None = None, done: EstimatedRun | None = None
+) -> dict[str, np.ndarray]:
+    """Columns `(p, k)` by the name of their error, as far as `spec` names it (None: the unit's own). A sensitivity to
+    dT/dt, a hysteresis or gears that the model estimates are in its covariance. In a plan a map has its class's slopes,
+    in an estimate (`done`) its own."""
+    model, spec = built.model, spec or built.spec
+    sensor = spec.sensor
+    ramp = ramp_of(built.motion.line) if done is None else done.ramp
+    lag = float(sensor.temperature_lag or 0.0) if done is None or done.lag_std is None else done.lag_std
+    scales, backlash = _of_table(built, spec)
+    scales["clocks that contradict each other"] = 0.0 if done is None else done.clock_doubt
+    turns = turns_of(built.motion) if backlash else None
+    columns: dict[str, list[np.ndarray]] = {}
+
+    def add(name: str, column: np.ndarray) -> None:
+        if np.any(column):
+            columns.setdefault(name, []).append(column)
+
+    for c in model.channels:
+        triad = getattr(sensor, c.kind)
+        constants = {name: _constant(model, c, name) for name in (BIAS, SCALE_FACTOR)}
+        if c.kind == "gyro":
+            for name, std in scales.items():
+                add(name, std * constants[SCALE_FACTOR])
+            if spec.rig.site.is_unknown:
+                add("Earth's rate", UNKNOWN_EARTH_RATE * constants[BIAS])
+            if turns is not None:
+                add(BACKLASH, backlash * _by_backlash(model, c, turns))
+        if done is not None:
+            for name, plays in ((BIAS, triad.hysteresis), (SCALE_FACTOR, triad.scale_factor_hysteresis)):
+                size = float(np.hypot.reduce([float(p.prior) * float(p.width) for p in plays], initial=0.0))
+                # A map from one branch is off by twice as much on the other as one from both.
+                if not _estimates_plays(c, name):
+                    add("hysteresis", size * (2.0 if done.one_way else 1.0) * constants[name])
+        if c.model.term(TEMPERATURE_GRADIENT) is None:
+            add("bias from dT/dt", triad.gradient_std * ramp * constants[BIAS])
+        if done is None:
+            by_bias, by_scale = slopes_of(sensor, c.kind)
+            slope = by_bias * constants[BIAS] + by_scale * constants[SCALE_FACTOR]
+        else:
+            slope = _slopes(model, c, done)
+        add("offset of the temperature", float(sensor.temperature_offset or 0.0) * slope)
+        add("lag of the temperature", lag * ramp * slope)
+    return {name: np.stack(several, axis=1) for name, several in columns.items()}
+
+
+def _of_table(built: BuiltImu, spec: Spec) -> tuple[dict[str, float], float]:
+    """Relative errors of the gyros' scale factor by the table, by name, and its backlash, rad; zero where the unit's
+    model estimates the gears."""
+    table, gyro = spec.rig.table, spec.sensor.gyro
+    scales, lashes = np.reshape(built.gears, (-1, 2)).T
+    # A table of several axes sees the directions of the input axes.
+    seen = len(table.axis) > 1 or (gyro is not None and gyro.misalignment is not None)
+    mounting = 0.0 if seen else float(table.mounting[0].accuracy)
+    scale = 0.0 if np.any(scales) else max(float(axis.angle.scale_error or 0.0) for axis in table.axis)
+    backlash = 0.0 if np.any(lashes) else max(float(axis.angle.backlash or 0.0) for axis in table.axis)
+    return {BESIDE_THE_AXIS: 2.0**0.5 * mounting**2, SCALE_OF_ANGLE: scale}, backlash
+
+
+def _estimates_plays(channel: Channel, name: str) -> bool:
+    """Whether plays of a channel's map are parameters."""
+    plays = (term for term in channel.model.terms if isinstance(term, Hysteresis))
+    return any(bool(term.signals) == (name == SCALE_FACTOR) for term in plays)
+
+
+def _constant(model: ImuModel, channel: Channel, name: str) -> np.ndarray:
+    """Parameters `(p,)` of a channel's term that is 1 everywhere; zero without the term."""
+    column, term = np.zeros(model.size), channel.model.term(name)
+    if isinstance(term, Map | SignalMap):
+        constant = term.constant if isinstance(term, Map) else term.temperature.constant
+        column[model.where(channel.kind, channel.axis, name)] = constant
+    return column
+
+
+def _by_backlash(model: ImuModel, channel: Channel, turns: Turns) -> np.ndarray:
+    """Parameters `(p,)` of the scale factor by which turns seem larger than they are, each weighted with its size."""
+    column, term = np.zeros(model.size), channel.model.term(SCALE_FACTOR)
+    if isinstance(term, Map):
+        functions = np.asarray(term.values(turns.temperature_c, turns.rate)) * turns.size[:, None]
+        own = np.linalg.lstsq(functions, turns.lost * turns.size, rcond=1e-6)[0]
+        column[model.where(channel.kind, channel.axis, SCALE_FACTOR)] = own
+    return column
+
+
+def _slopes(model: ImuModel, channel: Channel, done: EstimatedRun) -> np.ndarray:
+    """Parameters `(p,)` of the estimated terms' derivatives in temperature, `(1/K)`, by least squares over the data's
+    temperatures: exact for polynomials."""
+    column = np.zeros(model.size)
+    low, high = done.temperature_c
+    at = np.linspace(low, max(high, low + 1.0), _AT)
+    for term in channel.model.terms:
+        if not isinstance(term, Map | SignalMap):
+            continue
+        where = model.where(channel.kind, channel.axis, term.name)
+        functions = term.temperature(at)
+        change = (term.temperature(at + _STEP_K) - term.temperature(at - _STEP_K)) / (2.0 * _STEP_K)
+        # A map over rate is a tensor product, temperature first.
+        own = done.parameters[where].reshape(functions.shape[1], -1)
+        column[where] = np.linalg.lstsq(functions, change @ own, rcond=None)[0].ravel()
+    return column
+
+
+def ramp_of(line: Trajectory) -> float:
+    """Root mean square of dT/dt over the data that are used, K/s."""
+    kept = ~np.asarray(line.gap)
+    lasting, slope, excess = (np.asarray(of)[kept] for of in (line.duration, line.slope, line.excess))
+    # ∫(slope − a·e^(−λt))² dt over each piece, a = λ·excess
+    rate = float(line.lag_rate)
+    faded = -np.expm1(-rate * lasting)
+    square = slope**2 * lasting - 2.0 * slope * excess * faded + 0.5 * rate * excess**2 * faded * (2.0 - faded)
+    time = float(np.sum(lasting))
+    return (float(np.sum(square)) / time) ** 0.5 if time else 0.0
+
+
+def ramp_of_record(time: np.ndarray, temperature: np.ndarray) -> float:
+    """Root mean square of dT/dt of a record (s, °C), over parts of five minutes, K/s."""
+    span = float(time[-1] - time[0])
+    if span <= 0.0:
+        return 0.0
+    at = np.linspace(time[0], time[-1], max(2, round(span / _MINUTES) + 1))
+    return float(np.sqrt(np.mean((np.diff(np.interp(at, time, temperature)) / np.diff(at)) ** 2)))
+
+
+def widened(known: Posterior, columns: Columns) -> Posterior:
+    """The posterior with further errors, each a set of columns `(p, k)`."""
+    return known._replace(spread=np.concatenate([known.spread, *columns.values()], axis=1)) if columns else known
+
+
+def _another_run(spec: Spec, model: ImuModel) -> dict[str, np.ndarray]:
+    """Columns for the bias of another power-on."""
+    sizes = [float(getattr(spec.sensor, c.kind).turn_on_bias or 0.0) for c in model.channels]
+    columns = [size * _constant(model, c, BIAS) for size, c in zip(sizes, model.channels, strict=True)]
+    return {TURN_ON: np.stack(columns, axis=1)} if np.any(columns) else {}
+
+
+def own_of_imu(built: BuiltImu, known: Posterior) -> Posterior:
+    """The posterior of a unit's plan with what the spec names."""
+    return widened(known, unseen_columns(built))
+
+
+def budget_of_imu(built: BuiltImu, known: Posterior, complete: BuiltImu) -> CountedPosteriors:
+    """The posteriors of a unit's plan; `complete`: with what the spec omits."""
+    fit = known if complete is built else imu_posterior(complete)
+    turn_on, every = _another_run(complete.spec, complete.model), unseen_columns(complete)
+    own = widened(known, every) if complete is built else own_of_imu(built, known)
+    whole = own if fit is known else widened(fit, every)
+    return CountedPosteriors(own, whole, widened(whole, turn_on), complete, fit, every | turn_on)
+
+
+def budget_of_estimate(built: BuiltImu, known: Posterior, done: EstimatedRun, noise: Columns) -> CountedPosteriors:
+    """The posteriors of an estimate. `noise`: of `omitted_noise_of_imu`."""
+    complete = with_typical(built.spec)
+    own, whole = (unseen_columns(built, spec, done) for spec in (built.spec, complete))
+    left, columns = widened(known, own), {**whole, **noise}
+    counted = widened(known, columns) if absent_terms(built.spec) else left
+    turn_on = _another_run(complete, built.model)
+    return CountedPosteriors(left, counted, widened(counted, turn_on), built, known, columns)
+
+
+def floor_of_plan(spec: Spec) -> tuple[BuiltImu, Posterior]:
+    """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
+    built = build_imu(spec)
+    nothing = np.zeros((built.model.size, 0))
+    # Longer turns lose less to backlash.
+    columns = {name: column for name, column in unseen_columns(built).items() if name != BACKLASH}
+    return built, widened(Posterior(nothing, nothing), columns)
+
+
+def unseen_errors(budget: CountedPosteriors, names: Sequence[str], reported: np.ndarray) -> tuple[UnseenError, ...]:
+    """The errors of an estimate that no residual shows, in the coefficients `names`; `reported` `(n, p)`: the engine's
+    parameters to these."""
+    variance = np.sum((reported @ budget.whole.spread) ** 2, axis=1)
+    rows: list[UnseenError] = []
+    for name, columns in budget.columns.items():
+        for column in (reported @ columns).T:
+            large = column**2 > _NEGLIGIBLE * variance
+            if np.any(large):
+                own = {n: float(v) for n, v in zip(names, column, strict=True) if v != 0.0}
+                rows.append(UnseenError(name=name, coefficients=own))
+    return tuple(rows)
+
+
+def omitted_noise_of_imu(built: BuiltImu) -> dict[str, np.ndarray]:
+    """Columns of what the noise that a spec omits adds to the covariance of the sensor's own parameters after the
+    spec's own plan: of omitted terms that are noise, or parameters of the table, at typical figures."""
+    noise = {t.key: t.value for t in absent_terms(built.spec) if t.key.rpartition(".")[2] not in _NO_NOISE}
+    if not noise:
+        return {}
+    own, columns = built.model.calibrated, np.zeros((built.model.size, built.model.calibrated))
+    both = (imu_posterior(built), imu_posterior(build_imu(changed(built.spec, noise))))
+    plan, noisy = (known.spread[:own] @ known.spread[:own].T for known in both)
+    scale = np.sqrt(np.maximum(np.diag(noisy), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh((noisy - plan) / np.outer(scale, scale))
+    columns[:own] = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return {"omitted noise": columns}

@@ -5,10 +5,9 @@ variance that prediction and estimate take them to have. Fifty seeds of the pape
 """
 
 import numpy as np
-from expected_errors import Observations, whitened
+from expected_errors import Observations, solve, whitened
 from scipy.stats import chi2
 
-from gradcal_jax import estimation
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SimulatedImu, TableTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
@@ -68,7 +67,7 @@ def test_fifty_seeds_scatter_as_the_model_says():
             read=every, at_rest=~every, moving=every, gap=~every, rates=True, points="independent",
         )  # fmt: skip
         columns, readings = np.asarray(model.columns(gauss_nodes(line, model))), np.radians(said - turned)[:, None]
-        found = estimation.solve(whitened(Observations(noise_steps(line, model), columns, readings), model))
+        found = solve(whitened(Observations(noise_steps(line, model), columns, readings), model))
         residuals += float(np.sum(found.residuals**2))
         error = model.to_reported @ found.parameters[:, 0] - np.array(
             [truth[f"gyro_x.{name}"] for name in model.names()]

@@ -18,9 +18,8 @@ from gradcal_jax.cli import main
 from gradcal_jax.cli.estimate import text_of_estimate
 from gradcal_jax.estimation.estimate import EstimateReport, SensorEstimate, estimate_sensors
 from gradcal_jax.hardware.simulate.imu import ImuTruth
-from gradcal_jax.identify.instability import at_rest
 from gradcal_jax.plots.calibration import draw_estimate, draw_loop, legs_of
-from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.records.log import Log
 from gradcal_jax.records.log_file import read_log, write_log
 
 HOUR = np.pi / 180.0 / 3600.0
@@ -203,18 +202,3 @@ def test_validation_by_branch_and_by_bins_shows_the_loop(tmp_path, capsys):
     left = np.array([cells[t, "heating"].after - cells[t, "cooling"].after for t in warm])
     assert np.sqrt(np.mean(left[15:] ** 2)) < 0.5 * np.sqrt(np.mean(loop[15:] ** 2))
     assert all(cell.branch is None for cell in gj.validate(calibration, log)[0].cells)
-
-
-def test_noise_is_stated_by_branch_and_by_temperature():
-    log = at_rest_all_the_time()
-    rest = at_rest(log, "x", bias_degree=3, lag=0.0)
-    heating, cooling = (rest.within(branch=branch).valid for branch in ("heating", "cooling"))
-    assert not np.any(heating & cooling)
-    assert np.count_nonzero(heating) == pytest.approx(2400, abs=60)
-    assert np.flatnonzero(heating).max() < 2460 < 2340 + np.count_nonzero(cooling)
-    warm = rest.within((10.0, 12.0), "cooling")
-    assert warm.temperature_c is not None
-    assert np.all((warm.temperature_c[warm.valid] >= 10.0) & (warm.temperature_c[warm.valid] <= 12.0))
-    assert np.flatnonzero(warm.valid).min() > 2400
-    with pytest.raises(LogError, match="no usable row lies between 70 and 80 °C, heating"):
-        rest.within((70.0, 80.0), "heating")

@@ -8,7 +8,7 @@ import numpy as np
 
 from gradcal_jax.information import Posterior, contrasts, statistic
 from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows, own_variance
-from gradcal_jax.information.residual import Contrasts, GridElement, Residual, Statistic
+from gradcal_jax.information.residual import Contrasts, GridElement, Quantity, Residual, Statistic
 from gradcal_jax.information.verdicts import UNIT_OF, finite, mission_weights
 from gradcal_jax.model import (
     AXIS_NAMES,
@@ -352,7 +352,8 @@ def _of_term(
     of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
     if isinstance(of, Map):
         grid = np.meshgrid(temperatures, rates, indexing="ij")
-        own_part = contrasts(channel.model, term, *(of.ravel() for of in grid))
+        quantity: Quantity = "scale_factor" if term == SCALE_FACTOR else "bias"
+        own_part = contrasts(channel.model, quantity, *(of.ravel() for of in grid))
         if about is None or term != SCALE_FACTOR or not any(map(channel.model.term, _MISALIGNMENTS)):
             return GridElement(label, own, own_part)
         around = (0, 0), _around(model, channel)

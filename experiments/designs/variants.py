@@ -70,15 +70,15 @@ def spec_of(name: str) -> Spec:
 def run(name: str) -> dict[str, object]:
     """Optimise a variant, write its recipe, and say what is to be said of it."""
     from gradcal_jax.design.optimise import optimise
+    from gradcal_jax.design.recipe_of_plan import make_recipe
     from gradcal_jax.design.searching import record_of
-    from gradcal_jax.information import prediction
 
     spec = spec_of(name)
     begun = time.perf_counter()
     assert spec.design is not None
     best = optimise(spec)
     took = time.perf_counter() - begun
-    made = prediction.make_recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))
+    made = make_recipe(best.spec, status=best.sentence, seed=spec.design.seed, optimisation=record_of(best))
     place = path_of(name)
     place.parent.mkdir(exist_ok=True)
     place.write_text(to_toml(made), encoding="utf-8")

@@ -113,13 +113,13 @@ def optimise(
     if steps == 0:
         write_recipe(specification, output, json=json)
         return DONE
+    from gradcal_jax.design.recipe_of_plan import make_recipe
     from gradcal_jax.design.searching import record_of
-    from gradcal_jax.information import prediction
     from gradcal_jax.tables.writing import write_toml
 
     best, interrupted = search_and_watch(specification, steps=steps, quick=quick, until_met=until_met)
     status = best.sentence if not interrupted else f"interrupted; the best plan so far: {best.sentence}"
-    result = prediction.make_recipe(best, status=status)
+    result = make_recipe(best, status=status)
     write_toml(result, output, header="Made by gradcal optimise; `gradcal check` prints it as a table.")
     if json:
         print(as_json(record_of(best) | {"status": status, "recipe": str(output)}))
@@ -222,10 +222,10 @@ _HEADER: Final = (
 
 def write_recipe(spec: "Spec", output: Path, *, json: bool) -> None:
     """Write the recipe of a spec's own plan, or print it for the name "-"."""
-    from gradcal_jax.information import prediction
+    from gradcal_jax.design.recipe_of_plan import make_recipe
     from gradcal_jax.tables.writing import to_toml
 
-    result = prediction.make_recipe(spec)
+    result = make_recipe(spec)
     text = to_toml(result, header=_HEADER)
     if str(output) == "-":
         print(text, end="")
@@ -258,7 +258,8 @@ def show_frontier(
     """Search for a plan of each duration of the ramp (s), with a line of progress; print them, and the shortest plan
     for each target. `output`: a folder for their recipes."""
     from gradcal_jax.design import optimise as room
-    from gradcal_jax.information import prediction, verdicts
+    from gradcal_jax.design.recipe_of_plan import make_recipe
+    from gradcal_jax.information import verdicts
     from gradcal_jax.tables.writing import write_toml
 
     if output is not None:
@@ -273,7 +274,7 @@ def show_frontier(
         for point in room.frontier_points(spec, times, steps=steps, watch=show):
             reached.append(point)
             if output is not None and point.plan is not None:
-                write_toml(prediction.make_recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
+                write_toml(make_recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
     targets = {
         r.name: limit[1]
         for r in spec.requirement

@@ -97,6 +97,13 @@ class CycleRounding(NamedTuple):
             made = (self._made(t.axis, math.degrees(t.angle), math.degrees(t.rate)) for t in turns if t.angle)
             now += math.fsum(duration for _, duration in made) + math.fsum(t.rest for t in turns)
             wait = math.floor(((visit + 1) * (of.own + of.other) - now) / self.grid + _SLACK) * self.grid
+            # The others' time is of whole seconds: a fraction would be a reading of its own, soon after the last one.
+            left = round(wait - math.floor(wait + _SLACK), 6)
+            resting = [k for k, t in enumerate(turns) if t.rest]
+            if left > 0.0 and resting:
+                k = max(resting, key=lambda k: turns[k].rest)
+                turns = (*turns[:k], turns[k]._replace(rest=round(turns[k].rest + left, 6)), *turns[k + 1 :])
+                now, wait = now + left, round(wait - left, 6)
             result.append((turns, wait))
             now += wait
             start = start + np.array([sum(t.angle for t in turns if t.axis == k) for k in range(len(start))])

@@ -42,7 +42,7 @@ def errors_of_angles(motion: TableMotion, gears: Sequence[tuple[float, float]]) 
         of_axis = (
             (SCALE_OF_ANGLE, scale * angle),
             (BACKLASH, lash * side),
-            (BACKLASH, UNTOLD_BEGIN * lash * (side == 0.0)),
+            (BACKLASH, xp.where(side == 0.0, UNTOLD_BEGIN * lash, 0.0)),
         )
         for name, error in of_axis:
             if xp is not np or np.ptp(error) > 0.0:

@@ -136,7 +136,8 @@ class _Draws:
                 self.values[f"{kind}_{_XYZ[row]}.{symbols[row][column]}{ending}"] = float(values[row, column, power])
             else:
                 values[row, column, power] = 0.0
-        return ErrorTerm(values, basis, factors, float(section.lag or 0.0))
+        # A bias and a scale factor may lag by themselves.
+        return ErrorTerm(values, basis, factors, float(getattr(section, "lag", None) or 0.0))
 
     def _scale_factors(self, section: Any, size: float, axes: tuple[str, ...]) -> ErrorTerm:
         of_t, of_w = section.temperature, section.rate

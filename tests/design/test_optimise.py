@@ -56,8 +56,9 @@ def test_the_optimum_is_better_is_what_predict_says_and_lies_above_the_limit(spe
     assert best.now == pytest.approx(residual(best.spec), rel=1e-12)
     assert best.converged, best.sentence
     before, after = limit(spec)[0], limit(best.spec)[0]
-    # The recipe knows when the axis had the table, so that its limit is the spec's, but for rounded times.
-    assert after.certified == pytest.approx(before.certified, rel=2e-3)
+    # The recipe knows when the axis had the table, so that its limit is the spec's, but for rounded times; and for
+    # readings: a limit is for those no closer than the plan's own, here 0.8 s at the end of a rest, not 1 s.
+    assert before.certified * 0.97 < after.certified < before.certified * (1.0 + 2e-3)
     assert before.certified <= before.reached * (1 + 1e-9)
     assert before.certified < best.now
     assert after.efficiency == pytest.approx(after.certified / best.now)

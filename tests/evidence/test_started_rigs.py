@@ -126,5 +126,5 @@ def test_one_run_of_what_start_writes(rig: str, tmp_path: Path) -> None:
     status, printed = say("optimise", spec_of(rig, tmp_path), "--steps", "0", "-o", tmp_path / "recipe.toml")
     assert status in (0, 1), printed
     found = chances(tmp_path / "recipe.toml", tmp_path, 1)
-    assert len(found) > 3
+    assert found.keys() >= {"chi-squared of the fit", "whiteness"}
     assert min(found.values()) > 1e-3, found

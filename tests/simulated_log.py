@@ -10,7 +10,6 @@ import numpy as np
 from scipy.signal import lfilter
 
 from gradcal_jax import formulas
-from gradcal_jax.design.visits import gyro_of
 from gradcal_jax.model import BIAS, HARMONICS, SCALE_FACTOR, TEMPERATURE_GRADIENT, SensorModel
 from gradcal_jax.model.build import Assembled, assemble
 from gradcal_jax.motion import Trajectory
@@ -53,7 +52,8 @@ def simulate_log(
     rng = np.random.default_rng(seed)
     if isinstance(spec.schedule, StandardSchedule):
         return _standard(built, spec.schedule, units, sample_rate_hz, rng, truth, noiseless)
-    lines = {gyro_of(spec).axes[0]: built.trajectory()}
+    assert spec.sensor.gyro is not None
+    lines = {spec.sensor.gyro.axes[0]: built.trajectory()}
     first = next(iter(lines.values()))
     begin = float(first.start[0])
     end = float(first.start[-1] + first.duration[-1])

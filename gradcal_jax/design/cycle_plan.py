@@ -199,11 +199,6 @@ class CyclePlan:
         # (One by one its operations would compile a dozen programs.)
         self._decode = jax.jit(self.coordinates.decode)
 
-    def free_ramps(self, z: Any, of: CycleStructure) -> Ramp:
-        """The ramps of a free course."""
-        assert self.free_course is not None
-        return self.free_course.ramps(z, of.period)
-
     @property
     def motion(self) -> float:
         """The time of all cycles, s."""

@@ -14,7 +14,6 @@ from gradcal_jax.spec.design import Design
 from gradcal_jax.spec.motion_plan import MotionPlan
 from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.plan import RampItem, StandardPlan
-from gradcal_jax.spec.sensor import GyroTriad
 from gradcal_jax.spec.spec_sections import Spec
 
 # Shortest useful turn; s.
@@ -87,12 +86,6 @@ def with_motion(spec: Spec, time: float) -> Spec:
         one = plan.gradient
         keys = {"plan.gradient": [slower(s) for s in one] if isinstance(one, tuple) else slower(float(one or 0.0))}
     return changed(spec, keys)
-
-
-def gyro_of(spec: Spec) -> GyroTriad:
-    """The gyro of a spec that has one."""
-    assert spec.sensor.gyro is not None
-    return spec.sensor.gyro
 
 
 def cycle_of(spec: Spec) -> ResolvedCycle | None:

@@ -56,7 +56,7 @@ def point_of(plan: CyclePlan, cycle: RepeatedCycle):
 def logarithm(plan: CyclePlan, cycle: RepeatedCycle, z: np.ndarray | None = None) -> float:
     own, of, ramps = point_of(plan, cycle)
     z = own if z is None else z
-    ramps = plan.free_ramps(jnp.asarray(z[3 * plan.slots :]), of) if ramps is None else ramps
+    ramps = plan.free_course.ramps(jnp.asarray(z[3 * plan.slots :]), of.period) if ramps is None else ramps
     value = jax.jit(plan.objective.value, compiler_options=QUICKLY)
     return float(value(z[: 3 * plan.slots].reshape(3, -1), of, ramps, 100.0))
 

@@ -59,7 +59,6 @@ _OF_SPECS = {
     "visits",
     "cycle_rounding",
     "programme_rounding",
-    "criteria",
     "pose_search",
     "optimise",
     "searching",

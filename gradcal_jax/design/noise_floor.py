@@ -29,15 +29,15 @@ shares hardly matter).
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import NamedTuple
 
 import jax
 import numpy as np
-import scipy.linalg
+from jaxtyping import Float
 
-from gradcal_jax.information import information
-from gradcal_jax.model import SCALE_FACTOR, Basis, Map, Processes, SensorModel, gyro_model
-from gradcal_jax.motion import Programme, held, quadrature
+from gradcal_jax.information import square_root, whiten
+from gradcal_jax.information.noise_steps import NoiseSteps, process_steps
+from gradcal_jax.model import Basis, Map, Processes
+from gradcal_jax.motion import quadrature
 
 # Begin and end of windows, s; the sensor's temperature (°C) and its rate (K/s) at times (s).
 Windows = Sequence[tuple[float, float]]
@@ -45,219 +45,125 @@ Course = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 # Shares of a prior's variance: see above.
 PRIOR_OF_WALK = 0.5
 _PRIOR_OF_OTHERS = 0.25
-# Nodes in a window; the step of a derivative in temperature, K; windows nearer than this touch, s.
+# Nodes in a window or a step; the step of a derivative in temperature, K; windows nearer than this touch, s.
 _NODES = 12
 _SMALL = 1e-4
 _TOUCHING = 1e-6
 # Distance of a window's ends from a jump, in windows; variance of a process's change at a jump, over its variance.
 _INSET, _AT_ONCE = 1e-9, 1e-12
-# The time at the table is divided into at least this many equal parts of one temperature, two or more for each turn.
-PARTS = 48
-_AT_KNOT = 1e-6
 # Longest step of a continuous observation: as a share of the shortest correlation time, and in s.
 _SHARE_OF_CORRELATION = 0.05
 _LONGEST_S = 5.0
 
 
-def between_knots(windows: Windows, knots: np.ndarray) -> Windows:
-    """The windows, divided where the chamber's slope changes."""
-    parts: list[tuple[float, float]] = []
-    for begin, end in windows:
-        inside = knots[(knots > begin + _AT_KNOT) & (knots < end - _AT_KNOT)]
-        parts += [(float(a), float(b)) for a, b in pairwise([begin, *inside, end])]
-    return parts
+def least_noise_density(walk: float, processes: Processes, reading: float, spacing: float) -> float:
+    """`max_ε min_λ S(λ)` in rad²/s of a random walk (rad/√s) and readings with a standard deviation (rad), at least
+    `spacing` s apart; never below N². Only processes that drive the angle at any rate (bias_gain) count."""
+    gain = np.where(processes.rate_gain == 0.0, processes.bias_gain, 0.0) * processes.diffusion
+    square = np.concatenate([[0.0], np.geomspace(1e-7, 1e3, 4001)]) ** 2
+    # q²/(λ² + 1/τ²): for a Gauss-Markov process 2σ²τ/(1 + λ²τ²).
+    shared = square[:, None] + processes.decay**2
+    noise = walk**2 + np.sum(np.where(gain == 0.0, 0.0, gain**2 / np.maximum(shared, 1e-300)), axis=1)
+    # Any ε gives a valid limit, so a grid is enough.
+    least = [walk**2]
+    for epsilon in np.exp(np.linspace(-15.0, 10.0, 251)):
+        window = 1.0 / spacing + epsilon / 2.0 + square / (2.0 * epsilon)
+        least.append(float(np.min(noise + reading**2 * square / window)))
+    return max(least)
 
 
-def middles_of_parts(windows: Windows) -> np.ndarray:
-    """The middles (s) of equal parts of all windows' time together."""
-    count = max(PARTS, 2 * len(windows))
-    begin, end = np.array(windows).T
-    lasted = np.concatenate([[0.0], np.cumsum(end - begin)])
-    middle = lasted[-1] * (np.arange(count) + 0.5) / count
-    k = np.clip(np.searchsorted(lasted, middle, side="right") - 1, 0, len(begin) - 1)
-    return begin[k] + middle - lasted[k]
+def scale_factor_floor(
+    scale: Map, processes: Processes, windows: Windows, course: Course, at: np.ndarray
+) -> Float[np.ndarray, " n"]:
+    """The variance of M at the temperatures `at` `(n,)`, °C, that no motion in the windows removes.
 
-
-def sensor_course(chamber: Programme, lag: float | None) -> Course:
-    """The sensor's temperature (°C) and its rate (K/s) at any time (s)."""
-    of = chamber.sensor(lag)
-
-    def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        k = np.clip(np.searchsorted(of.times, t, side="right") - 1, 0, len(of.slope) - 1)
-        since = t - of.times[k]
-        fading = of.excess[k] * np.exp(-of.lag_rate * since)
-        return of.level[k] + of.slope[k] * since + fading, of.slope[k] - of.lag_rate * fading
-
-    return at
-
-
-def scale_factor_floor(model: SensorModel, windows: Windows, temperature: Course, at: np.ndarray) -> np.ndarray:
-    """`(len(at),)`, the variance of M at the temperatures `at` (°C) that no motion in the windows removes.
-
-    `windows` (begin, end; s, in order): all times at which the axis may turn; the chamber's slope is constant in each.
-    `temperature(t)`: the sensor's (°C), and its rate (K/s). A limit to which this is added may count only the share
-    `PRIOR_OF_WALK` of the variance of the map's prior.
+    `windows` (in order): all times at which the axis may turn; the chamber's slope is constant in each. A limit to
+    which this is added may count only the share `PRIOR_OF_WALK` of the variance of the map's prior.
     """
-    p, scale = model.processes, model.scale
-    if scale is None:
-        return np.zeros(len(at))
-    gain = np.where(p.bias_gain == 0.0, p.rate_gain, 0.0)
-    variance, decay = (gain * p.initial_std) ** 2, p.decay
-    prior = _prior_of_constants(model) / _PRIOR_OF_OTHERS
-    wanted = scale.temperature(at)
+    p, basis = processes, scale.temperature
+    variance = np.where(p.bias_gain == 0.0, p.rate_gain * p.initial_std, 0.0) ** 2
+    same = np.eye(basis.size)
+    if scale.rate is not None:
+        same = np.kron(same, scale.rate.constant[:, None])
+    prior = np.asarray(scale.prior_rows()) @ same / np.sqrt(_PRIOR_OF_OTHERS)
     floor = np.zeros(len(at))
-    clock = float(np.sum(variance[decay == 0.0]))
+    clock = float(np.sum(variance[p.decay == 0.0]))
     if clock > 0.0:
         # A constant error adds its variance to that of M, as far as the prior does not separate the two.
-        one = _constant(scale.temperature)
-        floor += 1.0 / (one @ prior @ one + 1.0 / clock)
-    moving = np.flatnonzero((variance > 0.0) & (decay > 0.0))
+        floor += 1.0 / (np.sum((prior @ basis.constant) ** 2) + 1.0 / clock)
+    moving = np.flatnonzero((variance > 0.0) & (p.decay > 0.0))
     for k in moving:
-        seen = _continuous_look(scale.temperature, windows, temperature, float(variance[k]), float(decay[k]))
-        root = np.linalg.qr(np.concatenate([seen, root_of(len(moving) * prior)]), mode="r")
-        floor += np.sum(scipy.linalg.solve_triangular(root, wanted.T, trans=1) ** 2, axis=0)
+        seen = _continuous_look(basis, windows, course, float(variance[k]), float(p.decay[k]))
+        known = square_root(np.concatenate([seen, np.sqrt(len(moving)) * prior]))
+        floor += known.deviations(basis(at)) ** 2
     return floor
 
 
-def _continuous_look(basis: Basis, windows, temperature, variance: float, decay: float) -> np.ndarray:
+def _continuous_look(basis: Basis, windows: Windows, course: Course, variance: float, decay: float) -> np.ndarray:
     """Rows whose squares are the information of a continuous observation of the basis under a Gauss–Markov process."""
-    edges = _divided(basis, windows, temperature)
+    edges = np.array(_at_breaks(basis, windows, course))
     nodes, weights = quadrature(_NODES)
     width = np.diff(edges, axis=1)
-    t, of_time = temperature((edges[:, :1] + width * nodes).ravel())
+    t, of_time = course((edges[:, :1] + width * nodes).ravel())
     # A temperature step small enough for polynomials and splines to be straight.
     slope = (basis(t + _SMALL) - basis(t - _SMALL)) / (2.0 * _SMALL) * of_time[:, None]
     share = np.sqrt((width * weights).ravel() / (2.0 * variance * decay))
     inside = (slope + decay * basis(t)) * share[:, None]
     inset = _INSET * width[:, 0]
-    begin, end = basis(temperature(edges[:, 0] + inset)[0]), basis(temperature(edges[:, 1] - inset)[0])
+    begin, end = basis(course(edges[:, 0] + inset)[0]), basis(course(edges[:, 1] - inset)[0])
     # Where a function jumps and the process does not, the jump is observed directly.
-    kept = np.minimum(np.exp(-decay * (edges[1:, 0] - edges[:-1, 1])), 1.0 - _AT_ONCE)[:, None]
+    apart = edges[1:, 0] - edges[:-1, 1]
+    kept = np.minimum(np.exp(-decay * apart), 1.0 - _AT_ONCE)[:, None]
     between = (begin[1:] - kept * end[:-1]) / np.sqrt(variance * (1.0 - kept**2))
-    touch = edges[1:, 0] - edges[:-1, 1] <= _TOUCHING
+    touch = apart <= _TOUCHING
     between[touch] = (begin[1:] - end[:-1])[touch] / np.sqrt(2.0 * variance * _AT_ONCE)
     return np.concatenate([begin[:1] / np.sqrt(variance), inside, between])
 
 
-def _divided(basis: Basis, windows, temperature) -> np.ndarray:
-    """`(k, 2)`, the windows divided where the temperature, monotone in each, crosses a break of the basis."""
-    edges: list[tuple[float, float]] = []
-    for a, b in windows:
-        at_a, at_b = (float(temperature(np.array([t]))[0][0]) for t in (a, b))
-        crossed = [v for v in basis.breaks if min(at_a, at_b) < v < max(at_a, at_b)]
-        cuts = sorted(_when(temperature, v, a, b) for v in crossed)
-        edges += pairwise([a, *cuts, b])
-    return np.array(edges)
-
-
-def _when(temperature, value: float, a: float, b: float) -> float:
-    """The time between two times at which the sensor passes a temperature."""
+def _at_breaks(basis: Basis, windows: Windows, course: Course) -> list[tuple[float, float]]:
+    """The windows, divided where the temperature, monotone in each, crosses a break of the basis."""
     from scipy import optimize
 
-    return optimize.root_scalar(lambda t: float(temperature(np.array([t]))[0][0]) - value, bracket=(a, b)).root
-
-
-def _prior_of_constants(model: SensorModel) -> np.ndarray:
-    """The prior's information on the functions of temperature that are the same at every rate, in the basis."""
-    scale = model.scale
-    assert scale is not None
-    same = np.eye(scale.temperature.size)
-    if scale.rate is not None:
-        same = np.kron(same, _constant(scale.rate)[:, None])
-    rows = model.prior_rows()[:, model.where(SCALE_FACTOR)] @ same
-    return rows.T @ rows
-
-
-def _constant(basis: Basis) -> np.ndarray:
-    """Coefficients of the function that is one everywhere; ±100 °C or rad/s cover all uses."""
-    values = basis(np.linspace(-100.0, 100.0, 16 * basis.size))
-    return np.linalg.lstsq(values, np.ones(len(values)), rcond=None)[0]
-
-
-def root_of(matrix: np.ndarray) -> np.ndarray:
-    """Rows with `rowsᵀ rows = matrix`, which may be singular."""
-    values, vectors = np.linalg.eigh(matrix)
-    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-
-
-def least_noise_density(model: SensorModel, spacing: float) -> float:
-    """`max_ε min_λ S(λ)` in rad²/s, for readings at least `spacing` s apart; never below N².
-
-    Only processes that drive the angle at any rate (bias_gain) count, and only the white noise of a reading.
-    """
-    spectrum = _Spectrum(model)
-    # Any ε gives a valid limit, so a grid is enough.
-    return max(spectrum.walk, *(spectrum.least(np.exp(x), spacing) for x in np.linspace(-15.0, 10.0, 251)))
-
-
-class _Spectrum:
-    """S(λ) of a model: see the module's head."""
-
-    def __init__(self, model: SensorModel):
-        p = model.processes
-        gain = np.where(np.asarray(p.rate_gain) == 0.0, np.asarray(p.bias_gain), 0.0)
-        keep = gain * np.asarray(p.diffusion) != 0.0
-        self.walk = float(model.angle_random_walk) ** 2
-        self.variance = float(model.reference.reading_noise) ** 2
-        self.decay = np.asarray(p.decay)[keep]
-        # q²/(λ² + 1/τ²): for a Gauss-Markov process 2σ²τ/(1 + λ²τ²).
-        self.drive = (gain * np.asarray(p.diffusion))[keep] ** 2
-
-    def least(self, epsilon: float, spacing: float) -> float:
-        square = np.concatenate([[0.0], np.geomspace(1e-7, 1e3, 4001)]) ** 2
-        drift = np.sum(self.drive / np.maximum(square[:, None] + self.decay**2, 1e-300), axis=1)
-        window = 1.0 / spacing + epsilon / 2.0 + square / (2.0 * epsilon)
-        return float(np.min(self.walk + drift + self.variance * square / window))
-
-
-def longest_step(processes: Processes) -> float:
-    """The longest time step (s) of `bias_seen_continuously`."""
-    decays = processes.decay[np.asarray(processes.rate_gain) == 0.0]
-    return min(_LONGEST_S, _SHARE_OF_CORRELATION / np.max(decays, initial=1e-12))
+    edges: list[tuple[float, float]] = []
+    for begin, end in windows:
+        first, last = course(np.array([begin, end]))[0]
+        cuts = []
+        for value in basis.breaks:
+            if min(first, last) < value < max(first, last):
+                above = lambda t, value=value: float(course(np.array([t]))[0][0] - value)  # noqa: E731
+                cuts.append(optimize.root_scalar(above, bracket=(begin, end)).root)
+        edges += pairwise([begin, *sorted(cuts), end])
+    return edges
 
 
 def bias_seen_continuously(
-    bias: Map, angle_random_walk: float, processes: Processes, windows: Windows, course: Course, rows: np.ndarray
-) -> np.ndarray:
-    """Standard deviations `(g,)`, rad/s, of combinations `rows` of a bias's parameters that no plan reduces.
+    bias: Map, walk: float, processes: Processes, windows: Windows, course: Course, rows: np.ndarray
+) -> Float[np.ndarray, " g"]:
+    """Standard deviations, rad/s, of combinations `rows` `(g, p)` of a bias's parameters that no plan reduces.
 
-    All else is known exactly and the error itself is observed at every instant of the `windows` (s, in order; the
+    All else is known exactly and the error itself is observed at every instant of the `windows` (in order; the
     chamber's slope is constant in each), moving or not: every reading of any plan is a function of this observation.
-    The noise is white (rad/√s), with the processes that act at rate zero.
+    The noise is white (`walk`, rad/√s), with the processes that act at rate zero.
     """
-    at_rest = jax.tree.map(lambda of: of[np.asarray(processes.rate_gain) == 0.0], processes)
-    alone = gyro_model(bias, None, angle_random_walk, at_rest)
+    at_rest = jax.tree.map(lambda of: np.asarray(of)[np.asarray(processes.rate_gain) == 0.0], processes)
+    divided = _at_breaks(bias.temperature, windows, course)
+    step = min(_LONGEST_S, _SHARE_OF_CORRELATION / np.max(at_rest.decay, initial=1e-12))
 
     def variance(longest: float) -> np.ndarray:
-        look = look_at(windows, course, longest)
-        none = np.zeros(len(look.start), bool)
-        line = held(
-            look.start, look.duration, np.zeros(len(none)), look.begin, look.end,
-            read=look.used, at_rest=~none, moving=none, gap=~look.used,
-        )  # fmt: skip
-        return information(line, alone).deviations(rows) ** 2
+        seen = _integrals_seen(bias, walk, at_rest, divided, course, longest)
+        return square_root(np.concatenate([seen, bias.prior_rows()])).deviations(rows) ** 2
 
     # Integrals over steps have less information than instants: halving all further steps adds at most as much as this
     # one.
-    step = longest_step(processes)
     coarse, fine = variance(step), variance(0.5 * step)
     return np.sqrt(np.maximum(fine - np.abs(coarse - fine), 0.0))
 
 
-class Look(NamedTuple):
-    """Windows of time in steps, and the times between them: `start`, `duration` s, the temperature (°C) at their
-    `begin` and `end`, and whether they belong to a window (`used`)."""
-
-    start: np.ndarray
-    duration: np.ndarray
-    begin: np.ndarray
-    end: np.ndarray
-    used: np.ndarray
-
-
-def look_at(windows: Windows, course: Course, longest: float) -> Look:
-    """The windows in steps no longer than `longest` s."""
-    edges, used = [np.array(windows[0][:1])], []
+def _integrals_seen(
+    bias: Map, walk: float, processes: Processes, windows: Windows, course: Course, longest: float
+) -> np.ndarray:
+    """Whitened rows of the error's integrals over steps of the windows, each no longer than `longest` s."""
+    edges, used = [np.array(windows[0][:1])], list[np.ndarray]()
     for begin, end in windows:
         if begin - edges[-1][-1] > _TOUCHING:
             edges.append(np.array([begin]))
@@ -265,7 +171,25 @@ def look_at(windows: Windows, course: Course, longest: float) -> Look:
         parts = max(1, int(np.ceil((end - begin) / longest * (1.0 - 1e-9))))
         edges.append(np.linspace(begin, end, parts + 1)[1:])
         used.append(np.ones(parts, bool))
-    at = np.concatenate(edges)
-    # The slope jumps at a knot, the temperature does not.
-    temperature, _ = course(at)
-    return Look(at[:-1], np.diff(at), temperature[:-1], temperature[1:], np.concatenate(used))
+    time = np.concatenate(edges)
+    lasting = np.diff(time)
+    nodes, weights = quadrature(_NODES)
+    temperature = course((time[:-1, None] + lasting[:, None] * nodes).ravel())[0].reshape(len(lasting), -1)
+    values = np.asarray(bias.values(temperature, np.zeros_like(temperature)))
+    columns = lasting[:, None] * np.einsum("q,sqp->sp", weights, values)
+    # State: the error's integral over the step, and the processes.
+    driven, decayed, white, cross, own = process_steps(
+        processes, lasting, np.zeros(len(lasting)), None, None, afresh=False
+    )
+    count = 1 + processes.count
+    transition, covariance = np.zeros((2, len(lasting), count, count))
+    transition[:, 0, 1:] = driven
+    covariance[:, 0, 0] = walk**2 * lasting + white
+    covariance[:, 0, 1:] = covariance[:, 1:, 0] = cross
+    states = np.arange(1, count)
+    transition[:, states, states], covariance[:, states, states] = decayed, own
+    observed = np.tile(np.eye(count)[0], (len(lasting), 1))
+    initial = np.diag(np.concatenate([[0.0], processes.initial_std**2]))
+    return whiten(
+        NoiseSteps(transition, covariance, observed, np.zeros(len(lasting)), np.concatenate(used), initial), columns
+    )

@@ -5,69 +5,55 @@ A **bias** `ψ(T)ᵀβ` under white noise and drift: with all else known exactly
 instant of the data, moving or not, generalised least squares has a known covariance of β; every row of any plan is a
 function of these observations.
 
-A **scale factor** is also a function of the rate: its limit is that of an axis (`design.limit`) that turns all the time
-that it has the table, in white noise and under what multiplies its rate. Where the gyro is alone on a table of one
-axis, readings, drift and clock count, too; the errors of an encoder that other channels see are no noise.
+A **scale factor** is also a function of the rate: its limit is that of an axis (`design.relaxed_limit`) that turns all
+the time that it has the table, in white noise and under what multiplies its rate. Where the gyro is alone on a table of
+one axis, readings, drift and clock count, too; the errors of an encoder that other channels see are no noise.
 
 A **heading** after a mission depends on both: its limit is the larger one of those with one of the maps known.
 """
 
-from dataclasses import replace
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
-from gradcal_jax import motion as trajectory
-from gradcal_jax.design.criteria import Criterion, criterion_of
-from gradcal_jax.design.limit import Limit
-from gradcal_jax.design.limit import limit as relaxed_limit
 from gradcal_jax.design.noise_floor import (
     PRIOR_OF_WALK,
     Course,
     Windows,
-    between_knots,
     bias_seen_continuously,
     least_noise_density,
-    middles_of_parts,
     scale_factor_floor,
-    sensor_course,
 )
-from gradcal_jax.design.visits import LEAST_TURN, ResolvedCycle, cycle_of, motion_time, with_motion
-from gradcal_jax.information import statistic
-from gradcal_jax.information.imu_residual import box, imu_residual
+from gradcal_jax.design.relaxed_limit import Limit, RelaxedProblem, relaxed_limit
+from gradcal_jax.design.visits import LEAST_TURN, motion_time, with_motion
+from gradcal_jax.information.imu_residual import imu_residual, quantity_of
 from gradcal_jax.information.prediction import requirement_rows
+from gradcal_jax.information.residual import GridElement, statistic
 from gradcal_jax.information.unseen import floor_of_plan
-from gradcal_jax.information.verdicts import UNIT_OF
-from gradcal_jax.model import (
-    AXIS_NAMES,
-    BIAS,
-    SCALE_FACTOR,
-    Channel,
-    Map,
-    Polynomial,
-    SensorModel,
-    angle_reference,
-    constant,
-    gyro_model,
-)
+from gradcal_jax.information.verdicts import UNIT_OF, mission_weights
+from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Map, Polynomial, constant
 from gradcal_jax.model.build import chamber_programme
 from gradcal_jax.model.imu_build import BuiltImu, build_imu
-from gradcal_jax.motion import EARTH_RATE
+from gradcal_jax.motion import EARTH_RATE, Programme
 from gradcal_jax.spec.absent import with_typical
 from gradcal_jax.spec.design import Design
+from gradcal_jax.spec.motion_plan import PlanSchedule
 from gradcal_jax.spec.requirement import Requirement
+from gradcal_jax.spec.schedule import Stretch
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
 from gradcal_jax.units import time_text
 
+# Windows at most at whose times alone a proof lets the axis turn; equal parts of the time at the table, at least.
 _MOST_WINDOWS = 40
-# An axis this near to a gyro's is the same, by 1 less the cosine.
+_PARTS = 48
+_AT_KNOT = 1e-6
+# An axis this near to a gyro's is the same, by 1 less the cosine. Lags that differ by a smaller share are equal.
 _ALONG = 1e-12
-# Lags that differ by a smaller share are equal.
 _APART = 1e-6
-# What requirements there are proofs for.
 _PROVEN = ("gyro_scale_factor", "gyro_bias", "mission_heading")
 _RELAXED = (
     "everything else is known exactly",
@@ -104,10 +90,7 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     """The proven lower limit on the residual of any plan on this rig in this time, for every requirement of a gradient
     plan that has a proof.
 
-    `certified` (proven) and `value` (of the spec's own plan) are in `unit`; `relaxed`: the limits of the
-    rig that the proof leaves out. `motion` s: time without soaks, in the place of the plan's or [design]'s; values and
-    efficiencies are the plan's. The derivation for a scale factor, a convex problem with its certificate, is in
-    `gradcal_jax.design.limit`.
+    `motion` s: time without soaks, in the place of the plan's or [design]'s; values and efficiencies are the plan's.
 
     Errors: `ValueError` where there is no requirement, no proof for one, or another kind of plan.
     """
@@ -117,51 +100,22 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     design = spec.design or Design()
     if motion is None and (design.max_motion or design.max_total):
         motion = motion_time(spec, design)
-    proofs = _proofs(spec if motion is None else with_motion(spec, motion))
+    data = _PlanData(build_imu(spec if motion is None else with_motion(spec, motion)))
     rows = {row.name: row for row in requirement_rows(spec)}
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value in the box.
     floors = [floor_of_plan(one) for one in (spec, with_typical(spec))]
     proven: list[PlanLimit] = []
-    for r, certified, reached, relaxed, kept in proofs:
-        unit, factor = UNIT_OF[r.quantity]
-        row, named, every = rows[r.name], 0.0, 0.0
-        if r.quantity != "heading":
-            named, every = (float(np.min(imu_residual(of, floor, r).values)) for of, floor in floors)
-        found, best, counted = (
-            float(np.hypot(factor * value, floor))
-            for value, floor in ((certified, named), (reached, named), (certified, every))
-        )
-        share = None if row.decisive is None else found / row.decisive
-        bounds = found, best, row.decisive, share
-        proven.append(PlanLimit(r.name, r.statistic, unit, *bounds, relaxed, kept, counted, row.judged))
-    return proven
-
-
-class Proof(NamedTuple):
-    """A requirement's limit in SI: `certified`, and the optimum of the relaxed problem, `reached`. `relaxed`: limits of
-    the rig that the proof leaves out; `kept`: what all plans of the proof have in common; both in words."""
-
-    requirement: Requirement
-    certified: float
-    reached: float
-    relaxed: tuple[str, ...]
-    kept: tuple[str, ...]
-
-
-def _proofs(spec: Spec) -> list[Proof]:
-    """The limit of every requirement of a gradient plan for which there is a proof. Errors: `ValueError` for none."""
-    built = build_imu(spec)
-    data, proven = _PlanData(built), list[Proof]()
-    for requirement in spec.requirement:
-        axis = requirement.axis
-        channels = [c for c in built.model.channels if c.kind == "gyro"]
-        # Of several gyros the first, since all are alike.
-        channel = next((c for c in channels if axis in ("worst", "all", AXIS_NAMES[c.axis])), None)
-        if channel is not None and requirement.quantity in _PROVEN:
-            bounds = _Gyro(data, channel).bounds(requirement)
-            if bounds:
-                certified = max(bounds, key=lambda bound: bound[0].certified)
-                proven.append(Proof(requirement, *certified[0], certified[1], data.kept))
+    for r in spec.requirement:
+        if (bound := _largest_bound(data, r)) is None:
+            continue
+        of, relaxed = bound
+        (unit, factor), row = UNIT_OF[r.quantity], rows[r.name]
+        named, every = (float(np.min(imu_residual(built, floor, r).values)) for built, floor in floors)
+        certified, best = (float(np.hypot(factor * value, named)) for value in of)
+        counted = float(np.hypot(factor * of.certified, every))
+        share = None if row.decisive is None else certified / row.decisive
+        bounds = certified, best, row.decisive, share
+        proven.append(PlanLimit(r.name, r.statistic, unit, *bounds, relaxed, data.kept, counted, row.judged))
     if not proven:
         raise ValueError(
             "limits are proven for the biases and polynomial scale factors of gyros; the spec has no requirement on "
@@ -171,44 +125,43 @@ def _proofs(spec: Spec) -> list[Proof]:
 
 
 class _PlanData:
-    """The used data of a plan, `time` s in all: `spans`, and `windows`, divided where the chamber's slope changes (s);
-    the `chamber`'s programme. Of an axis that has the table in visits: when it has it, `visits` (`tied`: at those times
-    alone), and for how long, `turning` s. `kept`: in words."""
+    """The used data of a plan: `windows` (s), divided where the chamber's slope changes; the `chamber`'s programme.
+
+    `visits`: windows in which the gyro's axis may turn, for `turning` s in all; `tied`: at those times alone. `kept`:
+    in words."""
 
     def __init__(self, built: BuiltImu) -> None:
-        spec = built.spec
-        schedule = spec.gradient_schedule
-        self.built, (self.chamber, _) = built, chamber_programme(schedule)
-        self.spans: Windows = [(s.start, s.start + s.duration) for s in schedule.stretches]
-        self.windows = between_knots(self.spans, self.chamber.times())
-        self.time = self.turning = sum(end - begin for begin, end in self.spans)
-        self.visits, self.tied, self.cycle = self.spans, True, None
+        spec, self.built = built.spec, built
+        self.schedule = schedule = spec.gradient_schedule
+        self.chamber: Programme = chamber_programme(schedule)[0]
+        spans: Windows = [(s.start, s.start + s.duration) for s in schedule.stretches]
+        self.windows = _between_knots(spans, self.chamber)
+        time = self.turning = sum(end - begin for begin, end in spans)
+        self.visits, self.tied, same = spans, True, ""
         if spec.turns_one_gyro and schedule.steps:
-            self.cycle = cycle = cycle_of(spec)
-            assert cycle is not None
-            own = sum(move.repeat * move.duration for move in cycle.moves if not move.other_axes)
+            others = sum(s.move.repeat * s.move.duration for s in schedule.steps if s.move.other_axes)
+            own = sum(s.move.repeat * s.move.duration for s in schedule.steps) - others
             # An axis that no other axis waits for has the table all the time, whatever the cycles leave.
-            if own < cycle.duration * (1.0 - 1e-9):
-                self.visits = [w for begin, end in self.spans for w in _visits(cycle, begin, end - begin)]
+            if own < schedule.period * (1.0 - 1e-9):
+                visits = [visit for stretch in schedule.stretches for visit in _visits(schedule, stretch)]
                 # A cycle of another length may have a little more or less of the same share.
-                total = sum(end - begin for begin, end in self.visits)
-                self.turning = max(total, self.time * own / cycle.duration)
+                total = sum(end - begin for begin, end in visits)
+                self.turning = max(total, time * own / schedule.period)
                 free = () if spec.design is None else spec.design.free
-                self.tied = "cycle" not in free and len(self.visits) <= _MOST_WINDOWS
-        same = ", at the same times as in this plan" if self.tied and self.visits is not self.spans else ""
+                self.tied = "cycle" not in free and len(visits) <= _MOST_WINDOWS
+                if self.tied:
+                    self.visits, same = visits, ", at the same times as in this plan"
         at_table = f"{time_text(float(round(self.turning)))} at the table{same}"
         self.kept = (at_table, "the chamber follows the temperatures of this plan")
 
     def course(self, term: Map) -> Course:
         """The course of the temperature that a map follows."""
         lag, late = self.built.spec.sensor.lag, term.late
-        if not late:
-            return sensor_course(self.chamber, lag)
-        if not lag:
-            return sensor_course(self.chamber, late.lag)
+        if not late or not lag:
+            return _sensor_course(self.chamber, late.lag if late else lag)
         # One lag after another, in partial fractions; of two equal ones the limit, to a millionth of the lag.
         then = late.lag if abs(late.lag / lag - 1.0) > _APART else lag * (1.0 + _APART)
-        first, second = sensor_course(self.chamber, lag), sensor_course(self.chamber, then)
+        first, second = _sensor_course(self.chamber, lag), _sensor_course(self.chamber, then)
 
         def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             level, slope = ((lag * a - then * b) / (lag - then) for a, b in zip(first(t), second(t), strict=True))
@@ -216,143 +169,166 @@ class _PlanData:
 
         return at
 
+    def spacing(self) -> tuple[float, float]:
+        """The least time between readings, and between standstills (s), of this plan and of any plan in a search."""
+        steps, line = (*self.schedule.steps, *self.schedule.after), self.built.motion.line
+        apart = min([LEAST_TURN, *(step.move.duration for step in steps if step.axis >= 0)])
+        stated = [step.move.read_every for step in steps if step.move.read_every is not None]
+        times = np.concatenate([line.start[:1], (line.start + line.duration)[line.read | line.gap]])
+        between = float(np.min(np.diff(times), initial=np.inf))
+        return min([*np.asarray(self.built.model.encoder.every), *stated, apart, between]), apart
 
-class _Gyro:
-    """A gyro of a unit as if it were alone, with the noise of an angle's readings where it is."""
+    def alone(self, channel: Channel) -> bool:
+        """Whether the unit is one gyro along the table's only axis."""
+        geometry = self.built.motion.geometry
+        if len(self.built.model.channels) > 1 or geometry.axis_count > 1 or len(geometry.mountings) > 1:
+            return False
+        along = (geometry.axes[0] @ geometry.mountings[0])[channel.axis]
+        return bool(abs(along) > 1.0 - _ALONG)
 
-    def __init__(self, data: _PlanData, channel: Channel) -> None:
-        self.data, of, built = data, channel.model, data.built
-        self.alone = _has_the_table_alone(built, channel)
-        self.of_bias, self.of_scale = of.bias, of.scale
-        processes, reference = of.processes, None
-        if self.alone:
-            encoder, clock = built.model.encoder, built.spec.sensor.clock_error
-            reference = angle_reference(float(encoder.reading[0]), float(encoder.offset[0]))
-            processes = processes + constant(clock, rate_gain=1.0) if clock else processes
-        bias, scale = (None if term is None else replace(term, late=None) for term in (of.bias, of.scale))
-        self.model = gyro_model(bias, scale, float(of.angle_random_walk), processes, reference)
-
-    def bounds(self, requirement: Requirement) -> list[tuple[Limit, tuple[str, ...]]]:
-        """Limits of a requirement in SI, and what their proofs leave out."""
-        criterion, model = criterion_of(self.model, requirement), self.model
-        if requirement.quantity == "mission_heading" and not self.alone:
-            return []
-        bias, scale = (criterion.rows[:, model.where(name)] for name in (BIAS, SCALE_FACTOR))
-        both, found = bool(np.any(bias) and np.any(scale)), list[tuple[Limit, tuple[str, ...]]]()
-        if np.any(bias):
-            found.append(self._bias(criterion, np.asarray(bias)))
-        if np.any(scale) and model.scale is not None and isinstance(model.scale.rate, Polynomial):
-            found.append(self._scale(criterion, None if both else box(requirement)))
-        if criterion.alone is None:
-            return found
-        more = "the calibration contains the discrepancy as far as the data determine it"
-        return [(of, (*words, more)) for of, words in found]
-
-    def _bias(self, criterion: Criterion, rows: np.ndarray) -> tuple[Limit, tuple[str, ...]]:
-        """The limit of a bias, or of a part of an error, under white noise and drift, seen continuously."""
-        data, model = self.data, self.model
-        assert self.of_bias is not None
-        bias = replace(self.of_bias, late=None, beyond=None)
-        walk, course = float(model.angle_random_walk), data.course(self.of_bias)
-        deviation = bias_seen_continuously(bias, walk, model.processes, data.windows, course, rows)
-        value = statistic(criterion.statistic, deviation.reshape(criterion.shape))
-        return Limit(value, value), _RELAXED
-
-    def _scale(self, criterion: Criterion, grid: tuple[np.ndarray, np.ndarray] | None) -> tuple[Limit, tuple[str, ...]]:
-        """The limit of a scale factor on a `grid` (°C, rad/s), or of a part of an error (None)."""
-        data, model, built = self.data, self.model, self.data.built
-        assert self.of_scale is not None
-        course = data.course(self.of_scale)
-        turning = data.visits if data.tied else data.spans
-        density, relaxed = _noise_density(model, *_spacing(data))
-        if not data.tied:
-            relaxed.append(
-                "the turns may be at any time; only their total time is limited, to the axis's part of a cycle"
-            )
-        if grid is None:
-            sure = np.zeros(len(criterion.rows))
-            relaxed += ["the bias is known", "errors that multiply the rate are left out"]
-        else:
-            windows = between_knots(turning, data.chamber.times())
-            sure = np.repeat(scale_factor_floor(model, windows, course, grid[0]), len(grid[1]))
-        result = relaxed_limit(
-            criterion,
-            model,
-            motion_time=data.turning,
-            temperatures=course(middles_of_parts(turning))[0],
-            max_rate=_fastest(built, alone=self.alone),
-            noise_density=density,
-            floor=sure,
-            prior_share=PRIOR_OF_WALK if np.any(sure) else 1.0,
-        )
-        return result, tuple(relaxed) if self.alone else _RELAXED
+    def fastest(self, *, alone: bool) -> float:
+        """The largest rate of a gyro, rad/s, the Earth's share included."""
+        of, spec = self.built.motion.geometry, self.built.spec
+        largest = max(float(axis.max_rate) for axis in spec.rig.table.axis)
+        if not alone:
+            return largest + EARTH_RATE
+        usable = None if spec.sensor.gyro is None else spec.sensor.gyro.usable_rate
+        earth = abs(float(of.base @ of.axes[0] @ of.earth_rate()))
+        return min(largest, np.inf if usable is None else float(usable)) + earth
 
 
-def _noise_density(model: SensorModel, spacing: float, apart: float) -> tuple[float, list[str]]:
-    """The least noise density (rad²/s) of any motion, and what the proof leaves out. Readings are `spacing` s apart or
-    more, standstills `apart` s."""
-    reference = model.reference
+def _largest_bound(data: _PlanData, requirement: Requirement) -> tuple[Limit, tuple[str, ...]] | None:
+    """The largest limit of a requirement, SI, and what its proof leaves out; None where there is no proof."""
+    if requirement.quantity not in _PROVEN:
+        return None
+    # Of several gyros the first, since all are alike.
+    elements = quantity_of(data.built, requirement).elements[:1]
+    bounds = [bound for element in elements for bound in _bounds(data, requirement, element)]
+    return max(bounds, key=lambda bound: bound[0].certified, default=None)
+
+
+def _bounds(data: _PlanData, requirement: Requirement, element: GridElement) -> Iterator[tuple[Limit, tuple[str, ...]]]:
+    """Limits of a requirement's element, and what their proofs leave out."""
+    channel = next(c for c in data.built.model.channels if c.kind == "gyro" and AXIS_NAMES[c.axis] == element.label[0])
+    model, alone = channel.model, data.alone(channel)
+    heading = requirement.quantity == "mission_heading"
+    if heading and not alone:
+        return
+    weights = mission_weights(requirement, requirement.statistic)
+    rows, grid = np.asarray(element.of.rows), quantity_of(data.built, requirement)
+    shape = len(grid.temperatures), len(grid.rates)
+    rows = rows * np.broadcast_to(weights, shape).reshape(-1, 1)
+    carried = ("the calibration contains the discrepancy as far as the data determine it",)
+    more = carried if np.any(element.of.alone) else ()
+    if model.bias is not None and np.any(rows[:, model.where(BIAS)]):
+        of_bias = rows[:, model.where(BIAS)]
+        noise = float(model.angle_random_walk), model.processes
+        left = bias_seen_continuously(model.bias, *noise, data.windows, data.course(model.bias), of_bias)
+        value = float(statistic(requirement.statistic, left.reshape(shape)))
+        yield Limit(value, value), (*_RELAXED, *more)
+    scale = model.scale
+    if scale is None or not isinstance(scale.rate, Polynomial) or not np.any(rows[:, model.where(SCALE_FACTOR)]):
+        return
+    # Of a channel among others, the noise is white and its clock is one with that of all.
+    functions = (scale,) if scale.beyond is None else (scale, scale.beyond)
+    of_scale = np.concatenate([rows[:, model.where(f.name)] for f in functions], axis=1)
+    processes = model.processes
+    density, relaxed = float(model.angle_random_walk) ** 2, _RELAXED
+    if alone:
+        if clock := data.built.spec.sensor.clock_error:
+            processes = processes + constant(clock, rate_gain=1.0)
+        density, relaxed = _density_alone(data, channel)
+    course, floor = data.course(scale), np.zeros(shape)
+    if heading:
+        relaxed += ("the bias is known", "errors that multiply the rate are left out")
+    else:
+        windows = _between_knots(data.visits, data.chamber)
+        floor += scale_factor_floor(scale, processes, windows, course, grid.temperatures)[:, None]
+    share = PRIOR_OF_WALK if np.any(floor) else 1.0
+    problem = RelaxedProblem(
+        functions,
+        of_scale,
+        floor.ravel(),
+        shape,
+        requirement.statistic,
+        _stacked([np.asarray(f.prior_rows()) / np.sqrt(share) for f in functions]),
+        course(_middles_of_parts(data.visits))[0],
+        data.fastest(alone=alone),
+        data.turning / density,
+    )
+    yield relaxed_limit(problem), (*relaxed, *more)
+
+
+def _density_alone(data: _PlanData, channel: Channel) -> tuple[float, tuple[str, ...]]:
+    """The least noise density (rad²/s) of any motion of a gyro that has the table alone, and what the proof leaves
+    out."""
+    model, encoder = channel.model, data.built.model.encoder
+    spacing, apart = data.spacing()
     relaxed = ["acceleration and travel"]
-    if float(reference.reading_noise) > 0.0:
+    reading, offset = float(encoder.reading[0]), float(encoder.offset[0])
+    noise = float(model.angle_random_walk), model.processes
+    density = least_noise_density(*noise, reading, spacing)
+    if reading > 0.0:
         often = f"the angle is read at most every {spacing:.3g} s"
         relaxed.append(f"{often}, also during moves (a plan with more frequent readings may leave a smaller error)")
-    density = least_noise_density(model, spacing)
-    if float(reference.standstill_offset) > 0.0:
+    if offset > 0.0:
         # An offset is one draw a standstill.
-        other = eqx.tree_at(lambda m: m.reference.reading_noise, model, reference.standstill_offset)
-        density = max(density, least_noise_density(other, apart))
+        density = max(density, least_noise_density(*noise, offset, apart))
         relaxed.append(f"the time between standstills can be as short as {apart:.3g} s")
-    return density, relaxed
+    if not data.tied:
+        relaxed.append("the turns may be at any time; only their total time is limited, to the axis's part of a cycle")
+    return density, tuple(relaxed)
 
 
-def _between_readings(line: trajectory.Trajectory) -> float:
-    """The least time (s) between two readings of a trajectory."""
-    times = np.concatenate([line.start[:1], (line.start + line.duration)[line.read | line.gap]])
-    return float(np.min(np.diff(times), initial=np.inf))
+def _stacked(blocks: list[np.ndarray]) -> np.ndarray:
+    """Blocks on a diagonal."""
+    from scipy.linalg import block_diag
+
+    return block_diag(*blocks)
 
 
-def _visits(cycle: ResolvedCycle, start: float, time: float) -> Windows:
-    """When the axis has the table (begin, end; s) in a stretch of that time."""
-    period = cycle.duration
-    count = int((time + period - cycle.moving + 1e-6) // period)
+def _between_knots(windows: Windows, chamber: Programme) -> Windows:
+    """The windows, divided where the chamber's slope changes."""
+    knots, parts = chamber.times(), list[tuple[float, float]]()
+    for begin, end in windows:
+        inside = knots[(knots > begin + _AT_KNOT) & (knots < end - _AT_KNOT)]
+        parts += pairwise([begin, *map(float, inside), end])
+    return parts
+
+
+def _middles_of_parts(windows: Windows) -> np.ndarray:
+    """The middles (s) of equal parts of all windows' time together, two or more for each."""
+    count = max(_PARTS, 2 * len(windows))
+    begin, end = np.array(windows).T
+    lasted = np.concatenate([[0.0], np.cumsum(end - begin)])
+    middle = lasted[-1] * (np.arange(count) + 0.5) / count
+    k = np.clip(np.searchsorted(lasted, middle, side="right") - 1, 0, len(begin) - 1)
+    return begin[k] + middle - lasted[k]
+
+
+def _sensor_course(chamber: Programme, lag: float | None) -> Course:
+    """The sensor's temperature (°C) and its rate (K/s) at any time (s)."""
+    of = chamber.sensor(lag)
+
+    def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        k = np.clip(np.searchsorted(of.times, t, side="right") - 1, 0, len(of.slope) - 1)
+        since = t - of.times[k]
+        fading = of.excess[k] * np.exp(-of.lag_rate * since)
+        return of.level[k] + of.slope[k] * since + fading, of.slope[k] - of.lag_rate * fading
+
+    return at
+
+
+def _visits(schedule: PlanSchedule, stretch: Stretch) -> Windows:
+    """When the axis has the table (begin, end; s) in the cycles of a stretch."""
     visits: list[tuple[float, float]] = []
-    for begin in start + period * np.arange(count):
-        here = float(begin)
-        visits.append((here, here))
-        for move in cycle.moves:
-            there = here + move.repeat * move.duration
-            visits.append((there, there)) if move.other_axes else visits.append((visits.pop()[0], there))
+    for number in range(stretch.cycles):
+        begin = here = stretch.start + number * schedule.period
+        for step in schedule.steps:
+            there = here + step.move.repeat * step.move.duration
+            if step.move.other_axes:
+                visits.append((begin, here))
+                begin = there
             here = there
+        visits.append((begin, here))
     return [(begin, end) for begin, end in visits if end > begin]
-
-
-def _has_the_table_alone(built: BuiltImu, channel: Channel) -> bool:
-    """Whether the unit is one gyro along the table's only axis, as a spec of one axis has it."""
-    one = len(built.model.channels) == 1 and built.motion.geometry.axis_count == 1
-    if not one or len(built.motion.geometry.mountings) > 1:
-        return False
-    along = (built.motion.geometry.axes[0] @ built.motion.geometry.mountings[0])[channel.axis]
-    return bool(abs(along) > 1.0 - _ALONG)
-
-
-def _spacing(data: _PlanData) -> tuple[float, float]:
-    """The least time between readings, and between standstills (s), of this plan and of any plan in a search."""
-    built, cycle = data.built, data.cycle
-    turns = [step.move.duration for step in built.spec.gradient_schedule.steps if step.axis >= 0]
-    spacings = list(np.asarray(built.model.encoder.every))
-    if cycle is not None:
-        spacings = [m.read_every for m in cycle.moves if m.read_every is not None]
-        spacings.append(cycle.other_read_every or np.inf)
-    apart = min([LEAST_TURN, *turns])
-    return min([*spacings, apart, _between_readings(built.motion.line)]), apart
-
-
-def _fastest(built: BuiltImu, *, alone: bool) -> float:
-    """The gyro's largest rate, rad/s, the Earth's share included."""
-    of, axes = built.motion.geometry, built.spec.rig.table.axis
-    if not alone:
-        return max(float(axis.max_rate) for axis in axes) + EARTH_RATE
-    usable = built.spec.sensor.gyro.usable_rate if built.spec.sensor.gyro is not None else None
-    return min(float(axes[0].max_rate), np.inf if usable is None else float(usable)) + abs(
-        float(of.base @ of.axes[0] @ of.earth_rate())
-    )

@@ -1,0 +1,214 @@
+"""A lower limit on the residual of a scale factor after any plan, with its certificate.
+
+**The relaxed problem.** A plan spends its motion time on rates and temperatures: a measure m on (T, ω). If the random
+walk were the only error and every motion possible, the information would be `I(m) = ∫ ω²ψψᵀ dm / N²`; readings, drifts,
+acceleration and travel only reduce it. So no plan is better than the minimum of `Ψ(I(m))` over all measures
+whose total is the motion time and whose temperature marginal is the programme's.
+
+**Convexity.** `√(φᵀI⁻¹φ) = sup_x φᵀx (xᵀIx)^(−1/2)` is convex in I, and so are means and maxima of it. For any weights
+`w` that replace each maximum over temperature by a mean (`w ≥ 0`, summing to one for each rate), `Ψ_w = mean_j Σ_i w_ij
+s_ij ≤ Ψ`.
+
+**Certificate.** `Ψ_w` is convex and homogeneous of degree −½. With its gradient `−G`, `tr(G I) = Ψ_w/2`, and `d` the
+largest `tr(G·I(m))` over the measures, every feasible I' and every c > 0 satisfy
+
+    Ψ_w(I') = c^½ Ψ_w(cI') ≥ c^½ (Ψ_w + Ψ_w/2 − c·d),      best for c = Ψ_w/(2d):      Ψ_w(I') ≥ Ψ_w·√(Ψ_w/(2d)).
+
+Any I gives a valid limit; a better one gives a tighter limit. A prior I₀ adds `tr(G·I₀)` to d. For fixed T the
+integrand is a polynomial in ω, whose largest value is found from its derivative's roots. The root mean square is
+handled likewise, with the weights `w = s/(nΨ)` of its own gradient (Cauchy–Schwarz).
+
+A **discrepancy** γ joins the parameters with its prior. A calibration that does not carry γ̂ leaves
+`cᵀCc + (χᵀΓχ − αᵀCα)`, α being χ's part of c, of which the bracket is not negative: the proof leaves it out.
+
+N² may be replaced by a larger density, and a variance that no plan removes may be added to every residual (`floor`):
+see `gradcal_jax.design.noise_floor`. Then Ψ_w is no longer homogeneous, and convexity alone gives
+`Ψ_w(I') ≥ Ψ_w + tr(G I) − d`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+from numpy.polynomial import chebyshev
+
+from gradcal_jax.information.residual import Statistic
+from gradcal_jax.model.terms import Discrepancy, Map
+
+# Sharpness of the soft maximum by stage; between stages the most useful rates join the grid, with this weight.
+_SHARPNESS = (8.0, 30.0, 100.0, 400.0, 2000.0, 10000.0)
+_RATES = 25
+_JOINS = 1e-3
+# Temperatures on which a maximum over temperature is searched.
+_TEMPERATURES = 26
+_MAXIMA: tuple[Statistic, ...] = ("max", "mean of max")
+
+
+class Limit(NamedTuple):
+    """`certified`: no plan is better; `reached`: the best value computed for the relaxed problem; both in SI. The
+    optimum of the relaxed problem lies between the two."""
+
+    certified: float
+    reached: float
+
+
+class RelaxedProblem(NamedTuple):
+    """Errors `rows` `(g, p)`, on a grid of `shape`, of the parameters of `functions`, which are polynomials in rate.
+
+    `floor` `(g,)`: a variance that no plan removes; `prior` `(q, p)`: whitened rows. The time is spread evenly over
+    `temperatures` (°C), and rates are at most `max_rate` (rad/s). `gain`: motion time over noise density, s²/rad².
+    """
+
+    functions: tuple[Map | Discrepancy, ...]
+    rows: np.ndarray
+    floor: np.ndarray
+    shape: tuple[int, int]
+    statistic: Statistic
+    prior: np.ndarray
+    temperatures: np.ndarray
+    max_rate: float
+    gain: float
+
+    def thinned(self) -> "RelaxedProblem":
+        """The same on fewer temperatures, ends included, if its statistic is a maximum over them, which is then no
+        larger: a limit of it is one of the whole."""
+        if self.statistic not in _MAXIMA:
+            return self
+        every, across = self.shape
+        kept = np.unique(np.round(np.linspace(0, every - 1, min(every, _TEMPERATURES))).astype(int))
+        rows = self.rows.reshape(every, across, -1)[kept]
+        floor = self.floor.reshape(every, across)[kept]
+        shape = len(kept), across
+        return self._replace(rows=rows.reshape(len(kept) * across, -1), floor=floor.ravel(), shape=shape)
+
+    def moments(self, rates: np.ndarray) -> np.ndarray:
+        """`(n, m, p)`, whose squares are the information of all time at a temperature and each of its `rates`
+        `(n, m)`."""
+        at = np.broadcast_to(self.temperatures[:, None], rates.shape)
+        values = [np.asarray(function.values(at, rates)) for function in self.functions]
+        return np.concatenate(values, axis=-1) * (rates * np.sqrt(self.gain))[..., None]
+
+    def degree(self) -> int:
+        """The degree in rate of squares of moments."""
+        bases = [function.rate for function in self.functions if function.rate is not None]
+        return 2 * max(getattr(basis, "lowest", 0) + basis.size for basis in bases)
+
+
+def relaxed_limit(problem: RelaxedProblem, *, tolerance: float = 2e-3) -> Limit:
+    """The limit of a problem. `tolerance`: largest relative difference of `certified` and `reached`."""
+    few = problem.thinned()
+    grid = problem.max_rate * np.cos(np.pi * np.arange(_RATES) / (_RATES - 1))
+    rates = np.tile(grid, (len(problem.temperatures), 1))
+    logs, best = np.zeros_like(rates), Limit(0.0, np.inf)
+    for sharpness in _SHARPNESS:
+        logs = _descended(few, rates, logs, sharpness)
+        certified, peaks = _certificate(few, rates, logs, sharpness)
+        reached = _exact(problem.statistic, _Solution(problem, rates, logs).values)
+        best = Limit(max(best.certified, certified), min(best.reached, reached))
+        if best.reached <= best.certified * (1.0 + tolerance):
+            break
+        # Most statistics are symmetric in rate, so that the mirrored rate would be next.
+        rates = np.concatenate([rates, peaks[:, None], -peaks[:, None]], axis=1)
+        joined = np.max(logs, axis=1, keepdims=True) + np.log(_JOINS)
+        logs = np.concatenate([logs, joined, joined], axis=1)
+    return best
+
+
+class _Solution:
+    """Residuals `values` of a measure: at each temperature the shares of the rates are `softmax(logs)`, `(n, m)`."""
+
+    def __init__(self, problem: RelaxedProblem, rates: np.ndarray, logs: np.ndarray):
+        self.problem, self.moments = problem, problem.moments(rates)
+        powers = np.exp(logs - np.max(logs, axis=1, keepdims=True))
+        self.shares = powers / np.sum(powers, axis=1, keepdims=True)
+        # From the weighted rows themselves: their product would lose half the digits.
+        weighted = self.moments * np.sqrt(self.shares / len(logs))[..., None]
+        rows = np.concatenate([weighted.reshape(-1, weighted.shape[-1]), problem.prior])
+        self.size = np.linalg.norm(rows, axis=0)
+        self.factor = np.linalg.qr(rows / self.size, mode="r")
+        self.half = scipy.linalg.solve_triangular(self.factor, (problem.rows / self.size).T, trans=1)
+        self.values = np.sqrt(np.sum(self.half**2, axis=0) + problem.floor).reshape(problem.shape)
+
+    def useful(self, weights: np.ndarray) -> np.ndarray:
+        """G, of which the mean of the residuals with these weights has the derivative `−tr(G dI)`."""
+        inverse = scipy.linalg.solve_triangular(self.factor, self.half) / self.size[:, None]
+        return (inverse * (weights / (2.0 * self.values)).ravel()) @ inverse.T
+
+
+def _descended(problem: RelaxedProblem, rates: np.ndarray, logs: np.ndarray, sharpness: float) -> np.ndarray:
+    """Logarithms of better shares `(n, m)` of the same rates."""
+    from scipy.optimize import minimize
+
+    def both(z: np.ndarray) -> tuple[float, np.ndarray]:
+        solution = _Solution(problem, rates, z.reshape(logs.shape))
+        value, slope = _soft(problem.statistic, solution.values, sharpness)
+        density = _squares(solution.moments, solution.useful(slope))
+        shares = solution.shares
+        change = shares * (density - np.sum(shares * density, axis=1, keepdims=True)) / len(logs)
+        return float(np.log(value)), -change.ravel() / value
+
+    options = {"maxiter": 500, "maxfun": 700, "maxcor": 30, "ftol": 1e-14, "gtol": 1e-11}
+    return minimize(both, logs.ravel(), jac=True, method="L-BFGS-B", options=options).x.reshape(logs.shape)
+
+
+def _certificate(
+    problem: RelaxedProblem, rates: np.ndarray, logs: np.ndarray, sharpness: float
+) -> tuple[float, np.ndarray]:
+    """The lower limit that a measure certifies, and the most useful rate at each temperature."""
+    solution = _Solution(problem, rates, logs)
+    values = solution.values
+    weights = _soft(problem.statistic, values, sharpness)[1]
+    if problem.statistic == "max":
+        weights = weights / np.sum(weights)
+    elif problem.statistic == "mean of max":
+        weights = weights / (np.sum(weights, axis=0) * weights.shape[1])
+    useful = solution.useful(weights)
+    density, peaks = _largest(problem, useful)
+    most = float(np.mean(density) + np.sum(_squares(problem.prior, useful)))
+    value = float(np.sum(weights * values))
+    enough = float(np.sum(weights / (2.0 * values) * (values**2 - problem.floor.reshape(problem.shape))))
+    if np.any(problem.floor):
+        return max(value + enough - most, 0.0), peaks
+    return value * np.sqrt(min(enough / most, 1.0)), peaks
+
+
+def _largest(problem: RelaxedProblem, useful: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """At each temperature the largest `mᵀGm` of the moments m at any rate, and the rate of it."""
+    degree = problem.degree()
+    nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+    rates = np.tile(problem.max_rate * nodes, (len(problem.temperatures), 1))
+    largest, peaks = [], []
+    for values in _squares(problem.moments(rates), useful):
+        polynomial = chebyshev.chebfit(nodes, values, degree)
+        roots = np.asarray(chebyshev.chebroots(chebyshev.chebder(polynomial)), dtype=complex)
+        real = np.real(roots[np.abs(np.imag(roots)) < 1e-6])
+        candidates = np.concatenate([[-1.0, 1.0], real[np.abs(real) < 1.0]])
+        at = chebyshev.chebval(candidates, polynomial)
+        largest.append(np.max(at))
+        peaks.append(problem.max_rate * candidates[np.argmax(at)])
+    return np.array(largest), np.array(peaks)
+
+
+def _squares(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """`mᵀ matrix m` of the last axis of `rows`."""
+    return np.sum((rows @ matrix) * rows, axis=-1)
+
+
+def _exact(name: Statistic, values: np.ndarray) -> float:
+    return _soft(name, values, np.inf)[0]
+
+
+def _soft(name: Statistic, values: np.ndarray, sharpness: float) -> tuple[float, np.ndarray]:
+    """A statistic with `(Σ s^k)^(1/k)` for a maximum (exact for an infinite k), and its slope in each value."""
+    if name == "mean":
+        return float(np.mean(values)), np.full(values.shape, 1.0 / values.size)
+    if name == "rms":
+        value = float(np.sqrt(np.mean(values**2)))
+        return value, values / (values.size * value)
+    columns = values.reshape(-1, 1) if name == "max" else values
+    top = np.max(columns, axis=0)
+    if np.isinf(sharpness):
+        return float(np.mean(top)), np.zeros(values.shape)
+    total = np.sum((columns / top) ** sharpness, axis=0) ** (1.0 / sharpness)
+    slope = (columns / (top * total)) ** (sharpness - 1.0) / columns.shape[1]
+    return float(np.mean(top * total)), slope.reshape(values.shape)

@@ -1,76 +1,42 @@
-"""Random specs of every kind, small enough that one costs little: `random_spec(rng, **restrict)`.
+"""Random specs of one gyro axis that moves, small enough that one costs little: `random_spec(rng, family)`.
 
 A spec is a dict of TOML tables (gradcal-spec/1) with quantities as text, as people write them. Everything is drawn from
-one generator, so a seed names a spec. What `restrict` names is not drawn: see `Restrict`.
+one generator, so a seed names a spec.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-FAMILIES = (
-    "static gradient",
-    "static standard",
-    "dynamic gradient",
-    "dynamic standard",
-    "tactical",
-    "consumer",
-    "hand",
-)
-"""The kinds of preset: the paper's four, typical sensors of two grades on a motor table, a gimbal moved by hand."""
+FAMILIES = ("dynamic gradient", "tactical", "consumer", "hand")
+"""The kinds of preset: the paper's, typical sensors of two grades on a motor table, a gimbal moved by hand."""
 
 SHAPES = ("cosine ramps", "linear ramps")
 BASES = ("polynomial", "b-spline", "bins")
 MOST_READINGS = 1500
 
 Table = dict[str, Any]
+# Of the plan's temperatures, °C, and of the axis, deg/s.
+Range = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class Restrict:
-    """What is not to be drawn; None draws it.
-
-    `rests_read_at_end`: whether a rest may be read at its end alone (`read = "end"`, or no key). `bases`: of which
-    kinds the maps are. `processes`: whether the sensor has slow noise at all.
-    """
-
-    family: str | None = None
-    temperature: str | None = None
-    estimator: str | None = None
-    bases: tuple[str, ...] = BASES
-    rests_read_at_end: bool | None = None
-    processes: bool | None = None
-
-
-def random_spec(rng: np.random.Generator, **restrict: Any) -> Table:
+def random_spec(rng: np.random.Generator, family: str) -> Table:
     """A valid spec whose requirements its plan (or a prior) observes."""
-    wanted = Restrict(**restrict)
-    family = wanted.family or _one(rng, FAMILIES)
-    plan, frame = _standard(rng, family, wanted) if "standard" in family else _gradient(rng, family, wanted)
-    sensor = _sensor(rng, family, wanted, frame)
+    cycle, moving = _cycle(rng, family == "hand")
+    plan: Table = {"method": "gradient"}
+    kind = _one(rng, (_ramp, _ramp, _list, _programme, _programme))
+    visited = kind(rng, plan, cycle, moving)
+    plan["cycle"] = cycle
+    box, fastest = (min(visited), max(visited)), 120.0 if family == "hand" else 300.0
+    sensor = _sensor(rng, family, box, fastest)
     return {
         "format": "gradcal-spec/1",
         "title": f"Random, {family}",
         "sensor": sensor,
-        "rig": _rig(rng, family, frame),
-        "requirement": _requirements(rng, sensor, frame),
+        "rig": _rig(rng, family, fastest),
+        "requirement": _requirements(rng, sensor["gyro"], box, fastest),
         "plan": plan,
     }
-
-
-@dataclass(frozen=True)
-class _Frame:
-    """What sensor, rig and requirements must suit: the plan's temperatures (°C), rates (deg/s) and points."""
-
-    low: float
-    high: float
-    max_rate: float
-    standard: bool
-    unweighted: bool
-    rates: tuple[float, ...]
-    temperatures: tuple[float, ...]
-    integration: float
 
 
 def _one(rng: np.random.Generator, choices) -> Any:
@@ -98,58 +64,12 @@ def _between(rng: np.random.Generator, low: float, high: float, digits: int = 4)
 # --- plans ------------------------------------------------------------------------------------------------------------
 
 
-def _standard(rng: np.random.Generator, family: str, wanted: Restrict) -> tuple[Table, _Frame]:
-    count = int(rng.integers(3, 7))
-    low, high = _between(rng, -30, -5, 2), _between(rng, 30, 70, 2)
-    temperatures = [float(f"{t:.3g}") for t in np.linspace(low, high, count)]
-    if _chance(rng, 0.3):
-        temperatures = temperatures[::-1]
-    elif _chance(rng, 0.3):
-        # Down and up again: neighbours differ, but a temperature comes twice.
-        temperatures = [*temperatures, temperatures[0]]
-    plan: Table = {"method": "standard", "temperatures": [_text(t, "degC") for t in temperatures]}
-    integration = _between(rng, 60, 600, 2)
-    # The chamber of `_rig` makes 10 K/min.
-    plan["soak"] = _text(_between(rng, 16, 70, 2), "min")
-    plan["integration"] = _text(integration, "s")
-    rates: tuple[float, ...] = ()
-    if "dynamic" in family:
-        half = sorted({_between(rng, 5, 280, 2) for _ in range(int(rng.integers(2, 4)))})
-        rates = (*(-r for r in half[::-1]), *((0.0,) if _chance(rng, 0.3) else ()), *half)
-        if _chance(rng, 0.3):
-            rates = tuple(rates[i] for i in rng.permutation(len(rates)))
-        plan["rates"] = [_text(r, "deg/s") for r in rates]
-    estimator = wanted.estimator or _one(rng, ("best linear", "best linear", "least squares"))
-    if estimator == "least squares" or _chance(rng, 0.3):
-        plan["estimator"] = estimator
-    unweighted = estimator == "least squares"
-    return plan, _Frame(
-        min(temperatures), max(temperatures), 300.0, True, unweighted, rates, tuple(temperatures), integration
-    )
-
-
-def _gradient(rng: np.random.Generator, family: str, wanted: Restrict) -> tuple[Table, _Frame]:
-    plan: Table = {"method": "gradient"}
-    by_hand = family == "hand"
-    if family == "static gradient":
-        moving, cycle = 0.0, None
-    else:
-        cycle, moving = _cycle(rng, wanted, by_hand)
-    kinds = ("ramp", "ramp", "programme") if cycle is None else ("ramp", "ramp", "list", "programme", "programme")
-    kind = wanted.temperature or _one(rng, kinds)
-    visited = {"ramp": _ramp, "list": _list, "programme": _programme}[kind](rng, plan, cycle, moving)
-    if cycle is not None:
-        plan["cycle"] = cycle
-    max_rate = 120.0 if by_hand else 300.0
-    return plan, _Frame(min(visited), max(visited), max_rate, False, False, (), (), 0.0)
-
-
 def _stay(rng: np.random.Generator, moving: float) -> float:
     """Seconds that a used stretch lasts: the moves fit at least once, and not too often."""
-    return float(rng.uniform(1.1, 4.5) * moving) if moving else float(rng.uniform(600, 2400))
+    return float(rng.uniform(1.1, 4.5) * moving)
 
 
-def _ramp(rng: np.random.Generator, plan: Table, cycle: Table | None, moving: float) -> list[float]:
+def _ramp(rng: np.random.Generator, plan: Table, cycle: Table, moving: float) -> list[float]:
     span = _stay(rng, moving)
     start, slope = _between(rng, -25, 30, 2), _between(rng, 0.8, 6, 2)
     change = min(slope * span / 60.0, 40.0)
@@ -166,8 +86,7 @@ def _ramp(rng: np.random.Generator, plan: Table, cycle: Table | None, moving: fl
     return [start, end]
 
 
-def _list(rng: np.random.Generator, plan: Table, cycle: Table | None, moving: float) -> list[float]:
-    assert cycle is not None
+def _list(rng: np.random.Generator, plan: Table, cycle: Table, moving: float) -> list[float]:
     period = moving + _seconds(cycle.get("other_axes", {}).get("duration"))
     period = max(period, _seconds(cycle.get("duration")))
     here = _between(rng, -10, 30, 2)
@@ -186,7 +105,7 @@ def _list(rng: np.random.Generator, plan: Table, cycle: Table | None, moving: fl
     return visited
 
 
-def _programme(rng: np.random.Generator, plan: Table, cycle: Table | None, moving: float) -> list[float]:
+def _programme(rng: np.random.Generator, plan: Table, cycle: Table, moving: float) -> list[float]:
     here = _between(rng, -20, 30, 2)
     first: Table = {"soak": _text(_between(rng, 60, 900, 2), "s"), "at": _text(here, "degC")}
     if _chance(rng, 0.3):
@@ -239,9 +158,9 @@ def _seconds(text: str | None) -> float:
 # --- motion -----------------------------------------------------------------------------------------------------------
 
 
-def _cycle(rng: np.random.Generator, wanted: Restrict, by_hand: bool) -> tuple[Table, float]:
+def _cycle(rng: np.random.Generator, by_hand: bool) -> tuple[Table, float]:
     """A cycle and what its own moves take (s)."""
-    end_reads = _chance(rng, 0.2) if wanted.rests_read_at_end is None else wanted.rests_read_at_end
+    end_reads = _chance(rng, 0.2)
     # The first rest is read while it lasts, so that there is a reading in any case.
     rest = lambda: _rest(rng, end_reads)  # noqa: E731
     moves: list[Table] = [{"rest": _text(_between(rng, 4, 12, 2), "s"), "read_every": _text(_one(rng, (1, 2)), "s")}]
@@ -330,68 +249,62 @@ def _by_hand(rng: np.random.Generator) -> tuple[Table, float]:
 # --- sensor -----------------------------------------------------------------------------------------------------------
 
 
-def _sensor(rng: np.random.Generator, family: str, wanted: Restrict, frame: _Frame) -> Table:
+def _sensor(rng: np.random.Generator, family: str, box: Range, fastest: float) -> Table:
     grade = {"consumer": 10.0, "tactical": 0.7, "hand": 0.7}.get(family, 1.0)
     sensor: Table = {}
     gyro: Table = {"axes": ["x"], "angle_random_walk": _text(_size(rng, 0.1 * grade), "deg/sqrt(h)")}
-    both = family in ("tactical", "consumer", "hand")
-    static = "static" in family
-    has_bias = static or both or _chance(rng, 0.35)
-    has_scale = not static and (has_bias is False or both or _chance(rng, 0.7))
-    noisy = _chance(rng, 0.7 if frame.standard else 0.93) if wanted.processes is None else wanted.processes
-    if noisy:
-        _processes(rng, sensor, gyro, grade, static)
+    both = family != "dynamic gradient"
+    has_bias = both or _chance(rng, 0.35)
+    has_scale = not has_bias or both or _chance(rng, 0.7)
+    if _chance(rng, 0.93):
+        _processes(rng, sensor, gyro, grade)
     if _chance(rng, 0.35):
         gyro["turn_on_bias"] = _text(_size(rng, 10 * grade), "deg/h")
-        if frame.standard and not has_bias and not noisy:
-            del gyro["turn_on_bias"]
     if _chance(rng, 0.4):
         sensor["thermal_lag"] = _text(_between(rng, 60, 400, 2), "s")
-    if has_bias and _chance(rng, 0.25) and not frame.unweighted:
+    if has_bias and _chance(rng, 0.25):
         gyro["bias_temperature_gradient"] = {}
-        if frame.standard or _chance(rng, 0.7):
+        if _chance(rng, 0.7):
             gyro["bias_temperature_gradient"]["prior"] = _text(_size(rng, 5), "deg/h/(K/min)")
     if has_bias:
-        gyro["bias"] = _bias(rng, wanted, frame, grade)
+        gyro["bias"] = _bias(rng, box, grade)
     if has_scale:
-        gyro["scale_factor"] = _scale_factor(rng, wanted, frame, grade)
+        gyro["scale_factor"] = _scale_factor(rng, box, fastest, grade)
     return sensor | {"gyro": gyro}
 
 
-def _processes(rng: np.random.Generator, sensor: Table, gyro: Table, grade: float, static: bool) -> None:
-    drifts = _one(rng, (0, 1, 1, 2, 3))
-    rows = lambda n, size, unit: [  # noqa: E731
-        {
-            "standard_deviation": _text(_size(rng, size), unit),
-            "correlation_time": _text(_size(rng, 250, 8.0), "s"),
-        }
-        for _ in range(n)
-    ]
-    if drifts:
+def _processes(rng: np.random.Generator, sensor: Table, gyro: Table, grade: float) -> None:
+    def rows(count: int, size: float, unit: str) -> list[Table]:
+        return [
+            {"standard_deviation": _text(_size(rng, size), unit), "correlation_time": _text(_size(rng, 250, 8.0), "s")}
+            for _ in range(count)
+        ]
+
+    if drifts := _one(rng, (0, 1, 1, 2, 3)):
         gyro["drift"] = rows(drifts, 1.0 * grade, "deg/h")
     if _chance(rng, 0.25):
         gyro["rate_random_walk"] = _text(_size(rng, 1.0 * grade), "deg/h/sqrt(h)")
-    if not static and _chance(rng, 0.4):
+    if _chance(rng, 0.4):
         gyro["scale_factor_instability"] = rows(_one(rng, (1, 1, 2)), 20 * grade, "ppm")
     if _chance(rng, 0.3):
         error: Table = {"standard_deviation": _text(_size(rng, 0.1), "K")}
         if _chance(rng, 0.6):
             error["correlation_time"] = _text(_size(rng, 400, 5.0), "s")
-        slopes = _one(rng, ("bias",) if static else ("bias", "scale", "both"))
+        slopes = _one(rng, ("bias", "scale", "both"))
         if slopes != "scale":
             error["bias_slope"] = _text(_size(rng, 5 * grade), "deg/h/K")
         if slopes != "bias":
             error["scale_factor_slope"] = _text(_size(rng, 15 * grade), "ppm/K")
         gyro["temperature_error"] = error
-    if not static and _chance(rng, 0.4):
+    if _chance(rng, 0.4):
         sensor["sample_clock_error"] = _text(_size(rng, 20 * grade), "ppm")
 
 
-def _bias(rng: np.random.Generator, wanted: Restrict, frame: _Frame, grade: float) -> Table:
-    basis, kind = _temperature_basis(rng, wanted, frame)
+def _bias(rng: np.random.Generator, box: Range, grade: float) -> Table:
+    basis = _temperature_basis(rng, box)
     section: Table = {"temperature": basis}
-    _priors(rng, section, frame, (kind,), (500 * grade, "deg/h"), (2 * grade, "deg/h"))
-    if kind == "polynomial" and not frame.unweighted and _chance(rng, 0.2):
+    _priors(rng, section, (500 * grade, "deg/h"), (2 * grade, "deg/h"))
+    if basis["basis"] == "polynomial" and _chance(rng, 0.2):
         section["discrepancy"] = {
             "standard_deviation": _text(_size(rng, 1 * grade), "deg/h"),
             "temperature_degree": basis["degree"] + int(rng.integers(1, 3)),
@@ -399,12 +312,12 @@ def _bias(rng: np.random.Generator, wanted: Restrict, frame: _Frame, grade: floa
     return section
 
 
-def _scale_factor(rng: np.random.Generator, wanted: Restrict, frame: _Frame, grade: float) -> Table:
-    temperature, kind_t = _temperature_basis(rng, wanted, frame)
-    rate, kind_w = _rate_basis(rng, wanted, frame)
+def _scale_factor(rng: np.random.Generator, box: Range, fastest: float, grade: float) -> Table:
+    temperature = _temperature_basis(rng, box)
+    rate = _rate_basis(rng, fastest)
     section: Table = {"temperature": temperature, "rate": rate}
-    _priors(rng, section, frame, (kind_t, kind_w), (5000 * grade, "ppm"), (100 * grade, "ppm"))
-    if kind_t == kind_w == "polynomial" and not frame.unweighted and _chance(rng, 0.25):
+    _priors(rng, section, (5000 * grade, "ppm"), (100 * grade, "ppm"))
+    if temperature["basis"] == rate["basis"] == "polynomial" and _chance(rng, 0.25):
         section["discrepancy"] = {
             "standard_deviation": _text(_size(rng, 5 * grade), "ppm"),
             "temperature_degree": temperature["degree"] + int(rng.integers(0, 2)),
@@ -413,53 +326,32 @@ def _scale_factor(rng: np.random.Generator, wanted: Restrict, frame: _Frame, gra
     return section
 
 
-def _priors(rng: np.random.Generator, section: Table, frame: _Frame, kinds, prior, smoothness) -> None:
-    """What a plan may not observe gets a prior: all but polynomials of low degree, and points enough for those."""
-    if frame.unweighted:
-        # Ordinary least squares does not use priors; one in the file changes nothing.
-        needs = 0.3
-    else:
-        low = all(k == "polynomial" for k in kinds) and section["temperature"]["degree"] <= 2
-        needs = 0.6 if low and section.get("rate", {}).get("degree", 0) <= 1 else 1.0
-    if _chance(rng, needs):
+def _priors(rng: np.random.Generator, section: Table, prior: tuple[float, str], smoothness: tuple[float, str]) -> None:
+    """What a plan may not observe gets a prior: all but polynomials of low degree."""
+    polynomials = all(basis["basis"] == "polynomial" for basis in section.values())
+    low = polynomials and section["temperature"]["degree"] <= 2 and section.get("rate", {}).get("degree", 0) <= 1
+    if _chance(rng, 0.6 if low else 1.0):
         section["prior"] = _text(_size(rng, prior[0]), prior[1])
-    if any(k != "polynomial" for k in kinds) and not frame.unweighted and _chance(rng, 0.4):
+    if not polynomials and _chance(rng, 0.4):
         section["smoothness"] = _text(_size(rng, smoothness[0]), smoothness[1])
 
 
-def _polynomial(rng: np.random.Generator, degree: int, centre: str, scale: str) -> Table:
-    basis: Table = {"basis": "polynomial", "degree": degree, "scale": scale}
-    if centre:
-        basis["centre"] = centre
-    return basis
+def _temperature_basis(rng: np.random.Generator, box: Range) -> Table:
+    low, high = box
+    kind = _one(rng, ("polynomial", *BASES))
+    if kind != "polynomial":
+        return _pieces(rng, kind, low - 6.0, high + 6.0, "degC")
+    centre = {"centre": _text(0.5 * (low + high), "degC", 2)} if _chance(rng, 0.7) else {}
+    scale = _text(max(0.6 * (high - low), 10.0), "K", 2)
+    return {"basis": kind, "degree": int(rng.integers(0, 4)), "scale": scale} | centre
 
 
-def _temperature_basis(rng: np.random.Generator, wanted: Restrict, frame: _Frame) -> tuple[Table, str]:
-    """Coefficients that ordinary least squares can tell apart: polynomials of less degree than there are points."""
-    kind = "polynomial" if frame.unweighted else _one(rng, ("polynomial", *wanted.bases))
-    kind = kind if kind in wanted.bases else wanted.bases[0]
-    if kind == "polynomial":
-        most = min(3, len(set(frame.temperatures)) - 1) if frame.standard else 3
-        centre = _text(0.5 * (frame.low + frame.high), "degC", 2) if _chance(rng, 0.7) else ""
-        scale = _text(max(0.6 * (frame.high - frame.low), 10.0), "K", 2)
-        return _polynomial(rng, int(rng.integers(0, most + 1)), centre, scale), kind
-    return _pieces(rng, kind, frame.low - 6.0, frame.high + 6.0, "degC"), kind
-
-
-def _rate_basis(rng: np.random.Generator, wanted: Restrict, frame: _Frame) -> tuple[Table, str]:
-    kind = _one(rng, ("polynomial", *wanted.bases))
-    if frame.unweighted and kind == "b-spline":
-        kind = "polynomial"
-    kind = kind if kind in wanted.bases else wanted.bases[0]
-    if kind == "polynomial":
-        # Of k rates, k − 1 coefficients and a bias can be told apart.
-        most = min(3, len(set(frame.rates) - {0.0}) - 2) if frame.standard else 3
-        centre = _text(_between(rng, -20, 20, 2), "deg/s") if _chance(rng, 0.15) else ""
-        return _polynomial(rng, int(rng.integers(0, most + 1)), centre, _text(frame.max_rate, "deg/s")), kind
-    if frame.unweighted:
-        # Two rates or more in each, or a bias could not be told from them.
-        return {"basis": "bins", "edges": [_text(e, "deg/s") for e in (-frame.max_rate, 0.0, frame.max_rate)]}, kind
-    return _pieces(rng, kind, -frame.max_rate, frame.max_rate, "deg/s"), kind
+def _rate_basis(rng: np.random.Generator, fastest: float) -> Table:
+    kind = _one(rng, ("polynomial", *BASES))
+    if kind != "polynomial":
+        return _pieces(rng, kind, -fastest, fastest, "deg/s")
+    centre = {"centre": _text(_between(rng, -20, 20, 2), "deg/s")} if _chance(rng, 0.15) else {}
+    return {"basis": kind, "degree": int(rng.integers(0, 4)), "scale": _text(fastest, "deg/s")} | centre
 
 
 def _pieces(rng: np.random.Generator, kind: str, low: float, high: float, unit: str) -> Table:
@@ -480,50 +372,44 @@ def _pieces(rng: np.random.Generator, kind: str, low: float, high: float, unit: 
 # --- rig and requirements ---------------------------------------------------------------------------------------------
 
 
-def _rig(rng: np.random.Generator, family: str, frame: _Frame) -> Table:
-    table: Table = {"standing": "read", "mounting": [{"x": "+z", "y": "+x", "z": "+y"}]}
+def _rig(rng: np.random.Generator, family: str, fastest: float) -> Table:
     angle: Table = {"read_every": _text(_between(rng, 3, 20, 2), "s")}
+    if _chance(rng, 0.85):
+        angle["reading_noise"] = _text(_size(rng, 0.02, 6.0), "deg")
+    if _chance(rng, 0.45):
+        angle["standstill_offset"] = _text(_size(rng, 20, 6.0), "arcsec")
+    if _chance(rng, 0.4):
+        angle["timing_error"] = _text(_size(rng, 0.2), "ms")
+    if _chance(rng, 0.35):
+        orders = sorted(int(n) for n in rng.permutation([1, 2, 3, 5, 36])[: int(rng.integers(1, 4))])
+        angle["harmonics"] = [{"order": n, "amplitude": _text(_size(rng, 15), "arcsec")} for n in orders]
     axis: Table = {
         "name": "x",
         "direction": [0.0, 0.0, 1.0],
-        "max_rate": _text(frame.max_rate, "deg/s"),
+        "max_rate": _text(fastest, "deg/s"),
         "max_acceleration": "600 deg/s^2",
         "travel": "unlimited",
+        "angle": angle,
     }
+    table: Table = {"standing": "read", "mounting": [{"x": "+z", "y": "+x", "z": "+y"}], "axis": [axis]}
     if family == "hand":
         table["drive"] = "hand"
-    if frame.standard:
-        if _chance(rng, 0.8):
-            table["rate_accuracy"] = _text(_size(rng, 100), "ppm")
-    else:
-        if _chance(rng, 0.85):
-            angle["reading_noise"] = _text(_size(rng, 0.02, 6.0), "deg")
-        if _chance(rng, 0.45):
-            angle["standstill_offset"] = _text(_size(rng, 20, 6.0), "arcsec")
-        if _chance(rng, 0.4):
-            angle["timing_error"] = _text(_size(rng, 0.2), "ms")
-        if family != "static gradient" and _chance(rng, 0.35):
-            orders = sorted(int(n) for n in rng.permutation([1, 2, 3, 5, 36])[: int(rng.integers(1, 4))])
-            angle["harmonics"] = [{"order": n, "amplitude": _text(_size(rng, 15), "arcsec")} for n in orders]
-    return {
-        "table": table | {"axis": [axis | {"angle": angle}]},
-        "chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "10 K/min", "max_cooling": "10 K/min"},
-    }
+    chamber = {"range": ["-40 degC", "85 degC"], "max_heating": "10 K/min", "max_cooling": "10 K/min"}
+    return {"table": table, "chamber": chamber}
 
 
-def _requirements(rng: np.random.Generator, sensor: Table, frame: _Frame) -> list[Table]:
-    box = [_text(frame.low, "degC", 3), _text(frame.high, "degC", 3)]
-    if float(box[0].split()[0]) >= float(box[1].split()[0]):
-        box = [_text(frame.low - 3.0, "degC", 3), _text(frame.high + 3.0, "degC", 3)]
+def _requirements(rng: np.random.Generator, gyro: Table, box: Range, fastest: float) -> list[Table]:
+    temperatures = [_text(end, "degC", 3) for end in box]
+    if float(temperatures[0].split()[0]) >= float(temperatures[1].split()[0]):
+        temperatures = [_text(box[0] - 3.0, "degC", 3), _text(box[1] + 3.0, "degC", 3)]
     rows: list[Table] = []
-    gyro = sensor["gyro"]
     if "scale_factor" in gyro:
-        top = 0.9 * frame.max_rate
+        top = 0.9 * fastest
         rows.append(
             {
                 "name": "scale factor",
                 "quantity": "gyro_scale_factor",
-                "temperature": box,
+                "temperature": temperatures,
                 "rate": [_text(-top, "deg/s"), _text(_one(rng, (top, 0.4 * top)), "deg/s")],
                 "statistic": _one(rng, ("mean of max", "max", "mean", "rms")),
                 "grid": [int(rng.integers(4, 9)), int(rng.integers(4, 11))],
@@ -534,7 +420,7 @@ def _requirements(rng: np.random.Generator, sensor: Table, frame: _Frame) -> lis
             {
                 "name": "bias",
                 "quantity": "gyro_bias",
-                "temperature": box,
+                "temperature": temperatures,
                 "statistic": _one(rng, ("max", "mean", "rms")),
                 "grid": [int(rng.integers(4, 12))],
             }

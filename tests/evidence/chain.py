@@ -6,14 +6,12 @@ import io
 import itertools
 import json
 import shutil
-import tempfile
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomlkit
 from matrix_errors import ByData, by_data, deviations_of_elements, nees_of
 from scipy.stats import chi2
 
@@ -23,7 +21,6 @@ from gradcal_jax.estimation.estimate import with_options
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.model.imu_build import build_imu
-from gradcal_jax.spec.spec import spec_of
 
 # Of the simulated chamber's air behind its set point; and the ends of the pieces in which it approaches, in lags.
 AIR_LAG_S = 40.0
@@ -45,17 +42,11 @@ class Chain:
     fit: tuple[float, int]
     ratios: dict[str, float]
     sigmas: dict[str, float]
-    exit: int
     printed: str = field(repr=False)
-
-    @property
-    def wider(self) -> float:
-        """By how much the estimate widens its results."""
-        return widened(self.fit)
 
 
 def widened(fit: tuple[float, int]) -> float:
-    """The factor for data that the model explains with a chance below 1 %."""
+    """By how much an estimate widens its results: for data that the model explains with a chance below 1 %."""
     statistic, degrees = fit
     return float(np.sqrt(statistic / degrees)) if chi2.sf(statistic, degrees) < 0.01 else 1.0
 
@@ -68,89 +59,96 @@ def say(*words: object) -> tuple[int, str]:
     return status, heard.getvalue()
 
 
+def done(*words: object) -> str:
+    """What a command prints that works, whether or not a target is met."""
+    status, printed = say(*words)
+    assert status in (0, 1), printed
+    return printed
+
+
 def recipe_of(path: Path, folder: Path) -> Path:
     """The recipe of a spec; a recipe is its own."""
     if tomllib.loads(path.read_text(encoding="utf-8"))["format"].startswith("gradcal-recipe"):
         return path
-    status, printed = say("optimise", path, "--steps", "0", "-o", folder / "recipe.toml", "--force")
-    assert status in (0, 1), printed
+    done("optimise", path, "--steps", "0", "-o", folder / "recipe.toml", "--force")
     return folder / "recipe.toml"
 
 
-def predicted_of(recipe: Path, air_lag_s: float = 0.0) -> dict[str, Any]:
-    """`gradcal predict --json` of what the recipe makes of the plan; `air_lag_s`: in a chamber whose air is later than
-    its set point by so much."""
-    if air_lag_s:
-        spec = tomllib.loads(recipe.read_text(encoding="utf-8"))["spec"]
-        if spec["rig"]["chamber"].get("control") == "none":
-            return predicted_of(recipe)
-        with tempfile.TemporaryDirectory() as folder:
-            recipe = Path(folder) / "lagging.toml"
-            recipe.write_text(tomlkit.dumps(_lagging(spec, air_lag_s)), encoding="utf-8")
-            status, printed = say("predict", recipe, "--json")
-    else:
-        status, printed = say("predict", recipe, "--json")
-    assert status in (0, 1), printed
-    return json.loads(printed)
+def estimated(recipe: Path, run: Path, seed: int) -> tuple[dict[str, Any], list[Path], str]:
+    """A simulated run of a recipe, its logs, and the calibration by the recipe, and what the estimate printed."""
+    for words in (("run", recipe, "--simulate", "--seed", seed, "--json", "-o", run), ("log", run)):
+        status, printed = say(*words)
+        assert status == 0, printed
+    logs = sorted(run.glob("*.nc"))
+    printed = done("estimate", *logs, "--recipe", recipe, "-o", run / "calibration.toml")
+    return tomllib.loads((run / "calibration.toml").read_text(encoding="utf-8")), logs, printed
 
 
-def _lagging(spec: dict[str, Any], air_lag_s: float) -> dict[str, Any]:
-    """A spec whose programme is the course of the air: pieces of ramps, in the place of the set point's.
+def predicted_of(recipe: Path, folder: Path) -> dict[str, Any]:
+    """`gradcal predict --json` of a recipe in a chamber whose air is as late as the simulated one's."""
+    spec = gj.read_recipe(recipe).spec
+    if spec.rig.chamber.control != "none" and hasattr(spec.schedule, "segments"):  # the standard method waits
+        recipe = folder / "lagging.toml"
+        gj.write_toml(_lagging(spec), recipe)
+    return json.loads(done("predict", recipe, "--json"))
+
+
+def _lagging(spec: gj.Spec) -> gj.Spec:
+    """The programme is the course of the air: pieces of ramps, in the place of the set point's.
 
     At the end of a short or steep ramp that is some per cent of its temperatures; and two lags in series bend the
     beginning of a ramp otherwise than one does, which is all that tells dB/dT from a bias.
     """
-    schedule = spec_of(spec).schedule
-    segments = getattr(schedule, "segments", ())
-    if not segments:  # the standard method waits until it is stable
-        return spec
-    air, here = segments[0].temperature_start, round(segments[0].temperature_start, 6)
+    segments = spec.gradient_schedule.segments
+    air = segments[0].temperature_start
+    here = round(air, 6)
     programme: list[dict[str, Any]] = [{"soak": "1 s", "at": f"{here:.6f} degC", "used": False}]
     for segment in segments:
         slope = (segment.temperature_end - segment.temperature_start) / segment.duration
         # Of the air behind the set point: it goes to slope · lag, by the air's time constant.
-        begins, ends = segment.temperature_start - air, slope * air_lag_s
-        times = [t for t in _PIECES * air_lag_s if t < 0.999 * segment.duration]
+        begins, ends = segment.temperature_start - air, slope * AIR_LAG_S
+        times = [t for t in _PIECES * AIR_LAG_S if t < 0.999 * segment.duration]
         for since, until in itertools.pairwise([0.0, *times, segment.duration]):
-            behind = ends + (begins - ends) * np.exp(-until / air_lag_s)
+            behind = ends + (begins - ends) * np.exp(-until / AIR_LAG_S)
             air = segment.temperature_start + slope * until - behind
             goal, lasts = round(float(air), 6), float(until - since)
-            if abs(goal - here) < 1e-4:
-                programme.append({"soak": f"{lasts!r} s", "used": segment.used})
-                continue
-            rate = f"{abs(goal - here) / lasts * 60.0!r} K/min"
-            programme.append({"ramp_to": f"{goal:.6f} degC", "rate": rate, "used": segment.used})
-            here = goal
-    plan = {key: value for key, value in spec["plan"].items() if key not in ("temperature", "gradient", "soak")}
-    return spec | {"plan": plan | {"programme": programme}}
+            piece: dict[str, Any] = {"soak": f"{lasts!r} s", "used": segment.used}
+            if abs(goal - here) >= 1e-4:
+                rate = f"{abs(goal - here) / lasts * 60.0!r} K/min"
+                piece = {"ramp_to": f"{goal:.6f} degC", "rate": rate, "used": segment.used}
+                here = goal
+            programme.append(piece)
+    instead = {f"plan.{key}": None for key in ("temperature", "gradient", "soak")}
+    return gj.changed(spec, instead | {"plan.programme": programme})
 
 
 def chain(recipe: Path, predicted: dict[str, Any], folder: Path, seed: int) -> Chain:
     """A simulated run of the recipe, its log, and the estimate by the recipe."""
     run = folder / f"run{seed}"
-    status, printed = say("run", recipe, "--simulate", "--seed", seed, "--json", "-o", run)
-    assert status == 0, printed
-    status, printed = say("log", run)
-    assert status == 0, printed
-    logs = sorted(run.glob("*.nc"))
-    path = run / "calibration.toml"
-    status, printed = say("estimate", *logs, "--recipe", recipe, "-o", path)
-    assert status in (0, 1), printed
-    made = tomllib.loads(path.read_text(encoding="utf-8"))
-    truth = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
-    names, matrix, values, hidden = _coefficients(made, truth)
-    pair = [np.array([of[name] for name in names]) for of in (values, hidden)]
-    elements = nees_of(names, *pair, matrix)
+    made, logs, printed = estimated(recipe, run, seed)
+    (hidden,) = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))["units"].values()
+    values = {
+        f"{channel['kind']}_{channel['axis']}.{name}": value
+        for channel in made["channel"]
+        for term in channel["term"]
+        for name, value in term["coefficients"].items()
+    }
+    all_names = made["covariance"]["names"]
+    names = [name for name in all_names if name in hidden and name in values]
+    where = [all_names.index(name) for name in names]
+    matrix = np.array(made["covariance"]["matrix"])[np.ix_(where, where)]
+    found, true = (np.array([of[name] for name in names]) for of in (values, hidden))
+    elements = nees_of(names, found, true, matrix)
     of_imu = _by_data(recipe, logs, hidden, names, matrix)
     nees, squares = (elements, None) if of_imu is None else (of_imu.nees, of_imu.squares)
-    scale = deviations_of_elements(names, pair[0], matrix)
     fit = (float(made["fit"][0]["statistic"]), int(made["fit"][0]["degrees"]))
     before = {row["name"]: row["std"] for row in predicted["parameters"]}
+    scale = deviations_of_elements(names, found, matrix)
     sigmas = {name: s / before[name] for name, s in zip(names, scale, strict=True) if before.get(name)}
     asked = {row["name"]: row for row in predicted["requirements"]}
     ratios = {row["name"]: _ratio(row, asked[row["name"]]) for row in made.get("result", []) if "value" in row}
     shutil.rmtree(run)
-    return Chain(nees, len(names), squares, elements, fit, ratios, sigmas, status, printed)
+    return Chain(nees, len(names), squares, elements, fit, ratios, sigmas, printed)
 
 
 def _by_data(
@@ -170,25 +168,5 @@ def _by_data(
 
 def _ratio(achieved: dict[str, Any], predicted: dict[str, Any]) -> float:
     key = achieved["statistic"].split(",")[0].replace(" ", "_")
-    before = predicted.get("value", predicted.get(key))
-    assert before is not None, (achieved, predicted)
     # The prediction's statistics are of the terms that the spec names.
-    return float(achieved.get("named", achieved["value"]) / before)
-
-
-def _coefficients(made: dict[str, Any], truth: dict[str, Any]) -> tuple[Any, ...]:
-    """Names that estimate and truth have in common, their covariance, and the values of both."""
-    values = {
-        f"{channel['kind']}_{channel['axis']}.{name}": value
-        for channel in made["channel"]
-        for term in channel["term"]
-        for name, value in term["coefficients"].items()
-    }
-    (hidden,) = truth["units"].values()
-    names = [name for name in made["covariance"]["names"] if name in hidden and name in values]
-    return names, _part(made["covariance"], names), values, hidden
-
-
-def _part(covariance: dict[str, Any], names: list[str]) -> np.ndarray:
-    where = [covariance["names"].index(name) for name in names]
-    return np.array(covariance["matrix"])[np.ix_(where, where)]
+    return float(achieved.get("named", achieved["value"]) / predicted.get("value", predicted.get(key)))

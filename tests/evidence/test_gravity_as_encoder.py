@@ -1,6 +1,5 @@
-"""IMUs without an encoder: a box that a hand turns, simulated by physics, against what the plan predicts.
+"""IMUs without an encoder: a box that a hand turns, simulated by physics (`unguided`), against what the plan predicts.
 
-The IMUs are those of `gravity_units.py`, estimated share by share; what is missing of them is no part of the report.
 `NEES` is the squared error of all of an IMU's coefficients in units of their covariance, χ² with as many degrees of
 freedom where the covariance is true: the errors that the difference of what the model expects of truth and estimate
 amounts to (`matrix_errors.by_data`). Without an encoder a plan hardly tells how all sensors are turned together, which
@@ -8,31 +7,89 @@ times misalignments changes the coefficients of scale factors; a correction by t
 So scale factors are judged by what a correction leaves of a rate along each axis.
 """
 
-import json
 import time
-from functools import cache
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from gravity_units import SPOILT, outcome, scene
+from evidence_report import ReportTable
+from matrix_errors import along_after_correction, by_data
 from scipy.stats import chi2
+from unguided import recorded
 
-FOLDER = Path(__file__).parents[2] / "experiments" / "evidence" / "gravity"
-# Enough IMUs for a band of the mean NEES of 7 %.
-FEWEST = 30
+import gradcal_jax as gj
+from gradcal_jax.estimation.estimate import with_options
+from gradcal_jax.estimation.fit_of_log import fit_readings
+from gradcal_jax.estimation.log_rows import Options, imu_rows
+from gradcal_jax.model.imu_build import build_imu, imu_posterior
+
+# How far off the plan's angle each turn ends, deg (standard deviation).
+SPOILT = (1.0, 5.0, 45.0)
+# Enough for a band of the mean NEES of 7 %.
+IMUS = 30
+# Of the plan's temperature.
+ENDS_C = np.array([10.0, 40.0])
 
 
-@cache
-def found(spoilt: float) -> list[dict]:
-    files = sorted(FOLDER.glob(f"{spoilt:g}deg_*.jsonl"))
-    return [json.loads(line) for file in files for line in file.read_text(encoding="utf-8").splitlines()]
+def scene() -> gj.Spec:
+    # The slope of the temperature where it turns is a matter of its own.
+    without = {"sensor.thermal_lag": None, "sensor.gyro.bias_temperature_gradient": None}
+    way, back = ({"ramp_to": f"{end} degC", "rate": "5.5 K/min"} for end in (40, 10))
+    programme = [{"soak": "2 min", "at": "10 degC"}, way, {"soak": "1 min"}, back, {"soak": "1 min"}, way]
+    return gj.changed(gj.parse_spec(gj.presets.text("no-encoder")), without | {"plan.programme": programme})
 
 
-def band(degrees: int, count: int) -> tuple[float, float]:
-    """95 % of the mean of so many NEES."""
-    low, high = chi2.ppf([0.025, 0.975], degrees * count) / count
-    return float(low), float(high)
+@dataclass(frozen=True)
+class Judged:
+    """One IMU's estimate against its truth: χ² of its own coefficients and degrees of freedom, by three ways; `sigma`
+    of what a correction leaves over the predicted; and χ² of the fit over its degrees of freedom."""
+
+    chi_squared: dict[str, tuple[float, int]]
+    sigma: np.ndarray
+    fit: float
+
+
+def judged(spec: gj.Spec, seed: int, spoilt: float) -> Judged:
+    built = build_imu(spec)
+    log, truth = recorded(spec, seed, spoilt)
+    _, options, _ = with_options(spec, [log], Options())
+    rows, _ = imu_rows(built, [log], log.units[0], options)
+    fit = fit_readings(built, log.units[0], rows, rows.temperature_c)
+    model, solution = built.model, fit.solution
+    own = slice(model.calibrated)
+    covariance = solution.known.covariance(model.to_reported)[own, own]
+    by = by_data(fit, truth, model.names()[own], covariance)
+    true = np.linalg.solve(model.to_reported, np.array([truth[name] for name in model.names()]))
+    errors, slopes = along_after_correction(model, solution.parameters, true, ENDS_C)
+    known = slopes @ solution.known.covariance(np.eye(model.size)) @ slopes.T
+    sigma = np.sqrt(np.diag(known))
+    along = float(errors / sigma @ np.linalg.solve(known / np.outer(sigma, sigma), errors / sigma))
+    ideal = np.zeros(model.size)
+    predicted = imu_posterior(built).deviations(along_after_correction(model, ideal, ideal, ENDS_C)[1])
+    count = model.calibrated
+    ways = {"NEES": (by.nees, count), "by data": (by.squares, count), "NEES, scale factors": (along, len(errors))}
+    return Judged(ways, sigma / predicted, float(solution.estimate.chi_squared / solution.estimate.degrees))
+
+
+_HEAD = """# IMUs without an encoder
+
+Made by `pytest -m evidence tests/evidence/test_gravity_as_encoder.py`: simulated IMUs of the preset `no-encoder`,
+turned by hand; every turn ends off the plan's angle by a draw of the stated standard deviation. NEES: mean, with the 95
+% band
+of it, of all of an IMU's coefficients, by what the model expects of truth and estimate; by data: χ² of the truth by the
+log alone; scale factors: of what a correction leaves of a rate along each gyro, 10 and 40 °C, which, unlike the
+coefficients, does not depend on how all sensors are turned together.
+"""
+_COLUMNS = (
+    "spoilt by, deg",
+    "IMUs",
+    "NEES",
+    "by data",
+    "NEES, scale factors",
+    "σ over the predicted",
+    "χ² over degrees",
+)
+REPORT = ReportTable("gravity", _HEAD, _COLUMNS, foot=lambda _: time.strftime("%Y-%m-%d"))
 
 
 @pytest.mark.evidence
@@ -40,50 +97,16 @@ def band(degrees: int, count: int) -> tuple[float, float]:
 def test_imus_turned_by_hand_are_as_well_known_as_predicted(spoilt):
     """Mean NEES, the data's χ² of the truth, and NEES of the scale factors within their 95 % bands; σ within 10 % of
     the prediction; no residual larger than the noise."""
-    rows = found(spoilt)
-    assert len({row["seed"] for row in rows}) == len(rows) >= FEWEST
-    whole = rows[0]["coefficients"]
-    for key, degrees in (("nees", whole), ("squares", whole), ("nees_scale", len(rows[0]["scale"]))):
-        low, high = band(degrees, len(rows))
-        assert low < np.mean([row[key] for row in rows]) < high, key
-    assert np.all(np.abs(np.mean([row["sigma"] for row in rows], axis=0) - 1.0) < 0.1)
-    assert abs(np.mean([row["residual"] for row in rows]) - 1.0) < 0.02
-
-
-@pytest.mark.evidence
-def test_the_shares_are_of_this_program():
-    """One IMU of each, estimated again."""
-    for spoilt in SPOILT:
-        row = found(spoilt)[0]
-        again = outcome(scene(), row["seed"], spoilt)
-        assert again["nees"] == pytest.approx(row["nees"], rel=1e-4)
-
-
-@pytest.mark.evidence
-def test_the_report():
-    """Of the same IMUs."""
-    lines: list[str] = []
-    for spoilt in SPOILT:
-        rows = found(spoilt)
-        cells = [f"{spoilt:g}", f"{len(rows)}"]
-        whole = rows[0]["coefficients"]
-        for key, degrees in (("nees", whole), ("squares", whole), ("nees_scale", len(rows[0]["scale"]))):
-            low, high = band(degrees, len(rows))
-            cells.append(f"{np.mean([row[key] for row in rows]):.2f} ({low:.2f} … {high:.2f})")
-        ratio = np.mean([row["sigma"] for row in rows], axis=0)
-        cells.append(f"{ratio.min():.3f} … {ratio.max():.3f}")
-        cells.append(f"{np.mean([row['residual'] for row in rows]):.4f}")
-        lines.append(f"| {' | '.join(cells)} |")
-    text = "\n".join([
-        "# IMUs without an encoder", "",
-        "Made by `tests/evidence/gravity_units.py` (shares in `gravity/`) and `pytest -m evidence",
-        "tests/evidence/test_gravity_as_encoder.py`: simulated IMUs of the preset `no-encoder`, turned by hand; every",
-        "turn ends off the plan's angle by a draw of the stated standard deviation. NEES: mean, with the 95 % band of",
-        "it, of all of an IMU's coefficients, by what the model expects of truth and estimate; by data: χ² of the",
-        "truth by the log alone; scale factors: of what a correction leaves of a rate along each gyro, 10 and 40 °C,",
-        "which, unlike the coefficients, does not depend on how all sensors are turned together. IMUs that were not",
-        "estimated in the machine's time are not counted.", "",
-        "| spoilt by, deg | IMUs | NEES | by data | NEES, scale factors | σ over the predicted | χ² over degrees |",
-        "|---|---|---|---|---|---|---|", *lines, "", time.strftime("%Y-%m-%d"), "",
-    ])  # fmt: skip
-    (FOLDER.parent / "gravity.md").write_text(text, encoding="utf-8")
+    imus = [judged(scene(), 1000 * SPOILT.index(spoilt) + k, spoilt) for k in range(IMUS)]
+    cells, beyond = [], []
+    for way, (_, degrees) in imus[0].chi_squared.items():
+        mean = float(np.mean([imu.chi_squared[way][0] for imu in imus]))
+        low, high = chi2.ppf([0.025, 0.975], degrees * IMUS) / IMUS
+        cells.append(f"{mean:.2f} ({low:.2f} … {high:.2f})")
+        beyond += [] if low < mean < high else [way]
+    sigma = np.mean([imu.sigma for imu in imus], axis=0)
+    fit = float(np.mean([imu.fit for imu in imus]))
+    REPORT.put((f"{spoilt:g}", IMUS, *cells, f"{sigma.min():.3f} … {sigma.max():.3f}", f"{fit:.4f}"))
+    assert not beyond, cells
+    assert np.all(np.abs(sigma - 1.0) < 0.1)
+    assert abs(fit - 1.0) < 0.02

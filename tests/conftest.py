@@ -5,7 +5,9 @@ That takes as long again as what it checks, so the core's own tests check and th
 What JAX compiles is kept for all workers, processes and later runs: half of the time of a run is compiling.
 """
 
+import fcntl
 import os
+from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -119,6 +121,41 @@ def without_prices():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gradcal_jax.design.pose_search.shadow_prices", lambda *_: ())
         yield
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory):
+    """`made_once(name, make)`: the folder that `make(folder)` has filled, once for all workers; nobody writes in it."""
+    base = tmp_path_factory.getbasetemp()
+    root = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def made(name: str, make: Callable[[Path], object]) -> Path:
+        with (root / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            folder, begun = root / f"shared-{name}", root / f"begun-{name}"
+            if not folder.exists():
+                begun.mkdir()
+                make(begun)
+                begun.rename(folder)
+        return folder
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def axis_run(made_once) -> Path:
+    """`recipe.toml`, its simulated `run`, and in this a calibration of known numbers: of a gyro's axis."""
+    import report_samples
+
+    return made_once("axis", report_samples.write)
+
+
+@pytest.fixture(scope="session")
+def imu_run(made_once) -> Path:
+    """`recipe.toml` and its simulated `run` with two IMUs (`imu_bench.short`)."""
+    import imu_bench
+
+    return made_once("imu", imu_bench.write)
 
 
 def pytest_addoption(parser):

@@ -10,6 +10,7 @@ from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, clock_fit, imu_rows, with_options
+from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.information import segments_of, whiten
@@ -19,6 +20,7 @@ from gradcal_jax.records.log import Log
 from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.spec import parse_spec, read_spec
 from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.tables.writing import write_toml
 
 HAND = Path(__file__).parents[2] / "experiments" / "imu" / "hand2.toml"
 # Two axes, a stop of an instant between two of their turns, and back to where it began.
@@ -80,6 +82,14 @@ def triad() -> Spec:
 def made(spec: Spec) -> Recipe:
     """Its recipe, without a prediction."""
     return unpredicted(spec)
+
+
+def write(folder: Path) -> None:
+    """The recipe of the short plan, and its simulated run with two units."""
+    recipe = made(short())
+    write_toml(recipe, folder / "recipe.toml")
+    result = execute.run(recipe, folder / "run", simulate=True, seed=3, units=2)
+    assert (result.exit_status, result.verified_safe) == ("success", True), result.reason
 
 
 def estimated(

@@ -33,12 +33,9 @@ from gradcal_jax.spec.spec import parse_spec
 
 
 @pytest.fixture(scope="module")
-def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Log]:
+def ran(imu_run: Path) -> tuple[Path, Log]:
     """One cycle with two units on the table, and the log of the second."""
-    folder = tmp_path_factory.mktemp("unit") / "run"
-    result = execute.run(made(short()), folder, simulate=True, seed=3, units=2)
-    assert (result.exit_status, result.verified_safe) == ("success", True), result.reason
-    return folder, run_log.log(folder, "unit2")
+    return imu_run / "run", run_log.log(imu_run / "run", "unit2")
 
 
 def moves_of(folder: Path) -> list[tuple[str, float, float]]:

@@ -1,6 +1,5 @@
 """A small recipe, the rehearsed run of it, and a calibration of known numbers: pages of them take no minute."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import Spec, parse_spec
+from gradcal_jax.tables.writing import write_toml
 
 TURN = {"turn": "720 deg", "peak_rate": "200 deg/s", "shape": "cosine ramps"}
 BACK = {"turn": "-720 deg", "peak_rate": "100 deg/s", "shape": "cosine ramps"}
@@ -66,11 +66,13 @@ def recipe() -> Recipe:
     return make_recipe(spec(), optimisation=record)
 
 
-def rehearse(made: Recipe, folder: Path, seed: int = 3) -> dict[str, Any]:
-    """Run a recipe on simulated devices into a folder; the hidden truth."""
-    result = execute.run(made, folder, simulate=True, seed=seed)
+def write(folder: Path) -> None:
+    """The recipe, its run on simulated devices, and the calibration in the run's folder."""
+    made = recipe()
+    write_toml(made, folder / "recipe.toml")
+    result = execute.run(made, folder / "run", simulate=True, seed=3)
     assert result.exit_status == "success", result.reason
-    return json.loads((folder / "hidden_truth.json").read_text(encoding="utf-8"))
+    write_toml(calibration(made), folder / "run/calibration.toml")
 
 
 def calibration(made: Recipe, seed: int = 7) -> Calibration:

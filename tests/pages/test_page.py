@@ -6,25 +6,18 @@ import re
 from html.parser import HTMLParser
 
 import pytest
-from report_samples import calibration, recipe, rehearse
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
 from gradcal_jax.tables.display import amount
 from gradcal_jax.tables.table import Column, Table
-from gradcal_jax.tables.writing import to_toml, write_toml
+from gradcal_jax.tables.writing import to_toml
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """A folder with a recipe, its run and a calibration in it."""
-    folder = tmp_path_factory.mktemp("page")
-    plan = recipe()
-    write_toml(plan, folder / "recipe.toml")
-    rehearse(plan, folder / "run")
-    found = calibration(plan)
-    write_toml(found, folder / "run/calibration.toml")
-    return folder, plan, found
+@pytest.fixture
+def made(axis_run):
+    """The folder, the recipe and the calibration in it."""
+    return axis_run, gj.read_recipe(axis_run / "recipe.toml"), gj.read_calibration(axis_run / "run/calibration.toml")
 
 
 class Outside(HTMLParser):

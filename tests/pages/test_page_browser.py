@@ -1,13 +1,12 @@
 """Pages in a real browser, at the width of a telephone and of a desk."""
 
+import shutil
+
 import pytest
 from headless_chromium import BOXES, Chromium, browser, overlaps
-from imu_bench import short
-from report_samples import calibration, recipe, rehearse
 
 import gradcal_jax as gj
 from gradcal_jax.cli import main
-from gradcal_jax.tables.writing import write_toml
 
 pytestmark = [
     pytest.mark.browser,
@@ -21,16 +20,15 @@ pytestmark = [
 def page(request, tmp_path_factory):
     """The page of a simulated run and of its calibration, a certificate in front."""
     folder = tmp_path_factory.mktemp("browser")
+    run = request.getfixturevalue("imu_run" if request.param == "an IMU" else "axis_run") / "run"
     if request.param == "an IMU":
-        plan = gj.make_recipe(short())
-        gj.run(plan, folder / "run", simulate=True, seed=3)
-        (found,) = gj.estimate(plan.spec, gj.log(folder / "run")).sensors
-        write_toml(found.calibration, folder / "run/calibration.toml")
-    else:
-        plan = recipe()
-        rehearse(plan, folder / "run")
-        write_toml(calibration(plan), folder / "run/calibration.toml")
-    assert main(["report", str(folder / "run"), "--certificate", "-o", str(folder / "page.html")]) == 0
+        shutil.copytree(run, folder / "run")
+        run = folder / "run"
+        (found,) = gj.estimate(
+            gj.read_recipe(request.getfixturevalue("imu_run") / "recipe.toml").spec, gj.log(run, "unit1")
+        ).sensors
+        gj.write_calibration(found.calibration, run / "calibration.toml")
+    assert main(["report", str(run), "--certificate", "-o", str(folder / "page.html")]) == 0
     return folder / "page.html"
 
 

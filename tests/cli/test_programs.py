@@ -35,6 +35,7 @@ def compiled(folder: Path, name: str, spec: str) -> list[str]:
     return re.findall(r"Finished XLA compilation of (\S+)", done.stderr)
 
 
+@pytest.mark.long
 def test_a_first_search_compiles_its_objective_and_nothing_else(tmp_path):
     programs = compiled(tmp_path, "first", SPEC)
     # The descent, which also gives the slopes where there are no limits; what prepares it takes milliseconds each.

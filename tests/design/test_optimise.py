@@ -176,6 +176,7 @@ def test_a_turn_about_an_axis_that_the_table_lacks_is_refused():
         spec_file.spec_of(tables)
 
 
+@pytest.mark.long
 def test_the_objective_of_a_table_at_rest_is_that_of_its_plan():
     """But for the cycles and readings that stand for all others."""
     spec = static()

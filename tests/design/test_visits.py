@@ -159,7 +159,7 @@ def objective_at(plan: CyclePlan, cycle, sharpness: float):
     return jnp.asarray(plan.point(cycle, of)), args
 
 
-@pytest.mark.parametrize("name", CHANGES)
+@pytest.mark.parametrize("name", [*(pytest.param(n, marks=pytest.mark.long) for n in CHANGES if n != "plain"), "plain"])
 def test_the_objective_of_a_search_is_that_of_its_plan(spec, name):
     """But for rounding, and for the few readings that stand for those of other axes' time; with its gradient."""
     given = changed(spec, CHANGES[name] | {"rig.table.axis[0].angle.read_every": "1 s"})

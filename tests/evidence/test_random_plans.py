@@ -189,7 +189,7 @@ REPORT = ReportTable("random_plans", _HEAD, _COLUMNS, foot=_foot)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("kind", "number"), [("axis", 1), ("axis", 2), ("unit", 8)])
+@pytest.mark.parametrize(("kind", "number"), [("axis", 1), ("axis", 2), ("unit", 9)])
 def test_what_is_predicted_is_what_is_estimated(kind: str, number: int, tmp_path: Path) -> None:
     assert not apart(executed(kind, number, tmp_path))
 

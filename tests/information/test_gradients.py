@@ -93,6 +93,7 @@ def scene_of_everything():
     return replace(everything, noises=tuple(n for n in everything.noises if n.kind in ("drift", "scale")))
 
 
+@pytest.mark.long
 def test_along_random_directions_of_all_continuous_quantities():
     f, names, size = in_relative_coordinates(scene_of_everything())
     gradient = gradients(f, len(names))

@@ -1,10 +1,10 @@
 """`gradcal estimate`: a calibration from a log, with covariance, tests and verdicts."""
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
@@ -81,7 +81,7 @@ def estimate(
         axis in the spec, or the only axis in the log. Without a spec: the axes to calibrate; may be repeated.
     gravity
         Local gravity, such as "9.80665 m/s^2". Gravity is then the only reference for three accelerometers and three
-        gyros; no table and no spec are needed. The readings may be raw counts.
+        gyros; no table and no spec are needed.
     temperature
         The temperature, if the log has none, such as "23 degC".
     lag
@@ -242,39 +242,15 @@ def text_of_forces(calibration: "Calibration") -> str:
 
 
 def text_of_held(report: "HandReport") -> str:
-    """The estimate of an IMU that was turned by hand, in words; raw readings in counts."""
-    from gradcal_jax.pages.tables import tests
-    from gradcal_jax.tables.table import Column, Table
+    """The estimate of an IMU that was turned by hand, in words."""
+    from gradcal_jax.pages.tables import coefficients, tests
     from gradcal_jax.units import G
 
     lines = _head(report, f"{len(report.solution.positions.duration)} positions, {report.solution.turns} turns")
-    heads = ["parameter", Column("value", "", 6), Column("1σ", "", 3), "unit"]
-    lines += ["", Table.of(heads, _rows_of_held(report)).text(), "", tests(report.calibration).text()]
+    lines += ["", coefficients(None, report.calibration).text(), "", tests(report.calibration).text()]
     lines.append(f"residual of |f| - g over the positions: {report.gravity_left / G * 1e6:.4g} µg rms")
     lines.append(f"residual of gravity's direction after the turns: {report.turns_left * 1e6:.4g} µrad rms")
     return "\n".join([*lines, *(f"note: {message}" for message in report.messages)])
-
-
-def _rows_of_held(report: "HandReport") -> Iterator[tuple[Any, ...]]:
-    from gradcal_jax.estimation.calibration_rows import deviations_of
-    from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
-
-    std = deviations_of(report.calibration.covariance)
-    for channel in report.calibration.channel:
-        gain = (report.solution.gyro if channel.kind == "gyro" else report.solution.accelerometer).gain
-        for term in channel.term:
-            unit, factor = UNITS_OF_TERMS[term.unit]
-            add = 0.0
-            if gain != 1.0 and term.name == "bias":
-                unit, factor = "counts", 1.0
-            elif gain != 1.0 and term.name == "scale_factor":
-                unit, factor, add = "counts per " + ("rad/s" if channel.kind == "gyro" else "m/s^2"), 1.0, 1.0
-            elif gain != 1.0:  # proportional to the gain
-                factor /= gain
-            for name, value in term.coefficients.items():
-                known = std.get(f"{channel.name}.{name}")
-                what = f"{channel.name} {term.name}".replace("_", " ")
-                yield what, value * factor + add, None if known is None else known * factor, unit
 
 
 def _head(report: "SensorEstimate | HandReport", counted: str) -> list[str]:

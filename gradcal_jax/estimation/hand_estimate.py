@@ -1,7 +1,7 @@
 """The calibration of a unit from a log of many positions at rest, turned by hand between them; no table, no spec."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -21,7 +21,7 @@ from gradcal_jax.estimation import Test
 from gradcal_jax.estimation.calibration_rows import coefficient_rows, fit_rows, provenance_of
 from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions, solve_by_hand
 from gradcal_jax.estimation.log_rows import Options, bridged_temperature, time_of
-from gradcal_jax.model import AXIS_NAMES
+from gradcal_jax.model import AXIS_NAMES, KINDS
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.records.signal_faults import quiet_windows, refuse_repeated, without_faults
 from gradcal_jax.tables.display import summary
@@ -65,7 +65,7 @@ def estimate_by_hand(
     """The calibration of every unit in `units` (default: all) from a log of many positions, by `gravity` (m/s²).
 
     Accelerometers by |f| = g over the standstills, then gyros by the turns of gravity between them
-    (`gradcal_jax.estimation.hand`). Readings may be raw counts. `options`: `estimation.log_rows.Options`, of which
+    (`gradcal_jax.estimation.hand`). `options`: `estimation.log_rows.Options`, of which
     this takes `earth_rate` (rad/s, straight up), `clock` and `temperature_c`; `sources`: names of files, for the
     provenance. Returns reports with a `calibration` (SI), tests, residuals of gravity (m/s²) and of the turns (rad),
     and `messages`.
@@ -100,50 +100,62 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
             f"{name}: no row has both rates and specific forces: are gyros and accelerometers in separate rows? "
             "Write interpolate = true in the column map, or join the two streams first"
         )
-    temperature = bridged_temperature(log, number, options.temperature_c)
-    filled = fill_short_gaps(
-        time,
-        np.concatenate([rates, force], axis=1),
-        usable,
-        log.standstill,
-        log.stretch_starts,
-        log.sample_interval_s,
-    )
-    temperature = np.interp(filled.time, time, temperature)
-    time, usable, rates, force = filled.time, filled.usable, filled.values[:, :3], filled.values[:, 3:]
+    both = np.concatenate([rates, force], axis=1)
+    filled = fill_short_gaps(time, both, usable, log.standstill, log.stretch_starts, log.sample_interval_s)
+    temperature = np.interp(filled.time, time, bridged_temperature(log, number, options.temperature_c))
     if filled.number:
         messages.append(f"{filled.number} rows in gaps of one or two rows are filled by cubic interpolation")
+    rates, force, standing = filled.values[:, :3], filled.values[:, 3:], filled.standing
     try:
-        standing = filled.standing
         if standing is None:
-            standing = find_positions(rates, force, log.sample_interval_s, usable)
+            standing = find_positions(rates, force, log.sample_interval_s, filled.usable)
             messages.append(
                 f"the log marks no standstills: {int(standing.max()) + 1} were detected where rates and "
                 "forces are steady"
             )
-        solution = solve_by_hand(HandRows(time, rates, force, usable, standing), gravity, options.earth_rate or 0.0)
+        rows = HandRows(filled.time, rates, force, filled.usable, standing)
+        solution = solve_by_hand(rows, gravity, options.earth_rate or 0.0)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
-    held, force_fit, rate_fit = solution.positions, solution.accelerometer, solution.gyro
-    density = lambda noise, gain, unit: Quantity.of(float(np.sqrt(np.mean(noise))) / gain, unit)  # noqa: E731
-    between = slice(int(held.rows[0, 0]), int(held.rows[-1, 1]) + 1)
-    fastest = np.degrees(np.nanmax(np.abs((rates[between][usable[between]] - rate_fit.centre) / rate_fit.gain)))
-    fastest = float(np.radians(np.ceil(fastest)))
     tests = {
-        "accelerometers: norm of gravity": force_fit.test,
-        "accelerometers: whiteness of |f| - g over positions": estimation.whiteness(force_fit.left, force_fit.taken),
-        "gyros: turns of gravity": rate_fit.test,
+        "accelerometers: norm of gravity": solution.accelerometer.test,
+        "accelerometers: whiteness of |f| - g over positions": estimation.whiteness(
+            solution.accelerometer.left, solution.accelerometer.taken
+        ),
+        "gyros: turns of gravity": solution.gyro.test,
         "gyros: rates at rest": solution.at_rest,
     }
-    names, matrix = _covariance(solution)
-    hidden = np.concatenate([force_fit.hidden, rate_fit.hidden])
-    low, high = float(temperature[between].min()), float(temperature[between].max())
-    ends = float(np.floor(low * 10.0) / 10.0), float(np.ceil(high * 10.0) / 10.0)
+    source = provenance_of(
+        [log],
+        name,
+        sources,
+        estimator=f"norm of gravity ({gravity:.9g} m/s^2) and its direction after turns; "
+        f"{len(solution.positions.duration)} positions, {solution.turns} turns",
+    )
+    calibration = _calibration(solution, rows, temperature, tests, log, name).model_copy(update={"provenance": source})
+    left = [float(np.sqrt(np.mean(fit.left**2))) for fit in (solution.accelerometer, solution.gyro)]
+    messages += _words(solution, tests, calibration.unobservable, gravity, options.earth_rate or 0.0)
+    return HandReport(name, solution, calibration, tests, left[0], left[1], tuple(messages))
+
+
+def _calibration(
+    solution: ByHand, rows: HandRows, temperature: np.ndarray, tests: dict[str, Test], log: Log, name: str
+) -> Calibration:
+    """The calibration of a unit at the temperatures (°C) and rates between its first and its last standstill."""
+    held, (values, matrix) = solution.positions, _coefficients(solution)
+    between = slice(int(held.rows[0, 0]), int(held.rows[-1, 1]) + 1)
+    usable, warm = rows.usable[between], temperature[between]
+    table = solution.gyro.parameters.reshape(3, 7)
+    true = (rows.rates[between][usable] - table[:, 3]) / (1.0 + np.diag(table[:, :3]))
+    fastest = float(np.radians(np.ceil(np.degrees(np.max(np.abs(true))))))
+    ends = np.floor(warm.min() * 10.0) / 10.0, np.ceil(warm.max() * 10.0) / 10.0
     covered: dict[str, Any] = {
-        "valid_temperature": (Quantity.of(ends[0], "degC"), Quantity.of(ends[1], "degC")),
+        "valid_temperature": tuple(Quantity.of(float(t), "degC") for t in ends),
         "valid_rate": (Quantity.of(-fastest, "rad/s"), Quantity.of(fastest, "rad/s")),
     }
-    calibration = Calibration(
+    hidden = np.concatenate([solution.accelerometer.hidden, solution.gyro.hidden])
+    density = lambda noise, unit: Quantity.of(float(np.sqrt(np.mean(noise))), unit)  # noqa: E731
+    return Calibration(
         format=FORMAT,
         title=f"calibration of {name} by hand",
         serial_number=name,
@@ -151,90 +163,62 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
         frame=_FRAME,
         order=ORDER,
         channel=tuple(
-            CalibratedChannel(kind=kind, axis=a, term=terms, **covered) for kind, a, terms in _terms(solution)
+            CalibratedChannel(kind=kind, axis=a, term=tuple(_terms(f"{kind}_{a}", values)), **covered)
+            for kind in KINDS
+            for a in AXIS_NAMES
         ),
         covariance=Covariance(
-            names=tuple(n for n, out in zip(names, hidden, strict=True) if not out),
+            names=tuple(n for n, out in zip(values, hidden, strict=True) if not out),
             matrix=tuple(map(tuple, matrix[np.ix_(~hidden, ~hidden)].tolist())),
         ),
         fit=fit_rows(tests.items()),
-        unobservable=tuple(n for n, out in zip(names, hidden, strict=True) if out),
+        unobservable=tuple(n for n, out in zip(values, hidden, strict=True) if out),
         noise=Noise(
-            angle_random_walk=density(held.rate_noise, rate_fit.gain, "rad/s/sqrt(Hz)"),
-            velocity_random_walk=density(held.force_noise, force_fit.gain, "m/s^2/sqrt(Hz)"),
+            angle_random_walk=density(held.rate_noise, "rad/s/sqrt(Hz)"),
+            velocity_random_walk=density(held.force_noise, "m/s^2/sqrt(Hz)"),
             sample_rate=Quantity.of(1.0 / log.sample_interval_s, "Hz"),
         ),
-        provenance=provenance_of(
-            [log],
-            name,
-            sources,
-            estimator=f"norm of gravity ({gravity:.9g} m/s^2) and its direction after turns; "
-            f"{len(held.duration)} positions, {solution.turns} turns",
-        ),
     )
-    left = [float(np.sqrt(np.mean(fit.left**2))) for fit in (force_fit, rate_fit)]
-    messages += _words(solution, tests, calibration.unobservable, gravity, options.earth_rate or 0.0)
-    return HandReport(name, solution, calibration, tests, left[0], left[1], tuple(messages))
 
 
-def _terms(solution: ByHand) -> Iterator[tuple[Literal["gyro", "accelerometer"], str, tuple[CalibratedTerm, ...]]]:
-    """The coefficients of reading = centre + gain · (…) as terms of a calibration file, by kind and axis."""
+def _coefficients(solution: ByHand) -> tuple[dict[str, float], np.ndarray]:
+    """All coefficients by their names in a calibration file, accelerometers first, and their covariance, in SI. A
+    misalignment is an element of I + E over that on its diagonal, which multiplies it."""
     gyro, force = solution.gyro, solution.accelerometer
-    for j, a in enumerate(AXIS_NAMES):
-        row = gyro.gain * gyro.parameters.reshape(3, 7)[j]
-        own = gyro.gain + row[j]
-        terms = [
-            build_term("bias", "rad/s", (), {"a": float(gyro.centre[j] + row[3])}),
-            build_term("scale_factor", "1", (f"rate {a}",), {"b00": float(own - 1.0)}, rate=_GYRO_RATE),
-        ]
-        terms += [
-            build_term(f"misalignment_{b}", "rad", (f"rate {b}",), {f"m_{b}": float(row[l] / own)})
-            for l, b in enumerate("xyz")
-            if l != j
-        ]
-        terms += [
-            build_term(f"g_sensitivity_{b}", "rad/s/(m/s^2)", (f"force {b}",), {f"g_{b}": float(row[4 + l])})
-            for l, b in enumerate("xyz")
-        ]
-        yield "gyro", a, tuple(terms)
-    matrix = np.zeros((3, 3))
-    for value, place in zip(force.parameters[3:], LOWER, strict=True):
-        matrix[place] = force.gain * value
-    for j, a in enumerate(AXIS_NAMES):
-        terms: list[CalibratedTerm] = [
-            build_term("bias", "m/s^2", (), {"a": float(force.centre[j] + force.gain * force.parameters[j])}),
-            build_term("scale_factor", "1", (f"force {a}",), {"s": float(force.gain + matrix[j, j] - 1.0)}),
-        ]
-        own = force.gain + matrix[j, j]
-        terms += [
-            build_term(f"misalignment_{b}", "rad", (f"force {b}",), {f"m_{b}": float(matrix[j, l] / own)})
-            for l, b in enumerate("xyz"[:j])
-        ]
-        yield "accelerometer", a, tuple(terms)
-
-
-def _covariance(solution: ByHand) -> tuple[list[str], np.ndarray]:
-    """Names of all coefficients, accelerometers first, and their covariance in SI."""
     names = [f"accelerometer_{a}.a" for a in "xyz"]
     names += [f"accelerometer_{'xyz'[j]}." + ("s" if j == l else f"m_{'xyz'[l]}") for j, l in LOWER]
-    for j, a in enumerate(AXIS_NAMES):
+    for j, a in enumerate("xyz"):
         names += [f"gyro_{a}." + ("b00" if j == l else f"m_{'xyz'[l]}") for l in range(3)]
         names += [f"gyro_{a}.a", *(f"gyro_{a}.g_{b}" for b in "xyz")]
-    gains = np.repeat([solution.accelerometer.gain, solution.gyro.gain], [9, 21])
-    whole = np.block(
-        [[solution.accelerometer.covariance, solution.cross], [solution.cross.T, solution.gyro.covariance]]
-    )
-    # The scale factor multiplies misalignments: of an element of the matrix, over that on its diagonal.
-    values = {f"{kind}_{a}": terms for kind, a, terms in _terms(solution)}
-    slopes = np.diag(gains)
+    values = np.concatenate([force.parameters, gyro.parameters])
+    slopes = np.eye(len(values))
     for row, name in enumerate(names):
         channel, _, symbol = name.partition(".")
         if symbol.startswith("m_"):
-            found = {n: v for term in values[channel] for n, v in term.coefficients.items()}
-            own = "b00" if channel.startswith("gyro") else "s"
-            slopes[row, names.index(f"{channel}.{own}")] = -found[symbol] * gains[row]
-            slopes[row] /= 1.0 + found[own]
-    return names, slopes @ whole @ slopes.T
+            diagonal = names.index(f"{channel}.b00" if channel.startswith("gyro") else f"{channel}.s")
+            values[row] /= 1.0 + values[diagonal]
+            slopes[row, diagonal] = -values[row]
+            slopes[row] /= 1.0 + values[diagonal]
+    whole = np.block([[force.covariance, solution.cross], [solution.cross.T, gyro.covariance]])
+    return dict(zip(names, values.tolist(), strict=True)), slopes @ whole @ slopes.T
+
+
+def _terms(channel: str, values: dict[str, float]) -> Iterator[CalibratedTerm]:
+    """The terms of a channel, such as "gyro_x"."""
+    kind, axis = channel.split("_")
+    signal, unit = ("rate", "rad/s") if kind == "gyro" else ("force", "m/s^2")
+    own = {name.partition(".")[2]: value for name, value in values.items() if name.startswith(f"{channel}.")}
+    yield build_term("bias", unit, (), {"a": own["a"]})
+    if kind == "gyro":
+        yield build_term("scale_factor", "1", (f"rate {axis}",), {"b00": own["b00"]}, rate=_GYRO_RATE)
+    else:
+        yield build_term("scale_factor", "1", (f"force {axis}",), {"s": own["s"]})
+    for b in "xyz":
+        if f"m_{b}" in own:
+            yield build_term(f"misalignment_{b}", "rad", (f"{signal} {b}",), {f"m_{b}": own[f"m_{b}"]})
+    for b in "xyz":
+        if f"g_{b}" in own:
+            yield build_term(f"g_sensitivity_{b}", "rad/s/(m/s^2)", (f"force {b}",), {f"g_{b}": own[f"g_{b}"]})
 
 
 def _words(
@@ -242,13 +226,8 @@ def _words(
 ) -> Iterator[str]:
     """Findings of the estimate, in sentences."""
     force, gyro, held = solution.accelerometer, solution.gyro, solution.positions
-    for fit, what, unit in ((force, "forces", "m/s²"), (gyro, "rates", "rad/s")):
-        if fit.gain != 1.0:
-            yield (
-                f"the {what} are {fit.gain:.4g} times those in {unit}: counts, or another full-scale range than "
-                "that of the column map's scale; the scale factors include this factor"
-            )
-    up = (held.force - force.centre) / np.linalg.norm(held.force - force.centre, axis=1, keepdims=True)
+    up = held.force - force.parameters[:3]
+    up = up / np.linalg.norm(up, axis=1, keepdims=True)
     spread, axes = np.linalg.eigh(up.T @ up / len(up))
     if spread[0] < _FLAT:
         normal = ", ".join(f"{v:+.2f}" for v in axes[:, 0])
@@ -284,7 +263,7 @@ def _words(
             "or ages"
         )
     if earth_up == 0.0:
-        yield ("the acceleration sensitivities include the Earth's rate along the vertical, up to 15 deg/h at 1 g")
+        yield "the acceleration sensitivities include the Earth's rate along the vertical, up to 15 deg/h at 1 g"
     yield f"the accelerometers' scale factors are no more accurate than the stated gravity, {gravity:.6g} m/s²"
 
 

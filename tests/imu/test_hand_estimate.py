@@ -191,28 +191,6 @@ def test_marked_standstills_are_those_that_are_found():
     assert stats.chi2.sf(square, size) > 1e-3
 
 
-@pytest.fixture(scope="module")
-def a_log() -> Log:
-    rng = np.random.default_rng(2)
-    return held(drawn(rng), rng, count=20)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_counts_of_any_scale_and_zero_give_the_same_unit(a_log, seed):
-    rng = np.random.default_rng(seed)
-    scale, zero = 10.0 ** rng.uniform(-2.0, 5.0, 2), rng.uniform(-300.0, 300.0, (2, 3))
-    counted = replace(
-        a_log,
-        rate_rad_per_s=scale[0] * (a_log.rate_rad_per_s + zero[0]),
-        specific_force_m_per_s2=scale[1] * (a_log.specific_force_m_per_s2 + zero[1]),
-    )
-    (plain,), (report,) = (estimate_by_hand(log, G, options=AT) for log in (a_log, counted))
-    first, second = apply(plain.calibration, a_log).log, apply(report.calibration, counted).log
-    # Another start, another prior: far below what is known.
-    assert np.max(np.abs(first.rate_rad_per_s - second.rate_rad_per_s)) < 1e-5
-    assert np.max(np.abs(first.specific_force_m_per_s2 - second.specific_force_m_per_s2)) < 1e-5
-
-
 def about_x(k: int, rng: np.random.Generator) -> np.ndarray:
     """Positions in one plane: rolled about x alone."""
     return imu_twin.quaternion(np.array([1.0, 0.0, 0.0]), rng.uniform(-3.0, 3.0))
@@ -260,6 +238,14 @@ def test_six_faces_tell_no_angle_between_the_accelerometers():
         (lambda log: replace(log, specific_force_m_per_s2=None, force_axes=()), "no accelerometer x, accelerometer y"),
         (lambda log: replace(log, standstill=np.minimum(log.standstill, 3)), "standstills of a second"),
         (lambda log: replace(log, rate_rad_per_s=-log.rate_rad_per_s), "do both triads have the same axes"),
+        (
+            lambda log: replace(log, rate_rad_per_s=np.degrees(log.rate_rad_per_s)),
+            "the scale and the zero of the rates",
+        ),
+        (
+            lambda log: replace(log, specific_force_m_per_s2=log.specific_force_m_per_s2 / G),
+            "at rest the accelerometers",
+        ),
     ],
 )
 def test_what_cannot_be_is_a_sentence(change, words):

@@ -25,10 +25,17 @@ XSENS = FOLDER / "imu_tk_xsens_mti_multiposition.npz"
 pytestmark = pytest.mark.skipif(not XSENS.is_file(), reason="the recorded data are not here: set GRADCAL_DATA")
 
 G = 9.81744
+# Of the data sheet: counts per rad/s and m/s², about the middle of 16 bits.
+GYRO, FORCE, ZERO = 5000.0, 400.0, 32768
+COLUMN = '{name}.{a} = {{ column = "{of}_counts", index = {k}, unit = "{unit}", scale = {scale!r}, zero = {zero} }}\n'
+TRIADS = (("rate", "gyro", "rad/s", 1.0 / GYRO), ("force", "acc", "m/s^2", 1.0 / FORCE))
 MAP = (
     'format = "gradcal-columns/1"\nname = "Xsens MTi"\ntime = { column = "t_s", unit = "s" }\n'
-    + "".join(f'rate.{a} = {{ column = "gyro_counts", index = {k}, unit = "rad/s" }}\n' for k, a in enumerate("xyz"))
-    + "".join(f'force.{a} = {{ column = "acc_counts", index = {k}, unit = "m/s^2" }}\n' for k, a in enumerate("xyz"))
+    + "".join(
+        COLUMN.format(name=name, of=of, unit=unit, scale=scale, zero=ZERO, a=a, k=k)
+        for name, of, unit, scale in TRIADS
+        for k, a in enumerate("xyz")
+    )
     + '[policy]\nvalues = "keep"\n'
 )
 PRINTED = {
@@ -55,12 +62,14 @@ def report() -> HandReport:
 def in_their_form(report: HandReport) -> dict[str, dict[str, np.ndarray]]:
     """T, counts and bias of both triads in the frame in which the accelerometers' T K is upper triangular."""
     matrix, bias = linear_part(report.calibration.channel, 23.0)
+    counts = np.repeat([GYRO, FORCE], 3)
+    matrix, bias = counts[:, None] * matrix, counts * bias + ZERO
     turn, upper = np.linalg.qr(np.linalg.inv(matrix[3:, 3:]))
     sign = np.sign(np.diag(upper))
     both = {"accelerometer": sign[:, None] * upper, "gyro": sign[:, None] * (turn.T @ np.linalg.inv(matrix[:3, :3]))}
     # A gyro's bias is what it says unaccelerated; theirs is what the first rest said.
     first = report.solution.positions
-    rest = {"accelerometer": bias[3:], "gyro": first.rates[int(np.argmax(first.duration))]}
+    rest = {"accelerometer": bias[3:], "gyro": GYRO * first.rates[int(np.argmax(first.duration))] + ZERO}
     return {
         kind: {"misalignment": m / np.diag(m), "counts": 1.0 / np.diag(m), "bias": rest[kind]}
         for kind, m in both.items()
@@ -90,7 +99,7 @@ def test_gravity_and_its_turns_are_explained_better_than_by_theirs(report):
     assert float(report.calibration.valid_rate[1]) < np.radians(300.0)
     # Rest by rest the gyros answer to acceleration, many times more than they are known to.
     matrix, _ = linear_part(report.calibration.channel, 23.0)
-    sensitivity = matrix[:3, 3:] / report.solution.gyro.gain
+    sensitivity = matrix[:3, 3:]
     spread = np.sqrt(np.diag(report.solution.gyro.covariance)).reshape(3, 7)[:, 4:]
     assert np.sum(np.abs(sensitivity) > 8.0 * spread) >= 6
     # And the model is not all: the norm says so, and the covariance counts it.
@@ -107,11 +116,10 @@ def test_the_command_writes_what_apply_and_export_take(tmp_path, capsys):
     assert main(["estimate", str(XSENS), *options, *asked]) == 1
     said = capsys.readouterr().out
     assert "38 positions, 37 turns" in said
-    assert "counts per m/s^2" in said
     assert (tmp_path / "a.png").stat().st_size > 20_000
     # Of the last seconds, in which the ADC is at its limit, the turns are no part of the calibration.
     assert main(["apply", str(out), str(XSENS), *options, "-o", str(true)]) == 1
-    assert "252 rates are outside the range of the calibration" in capsys.readouterr().out
+    assert "258 rates are outside the range of the calibration" in capsys.readouterr().out
     log = read_log(true)
     still = log.specific_force_m_per_s2[0, 100:5000].mean(axis=0)
     assert abs(np.linalg.norm(still) / G - 1.0) < 3e-4

@@ -1,6 +1,6 @@
 """No plan is ever below its proven limit: random plans, sensors and programmes, and other plans on the same rig.
 
-A case is a random spec of `random_specs`. Its limit is held against what its own plan leaves, and against plans that no
+A case is a plan of `random_plans`. Its limit is held against what its own plan leaves, and against plans that no
 search of ours would make: the same timetable with other angles, rates and directions.
 """
 
@@ -8,7 +8,7 @@ import copy
 
 import numpy as np
 import pytest
-from random_specs import FAMILIES, random_spec
+from random_plans import plan_of
 
 from gradcal_jax.design.plan_limit import limit
 from gradcal_jax.information.prediction import predict
@@ -54,8 +54,7 @@ def values_of(document: dict) -> dict[tuple[str, str], float | None] | None:
 
 def check(seed: int) -> tuple[str, float]:
     """What became of a case ("held", or the refusal's sentence), and the least residual over its limit."""
-    rng = np.random.default_rng(50_000 + seed)
-    document = random_spec(rng, str(rng.choice(FAMILIES)))
+    rng, document = np.random.default_rng(50_000 + seed), plan_of("axis", seed, terms=True)
     try:
         proven = limit(spec_of(document))
     except ValueError as error:

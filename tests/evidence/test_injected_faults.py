@@ -109,7 +109,7 @@ def _foot(rows: Rows) -> str:
     return f"{sum(row[-1] == 'yes' for row in rows)} of {len(rows)} handled; {time.strftime('%Y-%m-%d')}."
 
 
-_COLUMNS = ("spec", "fault", "requirement", "true error", "stated U", "verdict", "exit", "sentence", "handled")
+_COLUMNS = ("fault", "spec", "requirement", "true error", "stated U", "verdict", "exit", "sentence", "handled")
 REPORT = ReportTable("faults", _HEAD, _COLUMNS, 2, _foot)
 
 
@@ -121,7 +121,7 @@ def report(fault: Fault, found: Outcome, good: bool) -> None:
         figures = (worst.name, f"{worst.error:.3g} {worst.unit}", u, worst.verdict or "none")
     sentence = re.sub(r"\S*/(\S+\.(nc|toml))", r"\1", found.named(fault.words))
     said = sentence[:160] or "–"
-    REPORT.put((fault.scene, fault.name, *figures, str(found.status), said, "yes" if good else "**no**"))
+    REPORT.put((fault.name, fault.scene, *figures, str(found.status), said, "yes" if good else "**no**"))
 
 
 # --- the proofs -------------------------------------------------------------------------------------------------------

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 OMEGA = 7.292115e-5
 _X, _W = np.polynomial.legendre.leggauss(3)
@@ -23,8 +25,7 @@ def quaternion(axis, angle) -> np.ndarray:
 
 
 def of_vector(vector) -> np.ndarray:
-    size = float(np.linalg.norm(vector))
-    return np.array([1.0, 0.0, 0.0, 0.0]) if size == 0.0 else quaternion(np.asarray(vector) / size, size)
+    return Rotation.from_rotvec(vector).as_quat(scalar_first=True)
 
 
 def times(p: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -39,20 +40,6 @@ def into_body(q: np.ndarray, vector: np.ndarray) -> np.ndarray:
     u = -q[..., 1:]
     t = 2.0 * np.cross(u, vector)
     return vector + q[..., :1] * t + np.cross(u, t)
-
-
-def from_matrix(m: np.ndarray) -> np.ndarray:
-    """By the eigenvector of Bar-Itzhack's matrix, whatever the angle."""
-    k = np.array(
-        [
-            [m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2], m[2, 1] - m[1, 2]],
-            [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]],
-            [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], m[0, 0] + m[1, 1] + m[2, 2]],
-        ]
-    )
-    x, y, z, w = np.linalg.eigh(k / 3.0)[1][:, -1]
-    return np.array([w, x, y, z])
 
 
 @dataclass(frozen=True)
@@ -191,12 +178,14 @@ def record(
         if l + 1 < len(bench.axes) and names:
             delta = truth.get(f"orthogonality_{names[l]}_{names[l + 1]}", 0.0)
             stage = times(stage, of_vector(delta * np.cross(bench.axes[l + 1], axis)))
-    stage = times(stage, from_matrix(bench.mounting))
+    stage = times(stage, Rotation.from_matrix(bench.mounting).as_quat(scalar_first=True))
     stage = times(stage, of_vector([truth.get(f"mounting{number}_{a}", 0.0) for a in "xyz"]))
     earth = OMEGA * np.array([0.0, np.cos(bench.latitude), np.sin(bench.latitude)])
     omega = into_body(stage, np.broadcast_to(earth, (len(nodes), 3)))
     for l, axis in enumerate(bench.axes):
-        there = into_body(_inverse(outward[l]), np.broadcast_to(axis, (len(nodes), 3)))  # in East-North-Up
+        there = into_body(
+            outward[l] * [1.0, -1.0, -1.0, -1.0], np.broadcast_to(axis, (len(nodes), 3))
+        )  # in East-North-Up
         omega = omega + into_body(stage, there) * pace[:, l : l + 1]
     gravity = np.array([0.0, 0.0, bench.gravity + truth.get("gravity", 0.0)])
     force = into_body(stage, np.broadcast_to(gravity, (len(nodes), 3)))
@@ -205,8 +194,10 @@ def record(
     warm = (temperature_of(nodes) - bench.centre) / bench.scale
     clock = 1.0 + truth.get("sample_clock", 0.0)
     mean = lambda x: (x.reshape(count, 3) @ _W) * clock  # noqa: E731
-    rate = np.stack([mean(_gyro(truth, a, omega, force, warm, bench.pace)) for a in range(3)], axis=1)
-    felt = np.stack([mean(_accelerometer(truth, a, force, warm)) for a in range(3)], axis=1)
+    rate, felt = (
+        np.stack([mean(said_by(truth, kind, a, vector, force, warm, bench.pace)) for a in range(3)], axis=1)
+        for kind, vector in (("gyro", omega), ("accelerometer", force))
+    )
     if noisy:
         for values, kind in ((rate, "gyro"), (felt, "accelerometer")):
             sigma, tau = bench.drift[kind]
@@ -214,31 +205,6 @@ def record(
             values += _markov(sigma, tau, dt, values.shape, rng)
     _, moving, _ = commanded(legs, start, time[1:] - 0.5 * dt)
     return Recorded(time[1:], rate, felt, temperature_of(time[1:]), readings, ~np.any(moving != 0.0, axis=1))
-
-
-def _inverse(q: np.ndarray) -> np.ndarray:
-    return np.concatenate([q[..., :1], -q[..., 1:]], axis=-1)
-
-
-def _gyro(truth, axis: int, omega, force, warm, pace):
-    name = f"gyro_{'xyz'[axis]}."
-    own = _along(truth, name, axis, omega, warm)
-    said = own.copy()
-    for key, value in truth.items():
-        if not key.startswith(name):
-            continue
-        symbol = key.removeprefix(name)
-        if symbol[0] == "a":
-            said += value * warm ** int(symbol[1:])
-        elif symbol[0] == "b":
-            said += value * (own / pace) ** int(symbol[1]) * warm ** int(symbol[2]) * own
-        elif symbol.startswith("m_"):
-            continue
-        elif symbol.startswith("g_"):
-            said += value * warm ** int(symbol[3:] or 0) * force[:, "xyz".index(symbol[2])]
-        else:
-            raise KeyError(key)
-    return said
 
 
 def _along(truth, name: str, axis: int, vector, warm) -> np.ndarray:
@@ -252,20 +218,23 @@ def _along(truth, name: str, axis: int, vector, warm) -> np.ndarray:
     return np.sum(leans * vector, axis=1)
 
 
-def _accelerometer(truth, axis: int, force, warm):
-    name = f"accelerometer_{'xyz'[axis]}."
-    own = _along(truth, name, axis, force, warm)
+def said_by(truth, kind: str, axis: int, vector, force, warm, pace: float) -> np.ndarray:
+    """What a gyro or an accelerometer says of the rate or the force `vector`, by the names of the coefficients."""
+    name = f"{kind}_{'xyz'[axis]}."
+    own = _along(truth, name, axis, vector, warm)
     said = own.copy()
     for key, value in truth.items():
-        if not key.startswith(name):
-            continue
         symbol = key.removeprefix(name)
+        if symbol == key or symbol.startswith("m_"):
+            continue
         if symbol[0] == "a":
             said += value * warm ** int(symbol[1:])
+        elif symbol[0] == "b":
+            said += value * (own / pace) ** int(symbol[1]) * warm ** int(symbol[2]) * own
         elif symbol[0] == "s":
             said += value * warm ** int(symbol[1:] or 0) * own
-        elif symbol.startswith("m_"):
-            continue
+        elif symbol.startswith("g_"):
+            said += value * warm ** int(symbol[3:] or 0) * force[:, "xyz".index(symbol[2])]
         elif symbol == "k2":
             said += value * own**2
         else:
@@ -275,8 +244,6 @@ def _accelerometer(truth, axis: int, force, warm):
 
 def _markov(sigma: float, tau: float, dt: float, shape, rng) -> np.ndarray:
     """Stationary first-order Gauss–Markov samples."""
-    from scipy.signal import lfilter
-
     keep = np.exp(-dt / tau)
     kicks = sigma * np.sqrt(1.0 - keep**2) * rng.standard_normal(shape)
     kicks[0] = sigma * rng.standard_normal(shape[1:])

@@ -125,6 +125,8 @@ def motion_plan(draws: Draws) -> Tables:
             "misalignment": {"prior": "1 mrad"},
         }
     table = {"standing": draws.one("held", "read"), "axis": [draws.axis(name, 0.02, 0.01) for name in names]}
+    for axis in table["axis"]:  # all are read together
+        axis["angle"]["read_every"] = table["axis"][0]["angle"]["read_every"]
     rig = {"site": {"latitude": "48 deg"}, "table": table}
     return {"sensor": sensor, "rig": rig, "plan": {"cycle": {"moves": moves}}}
 

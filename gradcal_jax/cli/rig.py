@@ -23,7 +23,6 @@ from gradcal_jax.tables.display import columns, printable
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
-    from gradcal_jax.hardware.dry_run import Tried
     from gradcal_jax.hardware.setup import DeviceReport
     from gradcal_jax.spec.rig import RigFile
 
@@ -109,13 +108,11 @@ rig_app.command(watch)
 
 
 @rig_app.command
-def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json: Json = False) -> int:
-    """Read the identity and the limits of every device of a rig. Nothing moves unless you add --move.
+def check(rig: Path, /, *, recipe: Path | None = None, json: Json = False) -> int:
+    """Read the identity and the limits of every device of a rig. Nothing moves.
 
-    With --recipe, test everything that a run of this recipe needs: take a reading from each device, measure the sample
-    rate of each IMU, and compare the recipe with the limits of the devices. With --move, each axis also searches for
-    its reference position, makes its longest turn of the recipe, and returns. The exit status is 3 if a device does not
-    answer correctly.
+    With --recipe, also compare the recipe with the limits of the devices and measure the sample rate of each IMU. The
+    exit status is 3 if a device does not answer correctly.
 
     Parameters
     ----------
@@ -123,8 +120,6 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
         The rig file.
     recipe
         Test everything that a run of this recipe needs.
-    move
-        Also move the axes. An operator must be ready to stop the axes.
     json
         Print the devices' answers as JSON.
     """
@@ -133,14 +128,14 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
     from gradcal_jax.hardware.setup import check_each
     from gradcal_jax.spec.rig import read_rig
 
-    if move and recipe is None:
-        raise ValueError("--move makes the longest moves of a recipe: name the recipe with --recipe")
     description = read_rig(rig)
     reports = check_each(description, RealClock())
-    tried = _tried(description, recipe, move) if recipe is not None and all(report.good for report in reports) else []
+    good = all(report.good for report in reports)
+    tried, problems = _tried(description, recipe, reports) if recipe is not None and good else ([], ())
+    good = good and not problems
     if json:
         rows = [json_of(asdict(report)) for report in reports]
-        print(as_json(rows if recipe is None else {"devices": rows, "tried": [asdict(one) for one in tried]}))
+        print(as_json(rows if recipe is None else {"devices": rows, "tried": tried, "problems": problems}))
     else:
         print(strong(description.title or str(rig)))
         print(columns([row for report in reports for row in _rows(report)]))
@@ -148,28 +143,27 @@ def check(rig: Path, /, *, recipe: Path | None = None, move: Flag = False, json:
             print(f'  safe state of axis {entry.name} at the end of a run: "{entry.safe}"')
         if description.chamber is not None:
             print(f'  safe state of the chamber at the end of a run: "{description.chamber.safe}"')
-        for one in tried:
-            print(f"  {one.name}: {one.what}" + ("" if one.good else "  NOT AS IT SHOULD BE"))
-        good = all(entry.good for entry in (*reports, *tried))
+        print("".join(f"  {text}\n" for text in (*tried, *problems)), end="")
         print("every device answers as the rig file states" if good else "the rig is not ready")
-    return DONE if all(entry.good for entry in (*reports, *tried)) else FAILED
+    return DONE if good else FAILED
 
 
-def _tried(rig: "RigFile", recipe: Path, move: bool) -> "list[Tried]":
+def _tried(rig: "RigFile", recipe: Path, reports: "list[DeviceReport]") -> tuple[list[str], tuple[str, ...]]:
+    """The measured rate of each IMU, and everything that is not as the recipe needs it."""
     from gradcal_jax.hardware.clock import RealClock
-    from gradcal_jax.hardware.dry_run import try_for
-    from gradcal_jax.hardware.guard import put_back
-    from gradcal_jax.hardware.setup import open_rig
+    from gradcal_jax.hardware.dry_run import dry_run_on, measured_rate
+    from gradcal_jax.hardware.setup import only_of, open_rig
     from gradcal_jax.hardware.track import track_of
     from gradcal_jax.recipe.recipe import read_recipe
 
     track = track_of(read_recipe(recipe), [axis.name for axis in rig.axis])
-    clock = RealClock()
-    with open_rig(rig, clock) as bench:
-        try:
-            return try_for(bench, track, clock, move=move)
-        finally:
-            put_back(bench)
+    tried, problems = list[str](), dry_run_on(track, reports).problems
+    with open_rig(only_of(rig, {unit.name for unit in rig.imu}), RealClock()) as bench:
+        for name, unit in bench.imus.items():
+            text, good = measured_rate(unit)
+            tried.append(f"{name}: {text}")
+            problems += () if good else (f"{name}: NOT AS IT SHOULD BE",)
+    return tried, problems
 
 
 def _limit(name: str, value: object) -> str:

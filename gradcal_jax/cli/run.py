@@ -64,7 +64,7 @@ def run(
     sample_rate
         For a simulated run: the sample rate of the sensor, "125 Hz", "250 Hz", "500 Hz", "1000 Hz" or "2000 Hz".
     dry_run
-        Read the limits of the rig's devices, print the commands for each device, and end; nothing moves.
+        Read the limits of the rig's devices, print what each of them is asked to do, and end; nothing moves.
     yes
         Begin without asking the operator to confirm the checklist.
     note
@@ -110,8 +110,7 @@ def run(
 
 def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
     from gradcal_jax.hardware.clock import RealClock
-    from gradcal_jax.hardware.dry_run import dry_run_of
-    from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits
+    from gradcal_jax.hardware.dry_run import dry_run_on
     from gradcal_jax.hardware.setup import check_each
     from gradcal_jax.hardware.track import track_of
     from gradcal_jax.recipe.recipe import read_recipe
@@ -119,50 +118,29 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
 
     bench = read_rig(rig)
     track = track_of(read_recipe(recipe), [axis.name for axis in bench.axis])
-    reports = check_each(bench, RealClock())
-    chamber = next((report.limits for report in reports if isinstance(report.limits, ChamberLimits)), None)
-    axes = {report.name: report.limits for report in reports if isinstance(report.limits, AxisLimits)}
-    plan = dry_run_of(track, chamber, axes)
-    silent = [f"{report.name}: {report.problem}" for report in reports if report.problem]
-    problems = [*silent, *plan.problems]
+    plan = dry_run_on(track, check_each(bench, RealClock()))
     if json:
-        steps = [{"told" if key == "commands" else key: value for key, value in asdict(s).items()} for s in plan.steps]
-        print(as_json(asdict(plan) | {"steps": steps, "problems": problems}))
+        print(as_json(asdict(plan)))
     else:
-        for step in plan.steps:
-            waits = ", as soon as the temperature is stable" if step.waits else ""
-            print(f"{time_text(step.begins_s)}  {step.name}, {time_text(step.duration_s)}{waits}")
-            print("".join(f"    {command}\n" for command in step.commands), end="")
-        print(f"{len(plan.steps)} steps, {time_text(plan.duration_s)} plus waiting times")
+        print("\n".join(f"{name}: {what}" for name, what in plan.devices.items()))
+        print(f"{len(track.steps)} steps, {time_text(plan.duration_s)} plus waiting times")
         for text in plan.rounded:
             print(f"rounded: {text}")
-        print("\n".join(problems) if problems else "every device accepts the recipe; nothing was moved")
-    return FAILED if problems else DONE
+        problems = "\n".join(plan.problems)
+        print(problems or "every device accepts the recipe; nothing was moved")
+    return FAILED if plan.problems else DONE
 
 
 def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
     """Print the checklist before a run and, on a terminal, ask the operator to confirm it."""
+    from gradcal_jax.hardware.dry_run import dry_run_of
     from gradcal_jax.hardware.track import track_of
 
-    track = track_of(recipe, [axis.name for axis in rig.axis])
-    temperatures = [course.temperature_c for step in track.steps for course in step.courses]
-    temperatures += [step.temperature_c for step in track.steps if step.temperature_c is not None]
+    plan = dry_run_of(track_of(recipe, [axis.name for axis in rig.axis]), None, {})
     rows = [f"{name}: {text}" for name, text in about.items()]
-    rows.append(f"takes {time_text(float(round(track.duration_s)))} plus waiting times")
-    if rig.chamber is not None and temperatures:
-        low, high = min(temperatures), max(temperatures)
-        rows.append(
-            f"the chamber goes from {low:g} to {high:g} degC; does everything in the chamber tolerate these "
-            "temperatures?"
-        )
-    for axis in rig.axis:
-        moves = [move for step in track.steps for move in step.moves if move.axis == axis.name]
-        if moves:
-            fastest = max(abs(move.rate_dps) for move in moves)
-            rows.append(
-                f"axis {axis.name} turns at up to {fastest:.4g} deg/s; is its path clear, and are its cables long "
-                "enough?"
-            )
+    rows.append(f"takes {time_text(float(round(plan.duration_s)))} plus waiting times")
+    rows += [f"{name}: {what}" for name, what in plan.devices.items()]
+    rows.append("does everything in the chamber tolerate this; are the axes' paths clear, and the cables long enough?")
     safe = [f'axis {axis.name} "{axis.safe}"' for axis in rig.axis]
     safe += [] if rig.chamber is None else [f'the chamber "{rig.chamber.safe}"']
     rows.append("safe states at the end of the run: " + ", ".join(safe))

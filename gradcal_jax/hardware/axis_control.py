@@ -20,8 +20,7 @@ from gradcal_jax.hardware.journal import event_fields
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, MotionAxis
 from gradcal_jax.hardware.track import AxisCommand
 
-_POLL_S = 0.05
-_POLL_BY_HAND_S = 0.25
+_POLL_S, _POLL_BY_HAND_S = 0.05, 0.25
 _LONGEST_MOVE_S = 120.0
 _NEAR_BY_HAND_DEG = 5.0
 # How often an axis is read for its rate alone, and how long after a slower command it may still turn as before.
@@ -39,19 +38,6 @@ _START_DPS = 60.0
 
 
 @dataclass
-class _Turn:
-    """A move of a motor: the command as a turn, when and where it began."""
-
-    command: AxisCommand
-    began_s: float
-    from_deg: float
-
-    @property
-    def ends_s(self) -> float:
-        return self.began_s + self.command.duration_s
-
-
-@dataclass
 class AxisMotion:
     """One axis in a run: what it was commanded to do, and what its readings showed. Times are of the run's clock."""
 
@@ -66,14 +52,14 @@ class AxisMotion:
     """It is left to its search for the reference: nothing else is asked of it."""
     reported_before: frozenset[str] | None = None
     newest: AxisReading | None = None
-    goal_deg: float | None = None
-    looks_s: float | None = None
-    """Of a move that ends by itself: the time of the next reading."""
-    due_s: float | None = None
-    """When its turn is to end."""
-    turn: _Turn | None = None
-    spin: tuple[float, float] | None = None
-    """The constant rate (deg/s), and when it is reached."""
+    command: AxisCommand | None = None
+    """What is under way: a turn until it stands, a spin until it is stopped."""
+    began_s: float = 0.0
+    from_deg: float = 0.0
+    goal_deg: float = 0.0
+    """Where the last turn was to end."""
+    looks_s: float = math.inf
+    """The time of the next reading, of a move that ends by itself."""
     off_rate: int = 0
     """How many readings one after the other showed another rate."""
     awaited: bool = False
@@ -95,11 +81,21 @@ class AxisMotion:
         return _POLL_BY_HAND_S if self.by_hand else _POLL_S
 
     @property
+    def spins(self) -> bool:
+        return self.command is not None and self.command.kind == "spin"
+
+    @property
+    def ends_s(self) -> float:
+        """When what is under way is planned to end."""
+        command = self.command
+        return -math.inf if command is None else self.began_s + command.duration_s + command.answer_s
+
+    @property
     def at_deg(self) -> float:
         """Its angle, as far as it is known."""
-        if self.newest is not None and not math.isnan(self.newest.position_deg):
-            return self.newest.position_deg
-        return self.goal_deg or 0.0
+        if self.newest is None or math.isnan(self.newest.position_deg):
+            return self.goal_deg
+        return self.newest.position_deg
 
     def read(self) -> AxisReading:
         """A reading; of an axis that the run does not move only the faults that it did not report at first."""
@@ -110,8 +106,7 @@ class AxisMotion:
             self.reported_before = before & set(reading.faults)
             reading = replace(reading, faults=tuple(fault for fault in reading.faults if fault not in before))
         self.newest = reading
-        place_deg, _ = self.stands
-        if abs(reading.position_deg - place_deg) > _stands_within_deg(self.asked_dps):
+        if abs(reading.position_deg - self.stands[0]) > _stands_within_deg(self.asked_dps):
             self.stands = reading.position_deg, reading.time_s
         return reading
 
@@ -129,33 +124,28 @@ class AxisMotion:
 
     def stands_at(self, goal_deg: float, *, watched: bool) -> bool:
         """Whether it is at a goal: a motor that was told to go there, one by hand within a tolerance."""
-        newest, told_deg = self.newest, self.goal_deg
-        if self.by_hand:
-            return newest is not None and not newest.moving and abs(newest.position_deg - goal_deg) <= _NEAR_BY_HAND_DEG
+        newest, told = self.newest, abs(self.goal_deg - goal_deg) <= 1e-9
         if newest is None:
-            return abs((told_deg or 0.0) - goal_deg) <= 1e-9
+            return told and not self.by_hand
+        within_deg = _NEAR_BY_HAND_DEG if self.by_hand else _OFF_GOAL_DEG
+        near = not newest.moving and abs(newest.position_deg - goal_deg) <= within_deg
         # Its standstill goes on: a motor that is told to go where it is may move a little.
-        stands = watched and not newest.moving and abs(newest.position_deg - goal_deg) <= _OFF_GOAL_DEG
-        return stands and told_deg is not None and abs(told_deg - goal_deg) <= 1e-9
-
-    def forget(self) -> None:
-        """No move is under way."""
-        self.looks_s = self.due_s = self.turn = self.spin = None
+        return near and (self.by_hand or (watched and told))
 
     def stalled(self) -> str:
         """A sentence where it pushes, does not move, and is not where the plan has it at this instant."""
-        if self.turn is None or self.newest is None:
+        command, newest = self.command, self.newest
+        if command is None or newest is None or self.spins or self.by_hand:
             return ""
-        stood_s, after_s = self.newest.time_s - self.stands[1], self.newest.time_s - self.turn.began_s
-        if not self.newest.moving or stood_s < _STALL_S:
+        stood_s, after_s = newest.time_s - self.stands[1], newest.time_s - self.began_s
+        if not newest.moving or stood_s < _STALL_S:
             return ""
-        command = self.turn.command
-        planned_deg = self.turn.from_deg + command.turned_deg(after_s)
-        behind = abs(planned_deg - self.newest.position_deg) > _stands_within_deg(abs(command.rate_dps))
+        planned_deg = self.from_deg + command.turned_deg(after_s)
+        behind = abs(planned_deg - newest.position_deg) > _stands_within_deg(abs(command.rate_dps))
         if not behind and after_s - command.duration_s < _STALL_S:
             return ""
         return (
-            f"axis {self.name} has been at {self.newest.position_deg:.1f} deg for {stood_s:.0f} s, and should be at "
+            f"axis {self.name} has been at {newest.position_deg:.1f} deg for {stood_s:.0f} s, and should be at "
             f"{planned_deg:.1f} deg now: it is blocked, or its motor has no power"
         )
 
@@ -179,6 +169,23 @@ class AxisControl:
     def newest(self) -> dict[str, AxisReading]:
         return {name: motion.newest for name, motion in self._motions.items() if motion.newest is not None}
 
+    @property
+    def turned_by_hand(self) -> bool:
+        return any(motion.by_hand and motion.command is not None for motion in self._motions.values())
+
+    @property
+    def by_hand(self) -> bool:
+        return any(motion.by_hand for motion in self._motions.values())
+
+    @property
+    def look_s(self) -> float:
+        """When an axis is to be read again."""
+        return min((motion.looks_s for motion in self._motions.values()), default=math.inf)
+
+    def _turning(self) -> list[AxisMotion]:
+        """The axes whose move ends by itself, by name."""
+        return [motion for _, motion in sorted(self._motions.items()) if motion.looks_s < math.inf]
+
     def home(self, names: list[str], meanwhile: Callable[[], None]) -> None:
         motions = [self._motions[name] for name in names]
         for motion in motions:
@@ -192,7 +199,6 @@ class AxisControl:
             beside(partial(self._home, motion), self.clock, meanwhile)
             motion.searching = False
             self._settle(motion, meanwhile)
-            motion.goal_deg = 0.0
 
     def _home(self, motion: AxisMotion) -> None:
         motion.homing_since_s = self.clock.now()
@@ -205,37 +211,20 @@ class AxisControl:
         """Whether an axis may still be told to find its reference, also after a run has been ended."""
         return self.clock.now() < self._motions[name].homing_since_s + _SEARCH_TOLD_S
 
-    @property
-    def turned_by_hand(self) -> bool:
-        return any(motion.by_hand and motion.due_s is not None for motion in self._motions.values())
-
-    @property
-    def by_hand(self) -> bool:
-        return any(motion.by_hand for motion in self._motions.values())
-
-    @property
-    def look_s(self) -> list[float]:
-        return [motion.looks_s for motion in self._motions.values() if motion.looks_s is not None]
-
-    def _turning(self) -> list[AxisMotion]:
-        """The axes whose move ends by itself, by name."""
-        return [motion for _, motion in sorted(self._motions.items()) if motion.looks_s is not None]
-
     def go_to_start(
         self, step: str, start_deg: Mapping[str, float], meanwhile: Callable[[], None], *, watched: bool = False
     ) -> None:
         """Bring axes to the starting angles of a step that does not follow another at once. `watched`: the run was not
         interrupted since their last moves, so that an axis that stands there is not told to go there."""
-        for name, position in start_deg.items():
-            motion, goal = self._motions[name], position
+        for name, goal in start_deg.items():
+            motion = self._motions[name]
             limits = motion.limits
             if limits.travel_deg == (-math.inf, math.inf):
                 # An endless axis has no cable to unwind: it goes to the nearest equal angle.
-                goal += 360.0 * round((motion.at_deg - position) / 360.0)
+                goal += 360.0 * round((motion.at_deg - goal) / 360.0)
             if not motion.stands_at(goal, watched=watched):
                 rate, acceleration = min(limits.max_rate_dps, _START_DPS), min(limits.max_acceleration_dps2, _START_DPS)
-                goes = AxisCommand(0.0, name, "go", position_deg=goal, rate_dps=rate, acceleration_dps2=acceleration)
-                self._command(step, goes)
+                self._command(step, AxisCommand(0.0, name, "go", goal - motion.at_deg, rate, acceleration))
                 self._settle(motion, meanwhile)
 
     def move(self, step: str, move: AxisCommand, due_s: float, meanwhile: Callable[[], None]) -> None:
@@ -244,13 +233,12 @@ class AxisControl:
         motion = self._motions[move.axis]
         if (late_s := self.clock.now() - due_s) > self.latest_s:
             self.amiss.append(f"a {move.kind} of axis {move.axis} began {late_s:.1f} s late")
-        if move.kind in ("go", "turn") and (motion.looks_s is not None or motion.spin is not None):
-            if motion.spin is not None:
-                motion.spin = None
-                motion.axis.stop()
+        if move.kind == "turn" and motion.spins:
+            motion.axis.stop()
+            motion.command = None
             self._settle(motion, meanwhile)
         for other in self._turning():
-            if other is not motion:
+            if other is not motion or move.kind == "turn":
                 self._settle(other, meanwhile)
         self._command(step, move)
 
@@ -258,7 +246,7 @@ class AxisControl:
         """Read an axis from the planned end of its move until it stands: its standstill begins there."""
         for motion in self._turning():
             now = self.clock.now()
-            if motion.looks_s is not None and motion.looks_s <= now:
+            if motion.looks_s <= now:
                 motion.looks_s = now + motion.poll_s
                 self._read(motion)
 
@@ -276,8 +264,7 @@ class AxisControl:
         """
         now = self.clock.now()
         for name, motion in self._motions.items():
-            under_way = motion.looks_s is not None or motion.spin is not None
-            every_s = _WATCH_MOVING_S if under_way else _WATCH_STANDING_S
+            every_s = _WATCH_STANDING_S if motion.command is None else _WATCH_MOVING_S
             if motion.searching or motion.limits.by_hand:
                 continue
             if motion.newest is not None and now - motion.newest.time_s < every_s:
@@ -286,9 +273,11 @@ class AxisControl:
             if self.keep_track:
                 place = {"time_s": reading.time_s, "position_deg": reading.position_deg}
                 self.event("track", at_once=False, axis=name, **place)
-            asked_dps, runs_s = motion.spin or (0.0, math.inf)
-            off = reading.time_s > runs_s and abs(reading.rate_dps - asked_dps) > _off(asked_dps)
-            motion.off_rate = motion.off_rate + 1 if off else 0
+            if motion.command is None or not motion.spins or reading.time_s <= motion.eased[1]:
+                motion.off_rate = 0
+                continue
+            asked_dps = motion.command.rate_dps
+            motion.off_rate = motion.off_rate + 1 if abs(reading.rate_dps - asked_dps) > _off(asked_dps) else 0
             # One wrong reading may come from a busy host.
             if motion.off_rate == _OFF_READINGS:
                 self.amiss.append(f"axis {name} spins at {reading.rate_dps:.2f} deg/s instead of {asked_dps:g}")
@@ -312,9 +301,7 @@ class AxisControl:
 
     def _settle(self, motion: AxisMotion, meanwhile: Callable[[], None]) -> None:
         """Wait until an axis stands; it is stopped at the time-out. A turn by hand has no time-out."""
-        now = self.clock.now()
-        planned_s = now if motion.turn is None else max(now, motion.turn.ends_s)
-        end_s = math.inf if motion.by_hand else planned_s + _LONGEST_MOVE_S
+        end_s = math.inf if motion.by_hand else max(self.clock.now(), motion.ends_s) + _LONGEST_MOVE_S
         while self._read(motion).moving:
             if self.clock.now() > end_s:
                 motion.axis.stop()
@@ -326,7 +313,7 @@ class AxisControl:
 
     def end_spins(self, step: str, at_s: float) -> None:
         for name, motion in sorted(self._motions.items()):
-            if motion.spin is not None:
+            if motion.spins:
                 self._command(step, AxisCommand(at_s, name, "stop"))
 
     def stop(self) -> None:
@@ -335,37 +322,34 @@ class AxisControl:
             motion.asks(self.clock.now(), 0.0)
             self.event("stopped", at_once=False, axis=name)
         for motion in self._motions.values():
-            motion.forget()
+            motion.command, motion.looks_s = None, math.inf
         self.amiss.clear()
 
     def _command(self, step: str, move: AxisCommand) -> None:
-        motion = self._motions[move.axis]
+        motion, began_s = self._motions[move.axis], self.clock.now()
+        before_dps = 0.0 if motion.newest is None else motion.newest.rate_dps
         motion.awaited = False
-        motion.asks(self.clock.now(), abs(move.rate_dps), move.acceleration_dps2)
-        motion.due_s = motion.turn = motion.spin = None
+        motion.asks(began_s, abs(move.rate_dps), move.acceleration_dps2)
         motion.stands = math.inf, math.inf
-        began_s = self.clock.now()
-        if move.kind in ("go", "turn"):
-            turned_deg = (motion.goal_deg or 0.0) + move.angle_deg
-            goal_deg = turned_deg if move.kind == "turn" else move.position_deg
-            motion.axis.move_to(goal_deg, move.rate_dps, move.acceleration_dps2)
-            motion.goal_deg = goal_deg
-            ends_s = began_s + (move.duration_s + move.answer_s if move.kind == "turn" else 0.0)
-            if motion.by_hand:
-                motion.looks_s, motion.due_s = began_s, ends_s
-            else:
-                motion.looks_s, motion.due_s = ends_s, ends_s if move.kind == "turn" else math.inf
-                as_turn = replace(move, kind="turn", angle_deg=goal_deg - motion.at_deg)
-                motion.turn = _Turn(as_turn, began_s, motion.at_deg)
-        elif move.kind == "spin":
+        motion.command, motion.looks_s = None, math.inf
+        motion.began_s, motion.from_deg = began_s, motion.at_deg if move.kind == "go" else motion.goal_deg
+        if move.kind == "spin":
             motion.axis.spin(move.rate_dps, move.acceleration_dps2)
-            change_dps = abs(move.rate_dps - (motion.newest.rate_dps if motion.newest is not None else 0.0))
-            motion.spin = move.rate_dps, began_s + change_dps / move.acceleration_dps2 + _EASING_S
-            motion.looks_s = None
-        else:
+            # Another sign takes longer than a slower rate does.
+            changes_s = abs(move.rate_dps - before_dps) / move.acceleration_dps2
+            motion.eased = motion.eased[0], max(motion.eased[1], began_s + changes_s + _EASING_S)
+            motion.command = move
+        elif move.kind == "stop":
             motion.axis.stop()
             motion.looks_s = began_s
-        self.event("move", at_once=False, step=step, began_s=began_s, **event_fields(move))
+        else:
+            goal_deg = motion.from_deg + move.angle_deg
+            motion.axis.move_to(goal_deg, move.rate_dps, move.acceleration_dps2)
+            motion.goal_deg, motion.command = goal_deg, move
+            motion.looks_s = began_s if motion.by_hand or move.kind == "go" else began_s + move.duration_s
+        self.event(
+            "move", at_once=False, step=step, began_s=began_s, position_deg=motion.goal_deg, **event_fields(move)
+        )
 
     def _read(self, motion: AxisMotion) -> AxisReading:
         before, reading = motion.newest, motion.read()
@@ -375,18 +359,18 @@ class AxisControl:
             self.event("angle", at_once=False, axis=motion.name, planned=planned, **event_fields(reading))
         if not reading.moving:
             motion.awaited = False
-            motion.looks_s = motion.turn = None
-            if motion.spin is None:
+            motion.looks_s = math.inf
+            if not motion.spins:
                 self._stood(motion, reading)
         return reading
 
     def _stood(self, motion: AxisMotion, reading: AxisReading) -> None:
         if motion.asked_dps:
             motion.asks(self.clock.now(), 0.0)
-        due_s, motion.due_s = motion.due_s, None
-        if due_s is None or motion.goal_deg is None:
+        command, late_s = motion.command, reading.time_s - motion.ends_s
+        motion.command = None
+        if command is None or command.kind == "go":
             return
-        late_s = reading.time_s - due_s
         if motion.by_hand:
             # An early turn makes up for late ones before it.
             self.late_s = max(0.0, self.late_s + late_s)

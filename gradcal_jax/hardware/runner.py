@@ -8,10 +8,8 @@ from its beginning: the chamber goes to the step's first temperature and is stab
 and the journal marks the interruption.
 
 Beside the executing thread, one thread reads the chamber, and one for each unit writes its bytes to the disk: no slow
-device delays a move.
-
-A runner with `first_step` resumes after a crash (see `run_folder`); `guard` makes a rig safe when this process is
-killed.
+device delays a move. A runner with `first_step` resumes after a crash (see `run_folder`); `guard` makes a rig safe when
+this process is killed.
 """
 
 import math
@@ -35,7 +33,7 @@ from gradcal_jax.hardware.journal import Journal, event_fields
 from gradcal_jax.hardware.roles import ImuSettings
 from gradcal_jax.hardware.setup import Bench, require_identity
 from gradcal_jax.hardware.supervision import RunProgress, RunResult, RunState, SafeOutcome
-from gradcal_jax.hardware.track import Course, Stable, Track, TrackStep
+from gradcal_jax.hardware.track import Ask, Course, Stable, Track, TrackStep
 from gradcal_jax.spec.rig import ImuDevice
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
@@ -69,13 +67,13 @@ class Runner:
     clock: Clock
     interlocks: Interlocks = field(default_factory=Interlocks)
     on_progress: Callable[[RunProgress], None] | None = None
-    on_alarm: Callable[[str], None] | None = None
+    on_alarm: Callable[[str], None] = lambda sentence: None
     chamber_every_s: float = 5.0
     safe_deadline_s: float = 60.0
     wait_when_paused: bool = True
     first_step: int = 0
     mounting: int = 0
-    """The mounting of the IMUs when the run begins, as `Step.mounting`; 0: unknown."""
+    """The mounting of the IMUs when the run begins, as `Ask.mounting`; 0: unknown."""
     on_begin: Callable[[], None] = lambda: None
     """Called once, before the first command that can make anything unsafe."""
     on_new_session: Callable[[int], None] = lambda first_step: None
@@ -83,34 +81,30 @@ class Runner:
 
     def __post_init__(self) -> None:
         self.state = RunState.IDLE
+        self.begun = False
+        """Whether anything was commanded."""
+        self.ticked_s = time.monotonic()
+        """Real time of the last sign of life of the run's own thread."""
         self._requests: deque[tuple[Request, str]] = deque()
         self._pause_first = False
         # Why the run is paused, by a rule or by a request, and since when.
         self._why, self._by_rule = "", False
         self._paused_s: float | None = None
+        self._problem = ""
+        self._working, self._watching = threading.Event(), threading.Event()
         self._range_c = (-math.inf, math.inf)
-        self.begun = False
-        """Whether anything was commanded."""
-        chamber = self.bench.chamber
+        chamber, latest_s = self.bench.chamber, self.interlocks.limits.latest_s
         self._chamber = None if chamber is None else ChamberControl(chamber, self.clock, self._event)
-        latest_s, alone = self.interlocks.limits.latest_s, not self.bench.imus
-        self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, alone)
+        self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, not self.bench.imus)
         self._losses: dict[str, SampleLosses] = {}
         # Units whose samples are awaited; they send none while the axes search for their references.
         self._streaming: set[str] = set()
-        # Units that are to be configured anew: one that restarted has the settings that it stores.
-        self._unfit: set[str] = set()
         self._settings: dict[str, ImuSettings] = {}
         self._unconfirmed: deque[ExecutedStep] = deque()
         self._confirmed: set[int] = set()
         self._tries: dict[int, int] = {}
         self._shortfall: StepNotDone | None = None
-        self.ticked_s = time.monotonic()
-        """Real time of the last sign of life of the run's own thread."""
         self._heard_end_s = math.inf
-        self._problem: str = ""
-        self._working = threading.Event()
-        self._watching = threading.Event()
         self._shown_s = -math.inf
         self._late: set[str] = set()
         self._steps_done = self.first_step
@@ -149,12 +143,13 @@ class Runner:
             # At the end: no other thread reads the lines of the units any more.
             for name, problem in put_back(self.bench).items():
                 self._event("settings put back", device=name, problem=problem)
-            good = all(outcome.verified for outcome in outcomes)
-            if self.on_alarm is not None and not (good and status != "aborted"):
-                unsafe = ", ".join(outcome.name for outcome in outcomes if not outcome.verified)
+            unsafe = ", ".join(outcome.name for outcome in outcomes if not outcome.verified)
+            if unsafe or status == "aborted":
                 self.on_alarm(f"The run was {status}: {reason}" + (f" NOT VERIFIED SAFE: {unsafe}" if unsafe else ""))
-            self._event("end", exit_status=status, reason=reason, verified_safe=good)
+            self._event("end", exit_status=status, reason=reason, verified_safe=not unsafe)
         return RunResult(status, reason, outcomes, self._steps_done, self.begun)
+
+    # ------------------------------------------------------------------------------------------------ the beginning
 
     def _prepare(self, helpers: list[threading.Event]) -> None:
         for name, entry, device in self.bench.devices():
@@ -162,11 +157,8 @@ class Runner:
             require_identity(name, entry, identity)
             self._event("identity", device=name, **event_fields(identity))
             if isinstance(entry, ImuDevice):
-                unit = self.bench.imus[name]
-                settings = self._settings[name] = unit.configure()
-                self._event("configuration", device=name, **event_fields(settings))
-                rate_hz, now = settings.sample_rate_hz, self.clock.now()
-                self._losses[name] = SampleLosses(unit.decoder(), rate_hz, self.track.gyros, now)
+                self._settings[name] = self.bench.imus[name].configure()
+                self._event("configuration", device=name, **event_fields(self._settings[name]))
         axes = {name: axis.limits() for name, axis in self.bench.axes.items()}
         if problems := dry_run_of(self.track, self.bench.chamber_limits(), axes).problems:
             raise LimitExceeded("The run was not started. " + " ".join(problems))
@@ -189,92 +181,91 @@ class Runner:
         self.on_begin()
         # The units' data begin after the search for references.
         self._axes.home(self.track.moved, self._duties)
-        for name in self.bench.imus:
-            unit = self.bench.imus[name]
+        for name, unit in self.bench.imus.items():
             unit.start()
-            self._losses[name].begin_again(unit.decoder(), self.clock.now())
-            self._streaming.add(name)
+            self._listen_to(name)
             # A simulated unit waits on the clock, not on a line.
             start(name, partial(self._carry_bytes, name), waits_on_clock=self.bench.simulated)
 
     def _fail(self, problem: str) -> None:
         self._problem = problem
 
+    def _listen_to(self, name: str) -> None:
+        """Count a unit's samples from here on."""
+        decoder, rate_hz = self.bench.imus[name].decoder(), self._settings[name].sample_rate_hz
+        self._losses[name] = SampleLosses(decoder, rate_hz, self.track.gyros, self.clock.now())
+        self._streaming.add(name)
+
     def _carry_bytes(self, name: str) -> None:
         """Write raw bytes to the journal first, then count the missing samples."""
-        unit, losses = self.bench.imus[name], self._losses[name]
         while self._working.is_set():
-            if name in self._unfit:
-                with self.clock.party():
-                    self._settings[name] = unit.configure()
-                    # Its samples count anew from here, as in a run that is resumed.
-                    self.on_new_session(self._steps_done)
-                    for device, settings in self._settings.items():
-                        self._event("configuration", device=device, **event_fields(settings))
-                    unit.start()
-                    losses.begin_again(unit.decoder(), self.clock.now())
-                self._unfit.discard(name)
-            data, time_s = unit.read_bytes(0.2)
+            data, time_s = self.bench.imus[name].read_bytes(0.2)
             if data:
                 self.journal.bytes_of(name, time_s, data, received=True)
-                losses.push(data, time_s)
+                self._losses[name].push(data, time_s)
+
+    # ---------------------------------------------------------------------------------------------------- the steps
 
     def _execute(self) -> None:
         steps = self.track.steps
         # A run that was killed after its last step only has to end.
         again = 0 < self.first_step < len(steps)
         if again:
-            self._seam(self._steps_done, "the run was resumed; the step begins again")
-        while (number := self._steps_done) < len(steps):
+            self._seam("the run was resumed; the step begins again")
+        while (number := self._steps_done) < len(steps) or self._unconfirmed or self.interlocks.pending:
             try:
+                if number == len(steps):
+                    self._await_confirmation()
+                    continue
                 self._unconfirmed.append(self._run_step(steps[number], again))
-                again = False
+                again = isinstance(steps[number], Ask)
                 self._steps_done += 1
                 self._confirm_steps()
-                if self._steps_done == len(steps):
-                    self._await_confirmation()
-                elif self.state is RunState.PAUSING:
+                if self.state is RunState.PAUSING and self._steps_done < len(steps):
                     self._pause_between(steps[number])
-                    if again := steps[self._steps_done].follows:
-                        self._seam(self._steps_done, "the run was paused before this step")
+                    if again := steps[self._steps_done].stable is None:
+                        self._seam("the run was paused before this step")
             except _Interrupted:
+                violated = self._why if self._by_rule else ""
                 self._wait_paused()
-                self._seam(number, "the step begins again after a pause")
-                again = True
+                if number < len(steps):
+                    self._seam("the step begins again after a pause")
+                    again = True
+                elif violated:
+                    self._take_back(StepNotDone(number - 1, violated))
+                    again = True
             except StepNotDone as shortfall:
                 self._take_back(shortfall)
                 again = True
-        self._require_all_done()
+        if left := set(range(self.first_step, len(steps))) - self._confirmed:
+            names = ", ".join(repr(steps[number].name) for number in sorted(left))
+            raise HardwareError(f"The run ended before these steps were confirmed: {names}.")
 
-    def _seam(self, number: int, why: str) -> None:
-        self._event("seam", step=self.track.steps[number].name, why=why)
+    def _seam(self, why: str) -> None:
+        self._event("seam", step=self.track.steps[self._steps_done].name, why=why)
 
     def _take_back(self, shortfall: StepNotDone) -> None:
-        number, name = shortfall.number, self.track.steps[shortfall.number].name
+        """This step and those after it are to be executed again."""
+        number = shortfall.number
         self._say_not_done(shortfall)
+        self._shortfall = None
+        self._unconfirmed = deque(executed for executed in self._unconfirmed if executed.number < number)
+        self._confirmed = {done for done in self._confirmed if done < number}
         self._tries[number] = self._tries.get(number, 0) + 1
         if self._tries[number] == _TRIES:
-            what = f"In {_TRIES} attempts, step {name!r} was not executed as the recipe states."
-            self._drop_from(number)
+            what = (
+                f"In {_TRIES} attempts, step {self.track.steps[number].name!r} was not executed as the recipe states."
+            )
             raise HardwareError(f"{what} The last attempt: {shortfall}.")
         self._axes.stop()
         self._steps_done = number
         if shortfall.unit:
-            self._unfit.add(shortfall.unit)
-        while self._unfit:
-            try:
-                self._duties()
-            except _Interrupted:
-                self._wait_paused()
-            self.clock.sleep(_SLICE_S)
-        self._drop_from(number)
-        self._seam(number, "the step is repeated: it was not executed as the recipe states")
-
-    def _drop_from(self, number: int) -> None:
-        """Steps from this number on are to be executed again."""
-        self._shortfall = None
-        self._unconfirmed = deque(executed for executed in self._unconfirmed if executed.number < number)
-        self._confirmed = {done for done in self._confirmed if done < number}
+            # Its samples count anew from here, as in a run that is resumed.
+            self.on_new_session(number)
+            for device, settings in self._settings.items():
+                self._event("configuration", device=device, **event_fields(settings))
+            self._listen_to(shortfall.unit)
+        self._seam("the step is repeated: it was not executed as the recipe states")
 
     def _pause_between(self, step: TrackStep) -> None:
         """Stop every axis: nothing turns while a run is paused, not even a spin that the next step continues."""
@@ -284,6 +275,126 @@ class Runner:
             self._axes.settle_all(self._duties)
         if self.state is RunState.PAUSING:
             self._wait_paused()
+
+    def _run_step(self, step: TrackStep, again: bool) -> ExecutedStep:
+        number, axes = self._steps_done, self._axes
+        self._event("step", step=step.name, number=number)
+        anew = again or number == self.first_step or step.stable is not None
+        if anew:
+            self._place(step, again)
+        begin = self.clock.now() if anew else self._step_ends_s
+        if isinstance(step, Ask):
+            self._ask(step)
+        courses = self.track.courses_from(number) if anew else list(step.courses)
+        axes.late_s = 0.0 if anew else axes.late_s
+        self._step_ends_s = begin + step.duration_s
+        self._event("step begins", step=step.name, number=number, begins_s=begin, data=step.data)
+        end = self._move(step, begin, courses)
+        after = self.track.steps[number + 1 :][:1]
+        if not after or after[0].stable is not None or isinstance(after[0], Ask):
+            axes.end_spins(step.name, step.duration_s)
+        axes.settle_all(self._duties)
+        self._require_executed()
+        axes.late_s = end - self._step_ends_s
+        return ExecutedStep(number, begin, self.clock.now())
+
+    def _move(self, step: TrackStep, begin: float, courses: list[Course]) -> float:
+        """Everything in a step's own time; returns its end."""
+        axes, latest_s, planned = self._axes, self.interlocks.limits.latest_s, bool(step.read_at_s)
+        moves = deque(step.moves)
+        reads = deque(step.read_at_s)
+        if not planned:
+            reads.extend(k * step.read_every_s for k in range(math.ceil(step.duration_s / step.read_every_s)))
+        while True:
+            now, motion = self.clock.now(), begin + axes.late_s
+            end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
+            while reads and motion + reads[-1] > end + 1e-6:
+                reads.pop()
+            if reads and motion + reads[0] <= now and not axes.turned_by_hand:
+                late_s = now - motion - reads[0]
+                while reads and motion + reads[0] <= now:
+                    # While an axis is turned by hand nothing is read: of what fell due meanwhile the last counts.
+                    late_s = now - motion - reads[0] if axes.by_hand else late_s
+                    reads.popleft()
+                if planned and late_s > latest_s:
+                    axes.amiss.append(f"a reading was {late_s:.1f} s late")
+                axes.read(planned=planned)
+            while courses and begin + courses[0].start_s <= self.clock.now():
+                course = courses.pop(0)
+                if (late_s := self.clock.now() - begin - course.start_s) > latest_s:
+                    axes.amiss.append(f"the temperature profile was sent to the chamber {late_s:.1f} s late")
+                if self._chamber is not None:
+                    self._chamber.tell(course, begin + course.start_s, self._fail)
+            while moves and motion + moves[0].start_s <= self.clock.now() and not axes.turned_by_hand:
+                axes.move(step.name, moves[0], motion + moves[0].start_s, self._duties)
+                moves.popleft()
+            axes.look()
+            self._require_executed()
+            self._duties(end)
+            if self.clock.now() >= end and not (moves or reads or axes.turned_by_hand):
+                return end
+            dues = [self.clock.now() + _SLICE_S, axes.look_s]
+            dues += [end] if end > now else []
+            dues += [begin + course.start_s for course in courses[:1]]
+            if not axes.turned_by_hand:
+                dues += [motion + reads[0]] if reads else []
+                dues += [motion + moves[0].start_s] if moves else []
+            self.clock.sleep_until(min(dues))
+
+    def _place(self, step: TrackStep, again: bool) -> None:
+        """Bring axes and chamber to the step's start, and wait for its condition."""
+        self._axes.go_to_start(step.name, step.start_deg, self._duties, watched=not again)
+        stable = step.stable or (self.track.again if again else None)
+        if step.start_c is not None and stable is not None:
+            self._stabilise(step, step.start_c, stable)
+
+    def _ask(self, step: Ask) -> None:
+        """Ask the operator to hang the units, and wait without a time-out."""
+        console = self.bench.console
+        if step.mounting == self.mounting:
+            return
+        if console is None:
+            raise HardwareError(
+                f"The mounting of the IMUs must be changed ({step.hang}), and there is no operator to ask."
+            )
+        self._axes.go_to_start(step.name, dict.fromkeys(self.track.moved, 0.0), self._duties)
+        if self.track.again is not None:
+            self._stabilise(step, _FOR_HANDS_C, self.track.again)
+        console.ask(f"mount the IMUs as follows: {step.hang}; press Enter when they are mounted:")
+        try:
+            while console.answer() is None:
+                self._duties()
+                self.clock.sleep(_SLICE_S)
+        finally:
+            console.withdraw("cancelled: leave the IMUs as they are mounted.")
+        self.mounting = step.mounting
+        self._event("hung", step=step.name, mounting=step.mounting, how=step.hang)
+
+    def _stabilise(self, step: TrackStep, at_c: float, ready: Stable) -> None:
+        if (chamber := self._chamber) is None:
+            return
+        chamber.approach(at_c)
+        beside(partial(chamber.hold, at_c), self.clock, self._duties)
+        began = self.clock.now()
+        while (value := chamber.stable_at(at_c, ready)) is None:
+            self._duties()
+            if self.clock.now() - began > ready.timeout_s:
+                raise HardwareError(
+                    f"Step {step.name!r}: the temperature was not stable within {ready.band_k:g} K of {at_c:g} "
+                    f"degC after {ready.timeout_s:g} s. Check the chamber, or allow more time."
+                )
+            self.clock.sleep(_SLICE_S)
+        chamber.expected.stands(self.clock.now(), at_c)
+        self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)
+
+    # ----------------------------------------------------------------------------------------- each step done or said
+
+    def _require_executed(self) -> None:
+        """Interrupt the step where axes or readings deviate from the track: it is to be repeated."""
+        if self._shortfall is not None:
+            raise self._shortfall
+        if self._axes.amiss:
+            raise StepNotDone(self._steps_done, "; ".join(dict.fromkeys(self._axes.amiss)))
 
     def _confirm_steps(self) -> None:
         """Judge the steps whose samples are in the journal: a step that a resumed run does not repeat is complete.
@@ -318,23 +429,10 @@ class Runner:
         until = self.clock.now() + _LONGEST_ARRIVAL_S
         while self._unconfirmed or self.interlocks.pending:
             self._require_executed()
-            try:
-                self._duties()
-            except _Interrupted:
-                why = self._why if self._by_rule else ""
-                self._wait_paused()
-                if why:
-                    raise StepNotDone(len(self.track.steps) - 1, why) from None
-                until = self.clock.now() + _LONGEST_ARRIVAL_S
+            self._duties()
             if self.clock.now() > until:
                 raise HardwareError(f"The last samples did not come within {_LONGEST_ARRIVAL_S:g} s: check the IMUs.")
             self.clock.sleep(_SLICE_S)
-
-    def _require_all_done(self) -> None:
-        left = set(range(self.first_step, len(self.track.steps))) - self._confirmed
-        if left:
-            names = ", ".join(repr(self.track.steps[number].name) for number in sorted(left))
-            raise HardwareError(f"The run ended before these steps were confirmed: {names}.")
 
     def _judge_the_rest(self) -> None:
         """At the end of a run that did not finish: each executed step is done, or said to be not done."""
@@ -352,126 +450,7 @@ class Runner:
         name = self.track.steps[shortfall.number].name
         self._event("not done", step=name, number=shortfall.number, why=str(shortfall))
 
-    def _run_step(self, step: TrackStep, again: bool) -> ExecutedStep:
-        self._event("step", step=step.name, number=self._steps_done)
-        flows, axes = step.follows and not again, self._axes
-        latest_s = self.interlocks.limits.latest_s
-        begin = self._step_ends_s if flows else self._begin(step, again)
-        axes.late_s = axes.late_s if flows else 0.0
-        self._step_ends_s = begin + step.duration_s
-        self._event("step begins", step=step.name, number=self._steps_done, begins_s=begin, data=step.data)
-        courses = [course for course in step.courses if flows or course.start_s > 0.0]
-        moves, reads = list(step.moves), sorted(step.read_at_s)
-        every_s = None if reads else begin
-        while True:
-            now, motion = self.clock.now(), begin + axes.late_s
-            end = max(self._step_ends_s, motion + step.duration_s - step.slack_s)
-            while reads and motion + reads[-1] > end + 1e-6:
-                reads.pop()
-            fallen = sum(motion + read <= now for read in reads)
-            if axes.by_hand and fallen:
-                # No readings while an axis is turned by hand: of those that fell due meanwhile only the last counts.
-                del reads[: fallen - 1]
-                fallen = 1
-            if fallen and not axes.turned_by_hand:
-                if late := sum(motion + read < now - latest_s for read in reads[:fallen]):
-                    axes.amiss.append(f"{late} readings are up to {now - motion - reads[0]:.1f} s late")
-                del reads[:fallen]
-                axes.read(planned=True)
-            if every_s is not None and now >= every_s:
-                every_s += step.read_every_s * max(1, round((now - every_s) / step.read_every_s))
-                axes.read()
-            while courses and begin + courses[0].start_s <= self.clock.now():
-                course = courses.pop(0)
-                if (late_s := self.clock.now() - begin - course.start_s) > latest_s:
-                    axes.amiss.append(f"the temperature profile was sent to the chamber {late_s:.1f} s late")
-                if self._chamber is not None:
-                    self._chamber.tell(course, begin + course.start_s, self._fail)
-            while moves and motion + moves[0].start_s <= self.clock.now() and not axes.turned_by_hand:
-                axes.move(step.name, moves[0], motion + moves[0].start_s, self._duties)
-                moves.pop(0)
-            axes.look()
-            self._require_executed()
-            self._duties(end)
-            if self.clock.now() >= end and not moves and not reads and not axes.turned_by_hand:
-                break
-            dues = [self.clock.now() + _SLICE_S, *axes.look_s]
-            dues += [end] if end > now else []
-            dues += [begin + courses[0].start_s] if courses else []
-            if not axes.turned_by_hand:
-                dues += [motion + reads[0]] if reads else []
-                dues += [motion + moves[0].start_s] if moves else []
-            dues += [every_s] if every_s is not None else []
-            self.clock.sleep_until(min(dues))
-        after = self.track.steps[self._steps_done + 1 :][:1]
-        if not (after and after[0].follows):
-            axes.end_spins(step.name, step.duration_s)
-        axes.settle_all(self._duties)
-        self._require_executed()
-        axes.late_s = end - self._step_ends_s
-        return ExecutedStep(self._steps_done, begin, self.clock.now())
-
-    def _require_executed(self) -> None:
-        """Interrupt the step where axes or readings deviate from the track: it is to be repeated."""
-        if self._shortfall is not None:
-            raise self._shortfall
-        if self._axes.amiss:
-            raise StepNotDone(self._steps_done, "; ".join(dict.fromkeys(self._axes.amiss)))
-
-    def _begin(self, step: TrackStep, again: bool) -> float:
-        """Bring axes and chamber to the step's start, wait for its condition, and command the chamber's course."""
-        if step.mounting and step.mounting != self.mounting:
-            began = self.clock.now()
-            self._hang(step)
-            if step.hangs_meanwhile:
-                return began
-        if again or step.goes_there:
-            self._axes.go_to_start(step.name, step.start_deg, self._duties, watched=not again)
-        ready = step.ready or (step.again if again else None)
-        chamber, at_c = self._chamber, step.begins_c
-        if chamber is not None and at_c is not None and ready is not None:
-            self._stabilise(step, chamber, at_c, ready)
-            chamber.expected.stands(self.clock.now(), at_c)
-        if chamber is not None and step.temperature_c is not None:
-            course = Course(0.0, step.temperature_c, step.ramp_k_per_min)
-            chamber.expect(course, self.clock.now())
-            beside(partial(chamber.follow, course), self.clock, self._duties)
-        return self.clock.now()
-
-    def _hang(self, step: TrackStep) -> None:
-        """Ask the operator to hang the units for this step, and wait without a time-out."""
-        console, chamber = self.bench.console, self._chamber
-        if console is None:
-            raise HardwareError(
-                f"The mounting of the IMUs must be changed ({step.hang}), and there is no operator to ask."
-            )
-        self._axes.go_to_start(step.name, dict.fromkeys(step.start_deg, 0.0), self._duties)
-        ready = step.again or step.ready
-        if chamber is not None and ready is not None:
-            self._stabilise(step, chamber, _FOR_HANDS_C, ready)
-        console.ask(f"mount the IMUs as follows: {step.hang}; press Enter when they are mounted:")
-        try:
-            while console.answer() is None:
-                self._duties()
-                self.clock.sleep(_SLICE_S)
-        finally:
-            console.withdraw("cancelled: leave the IMUs as they are mounted.")
-        self.mounting = step.mounting
-        self._event("hung", step=step.name, mounting=step.mounting, how=step.hang)
-
-    def _stabilise(self, step: TrackStep, chamber: ChamberControl, at_c: float, ready: Stable) -> None:
-        chamber.approach(at_c)
-        beside(partial(chamber.hold, at_c), self.clock, self._duties)
-        began = self.clock.now()
-        while (value := chamber.stable_at(at_c, ready)) is None:
-            self._duties()
-            if self.clock.now() - began > ready.timeout_s:
-                raise HardwareError(
-                    f"Step {step.name!r}: the temperature was not stable within {ready.band_k:g} K of {at_c:g} "
-                    f"degC after {ready.timeout_s:g} s. Check the chamber, or allow more time."
-                )
-            self.clock.sleep(_SLICE_S)
-        self._event("stable", step=step.name, temperature_c=value, waited_s=self.clock.now() - began)
+    # ------------------------------------------------------------------------------------------- duties in every state
 
     def _duties(self, end_s: float | None = None) -> None:
         self.ticked_s = time.monotonic()
@@ -485,22 +464,21 @@ class Runner:
         if problem := self._problem or self.journal.problem:
             raise HardwareError(problem)
         self._axes.watch()
-        now = self.clock.now()
-        ages = {name: now - self._losses[name].newest_s for name in self._streaming - self._unfit}
-        chamber, paused_s = self._chamber, None if self._paused_s is None else now - self._paused_s
+        now, chamber, limits = self.clock.now(), self._chamber, self.interlocks.limits
+        paused_s = None if self._paused_s is None else now - self._paused_s
         situation = Situation(
-            now,
-            None if chamber is None else chamber.newest,
-            self._axes.newest,
-            ages,
-            self.journal.free_bytes,
-            None if chamber is None else chamber.expected.of_late(now, self.interlocks.limits.temperature_lag_s),
-            self._axes.allowed(),
-            self._range_c,
-            chamber is not None and chamber.conditions,
-            self._axes.stalled(),
-            paused_s,
-            self._by_rule,
+            time_s=now,
+            chamber=None if chamber is None else chamber.newest,
+            axes=self._axes.newest,
+            imu_age_s={name: now - self._losses[name].newest_s for name in self._streaming},
+            free_bytes=self.journal.free_bytes,
+            course_c=None if chamber is None else chamber.expected.of_late(now, limits.temperature_lag_s),
+            allowed_dps=self._axes.allowed(),
+            range_c=self._range_c,
+            conditions=chamber is not None and chamber.conditions,
+            stalled=self._axes.stalled(),
+            paused_s=paused_s,
+            by_itself=self._by_rule,
         )
         tripped = self.interlocks.check(situation)
         if tripped is None or (paused_s is not None and tripped[0].action != "abort"):
@@ -510,8 +488,7 @@ class Runner:
         self._event("interlock", at_once=False, rule=rule.name, action=rule.action, text=text)
         if rule.action == "abort" or not self.wait_when_paused or self.state is RunState.IDLE:
             raise _Ended("aborted", sentence)
-        if self.on_alarm is not None:
-            self.on_alarm(f"The run is paused. {sentence}")
+        self.on_alarm(f"The run is paused. {sentence}")
         self._stop_and_pause(sentence, by_rule=True)
 
     def _stop_and_pause(self, why: str, *, by_rule: bool = False) -> None:
@@ -552,7 +529,7 @@ class Runner:
                 break
             self._confirm_steps()
             self._watch()
-            if self._by_rule and self.on_alarm is not None and self.clock.now() >= alarm_s:
+            if self._by_rule and self.clock.now() >= alarm_s:
                 alarm_s += _ALARM_AGAIN_S
                 self.on_alarm(f"The run is still paused. {self._why}")
             self.clock.sleep(_SLICE_S)
@@ -574,15 +551,26 @@ class Runner:
         if self.on_progress is None or now - self._shown_s < self.chamber_every_s:
             return
         self._shown_s = now
-        steps, done = self.track.steps, self._steps_done
-        step = steps[min(done, len(steps) - 1)]
-        left = max(0.0, end_s - now) if end_s is not None else None
-        ahead = sum(s.duration_s for s in steps[done + (left is not None) :]) + (left or 0.0)
-        chamber, lag_s = self._chamber, self.interlocks.limits.temperature_lag_s
-        newest, course_c = (None, None) if chamber is None else (chamber.newest, chamber.expected.of_late(now, lag_s))
-        samples = {name: (losses.received, losses.missing) for name, losses in self._losses.items()}
-        where, air = (self.state, step.name, done, len(steps), left, ahead), (newest, self._axes.newest, course_c)
-        self.on_progress(RunProgress(*where, *air, samples, self._why, late))
+        steps, done, chamber = self.track.steps, self._steps_done, self._chamber
+        left = None if end_s is None else max(0.0, end_s - now)
+        ahead_s = sum(step.duration_s for step in steps[done + (left is not None) :])
+        progress = RunProgress(
+            state=self.state,
+            step=steps[min(done, len(steps) - 1)].name,
+            steps_done=done,
+            steps=len(steps),
+            step_left_s=left,
+            track_left_s=ahead_s + (left or 0.0),
+            chamber=None if chamber is None else chamber.newest,
+            axes=self._axes.newest,
+            course_c=chamber and chamber.expected.of_late(now, self.interlocks.limits.temperature_lag_s),
+            samples={name: (losses.received, losses.missing) for name, losses in self._losses.items()},
+            why=self._why,
+            remarks=late,
+        )
+        self.on_progress(progress)
+
+    # ------------------------------------------------------------------------------------------------------- the end
 
     def _end(self, status: str, reason: str) -> tuple[SafeOutcome, ...]:
         """Make safe. What happens is noted for the journal, and nothing waits for the disk before all is safe."""

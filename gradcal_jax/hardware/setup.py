@@ -408,7 +408,14 @@ def _report(
         else:
             limits = bench.chamber_limits() if device is bench.chamber else device.limits()
             # Identity and limits may stand in the rig file alone: at least this is asked of the device.
-            device.read()
+            reading = device.read()
+            if isinstance(reading, roles.ChamberReading):
+                faults = reading.alarms
+            else:
+                # Many controllers report a missing reference as a fault: a run homes the axis first.
+                faults = reading.faults if reading.referenced else ()
+            if faults:
+                return DeviceReport(name, entry.driver, entry.port, identity, problem=f"ALARM {', '.join(faults)}")
         return DeviceReport(name, entry.driver, entry.port, identity, limits)
     except HardwareError as problem:
         return DeviceReport(name, entry.driver, entry.port, identity, problem=str(problem))

@@ -1,16 +1,17 @@
-"""The track that the runner executes: steps of temperature, each with its moves; and that of a recipe.
+"""The track that the runner executes: its steps, and that of a recipe.
 
-A run resumes at a step. A step sets the chamber's course and waits until its condition holds (or its time-out ends the
-run); then its own time begins, on which its moves start and it ends. A recipe's ramp of hours is cut into the
-repetitions of its cycle (or into pieces of ten minutes where the table only stands). Steps of one stretch of data
-follow one another without a break; each has the angles, from the axes' zeros, and the temperature at its beginning.
+A run resumes at a step: each has the temperature and the axes' angles at its beginning. A recipe's ramp of hours is cut
+into the repetitions of its cycle, or into pieces of ten minutes where the table only stands. A step begins when the one
+before ends, unless it waits for a stable temperature.
 """
 
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
+
+import numpy as np
 
 from gradcal_jax.formulas import reading_count, reading_times
 from gradcal_jax.hardware.errors import HardwareError
@@ -34,38 +35,34 @@ class Stable:
 class AxisCommand:
     """One command to one axis, `start_s` after the step's own time began.
 
-    "go" moves to the absolute `position_deg`; "turn" moves by `angle_deg` from where the last "go" or "turn" was to
-    end, so that errors do not add up; "spin" turns at the signed `rate_dps`; "stop" ends a spin. `answer_s`: what the
-    plan gives an operator beside the turning.
+    "turn" moves by `angle_deg` from where the last turn was to end, so that errors do not add up; "go" is such a turn
+    to the start of a step; "spin" turns at the signed `rate_dps`; "stop" ends a spin. `answer_s`: what the plan gives
+    an operator beside the turning.
     """
 
     start_s: float
     axis: str
     kind: Literal["go", "turn", "spin", "stop"]
-    position_deg: float = 0.0
+    angle_deg: float = 0.0
     rate_dps: float = 0.0
     acceleration_dps2: float = 0.0
-    angle_deg: float = 0.0
     answer_s: float = 0.0
 
     @property
+    def _peak_dps(self) -> float:
+        return min(abs(self.rate_dps), math.sqrt(abs(self.angle_deg) * self.acceleration_dps2))
+
+    @property
     def duration_s(self) -> float:
-        """Duration of a turn, or of a spin's run-up; 0 for a go, which depends on the position before it."""
-        if self.acceleration_dps2 <= 0.0:
-            return 0.0
-        ramp = abs(self.rate_dps) / self.acceleration_dps2
-        if self.kind != "turn":
-            return ramp
-        peak = min(abs(self.rate_dps), math.sqrt(abs(self.angle_deg) * self.acceleration_dps2))
+        """Duration of a turn; 0 of any other command."""
+        peak = self._peak_dps
         return abs(self.angle_deg) / peak + peak / self.acceleration_dps2 if peak > 0.0 else 0.0
 
     def turned_deg(self, after_s: float) -> float:
         """How far a turn is planned to have gone so long after its beginning, with its sign."""
-        rest_s = self.duration_s - after_s
+        rest_s, way, peak = self.duration_s - after_s, abs(self.angle_deg), self._peak_dps
         if after_s <= 0.0 or rest_s <= 0.0:
             return 0.0 if after_s <= 0.0 else self.angle_deg
-        way = abs(self.angle_deg)
-        peak = min(abs(self.rate_dps), math.sqrt(way * self.acceleration_dps2))
         ramp_s = peak / self.acceleration_dps2
         if after_s < ramp_s:
             done = 0.5 * self.acceleration_dps2 * after_s**2
@@ -87,63 +84,45 @@ class Course:
 
 @dataclass(frozen=True)
 class TrackStep:
-    """`temperature_c` None leaves the chamber alone; `ramp_k_per_min` None goes there as fast as it can.
+    """A stretch of time with its moves and its commands to the chamber.
 
-    With `ready` the step waits until the temperature is stable at `start_c` (None: at `temperature_c`); then its own
-    time begins and the chamber gets its command. `courses` are further commands in the step's own time. A step that
-    `follows` begins when the one before ends, and the chamber continues, unless there is a course; where it begins
-    separately (after a pause, or when a run is resumed) the chamber first goes to `start_c` and is stable by `again`,
-    and the axes go to `start_deg`, as they always do with `goes_there`.
-
-    Of several mountings `hang` is the step's, with number `mounting`, from 1: where the units hang otherwise the
-    operator is asked to change it, with the axes at zero and the chamber at a temperature safe for hands; the step's
-    own time begins afterwards, or before it with `hangs_meanwhile`. The last `slack_s` make up for late turns by hand.
-
-    The angles of all axes are read at `read_at_s`, and after every turn when the axis stands; where `read_at_s` is
-    empty, every `read_every_s`.
+    If it waits to be `stable`, the axes first go to `start_deg` and the chamber to `start_c`, and its own time begins
+    when the temperature is stable there. So it does by the track's `again` where the step before was interrupted or
+    belongs to another session. The last `slack_s` make up for late turns by hand. All angles are read at `read_at_s`,
+    and after every turn when the axis stands; where `read_at_s` is empty, every `read_every_s`. `data`: its samples are
+    used.
     """
 
     name: str
-    duration_s: float
-    temperature_c: float | None = None
-    ramp_k_per_min: float | None = None
-    ready: Stable | None = None
-    moves: tuple[AxisCommand, ...] = ()
-    read_every_s: float = 1.0
+    duration_s: float = 0.0
     start_c: float | None = None
+    stable: Stable | None = None
     courses: tuple[Course, ...] = ()
-    follows: bool = False
-    again: Stable | None = None
+    moves: tuple[AxisCommand, ...] = ()
     start_deg: Mapping[str, float] = field(default_factory=dict[str, float])
     read_at_s: tuple[float, ...] = ()
+    read_every_s: float = 1.0
     slack_s: float = 0.0
-    goes_there: bool = False
-    hang: str = ""
-    mounting: int = 0
-    hangs_meanwhile: bool = False
-    used: bool = False
-
-    @property
-    def data(self) -> bool:
-        """Whether its samples are data: also where no angle is read, as in a part of a long rest that is read at its
-        end."""
-        return self.used or bool(self.read_at_s)
-
-    @property
-    def begins_c(self) -> float | None:
-        return self.start_c if self.start_c is not None else self.temperature_c
+    data: bool = False
 
     @property
     def turned_deg(self) -> float | None:
-        """How far the axes turn in the step, all turns added up; None where that depends on what was before."""
-        if not self.moves or any(move.kind == "go" for move in self.moves):
-            return None
+        """How far the axes turn in the step, all turns added up; None: nothing turns."""
         total = 0.0
         for number, move in enumerate(self.moves):
             later = [after.start_s for after in self.moves[number + 1 :] if after.axis == move.axis]
             lasts_s = min(later, default=self.duration_s) - move.start_s
             total += abs(move.angle_deg) if move.kind == "turn" else abs(move.rate_dps) * lasts_s
-        return total
+        return total if self.moves else None
+
+
+@dataclass(frozen=True)
+class Ask(TrackStep):
+    """The operator is asked to change the mounting, with the axes at zero and the chamber at a temperature safe for
+    hands. The time of the step begins with the question."""
+
+    hang: str = ""
+    mounting: int = 0
 
 
 @dataclass(frozen=True)
@@ -156,10 +135,11 @@ class GyroErrors:
 
 @dataclass(frozen=True)
 class Track:
-    """The whole run. `gyros`: None where the unit has none; `read_at_rest`: axes are read while they stand. Errors:
-    `ValueError` for inconsistent times."""
+    """The whole run. `again`: how the temperature is stable before a step that is begun anew; `gyros`: None where the
+    unit has none; `read_at_rest`: axes are read while they stand. Errors: `ValueError` for inconsistent times."""
 
     steps: tuple[TrackStep, ...]
+    again: Stable | None = None
     gyros: GyroErrors | None = GyroErrors()
     read_at_rest: bool = False
 
@@ -167,22 +147,13 @@ class Track:
         if not self.steps:
             raise ValueError("A track needs at least one step.")
         for step in self.steps:
-            starts = [move.start_s for move in step.moves]
-            if not (step.duration_s >= 0.0 and step.read_every_s > 0.0) or starts != sorted(starts):
-                raise ValueError(
-                    f"Step {step.name!r}: durations must not be negative, and moves must be in order of time."
-                )
-            if starts and not (starts[0] >= 0.0 and starts[-1] <= step.duration_s):
-                raise ValueError(f"Step {step.name!r}: every move must start within the step's {step.duration_s:g} s.")
-            if step.ready is not None and step.begins_c is None:
+            starts = [0.0, *(move.start_s for move in step.moves), step.duration_s]
+            if starts != sorted(starts) or not step.read_every_s > 0.0:
+                raise ValueError(f"Step {step.name!r}: moves must be in order of time, within {step.duration_s:g} s.")
+            if step.stable is not None and step.start_c is None:
                 raise ValueError(f"Step {step.name!r} waits for a temperature but sets none.")
-            if step.ramp_k_per_min is not None and not step.ramp_k_per_min > 0.0:
-                raise ValueError(
-                    f"Step {step.name!r}: the rate of a ramp must be above zero; the target temperature gives its "
-                    "direction."
-                )
-        if self.steps[0].follows:
-            raise ValueError("The first step cannot follow another step.")
+            if any(course.ramp_k_per_min is not None and course.ramp_k_per_min <= 0.0 for course in step.courses):
+                raise ValueError(f"Step {step.name!r}: the rate of a ramp must be above zero.")
 
     @property
     def duration_s(self) -> float:
@@ -191,8 +162,17 @@ class Track:
 
     @property
     def moved(self) -> list[str]:
+        """The axes that a run moves."""
         moved = {move.axis for step in self.steps for move in step.moves}
-        return sorted(moved | {name for step in self.steps if step.goes_there for name in step.start_deg})
+        return sorted(moved.union(*(step.start_deg for step in self.steps)))
+
+    def courses_from(self, number: int) -> list[Course]:
+        """The commands to the chamber of a step that begins anew: what is in force at its beginning comes first."""
+        courses = list(self.steps[number].courses)
+        before = [course for step in self.steps[:number] for course in step.courses]
+        if before and not (courses and courses[0].start_s <= 0.0):
+            courses.insert(0, replace(before[-1], start_s=0.0))
+        return courses
 
 
 _LONGEST_STAND_S = 600.0
@@ -217,18 +197,18 @@ def track_of(recipe: Recipe, axes: Sequence[str]) -> Track:
             stretches.append((block, [segment]))
     # A table that is read while it stands is read at the end of its rests, too, as in the plan.
     ends = recipe.spec.rig.table.standing == "read"
+    alone = recipe.spec.rig.chamber.control == "none"
     steps: list[TrackStep] = []
-    for block, segments in stretches:
-        steps += _stretch(block, segments, recipe.stability, names, first=not steps, ends=ends)
-    if recipe.spec.rig.chamber.control == "none":
-        alone: dict[str, Any] = {"temperature_c": None, "ramp_k_per_min": None, "ready": None, "start_c": None}
-        steps = [replace(step, **alone, courses=(), again=None) for step in steps]
-        # The temperature does not wait while the units are hung anew: that takes of the unread part before.
-        for k, (step, after) in enumerate(itertools.pairwise(steps)):
-            if after.mounting and not (step.data or step.mounting):
-                own = {"hang": after.hang, "mounting": after.mounting, "start_deg": after.start_deg}
-                steps[k] = replace(step, **own, hangs_meanwhile=True, follows=False)
-    return Track(tuple(steps), _gyro_errors(recipe.spec.sensor), read_at_rest(recipe.motion))
+    for number, (block, segments) in enumerate(stretches):
+        if block is not None and block.hang:
+            # A temperature that nobody controls does not wait: the question takes of the unread part before.
+            unread = alone and bool(steps) and not steps[-1].data
+            before = steps.pop() if unread else TrackStep(f"{block.name}: mounting")
+            steps.append(Ask(before.name, before.duration_s, hang=block.hang, mounting=block.mounting or 0))
+        stretch = _stretch(block, segments, recipe.stability, names, first=number == 0, ends=ends)
+        steps += [replace(step, start_c=None, stable=None, courses=()) for step in stretch] if alone else stretch
+    again = None if alone else _stable(recipe.stability, first=True)
+    return Track(tuple(steps), again, _gyro_errors(recipe.spec.sensor), read_at_rest(recipe.motion))
 
 
 def _gyro_errors(sensor: Sensor) -> GyroErrors | None:
@@ -263,15 +243,6 @@ def _stable(stability: Stability, *, first: bool) -> Stable:
     return Stable(float(stability.within), float(stability.for_at_least), float(timeout))
 
 
-def _course(segment: ChamberSegment, start_s: float) -> Course:
-    ramp = None if segment.slope is None else abs(float(segment.slope)) * 60.0
-    return Course(start_s, float(segment.temperature_end), ramp)
-
-
-Part = tuple[float, TrackStep]
-"""The time at which a step begins (s), on the clock of its stretch, and the step without the chamber."""
-
-
 def _stretch(
     block: MotionBlock | None,
     segments: Sequence[ChamberSegment],
@@ -282,33 +253,33 @@ def _stretch(
     ends: bool,
 ) -> list[TrackStep]:
     """The steps of a stretch of data; without a block one step, whose samples are not used and whose axes stand."""
-    waits = segments[0].begins == "when stable"
-    total = math.fsum(float(segment.duration) for segment in segments)
-    unread: list[Part] = [(0.0, TrackStep(segments[0].name, total, read_every_s=_BETWEEN_READINGS_S))]
-    ends_s = itertools.accumulate((float(segment.duration) for segment in segments), initial=0.0)
-    knees = [_course(segment, begins_s) for segment, begins_s in zip(segments, ends_s, strict=False)]
-    placed = {} if block is None else block.start
-    at = {} if block is None else dict.fromkeys(names.values(), 0.0)
-    at |= {names[name]: to_unit(float(angle), "deg") for name, angle in placed.items()}
+    lasts_s = [float(segment.duration) for segment in segments]
+    total = math.fsum(lasts_s)
+    begins_s = list(itertools.accumulate(lasts_s, initial=0.0))
+    start_c = float(segments[0].temperature_start)
+    courses, knots_c = list[Course](), [start_c]
+    for segment, time_s in zip(segments, begins_s, strict=False):
+        ramp = None if segment.slope is None else abs(float(segment.slope)) * 60.0
+        courses.append(Course(time_s, float(segment.temperature_end), ramp))
+        knots_c.append(float(segment.temperature_end))
+    if block is None:
+        parts = [(0.0, TrackStep(segments[0].name, total, read_every_s=_BETWEEN_READINGS_S))]
+        at = dict[str, float]()
+    else:
+        parts = list(_parts(block, total, names, ends=ends))
+        at = dict.fromkeys(names.values(), 0.0)
+        at |= {names[name]: to_unit(float(angle), "deg") for name, angle in block.start.items()}
     steps: list[TrackStep] = []
-    for number, (begins_s, part) in enumerate(unread if block is None else _parts(block, total, names, ends=ends)):
-        end = begins_s + part.duration_s
-        target = [course for course in knees if course.start_s <= begins_s + 1e-6][-1]
-        inside = [course for course in knees if not block or begins_s - 1e-6 <= course.start_s < end - 1e-6]
+    for number, (from_s, part) in enumerate(parts):
+        inside = [c for c in courses if from_s - 1e-6 <= c.start_s < from_s + part.duration_s - 1e-6]
+        waits = number == 0 and segments[0].begins == "when stable"
         step = replace(
             part,
-            temperature_c=target.temperature_c,
-            ramp_k_per_min=target.ramp_k_per_min,
-            ready=_stable(stability, first=first) if waits and number == 0 else None,
-            start_c=_temperature(segments, begins_s) if block else float(segments[0].temperature_start),
-            courses=tuple(replace(course, start_s=course.start_s - begins_s) for course in inside),
-            follows=number > 0 or (not waits and not first),
-            again=_stable(stability, first=True),  # after a break the chamber may come from anywhere
+            start_c=float(np.interp(from_s, begins_s, knots_c)),
+            stable=_stable(stability, first=first) if waits else None,
+            courses=tuple(replace(course, start_s=max(course.start_s - from_s, 0.0)) for course in inside),
             start_deg=dict(at),
-            goes_there=bool(placed) and number == 0,
-            hang=(block and block.hang) or "",
-            mounting=(block and block.mounting) or 0,
-            used=block is not None,
+            data=block is not None,
         )
         steps.append(step)
         for move in part.moves:
@@ -316,16 +287,8 @@ def _stretch(
     return steps
 
 
-def _temperature(segments: Sequence[ChamberSegment], at_s: float) -> float:
-    clock = 0.0
-    for segment in segments:
-        duration = float(segment.duration)
-        if at_s <= clock + duration + 1e-6:
-            share = min(max((at_s - clock) / duration, 0.0), 1.0)
-            start, end = float(segment.temperature_start), float(segment.temperature_end)
-            return start + (end - start) * share if segment.kind != "step" else end
-        clock += duration
-    return float(segments[-1].temperature_end)
+Part = tuple[float, TrackStep]
+"""The time at which a step begins (s), on the clock of its stretch, and the step without the chamber."""
 
 
 def _parts(block: MotionBlock, total: float, names: dict[str, str], *, ends: bool) -> Iterator[Part]:

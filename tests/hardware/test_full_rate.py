@@ -33,7 +33,7 @@ from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import config_of, open_rig
 from gradcal_jax.hardware.simulate.lab import unit_options
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep
+from gradcal_jax.hardware.track import AxisCommand, Course, Track, TrackStep
 from gradcal_jax.spec.rig import read_rig, rig_of
 from gradcal_jax.tables.writing import write_toml
 
@@ -86,7 +86,12 @@ def run(folder: Path, seconds: float) -> None:
     count = round(seconds / CYCLE_S)
     steps = [
         TrackStep(
-            f"cycle {k + 1}", CYCLE_S, 25.0 if k == 0 else None, moves=(turn, back), read_at_s=reads, follows=k > 0
+            f"cycle {k + 1}",
+            CYCLE_S,
+            courses=(Course(0.0, 25.0),) if k == 0 else (),
+            moves=(turn, back),
+            read_at_s=reads,
+            data=True,
         )
         for k in range(count)
     ]

@@ -21,7 +21,7 @@ from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
-from gradcal_jax.hardware.track import AxisCommand, track_of
+from gradcal_jax.hardware.track import Ask, AxisCommand, track_of
 from gradcal_jax.model.imu_build import build_imu
 from gradcal_jax.records import run_log
 from gradcal_jax.records.log import Log
@@ -176,7 +176,7 @@ def test_units_hang_as_the_step_says_or_nobody_is_asked(tmp_path: Path) -> None:
     spec = parse_spec(presets.text("one-axis-table"))
     recipe = made(spec)
     steps = track_of(recipe, ["turn"]).steps
-    asked = [step for number, step in enumerate(steps) if step.mounting and step.goes_there]
+    asked = [step for step in steps if isinstance(step, Ask)]
     assert [step.mounting for step in asked] == [1, 2, 3]
     assert asked[1].hang == "mounting 2 (y along the axis): x along +z, y along +x, z along +y"
     with pytest.raises(ValueError, match="the operator is asked to change the mounting of the IMUs at the terminal"):

@@ -22,14 +22,14 @@ from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.roles import ChamberReading
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.setup import configs_of, only_of, open_rig
-from gradcal_jax.hardware.track import AxisCommand, Stable, Track, TrackStep
+from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
 from gradcal_jax.spec.rig import TEMPLATE, parse_rig, rig_of
 from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.writing import write_toml
 
 READY = Stable(0.5, 20.0, 7200.0)
-HOT = Track((TrackStep("hot", 300.0, temperature_c=40.0, ready=READY),))
-WARMS = Track((TrackStep("ramp", 500.0, temperature_c=36.0, ramp_k_per_min=1.5, ready=READY, start_c=26.0),))
+HOT = Track((TrackStep("hot", 300.0, 40.0, READY),))
+WARMS = Track((TrackStep("ramp", 500.0, 26.0, READY, (Course(0.0, 36.0, 1.5),)),))
 STANDS = Track((TrackStep("stand", 600.0),))
 
 
@@ -115,7 +115,7 @@ def test_air_that_leaves_the_limits_of_the_rig_ends_a_run_in_every_state(tmp_pat
     # Homing waits for the board at the pace of the computer's clock: it has the less far to go.
     highest_c = 30.0 if state == "homing" else 60.0
     limits = InterlockLimits(temperature_band_k=math.inf, never_above_c=highest_c)
-    turns = TrackStep("turn", 10.0, moves=(AxisCommand(0.0, "table", "go", 10.0, 60.0, 60.0),))
+    turns = TrackStep("turn", 10.0, moves=(AxisCommand(0.0, "table", "turn", 10.0, 60.0, 60.0),))
     track = {"homing": Track((turns,)), "stabilising": HOT}.get(state, STANDS)
     with lab(tmp_path, track, limits, attended=True) as (rig, runner):
         if state == "homing":
@@ -364,10 +364,9 @@ def test_an_f4_that_cannot_be_switched_off_may_be_held() -> None:
 # ----------------------------------------------------------------------------------------------------------- axes
 
 
-@pytest.mark.parametrize("kind", ["turn", "go"])
-def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path: Path, kind: Any) -> None:
+def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path: Path) -> None:
     """The table is held at 81.9 deg in mid-turn: the controller goes on pushing, its loop of position not closed."""
-    moves = (AxisCommand(0.0, "table", kind, 3600.0, 150.0, 300.0, angle_deg=3600.0),)
+    moves = (AxisCommand(0.0, "table", "turn", 3600.0, 150.0, 300.0),)
     with lab(tmp_path, Track((TrackStep("turn", 60.0, moves=moves),))) as (rig, runner):
         jammed: list[float] = []
 

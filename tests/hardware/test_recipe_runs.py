@@ -53,7 +53,7 @@ def test_every_preset_becomes_a_track_that_takes_as_long_as_its_plan(name: str) 
         # The first reading of each stretch is not among the plan's.
         assert readings == pytest.approx(row_count(schedule, table) + len(schedule.stretches), abs=2)
     # Where nobody controls the temperature, nothing waits for it.
-    assert (track.steps[0].ready is None) == (made.spec.rig.chamber.control == "none")
+    assert (track.steps[0].stable is None) == (made.spec.rig.chamber.control == "none")
     for step in track.steps:
         ends = [move.start_s + move.duration_s for move in step.moves]
         following = ([move.start_s for move in step.moves] + [step.duration_s])[1:]
@@ -105,11 +105,8 @@ def chamber_hears(track: Track) -> list[tuple[float, float, float | None]]:
     told: list[tuple[float, float, float | None]] = []
     clock = 0.0
     for step in track.steps:
-        if not step.follows and step.temperature_c is not None:
-            told.append((clock, step.temperature_c, step.ramp_k_per_min))
         for course in step.courses:
-            if step.follows or course.start_s > 0.0:
-                told.append((clock + course.start_s, course.temperature_c, course.ramp_k_per_min))
+            told.append((clock + course.start_s, course.temperature_c, course.ramp_k_per_min))
         clock += step.duration_s
     return told
 
@@ -155,7 +152,7 @@ def test_steps_carry_where_they_begin_by_themselves() -> None:
     net = sum(move.angle_deg for move in cycles[0].moves)
     assert net == pytest.approx(450.0)
     for number, step in enumerate(cycles):
-        assert step.follows == (number > 0)
+        assert (step.stable is None) == (number > 0)
         assert step.start_deg == {"table": pytest.approx(number * net)}
         # The ramp is 1 K/min.
         assert step.start_c == pytest.approx(-30.0 + number * cycles[0].duration_s / 60.0)

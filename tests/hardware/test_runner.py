@@ -53,14 +53,14 @@ def only_these_ways(monkeypatch: pytest.MonkeyPatch):
     assert others == []
 
 
-TURN = AxisCommand(2.0, "table", "go", position_deg=360.0, rate_dps=120.0, acceleration_dps2=240.0)
-BACK = AxisCommand(12.0, "table", "go", position_deg=0.0, rate_dps=60.0, acceleration_dps2=240.0)
+TURN = AxisCommand(2.0, "table", "turn", 360.0, rate_dps=120.0, acceleration_dps2=240.0)
+BACK = AxisCommand(12.0, "table", "turn", -360.0, rate_dps=60.0, acceleration_dps2=240.0)
 SPIN = AxisCommand(20.0, "table", "spin", rate_dps=-90.0, acceleration_dps2=180.0)
 STOP = AxisCommand(26.0, "table", "stop")
 TRACK = Track(
     (
-        TrackStep("soak", 5.0, temperature_c=25.0, ready=Stable(0.3, 20.0, 3600.0)),
-        TrackStep("ramp", 35.0, temperature_c=26.0, ramp_k_per_min=1.0, moves=(TURN, BACK, SPIN, STOP)),
+        TrackStep("soak", 5.0, 25.0, Stable(0.3, 20.0, 3600.0)),
+        TrackStep("ramp", 35.0, courses=(Course(0.0, 26.0, 1.0),), moves=(TURN, BACK, SPIN, STOP)),
     )
 )
 
@@ -136,7 +136,7 @@ def test_a_track_beyond_the_devices_limits_does_not_start(tmp_path: Path) -> Non
     wrong = AxisCommand(1.0, "table", "spin", rate_dps=1000.0, acceleration_dps2=100.0)
     track = Track(
         (
-            TrackStep("hot", 10.0, temperature_c=190.0),
+            TrackStep("hot", 10.0, courses=(Course(0.0, 190.0),)),
             TrackStep("fast", 10.0, moves=(wrong, AxisCommand(2.0, "tilt", "stop"))),
         )
     )
@@ -157,12 +157,12 @@ def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
 
     axis = AxisLimits(100.0, 100.0, -180.0, 180.0, 0.001)
     chamber = ChamberLimits(-40.0, 85.0, 0.1, True, 0.1, 3.0)
-    good = AxisCommand(0.0, "a", "go", position_deg=170.0, rate_dps=50.0, acceleration_dps2=50.0)
-    track = Track((TrackStep("one", 5.0, temperature_c=20.0, ramp_k_per_min=1.0, moves=(good,)),))
+    good = AxisCommand(0.0, "a", "turn", 170.0, 50.0, 50.0)
+    track = Track((TrackStep("one", 5.0, courses=(Course(0.0, 20.0, 1.0),), moves=(good,)),))
     assert dry_run_of(track, chamber, {"a": axis}).problems == ()
-    far = dataclasses.replace(good, position_deg=200.0)
+    far = dataclasses.replace(good, angle_deg=200.0)
     spin = dataclasses.replace(good, kind="spin")
-    steep = Track((TrackStep("one", 5.0, temperature_c=20.0, ramp_k_per_min=5.0, moves=(far, spin)),))
+    steep = Track((TrackStep("one", 5.0, courses=(Course(0.0, 20.0, 5.0),), moves=(far, spin)),))
     found = " ".join(dry_run_of(steep, chamber, {"a": axis}).problems)
     assert "ramps at 5 K/min" in found
     assert "its travel is -180 to 180" in found
@@ -172,10 +172,10 @@ def test_limits_of_travel_and_ramps_are_part_of_the_dry_run() -> None:
 @pytest.mark.parametrize(
     ("step", "words"),
     [
-        (TrackStep("a", 1.0, moves=(AxisCommand(2.0, "x", "stop"),)), "within the step"),
-        (TrackStep("a", -1.0), "must not be negative"),
-        (TrackStep("a", 1.0, ready=Stable(1.0, 1.0, 1.0)), "sets none"),
-        (TrackStep("a", 1.0, temperature_c=1.0, ramp_k_per_min=-1.0), "above zero"),
+        (TrackStep("a", 1.0, moves=(AxisCommand(2.0, "x", "stop"),)), "within 1 s"),
+        (TrackStep("a", -1.0), "in order of time"),
+        (TrackStep("a", 1.0, stable=Stable(1.0, 1.0, 1.0)), "sets none"),
+        (TrackStep("a", 1.0, courses=(Course(0.0, 1.0, -1.0),)), "above zero"),
     ],
 )
 def test_impossible_tracks_are_refused(step: TrackStep, words: str) -> None:
@@ -200,7 +200,7 @@ def test_soft_pause_waits_for_the_end_of_the_step_and_goes_on(tmp_path: Path) ->
         result = runner.run()
         assert (result.exit_status, result.steps_done) == ("success", 2)
     contents = read_journal(tmp_path / "journal")
-    assert "seam" not in names(contents)
+    assert names(contents).count("seam") == 1
     assert states(contents) == ["running", "pausing", "paused", "running", "stopping", "safe"]
     assert [e.data["step"] for e in contents.events if e.name == "step"] == ["soak", "ramp"]
 
@@ -292,7 +292,7 @@ def test_silent_unit_pauses_the_run_until_it_is_resumed(tmp_path: Path) -> None:
 @pytest.mark.evidence
 def test_temperature_that_never_settles_ends_the_run_with_a_sentence(tmp_path: Path) -> None:
     with lab(tmp_path) as (_, runner):
-        runner.track = Track((TrackStep("soak", 10.0, temperature_c=120.0, ready=Stable(0.2, 60.0, 300.0)),))
+        runner.track = Track((TrackStep("soak", 10.0, 120.0, Stable(0.2, 60.0, 300.0)),))
         result = runner.run()
         assert result.exit_status == "aborted"
         assert "not stable within 0.2 K of 120 degC after 300 s" in result.reason
@@ -352,8 +352,8 @@ def once_paused(runner: Runner, act) -> None:
 
 def test_a_step_that_follows_tells_the_chamber_its_course(tmp_path: Path) -> None:
     with lab(tmp_path) as (rig, runner):
-        warm = TrackStep("warmer", 5.0, temperature_c=30.0, courses=(Course(0.0, 30.0),), follows=True)
-        runner.track = Track((TrackStep("soak", 5.0, temperature_c=25.0, ready=Stable(0.5, 5.0, 3600.0)), warm))
+        warm = TrackStep("warmer", 5.0, courses=(Course(0.0, 30.0),))
+        runner.track = Track((TrackStep("soak", 5.0, 25.0, Stable(0.5, 5.0, 3600.0)), warm))
         assert runner.run().exit_status == "success"
         assert rig.chamber.constant_c == 30.0
     told = [e for e in read_journal(tmp_path / "journal").events if e.name == "chamber told"]
@@ -386,9 +386,7 @@ def test_nothing_turns_while_a_run_is_paused_between_two_rates(tmp_path: Path) -
         there, back = (
             (AxisCommand(0.0, "table", "spin", rate_dps=rate, acceleration_dps2=180.0),) for rate in (90.0, -90.0)
         )
-        runner.track = Track(
-            (TrackStep("rate 1", 8.0, moves=there), TrackStep("rate 2", 8.0, moves=back, follows=True))
-        )
+        runner.track = Track((TrackStep("rate 1", 8.0, moves=there), TrackStep("rate 2", 8.0, moves=back)))
         when_step_begins(runner, 0, lambda: runner.request("soft pause"))
         once_paused(runner, resume)
         assert runner.run().exit_status == "success"
@@ -427,7 +425,7 @@ def test_an_alarm_ends_a_paused_run(tmp_path: Path) -> None:
 
 def test_a_pause_asked_for_while_the_references_are_found_comes_before_the_first_step(tmp_path: Path) -> None:
     with lab(tmp_path) as (_, runner):
-        runner.track = Track((TrackStep("stand", 2.0, moves=(AxisCommand(0.0, "table", "go", 0.0, 60.0, 60.0),)),))
+        runner.track = Track((TrackStep("stand", 2.0, moves=(AxisCommand(0.0, "table", "turn", 0.0, 60.0, 60.0),)),))
         runner.request("soft pause")
         runner.request("pause")
         once_paused(runner, lambda: runner.request("resume"))
@@ -444,7 +442,7 @@ def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path: Path) -> No
         folder.mkdir()
         with lab(folder) as (rig, runner):
             ramp = Course(10.0, 40.0, 1.0)
-            runner.track = Track((TrackStep("ramp", 60.0, temperature_c=25.0, courses=(ramp,)),))
+            runner.track = Track((TrackStep("ramp", 60.0, courses=(Course(0.0, 25.0), ramp)),))
             runner.chamber_every_s = 0.1
 
             def look(progress: RunProgress, runner=runner, seconds=seconds) -> None:

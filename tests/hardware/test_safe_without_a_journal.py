@@ -18,11 +18,11 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.journal import Journal
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 from gradcal_jax.hardware.setup import open_rig
-from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep
+from gradcal_jax.hardware.track import AxisCommand, Course, Track, TrackStep
 from gradcal_jax.hardware.transport import Transport
 
 SPIN = AxisCommand(0.0, "table", "spin", rate_dps=150.0, acceleration_dps2=300.0)
-SPINS = Track((TrackStep("spin", 60.0, temperature_c=40.0, moves=(SPIN,)),))
+SPINS = Track((TrackStep("spin", 60.0, courses=(Course(0.0, 40.0),), moves=(SPIN,)),))
 
 
 @contextmanager

@@ -50,13 +50,12 @@ def test_a_dry_run_says_what_every_device_is_told_and_tells_them_nothing(made: P
         asked = ["run", str(made), "--rig", str(tmp_path / "rig.toml"), "--dry-run"]
         assert main(asked) == 0
         said = capsys.readouterr().out
-        assert "chamber: ramp to 28 degC at 2 K/min" in said
+        assert "chamber: 24 to 28 degC, ramps up to 2 K/min" in said
         assert "up to 200 deg/s, 0 to 360 deg" in said
         assert "nothing was moved" in said
         assert main([*asked, "--json"]) == 0
         found = json.loads(capsys.readouterr().out)
-        # What the dry run says stands in the recipe's own times.
-        assert found["duration_s"] == pytest.approx(sum(step["duration_s"] for step in found["steps"]))
+        assert found["problems"] == []
         assert (commands(lab), lab.axis.state(0.0)) == ([], (0.0, 0.0))
         lab.chamber.options.high_c = 26.0
         assert main(asked) != 0
@@ -87,31 +86,22 @@ def test_what_is_said_of_a_slope_is_what_the_driver_makes_of_it() -> None:
 
 
 @pytest.mark.long
-def test_a_rig_is_tried_for_a_recipe_and_moves_only_where_it_is_said(made: Path, tmp_path: Path, capsys) -> None:
+def test_a_rig_is_tried_for_a_recipe_and_nothing_moves(made: Path, tmp_path: Path, capsys) -> None:
     clock = RealClock()
     with Rig(clock) as lab:
         write_toml(lab.rig, tmp_path / "rig.toml")
         asked = ["rig", "check", str(tmp_path / "rig.toml"), "--recipe", str(made)]
         assert main(asked) == 0
-        said = capsys.readouterr().out
-        assert "125 samples/s, 0 missing" in said
+        assert "125 samples/s, 0 missing" in capsys.readouterr().out
         assert lab.axis.state(clock.now()) == (0.0, 0.0)
-        before = dict(lab.table.settings)
-        assert main([*asked, "--move"]) == 0
-        assert capsys.readouterr().out.count("360 deg in") == 2
-        assert len(lab.axis._phases) > 4
-        assert not lab.axis.moving(clock.now())
-        assert lab.table.settings == before
         assert commands(lab) == []
-        # A stage that stalls, and one that goes slowly, are not good.
-        lab.table.plant.move_to = lambda *_: None
-        assert main([*asked, "--move"]) != 0
-        # Nor is a unit that says a tenth less than it was set to.
+        # A unit that says a tenth less than it was set to is not good.
         lab.sensor.clock_error = -0.1
         lab.imu.reboot()
-        capsys.readouterr()
         assert main(asked) != 0
-        assert "of 125 samples/s, 0 missing  NOT AS IT SHOULD BE" in capsys.readouterr().out
+        said = capsys.readouterr().out
+        assert "of 125 samples/s, 0 missing" in said
+        assert "NOT AS IT SHOULD BE" in said
         lab.sensor.clock_error = 0.0
         lab.imu.reboot()
         lab.chamber.raise_alarm(18)

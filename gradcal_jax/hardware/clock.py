@@ -71,6 +71,25 @@ class RealClock:
 _BESIDE_S = 0.1
 
 
+@contextmanager
+def repeating(work: Callable[[], object], every_s: float) -> Generator[None, None, None]:
+    """Context in which a thread of its own does `work` again and again, every so many real seconds and at the end."""
+    over = threading.Event()
+
+    def repeat() -> None:
+        while not over.wait(every_s):
+            work()
+        work()
+
+    thread = threading.Thread(target=repeat, daemon=True, name="repeating")
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(timeout=35.0)
+
+
 def in_thread(
     work: Callable[[], object], clock: Clock, failed: Callable[[Exception], object], *, waits_on_clock: bool = True
 ) -> threading.Event:

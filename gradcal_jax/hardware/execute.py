@@ -9,7 +9,6 @@ import json
 import math
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, closing, contextmanager
@@ -19,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, TypedDict, Unpack
 
-from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
+from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock, repeating
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.guard import BEAT_S, Guard
 from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
@@ -46,6 +45,8 @@ from gradcal_jax.tables.writing import write_whole
 # A resumed simulated run continues this long after its last record.
 _LATER_S: Final = 60.0
 _MOST_UNITS: Final = 8
+# Longer than the run's own thread ever waits for one device: homing takes minutes.
+_HANGS_S: Final = 300.0
 
 
 class Attended(TypedDict, total=False):
@@ -83,11 +84,10 @@ def run(
     """
     if simulate == (rig is not None):
         raise ValueError("on what? Give either a rig, or simulate=True")
-    path = Path(folder)
     if rig is not None:
         configs_of(rig)
         _require_operator(rig, recipe, attended)
-        return run_session(new_folder(path, recipe, rig, about=about), rig, RealClock(), guard=True, **attended)
+        return _on_rig(new_folder(Path(folder), recipe, rig, about=about), 0, attended)
     if sample_rate_hz not in RATES_HZ:
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
         raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; possible are {known} Hz")
@@ -95,8 +95,8 @@ def run(
         raise ValueError(f"the simulated table holds 1 to {_MOST_UNITS} IMUs, not {units}")
     simulation = {"seed": seed, "speed": speed, "sample_rate_hz": sample_rate_hz, "units": units}
     lab, clock = _laboratory(recipe, simulation)
-    made = new_folder(path, recipe, lab.rig, simulated=simulation, about=about)
-    write_whole(path / "hidden_truth.json", json.dumps(lab.truths(), indent=2) + "\n")
+    made = new_folder(Path(folder), recipe, lab.rig, simulated=simulation, about=about)
+    write_whole(made.path / "hidden_truth.json", json.dumps(lab.truths(), indent=2) + "\n")
     return run_session(made, lab.rig, clock, simulated=True, bench=lab.bench, **attended)
 
 
@@ -109,13 +109,16 @@ def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack
     than at the beginning.
     """
     existing = RunFolder(Path(folder))
-    first = prepare_resume(existing, rig)
-    notes = existing.notes()
+    first, notes = prepare_resume(existing, rig), existing.notes()
     if notes["simulated"]:
         lab, clock = _laboratory(existing.recipe(), notes["simulation"], existing.events())
         return run_session(existing, lab.rig, clock, first_step=first, simulated=True, bench=lab.bench, **attended)
     _require_operator(existing.rig(), existing.recipe(), attended)
-    return run_session(existing, existing.rig(), RealClock(), first_step=first, guard=True, **attended)
+    return _on_rig(existing, first, attended)
+
+
+def _on_rig(folder: RunFolder, first_step: int, attended: Attended) -> RunResult:
+    return run_session(folder, folder.rig(), RealClock(), first_step=first_step, guard=True, **attended)
 
 
 def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
@@ -141,10 +144,6 @@ def _laboratory(
     return SimulatedLab(recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting), clock
 
 
-# Longer than the run's own thread ever waits for one device: homing takes minutes.
-_HANGS_S = 300.0
-
-
 def run_session(
     folder: RunFolder,
     rig: RigFile,
@@ -165,10 +164,8 @@ def run_session(
     `wait_when_paused`, which needs an operator, a reason to pause ends the run. Raises `HardwareError` where the run
     cannot start; later problems are in the result.
     """
-    recipe = folder.recipe()
-    track = track_of(recipe, [axis.name for axis in rig.axis])
-    resumed = folder.events() if folder.journal_path.exists() else None
-    on_progress, with_runner = attended.get("on_progress"), attended.get("with_runner")
+    track = track_of(folder.recipe(), [axis.name for axis in rig.axis])
+    resumed = folder.events() if folder.journal_path.exists() else JournalContents()
     with ExitStack() as stack:
         journal = stack.enter_context(Journal(folder.journal_path))
         watched = stack.enter_context(closing(Guard(folder.path))) if guard else None
@@ -179,8 +176,7 @@ def run_session(
             return None if url in units else journal.recorder(f"port {url}")
 
         bench = stack.enter_context(bench or open_rig(rig, clock, recorder_of, terminal=attended.get("terminal")))
-        number = 0 if resumed is None else sessions(resumed)
-        numbers = itertools.count(number)
+        numbers = itertools.count(sessions(resumed))
 
         def new_session(first_step: int) -> None:
             begin_session(journal, clock.now(), next(numbers), rig, simulated=simulated, first_step=first_step)
@@ -196,15 +192,15 @@ def run_session(
 
         for name, settings in bench.settings.items():
             settings.on_first_change = partial(changes, name)
-        if resumed is not None and number:
+        if sessions(resumed):
             with clock.party():
                 require_same_devices(bench, resumed)
         status = stack.enter_context(StatusFile(folder.path, simulated=simulated))
 
         def show(progress: RunProgress) -> None:
             status.show(progress)
-            if on_progress is not None:
-                on_progress(progress)
+            if (also := attended.get("on_progress")) is not None:
+                also(progress)
 
         runner = Runner(
             track,
@@ -213,20 +209,20 @@ def run_session(
             clock,
             interlocks or Interlocks(limits_of(rig)),
             show,
-            None if rig.alarm is None else partial(sound_alarm, rig),
+            partial(sound_alarm, rig),
             safe_deadline_s=safe_deadline_s,
             wait_when_paused=attended.get("wait_when_paused", False),
             first_step=first_step,
-            mounting=0 if resumed is None else mounting_of(resumed),
+            mounting=mounting_of(resumed),
+            on_new_session=new_session,
         )
-        runner.on_new_session = new_session
-        if with_runner is not None:
+        if (with_runner := attended.get("with_runner")) is not None:
             with_runner(runner)
         if attended.get("handle_signals"):
             stack.enter_context(signals_to(runner))
         if watched is not None:
             runner.on_begin = watched.begun
-            stack.enter_context(_beating(watched, runner, journal, clock))
+            stack.enter_context(repeating(partial(_beat, watched, runner, journal, clock), BEAT_S))
         result = runner.run()
         status.end(result)
         # A start that commanded nothing leaves nothing to the guard, which would keep the ports from the next one.
@@ -244,30 +240,17 @@ def limits_of(rig: RigFile) -> InterlockLimits:
     return replace(pause, **{name: float(limit) for name, limit in (air | ends).items() if limit is not None})
 
 
-@contextmanager
-def _beating(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> Generator[None, None, None]:
-    """Context in which the guard is told that the run is alive, as long as the run's own thread is."""
-    over = threading.Event()
-
-    def beat() -> None:
-        while not over.wait(BEAT_S):
-            if time.monotonic() - runner.ticked_s > _HANGS_S:
-                continue
-            try:
-                sentence = watched.beat()
-            except Exception as problem:
-                sentence = str(problem)
-            if sentence:
-                print(sentence, file=sys.stderr, flush=True)
-                journal.event(clock.now(), "guard", what=sentence)
-
-    thread = threading.Thread(target=beat, daemon=True, name="telling the guard")
-    thread.start()
+def _beat(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> None:
+    """Tell the guard that the run is alive, if the run's own thread is."""
+    if time.monotonic() - runner.ticked_s > _HANGS_S:
+        return
     try:
-        yield
-    finally:
-        over.set()
-        thread.join()
+        sentence = watched.beat()
+    except Exception as problem:
+        sentence = str(problem)
+    if sentence:
+        print(sentence, file=sys.stderr, flush=True)
+        journal.event(clock.now(), "guard", what=sentence)
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from gradcal_jax.hardware.checksums import CrcOfRows
-from gradcal_jax.hardware.line_protocol import DescribedSensor, described, unit_problems
+from gradcal_jax.hardware.line_protocol import DescribedSensor, unit_problems
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Frequency, Number, Text
 from gradcal_jax.tables.section import Section
@@ -182,8 +182,7 @@ class RowCheck:
         self._crc: CrcOfRows | None = None
         if check.kind == "crc":
             poly, init, xorout = (int(text, 16) for text in (check.poly, check.init, check.xorout))
-            length = check.at - check.start
-            self._crc = CrcOfRows(length, check.width, poly, init, xorout, reflect=check.reflect, zeros=check.zeros)
+            self._crc = CrcOfRows(check.width, poly, init, xorout, reflect=check.reflect, zeros=check.zeros)
 
     def sound(self, rows: NDArray[np.uint8]) -> NDArray[np.bool_]:
         """`(n, length) -> (n,)`: whether the checksum of a frame is right."""
@@ -211,8 +210,3 @@ def numbers_of(rows: NDArray[np.uint8], at: int, kind: str, order: Order, count:
         negative = (value >= 1 << 23) & (kind == "i24")
         return np.where(negative, value - (1 << 24), value)
     return block.view(f"{'>' if order == 'big' else '<'}{kind[0]}{size}")
-
-
-def framed_sensor_of(value: object, changes: object = None) -> FramedSensor:
-    """The description of a rig file: a name, or tables; and what differs from it. Raises `ValueError`, `SpecError`."""
-    return described(FramedSensor, FORMAT, value, changes)

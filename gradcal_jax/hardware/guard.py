@@ -22,7 +22,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -30,7 +31,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from gradcal_jax.hardware import transport
-from gradcal_jax.hardware.clock import Clock, RealClock
+from gradcal_jax.hardware.clock import Clock, RealClock, in_thread
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, PortRefused, PortTaken, sentence_of
 from gradcal_jax.hardware.journal import Journal
 from gradcal_jax.hardware.roles import AxisSafe, ChamberSafe, SafeReport
@@ -45,7 +46,6 @@ BEAT_S = 1.0
 _SILENT_S = 20.0
 _TO_START_S = 30.0
 _TO_OPEN_S = 3.0
-_TO_BEGIN_S = 1.0
 _KEEP_TRYING_S = 3600.0
 _LONGEST_PAUSE_S = 30.0
 _RETRY_PAUSE_S = 0.2
@@ -62,52 +62,44 @@ def make_safe(
     end it may wait. Such a device is made safe at once, and again: the command could undo it. Returns after all devices
     are verified, or after `deadline_s` real seconds; raises no error of a device.
     """
-    acts: dict[str, tuple[str, Callable[[], SafeReport]]] = {
-        entry.name: (entry.safe, partial(bench.axes[entry.name].safe, AxisSafe(entry.safe))) for entry in bench.rig.axis
-    }
+    acts: dict[str, Callable[[], SafeReport]] = {}
+    outcomes: list[SafeOutcome] = []
+    for entry in bench.rig.axis:
+        acts[entry.name] = partial(bench.axes[entry.name].safe, AxisSafe(entry.safe))
+        outcomes.append(SafeOutcome(entry.name, entry.safe))
     if bench.chamber is not None and (how := bench.rig.chamber) is not None:
-        acts["chamber"] = how.safe, partial(bench.chamber.safe, ChamberSafe(how.safe), float(how.ambient))
-    outcomes, began_s = [SafeOutcome(name, action) for name, (action, _) in acts.items()], time.monotonic()
+        acts["chamber"] = partial(bench.chamber.safe, ChamberSafe(how.safe), float(how.ambient))
+        outcomes.append(SafeOutcome("chamber", how.safe))
+    began_s = time.monotonic()
 
     def attempt(outcome: SafeOutcome) -> None:
-        line, act = bench.lines.get(outcome.name), acts[outcome.name][1]
-        with clock.party():
-            with suppress(threading.BrokenBarrierError):
-                begun.wait(_TO_BEGIN_S)
-            while True:
-                outcome.tries += 1
-                try:
-                    goes_on, report = busy(outcome.name), act()
-                    outcome.evidence = f"{report.evidence}; {_GOES_ON}" if goes_on else report.evidence
-                    outcome.verified = report.verified and not goes_on
-                except BaseException as problem:
-                    # No error of a driver, of whatever kind, prevents the next try.
-                    outcome.evidence = sentence_of(problem)
-                    if isinstance(problem, Disconnected) and line is not None:
-                        # Its cable may be in again.
-                        with suppress(Exception):
-                            line.reopen()
-                if outcome.verified or time.monotonic() >= began_s + deadline_s:
-                    outcome.took_s = time.monotonic() - began_s
-                    outcome.at_s = clock.now() if outcome.verified else None
-                    return
-                with clock.aside():
-                    time.sleep(_RETRY_PAUSE_S)
+        while True:
+            outcome.tries += 1
+            try:
+                goes_on, report = busy(outcome.name), acts[outcome.name]()
+                outcome.evidence = f"{report.evidence}; {_GOES_ON}" if goes_on else report.evidence
+                outcome.verified = report.verified and not goes_on
+            except BaseException as problem:
+                # No error of a driver, of whatever kind, prevents the next try.
+                outcome.evidence = sentence_of(problem)
+                if isinstance(problem, Disconnected) and outcome.name in bench.lines:
+                    # Its cable may be in again.
+                    with suppress(Exception):
+                        bench.lines[outcome.name].reopen()
+            if outcome.verified or time.monotonic() >= began_s + deadline_s:
+                outcome.took_s = time.monotonic() - began_s
+                outcome.at_s = clock.now() if outcome.verified else None
+                return
+            with clock.aside():
+                time.sleep(_RETRY_PAUSE_S)
 
-    # A virtual time stands still until every thread is a party of it.
-    begun = threading.Barrier(len(outcomes) + 1)
-    threads = [threading.Thread(target=attempt, args=(outcome,), daemon=True) for outcome in outcomes]
-    for thread in threads:
-        thread.start()
-    with suppress(threading.BrokenBarrierError):
-        begun.wait(_TO_BEGIN_S)
+    ends = [in_thread(partial(attempt, outcome), clock, str) for outcome in outcomes]
     with clock.aside():
-        for thread in threads:
-            thread.join(max(0.0, began_s + deadline_s - time.monotonic()))
+        for end in ends:
+            end.wait(max(0.0, began_s + deadline_s - time.monotonic()))
     lasted_s = time.monotonic() - began_s
     outcomes = [replace(outcome, took_s=outcome.took_s or lasted_s) for outcome in outcomes]
-    streams = [SafeOutcome(entry.name, LEFT, True, "an IMU has no unsafe state") for entry in bench.rig.imu]
-    return outcomes + streams
+    return outcomes + [SafeOutcome(entry.name, LEFT, True, "an IMU has no unsafe state") for entry in bench.rig.imu]
 
 
 def put_back(bench: Bench) -> dict[str, str]:
@@ -129,25 +121,23 @@ class Guard:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._before: list[str] = []
-        self._begun = False
+        # What another guard has to hear; nothing: there is nothing to make safe.
+        self._said: list[str] = []
         self._lock = threading.Lock()
-        self._unanswered_s: float | None = None
         self._next_start_s = 0.0
         self._start()
 
     def begun(self) -> None:
-        self._begun = True
+        self._said.append("begun")
         self._say("begun")
 
     def remember(self, device: str, name: str, value: str) -> None:
         """Send the present value of a device's setting, before it is changed."""
-        self._begun = True
-        self._before.append("before " + json.dumps([device, name, value]))
-        self._say(self._before[-1])
+        self._said.append("before " + json.dumps([device, name, value]))
+        self._say(self._said[-1])
 
     def done(self) -> None:
-        self._begun, self._before = False, []
+        self._said = []
         self._say("done")
 
     def beat(self) -> str:
@@ -166,20 +156,19 @@ class Guard:
 
     def close(self) -> None:
         """The run ends here; the guard begins now if it has to act. One that died since the last beat is replaced."""
-        if self._begun and self.process.poll() is not None:
+        if self._said and self.process.poll() is not None:
             with suppress(HardwareError):
                 self._replace()
         with self._lock, suppress(OSError):
             self._input.close()
-        if self._begun:
+        if self._said:
             # This has no time limit; the run's exit status is reported at once.
             threading.Thread(target=self.process.wait, daemon=True, name="leaving it to the guard").start()
             return
         try:
             self.process.wait(timeout=10.0)
         except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
+            self._end()
 
     def _start(self) -> None:
         """Start a guard. Raises `HardwareError` where it cannot work."""
@@ -194,21 +183,20 @@ class Guard:
         assert process.stdin is not None
         assert process.stdout is not None
         self.process, self._input = process, process.stdin
-        ready, received = threading.Event(), list[bytes]()
-        self._unanswered_s = None
+        self._unanswered_s: float | None = None
+        heard, ready = threading.Event(), deque[bytes](maxlen=1)
 
         def listen(output: IO[bytes]) -> None:
             with output:
                 while line := output.read(64):
-                    if not received:
-                        received.append(line)
-                        ready.set()
+                    ready.append(line)
+                    heard.set()
                     self._unanswered_s = None
-            ready.set()
+            heard.set()
 
         threading.Thread(target=listen, args=(process.stdout,), daemon=True, name="hearing the guard").start()
-        ready.wait(_TO_START_S)
-        if not received:
+        heard.wait(_TO_START_S)
+        if not ready:
             self._end()
             raise HardwareError(
                 f"The guard, which makes the rig safe if this run is killed, cannot work with {self._folder}: see "
@@ -219,9 +207,7 @@ class Guard:
         """Start another guard, which hears all that this one had heard. Raises `HardwareError` where it cannot work."""
         self._end()
         self._start()
-        if self._begun:
-            self._say("begun")
-        for line in self._before:
+        for line in self._said:
             self._say(line)
 
     def _end(self) -> None:
@@ -255,14 +241,14 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
         lines.put(None)
 
     threading.Thread(target=listen, daemon=True, name="hearing the run").start()
-    begun, hangs = False, False
+    begun, why = False, _LOST
     before: Settings = {}
     while True:
         try:
             line = lines.get(timeout=silent_s)
         except queue.Empty:
-            if begun and not hangs:
-                hangs = True
+            if begun and why == _LOST:
+                why = "the run no longer responded and was ended"
                 with suppress(OSError):
                     os.kill(run, getattr(signal, "SIGKILL", signal.SIGTERM))
             continue
@@ -280,17 +266,16 @@ def watch(folder: Path, silent_s: float = _SILENT_S, keep_trying_s: float = _KEE
             before.setdefault(device, {}).setdefault(name, value)
     if not (begun or before):
         return []
-    why = "the run no longer responded and was ended" if hangs else _LOST
     # The alarm comes first: a device that does not answer may take an hour.
     sound_alarm(rig, f"In {folder} {why}; the guard makes the rig safe")
-    return make_folder_safe(Path(), rig=rig, before=before, why=why, keep_trying_s=keep_trying_s)
+    return make_folder_safe(Path(), before=before, why=why, keep_trying_s=keep_trying_s, rig=rig)
 
 
 def make_folder_safe(
     folder: Path,
     *,
     rig: RigFile | None = None,
-    before: Mapping[str, Mapping[str, str]] | None = None,
+    before: Settings | None = None,
     why: str = _LOST,
     deadline_s: float = 60.0,
     keep_trying_s: float = 0.0,
@@ -299,8 +284,7 @@ def make_folder_safe(
 
     A device that is not verified safe is tried again for `keep_trying_s`.
     """
-    clock = RealClock()
-    rig = read_rig(folder / "rig.toml") if rig is None else rig
+    clock, rig = RealClock(), rig or read_rig(folder / "rig.toml")
     happened: list[tuple[float, str, dict[str, Any]]] = []
 
     def note(name: str, **data: Any) -> None:
@@ -309,20 +293,21 @@ def make_folder_safe(
     note("guard", what=f"{why}; making the rig safe")
     end, pause_s, outcomes = time.monotonic() + keep_trying_s, 1.0, dict[str, SafeOutcome]()
     at_work: dict[str, threading.Thread] = {}
+    left = list(lines_of(rig))
     while True:
-        for outcome in _try_once(rig, clock, before or {}, deadline_s, note, at_work):
+        for outcome in _try_once(only_of(rig, left), clock, before or {}, deadline_s, note, at_work):
             outcomes[outcome.name] = outcome
             details = {"action": outcome.action, "verified": outcome.verified, "evidence": outcome.evidence}
             note("made safe", by="guard", device=outcome.name, **details)
-        left = {name: outcome for name, outcome in outcomes.items() if not outcome.verified}
+        left = [name for name, outcome in outcomes.items() if not outcome.verified]
         again = bool(left) and time.monotonic() < end
         if left and keep_trying_s:
             # Every try is printed; the journal has the first and the last.
             what = "is not safe; the guard tries again" if again else "could not be made safe"
-            for name, outcome in left.items():
-                _say(f"{name} {what}: {outcome.evidence}")
+            for name in left:
+                _say(f"{name} {what}: {outcomes[name].evidence}")
             note("guard", what=f"{', '.join(left)} {what}")
-        if happened and (not again or pause_s == 1.0):
+        if not again or pause_s == 1.0:
             _write(folder / "journal", happened)
         happened.clear()
         if not again:
@@ -332,21 +317,20 @@ def make_folder_safe(
             return list(outcomes.values())
         time.sleep(pause_s)
         pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
-        rig = only_of(rig, set(left))
 
 
 def _try_once(
     rig: RigFile,
     clock: Clock,
-    before: Mapping[str, Mapping[str, str]],
+    before: Settings,
     deadline_s: float,
-    note: Any,
+    note: Callable[..., None],
     at_work: dict[str, threading.Thread],
 ) -> list[SafeOutcome]:
     """Try the devices of each port in a thread of their own: whatever one port or device raises concerns no other.
     `at_work`: the threads of earlier tries, by port; one that hangs keeps its port."""
     lines = lines_of(rig)
-    outcomes: dict[str, SafeOutcome] = {}
+    outcomes = {name: SafeOutcome(name, action) for name, (_, action) in lines.items()}
 
     def attempt(names: list[str]) -> None:
         try:
@@ -356,23 +340,23 @@ def _try_once(
                 outcomes.update((outcome.name, outcome) for outcome in make_safe(bench, clock, deadline_s=deadline_s))
                 for name, problem in put_back(bench).items():
                     note("settings put back", device=name, problem=problem)
-        except PortTaken as problem:
-            # The other run is responsible for them now.
-            outcomes.update((name, SafeOutcome(name, "left to another run", True, str(problem))) for name in names)
         except BaseException as problem:
-            outcomes.update((name, SafeOutcome(name, lines[name][1], False, sentence_of(problem))) for name in names)
+            # The other run is responsible for a port that it has taken.
+            taken = isinstance(problem, PortTaken)
+            for name in names:
+                action = "left to another run" if taken else lines[name][1]
+                outcomes[name] = SafeOutcome(name, action, taken, sentence_of(problem))
 
-    groups: dict[str, list[str]] = {}
-    for name, (port, _) in lines.items():
-        groups.setdefault(port, []).append(name)
-    for port, names in groups.items():
+    ports = list(dict.fromkeys(port for port, _ in lines.values()))
+    for port in ports:
         if port not in at_work or not at_work[port].is_alive():
+            names = [name for name in lines if lines[name][0] == port]
             at_work[port] = threading.Thread(target=attempt, args=(names,), daemon=True, name=f"making {port} safe")
             at_work[port].start()
     end = time.monotonic() + _TO_OPEN_S + 2.0 * deadline_s
-    for port in groups:
+    for port in ports:
         at_work[port].join(max(0.0, end - time.monotonic()))
-    return [outcomes.get(name) or SafeOutcome(name, action) for name, (_, action) in lines.items()]
+    return list(outcomes.values())
 
 
 def _say(sentence: str) -> None:

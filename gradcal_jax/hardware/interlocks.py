@@ -7,6 +7,7 @@ aborted), or runs. A step may lack samples themselves, their rate, or the motion
 
 import itertools
 import math
+from bisect import bisect, bisect_left
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -214,16 +215,16 @@ class ExecutedStep:
     ended_s: float
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Arrival:
-    """Samples that came together, the last of them at `time_s`: how many, how many lack before them, whether the unit
-    restarted, and how far it turned."""
+    """Samples that came together, the first of them at `begins_s`, and the last at `time_s`; the rest are sums since
+    the stream was started: samples that came, and that lack between them, restarts of the unit, and its turning."""
 
     begins_s: float
     time_s: float
     received: int = 0
     missing: int = 0
-    restarted: bool = False
+    restarts: int = 0
     turned_deg: float = 0.0
 
 
@@ -234,37 +235,33 @@ class SampleLosses:
     """
 
     def __init__(self, decoder: ImuDecoder, sample_rate_hz: float, gyros: GyroErrors | None, start_s: float) -> None:
-        self._sample_rate_hz, self._gyros = sample_rate_hz, gyros
-        self._arrivals: deque[_Arrival] = deque(maxlen=1 << 16)
-        self.received = self.missing = 0
-        self.begin_again(decoder, start_s)
-
-    def begin_again(self, decoder: ImuDecoder, start_s: float) -> None:
-        self._decoder = decoder
-        self._arrivals.clear()
-        self._arrivals.append(_Arrival(start_s, start_s))
+        self._decoder, self._sample_rate_hz, self._gyros = decoder, sample_rate_hz, gyros
+        self._arrivals: deque[_Arrival] = deque([_Arrival(start_s, start_s)], maxlen=1 << 16)
 
     @property
-    def newest_s(self) -> float:
-        """When the newest sample came, or when the stream was started."""
-        return self._arrivals[-1].time_s
+    def newest(self) -> _Arrival:
+        """The newest samples, or when the stream was started."""
+        return self._arrivals[-1]
 
     def push(self, data: bytes, time_s: float) -> None:
         batch = self._decoder.push(data, time_s)
         usable = np.isfinite(batch.gyro_dps).any(axis=1) | np.isfinite(batch.acceleration_g).any(axis=1)
-        received, missing, restarted = int(usable.sum()), int(batch.gap_before.sum()), bool(batch.restarted.any())
-        self.received, self.missing = self.received + received, self.missing + missing
-        if not received:
+        if not usable.any():
             return
-        newest = self._arrivals[-1]
-        if restarted or time_s - newest.begins_s > _TOGETHER_S or not newest.received:
-            newest = _Arrival(time_s, time_s)
-            self._arrivals.append(newest)
-        newest.time_s = time_s
-        newest.received += received
-        newest.missing += missing
-        newest.restarted = newest.restarted or restarted
-        newest.turned_deg += float(np.nansum(np.linalg.norm(batch.gyro_dps, axis=1))) * self._decoder.sample_s
+        before, restarts = self.newest, int(batch.restarted.sum())
+        together = before.received > 0 and not restarts and time_s - before.begins_s <= _TOGETHER_S
+        if together:
+            self._arrivals.pop()
+        turned = float(np.nansum(np.linalg.norm(batch.gyro_dps, axis=1))) * self._decoder.sample_s
+        newest = _Arrival(
+            before.begins_s if together else time_s,
+            time_s,
+            before.received + int(usable.sum()),
+            before.missing + int(batch.gap_before.sum()),
+            before.restarts + restarts,
+            before.turned_deg + turned,
+        )
+        self._arrivals.append(newest)
 
     def between(self, executed: ExecutedStep, share: float, latest_s: float, turned_deg: float | None) -> str:
         """A sentence where a step lacks samples: more than a share of them is missing, fewer or more came than the
@@ -273,43 +270,42 @@ class SampleLosses:
 
         `latest_s`: how late the computer may read them.
         """
-        known = list(self._arrivals)
-        inside = [arrival for arrival in known if executed.began_s < arrival.time_s <= executed.ended_s]
-        if any(arrival.restarted for arrival in inside):
+        known, began_s, ended_s = list(self._arrivals), executed.began_s, executed.ended_s
+        times_s = [arrival.time_s for arrival in known]
+        first, last = (known[max(bisect(times_s, time_s) - 1, 0)] for time_s in (began_s, ended_s))
+        if last.restarts > first.restarts:
             return "the IMU restarted during a step"
-        lost, lasted_s = sum(arrival.missing for arrival in inside), executed.ended_s - executed.began_s
+        lost, lasted_s = last.missing - first.missing, ended_s - began_s
         if lost > share * lasted_s * self._sample_rate_hz:
             return f"{lost} of {lasted_s * self._sample_rate_hz:.0f} samples are lost"
-        restarts = [arrival.time_s for arrival in known if arrival.restarted and arrival.time_s <= executed.ended_s]
-        for begins_s in (executed.began_s, min(executed.began_s, executed.ended_s - _WINDOW_S)):
-            if text := self._miscounted(known, max([begins_s, *restarts]), executed.ended_s, latest_s):
+        # A longer time shows smaller errors of the rate; it begins after the last restart.
+        since_s = next(arrival.time_s for arrival in known if arrival.restarts == last.restarts)
+        for begins_s in (began_s, min(began_s, ended_s - _WINDOW_S)):
+            if text := self._miscounted(known, times_s, max(begins_s, since_s), ended_s, latest_s):
                 return text
         gyros = self._gyros
         if gyros is None or turned_deg is None or turned_deg < _LEAST_TURN_DEG:
             return ""
-        times_s = [executed.began_s, *(arrival.time_s for arrival in inside), executed.ended_s]
-        late_s = max(after - before for before, after in itertools.pairwise(times_s))
-        shown_deg = sum(arrival.turned_deg for arrival in inside)
+        inside_s = [began_s, *(time_s for time_s in times_s if began_s < time_s <= ended_s), ended_s]
+        late_s = max(after - before for before, after in itertools.pairwise(inside_s))
+        shown_deg = last.turned_deg - first.turned_deg
         allowed_deg = (gyros.share + late_s / lasted_s) * turned_deg + gyros.bias_dps * lasted_s
         if abs(shown_deg - turned_deg) > allowed_deg:
             return f"the IMU's gyros measured {shown_deg:.0f} deg in total, but the table turned {turned_deg:.0f}"
         return ""
 
-    def _miscounted(self, known: list[_Arrival], begins_s: float, ends_s: float, latest_s: float) -> str:
+    def _miscounted(
+        self, known: list[_Arrival], times_s: list[float], begins_s: float, ends_s: float, latest_s: float
+    ) -> str:
         """A sentence where other samples came than the unit's rate makes, from the last arrival before `begins_s` to
         the first after `ends_s`, or to the end where nothing came any more."""
-        before = [arrival.time_s for arrival in known if arrival.time_s <= begins_s]
-        after = [arrival.time_s for arrival in known if arrival.time_s >= ends_s]
-        first_s = before[-1] if before else known[0].time_s
-        last_s = after[0] if after else ends_s
-        span_s = last_s - first_s
-        counted = [arrival for arrival in known if first_s < arrival.time_s <= last_s]
-        received = sum(arrival.received for arrival in counted)
-        count = received + sum(arrival.missing for arrival in counted)
+        first = known[max(bisect(times_s, begins_s) - 1, 0)]
+        place = bisect_left(times_s, ends_s)
+        last, last_s = (known[place], times_s[place]) if place < len(known) else (known[-1], ends_s)
+        received, span_s = last.received - first.received, last_s - first.time_s
+        count = received + last.missing - first.missing
         came_s = count / self._sample_rate_hz
-        fewest_s = (1.0 - _RATE_OFF) * span_s - _SLACK_S
-        most_s = (1.0 + _RATE_OFF) * span_s + latest_s
-        if fewest_s <= came_s <= most_s:
+        if (1.0 - _RATE_OFF) * span_s - _SLACK_S <= came_s <= (1.0 + _RATE_OFF) * span_s + latest_s:
             return ""
         rate = f"{count / span_s:.1f} samples/s, but its setting is {self._sample_rate_hz:g}"
         return f"the IMU sent {received} samples in {span_s:.1f} s: {rate}"

@@ -9,7 +9,7 @@ value cannot be read back is refused. The order and verification of commands are
 import re
 from collections.abc import Iterator, Mapping
 from importlib import resources
-from typing import Annotated, Any, Final, Literal, cast
+from typing import Annotated, Any, Final, Literal, cast, get_args
 
 from pydantic import BeforeValidator, Field
 
@@ -19,7 +19,11 @@ from gradcal_jax.tables.document import Model, model_of, read_toml
 from gradcal_jax.tables.problems import Key, Problem, instead
 from gradcal_jax.tables.section import Section
 
-FORMAT: Final = "gradcal-lines/1"
+LINES: Final = "gradcal-lines/1"
+DeviceState = Literal["conditioning", "program", "ramps", "alarm", "moving", "fault", "powered"]
+# The state in which the effect of a command is seen.
+CHAMBER_STATES: Final = {"on": "conditioning", "off": "conditioning", "end_program": "program", "no_ramp": "ramps"}
+AXIS_STATES: Final = {"on": "powered"}
 _FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text|char))?\}")
 _VALUE: Final = re.compile(r"\{([a-z]+):(0?\d{0,2}(?:\.\d)?f|g)\}")
 # Further decimals of a device are rounding errors.
@@ -234,160 +238,144 @@ class RequiredSetting(Section):
     """What goes wrong if the setting is different."""
 
 
-class LineProtocol(Section):
+class DeviceDescription(Section):
+    """What the descriptions of all devices that answer requests have."""
+
+    title: q.Text
+    """A title for tables and pages."""
+    units: DeviceUnits = DeviceUnits()
+    """Units of the numbers that the device sends and receives."""
+    limits: DeviceLimits = DeviceLimits()
+    """Limits of the device."""
+    state: dict[DeviceState, Condition] = Field(default_factory=dict[DeviceState, Condition])
+    """States of the device that can be seen in fields, by name."""
+    require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
+    """Settings that the device must have before the first command."""
+
+    @property
+    def fields(self) -> Mapping[str, Any]:
+        """Every field that can be read."""
+        return {}
+
+    def _unknown(self, key: Key, *fields: str) -> Iterator[Problem]:
+        for field in fields:
+            if field not in self.fields:
+                yield Problem(key, f"no reply has the field {{{field}}}; {instead(field, self.fields)}", field)
+
+    def _problems(self) -> Iterator[Problem]:
+        for name, entry in self.state.items():
+            yield from self._unknown(("state", name, "field"), entry.field)
+        for index, entry in enumerate(self.require):
+            yield from self._unknown(("require", index, "field"), entry.field)
+        shown_by = CHAMBER_STATES if getattr(self, "role", "") == "chamber" else AXIS_STATES
+        for command, state in shown_by.items():
+            if command in getattr(self, "tell", ()) and state not in self.state:
+                message = f"this key is missing: without this state, no reply shows the effect of tell.{command}"
+                yield Problem(("state", state), message, kind="missing")
+
+
+class LineProtocol(DeviceDescription):
     """A complete description of a device that communicates by lines of text."""
 
     format: Literal["gradcal-lines/1"]
     """Name and version of this file format."""
     role: Literal["chamber", "axis"]
     """Kind of device."""
-    title: q.Text
-    """A title for tables and pages."""
     line: Line = Line()
     """Settings of the line."""
-    units: DeviceUnits = DeviceUnits()
-    """Units of the numbers that the device sends and receives."""
-    limits: DeviceLimits = DeviceLimits()
-    """Limits of the device."""
     ask: dict[str, LineQuestion]
     """Questions, by name."""
     tell: dict[str, Command]
     """Commands, by name."""
-    state: dict[str, Condition]
-    """States of the device that can be seen in fields, by name."""
-    require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
-    """Settings that the device must have before the first command."""
-
-    def _problems(self) -> Iterator[Problem]:
-        yield from self._missing()
-        yield from self._unreadable()
-        yield from self._badly_written()
 
     @property
     def fields(self) -> dict[str, str]:
         """Every field that can be read -> the question that it is in."""
         return {field: name for name, question in self.ask.items() for field in question.fields}
 
-    def _missing(self) -> Iterator[Problem]:
-        role, message = _ROLES[self.role], f"this key is missing; a {self.role} needs it"
-        for table, needed in (("tell", role.tells), ("state", role.states)):
-            absent = [name for name in needed if name not in getattr(self, table)]
-            yield from (Problem((table, name), message, kind="missing") for name in absent)
-        for name in (name for name in role.fields if name not in self.fields):
-            yield Problem(("ask",), f"a {self.role} needs a reply with the field {{{name}}}", kind="missing")
-        for name in (name for name in role.limits if getattr(self.limits, name) is None):
-            yield Problem(("limits", name), message, kind="missing")
-        if "ramp" in self.tell and self.limits.free_ramp is None:
-            message = "this key is missing: it is the command that ends a ramp"
-            yield Problem(("limits", "free_ramp"), message, kind="missing")
-
-    def _unreadable(self) -> Iterator[Problem]:
-        """Problems of commands that cannot be read back, and of fields that no reply has."""
+    def _problems(self) -> Iterator[Problem]:
+        needed = _NEEDED[self.role] + ("limits.free_ramp",) * ("ramp" in self.tell)
+        for key in needed:
+            table, name = key.split(".")
+            there: Any = self.fields if table == "ask" else getattr(self, table)
+            if (getattr(there, name) is None) if table == "limits" else name not in there:
+                message = f"this key is missing; a {self.role} needs it"
+                message = f"a {self.role} needs a reply with the field {{{name}}}" if table == "ask" else message
+                yield Problem((table,) if table == "ask" else (table, name), message, kind="missing")
+        commands = _COMMANDS[self.role].split()
         for name, command in self.tell.items():
-            key = ("tell", name)
-            known = _ROLES[self.role].values
-            if name not in known:
-                message = f"is not a command; those of a {self.role} are {', '.join(known)}; {instead(name, known)}"
-                yield Problem(key, message)
-                continue
-            written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
-            if (name == "setpoint" or command.shown_by) and len(written) != 1:
-                message = (
-                    "expected exactly one placeholder, the same one with the same format wherever it appears, such as "
-                    f"{{{known[name][0]}:.1f}}"
-                    if known[name]
-                    else "this command sends no value that a reply could show: leave shown_by out"
-                )
-                yield Problem((*key, "send"), message)
-            if wrong := {value for value, _ in written} - set(known[name]):
-                allowed = ", ".join(f"{{{value}}}" for value in known[name])
-                only = f"it may contain only: {allowed}" if allowed else "this command cannot contain a placeholder"
-                message = f"the placeholder {{{sorted(wrong)[0]}}} cannot be used in this command; {only}"
-                yield Problem((*key, "send"), message)
-            if command.reply and len(command.reply) not in (1, len(command.send)):
-                message = f"expected one reply, or {len(command.send)} replies: one for each line of send"
-                yield Problem((*key, "reply"), message)
-            if name in _SHOWN_BY_THEMSELVES and not command.shown_by:
-                message = (
-                    "this key is missing: every value that is set must be read back; expected the fields of replies "
-                    "that show it"
-                )
-                yield Problem((*key, "shown_by"), message, kind="missing")
-            yield from self._unknown((*key, "shown_by"), *command.shown_by)
-        if "on" in self.tell and self.role == "axis" and "powered" not in self.state:
-            message = "this key is missing: without this state, no reply shows the effect of tell.on"
-            yield Problem(("state", "powered"), message)
-        for name, entry in self.state.items():
-            yield from self._unknown(("state", name, "field"), entry.field)
-        for index, entry in enumerate(self.require):
-            yield from self._unknown(("require", index, "field"), entry.field)
-
-    def _unknown(self, key: Key, *fields: str) -> Iterator[Problem]:
-        for field in fields:
-            if field not in self.fields:
-                yield Problem(key, f"no reply has the field {{{field}}}", field)
-
-    def _badly_written(self) -> Iterator[Problem]:
+            if name not in commands:
+                yield Problem(("tell", name), f"is not a command of a {self.role}; {instead(name, commands)}")
+            for problem in self._of_command(name, command):
+                yield Problem(("tell", name, *problem.key), problem.message, problem.value, problem.kind)
         for name, question in self.ask.items():
-            for key, template in (*(("reply", reply) for reply in question.reply), ("last", question.last or "")):
-                if {"{", "}"} & set(_FIELD.sub("", template)):
-                    message = "expected fields in braces, such as {air}, {state:text} or {running:char}"
-                    yield Problem(("ask", name, key), message, template)
-                elif _runs_together(template):
-                    message = (
-                        "a number ends at a character that no number has: expected one between a number and the next "
-                        "number or digit"
-                    )
-                    yield Problem(("ask", name, key), message, template)
-                elif re.search(r":text\}\{", template):
-                    message = (
-                        "a text field ends at the character that follows it in the template: expected a character "
-                        "between these two fields"
-                    )
-                    yield Problem(("ask", name, key), message, template)
-        for name, command in self.tell.items():
-            for send in command.send:
-                if {"{", "}"} & set(_VALUE.sub("", send)):
-                    yield Problem(("tell", name, "send"), "expected values in braces, such as {setpoint:.1f}", send)
-        if "end_program" in self.tell and "program" not in self.state:
-            message = "this key is missing: without this state, no reply shows the effect of end_program"
-            yield Problem(("state", "program"), message)
+            for reply in (*question.reply, question.last or ""):
+                if message := _unclear(reply):
+                    yield Problem(("ask", name, "reply"), message, reply)
         line = self.line
         spoken = [*(question.send for question in self.ask.values()), *(s for c in self.tell.values() for s in c.send)]
         if any(ord(letter) > 255 for text in (*spoken, line.prefix, line.ends, line.reply_ends) for letter in text):
             yield Problem((), "only single-byte characters can be sent")
 
+    def _of_command(self, name: str, command: Command) -> Iterator[Problem]:
+        """A command must be sent with values that it has, and a value that is set must be read back."""
+        known = _VALUES.get(name, "").split()
+        written = {match.groups() for send in command.send for match in _VALUE.finditer(send)}
+        if any({"{", "}"} & set(_VALUE.sub("", send)) for send in command.send):
+            yield Problem(("send",), "expected values in braces, such as {setpoint:.1f}")
+        if wrong := {value for value, _ in written} - set(known):
+            allowed = ", ".join(f"{{{value}}}" for value in known) or "none"
+            message = (
+                f"the placeholder {{{sorted(wrong)[0]}}} cannot be used in this command; it may contain: {allowed}"
+            )
+            yield Problem(("send",), message)
+        if (name == "setpoint" or command.shown_by) and len(written) != 1:
+            message = (
+                "expected exactly one placeholder, with the same format wherever it appears, such as {setpoint:.1f}"
+            )
+            yield Problem(("send",), message)
+        if command.reply and len(command.reply) not in (1, len(command.send)):
+            message = f"expected one reply, or {len(command.send)} replies: one for each line of send"
+            yield Problem(("reply",), message)
+        if name in _SHOWN_BY_THEMSELVES and not command.shown_by:
+            message = "every value that is set must be read back; expected the fields of replies that show it"
+            yield Problem(("shown_by",), f"this key is missing: {message}", kind="missing")
+        yield from self._unknown(("shown_by",), *command.shown_by)
 
-def _runs_together(template: str) -> bool:
-    """Whether a number is followed by something that may continue it: digits, a point, another number."""
-    for match in _FIELD.finditer(template):
-        following = template[match.end() : match.end() + 1]
-        after = _FIELD.match(template, match.end())
-        number_follows = after is not None and after[2] is None
-        if match[2] is None and (number_follows or following.isdigit() or following == "."):
-            return True
-    return False
 
-
-class _Role:
-    def __init__(self, fields: str, states: str, limits: str, tells: str, **values: str) -> None:
-        self.fields, self.states, self.limits, self.tells = (text.split() for text in (fields, states, limits, tells))
-        self.values = {name: text.split() for name, text in values.items()}
-
-
-_MOTION: Final = "position rate acceleration"
-_ROLES: Final[Mapping[str, _Role]] = {
-    "chamber": _Role(
-        "air setpoint", "conditioning", "lowest highest", "setpoint on off",
-        setpoint="setpoint", ramp="ramp", on="", off="", end_program="",
+_NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
+    "chamber": (
+        "ask.air", "ask.setpoint", "state.conditioning", "limits.lowest", "limits.highest",
+        "tell.setpoint", "tell.on", "tell.off",
     ),
-    "axis": _Role(
-        "position", "moving", "max_rate max_acceleration step", "home move stop",
-        home="", stop_homing="", move=_MOTION, spin=f"{_MOTION} velocity way", stop="", rate="rate",
-        acceleration="acceleration", on="", off="",
+    "axis": (
+        "ask.position", "state.moving", "limits.max_rate", "limits.max_acceleration", "limits.step",
+        "tell.home", "tell.move", "tell.stop",
     ),
 }  # fmt: skip
+_COMMANDS: Final[Mapping[str, str]] = {
+    "chamber": "setpoint ramp on off end_program",
+    "axis": "home stop_homing move spin stop rate acceleration on off",
+}
+_VALUES: Final[Mapping[str, str]] = {
+    "setpoint": "setpoint", "ramp": "ramp", "rate": "rate", "acceleration": "acceleration",
+    "move": "position rate acceleration", "spin": "position rate acceleration velocity way",
+}  # fmt: skip
 _SHOWN_BY_THEMSELVES: Final = frozenset({"ramp", "rate", "acceleration"})
+
+
+def _unclear(template: str) -> str:
+    """Why a reply's fields cannot be told apart; empty: they can."""
+    if {"{", "}"} & set(_FIELD.sub("", template)):
+        return "expected fields in braces, such as {air}, {state:text} or {running:char}"
+    for match in _FIELD.finditer(template):
+        rest = template[match.end() :]
+        after = _FIELD.match(rest)
+        if match[2] == "text" and after is not None:
+            return "a text field ends at the character that follows it: expected one between two fields"
+        if match[2] is None and (rest[:1].isdigit() or rest[:1] == "." or (after is not None and after[2] is None)):
+            return "a number ends at a character that no number has: expected one between two numbers or digits"
+    return ""
 
 
 def reply_pattern(template: str, number: str = NUMBER, *, tabs: bool = False, padded: bool = False) -> re.Pattern[str]:
@@ -465,17 +453,13 @@ def shows(sent: str, reply: str) -> bool:
     return abs(float(sent) - float(reply)) <= 0.51 * 10.0**-decimals
 
 
-def protocol_of(value: object, changes: object = None) -> LineProtocol:
-    """The protocol of a rig file: see `described`."""
-    return described(LineProtocol, FORMAT, value, changes)
-
-
-def described(kind: type[Model], form: str, value: object, changes: object) -> Model:
-    """The protocol of a rig file: the name of one of this program's, or its own tables; and what differs from it.
+def described(kind: type[Model], value: object, changes: object = None) -> Model:
+    """The description of a rig file: the name of one of this program's, or its own tables; and what differs from it.
 
     Raises:
         ValueError: no such name, or (as `SpecError`) everything that is wrong with the tables.
     """
+    (form,) = get_args(kind.model_fields["format"].annotation)
     name, names = value if isinstance(value, str) else "", shipped(form)
     if isinstance(value, Mapping):
         tables = cast("Mapping[str, Any]", value)
@@ -504,7 +488,7 @@ def changed_tables(tables: Mapping[str, Any], changes: object) -> dict[str, Any]
     return result
 
 
-def shipped(kind: str = FORMAT) -> tuple[str, ...]:
+def shipped(kind: str = LINES) -> tuple[str, ...]:
     """The names of the protocols of a format that come with this program."""
     names = (file.name for file in _DEVICES.iterdir() if file.name.endswith(".toml"))
     return tuple(sorted(n.removesuffix(".toml") for n in names if f'"{kind}"' in (_DEVICES / n).read_text("utf-8")))

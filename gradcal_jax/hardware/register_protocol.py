@@ -10,15 +10,13 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from gradcal_jax.hardware.line_protocol import Condition, DeviceLimits, DeviceUnits, RequiredSetting, described
-from gradcal_jax.tables.problems import Problem, instead
+from gradcal_jax.hardware.line_protocol import Condition, DeviceDescription
+from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Count, Flag, Quantity, SizeOfTime, Text, Time
 from gradcal_jax.tables.section import Section
 
 FORMAT: Final = "gradcal-registers/1"
-_VALUES: Final[Mapping[str, str]] = {
-    "setpoint": "setpoint", "ramp": "ramp", "on": "", "off": "", "no_ramp": "", "end_program": "",
-}  # fmt: skip
+RegisterCommand = Literal["setpoint", "ramp", "on", "off", "no_ramp", "end_program"]
 
 
 class ModbusLine(Section):
@@ -59,87 +57,61 @@ class Register(Section):
     """Name of the register that shows the value written to this one; absent: this register itself."""
 
 
-class RegisterProtocol(Section):
+class RegisterProtocol(DeviceDescription):
     """A complete description of a chamber that communicates by registers."""
 
     format: Literal["gradcal-registers/1"]
     """Name and version of this file format."""
     role: Literal["chamber"]
     """Kind of device."""
-    title: Text
-    """A title for tables and pages."""
     line: ModbusLine = ModbusLine()
     """Settings of the connection."""
-    units: DeviceUnits = DeviceUnits()
-    """Units of the numbers that the device sends and receives."""
-    limits: DeviceLimits = DeviceLimits()
-    """Limits of the device, if it has no registers `lowest` and `highest` that state them."""
     on_first: Flag = False
     """Whether the device accepts a set point only while it is switched on and conditions the chamber."""
     registers: dict[str, Register]
     """Registers of the device, by name. Names that the program knows: air, setpoint, product, mode, lowest, highest,
     model, serial, firmware."""
-    tell: dict[str, dict[str, int | float | Text]]
+    tell: dict[RegisterCommand, dict[str, int | float | Text]]
     """Commands, by name: the registers to write, and the values for them."""
-    state: dict[str, Condition] = Field(default_factory=dict[str, Condition])
-    """States of the device that registers show, by name: conditioning, program, ramps."""
     alarm: dict[str, Condition] = Field(default_factory=dict[str, Condition])
     """Alarms of the device, by name."""
-    require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
-    """Settings that the device must have before the first command."""
 
     @property
-    def fields(self) -> dict[str, str]:
-        """Every field that can be read -> its register."""
-        return {name: name for name in self.registers}
+    def fields(self) -> dict[str, Register]:
+        """Every field that can be read: its register."""
+        return self.registers
 
     def _problems(self) -> Iterator[Problem]:
-        known, needed = self.registers, (("registers", "air"), ("registers", "setpoint"), ("tell", "setpoint"))
+        needed = (("registers", "air"), ("registers", "setpoint"), ("tell", "setpoint"))
         for key in (key for key in needed if key[1] not in getattr(self, key[0])):
             yield Problem(key, "this key is missing; a chamber needs it", kind="missing")
         for name in ("lowest", "highest"):
-            if name not in known and getattr(self.limits, name) is None:
+            if name not in self.registers and getattr(self.limits, name) is None:
                 message = f"this key is missing; give it, or describe a register {name}"
                 yield Problem(("limits", name), message, kind="missing")
-        for tells, state in ((("on", "off"), "conditioning"), (("end_program",), "program"), (("no_ramp",), "ramps")):
-            if any(name in self.tell for name in tells) and state not in self.state:
-                message = f"this key is missing: without this state, no reply shows the effect of tell.{tells[0]}"
-                yield Problem(("state", state), message, kind="missing")
         if ("on" in self.tell) is not ("off" in self.tell):
             yield Problem(("tell",), "expected both commands, on and off, or neither")
         if "ramp" in self.tell and "no_ramp" not in self.tell and self.limits.free_ramp is None:
             message = "this key is missing: it is the command that ends a ramp"
             yield Problem(("tell", "no_ramp"), message, kind="missing")
-        yield from self._badly_written()
-
-    def _badly_written(self) -> Iterator[Problem]:
-        known = self.registers
-        named = [(("registers", name, "shown_in"), entry.shown_in) for name, entry in known.items()]
-        named += [(("registers", name, "decimals"), entry.decimals) for name, entry in known.items()]
-        for table in ("state", "alarm"):
-            named += [((table, name, "field"), entry.field) for name, entry in getattr(self, table).items()]
-        for key, name in named:
-            if isinstance(name, str) and name not in known:
-                yield Problem(key, f"there is no such register; {instead(name, known)}", name)
+        for name, entry in self.registers.items():
+            named = {"shown_in": entry.shown_in, "decimals": entry.decimals}
+            for key, other in named.items():
+                yield from self._unknown(("registers", name, key), *([other] if isinstance(other, str) else []))
+        for name, entry in self.alarm.items():
+            yield from self._unknown(("alarm", name, "field"), entry.field)
         for name, writes in self.tell.items():
-            if name not in _VALUES:
-                message = f"is not a command; those of a chamber are {', '.join(_VALUES)}; {instead(name, _VALUES)}"
-                yield Problem(("tell", name), message)
-                continue
-            for register, value in writes.items():
-                entry = known.get(register)
-                if entry is None:
-                    yield Problem(("tell", name, register), f"there is no such register; {instead(register, known)}")
-                elif entry.input or entry.type == "text":
-                    yield Problem(("tell", name, register), "this register can only be read")
-                allowed = f"{{{_VALUES[name]}}}"
-                if isinstance(value, str) and (not _VALUES[name] or value != allowed):
-                    message = f"expected a number{f' or {allowed}' if _VALUES[name] else ''}"
-                    yield Problem(("tell", name, register), message, value)
-            if _VALUES[name] and f"{{{_VALUES[name]}}}" not in writes.values():
-                yield Problem(("tell", name), f"the command must write {{{_VALUES[name]}}} to a register")
+            yield from self._of_command(name, writes)
 
-
-def register_protocol_of(value: object, changes: object = None) -> RegisterProtocol:
-    """The protocol of a rig file: see `line_protocol.described`."""
-    return described(RegisterProtocol, FORMAT, value, changes)
+    def _of_command(self, name: RegisterCommand, writes: Mapping[str, int | float | str]) -> Iterator[Problem]:
+        placeholder = f"{{{name}}}" if name in ("setpoint", "ramp") else ""
+        for register, value in writes.items():
+            key = ("tell", name, register)
+            yield from self._unknown(key, register)
+            entry = self.registers.get(register)
+            if entry is not None and (entry.input or entry.type == "text"):
+                yield Problem(key, "this register can only be read")
+            if isinstance(value, str) and value != placeholder:
+                yield Problem(key, f"expected a number{placeholder and f' or {placeholder}'}", value)
+        if placeholder and placeholder not in writes.values():
+            yield Problem(("tell", name), f"the command must write {placeholder} to a register")

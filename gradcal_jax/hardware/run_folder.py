@@ -16,14 +16,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from gradcal_jax.hardware.errors import HardwareError, WrongIdentity
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.setup import Bench, check_rig
 from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.recipe.recipe import Recipe, read_recipe
+from gradcal_jax.spec.changes import differences
 from gradcal_jax.spec.rig import RigFile, read_rig, rig_of
+from gradcal_jax.tables.problems import dotted
 from gradcal_jax.tables.writing import write_toml, write_whole
 
 FORMAT: Final = "gradcal-run/1"
@@ -166,22 +168,18 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
     Raises `RunFolderError`: the recipe or the rig differs from the beginning, another version wrote the run, or
     everything is done.
     """
-    notes = folder.notes()
+    notes, here = folder.notes(), version("gradcal_jax")
+    restore = f"the one that the run in {folder.path} began with"
     if notes.get("recipe") != folder.recipe().fingerprint:
-        raise RunFolderError(
-            f"The recipe in {folder.path} is not the one that the run began with: restore it, or begin a new run."
-        )
-    then: Any = notes.get("rig")
+        raise RunFolderError(f"The recipe is not {restore}: restore it, or begin a new run.")
     for now in (folder.rig(), rig):
-        if now is not None and isinstance(then, dict) and (differences := _differences(then, rig_tables(now))):
-            raise RunFolderError(
-                f"The rig is not the one that the run in {folder.path} began with: {'; '.join(differences)}. "
-                "Restore it, or begin a new run."
-            )
-    if notes.get("version") != version("gradcal_jax"):
+        changed = () if now is None else differences(notes.get("rig"), rig_tables(now), ())
+        if texts := [f"{dotted(key)} is {after!r} and was {before!r}" for key, before, after in changed]:
+            raise RunFolderError(f"The rig is not {restore}: {'; '.join(texts)}. Restore it, or begin a new run.")
+    if notes.get("version") != here:
         raise RunFolderError(
-            f"The run was begun by gradcal {notes.get('version')}, but this is {version('gradcal_jax')}: resume the "
-            "run with the version that began it."
+            f"The run was begun by gradcal {notes.get('version')}, but this is {here}: resume the run with the "
+            "version that began it."
         )
     contents = folder.events()
     if exit_status(contents) == "success":
@@ -189,33 +187,19 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
     return steps_done(contents)
 
 
-def _differences(then: Any, now: Any, key: str = "") -> list[str]:
-    if isinstance(then, list) and isinstance(now, list):
-        lists = cast("list[Any]", then), cast("list[Any]", now)
-        then, now = ({str(number): entry for number, entry in enumerate(side, 1)} for side in lists)
-    if isinstance(then, dict) and isinstance(now, dict):
-        sides = cast("dict[str, Any]", then), cast("dict[str, Any]", now)
-        names = sorted({*sides[0], *sides[1]})
-        places = [(f"{key}.{name}" if key else name, name) for name in names]
-        return [text for place, name in places for text in _differences(sides[0].get(name), sides[1].get(name), place)]
-    return [] if then == now else [f"{key} is {now!r} and was {then!r}"]
-
-
 def require_same_devices(bench: Bench, contents: JournalContents) -> None:
     """Compare the devices with those at the beginning of the run. Raises `WrongIdentity`."""
     # Of several sessions the first counts.
-    known = {str(event.data["device"]): event for event in reversed(contents.events) if event.name == "identity"}
+    known = {str(event.data["device"]): event.data for event in reversed(contents.events) if event.name == "identity"}
+    names = ("driver", "model", "serial_number", "firmware")
     for report in check_rig(bench):
         if report.problem:
             raise HardwareError(report.problem)
-        before = known.get(report.name)
-        if before is None or report.identity is None:
-            continue
-        names = ("driver", "model", "serial_number", "firmware")
-        now, then = [[of.get(name, "") for name in names] for of in (vars(report.identity), before.data)]
-        if now != then:
+        now, then = vars(report.identity), known.get(report.name, {})
+        if changed := [name for name in names if now[name] != then.get(name, now[name])]:
+            words = [" ".join(str(of[name]) for name in changed) for of in (now, then)]
             raise WrongIdentity(
-                f"{report.name} at {report.port} is {' '.join(now)}, but the run began with {' '.join(then)}. Connect "
+                f"{report.name} at {report.port} is {words[0]}, but the run began with {words[1]}. Connect "
                 "the device that the run began with, or begin a new run."
             )
 

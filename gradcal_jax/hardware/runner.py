@@ -409,7 +409,7 @@ class Runner:
                 self._confirm(self._unconfirmed.popleft())
 
     def _has_samples_of(self, executed: ExecutedStep) -> bool:
-        latest_s = min((losses.newest_s for losses in self._losses.values()), default=math.inf)
+        latest_s = min((losses.newest.time_s for losses in self._losses.values()), default=math.inf)
         return executed.ended_s + _ARRIVAL_S <= latest_s
 
     def _shortfall_of(self, executed: ExecutedStep) -> StepNotDone | None:
@@ -470,7 +470,7 @@ class Runner:
             time_s=now,
             chamber=None if chamber is None else chamber.newest,
             axes=self._axes.newest,
-            imu_age_s={name: now - self._losses[name].newest_s for name in self._streaming},
+            imu_age_s={name: now - self._losses[name].newest.time_s for name in self._streaming},
             free_bytes=self.journal.free_bytes,
             course_c=None if chamber is None else chamber.expected.of_late(now, limits.temperature_lag_s),
             allowed_dps=self._axes.allowed(),
@@ -564,7 +564,7 @@ class Runner:
             chamber=None if chamber is None else chamber.newest,
             axes=self._axes.newest,
             course_c=chamber and chamber.expected.of_late(now, self.interlocks.limits.temperature_lag_s),
-            samples={name: (losses.received, losses.missing) for name, losses in self._losses.items()},
+            samples={name: (losses.newest.received, losses.newest.missing) for name, losses in self._losses.items()},
             why=self._why,
             remarks=late,
         )

@@ -1,24 +1,18 @@
-"""From a rig file to open devices: drivers by name, options in units, ports shared where axes share one.
-
-A driver's options are the fields of its configuration class. A field with a unit in its name is written in the file
-without it, as text with a unit: `reply_timeout_s` is `reply_timeout = "3 s"`.
-"""
+"""From a rig file to open devices: drivers by name, ports shared where axes share one."""
 
 import dataclasses
-import importlib
-import types
-import typing
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
-from typing import Annotated, Any, Final, Literal
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Final, Literal
 
-from pydantic import ConfigDict, ValidationError, create_model
+from pydantic import ValidationError
 
 from gradcal_jax.hardware import roles
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.operator import Console, OperatorConfig
+from gradcal_jax.hardware.drivers.base import DriverOptions
+from gradcal_jax.hardware.drivers.operator import Console
 from gradcal_jax.hardware.errors import HardwareError, WrongIdentity
 from gradcal_jax.hardware.journal import Recorder
 from gradcal_jax.hardware.transport import Terminal, TextLine, Transport, same_port
@@ -33,52 +27,21 @@ from gradcal_jax.spec.rig import (
     RigFile,
 )
 from gradcal_jax.tables.problems import Problem, SpecError, from_validation, hint, one_of
-from gradcal_jax.tables.quantity import Of, Quantity
-from gradcal_jax.tables.section import Section
-from gradcal_jax.units import to_unit
 
 LEFT: Final = "left streaming"
 """What happens to an IMU at the end of a run: it has no unsafe state."""
 Role = Literal["chamber", "axis", "imu"]
 Device = ChamberDevice | AxisDevice | ImuDevice
 
-
 ENTRY_POINTS: Final = "gradcal.drivers"
-"""The group of entry points by which other packages add drivers: each names a `Driver`."""
-
-
-@dataclass(frozen=True)
-class Driver:
-    """A driver's module, and the names of its device's and its configuration's class in it.
-
-    The module also has `open_exchange(line, clock, config)`; the configuration of a unit has `decoder()`. A
-    configuration may have `lacks_for(safe)`: a sentence where a device with these options cannot take a safe state of
-    the rig file, else an empty text.
-    """
-
-    role: Role | None
-    """Role of the device; None: the configuration states it."""
-    module: str
-    device_class: str
-    config_class: str
-
-    def load(self) -> types.ModuleType:
-        return importlib.import_module(self.module)
-
-    def config(self) -> type[Any]:
-        return getattr(self.load(), self.config_class)
-
-    def device(self) -> Callable[..., Any]:
-        return getattr(self.load(), self.device_class)
-
-
+"""The group of entry points by which other packages add drivers: each names a class of `DriverOptions`."""
 _HERE: Final = f"{__package__}.drivers"
-DRIVERS: Final[Mapping[str, Driver]] = {
-    "registers": Driver("chamber", f"{_HERE}.registers", "RegistersChamber", "RegistersConfig"),
-    "lines": Driver(None, f"{_HERE}.lines", "lines_device", "LinesConfig"),
-    OPERATOR: Driver("axis", f"{_HERE}.operator", "OperatorAxis", "OperatorConfig"),
-    "frames": Driver("imu", f"{_HERE}.frames", "ListeningImu", "FramesConfig"),
-    "text_unit": Driver("imu", f"{_HERE}.text_unit", "ListeningImu", "TextUnitConfig"),
+DRIVERS: Final[Mapping[str, str]] = {
+    "registers": f"{_HERE}.registers:RegistersConfig",
+    "lines": f"{_HERE}.lines:LinesConfig",
+    OPERATOR: f"{_HERE}.operator:OperatorConfig",
+    "frames": f"{_HERE}.frames:FramesConfig",
+    "text_unit": f"{_HERE}.text_unit:TextUnitConfig",
 }
 """The drivers that come with this program; `driver_of` knows those of other packages, too."""
 
@@ -86,17 +49,16 @@ DRIVERS: Final[Mapping[str, Driver]] = {
 def driver_names(role: Role) -> list[str]:
     """The drivers that a device of a role may have. Drivers of other packages are imported for it."""
     outside = sorted({entry.name for entry in entry_points(group=ENTRY_POINTS)} - set(DRIVERS))
-    drivers = {**DRIVERS, **{name: driver_of(name) for name in outside}}
-    return [name for name, driver in drivers.items() if driver is not None and _fits(driver, role)]
+    return [name for name in (*DRIVERS, *outside) if _fits(driver_of(name), role)]
 
 
-def driver_of(name: str) -> Driver | None:
+def driver_of(name: str) -> type[DriverOptions] | None:
     """A driver by its name in the rig file: this program's, which cannot be replaced, or another package's.
 
     Raises `ValueError` where two packages have a driver of this name, or where it cannot be loaded.
     """
     if name in DRIVERS:
-        return DRIVERS[name]
+        return EntryPoint(name, DRIVERS[name], ENTRY_POINTS).load()
     entries = list(entry_points(group=ENTRY_POINTS, name=name))
     if not entries:
         return None
@@ -108,66 +70,17 @@ def driver_of(name: str) -> Driver | None:
     except Exception as problem:
         why = f"{type(problem).__name__}: {problem}"
         raise ValueError(f"the driver of this name in the package {where} cannot be loaded: {why}") from None
-    if not isinstance(driver, Driver):
-        raise ValueError(f"the package {where} has {entries[0].value} as a driver, but this is not a `setup.Driver`")
+    if not (isinstance(driver, type) and issubclass(driver, DriverOptions)):
+        raise ValueError(f"the package {where} has {entries[0].value} as a driver, but this is no `DriverOptions`")
     return driver
 
 
-def known_driver(name: str) -> Driver:
-    """A driver that `config_of` has accepted."""
-    driver = driver_of(name)
-    assert driver is not None
-    return driver
-
-
-def _fits(driver: Driver, role: Role) -> bool:
-    return driver.role == role or (driver.role is None and role != "imu")
-
-
-# Ending of a field's name -> dimension of its text, unit of its number. Longest first.
-_UNITS: Final = (
-    ("_dps2", "angular acceleration", "deg/s^2"),
-    ("_dps", "angular rate", "deg/s"),
-    ("_deg", "angle", "deg"),
-    ("_hz", "frequency", "Hz"),
-    ("_c", "temperature", "degC"),
-    ("_s", "time", "s"),
-)
-
-
-# Options of every device on a serial line, beside its driver's.
-_LINE_OPTIONS: Final[Mapping[str, Any]] = {
-    "bytesize": Literal[7, 8],
-    "parity": Literal["N", "E", "O"],
-    "stopbits": Literal[1, 2],
-}
-
-
-def option_names(driver: str) -> dict[str, str]:
-    """The options of a driver, in the file's spelling -> the fields of its configuration."""
-    return {_spelt(f.name)[0]: f.name for f in dataclasses.fields(known_driver(driver).config())}
-
-
-class _Options(Section):
-    """The options of a device, whose fields are made from its driver's configuration."""
-
-    model_config = ConfigDict(strict=True)
-
-
-def _options_of(driver: Driver, *, line: bool = True) -> type[Section]:
-    """The table of a driver's options; `line`: with those of a serial line."""
-    fields: dict[str, Any] = {}
-    kinds = typing.get_type_hints(driver.config(), include_extras=True)
-    for option in dataclasses.fields(driver.config()):
-        spelt, dimension, _ = _spelt(option.name)
-        fields[spelt] = (Annotated[Quantity, Of(dimension)] if dimension else kinds[option.name], None)
-    for name, choices in _LINE_OPTIONS.items() if line else ():
-        fields.setdefault(name, (choices, None))
-    return create_model("Options", __base__=_Options, **fields)
+def _fits(driver: type[DriverOptions] | None, role: Role) -> bool:
+    return driver is not None and (driver.role == role or (driver.role is None and role != "imu"))
 
 
 def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int, ...]) -> Any:
-    """The driver's configuration for a device of the rig file.
+    """The options of a device of the rig file.
 
     Raises:
         SpecError: no such driver, a driver of another role, unknown options, wrong values; all at once, with keys.
@@ -180,40 +93,27 @@ def config_of(device: Device | EncoderDevice, role: Role, place: tuple[str | int
         fitting = driver_names(role)
         ending = hint(device.driver, fitting)
         raise SpecError([Problem((*place, "driver"), f"expected {one_of(fitting)}{ending}", device.driver)])
-    config, place = driver.config(), (*place, "options")
+    place = (*place, "options")
     try:
-        options = _options_of(driver, line=device.port != TERMINAL).model_validate(device.options)
+        config: Any = driver.model_validate(device.options)
     except ValidationError as error:
         raise SpecError([problem.under(*place) for problem in from_validation(error)]) from None
-    values: dict[str, Any] = {}
-    for spelt, name in option_names(device.driver).items():
-        if spelt in options.model_fields_set:
-            value, unit = getattr(options, spelt), _spelt(name)[2]
-            values[name] = to_unit(float(value), unit) if unit else value
-    try:
-        built = config(**values)
-    except SpecError as error:
-        raise SpecError([problem.under(*place, "protocol") for problem in error.problems]) from None
-    except ValueError as problem:
-        raise SpecError([Problem(place, str(problem))]) from None
-    if driver.role is None and built.role != role:
-        raise SpecError([Problem((*place, "protocol"), f"describes an {built.role}; expected a {role}")])
-    return built
+    if driver.role is None and config.described.role != role:
+        message = f"describes an {config.described.role}; expected a {role}"
+        raise SpecError([Problem((*place, "protocol"), message)])
+    return config
 
 
 def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
-    """The configurations of all devices, by their place in the file. Raises `SpecError` with every problem."""
+    """The options of all devices, by their place in the file. Raises `SpecError` with every problem."""
     configs: dict[tuple[str | int, ...], Any] = {}
     problems: list[Problem] = []
     for role, place, _, device in _entries(rig):
         try:
             configs[place] = config_of(device, role, place)
-            # Drivers that declare nothing can take every safe state.
-            lacks_for: Callable[[str], str] = getattr(configs[place], "lacks_for", lambda safe: "")
-            if not isinstance(device, ImuDevice) and (lack := lacks_for(device.safe)):
-                problems.append(
-                    Problem((*place, "safe"), f"this device does not support this safe state: {lack}", device.safe)
-                )
+            if not isinstance(device, ImuDevice) and (lack := configs[place].lacks_for(device.safe)):
+                message = f"this device does not support this safe state: {lack}"
+                problems.append(Problem((*place, "safe"), message, device.safe))
             if isinstance(device, AxisDevice) and device.encoder is not None:
                 configs[*place, "encoder"] = config_of(device.encoder, role, (*place, "encoder"))
         except SpecError as error:
@@ -221,13 +121,6 @@ def configs_of(rig: RigFile) -> dict[tuple[str | int, ...], Any]:
     if problems:
         raise SpecError(problems)
     return configs
-
-
-def _spelt(name: str) -> tuple[str, str, str]:
-    for ending, dimension, unit in _UNITS:
-        if name.endswith(ending):
-            return name.removesuffix(ending), dimension, unit
-    return name, "", ""
 
 
 def _entries(rig: RigFile) -> list[tuple[Role, tuple[str | int, ...], str, Device]]:
@@ -284,7 +177,7 @@ class Bench(AbstractContextManager["Bench"]):
 def open_rig(
     rig: RigFile,
     clock: Clock,
-    recorder_of: Callable[[str], Recorder | None] | None = None,
+    recorder_of: Callable[[str], Recorder | None] = lambda url: None,
     *,
     terminal: Terminal | None = None,
 ) -> Bench:
@@ -296,50 +189,42 @@ def open_rig(
         PortRefused: a port that cannot be opened; those opened before are closed again.
     """
     configs = configs_of(rig)
-    bench, exchanges, lines = Bench(rig), dict[str, Any](), dict[str, Transport]()
+    bench, lines = Bench(rig), dict[str, Transport]()
 
-    def opened(device: Device | EncoderDevice | OperatorPlace, config: Any) -> TextLine:
-        url, recorder = device.port, None if recorder_of is None else recorder_of(device.port)
+    def opened(url: str, **settings: Any) -> TextLine:
         if url == TERMINAL:
             line = terminal or Terminal()
-            line.clock, line.recorder = clock, recorder
+            line.clock, line.recorder = clock, recorder_of(url)
         else:
-            options = {} if isinstance(device, OperatorPlace) else device.options
-            settings: dict[str, Any] = dict(getattr(config, "line_settings", {}))
-            settings |= {name: options[name] for name in _LINE_OPTIONS if name in options}
-            settings["baudrate"] = config.baudrate
-            line = lines[same_port(url)] = Transport(url, clock=clock, recorder=recorder, **settings)
+            line = lines[same_port(url)] = Transport(url, clock=clock, recorder=recorder_of(url), **settings)
         bench._ports.callback(line.close)  # pyright: ignore[reportPrivateUsage]
         return line
 
-    def axis_or_chamber(device: Device | EncoderDevice, config: Any, *more: Any) -> Any:
-        driver, port = known_driver(device.driver), same_port(device.port)
-        if port not in exchanges:
-            exchanges[port] = driver.load().open_exchange(opened(device, config), clock, config)
-        return driver.device()(exchanges[port], config, *more)
+    links: dict[str, Any] = {}
+
+    def build(entry: Device | EncoderDevice, name: str, config: DriverOptions, encoder: Any = None) -> Any:
+        port = same_port(entry.port)
+        if port not in links:
+            links[port] = config.link(opened(entry.port, **config.line_settings), clock)
+        return config.device(links[port], clock, name, encoder)
 
     try:
-        for _, place, _, device in _entries(rig):
-            config = configs[place]
-            if isinstance(device, ImuDevice):
-                bench.imus[device.name] = known_driver(device.driver).device()(opened(device, config), clock, config)
-            elif isinstance(device, ChamberDevice):
-                bench.chamber = axis_or_chamber(device, config)
+        for role, place, name, entry in _entries(rig):
+            encoder = None
+            if isinstance(entry, AxisDevice) and entry.encoder is not None:
+                encoder = build(entry.encoder, name, configs[*place, "encoder"])
+            device = build(entry, name, configs[place], encoder)
+            if role == "chamber":
+                bench.chamber = device
             else:
-                more: tuple[Any, ...] = ()
-                if device.driver == OPERATOR:
-                    encoder = device.encoder
-                    read = None if encoder is None else axis_or_chamber(encoder, configs[*place, "encoder"])
-                    more = (clock, device.name, read)
-                bench.axes[device.name] = axis_or_chamber(device, config, *more)
-        for name, (port, _) in lines_of(rig).items():
-            if same_port(port) in lines:
-                bench.lines[name] = lines[same_port(port)]
-        consoles = [exchange for exchange in exchanges.values() if isinstance(exchange, Console)]
+                (bench.axes if role == "axis" else bench.imus)[name] = device
+            if same_port(entry.port) in lines:
+                bench.lines[name] = lines[same_port(entry.port)]
+        consoles = [link for link in links.values() if isinstance(link, Console)]
         if consoles:
             bench.console = consoles[0]
         elif rig.operator is not None or terminal is not None:
-            bench.console = Console(opened(rig.operator or OperatorPlace(), OperatorConfig()), clock)
+            bench.console = Console(opened((rig.operator or OperatorPlace()).port), clock)
     except BaseException:
         bench.close()
         raise

@@ -8,12 +8,13 @@ import subprocess
 import threading
 import time
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from gradcal_jax.hardware.clock import repeating
 from gradcal_jax.hardware.journal import json_of
 from gradcal_jax.hardware.roles import AxisReading, ChamberReading
 from gradcal_jax.spec.rig import RigFile
@@ -98,37 +99,35 @@ _LONGEST_STATUS: Final = 1_000_000
 _WRITE_S: Final = 0.2
 
 
-class StatusFile:
+class StatusFile(ExitStack):
+    """Written by a thread of its own: as context."""
+
     def __init__(self, folder: Path, *, simulated: bool) -> None:
+        super().__init__()
         self._path = folder / STATUS
         self._head = {"format": FORMAT, "simulated": simulated}
-        self._status: dict[str, Any] = {}
-        self._over = threading.Event()
-        self._writer = threading.Thread(target=self._write_on, daemon=True, name="status file")
+        self._status = self._written = dict[str, Any]()
 
     def __enter__(self) -> "StatusFile":
-        self._writer.start()
+        self.enter_context(repeating(self._write, _WRITE_S))
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._writer.join(timeout=5.0)
 
     def show(self, progress: RunProgress) -> None:
         self._status = {"at_s": time.time(), **asdict(progress), "state": progress.state.value}
 
     def end(self, result: RunResult) -> None:
-        state = "safe" if result.verified_safe else "failed"
-        ended = {"exit_status": result.exit_status, "reason": result.reason, "verified_safe": result.verified_safe}
-        self._status = {**self._status, "at_s": time.time(), "state": state, "steps_done": result.steps_done, **ended}
+        done = {"steps_done": result.steps_done}
+        self._status = self._status | done | _ended(result.exit_status, result.reason, result.verified_safe)
 
-    def _write_on(self) -> None:
-        over, written = False, self._status
-        while not over:
-            over = self._over.wait(_WRITE_S)
-            if self._status is not written:
-                written = self._status
-                _write_status(self._path, self._head | written)
+    def _write(self) -> None:
+        if self._status is not self._written:
+            self._written = self._status
+            _write_status(self._path, self._head | self._written)
+
+
+def _ended(exit_status: str, reason: str, safe: bool) -> dict[str, Any]:
+    ended = {"exit_status": exit_status, "reason": reason, "verified_safe": safe}
+    return {**ended, "state": "safe" if safe else "failed", "at_s": time.time()}
 
 
 def _write_status(path: Path, status: Mapping[str, Any]) -> None:
@@ -145,10 +144,8 @@ def _write_status(path: Path, status: Mapping[str, Any]) -> None:
 def end_status(folder: Path, why: str, outcomes: list[SafeOutcome]) -> None:
     """How a run ended whose guard made it safe, in its status file; nothing where there is none."""
     with suppress(OSError, ValueError):
-        safe = all(outcome.verified for outcome in outcomes)
-        ended = {"exit_status": "lost", "reason": why, "verified_safe": safe, "state": "safe" if safe else "failed"}
-        status = {**read_status(folder), **ended, "at_s": time.time()}
-        _write_status(folder / STATUS, status)
+        ended = _ended("lost", why, all(outcome.verified for outcome in outcomes))
+        _write_status(folder / STATUS, read_status(folder) | ended)
 
 
 def read_status(folder: Path) -> dict[str, Any]:

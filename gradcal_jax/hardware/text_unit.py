@@ -19,12 +19,11 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from gradcal_jax.hardware.line_protocol import DescribedSensor, described, reply_pattern, unit_problems
+from gradcal_jax.hardware.line_protocol import DescribedSensor, reply_pattern, unit_problems
 from gradcal_jax.tables.problems import Problem, instead
 from gradcal_jax.tables.quantity import Text
 from gradcal_jax.tables.section import Section
 
-FORMAT: Final = "gradcal-text/1"
 NAMES: Final = (
     *(f"{quantity}_{axis}" for quantity in ("gyro", "acceleration") for axis in "xyz"),
     "temperature",
@@ -98,8 +97,3 @@ class TextSensor(DescribedSensor):
     def pattern(self) -> re.Pattern[str]:
         """The pattern of a line, with the fields as named groups."""
         return reply_pattern(self.line, _NUMBER, tabs=True, padded=True)
-
-
-def text_unit_of(value: object, changes: object = None) -> TextSensor:
-    """The description of a rig file: see `line_protocol.described`."""
-    return described(TextSensor, FORMAT, value, changes)

@@ -33,7 +33,11 @@ def chambers() -> tuple[str, ...]:
 
 def _described_chambers() -> dict[str, str]:
     """The chambers that are described, each with its driver."""
-    lines = [name for name in line_protocol.shipped() if line_protocol.protocol_of(name).role == "chamber"]
+    lines = [
+        name
+        for name in line_protocol.shipped()
+        if line_protocol.described(line_protocol.LineProtocol, name).role == "chamber"
+    ]
     registers = line_protocol.shipped(register_protocol.FORMAT)
     return dict.fromkeys(lines, "lines") | dict.fromkeys(registers, "registers")
 

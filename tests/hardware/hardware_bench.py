@@ -57,28 +57,28 @@ def served(device: Any, clock: Clock, baudrate: int, **options: Any) -> Iterator
 
 
 def espec_config(
-    *, pause: str = "0.1 s", after: str = "1 s", reply_timeout_s: float = 0.3, **changes: Any
+    *, pause: str = "0.1 s", after: str = "1 s", reply_timeout: str = "0.3 s", **changes: Any
 ) -> lines.LinesConfig:
     line = {"pause": pause, "pause_after_command": after, **changes.pop("line", {})}
-    return lines.LinesConfig(protocol="espec", changes={"line": line, **changes}, reply_timeout_s=reply_timeout_s)
+    return lines.LinesConfig(protocol="espec", changes={"line": line, **changes}, reply_timeout=reply_timeout)
 
 
-def f4_config(reply_timeout_s: float = 0.2, changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
+def f4_config(reply_timeout: str = "0.2 s", changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
     """A rig with a limit controller on input 1 and a probe in the load, or with other changes."""
     own = {
         "registers": {"limit": {"address": 201}, "product": {"address": 104, "decimals": "places2"}},
         "alarm": {"limit input 1": {"field": "limit", "equals": "1"}},
     }
     changes = own if changes is None else changes
-    return registers.RegistersConfig("watlow-f4", changes, reply_timeout_s=reply_timeout_s)
+    return registers.RegistersConfig(protocol="watlow-f4", changes=changes, reply_timeout=reply_timeout)
 
 
-def f4t_config(reply_timeout_s: float = 0.2, changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
-    return registers.RegistersConfig("watlow-f4t", changes, reply_timeout_s=reply_timeout_s)
+def f4t_config(reply_timeout: str = "0.2 s", changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
+    return registers.RegistersConfig(protocol="watlow-f4t", changes=changes, reply_timeout=reply_timeout)
 
 
 def _lines_config(protocol: str) -> Callable[[], lines.LinesConfig]:
-    return lambda: lines.LinesConfig(protocol=protocol, reply_timeout_s=0.2, home_timeout_s=2.0)
+    return lambda: lines.LinesConfig(protocol=protocol, reply_timeout="0.2 s", home_timeout="2.0 s")
 
 
 def _bench(simulated: Any, plant_of: Any, config_of: Callable[[], Any]) -> Any:
@@ -91,11 +91,8 @@ def _bench(simulated: Any, plant_of: Any, config_of: Callable[[], Any]) -> Any:
         more = options if isinstance(options, dict) else {} if options is None else {"options": options}
         device = simulated(plant_of(truth, clock), clock, **more)
         config = config or config_of()
-        room, make = (lines, lines.lines_device)
-        if isinstance(config, registers.RegistersConfig):
-            room, make = registers, registers.RegistersChamber
-        with served(device, clock, config.baudrate, **port_options) as (port, transport):
-            yield make(room.open_exchange(transport, clock, config), config), device, port
+        with served(device, clock, config.line_settings["baudrate"], **port_options) as (port, transport):
+            yield config.device(config.link(transport, clock), clock), device, port
 
     return bench
 
@@ -159,8 +156,8 @@ def frames_bench(
     config = frames.FramesConfig(**unit_options(rate_hz))
     sensor = sensor or sensor_on_table(clock, sample_rate_hz=rate_hz)
     device = SimulatedFrames(sensor, clock, rate_hz=rate_hz, burst_s=burst_s)
-    with served(device, clock, config.baudrate, **port_options) as (port, transport):
-        yield frames.ListeningImu(transport, clock, config), device, port
+    with served(device, clock, config.line_settings["baudrate"], **port_options) as (port, transport):
+        yield config.device(config.link(transport, clock), clock), device, port
 
 
 class Rig:

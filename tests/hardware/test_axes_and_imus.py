@@ -22,8 +22,8 @@ from gradcal_jax.hardware.setup import DRIVERS
 
 AXES = {"grbl": grbl_bench, "aerosmith": aerosmith_bench}
 QUICK = {
-    grbl_bench: LinesConfig(protocol="grbl", reply_timeout_s=0.05, home_timeout_s=1.0),
-    aerosmith_bench: LinesConfig(protocol="aerosmith-like", reply_timeout_s=0.05, home_timeout_s=10.0),
+    grbl_bench: LinesConfig(protocol="grbl", reply_timeout="0.05 s", home_timeout="1.0 s"),
+    aerosmith_bench: LinesConfig(protocol="aerosmith-like", reply_timeout="0.05 s", home_timeout="10.0 s"),
 }
 
 

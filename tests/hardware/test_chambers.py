@@ -30,7 +30,6 @@ from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
 from simulated_devices.watlow_f4t import WatlowF4TOptions
 
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.registers import RegistersChamber, open_exchange
 from gradcal_jax.hardware.errors import (
     Disconnected,
     FramingError,
@@ -371,7 +370,7 @@ def test_f4t_driver_speaks_with_an_independent_server() -> None:
     transport = Transport(f"socket://127.0.0.1:{number}", clock=clock)
     try:
         config = f4t_config(changes={"alarm": False})
-        chamber = RegistersChamber(open_exchange(transport, clock, config), config)
+        chamber = config.device(config.link(transport, clock), clock)
         identity = chamber.identify()
         assert (identity.model, identity.serial_number) == ("Watlow F4T F4T1L1EAA1D1AAA", "123456")
         assert (chamber.limits().lowest_c, chamber.limits().highest_c) == (-70.0, 180.0)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, TextUnitDecoder
-from gradcal_jax.hardware.line_protocol import LineProtocol, protocol_of, reply_pattern, shipped
+from gradcal_jax.hardware.line_protocol import LineProtocol, described, reply_pattern, shipped
 from gradcal_jax.tables.problems import SpecError
 
 NAMES = ["gyro_x", "gyro_y", "gyro_z", "acceleration_x", "acceleration_y", "acceleration_z"]
@@ -22,7 +22,7 @@ MOST_S = 5.0
 
 def sensor(line: str) -> TextUnitDecoder:
     tables: dict[str, Any] = {"format": "gradcal-text/1", "line": line, "rate": "200 Hz"}
-    return TextUnitDecoder(TextUnitConfig(tables).described)
+    return TextUnitDecoder(TextUnitConfig(protocol=tables).described)
 
 
 def damaged(template: str) -> list[bytes]:
@@ -48,7 +48,7 @@ def test_damaged_lines_of_a_printing_sensor(line: str) -> None:
 
 @pytest.mark.parametrize("name", shipped())
 def test_damaged_replies_of_every_description(name: str) -> None:
-    protocol: LineProtocol = protocol_of(name)
+    protocol: LineProtocol = described(LineProtocol, name)
     replies = [reply for question in protocol.ask.values() for reply in question.reply]
     replies += [reply for command in protocol.tell.values() for reply in command.reply]
     longest = max(replies, key=len)
@@ -73,4 +73,4 @@ def test_columns_that_are_padded_are_read() -> None:
 @pytest.mark.parametrize("reply", ["{air}{setpoint}", "{air}0 {setpoint}", "{air}.{setpoint}"])
 def test_numbers_that_run_together_are_refused(reply: str) -> None:
     with pytest.raises(SpecError, match="a number ends at a character that no number has"):
-        protocol_of("cts", {"ask": {"temperature": {"send": "A0", "reply": reply}}})
+        described(LineProtocol, "cts", {"ask": {"temperature": {"send": "A0", "reply": reply}}})

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from gradcal_jax.hardware.checksums import CrcOfRows
 from gradcal_jax.hardware.drivers.frames import FrameDecoder, FramesConfig
-from gradcal_jax.hardware.frames import FORMAT, framed_sensor_of
-from gradcal_jax.hardware.line_protocol import shipped
+from gradcal_jax.hardware.frames import FORMAT, FramedSensor
+from gradcal_jax.hardware.line_protocol import described, shipped
 from gradcal_jax.hardware.roles import ImuBatch, join
 from gradcal_jax.tables.problems import SpecError
 
@@ -40,7 +40,7 @@ KVH = "FE81FF55BC646C1E3C3FF9813B3C1E78BC065FB7BB2FBD793F7E980077470014168D8B1D"
 
 
 def decoder(name: str, changes: dict[str, Any] | None = None) -> FrameDecoder:
-    return FrameDecoder(framed_sensor_of(name, changes))
+    return FrameDecoder(described(FramedSensor, name, changes))
 
 
 def one(name: str, text: str, changes: dict[str, Any] | None = None) -> ImuBatch:
@@ -82,7 +82,7 @@ def test_golden_frames() -> None:
 )
 def test_crcs_of_the_catalogue(width: int, poly: int, init: int, xorout: int, reflect: bool, check: int) -> None:
     row = np.frombuffer(b"123456789", np.uint8)
-    crc = CrcOfRows(9, width, poly, init, xorout, reflect=reflect)
+    crc = CrcOfRows(width, poly, init, xorout, reflect=reflect)
     assert crc(np.array([row, row])).tolist() == [check, check]
 
 
@@ -91,7 +91,7 @@ def test_crcs_of_the_catalogue(width: int, poly: int, init: int, xorout: int, re
 
 def stream(count: int, name: str = "stim300", changes: dict[str, Any] | None = None, first: int = 0) -> list[bytes]:
     """Frames of a description with values that differ, and with the stamps that are due."""
-    unit = framed_sensor_of(name, changes)
+    unit = described(FramedSensor, name, changes)
     rows = np.random.default_rng(first + 5).integers(0, 255, (count, unit.length), np.uint8)
     rows[:, : len(unit.sync) // 2] = np.frombuffer(bytes.fromhex(unit.sync), np.uint8)
     numbers = np.arange(first, first + count)
@@ -115,7 +115,7 @@ def stream(count: int, name: str = "stim300", changes: dict[str, Any] | None = N
         rows[:, check.at + 1] = sums.sum(axis=1, dtype=np.uint8)
     else:
         init, poly = int(check.init, 16), int(check.poly, 16)
-        crc = CrcOfRows(covered.shape[1], check.width, poly, init, int(check.xorout, 16), zeros=check.zeros)
+        crc = CrcOfRows(check.width, poly, init, int(check.xorout, 16), zeros=check.zeros)
         rows[:, check.at :] = crc(covered).astype(f">u{check.width // 8}")[:, None].view(np.uint8)
     return [row.tobytes() for row in rows]
 
@@ -131,7 +131,7 @@ DESCRIBED = shipped(FORMAT)
 @pytest.mark.parametrize("name", DESCRIBED)
 def test_lost_doubled_damaged_and_late_frames(name: str) -> None:
     frames = stream(200, name)
-    rate = float(framed_sensor_of(name).rate)
+    rate = float(described(FramedSensor, name).rate)
     whole = pushed(decoder(name), frames, rate)
     assert len(whole) == 200
     assert not whole.gap_before.any()
@@ -191,7 +191,7 @@ def test_a_unit_that_starts_again_in_a_stream_is_seen() -> None:
     frames = stream(40)
     starting = stream(3, changes={"status": False}, first=40)
     rows = [bytearray(frame) for frame in starting]
-    crc = CrcOfRows(38, 32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
+    crc = CrcOfRows(32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
     for row in rows:
         row[10] = 0x40
         row[38:] = int(crc(np.frombuffer(bytes(row[:38]), np.uint8)[None])[0]).to_bytes(4, "big")
@@ -211,7 +211,7 @@ def test_bytes_that_look_like_the_beginning_of_a_frame_take_little_time() -> Non
 
 def test_constant_output_is_no_repetition() -> None:
     frame = bytearray(stream(1)[0])
-    crc = CrcOfRows(38, 32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
+    crc = CrcOfRows(32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
     sent: list[bytes] = []
     for number in (*range(20), *range(25, 60)):
         frame[35] = number * 16 % 256
@@ -237,9 +237,9 @@ def test_constant_output_is_no_repetition() -> None:
 )
 def test_a_description_that_cannot_be_right_is_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(SpecError, match=words):
-        framed_sensor_of("stim300", changes)
+        described(FramedSensor, "stim300", changes)
 
 
 def test_a_line_that_is_too_slow_is_refused() -> None:
     with pytest.raises(ValueError, match="need 840000 bits/s"):
-        FramesConfig("stim300", {"rate": "2000 Hz"}, baudrate=115200)
+        FramesConfig(protocol="stim300", changes={"rate": "2000 Hz"}, baudrate=115200)

@@ -37,7 +37,15 @@ from gradcal_jax.hardware.errors import (
     ReplyTimeout,
 )
 from gradcal_jax.hardware.execute import run_session
-from gradcal_jax.hardware.line_protocol import formatted, protocol_of, protocol_text, reply_pattern, shipped, shows
+from gradcal_jax.hardware.line_protocol import (
+    LineProtocol,
+    described,
+    formatted,
+    protocol_text,
+    reply_pattern,
+    shipped,
+    shows,
+)
 from gradcal_jax.hardware.roles import AxisSafe, ChamberSafe
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.setup import configs_of
@@ -114,7 +122,7 @@ TOLD: dict[str, dict[str, tuple[dict[str, float], list[bytes]]]] = {
 
 @pytest.mark.parametrize("name", ASKED)
 def test_golden_messages(name: str) -> None:
-    said = protocol_of(name)
+    said = described(LineProtocol, name)
     codec = Codec(said)
     for question, (sent, received, values) in ASKED[name].items():
         asked = said.ask[question]
@@ -130,7 +138,7 @@ def test_golden_messages(name: str) -> None:
 
 
 def test_every_bit_of_a_checked_frame_counts() -> None:
-    codec = Codec(protocol_of("cts"))
+    codec = Codec(described(LineProtocol, "cts"))
     (frame,) = codec.framer().push(ASKED["cts"]["temperature"][1])
     for bit in range(8 * len(frame)):
         # The eighth bits are not in the check, and carry nothing.
@@ -146,13 +154,13 @@ def test_a_protocol_of_at_most_sixty_lines_and_its_rig(name: str) -> None:
     assert len(protocol_text(name).splitlines()) <= 60
     config = LinesConfig(protocol=tomllib.loads(protocol_text(name)))
     device: dict[str, Any] = {"driver": "lines", "port": "COM1", "safe": "hold", "options": {"protocol": name}}
-    other = "axis" if config.role == "chamber" else "chamber"
+    other = "axis" if config.described.role == "chamber" else "chamber"
     rigs = {
         "chamber": {"chamber": device},
         "axis": {"axis": [{**device, "name": "a", "gravity_loaded": False}]},
     }
-    assert [config] != list(configs_of(rig_of({"format": "gradcal-rig/1", **rigs[config.role]})).values())
-    with pytest.raises(SpecError, match=f"describes an? {config.role}; expected"):
+    assert [config] != list(configs_of(rig_of({"format": "gradcal-rig/1", **rigs[config.described.role]})).values())
+    with pytest.raises(SpecError, match=f"describes an? {config.described.role}; expected"):
         configs_of(rig_of({"format": "gradcal-rig/1", **rigs[other]}))
 
 
@@ -168,7 +176,7 @@ def changed(name: str, change: Any) -> dict[str, Any]:
         ("thermotron-3800", lambda t: t["tell"]["ramp"].pop("shown_by"), "must be read back"),
         ("thermotron-3800", lambda t: t["ask"].pop("setpoint"), "{setpoint}"),
         ("thermotron-3800", lambda t: t["ask"].pop("mode"), "no reply has the field {mode}"),
-        ("thermotron-3800", lambda t: t["limits"].pop("free_ramp"), "it is the command that ends a ramp"),
+        ("thermotron-3800", lambda t: t["limits"].pop("free_ramp"), "limits.free_ramp: this key is missing"),
         ("cts", lambda t: t["tell"]["ramp"].update(shown_by=["up", "side"]), "{side}"),
         ("aerosmith-like", lambda t: t["tell"]["acceleration"].pop("shown_by"), "must be read back"),
         ("aerosmith-like", lambda t: t["state"].pop("powered"), "no reply shows the effect of tell.on"),
@@ -177,12 +185,12 @@ def changed(name: str, change: Any) -> dict[str, Any]:
         ("grbl", lambda t: t["ask"]["status"].update(reply="<{a:text}{position}>"), "a text field ends at"),
         ("grbl", lambda t: t["ask"]["settings"].pop("last"), "the lines of one reply"),
         ("grbl", lambda t: t["units"].update(rate="K/min"), "angular rate"),
-        ("julabo", lambda t: t["tell"].update(colour={"send": "RED"}), "is not a command; those of a chamber"),
+        ("julabo", lambda t: t["tell"].update(colour={"send": "RED"}), "tell.colour: is not a command of a chamber"),
     ],
 )
 def test_what_cannot_be_trusted_is_refused(name: str, change: Any, expected: str) -> None:
     with pytest.raises(SpecError) as caught:
-        protocol_of(changed(name, change))
+        described(LineProtocol, changed(name, change))
     assert expected in str(caught.value)
 
 

@@ -8,7 +8,7 @@ from simulated_devices.port import SimulatedPort
 from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.drivers.lines import LinesChamber
 from gradcal_jax.hardware.errors import ReplyTimeout
-from gradcal_jax.hardware.setup import DRIVERS, configs_of, open_rig
+from gradcal_jax.hardware.setup import DRIVERS, configs_of, driver_of, open_rig
 from gradcal_jax.spec.rig import rig_of
 from gradcal_jax.tables.problems import SpecError
 
@@ -19,7 +19,7 @@ def rig_with(driver: str, options: dict[str, Any], port: str = "COM1") -> Any:
     protocols = {"lines": "julabo", "registers": "watlow-f4", "text_unit": text, "frames": "stim300"}
     own: dict[str, Any] = {"protocol": protocols[driver]} if driver in protocols else {}
     entry: dict[str, Any] = {"driver": driver, "port": port, "options": own | options}
-    role = DRIVERS[driver].role or "chamber"
+    role = driver_of(driver).role or "chamber"
     if role == "chamber":
         return rig_of({"format": "gradcal-rig/1", "chamber": {**entry, "safe": "hold"}})
     axis = {"safe": "hold", "gravity_loaded": False} if role == "axis" else {}

@@ -87,13 +87,13 @@ def test_a_dial_of_one_turn_is_read_nearest_to_the_goal() -> None:
 
 @contextlib.contextmanager
 def gimbal(
-    clock: Clock, hand: SimulatedHand | None = None, slips: float = 0.0, **config: float | str
+    clock: Clock, hand: SimulatedHand | None = None, slips: float = 0.0, **config: str
 ) -> Iterator[tuple[operator.OperatorAxis, SimulatedOperator, AxisPlant]]:
     plant = AxisPlant(AxisTruth(reading_noise_deg=0.01), clock.now())
     person = SimulatedOperator({"x": plant}, clock, hand, slips=slips)
     settings = operator.OperatorConfig(**config)  # type: ignore[arg-type]
-    with served(person, clock, settings.baudrate) as (_, transport):
-        console = operator.open_exchange(transport, clock, settings)
+    with served(person, clock, 9600) as (_, transport):
+        console = settings.link(transport, clock)
         yield operator.OperatorAxis(console, settings, clock, "x"), person, plant
 
 
@@ -138,7 +138,7 @@ def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more(
             assert settled(axis, clock) == pytest.approx(plant.state(clock.now())[0], abs=0.05)
         assert sum("," in typed for typed in person.typed) > 0
         assert sum("is not understood" in heard for heard in person.heard) > 0
-    with gimbal(clock, SimulatedHand(miss_deg=0.001), miss_deg=1.0) as (axis, person, plant):
+    with gimbal(clock, SimulatedHand(miss_deg=0.001), miss="1 deg") as (axis, person, plant):
         axis.home()
         settled(axis, clock)
         axis.move_to(90.0, 30.0, 10.0)
@@ -152,7 +152,7 @@ def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more(
 
 def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
     clock = LineClock()
-    with gimbal(clock, travel_deg=400.0) as (axis, person, _):
+    with gimbal(clock, travel="400 deg") as (axis, person, _):
         axis.home()
         settled(axis, clock)
         with pytest.raises(LimitExceeded, match="outside the travel of 400 deg in each direction"):
@@ -175,7 +175,7 @@ def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
 def test_who_is_late_is_rung_for_and_a_port_that_is_gone_is_said() -> None:
     clock = LineClock()
     bells: list[bytes] = []
-    with gimbal(clock, SimulatedHand(reading_s=100.0), remind_s=30.0) as (axis, person, _):
+    with gimbal(clock, SimulatedHand(reading_s=100.0), remind="30 s") as (axis, person, _):
         listen = person.receive
         person.receive = lambda data: bells.append(data) or listen(data)  # type: ignore[method-assign]
         axis.home()
@@ -197,10 +197,10 @@ def test_an_encoder_is_read_and_its_motor_is_left_alone() -> None:
     board = SimulatedGrbl(plant, clock)
     person = SimulatedOperator({"x": plant}, clock)
     with served(person, clock, 9600) as (_, text), served(board, clock, 115200) as (_, line):
-        settings = lines.LinesConfig(protocol="grbl", changes={"line": {"boot": "0 s"}}, reply_timeout_s=0.2)
-        encoder = lines.lines_device(lines.open_exchange(line, clock, settings), settings)
+        settings = lines.LinesConfig(protocol="grbl", changes={"line": {"boot": "0 s"}}, reply_timeout="0.2 s")
+        encoder = settings.device(settings.link(line, clock), clock)
         config = operator.OperatorConfig()
-        console = operator.open_exchange(text, clock, config)
+        console = config.link(text, clock)
         axis = operator.OperatorAxis(console, config, clock, "x", encoder)
         assert "encoder of lines" in axis.identify().model
         assert axis.limits().by_hand

@@ -260,7 +260,7 @@ def test_resuming_refuses_another_recipe_another_version_and_another_device(tmp_
     with pytest.raises(RunFolderError, match=r"begun by gradcal 0\.0\.1"):
         prepare_resume(folder)
     (folder.path / "run.json").write_text(json.dumps(notes | {"recipe": "other"}))
-    with pytest.raises(RunFolderError, match="not the one that the run began with"):
+    with pytest.raises(RunFolderError, match="not the one that the run in"):
         prepare_resume(folder)
 
 

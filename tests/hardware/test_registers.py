@@ -9,10 +9,10 @@ from hardware_bench import served
 from simulated_devices.line_clock import LineClock
 from simulated_devices.modbus import ModbusSlave
 
-from gradcal_jax.hardware.drivers.registers import RegistersChamber, RegistersConfig, open_exchange
+from gradcal_jax.hardware.drivers.registers import RegistersConfig
 from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
-from gradcal_jax.hardware.line_protocol import shipped
-from gradcal_jax.hardware.register_protocol import FORMAT, register_protocol_of
+from gradcal_jax.hardware.line_protocol import described, shipped
+from gradcal_jax.hardware.register_protocol import FORMAT, RegisterProtocol
 from gradcal_jax.hardware.roles import ChamberSafe
 from gradcal_jax.tables.problems import SpecError
 
@@ -55,20 +55,20 @@ def changed(**tables: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", shipped(FORMAT))
 def test_what_is_shipped_is_whole(name: str) -> None:
-    protocol = register_protocol_of(name)
+    protocol = described(RegisterProtocol, name)
     assert {"air", "setpoint"} <= set(protocol.registers)
-    assert RegistersConfig(name).baudrate == 9600
+    assert RegistersConfig(protocol=name).line_settings["baudrate"] == 9600
 
 
 def test_an_eurotherm_cannot_be_put_into_standby() -> None:
-    assert "no [tell] on and off" in RegistersConfig("eurotherm-3500").lacks_for("standby")
-    assert RegistersConfig("eurotherm-3500").lacks_for("hold") == ""
+    assert "no [tell] on and off" in RegistersConfig(protocol="eurotherm-3500").lacks_for("standby")
+    assert RegistersConfig(protocol="eurotherm-3500").lacks_for("hold") == ""
 
 
 def test_a_chamber_from_its_description_alone() -> None:
-    clock, device, config = LineClock(), Slave(), RegistersConfig(OVEN, reply_timeout_s=0.2)
+    clock, device, config = LineClock(), Slave(), RegistersConfig(protocol=OVEN, reply_timeout="0.2 s")
     with served(device, clock, 9600) as (_, transport):
-        chamber = RegistersChamber(open_exchange(transport, clock, config), config)
+        chamber = config.device(config.link(transport, clock), clock)
         assert (chamber.read().air_c, chamber.read().mode, chamber.read().conditioning) == (23.5, "OFF", False)
         assert device.asked == {(4, 1), (3, 2), (3, 23)}
         chamber.hold(-12.5)
@@ -91,9 +91,9 @@ def test_a_chamber_from_its_description_alone() -> None:
 def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) -> None:
     entry = {"address": 40, "type": kind, "decimals": 0 if kind == "float32" else 2}
     tables = changed(registers={"setpoint": entry}) | {"line": {"low_word_first": low_first}}
-    clock, device, config = LineClock(), Slave({40: 0, 41: 0}), RegistersConfig(tables, reply_timeout_s=0.2)
+    clock, device, config = LineClock(), Slave({40: 0, 41: 0}), RegistersConfig(protocol=tables, reply_timeout="0.2 s")
     with served(device, clock, 9600) as (_, transport):
-        chamber = RegistersChamber(open_exchange(transport, clock, config), config)
+        chamber = config.device(config.link(transport, clock), clock)
         chamber.hold(-12.25)
         words = struct.unpack(">HH", struct.pack(">f", -12.25) if kind == "float32" else struct.pack(">i", -1225))
         assert (device.words[40], device.words[41]) == (words[::-1] if low_first else words)
@@ -105,14 +105,14 @@ def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) ->
     [
         (changed(registers={"air": {"address": 1, "input": True, "decimal": 1}}), 'nearest: "decimals"'),
         (changed(registers={"air": {"address": 70000}}), "address"),
-        (changed(registers={"air": {"address": 1, "decimals": "places"}}), "there is no such register"),
-        (changed(registers={"setpoint": {"address": 2, "shown_in": "wroking"}}), "there is no such register"),
+        (changed(registers={"air": {"address": 1, "decimals": "places"}}), "no reply has the field"),
+        (changed(registers={"setpoint": {"address": 2, "shown_in": "wroking"}}), "no reply has the field"),
         (changed(tell={"setpoint": {"air": "{setpoint}"}}), "this register can only be read"),
         (changed(tell={"setpoint": {"setpoint": "{ramp}"}}), "expected a number or {setpoint}"),
         (changed(tell={"setpoint": {"setpoint": 4}}), "must write {setpoint} to a register"),
-        (changed(tell={"setpoints": {"setpoint": 4}}), "is not a command; those of a chamber"),
+        (changed(tell={"setpoints": {"setpoint": 4}}), 'nearest: "setpoint"'),
         (changed(tell={"ramp": {"setpoint": "{ramp}"}}), "it is the command that ends a ramp"),
-        (changed(state={"conditioning": {"field": "rum", "equals": "1"}}), "there is no such register"),
+        (changed(state={"conditioning": {"field": "rum", "equals": "1"}}), "no reply has the field"),
         (OVEN | {"state": {}}, "no reply shows the effect of tell.on"),
         (OVEN | {"limits": {}}, "give it, or describe a register lowest"),
         (OVEN | {"tell": {"on": {"run": 1}, "off": {"run": 0}}}, "a chamber needs it"),
@@ -124,4 +124,4 @@ def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) ->
 )
 def test_a_description_that_cannot_be_right_is_refused(tables: dict[str, Any], words: str) -> None:
     with pytest.raises(SpecError, match=re.escape(words)):
-        register_protocol_of(tables)
+        described(RegisterProtocol, tables)

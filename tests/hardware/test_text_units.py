@@ -43,7 +43,7 @@ PLAIN = {key: value for key, value in COUNTED.items() if key != "counter"} | {
 
 
 def decoder(protocol: dict[str, Any]) -> TextUnitDecoder:
-    return TextUnitConfig(protocol).decoder()
+    return TextUnitConfig(protocol=protocol).decoder()
 
 
 def printed(number: int, gyro: float = 1.5) -> bytes:

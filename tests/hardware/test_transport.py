@@ -16,7 +16,6 @@ from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers import lines
 from gradcal_jax.hardware.errors import Disconnected, PortRefused
 from gradcal_jax.hardware.transport import PortLock, Transport
 
@@ -158,14 +157,14 @@ def test_importing_the_room_needs_no_jax() -> None:
 
 def test_driver_on_a_line_that_is_no_such_device_says_what_it_heard() -> None:
     clock = RealClock()
-    config = espec_config(reply_timeout_s=0.1)
+    config = espec_config(reply_timeout="0.1 s")
     with served(Echo(), clock, 9600) as (_, line):
-        chamber = lines.LinesChamber(lines.open_exchange(line, clock, config), config)
+        chamber = config.device(config.link(line, clock), clock)
         with pytest.raises(Exception, match=r"TYPE\?") as caught:
             chamber.identify()
         assert "Is it the right device?" in str(caught.value) or "not a complete reply" in str(caught.value)
     with served(Deaf(), clock, 9600) as (_, line):
-        chamber = lines.LinesChamber(lines.open_exchange(line, clock, config), config)
+        chamber = config.device(config.link(line, clock), clock)
         with pytest.raises(Exception, match=r"did not answer in 0.1 s.*echo back"):
             chamber.identify()
 

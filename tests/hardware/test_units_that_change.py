@@ -77,7 +77,7 @@ def test_a_unit_that_stops_measuring_ends_the_run(tmp_path: Path) -> None:
 def test_lost_lines_of_a_unit_that_does_not_count_are_noticed_by_their_rate(share: float) -> None:
     described = {"format": "gradcal-text/1", "line": "{gyro_x} {gyro_y} {gyro_z}", "rate": "50 Hz"}
     losses, random = (
-        SampleLosses(TextUnitConfig(described).decoder(), 50.0, None, 0.0),
+        SampleLosses(TextUnitConfig(protocol=described).decoder(), 50.0, None, 0.0),
         np.random.default_rng(1),
     )
     line = b"0.001 0.002 0.003\r\n"

@@ -155,7 +155,7 @@ def test_a_grbl_board_that_reports_inches_is_refused_unless_that_is_left_out() -
         device.settings[13] = 1.0
         with pytest.raises(Rejected, match=r"with \$13=1 the board reports inches"):
             axis.identify()
-    config = LinesConfig(protocol="grbl", reply_timeout_s=0.2, require=False)
+    config = LinesConfig(protocol="grbl", reply_timeout="0.2 s", require=False)
     with grbl_bench(LineClock(), config=config) as (axis, device, _):
         device.settings[13] = 1.0
         axis.identify()

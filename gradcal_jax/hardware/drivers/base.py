@@ -8,19 +8,24 @@ A description has `fields` (readings as the device's own text, by name), `state`
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
-from typing import Any, Generic, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
+
+from pydantic import Field
 
 from gradcal_jax import units
 from gradcal_jax.hardware import roles
+from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.errors import DeviceFault, FramingError, LimitExceeded, NotVerified, Rejected, ReplyTimeout
-from gradcal_jax.hardware.line_protocol import LineProtocol
-from gradcal_jax.hardware.register_protocol import RegisterProtocol
+from gradcal_jax.hardware.framing import Framer
 from gradcal_jax.hardware.request_reply import TRIES, Exchange, Reply
+from gradcal_jax.tables.problems import Problem, SpecError
+from gradcal_jax.tables.quantity import Angle, Flag, Quantity, Time
+from gradcal_jax.tables.section import Section
 
 Config = TypeVar("Config")
+Rates = Annotated[int, Field(strict=True, ge=1, le=10**7)]
 _BETWEEN_LOOKS_S = 0.2
 _OVER_S, _SETTLED_K = 0.4, 2.0
 _LOWEST_PLAUSIBLE_C, _HIGHEST_PLAUSIBLE_C = -100.0, 250.0
@@ -98,15 +103,55 @@ class ChamberDriver(ExchangeDriver[Config], roles.TemperatureChamber, ABC):
         return roles.SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
 
 
-@dataclass(frozen=True)
-class AxisOptions:
-    """Options of every axis: the rig's angle at the device's 0, the sign of its direction, and how long it may take to
-    find its reference and to stop."""
+class DriverOptions(Section):
+    """The options of a driver in a rig file, and the driver: as many devices of a port share one `link`."""
+
+    role: ClassVar[Literal["chamber", "axis", "imu"] | None] = None
+    """Role of the device; None: its description states it."""
+    bytesize: Literal[7, 8] | None = None
+    """Data bits of a character."""
+    parity: Literal["N", "E", "O"] | None = None
+    """Parity: none, even or odd."""
+    stopbits: Literal[1, 2] | None = None
+    """Stop bits of a character."""
+    baudrate: Rates | None = None
+    """Bits per second."""
+
+    @property
+    def line_settings(self) -> dict[str, Any]:
+        """The settings of its line: these options, then its description's."""
+        described = getattr(self, "described", None)
+        places = (self, getattr(described, "line", described))
+        settings: dict[str, Any] = {}
+        for name in ("baudrate", "bytesize", "parity", "stopbits"):
+            known = [value for place in places if (value := getattr(place, name, None)) is not None]
+            settings |= {name: known[0]} if known else {}
+        return settings
+
+    def link(self, line: Any, clock: Clock) -> Any:
+        """What talks to the devices of an open line."""
+        raise NotImplementedError
+
+    def device(self, link: Any, clock: Clock, name: str = "", encoder: roles.MotionAxis | None = None) -> Any:
+        """The device; its `name` in the rig file, and the `encoder` of an axis that is turned by hand."""
+        raise NotImplementedError
+
+    def lacks_for(self, safe: str) -> str:
+        """Why the device cannot take a safe state of the rig file; empty: it can."""
+        return ""
+
+
+class AxisOptions(DriverOptions):
+    """Options of every axis."""
 
     direction: Literal[-1, 1] = 1
-    zero_deg: float = 0.0
-    home_timeout_s: float = 120.0
-    stop_timeout_s: float = 30.0
+    """Sign of the device's direction."""
+    zero: Angle = Quantity(0.0, "0 deg", "angle")
+    """The rig's angle at the device's 0."""
+    home_timeout: Time = Quantity(120.0, "120 s", "time")
+    """Longest search for the reference."""
+    stop_timeout: Time = Quantity(30.0, "30 s", "time")
+    """Longest stop."""
 
 
 Options = TypeVar("Options", bound=AxisOptions)
@@ -126,10 +171,14 @@ class AxisDriver(ExchangeDriver[Options], roles.MotionAxis, ABC):
         return angle_deg / 360.0 * self._per_turn()
 
     def _own(self, position_deg: float) -> float:
-        return self._units((position_deg - self._config.zero_deg) * self._config.direction)
+        return self._units((position_deg - self._zero_deg) * self._config.direction)
 
     def _degrees(self, own: float) -> float:
-        return self._config.zero_deg + self._config.direction * (own * 360.0 / self._per_turn())
+        return self._zero_deg + self._config.direction * (own * 360.0 / self._per_turn())
+
+    @property
+    def _zero_deg(self) -> float:
+        return units.to_unit(float(self._config.zero), "deg")
 
     def _check(self, rate_dps: float, acceleration_dps2: float, position_deg: float | None = None) -> roles.AxisLimits:
         """The limits. Raises `LimitExceeded` for a command beyond them."""
@@ -189,34 +238,46 @@ Texts = dict[str, str]
 """Fields in the device's own text."""
 
 
-@dataclass(frozen=True)
-class DescribedOptions(ABC):
-    """Options of the rig file. `protocol`: the name of one of this program's protocols, or its tables; `changes`:
-    tables that differ from it, `false` for one that is left out. 0 or absent: the protocol's value. Without `require`
-    the settings that the protocol requires are not asked for."""
+class DescribedOptions(DriverOptions):
+    """Options of a device that is described."""
 
     protocol: Any = ""
+    """Name of one of this program's descriptions, or the tables of one."""
     changes: Any = None
-    baudrate: int = 0
-    reply_timeout_s: float = 0.0
-    require: bool = True
-
-    def __post_init__(self) -> None:
-        if not self.baudrate:
-            object.__setattr__(self, "baudrate", self.described.line.baudrate)
-
-    @cached_property
-    @abstractmethod
-    def described(self) -> LineProtocol | RegisterProtocol: ...
+    """Tables that differ from it; `false` in the place of one that is left out."""
 
     @property
-    def line_settings(self) -> dict[str, Any]:
-        line = self.described.line
-        names = {"bytesize", "parity", "stopbits"} & type(line).model_fields.keys()
-        return {name: getattr(line, name) for name in names}
+    @abstractmethod
+    def described(self) -> Any: ...
+
+    def _misfits(self, described: Any) -> Iterable[Problem]:
+        """Options that do not fit the description."""
+        return ()
+
+    def _problems(self) -> Iterator[Problem]:
+        try:
+            yield from self._misfits(self.described)
+        except SpecError as error:
+            yield from (problem.under("protocol") for problem in error.problems)
+        except ValueError as problem:
+            yield Problem((), str(problem))
 
 
-Described = TypeVar("Described", bound=DescribedOptions)
+class RequestOptions(DescribedOptions):
+    """Options of a device that answers requests."""
+
+    reply_timeout: Time | None = None
+    """Timeout for a reply; absent: the description's."""
+    require: Flag = True
+    """Whether the settings that the description requires are asked for."""
+
+    def exchange(self, line: Any, clock: Clock, framer: Framer, *, boot_s: float = 0.0) -> Exchange:
+        known = self.described
+        timeout_s, pause_s = float(self.reply_timeout or known.line.timeout), float(known.line.pause)
+        return Exchange(line, framer, clock, known.title, timeout_s, pause_s, boot_s=boot_s)
+
+
+Described = TypeVar("Described", bound=RequestOptions)
 
 
 class DescribedDevice(ExchangeDriver[Described], ABC):

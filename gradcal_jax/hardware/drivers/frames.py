@@ -4,14 +4,17 @@ Unverified on real hardware: everything; each description says what its sources 
 """
 
 from collections import deque
+from collections.abc import Iterable
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.hardware.drivers.listening import SECONDS, ListeningConfig, ListeningImu, SampleTimes, conversion
-from gradcal_jax.hardware.frames import FrameColumn, FramedSensor, RowCheck, bytes_of, framed_sensor_of, numbers_of
+from gradcal_jax.hardware.frames import FrameColumn, FramedSensor, RowCheck, bytes_of, numbers_of
+from gradcal_jax.hardware.line_protocol import described
 from gradcal_jax.hardware.roles import ImuBatch, imu_batch, join
+from gradcal_jax.tables.problems import Problem
 
 __all__ = ["FrameDecoder", "FramesConfig", "ListeningImu"]
 
@@ -23,19 +26,18 @@ _UNITS = {"gyro": ("deg/s", 1.0), "acceleration": ("mg", 1e-3)}
 class FramesConfig(ListeningConfig):
     driver = "frames"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        unit = self.described
-        needed = 10 * unit.length * float(unit.rate)
-        if self.baudrate < needed:
-            raise ValueError(
-                f"{float(unit.rate):g} frames/s of {unit.length} bytes need {needed:.0f} bits/s, and the line has "
-                f"{self.baudrate}: raise baudrate (also in the unit) or lower its rate."
+    def _misfits(self, described: FramedSensor) -> Iterable[Problem]:
+        baudrate, needed = self.line_settings["baudrate"], 10 * described.length * float(described.rate)
+        if baudrate < needed:
+            message = (
+                f"{float(described.rate):g} frames/s of {described.length} bytes need {needed:.0f} bits/s, and the "
+                f"line has {baudrate}: raise baudrate (also in the unit) or lower its rate."
             )
+            yield Problem((), message)
 
     @cached_property
     def described(self) -> FramedSensor:
-        return framed_sensor_of(self.protocol, self.changes)
+        return described(FramedSensor, self.protocol, self.changes)
 
     def decoder(self) -> "FrameDecoder":
         return FrameDecoder(self.described)

@@ -17,9 +17,7 @@ import math
 import re
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Literal
 
 from gradcal_jax import units
 from gradcal_jax.hardware.checksums import xor8
@@ -29,7 +27,7 @@ from gradcal_jax.hardware.drivers.base import (
     AxisOptions,
     DescribedChamber,
     DescribedDevice,
-    DescribedOptions,
+    RequestOptions,
     Texts,
 )
 from gradcal_jax.hardware.errors import (
@@ -42,29 +40,39 @@ from gradcal_jax.hardware.errors import (
     printable,
 )
 from gradcal_jax.hardware.framing import LineFramer, NotThisReply
-from gradcal_jax.hardware.line_protocol import LineProtocol, LineQuestion, formatted, protocol_of, reply_pattern, shows
+from gradcal_jax.hardware.line_protocol import LineProtocol, LineQuestion, described, formatted, reply_pattern, shows
 from gradcal_jax.hardware.request_reply import Exchange
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
 from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.tables.quantity import Angle, PositiveAcceleration, PositiveRate
 
 _STOPS_AGAIN_S = 1.0
 _pattern = cache(reply_pattern)
 
 
-@dataclass(frozen=True)
-class LinesConfig(DescribedOptions, AxisOptions):
-    max_rate_dps: float | None = None
-    max_acceleration_dps2: float | None = None
-    lowest_deg: float | None = None
-    highest_deg: float | None = None
+class LinesConfig(RequestOptions, AxisOptions):
+    """Options of the rig file; limits that are absent are the description's."""
+
+    max_rate: PositiveRate | None = None
+    """Largest rate of the axis."""
+    max_acceleration: PositiveAcceleration | None = None
+    """Largest acceleration of the axis."""
+    lowest: Angle | None = None
+    """Lowest angle of the axis."""
+    highest: Angle | None = None
+    """Highest angle of the axis."""
 
     @cached_property
     def described(self) -> LineProtocol:
-        return protocol_of(self.protocol, self.changes)
+        return described(LineProtocol, self.protocol, self.changes)
 
-    @property
-    def role(self) -> Literal["chamber", "axis"]:
-        return self.described.role
+    def link(self, line: Transport, clock: Clock) -> Exchange:
+        return self.exchange(line, clock, Codec(self.described).framer(), boot_s=float(self.described.line.boot))
+
+    def device(
+        self, link: Exchange, clock: Clock, name: str = "", encoder: object = None
+    ) -> "LinesChamber | LinesAxis":
+        return (LinesChamber if self.described.role == "chamber" else LinesAxis)(link, self)
 
     def lacks_for(self, safe: str) -> str:
         if safe != AxisSafe.UNPOWER.value or {"off", "powered"} <= {*self.described.tell, *self.described.state}:
@@ -103,17 +111,6 @@ class Codec:
         if refusal is not None and _pattern(refusal).fullmatch(text) is not None:
             raise Rejected(f"{self._protocol.title} refuses: {text!r}. See its manual.")
         return text
-
-
-def open_exchange(transport: Transport, clock: Clock, config: LinesConfig) -> Exchange:
-    line = config.described.line
-    times_s = config.reply_timeout_s or float(line.timeout), float(line.pause)
-    framer = Codec(config.described).framer()
-    return Exchange(transport, framer, clock, config.described.title, *times_s, boot_s=float(line.boot))
-
-
-def lines_device(exchange: Exchange, config: LinesConfig) -> "LinesChamber | LinesAxis":
-    return (LinesChamber if config.role == "chamber" else LinesAxis)(exchange, config)
 
 
 class _Spoken(DescribedDevice[LinesConfig]):
@@ -182,7 +179,7 @@ class _Spoken(DescribedDevice[LinesConfig]):
                 message,
                 lambda frame, text=text, reply=reply: self._acknowledged(frame, text, reply),
                 repeat=False,
-                reply_timeout_s=self._config.home_timeout_s if command.reply_when_done else None,
+                reply_timeout_s=float(self._config.home_timeout) if command.reply_when_done else None,
                 pause_after_s=float(self._protocol.line.pause_after_command) or None,
             )
         return written
@@ -234,24 +231,20 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         self.settings = KeptSettings(self._setting, self._set, lambda left, right: shows(right, left))
 
     def limits(self) -> AxisLimits:
-        known, config, angle = self._protocol.limits, self._config, self._protocol.units
-        assert known.max_rate is not None
-        assert known.max_acceleration is not None
-        assert known.step is not None
-        fastest = [units.to_unit(float(known.max_rate), "deg/s"), config.max_rate_dps]
+        known, config = self._protocol.limits, self._config
+        fastest = [known.max_rate, config.max_rate]
         if "max_rate" in self._protocol.fields:
             # Read once: some boards refuse to show their settings while the axis moves.
             if self._own_max_rate is None:
-                self._own_max_rate = float(self._read("max_rate")["max_rate"])
-            fastest.append(units.convert(self._own_max_rate, angle.rate, "deg/s"))
-        strongest = [units.to_unit(float(known.max_acceleration), "deg/s^2"), config.max_acceleration_dps2]
-        ends = [
-            own if own is not None else None if limit is None else units.to_unit(float(limit), "deg")
-            for own, limit in ((config.lowest_deg, known.lowest_angle), (config.highest_deg, known.highest_angle))
-        ]
-        rate, acceleration = (min(value for value in values if value is not None) for values in (fastest, strongest))
-        step = units.to_unit(float(known.step), "deg")
-        return AxisLimits(rate, acceleration, ends[0], ends[1], step)
+                shown = float(self._read("max_rate")["max_rate"])
+                self._own_max_rate = units.convert(shown, self._protocol.units.rate, "rad/s")
+            fastest.append(self._own_max_rate)
+        strongest = [known.max_acceleration, config.max_acceleration]
+        lowest = known.lowest_angle if config.lowest is None else config.lowest
+        highest = known.highest_angle if config.highest is None else config.highest
+        most = (min(value for value in values if value is not None) for values in (fastest, strongest))
+        ends = (None if end is None else math.degrees(end) for end in (lowest, highest))
+        return AxisLimits(*map(math.degrees, most), *ends, math.degrees(known.step or 0.0))
 
     def read(self) -> AxisReading:
         # The motion is read first: a position read after that is the final one if the axis stood.
@@ -282,7 +275,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
             self._tell("home")
         finally:
             self._homes = False
-        reading = self._until_still(self._config.home_timeout_s, "homing", raise_faults=False)
+        reading = self._until_still(float(self._config.home_timeout), "homing", raise_faults=False)
         if reading.faults:
             raise DeviceFault(f"The axis did not find its reference: {reading.faults[0]}.")
         self._referenced = True
@@ -322,7 +315,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
 
     def stop(self) -> None:
         # A stop is harmless when repeated: it is sent until the axis stands.
-        end = self._clock.now() + self._config.stop_timeout_s
+        end = self._clock.now() + float(self._config.stop_timeout)
         self._stop_homing()
         while True:
             try:
@@ -336,7 +329,9 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
                     return
                 self._clock.sleep(self._POLL_S)
             if self._clock.now() > end:
-                raise NotVerified(f"The axis is still moving {self._config.stop_timeout_s:g} s after the stop command.")
+                raise NotVerified(
+                    f"The axis is still moving {float(self._config.stop_timeout):g} s after the stop command."
+                )
 
     def _stop_homing(self) -> None:
         """A device that answers the command to home only when it has homed hears nothing else until then, but a

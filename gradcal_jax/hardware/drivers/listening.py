@@ -4,19 +4,15 @@ A counter that wraps early shows losses modulo its modulus, and the log adds the
 long counter shows them all, and that the unit restarted. Without a stamp the rate of samples alone shows a loss.
 """
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from gradcal_jax import units
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.base import ExchangeDriver
+from gradcal_jax.hardware.drivers.base import DescribedOptions, ExchangeDriver
 from gradcal_jax.hardware.errors import FramingError, ReplyTimeout, printable
 from gradcal_jax.hardware.framing import LineFramer
-from gradcal_jax.hardware.line_protocol import DescribedSensor
 from gradcal_jax.hardware.request_reply import Exchange
 from gradcal_jax.hardware.roles import Identity, ImuDecoder, ImuSettings, KeptSettings
 from gradcal_jax.hardware.transport import Transport
@@ -72,46 +68,40 @@ def conversion(unit: str, wanted: str, factor: float = 1.0) -> tuple[float, floa
     return units.convert(1.0, unit, wanted) * factor - zero, zero
 
 
-@dataclass(frozen=True)
-class ListeningConfig(ABC):
-    """Options of the rig file. `protocol`: the name of a description, or its tables; `changes`: tables that differ. 0:
-    the description's value."""
+class ListeningConfig(DescribedOptions):
+    """Options of an IMU to which nothing is sent."""
 
+    role = "imu"
     driver: ClassVar[str]
-    protocol: Any = ""
-    changes: Any = None
-    baudrate: int = 0
 
-    def __post_init__(self) -> None:
-        if not self.baudrate:
-            object.__setattr__(self, "baudrate", self.described.baudrate)
-
-    @cached_property
-    @abstractmethod
-    def described(self) -> DescribedSensor: ...
-
-    @abstractmethod
-    def decoder(self) -> ImuDecoder: ...
+    def decoder(self) -> ImuDecoder:
+        raise NotImplementedError
 
     @property
-    @abstractmethod
     def expected(self) -> str:
         """What the description expects, for a message."""
+        raise NotImplementedError
 
     @property
-    @abstractmethod
     def registers(self) -> dict[str, str]:
         """What a run's journal says of the description."""
+        raise NotImplementedError
+
+    def link(self, line: Transport, clock: Clock) -> Exchange:
+        unit = self.described
+        return Exchange(line, LineFramer(), clock, unit.title, float(unit.timeout))
+
+    def device(self, link: Exchange, clock: Clock, name: str = "", encoder: object = None) -> "ListeningImu":
+        return ListeningImu(link, self)
 
 
 class ListeningImu(ExchangeDriver[ListeningConfig]):
     """A unit that sends by itself, and cannot be asked who it is: what it sends is its identity."""
 
-    def __init__(self, transport: Transport, clock: Clock, config: ListeningConfig) -> None:
-        unit = config.described
-        self._timeout_s = float(unit.timeout)
-        super().__init__(Exchange(transport, LineFramer(), clock, unit.title, self._timeout_s), config)
-        self._ready_s = clock.now() + float(unit.boot)
+    def __init__(self, exchange: Exchange, config: ListeningConfig) -> None:
+        super().__init__(exchange, config)
+        self._timeout_s = float(config.described.timeout)
+        self._ready_s = self._clock.now() + float(config.described.boot)
         self.settings = KeptSettings()
 
     def read_bytes(self, timeout_s: float) -> tuple[bytes, float]:

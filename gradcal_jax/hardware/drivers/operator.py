@@ -18,11 +18,13 @@ end of a line, and no echo by the program.
 import math
 import threading
 from collections import deque
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, Literal
 
 from gradcal_jax import units
 from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.drivers.base import DriverOptions
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded, Rejected
 from gradcal_jax.hardware.roles import (
     AxisLimits,
@@ -36,29 +38,48 @@ from gradcal_jax.hardware.roles import (
 )
 from gradcal_jax.hardware.track import AxisCommand
 from gradcal_jax.hardware.transport import TextLine
+from gradcal_jax.tables.problems import Problem
+from gradcal_jax.tables.quantity import PositiveAcceleration, PositiveAngle, PositiveRate, Quantity, Time, Travel
 
 _BELL = "\a"
 
 
-@dataclass(frozen=True)
-class OperatorConfig:
-    """Options of the rig file. `travel` is each way from zero; `remind` is how often a late turn rings again."""
+class OperatorConfig(DriverOptions):
+    """Options of the rig file."""
 
-    max_rate_dps: float = 120.0
-    max_acceleration_dps2: float = 200.0
-    travel_deg: float = math.inf
-    resolution_deg: float = 0.01
-    miss_deg: float = 5.0
+    role = "axis"
+    max_rate: PositiveRate = Quantity.read("120 deg/s", "angular rate")
+    """Largest rate of a turn by hand."""
+    max_acceleration: PositiveAcceleration = Quantity.read("200 deg/s^2", "angular acceleration")
+    """Largest acceleration of a turn by hand."""
+    travel: Travel = Quantity(math.inf, "unlimited", "angle")
+    """Travel in each direction from zero."""
+    resolution: PositiveAngle = Quantity.read("0.01 deg", "angle")
+    """Resolution of the scale."""
+    miss: PositiveAngle = Quantity.read("5 deg", "angle")
+    """Distance from the goal beyond which an answer is asked for again."""
     unit: str = ""
+    """Unit of answers that have none."""
     angle: Literal["typed", "none"] = "typed"
-    remind_s: float = 30.0
-    baudrate: int = 9600
+    """Whether the operator types the angle, or nothing tells it."""
+    remind: Time = Quantity(30.0, "30 s", "time")
+    """Time after which a question rings again."""
 
-    def __post_init__(self) -> None:
-        if self.unit:
-            units.parse(f"1 {self.unit}", "angle")
-        if not (self.travel_deg > 0.0 and self.miss_deg > 0.0 and self.remind_s > 0.0):
-            raise ValueError("travel, miss and remind must be above zero.")
+    def _problems(self) -> Iterator[Problem]:
+        try:
+            units.parse(f"1 {self.unit or 'deg'}", "angle")
+        except ValueError as problem:
+            yield Problem(("unit",), str(problem), self.unit)
+
+    def link(self, line: TextLine, clock: Clock) -> "Console":
+        return Console(line, clock)
+
+    def device(self, link: Any, clock: Clock, name: str, encoder: MotionAxis | None) -> "OperatorAxis":
+        return OperatorAxis(link, self, clock, name, encoder)
+
+
+def _deg(angle: float) -> float:
+    return math.degrees(angle)
 
 
 def angle_deg(text: str, unit: str = "") -> float:
@@ -122,10 +143,6 @@ class Console:
             self._answers.extend((text.decode("utf-8", "replace"), time_s) for text in lines)
 
 
-def open_exchange(line: TextLine, clock: Clock, config: OperatorConfig) -> Console:
-    return Console(line, clock)
-
-
 class OperatorAxis(MotionAxis):
     """Role `MotionAxis`. `name` is shown to the operator; `encoder` is an axis whose motor gets no commands."""
 
@@ -143,6 +160,7 @@ class OperatorAxis(MotionAxis):
         # The newest reading confirmed by the operator; None: unknown.
         self._stands: AxisReading | None = None
         self._told = config.angle == "none"
+        self._travel_deg, self._miss_deg = (_deg(angle) for angle in (config.travel, config.miss))
 
     def identify(self) -> Identity:
         if self._encoder is None:
@@ -151,10 +169,10 @@ class OperatorAxis(MotionAxis):
         return replace(encoder, driver="operator", model=f"turned by hand, encoder of {encoder.driver} {encoder.model}")
 
     def limits(self) -> AxisLimits:
-        config = self._config
-        ends = (None, None) if math.isinf(config.travel_deg) else (-config.travel_deg, config.travel_deg)
-        grid = config.resolution_deg if self._encoder is None else self._encoder.limits().resolution_deg
-        alone, most = self._encoder is None, (config.max_rate_dps, config.max_acceleration_dps2)
+        config, travel_deg = self._config, self._travel_deg
+        ends = (None, None) if math.isinf(travel_deg) else (-travel_deg, travel_deg)
+        grid = _deg(config.resolution) if self._encoder is None else self._encoder.limits().resolution_deg
+        alone, most = self._encoder is None, (_deg(config.max_rate), _deg(config.max_acceleration))
         reads = {"typed": alone and not self._told, "told": alone and self._told}
         return AxisLimits(*most, *ends, grid, by_hand=True, **reads)
 
@@ -173,9 +191,9 @@ class OperatorAxis(MotionAxis):
         self._ask(f"{self._name}: bring it to its zero mark")
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        if abs(position_deg) > self._config.travel_deg + 1e-9:
+        if abs(position_deg) > self._travel_deg + 1e-9:
             raise LimitExceeded(
-                f"{position_deg:g} deg is outside the travel of {self._config.travel_deg:g} deg in each direction."
+                f"{position_deg:g} deg is outside the travel of {self._travel_deg:g} deg in each direction."
             )
         how = f"to {position_deg:.6g} deg"
         if self._stands is not None:
@@ -203,21 +221,21 @@ class OperatorAxis(MotionAxis):
         answer = "press Enter" if enter else "type the angle that its scale shows"
         self._question = f"{what}; let it come to rest and {answer}:"
         self._doubted = False
-        self._ring_s = self._clock.now() + self._config.remind_s
+        self._ring_s = self._clock.now() + float(self._config.remind)
         self._console.ask(self._question)
 
     def _hear(self) -> None:
         answer = self._console.answer()
         if answer is None:
             if self._clock.now() >= self._ring_s:
-                self._ring_s += self._config.remind_s
+                self._ring_s += float(self._config.remind)
                 self._console.ring()
             return
         text, time_s = answer
         if (reading := self._understood(text, time_s)) is None:
             return
         away = abs(reading.position_deg - self._goal_deg)
-        if away > self._config.miss_deg and not self._doubted:
+        if away > self._miss_deg and not self._doubted:
             self._doubted = True
             again = "press Enter" if self._encoder is not None else "type it"
             self._console.ask(

@@ -10,17 +10,17 @@ Unverified on real hardware: everything; each description says what its sources 
 import math
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated
 
 from pydantic import Field
 
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.base import DescribedChamber, DescribedOptions, Texts
+from gradcal_jax.hardware.drivers.base import DescribedChamber, RequestOptions, Texts
 from gradcal_jax.hardware.errors import FramingError, LimitExceeded
 from gradcal_jax.hardware.framing import Modbus, Rtu, Tcp, parse_words, parse_written, read_body, write_body
-from gradcal_jax.hardware.register_protocol import RegisterProtocol, register_protocol_of
+from gradcal_jax.hardware.line_protocol import described
+from gradcal_jax.hardware.register_protocol import RegisterProtocol
 from gradcal_jax.hardware.request_reply import Exchange
 from gradcal_jax.hardware.roles import ChamberSafe
 from gradcal_jax.hardware.transport import Transport
@@ -29,13 +29,22 @@ _FINEST_DECIMALS = 3
 _FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}
 
 
-@dataclass(frozen=True)
-class RegistersConfig(DescribedOptions):
-    address: Annotated[int, Field(ge=0, le=255)] = 1
+class RegistersConfig(RequestOptions):
+    """Options of the rig file."""
+
+    role = "chamber"
+    address: Annotated[int, Field(strict=True, ge=0, le=255)] = 1
+    """Address of the device on its line."""
 
     @cached_property
     def described(self) -> RegisterProtocol:
-        return register_protocol_of(self.protocol, self.changes)
+        return described(RegisterProtocol, self.protocol, self.changes)
+
+    def link(self, line: Transport, clock: Clock) -> Exchange:
+        return self.exchange(line, clock, self.modbus.framer())
+
+    def device(self, link: Exchange, clock: Clock, name: str = "", encoder: object = None) -> "RegistersChamber":
+        return RegistersChamber(link, self)
 
     @cached_property
     def modbus(self) -> Modbus:
@@ -45,12 +54,6 @@ class RegistersConfig(DescribedOptions):
         if safe != ChamberSafe.STANDBY.value or "off" in self.described.tell:
             return ""
         return 'its description has no [tell] on and off: add them by `changes`, or choose "ambient" or "hold"'
-
-
-def open_exchange(transport: Transport, clock: Clock, config: RegistersConfig) -> Exchange:
-    line = config.described.line
-    times_s = config.reply_timeout_s or float(line.timeout), float(line.pause)
-    return Exchange(transport, config.modbus.framer(), clock, config.described.title, *times_s)
 
 
 class RegistersChamber(DescribedChamber[RegistersConfig]):

@@ -8,8 +8,9 @@ import numpy as np
 from gradcal_jax.hardware.checksums import xor8
 from gradcal_jax.hardware.drivers.listening import SECONDS, ListeningConfig, ListeningImu, SampleTimes, conversion
 from gradcal_jax.hardware.framing import LineFramer
+from gradcal_jax.hardware.line_protocol import described
 from gradcal_jax.hardware.roles import ImuBatch, imu_batch, join
-from gradcal_jax.hardware.text_unit import NAMES, TextSensor, text_unit_of
+from gradcal_jax.hardware.text_unit import NAMES, TextSensor
 
 __all__ = ["ListeningImu", "TextUnitConfig", "TextUnitDecoder"]
 
@@ -19,7 +20,7 @@ class TextUnitConfig(ListeningConfig):
 
     @cached_property
     def described(self) -> TextSensor:
-        return text_unit_of(self.protocol, self.changes)
+        return described(TextSensor, self.protocol, self.changes)
 
     def decoder(self) -> "TextUnitDecoder":
         return TextUnitDecoder(self.described)

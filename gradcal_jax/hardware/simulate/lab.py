@@ -38,7 +38,7 @@ from gradcal_jax.units import to_unit
 RATES_HZ: Final = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 # The unit sends the frames of the description "stim300": their first byte and their checksum.
 _IDENTIFIER: Final = 0xA5
-_CRC: Final = CrcOfRows(38, 32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
+_CRC: Final = CrcOfRows(32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
 _LATENCY_US: Final = 506
 
 
@@ -393,8 +393,8 @@ class SimulatedLab:
         for axis in axes:
             limits = _limits_of(axis, told=told and not by_hand)
             driven = SimulatedAxis(plants[axis.name], clock, limits)
-            ends = limits.max_rate_dps, limits.max_acceleration_dps2, limits.travel_deg[1]
-            config = OperatorConfig(*ends, angle="none" if told else "typed")
+            most = {name: getattr(axis, name) for name in ("max_rate", "max_acceleration", "travel")}
+            config = OperatorConfig(**most, angle="none" if told else "typed")
             by_person = OperatorAxis(person, config, clock, axis.name, None if typed or told else driven)
             self.bench.axes[axis.name] = by_person if by_hand else driven
         config = FramesConfig(**settings)

@@ -14,7 +14,7 @@ class SimulatedFrames:
     """One unit; `sensor` gives its samples, at `rate_hz`. `burst_s` is the time between bursts of bytes to the host. In
     its first second a bit of its status is set."""
 
-    _CRC = CrcOfRows(38, 32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
+    _CRC = CrcOfRows(32, 0x04C11DB7, 0xFFFFFFFF, 0, zeros=2)
 
     def __init__(self, sensor: SampledSensor, clock: Clock, *, rate_hz: float = 125.0, burst_s: float = 0.016) -> None:
         self.sensor, self.rate_hz, self.burst_s = sensor, rate_hz, burst_s

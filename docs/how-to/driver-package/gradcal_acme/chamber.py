@@ -1,28 +1,28 @@
 """A chamber that is asked `T?`, `SP?` and `ON?`, and told `SP 25.0`, `ON` and `OFF`. It has no ramps of its own."""
 
-from dataclasses import dataclass
-
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.base import ChamberDriver
+from gradcal_jax.hardware.drivers.base import ChamberDriver, DriverOptions
 from gradcal_jax.hardware.errors import FramingError, Rejected
 from gradcal_jax.hardware.framing import LineFramer
 from gradcal_jax.hardware.request_reply import Exchange
 from gradcal_jax.hardware.roles import ChamberLimits, ChamberReading, Identity
 from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.tables.quantity import Quantity, Temperature, Time
 
 
-@dataclass(frozen=True)
-class AcmeConfig:
-    """Options of the rig file: a unit at the end of a name makes it a text with a unit there."""
+class AcmeConfig(DriverOptions):
+    """Options of the rig file."""
 
-    baudrate: int = 9600
-    reply_timeout_s: float = 1.0
-    lowest_c: float = -40.0
-    highest_c: float = 120.0
+    role = "chamber"
+    reply_timeout: Time = Quantity.read("1 s", "time")
+    lowest: Temperature = Quantity.read("-40 degC", "temperature")
+    highest: Temperature = Quantity.read("120 degC", "temperature")
 
+    def link(self, line: Transport, clock: Clock) -> Exchange:
+        return Exchange(line, LineFramer(), clock, "The ACME chamber", float(self.reply_timeout))
 
-def open_exchange(transport: Transport, clock: Clock, config: AcmeConfig) -> Exchange:
-    return Exchange(transport, LineFramer(), clock, "The ACME chamber", config.reply_timeout_s)
+    def device(self, link: Exchange, clock: Clock, name: str = "", encoder: object = None) -> "AcmeChamber":
+        return AcmeChamber(link, self)
 
 
 class AcmeChamber(ChamberDriver[AcmeConfig]):
@@ -32,7 +32,7 @@ class AcmeChamber(ChamberDriver[AcmeConfig]):
         return Identity("acme", "ACME 1", serial_number=f"{self._number('SN?'):.0f}")
 
     def limits(self) -> ChamberLimits:
-        return ChamberLimits(self._config.lowest_c, self._config.highest_c, 0.1, hardware_ramp=False)
+        return ChamberLimits(float(self._config.lowest), float(self._config.highest), 0.1, hardware_ramp=False)
 
     def read(self) -> ChamberReading:
         air, setpoint, on = (self._number(question) for question in ("T?", "SP?", "ON?"))

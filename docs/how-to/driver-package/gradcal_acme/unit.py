@@ -1,5 +1,5 @@
 """ACME's unit sends frames, and is described in the rig file."""
 
-from gradcal_jax.hardware.drivers.frames import FramesConfig, ListeningImu
+from gradcal_jax.hardware.drivers.frames import FramesConfig
 
-__all__ = ["FramesConfig", "ListeningImu"]
+__all__ = ["FramesConfig"]

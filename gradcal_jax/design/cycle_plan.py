@@ -17,7 +17,7 @@ from gradcal_jax.design.free_course import (
     FreeCourse,
     ProgrammeCoordinates,
     behind_on_leg,
-    cycles_of_leg,
+    cycles_alike,
     legs_of,
 )
 from gradcal_jax.design.plan_objective import (
@@ -25,11 +25,10 @@ from gradcal_jax.design.plan_objective import (
     ExactObjective,
 )
 from gradcal_jax.design.pose_cycle import (
+    FILTERED,
     READINGS_OF_A_REST,
-    WINDOW,
     CycleObjective,
     Ramp,
-    further,
     largest_alike,
 )
 from gradcal_jax.design.programme_rounding import programme_keys
@@ -75,9 +74,6 @@ _LARGEST = 6.0 * math.pi
 _SAMPLES = 5
 # ... and where a term depends on the path of temperature.
 _SAMPLES_ON_A_PATH = 12
-# Cycles whose noise is filtered together, from the longest correlation time over the period: the objective then agrees
-# with that of all cycles to a per cent at most.
-_BEFORE, _MEMORY, _LONGEST_WINDOW = 0.5, 1.2, 4
 # Cycles of a table that stands for the whole course at most, and their length in the longest correlation time.
 _STANDING, _OF_MEMORY = 48, 0.5
 # Readings that stand for all those of a cycle of a table that stands.
@@ -167,7 +163,8 @@ class CyclePlan:
             self.closed,
         )
         self._courses: dict[int, CycleCourse] = {}
-        self._window, self._model = self._cycles_together(models), models[0]
+        self._model = models[0]
+        parts = _parts(self._schedule, (1,) * len(stretches), 0.0)
         aims.sort(key=lambda pair: pair[0].limiting)
         self.objective = CycleObjective(
             self.coordinates,
@@ -179,7 +176,7 @@ class CyclePlan:
             np.array([aim.limit / aim.per_si for aim, _ in aims]),
             weights=exact.weights,
             of_logs=exact.of_logs,
-            window=self._window,
+            cycles=FILTERED if self.repeats or len(parts) > 1 else 1,
             points=self._points,
             waves=waves_of(spec) if times is None else None,
             nodes=1 if times is None else fineness(spec, self.built.model, self.built.motion.line)[1],
@@ -222,11 +219,12 @@ class CyclePlan:
         time = sum(s.duration for s in ramps) - (0.0 if first.kind == "soak" else _BRIEF)
         chamber = spec.rig.chamber
         numbers = (soak, time, *chamber.range, chamber.max_heating, chamber.max_cooling)
-        coordinates = ProgrammeCoordinates(*(np.asarray(float(v)) for v in numbers), stretches=legs_of(len(ramps)))
+        legs = legs_of(len(ramps), stands=self._stands)
+        coordinates = ProgrammeCoordinates(*(np.asarray(float(v)) for v in numbers), stretches=legs)
         before = course_before(spec)
         past = np.zeros(0) if before is None else before
         model, lag = self._model, float(spec.sensor.lag or 0.0)
-        return FreeCourse(coordinates, past, lag, self._window, model.size, tuple(of.lag for of in model.others))
+        return FreeCourse(coordinates, past, lag, model.size, tuple(of.lag for of in model.others))
 
     def starts(self) -> list[RepeatedCycle]:
         """What a search begins with: the file's plan and, of a free course, others of the chamber."""
@@ -259,15 +257,6 @@ class CyclePlan:
         turning = [b for a, b, c in zip(knots, knots[1:], knots[2:], strict=False) if (b - a) * (c - b) <= 0.0]
         course = " \u2192 ".join(f"{t:.3g}" for t in (knots[0], *turning, knots[-1]))
         return f"{'the table is at rest' if self._stands else words}; the chamber goes {course} degC"
-
-    def _cycles_together(self, models: Sequence[ImuModel]) -> int:
-        """How many cycles are filtered together."""
-        stretches = self._schedule.stretches
-        if not self.repeats and len(_parts(self._schedule, (1,) * len(stretches), 0.0)) == 1:
-            return 1
-        longest = _longest_memory(models)
-        fit = math.ceil(_BEFORE + _MEMORY * longest * self.start.cycles / stretches[0].duration)
-        return min(max(fit, WINDOW), _LONGEST_WINDOW)
 
     def course(self, count: int) -> "CycleCourse":
         """The course of the plan where its first stretch has `count` cycles."""
@@ -307,8 +296,8 @@ class CyclePlan:
 
     @property
     def draws(self) -> bool:
-        """Whether random cycles are among its starts: of an axis that has the table in visits."""
-        return self._visits is not None
+        """Whether random plans are among its starts: of an axis that has the table in visits, or stands."""
+        return self._visits is not None or self._stands
 
     @property
     def _one_run(self) -> bool:
@@ -344,9 +333,10 @@ class CyclePlan:
         return Visits(np.array(group), times.own - spare, other, every, tail, LEAST_TURN), tuple(slots)
 
     def drawn(self, rng: np.random.Generator) -> RepeatedCycle:
-        """A random cycle with all turns that fit, of an axis that has the table in visits."""
+        """A random cycle with all turns that fit, of an axis that has the table in visits, or a random course."""
         visits, count = self._visits, self.slots
-        assert visits is not None
+        if visits is None:
+            return self.start._replace(course=tuple(rng.standard_normal(len(self.start.course)).tolist()))
         last = np.append(np.diff(visits.group) > 0, bool(visits.tail)) & (visits.other > 0.0)
         turns = [PoseTurn(0 if k else -1, 1.0, 1.0, 0.0 if last[k] else 1.0) for k in range(count)]
         full = self.start._replace(turns=tuple(turns))
@@ -357,45 +347,49 @@ class CyclePlan:
         """All parts of the plan with one slope: see `Ramp`."""
         model, lag = self._model, self.spec.sensor.lag or 0.0
         mountings = len(self.spec.rig.table.mounting)
-        polynomials, ramps = model.shifts(np.zeros(1)) is not None, []
-        of_path, lags = model.knows_path, tuple(of.lag for of in model.others)
-        samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
-        past = [] if (before := course_before(self.spec)) is None else before.tolist()
-        for part in _parts(self._schedule, counts, period):
+        polynomials, of_path = model.shifts(np.zeros(1)) is not None, model.knows_path
+        past = course_before(self.spec) if of_path else None
+        parts, ramps = _parts(self._schedule, counts, period), list[Ramp]()
+        for following, part in enumerate(parts, 1):
             mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0]
             begins -= 0.0 if self._one_run else part.slope * lag
             step, number = part.slope * period, len(part.temperatures)
-            if not polynomials:
-                before = self._window - 1
-                at, weights, alone = cycles_of_leg(number, before, samples)
-                every = np.sqrt(weights)[:, None, None] * np.eye(model.size)
-                history = np.array([*past, *part.history]) if of_path else np.zeros(0)
-                begun, behind = part.begun_s + period * (at - before), np.zeros(len(lags))
-                for s in self._schedule.segments:
-                    if s.end > part.begun_s + _SLACK:
-                        late = behind_on_leg(behind, lags, np.asarray(s.slope), begun - s.start)
-                        break
-                    behind = behind_on_leg(behind, lags, np.asarray(s.slope), np.array([s.duration]))[0]
-                else:
-                    late = np.tile(behind, (len(at), 1))
-                ramps += [
-                    Ramp(begins + step * (k - before), part.slope, mounting, first, of[None], elapsed, history, own)
-                    for k, first, of, elapsed, own in zip(at, alone, every, begun, late, strict=True)
-                ]
-                continue
-            # A stretch begins with cycles that nothing precedes; elsewhere a window's first cycles are those before.
-            begun = self._window - 1
-            first = part.first and number >= begun
-            later = part.temperatures[begun if first else 0 :] - part.temperatures[0] - (begun * step if first else 0.0)
-            shifts = model.shifts(later) if len(later) else None
-            matrices = np.zeros((1, model.size, model.size)) if shifts is None else further(shifts)
-            ramps.append(Ramp(begins - (0.0 if first else begun * step), part.slope, mounting, float(first), matrices))
-        if longest := max(len(r.history) for r in ramps):
-            padded = (np.pad(r.history, (longest - len(r.history), 0), mode="edge") for r in ramps)
-            ramps = [r._replace(history=history) for r, history in zip(ramps, padded, strict=True)]
-        most = self._points if polynomials else 1
-        ramps = [r._replace(further=np.pad(r.further, ((0, most - len(r.further)), (0, 0), (0, 0)))) for r in ramps]
-        return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in zip(*ramps, strict=True)))
+            ends = following == len(parts) or parts[following].first
+            history = np.array([*([] if past is None else past), *part.history]) if of_path else np.zeros(0)
+            samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
+            for group in [np.arange(number)] if polynomials else cycles_alike(number, samples):
+                first = part.first and group[0] == 0
+                further = group[1:] if first else group
+                place = np.ones(len(further), int)
+                if ends and len(further) and further[-1] == number - 1:
+                    place[-1] = 2
+                # The first of three cycles, so that the others are where the further ones are.
+                begin = 0.0 if group[0] == 0 or polynomials else float(np.mean(group - place))
+                shifts = np.tile(np.eye(model.size), (len(further), 1, 1))
+                if polynomials and len(further):
+                    shifts = model.shifts((further - place) * step)
+                begun = part.begun_s + period * begin
+                at = part.slope, mounting, first, shifts, place
+                ramps.append(Ramp(begins + step * begin, *at, begun, history, self._behind(begun)))
+        longest = max(len(r.history) for r in ramps)
+        most = max(len(r.place) for r in ramps)
+        for k, r in enumerate(ramps):
+            more = 0, most - len(r.place)
+            shifts, place = np.pad(r.shifts, (more, (0, 0), (0, 0))), np.pad(r.place, more)
+            history = np.pad(r.history, (longest - len(r.history), 0), mode="edge") if longest else r.history
+            ramps[k] = r._replace(shifts=shifts, place=place, history=history)
+        columns = zip(*(r[:-1] for r in ramps), strict=True)
+        return Ramp(*(jnp.asarray(np.stack([np.asarray(x) for x in of])) for of in columns))
+
+    def _behind(self, time: float) -> np.ndarray:
+        """How far (K) the model's other temperatures are behind at a time of the plan (s)."""
+        lags = tuple(of.lag for of in self._model.others)
+        behind = np.zeros(len(lags))
+        for s in self._schedule.segments:
+            if s.end > time + _SLACK:
+                return behind_on_leg(behind, lags, np.asarray(s.slope), np.array([time - s.start]))[0]
+            behind = behind_on_leg(behind, lags, np.asarray(s.slope), np.array([s.duration]))[0]
+        return behind
 
     def spec_of(self, cycle: RepeatedCycle) -> Spec:
         """The spec with a cycle's moves, in numbers that a controller takes."""

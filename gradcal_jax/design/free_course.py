@@ -12,14 +12,14 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from gradcal_jax.arrays import AnyArray, namespace
 from gradcal_jax.design.pose_cycle import Ramp
-from gradcal_jax.motion import Programme
+from gradcal_jax.motion import Programme, quadrature
 
 # Legs of a course at least, and cycles that stand for all others: on a leg at least, and in all about.
-_LEGS, _FEWEST, _SAMPLES = 4, 3, 12
+_LEGS, _LEGS_AT_REST, _FEWEST, _SAMPLES = 4, 6, 3, 12
 _GROWS = 3.0
 # Least duration of a stretch, as a share of an even one; distance of a vector's values from their bounds, as a share.
 _LEAST_SHARE = 0.1
@@ -79,13 +79,11 @@ class ProgrammeCoordinates(eqx.Module):
 
 class FreeCourse(NamedTuple):
     """Courses of the chamber, after a soak. `before` °C: turning points of the temperature before the plan; `lag` s;
-    `window`: cycles whose noise is filtered together; `parameters`: how many the model has; `lags`: of the model's
-    other temperatures, s."""
+    `parameters`: how many the model has; `lags`: of the model's other temperatures, s."""
 
     coordinates: ProgrammeCoordinates
     before: Float[np.ndarray, " b"]
     lag: float
-    window: int
     parameters: int
     lags: tuple[float, ...] = ()
 
@@ -93,30 +91,31 @@ class FreeCourse(NamedTuple):
         """Stacked ramps of the course of a vector, with cycles of `period` s."""
         course, legs = self.coordinates.programme(z), self.coordinates.stretches
         each = max(_FEWEST, math.ceil(_SAMPLES / legs))
-        shares = (np.arange(each) + 0.5) / each
+        shares, weights = quadrature(each)
         knots = jnp.concatenate([jnp.asarray(self.before), jnp.reshape(course.start, (1,)), course.chamber()[1]])
         earlier, since = len(self.before), course.times()
         ramps: list[Ramp] = []
         behind = jnp.zeros(len(self.lags))
         for leg in range(legs):
             slope, lasting = course.slopes[leg], course.durations[leg]
-            # The last cycle of a window is about its place; those before it lie on the leg or its continuation.
-            place = shares * lasting - (self.window - 0.5) * period
+            # The second of three cycles is about its place; the others lie on the leg or its continuation.
+            place = shares * lasting - 1.5 * period
             begins = knots[earlier + leg] + slope * (place - self.lag)
             # As many turning points on each leg: the first one stands several times.
             past = jnp.concatenate([jnp.repeat(knots[:1], legs - 1 - leg), knots[: earlier + leg + 1]])
-            weight = jnp.sqrt(lasting / (period * each))
             one = jnp.ones(each)
             ramps.append(
                 Ramp(
                     begins,
                     slope * one,
                     jnp.zeros(each, int),
-                    0.0 * one,
-                    jnp.tile(weight * jnp.eye(self.parameters), (each, 1, 1, 1)),
+                    jnp.ones(each, bool),
+                    jnp.zeros((each, 0, self.parameters, self.parameters)),
+                    jnp.zeros((each, 0), int),
                     self.coordinates.soak + since[leg] + place,
                     jnp.tile(past, (each, 1)),
                     behind_on_leg(behind, self.lags, slope, place),
+                    jnp.asarray(weights) * lasting / period,
                 )
             )
             behind = behind_on_leg(behind, self.lags, slope, lasting[None])[0]
@@ -146,26 +145,17 @@ def behind_on_leg(first: AnyArray, lags: tuple[float, ...], slope: AnyArray, sin
     return steady + (first[None] - steady) * xp.exp(xp.minimum(-since[:, None] / times, _GROWS))
 
 
-def cycles_of_leg(
-    number: int, before: int, samples: int
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Cycles that stand for the `number` cycles of a leg, of which `before` precede each in its window: their places on
-    the leg (0: the first), how many each stands for, and 1 for those whose preceding cycles count by themselves.
-
-    The first window begins with the leg. Where the leg is shorter than a window, windows extend before it."""
-    later = number - before - 1
-    if later < 0:
-        return np.arange(float(number)), np.ones(number), np.zeros(number)
-    some = min(later, samples - 1)
-    each = later / max(some, 1)
-    # Each in the middle of the equal parts of the leg behind the first window.
-    at = np.append(before, before + 0.5 + (np.arange(some) + 0.5) * each)
-    return at, np.append(1.0, np.full(some, each)), np.append(1.0, np.zeros(some))
+def cycles_alike(number: int, samples: int) -> list[Int[np.ndarray, " k"]]:
+    """The numbers of a leg's cycles in groups of which one stands for all: the first two, the last one, and about
+    `samples` others."""
+    first, rest = np.arange(min(number, 2)), np.arange(2, number)
+    groups = np.array_split(rest[:-1], min(samples, max(len(rest) - 1, 1)))
+    return [group for group in (first, *groups, rest[-1:]) if len(group)]
 
 
-def legs_of(own: int) -> int:
-    """How many legs a search's courses have, of a plan with `own` ones."""
-    return max(own, _LEGS)
+def legs_of(own: int, *, stands: bool) -> int:
+    """How many legs a search's courses have, of a plan with `own` ones. `stands`: it has nothing else to change."""
+    return max(own, _LEGS_AT_REST if stands else _LEGS)
 
 
 def _share(low: float, high: float, value: np.ndarray) -> np.ndarray:

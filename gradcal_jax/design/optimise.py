@@ -95,11 +95,12 @@ def run_search(
     if motion is None and (design.max_motion or design.max_total):
         motion = motion_time(spec, design)
     timed = spec if motion is None else with_motion(spec, motion)
-    if spec.turns_one_gyro and not stands:
-        plans = [CyclePlan(timed, times) for times in visit_choices(timed, design)]
-        evaluations = QUICK_EVALUATIONS_OF_VISITS if quick else len(plans) * EVALUATIONS_OF_VISITS
-    else:
-        plans, evaluations = [CyclePlan(timed)], QUICK_EVALUATIONS if quick else EVALUATIONS
+    visited = spec.turns_one_gyro and not stands
+    plans = [CyclePlan(timed, times) for times in visit_choices(timed, design)] if visited else [CyclePlan(timed)]
+    full, few = (
+        (EVALUATIONS_OF_VISITS, QUICK_EVALUATIONS_OF_VISITS) if plans[0].draws else (EVALUATIONS, QUICK_EVALUATIONS)
+    )
+    evaluations = few if quick else len(plans) * full
     yield from search_plans(PoseSearch(plans, steps or evaluations, stop), until_met=until_met)
 
 

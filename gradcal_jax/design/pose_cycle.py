@@ -1,13 +1,10 @@
 """The objective of a cycle of turns and rests (`design.slots`), traced by JAX.
 
-On a ramp of constant slope cycles differ in temperature alone, and a polynomial at a shifted temperature is a
-polynomial: the columns of a cycle are those of another times one small matrix S. What a cycle adds when the W − 1
-before it are known is
-
-    D = G_W − G_(W−1)                    G_k: information of the first k cycles,
-
-and with J cycles the information is `G_(W−1) + Σ_j S_jᵀ D S_j`, j = 0 … J − W: exact for noise that W cycles forget.
-As S is a polynomial of j, its singular values over j leave degree + 1 products in place of J.
+The noise of every cycle is the same, and only the temperature of its columns differs: on a ramp of constant slope a
+polynomial at a shifted temperature is a polynomial, so that the columns of a cycle are those of another times a small
+matrix S. Three cycles, the first, one between and the last, are filtered reading by reading, the last two of them from
+any state of the noise (`whitening.passage`). Their passages then follow one another as often as there are cycles
+(`through`), a few small products each: exactly the information of all readings.
 """
 
 import math
@@ -21,19 +18,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gradcal_jax.arrays import AnyArray
+from gradcal_jax.arrays import AnyArray, fixed
 from gradcal_jax.design.slots import SHAPE, STEEPNESS, CycleCoordinates, CycleStructure, Decoded
 from gradcal_jax.information import gram, imu_system, segments_of
 from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.residual import Residual
+from gradcal_jax.information.whitening import Passage, passage
 from gradcal_jax.model import ImuModel
 from gradcal_jax.motion import Geometry, Schedule, TableMotion, body_nodes, gradient_plan, programme
 from gradcal_jax.motion.motion import rest, turn
 from gradcal_jax.motion.table_motion import largest_turn, nodes_of_turn
 
-# Cycles whose noise is filtered together: with two, standard deviations agree with those of all cycles to about 1e-3.
-WINDOW = 2
+# Cycles that are filtered reading by reading; those after which the noise of a cycle within many is steady.
+FILTERED = 3
+_SETTLED = 8
 # Numbers of quadrature nodes.
 _NODES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 # Readings that stand for all those of a rest in a search, each with the weight of its share of them.
@@ -53,18 +52,24 @@ _READINGS_OF_OTHERS = 8
 
 
 class Ramp(NamedTuple):
-    """A part of the plan with one slope: `begins` °C, `slope` K/s, `mounting`. Its information is `first` times that of
-    the first W − 1 cycles, and `Σ_d F_dᵀ D F_d` with F the matrices `further`. `elapsed` s since power-on; `history` °C
-    and `behind` K: as of a `TableMotion`."""
+    """Cycles of a plan on one slope, K/s: `begins` °C, where the first of three cycles begins, and their `mounting`.
+
+    `first`: a stretch of the plan begins with the first one. `shifts` `(J, p, p)`: S of each further cycle, of which
+    the `place` is 1 for one like the second, 2 for one like the third, which ends the stretch, and 0 for none.
+    `elapsed` s since power-on; `history` °C and `behind` K: as of a `TableMotion`. `number`: on a free course, of how
+    many cycles the second one is one, wherever they are (None: the ramps follow one another).
+    """
 
     begins: Float[AnyArray, ""]
     slope: Float[AnyArray, ""]
     mounting: Int[AnyArray, ""]
-    first: Float[AnyArray, ""]
-    further: Float[AnyArray, "d p p"]
+    first: Bool[AnyArray, ""]
+    shifts: Float[AnyArray, "J p p"]
+    place: Int[AnyArray, " J"]
     elapsed: float | Float[AnyArray, ""] = 0.0
     history: Float[AnyArray, " H"] = np.zeros(0)
     behind: Float[AnyArray, " O"] = np.zeros(0)
+    number: Float[AnyArray, ""] | None = None
 
 
 def nodes_for(turned: float, waves: int) -> int:
@@ -82,10 +87,9 @@ class CycleObjective:
     """The logarithm of a cycle's residuals over their `targets` (SI): their mean or the worst, over `models` of the
     noise likewise, in a mean with their `weights` (`of_logs`, else of the residuals); and `EXCESS` times what the
     `limiting` ones exceed. `known`: for each model, the information before the plan begins; `geometries`: its table and
-    mountings.
-    `readings`: how many stand for all those of a rest. `waves`: as `nodes_for`; None: no column has waves, and every
-    part of a turn has so many `nodes`. `lag` s: of the temperature, which is steady as the plan begins; None: the
-    ramps are those of the sensor itself.
+    mountings. `cycles`: that are filtered, `FILTERED` or the only one. `readings`: how many stand for all those of a
+    rest. `waves`: as `nodes_for`; None: no column has waves, and every part of a turn has so many `nodes`. `lag` s: of
+    the temperature, which is steady as the plan begins; None: the ramps are those of the sensor itself.
 
     With a sharpness that is the number `math.inf` the readings of rests are those of a prediction. With any other one a
     few readings stand for them, of which the number is smooth, too: it grows with the rest.
@@ -103,7 +107,7 @@ class CycleObjective:
         *,
         weights: Float[np.ndarray, " s"],
         of_logs: bool,
-        window: int,
+        cycles: int,
         points: int,
         waves: int | None,
         readings: int,
@@ -116,7 +120,7 @@ class CycleObjective:
         # Those of the coordinates may be eased, and are then no plain numbers.
         self.limits = coordinates.limits
         self.geometries = [jax.tree.map(jnp.asarray, geometry) for geometry in geometries]
-        self.statistics, self.window, self.points = (*statistics, *limiting), window, points
+        self.statistics, self.cycles, self.points = (*statistics, *limiting), cycles, points
         self.targets, self.minimised, self.weights, self.of_logs = targets, len(statistics), weights, of_logs
         self.nodes, self.lag = nodes, lag
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
@@ -158,34 +162,50 @@ class CycleObjective:
         over = jnp.asarray(self.targets if targets is None else targets)
         all_logs, each = [], []
         for model, geometry, known in zip(self.models, self.geometries, self.known, strict=True):
-            on_ramp = partial(self.information, model, geometry, decoded, of, sharpness=sharpness)
-            each.append(known + jnp.sum(jax.lax.map(on_ramp, ramps), axis=0))
+            each.append(known + self.information(model, geometry, decoded, of, ramps, sharpness))
         for info in each:
             root = inverse_root(info)
             all_logs.append(jnp.log(jnp.stack([s(root, sharpness) for s in self.statistics]) / over))
         return jnp.stack(all_logs)
 
     def information(
-        self, model: ImuModel, geometry: Geometry, decoded: Decoded, of: CycleStructure, ramp: Ramp, *, sharpness
+        self, model: ImuModel, geometry: Geometry, decoded: Decoded, of: CycleStructure, ramps: Ramp, sharpness
     ) -> Float[AnyArray, "p p"]:
-        """The information of all cycles on one ramp."""
-        motion, at = self._motion(ramp, decoded, of, model, geometry, sharpness)
-        steps, columns = imu_system(motion, model, body_nodes(motion, self.points), at)
-        if self.window == 1:
-            return gram(steps, columns)
-        rows = columns.shape[0] // self.window * (self.window - 1)
-        fewer = NoiseSteps(*(x if x is None or x is steps.initial else x[:rows] for x in steps))
-        first = gram(fewer, columns[:rows])
-        added = gram(steps, columns) - first
-        return ramp.first * first + jnp.sum(jnp.swapaxes(ramp.further, 1, 2) @ (added @ ramp.further), axis=0)
+        """The information of all cycles on the ramps."""
+
+        def readings(ramp: Ramp) -> tuple[NoiseSteps, AnyArray]:
+            motion, at = self._motion(ramp, decoded, of, model, geometry, sharpness)
+            return imu_system(motion, model, body_nodes(motion, self.points), at)
+
+        def alone(ramp: Ramp) -> AnyArray:
+            return gram(*readings(ramp))
+
+        def passages(ramp: Ramp) -> list[Passage]:
+            cycles = [_of_cycle(k, *readings(ramp)) for k in range(FILTERED)]
+            return [passage(*cycle, known=k == 0) for k, cycle in enumerate(cycles)]
+
+        def steadily(ramp: Ramp) -> AnyArray:
+            begun, one, _ = passages(ramp)
+            same = jnp.eye(model.size)
+            settled, _ = jax.lax.scan(lambda known, _: (through(known, one, same), None), begun, None, _SETTLED)
+            assert ramp.number is not None
+            return ramp.number * (through(settled, one, same).product - settled.product)
+
+        if self.cycles == 1:
+            return jnp.sum(jax.lax.map(alone, ramps), axis=0)
+        if ramps.number is not None:
+            return jnp.sum(jax.vmap(steadily)(ramps), axis=0)
+        of_ramps = jax.lax.map(passages, ramps)
+        nothing = jax.tree.map(lambda x: jnp.zeros_like(x[0]), of_ramps[0])
+        known, _ = jax.lax.scan(_along, nothing, (ramps, of_ramps))
+        return known.product
 
     def _motion(
         self, ramp: Ramp, decoded: Decoded, of: CycleStructure, model: ImuModel, geometry: Geometry, sharpness
     ) -> tuple[TableMotion, Segments]:
-        window = self.window
         rests, visits = self._rests(decoded.rest, sharpness), self.coordinates.visits
         layout = _layout_of(self.coordinates, rests)
-        line = layout.line(window)
+        line = layout.line(self.cycles)
 
         def in_order(of_turns: AnyArray, of_rests: AnyArray, of_waits: AnyArray) -> AnyArray:
             return jnp.concatenate([of_turns, jnp.reshape(of_rests, (-1,)), of_waits])[layout.order]
@@ -200,14 +220,14 @@ class CycleObjective:
         course = replace(
             line.programme,
             start=ramp.begins,
-            durations=jnp.reshape(window * of.period, (1,)),
+            durations=jnp.reshape(self.cycles * of.period, (1,)),
             slopes=jnp.reshape(ramp.slope, (1,)),
         )
         of_line = replace(line, duration=numbers[0], peak_rate=numbers[1], ramp=numbers[2], programme=course)
         move = np.asarray(line.pieces.move)
         share = in_order(jnp.ones(self.coordinates.slots), rests.share, jnp.asarray(layout.readings))[move]
         track = replace(of_line.trajectory(self.lag), share=share)
-        count = len(move) // window
+        count = len(move) // self.cycles
         slot, turns = layout.slot[move], layout.turns[move]
         axis = jnp.where(turns, jnp.append(of.axis, -1)[slot], -1)
         example = np.arange(count)
@@ -299,14 +319,14 @@ class _Layout(NamedTuple):
     waits: Float[np.ndarray, " w"]
     readings: Float[np.ndarray, " w"]
 
-    def line(self, window: int) -> Schedule:
+    def line(self, cycles: int) -> Schedule:
         """A schedule with these moves, of which only what is discrete counts."""
         moves = [
             turn(SHAPE, 1.0, 4.0, ramp=1.0) if turns else rest(1.0, read_at_end=bool(read))
             for turns, read in zip(self.turns, self.read, strict=True)
         ]
         whole = math.fsum(move.duration for move in moves)
-        return gradient_plan(programme(0.0, [(whole * window, 0.0)]), tuple(moves), read_every=None)
+        return gradient_plan(programme(0.0, [(whole * cycles, 0.0)]), tuple(moves), read_every=None)
 
 
 def _layout_of(coordinates: CycleCoordinates, rests: _Rests) -> _Layout:
@@ -362,8 +382,43 @@ def inverse_root(info: Float[AnyArray, "p p"]) -> Float[AnyArray, "p p"]:
     return jax.scipy.linalg.solve_triangular(factor, jnp.diag(scale), lower=True).T
 
 
-def further(shifts: Float[np.ndarray, "J p p"]) -> Float[np.ndarray, "d p p"]:
-    """Matrices F with `Σ_d F_dᵀ D F_d = Σ_j S_jᵀ D S_j` for every D, S a polynomial of j: d its degree plus one."""
-    _, sizes, along = np.linalg.svd(np.reshape(shifts, (len(shifts), -1)), full_matrices=False)
-    kept = sizes > 1e-14 * sizes[0]
-    return np.reshape(sizes[kept, None] * along[kept], (-1, *shifts.shape[1:]))
+def through(known: Passage, after: Passage, shift: Float[AnyArray, "p p"]) -> Passage:
+    """What is known after a passage from any state of the noise, with columns times `shift`."""
+    p, state, covariance = len(shift), known.after, known.left
+    own, both, of_state = after.product[:p, :p], after.product[:p, p:], after.product[p:, p:]
+    missing = both.T @ shift - of_state @ state
+    # The covariance of the state before, given the readings after: (I + P J)⁻¹ P.
+    size = fixed(jnp.sqrt(jnp.diagonal(covariance)))
+    size = jnp.where(size > 0.0, size, 1.0)
+    scaled = covariance / (size[:, None] * size)
+    both_known = jnp.eye(len(size)) + scaled @ (of_state * (size[:, None] * size))
+    smoothed = jnp.linalg.solve(both_known, scaled) * (size[:, None] * size)
+    cross = shift.T @ both @ state
+    seen = shift.T @ own @ shift - cross - cross.T + state.T @ of_state @ state - missing.T @ smoothed @ missing
+    begin, onward = state + smoothed @ missing, -after.after[:, p:]
+    return Passage(
+        known.product + 0.5 * (seen + seen.T),
+        after.after[:, :p] @ shift + onward @ begin,
+        onward @ (0.5 * (smoothed + smoothed.T)) @ onward.T + after.left,
+    )
+
+
+def _along(known: Passage, now: tuple[Ramp, list[Passage]]) -> tuple[Passage, None]:
+    """What is known after all cycles of a ramp."""
+    ramp, (first, second, third) = now
+    begun = first._replace(product=known.product + first.product)
+    known = jax.tree.map(partial(jnp.where, ramp.first), begun, known)
+
+    def one(known: Passage, cycle: tuple[AnyArray, AnyArray]) -> tuple[Passage, None]:
+        shift, place = cycle
+        after = through(known, jax.tree.map(partial(jnp.where, place == 2), third, second), shift)
+        return jax.tree.map(partial(jnp.where, place > 0), after, known), None
+
+    return jax.lax.scan(one, known, (ramp.shifts, ramp.place))
+
+
+def _of_cycle(number: int, steps: NoiseSteps, columns: AnyArray) -> tuple[NoiseSteps, AnyArray]:
+    """The readings of one of the cycles."""
+    count = len(columns) // FILTERED
+    rows = slice(number * count, (number + 1) * count)
+    return NoiseSteps(*(x if x is None or x is steps.initial else x[rows] for x in steps)), columns[rows]

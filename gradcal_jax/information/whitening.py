@@ -50,6 +50,16 @@ class Blocks(NamedTuple):
     initial: Float[AnyArray, "n n"]
 
 
+class Passage(NamedTuple):
+    """Readings of `p` regressors as they change what is known of the `n` noise states. `product`: the Gram matrix of
+    the regressors and, if it is not known, of the state before, which counts as further ones; `after`: the state after
+    them by a unit of each; `left`: its covariance with the state before known."""
+
+    product: Float[AnyArray, "k k"]
+    after: Float[AnyArray, "n k"]
+    left: Float[AnyArray, "n n"]
+
+
 class Filtered(NamedTuple):
     """State and covariance at the begin of every block, its gain, and W with `WᵀW = S⁻¹`, S of its innovations."""
 
@@ -63,6 +73,19 @@ def whiten(steps: NoiseSteps, columns: Float[AnyArray, "N p"]) -> Float[AnyArray
     """Rows with `rowsᵀ rows = columnsᵀ V⁻¹ columns`; the row of a reading that is not used is zero."""
     blocks, data, place = _in_blocks(steps, columns)
     return _filter(blocks, data)[0][place]
+
+
+def passage(steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, known: bool) -> Passage:
+    """The passage of readings from the initial state, if that is `known` by its covariance, or from any state."""
+    blocks, data, _ = _in_blocks(steps, jnp.asarray(columns))
+    begin = jnp.zeros((len(blocks.initial), data.shape[-1]), data.dtype)
+    if not known:
+        every = jnp.eye(len(begin), dtype=data.dtype)
+        begin = jnp.concatenate([begin, -every], axis=1)
+        data = jnp.concatenate([data, jnp.zeros((*data.shape[:2], len(every)), data.dtype)], axis=2)
+        blocks = blocks._replace(initial=jnp.zeros_like(blocks.initial))
+    rows, _, (after, left) = _filter(blocks, data, begin)
+    return Passage(_product(rows)[0], after, left)
 
 
 def gram(steps: NoiseSteps, columns: Float[AnyArray, "N p"]) -> Float[AnyArray, "p p"]:
@@ -135,8 +158,11 @@ def _lift(steps: NoiseSteps, columns: np.ndarray, size: int) -> tuple[Blocks, np
     return Blocks(response, covariance, seen, within, cross, np.asarray(steps.initial)), data
 
 
-def _filter(blocks: Blocks, data: Float[AnyArray, "B r p"]) -> tuple[Float[AnyArray, "B r p"], Filtered]:
-    """Whitened rows of every block, and the values that a smoother needs."""
+def _filter(
+    blocks: Blocks, data: Float[AnyArray, "B r p"], begin: Float[AnyArray, "n p"] | None = None
+) -> tuple[Float[AnyArray, "B r p"], Filtered, tuple[AnyArray, AnyArray]]:
+    """Whitened rows of every block, the values that a smoother needs, and the last state and its covariance. `begin`:
+    the first state; None: zero."""
 
     def step(carry, now):
         state, covariance = carry
@@ -148,8 +174,10 @@ def _filter(blocks: Blocks, data: Float[AnyArray, "B r p"]) -> tuple[Float[AnyAr
         after = f @ state + gain @ row, f @ covariance @ f.T + q - gain @ gain.T
         return after, (row, Filtered(state, covariance, gain, whitener))
 
-    begin = namespace(data).zeros((len(blocks.initial), data.shape[-1]), data.dtype), blocks.initial
-    return _scan(step, begin, (*blocks[:5], data))
+    if begin is None:
+        begin = namespace(data).zeros((len(blocks.initial), data.shape[-1]), data.dtype)
+    last, (rows, filtered) = _scan(step, (begin, blocks.initial), (*blocks[:5], data))
+    return rows, filtered, last
 
 
 def _whitener(covariance: Float[AnyArray, "r r"]) -> Float[AnyArray, "r r"]:
@@ -174,7 +202,7 @@ def _product(rows: Float[AnyArray, "B r p"]) -> tuple[Float[AnyArray, "p p"], Fl
 @_gram_and_rows.defjvp
 def _gram_and_rows_jvp(primals, tangents):
     (blocks, data), (changes, d_data) = primals, tangents
-    rows, filtered = _filter(blocks, data)
+    rows, filtered, _ = _filter(blocks, data)
     u, rho, z, first = _smooth(blocks, rows, filtered)
     product, flat = _product(rows)
     # Half of the derivative: the other half is its transpose.
@@ -226,14 +254,15 @@ def _with_inverse(factor: AnyArray, scale: AnyArray) -> tuple[AnyArray, AnyArray
 
 
 def _scan(step, begin: Any, over: Any) -> Any:
-    """The stacked results of `step(carry, row) -> (carry, result)`: `jax.lax.scan`, or a loop of NumPy."""
+    """The last carry and the stacked results of `step(carry, row) -> (carry, result)`: `jax.lax.scan`, or a loop of
+    NumPy."""
     if namespace(begin, over) is jnp:
-        return jax.lax.scan(step, begin, over)[1]
+        return jax.lax.scan(step, begin, over)
     results = []
     for row in zip(*over, strict=True):
         begin, result = step(begin, row)
         results.append(result)
-    return jax.tree.map(lambda *of: np.stack(of), *results)
+    return begin, jax.tree.map(lambda *of: np.stack(of), *results)
 
 
 def _t(matrices: AnyArray) -> AnyArray:

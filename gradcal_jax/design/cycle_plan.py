@@ -360,16 +360,14 @@ class CyclePlan:
             for group in [np.arange(number)] if polynomials else cycles_alike(number, samples):
                 first = part.first and group[0] == 0
                 further = group[1:] if first else group
-                place = np.ones(len(further), int)
-                if ends and len(further) and further[-1] == number - 1:
-                    place[-1] = 2
-                # The first of three cycles, so that the others are where the further ones are.
-                begin = 0.0 if group[0] == 0 or polynomials else float(np.mean(group - place))
+                last = ends & (further == number - 1)
+                # Where the first of two cycles begins, so that these are where the further ones are.
+                begin = 0.0 if group[0] == 0 or polynomials else float(np.mean(group - last))
                 shifts = np.tile(np.eye(model.size), (len(further), 1, 1))
                 if polynomials and len(further):
-                    shifts = model.shifts((further - place) * step)
+                    shifts = model.shifts((further - last) * step)
                 begun = part.begun_s + period * begin
-                at = part.slope, mounting, first, shifts, place
+                at = part.slope, mounting, first, shifts, 1 + last
                 ramps.append(Ramp(begins + step * begin, *at, begun, history, self._behind(begun)))
         longest = max(len(r.history) for r in ramps)
         most = max(len(r.place) for r in ramps)

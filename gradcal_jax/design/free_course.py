@@ -98,8 +98,8 @@ class FreeCourse(NamedTuple):
         behind = jnp.zeros(len(self.lags))
         for leg in range(legs):
             slope, lasting = course.slopes[leg], course.durations[leg]
-            # The second of three cycles is about its place; the others lie on the leg or its continuation.
-            place = shares * lasting - 1.5 * period
+            # The first of two cycles is about its place.
+            place = shares * lasting - 0.5 * period
             begins = knots[earlier + leg] + slope * (place - self.lag)
             # As many turning points on each leg: the first one stands several times.
             past = jnp.concatenate([jnp.repeat(knots[:1], legs - 1 - leg), knots[: earlier + leg + 1]])
@@ -146,11 +146,11 @@ def behind_on_leg(first: AnyArray, lags: tuple[float, ...], slope: AnyArray, sin
 
 
 def cycles_alike(number: int, samples: int) -> list[Int[np.ndarray, " k"]]:
-    """The numbers of a leg's cycles in groups of which one stands for all: the first two, the last one, and about
-    `samples` others."""
-    first, rest = np.arange(min(number, 2)), np.arange(2, number)
-    groups = np.array_split(rest[:-1], min(samples, max(len(rest) - 1, 1)))
-    return [group for group in (first, *groups, rest[-1:]) if len(group)]
+    """The numbers of a leg's cycles in groups of which one stands for all: the first, the last, and about `samples`
+    others."""
+    inner = np.arange(1, number - 1)
+    groups = np.array_split(inner, min(samples, max(len(inner), 1)))
+    return [group for group in (np.arange(1), *groups, np.arange(max(number - 1, 1), number)) if len(group)]
 
 
 def legs_of(own: int, *, stands: bool) -> int:

@@ -2,9 +2,9 @@
 
 The noise of every cycle is the same, and only the temperature of its columns differs: on a ramp of constant slope a
 polynomial at a shifted temperature is a polynomial, so that the columns of a cycle are those of another times a small
-matrix S. Three cycles, the first, one between and the last, are filtered reading by reading, the last two of them from
-any state of the noise (`whitening.passage`). Their passages then follow one another as often as there are cycles
-(`through`), a few small products each: exactly the information of all readings.
+matrix S. Two cycles, of which the second one ends a stretch of the plan, are filtered reading by reading from any state
+of the noise (`whitening.passage`), the first one also from that at the begin. These passages then follow one another as
+often as there are cycles (`through`), a few small products each: exactly the information of all readings.
 """
 
 import math
@@ -31,7 +31,7 @@ from gradcal_jax.motion.motion import rest, turn
 from gradcal_jax.motion.table_motion import largest_turn, nodes_of_turn
 
 # Cycles that are filtered reading by reading; those after which the noise of a cycle within many is steady.
-FILTERED = 3
+FILTERED = 2
 _SETTLED = 8
 # Numbers of quadrature nodes.
 _NODES = (16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
@@ -52,12 +52,12 @@ _READINGS_OF_OTHERS = 8
 
 
 class Ramp(NamedTuple):
-    """Cycles of a plan on one slope, K/s: `begins` °C, where the first of three cycles begins, and their `mounting`.
+    """Cycles of a plan on one slope, K/s: `begins` °C, where the first of two cycles begins, and their `mounting`.
 
     `first`: a stretch of the plan begins with the first one. `shifts` `(J, p, p)`: S of each further cycle, of which
-    the `place` is 1 for one like the second, 2 for one like the third, which ends the stretch, and 0 for none.
+    the `place` is 1 for one like the first, 2 for one like the second, which ends the stretch, and 0 for none.
     `elapsed` s since power-on; `history` °C and `behind` K: as of a `TableMotion`. `number`: on a free course, of how
-    many cycles the second one is one, wherever they are (None: the ramps follow one another).
+    many cycles the first one is one, wherever they are (None: the ramps follow one another).
     """
 
     begins: Float[AnyArray, ""]
@@ -181,8 +181,11 @@ class CycleObjective:
             return gram(*readings(ramp))
 
         def passages(ramp: Ramp) -> list[Passage]:
-            cycles = [_of_cycle(k, *readings(ramp)) for k in range(FILTERED)]
-            return [passage(*cycle, known=k == 0) for k, cycle in enumerate(cycles)]
+            steps, columns = readings(ramp)
+            one, last = (_of_cycle(k, steps, columns) for k in range(FILTERED))
+            begun, between = (passage(*one, known=known) for known in (True, False))
+            # Where a table holds still, the last standstill is another one: nothing turns after it.
+            return [begun, between, passage(*last, known=False) if model.encoder.held else between]
 
         def steadily(ramp: Ramp) -> AnyArray:
             begun, one, _ = passages(ramp)
@@ -405,13 +408,13 @@ def through(known: Passage, after: Passage, shift: Float[AnyArray, "p p"]) -> Pa
 
 def _along(known: Passage, now: tuple[Ramp, list[Passage]]) -> tuple[Passage, None]:
     """What is known after all cycles of a ramp."""
-    ramp, (first, second, third) = now
+    ramp, (first, between, last) = now
     begun = first._replace(product=known.product + first.product)
     known = jax.tree.map(partial(jnp.where, ramp.first), begun, known)
 
     def one(known: Passage, cycle: tuple[AnyArray, AnyArray]) -> tuple[Passage, None]:
         shift, place = cycle
-        after = through(known, jax.tree.map(partial(jnp.where, place == 2), third, second), shift)
+        after = through(known, jax.tree.map(partial(jnp.where, place == 2), last, between), shift)
         return jax.tree.map(partial(jnp.where, place > 0), after, known), None
 
     return jax.lax.scan(one, known, (ramp.shifts, ramp.place))

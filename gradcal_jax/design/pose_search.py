@@ -22,6 +22,7 @@ import numpy as np
 from gradcal_jax.design.compiling import compiler_options
 from gradcal_jax.design.cycle_moves import Neighbourhood
 from gradcal_jax.design.cycle_plan import CyclePlan, RepeatedCycle
+from gradcal_jax.design.descent import LOOK, Reached
 from gradcal_jax.design.pose_cycle import Ramp
 from gradcal_jax.design.searching import Optimised, PlanOutcome, Price, PricedLimit, priced
 from gradcal_jax.design.slots import CycleStructure
@@ -124,18 +125,17 @@ EVALUATIONS, QUICK_EVALUATIONS = 14000, 800
 EVALUATIONS_OF_VISITS, QUICK_EVALUATIONS_OF_VISITS = 4500, 1600
 # Cycles that descend side by side.
 TOGETHER = 2
-# Evaluations of a descent between two looks; sharpness of the maxima and evaluations of the first descents, of those
-# from a changed cycle, and of the last one.
-_LOOK, _FIRST, _HOP, _LAST = 20, ((8.0, 60), (30.0, 120)), (30.0, 80), (100.0, 300)
+# Sharpness of the maxima and evaluations of the first descents, of those from a changed cycle, and of the last one.
+_FIRST, _HOP, _LAST = ((8.0, 60), (30.0, 120)), (30.0, 80), (100.0, 300)
 # The same of visits. There are many local optima, and a begin hardly predicts the end of its descent: of every stage
 # the better half continues, and at least so many.
 _FIRST_OF_VISITS, _HOP_OF_VISITS, _LAST_OF_VISITS = ((8.0, 80), (40.0, 140), (200.0, 140)), (1000.0, 140), (1000.0, 600)
 _FEWEST = 4
 # Evaluations for each random begin.
 _OF_BEGIN = 180
-# Sizes of random steps from the best course of visits, in turn; the search ends where a round of them gains less than
+# Sizes of random steps from the best course of visits, in turn; the search ends where a round of all gains less than
 # this (natural logarithm), and a descent where twenty evaluations do.
-_STEPS, _HOP_GAIN, _DESCENT_GAIN = (0.3, 1.0), 1e-3, 2e-4
+_STEPS, _HOP_GAIN, _DESCENT_GAIN = (0.3, 1.0, 0.3, 1.0), 1e-3, 2e-4
 # A changed cycle that after n looks is worse than the present one by an n-th of this is left; so much worse (natural
 # logarithm) a cycle may be and be gone on from, at the begin of the search.
 _HOPELESS, _WARM = 0.04, 0.006
@@ -217,7 +217,7 @@ class PoseSearch:
         yield 1.0, self.best
 
     def _hops(self) -> Iterator[tuple[float, Found]]:
-        """Descents from random steps from the best course, until two rounds gain nothing."""
+        """Descents from random steps from the best course, until a round of all sizes gains nothing."""
         (self.best,) = self._descents([self.best], *_HOP_OF_VISITS)
         without_gain, rounds = 0, 0
         while self.used < self._budget and without_gain < len(_STEPS) and not self._stop():
@@ -276,17 +276,18 @@ class PoseSearch:
         def descend(begin: Found) -> tuple[Found, int]:
             plan, cycle = begin.plan, begin.cycle
             of = plan.structure(cycle, turnable=turnable)
-            point, reached, before = plan.point(cycle, of), None, math.inf
             ramps, targets = plan.course(cycle.cycles).ramps, plan.objective.targets
             args = (jax.tree.map(jnp.asarray, of), ramps, sharpness, targets)
             gain = _DESCENT_GAIN if plan.draws and evaluations < _LAST_OF_VISITS[1] else -math.inf
-            for reached in plan.descent(point, args, evaluations=min(evaluations, self._budget), together=_LOOK):
-                if self._stop() or reached.value > least + _HOPELESS * _LOOK / reached.evaluations:
-                    break
-                if before - reached.value < gain:
-                    break
-                before = reached.value
-            assert reached is not None
+            before = math.inf
+
+            def ends(now: Reached) -> bool:
+                nonlocal before
+                gained, before = before - now.value, now.value
+                return self._stop() or gained < gain or now.value > least + _HOPELESS * LOOK / now.evaluations
+
+            most = min(evaluations, self._budget)
+            reached = plan.descent(plan.point(cycle, of), args, evaluations=most, ends=ends)
             end = plan.cycle_at(reached.point, of, cycle.cycles)
             return Found(plan, end, reached.value), reached.evaluations
 

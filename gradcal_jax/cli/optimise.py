@@ -172,14 +172,11 @@ def optimum_text(best: "Optimised") -> str:
         lines.append(belief)
     if best.active:
         lines.append("limits that restrict the plan: " + "; ".join(best.active))
-    if best.prices:
-        rows = [("if this limit is relaxed by", "the residual changes by", "proportionally up to")]
-        for p in best.prices:
-            # One unit may be more than the range in which the price holds.
-            by = 1.0 if p.linear is None else min(p.linear, 1.0)
-            most = "" if p.linear is None else f"{p.linear:g} {p.per}"
-            changes = f"{p.change * by:+.3g} {best.unit}" if p.change else "nothing"
-            rows.append((f"{by:g} {p.per} of {p.limit}", changes, most))
+    if priced := [p for p in best.prices if p.per]:
+        rows = [("if this limit is relaxed by", "the residual changes by")]
+        for p in priced:
+            changes = f"{p.change:+.3g} {best.unit}" if p.change else "nothing"
+            rows.append((f"1 {p.per} of {p.limit}", changes))
         lines += ["", columns(rows, indent="")]
     if len(best.rows) > 1:
         shown = [(row.name, amount(row.before, row.unit), amount(row.now, row.unit)) for row in best.rows]

@@ -16,6 +16,7 @@ from gradcal_jax.design.descent import Descent
 from gradcal_jax.design.free_course import (
     FreeCourse,
     ProgrammeCoordinates,
+    Ramp,
     behind_on_leg,
     cycles_alike,
     legs_of,
@@ -28,7 +29,6 @@ from gradcal_jax.design.pose_cycle import (
     FILTERED,
     READINGS_OF_A_REST,
     CycleObjective,
-    Ramp,
     largest_alike,
 )
 from gradcal_jax.design.programme_rounding import programme_keys
@@ -191,7 +191,7 @@ class CyclePlan:
             self.start = self.start._replace(course=tuple(own.tolist()))
         elif not self.turns_free:
             raise ValueError(f"optimise can change no part of this plan: the table is at rest, and {NO_COURSE}")
-        self.value = partial(_value, self.objective, self.slots, self.free_course)
+        self.value = partial(self.objective.value_at, course=self.free_course)
         self.descent = Descent(self.value)
         # (One by one its operations would compile a dozen programs.)
         self._decode = jax.jit(self.coordinates.decode)
@@ -425,16 +425,6 @@ class CyclePlan:
         every = self.limits.read_every
         spaced = {} if every == reading_spacing(self.spec) else {"rig.table.axis[0].angle.read_every": f"{every:.9g} s"}
         return {"plan.cycle": cycle, **spaced}
-
-
-def _value(objective: CycleObjective, slots: int, course: FreeCourse | None, z: Any, args: tuple[Any, ...]) -> Any:
-    """The objective of the free numbers of a cycle in so many `slots`, and of its course where that is free; `args`:
-    structure, ramps (None: of the free course), sharpness, targets."""
-    of, ramps, sharpness, targets = args
-    if ramps is None:
-        assert course is not None
-        ramps = course.ramps(z[3 * slots :], of.period)
-    return objective.value(jnp.reshape(z[: 3 * slots], (3, slots)), of, ramps, sharpness, targets)
 
 
 class CycleCourse(NamedTuple):

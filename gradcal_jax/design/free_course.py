@@ -12,10 +12,9 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray, namespace
-from gradcal_jax.design.pose_cycle import Ramp
 from gradcal_jax.motion import Programme, quadrature
 
 # Legs of a course at least, and cycles that stand for all others: on a leg at least, and in all about.
@@ -24,6 +23,27 @@ _GROWS = 3.0
 # Least duration of a stretch, as a share of an even one; distance of a vector's values from their bounds, as a share.
 _LEAST_SHARE = 0.1
 _INSIDE = 1e-4
+
+
+class Ramp(NamedTuple):
+    """Cycles of a plan on one slope, K/s: `begins` °C, where the first of two cycles begins, and their `mounting`.
+
+    `first`: a stretch of the plan begins with the first one. `shifts` `(J, p, p)`: S of each further cycle, of which
+    the `place` is 1 for one like the first, 2 for one like the second, which ends the stretch, and 0 for none.
+    `elapsed` s since power-on; `history` °C and `behind` K: as of a `TableMotion`. `number`: on a free course, of how
+    many cycles the first one is one, wherever they are (None: the ramps follow one another).
+    """
+
+    begins: Float[AnyArray, ""]
+    slope: Float[AnyArray, ""]
+    mounting: Int[AnyArray, ""]
+    first: Bool[AnyArray, ""]
+    shifts: Float[AnyArray, "J p p"]
+    place: Int[AnyArray, " J"]
+    elapsed: float | Float[AnyArray, ""] = 0.0
+    history: Float[AnyArray, " H"] = np.zeros(0)
+    behind: Float[AnyArray, " O"] = np.zeros(0)
+    number: Float[AnyArray, ""] | None = None
 
 
 class ProgrammeCoordinates(eqx.Module):

@@ -18,7 +18,8 @@ from gradcal_jax.design.pose_search import (
     QUICK_EVALUATIONS_OF_VISITS,
     PoseSearch,
 )
-from gradcal_jax.design.searching import Optimised, Price, SearchStep, search_plans
+from gradcal_jax.design.prices import Price
+from gradcal_jax.design.searching import Optimised, SearchStep, search_plans
 from gradcal_jax.design.visits import motion_time, visit_choices, with_motion
 from gradcal_jax.information.verdicts import limit_of
 from gradcal_jax.spec.design import TIMES, Design
@@ -236,12 +237,12 @@ def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimi
     """The result in minutes; the price of a limit follows from the residual's derivatives: −(∂r/∂limit)/(∂r/∂time)."""
     minutes = time / 60.0
     per_minute = next((p.change for p in best.prices if p.per == "minute"), 0.0)
+    bound = Price("the target", "", 0.0) if best.now > 1.0 / _NEAR else Price("the chamber's slope", "", 0.0)
     prices = tuple(
-        Price(p.limit, p.per, -p.change / per_minute)
+        p._replace(change=-p.change / per_minute)
         for p in best.prices
         if p.per != "minute" and per_minute != 0.0 and best.now > 1.0 / _NEAR
     )
-    bound = "the target" if best.now > 1.0 / _NEAR else "the chamber's slope"
     return best._replace(
         name="motion time",
         unit="min",
@@ -249,8 +250,7 @@ def _as_time(spec: Spec, best: Optimised, time: float, longest: float) -> Optimi
         now=minutes,
         sentence=f"{best.sentence}; the remaining error is {best.now:.3g} times the target; the search allowed at most "
         f"{longest / 60.0:.4g} min",
-        active=(*best.active, bound),
-        prices=prices,
+        prices=(*prices, bound),
     )
 
 

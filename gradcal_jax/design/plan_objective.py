@@ -12,7 +12,7 @@ from gradcal_jax.design.pose_cycle import EXCESS
 from gradcal_jax.information import (
     Posterior,
 )
-from gradcal_jax.information.imu_residual import ImuResidual, imu_residual, quantity_of
+from gradcal_jax.information.imu_residual import ImuResidual, quantity_of
 from gradcal_jax.information.residual import Statistic
 from gradcal_jax.information.unseen import own_of_imu
 from gradcal_jax.information.verdicts import UNIT_OF, limit_of
@@ -95,6 +95,16 @@ class Aim(NamedTuple):
         return math.log(value / self.limit) if value else math.inf
 
 
+class RequirementChange(NamedTuple):
+    """A requirement's statistic (`unit`, 1σ, by the terms that the spec names) before and after a search; None: not
+    observable."""
+
+    name: str
+    unit: str
+    before: float | None
+    now: float | None
+
+
 class ExactObjective:
     """What the [design] of a spec minimises: the logarithms of the residuals over their `aims`, in each of its `cases`:
     of the requirements in order.
@@ -174,6 +184,14 @@ class ExactObjective:
         (aim,) = counted
         return f"{aim.name} ({aim.statistic})", aim.unit, aim.limit
 
+    def changes(self, before: Residuals, now: Residuals) -> tuple[RequirementChange, ...]:
+        """What two plans leave of the requirements, in the worst case."""
+        rows = []
+        for k, r in enumerate(self.spec.requirement):
+            worst = (max((of[k] for of in left), key=ImuResidual.finite_statistic) for left in (before, now))
+            rows.append(RequirementChange(r.name, UNIT_OF[r.quantity][0], *(of.statistic() for of in worst)))
+        return tuple(rows)
+
     def met(self, residuals: Residuals) -> bool:
         """Whether every target is met by its rule with `MARGIN`, and a hidden map noticed, in every case. Errors:
         `ValueError` where there is no target."""
@@ -183,34 +201,6 @@ class ExactObjective:
         left = [(r.statistic(a[0]), a[1]) for of in residuals for r, a in zip(of, aims, strict=False) if a is not None]
         met = all(value is not None and value <= (1.0 - MARGIN) * limit for value, limit in left)
         return met
-
-
-def residuals_of_plan(spec: Spec) -> dict[str, ImuResidual]:
-    """What a spec's own plan leaves of every requirement, without scenarios; of a fixture where that is worst."""
-    builts, known = known_after([PlanCase(at, 1.0) for at, _ in hung_alike(spec)])
-    return {
-        r.name: max((imu_residual(*of, r) for of in zip(builts, known, strict=True)), key=ImuResidual.finite_statistic)
-        for r in spec.requirement
-    }
-
-
-class RequirementChange(NamedTuple):
-    """A requirement's statistic (`unit`, 1σ, by the terms that the spec names) before and after a search; None: not
-    observable."""
-
-    name: str
-    unit: str
-    before: float | None
-    now: float | None
-
-
-def requirement_changes(spec: Spec, plan: Spec) -> tuple[RequirementChange, ...]:
-    """What two plans of a spec leave of its requirements."""
-    both = [residuals_of_plan(one) for one in (spec, plan)]
-    return tuple(
-        RequirementChange(r.name, UNIT_OF[r.quantity][0], *(of[r.name].statistic() for of in both))
-        for r in spec.requirement
-    )
 
 
 def _aim_of(requirement: Requirement, design: Design) -> tuple[Statistic, float]:

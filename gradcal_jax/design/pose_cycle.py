@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray, fixed
+from gradcal_jax.design.free_course import FreeCourse, Ramp
 from gradcal_jax.design.slots import SHAPE, STEEPNESS, CycleCoordinates, CycleStructure, Decoded
 from gradcal_jax.information import gram, imu_system, segments_of
 from gradcal_jax.information.imu_rows import Segments
@@ -49,27 +50,6 @@ EXCESS = 10.0
 _NOWHERE = 1e3
 # Readings that stand for all those of a time of other axes.
 _READINGS_OF_OTHERS = 8
-
-
-class Ramp(NamedTuple):
-    """Cycles of a plan on one slope, K/s: `begins` °C, where the first of two cycles begins, and their `mounting`.
-
-    `first`: a stretch of the plan begins with the first one. `shifts` `(J, p, p)`: S of each further cycle, of which
-    the `place` is 1 for one like the first, 2 for one like the second, which ends the stretch, and 0 for none.
-    `elapsed` s since power-on; `history` °C and `behind` K: as of a `TableMotion`. `number`: on a free course, of how
-    many cycles the first one is one, wherever they are (None: the ramps follow one another).
-    """
-
-    begins: Float[AnyArray, ""]
-    slope: Float[AnyArray, ""]
-    mounting: Int[AnyArray, ""]
-    first: Bool[AnyArray, ""]
-    shifts: Float[AnyArray, "J p p"]
-    place: Int[AnyArray, " J"]
-    elapsed: float | Float[AnyArray, ""] = 0.0
-    history: Float[AnyArray, " H"] = np.zeros(0)
-    behind: Float[AnyArray, " O"] = np.zeros(0)
-    number: Float[AnyArray, ""] | None = None
 
 
 def nodes_for(turned: float, waves: int) -> int:
@@ -125,6 +105,21 @@ class CycleObjective:
         self.nodes, self.lag = nodes, lag
         self.waves, self.worst, self.worst_model = waves, worst, worst_model
         self.readings = readings if math.isfinite(coordinates.limits.read_every) else 1
+
+    def value_at(
+        self,
+        z: Float[AnyArray, " n"],
+        args: tuple[CycleStructure, Ramp | None, Any, Float[AnyArray, " m"] | None],
+        course: FreeCourse | None = None,
+    ) -> Float[AnyArray, ""]:
+        """The objective of all free numbers of a cycle and its course. `args`: structure, ramps (None: those of the
+        free `course`), sharpness, targets."""
+        of, ramps, sharpness, targets = args
+        count = 3 * self.coordinates.slots
+        if ramps is None:
+            assert course is not None
+            ramps = course.ramps(z[count:], of.period)
+        return self.value(jnp.reshape(z[:count], (3, -1)), of, ramps, sharpness, targets)
 
     def value(
         self,
@@ -393,9 +388,9 @@ def through(known: Passage, after: Passage, shift: Float[AnyArray, "p p"]) -> Pa
     # The covariance of the state before, given the readings after: (I + P J)⁻¹ P.
     size = fixed(jnp.sqrt(jnp.diagonal(covariance)))
     size = jnp.where(size > 0.0, size, 1.0)
-    scaled = covariance / (size[:, None] * size)
-    both_known = jnp.eye(len(size)) + scaled @ (of_state * (size[:, None] * size))
-    smoothed = jnp.linalg.solve(both_known, scaled) * (size[:, None] * size)
+    sizes = size[:, None] * size[None, :]
+    scaled = covariance / sizes
+    smoothed = jnp.linalg.solve(jnp.eye(len(size)) + scaled @ (of_state * sizes), scaled) * sizes
     cross = shift.T @ both @ state
     seen = shift.T @ own @ shift - cross - cross.T + state.T @ of_state @ state - missing.T @ smoothed @ missing
     begin, onward = state + smoothed @ missing, -after.after[:, p:]

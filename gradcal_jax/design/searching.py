@@ -1,25 +1,15 @@
-"""The search for the plan that minimises a [design]'s objective: what every kind of it has in common, and what it
-yields.
-
-A search proposes points; each becomes a plan as a recipe rounds it, which counts as `predict` evaluates it.
-"""
+"""What a search for the best plan yields, and its record: whatever a search proposes becomes a plan as a recipe rounds
+it, which counts as `predict` evaluates it."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from statistics import fmean
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from gradcal_jax.design.plan_objective import (
-    MARGIN,
-    MET,
-    ExactObjective,
-    RequirementChange,
-    Residuals,
-    requirement_changes,
-)
+from gradcal_jax.design.plan_objective import MARGIN, MET, RequirementChange
+from gradcal_jax.design.pose_search import Found, PoseSearch
+from gradcal_jax.design.prices import Price, shadow_prices
 from gradcal_jax.information.prediction import missed_targets
 from gradcal_jax.information.verdicts import finite
 from gradcal_jax.recipe.rounding import rounded
@@ -43,60 +33,12 @@ class SearchStep(NamedTuple):
     missed: str
 
 
-class Price(NamedTuple):
-    """The shadow price of a limit: the change of the objective for each `per` by which the limit is eased, zero or
-    less; up to `linear` of them (None: unknown) the change is in proportion."""
-
-    limit: str
-    per: str
-    change: float
-    linear: float | None = None
-
-
-class PricedLimit(NamedTuple):
-    """A limit that may be eased: the unit `per` which it is priced, that unit and the limit's size in SI; a size that
-    is zero or not finite: there is no such limit."""
-
-    name: str
-    per: str
-    unit: float
-    size: float
-
-
-# Step of a derivative, as a share of the limit; easings at which a price is compared with the objective itself, and the
-# relative error up to which it is linear.
-_STEP: Final = 1e-4
-_LINEAR_STEPS: Final = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01)
-_LINEAR: Final = 0.2
-
-
-def priced(value: float, limits: Sequence[PricedLimit], log: Callable[[np.ndarray], float]) -> tuple[Price, ...]:
-    """The prices of limits at an optimum of a `value`, from the objective's logarithm with the limits eased by so much
-    (SI), by central differences.
-
-    A plan within a limit is within an eased one, so that no price is positive: where a slope is, the point is not
-    quite an optimum, or the limit does not bind.
-    """
-    prices, eye = [], np.eye(len(limits))
-    start = log(0.0 * eye[0])
-    for by, (name, per, unit, size) in zip(eye, limits, strict=True):
-        if not 0.0 < size < math.inf:
-            continue
-        step = _STEP * size
-        slope = (log(step * by) - log(-step * by)) / (2.0 * step)
-        price = float(min(value * slope, 0.0) * unit)
-        steps = _LINEAR_STEPS if price else ()
-        bent = (abs((log(s * unit * by) - start) / (slope * s * unit) - 1.0) for s in steps)
-        prices.append(Price(name, per, price, next((s for s, b in zip(steps, bent, strict=True) if b < _LINEAR), None)))
-    return tuple(prices)
-
-
 class Optimised(NamedTuple):
     """An optimised spec (rounded), and the record of its search. Values in `unit`.
 
     `before`: of the plan in the spec, None where it observes too little; `now`: of the rounded plan, exactly. `rows`:
-    every requirement. `kept`: nothing better was found than the spec's own plan, which it is. `active`: the limits that
-    bind, in words. `evaluations`: of the objective and its gradient.
+    every requirement. `kept`: nothing better was found than the spec's own plan, which it is. `prices`: of the limits.
+    `evaluations`: of the objective and its gradient.
     """
 
     spec: Spec
@@ -108,12 +50,16 @@ class Optimised(NamedTuple):
     sentence: str
     rows: tuple[RequirementChange, ...]
     structure: str
-    kept: bool = False
-    active: tuple[str, ...] = ()
+    kept: bool
+    evaluations: int
     prices: tuple[Price, ...] = ()
-    evaluations: int | None = None
 
     __repr__ = summary
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """The limits that restrict the plan."""
+        return tuple(price.limit for price in self.prices if price.restricts)
 
     @property
     def gain(self) -> float:
@@ -136,110 +82,70 @@ def record_of(best: Optimised) -> dict[str, Any]:
         "structure": best.structure,
         "evaluations": best.evaluations,
         "active_limits": list(best.active),
-        "shadow_prices": [
-            {"limit": p.limit, "per": p.per, "change": p.change}
-            | ({} if p.linear is None else {"linear_up_to": p.linear})
-            for p in best.prices
-        ],
+        "shadow_prices": [{"limit": p.limit, "per": p.per, "change": p.change} for p in best.prices],
         "requirements": [{k: v for k, v in row._asdict().items() if v is not None} for row in best.rows],
     }
     return {name: value for name, value in record.items() if value is not None}
 
 
-class PlanSearch(Protocol):
-    """A search over points of its own kind."""
-
-    objective: ExactObjective
-
-    def run(self) -> Iterator[tuple[float, Any]]:
-        """The completed share and the best point so far, now and then; the last one is the optimum."""
-        ...
-
-    def plan_of(self, point: Any) -> tuple[Spec, str]:
-        """The plan of a point, and its structure in words. Errors: `SpecError` where no controller can execute it."""
-        ...
-
-    def record(self, best: Optimised, point: Any, last: "PlanOutcome") -> dict[str, Any]:
-        """What the search knows of its result (fields of it), which is the plan of `point` (None: no optimum), after
-        the `last` plan that was tried."""
-        ...
-
-
-class PlanOutcome(NamedTuple):
-    """What became of a point: the value of its rounded plan in the objective's unit, or why it has no plan."""
-
-    value: float = math.inf
-    trouble: str = ""
-
-
-class _Best(NamedTuple):
-    """The best plan so far, and what it leaves; `value`: what is minimised. `point` None: the spec's own plan."""
-
-    plan: Spec
-    left: Residuals
-    value: float
-    point: Any = None
-    words: str = "the plan is unchanged"
-
-
-def search_plans(search: PlanSearch, *, until_met: bool) -> Iterator[SearchStep | Optimised]:
-    """As `optimise`, by one search: a step whenever it proposes a point. The result is never worse than the spec's own
+def search_plans(search: PoseSearch, *, until_met: bool) -> Iterator[SearchStep | Optimised]:
+    """As `optimise`, by one search: a step whenever it proposes a plan. The result is never worse than the spec's own
     plan."""
     objective = search.objective
-    spec, (name, unit, _), last = objective.spec, objective.name_and_unit(), PlanOutcome()
-    before = objective.residuals(spec)
-    start = finite(objective.shown(before))
-    best = _Best(spec, before, objective.value_of(before))
+    spec, (name, unit, _) = objective.spec, objective.name_and_unit()
+    plan, left, trouble = spec, objective.residuals(spec), ""
+    before, start = left, finite(objective.shown(left))
+    # The proposal whose plan is the best one; None: the spec's own.
+    chosen: Found | None = None
+    seen: Found | None = None
 
-    def is_met(plan: Spec, left: Residuals) -> bool:
+    def is_met() -> bool:
         """By the terms that the spec names, as the search minimises them, and by all that a verdict counts."""
         return until_met and objective.met(left) and not missed_targets(plan, MARGIN)
 
-    met = is_met(spec, before)
+    met = is_met()
     searched = not met
-
-    def improve(point: Any) -> None:
-        nonlocal best, last, met
-        try:
-            found, words = search.plan_of(point)
-            plan = rounded(found).spec
-        except SpecError as error:
-            last = PlanOutcome(trouble=str(error))
-            return
-        left = objective.residuals(plan)
-        last, value = PlanOutcome(objective.shown(left)), objective.value_of(left)
-        if value < best.value:
-            best, met = _Best(plan, left, value, point, words), is_met(plan, left)
-
-    seen: Any = None
-    for share, point in search.run() if searched else ():
-        if point is not seen:
-            seen = point
-            improve(point)
-        missed = objective.missed(best.left).items()
+    for share, found in search.run() if searched else ():
+        if found is not seen:
+            seen, trouble = found, ""
+            try:
+                other = rounded(found.plan.spec_of(found.cycle)).spec
+            except SpecError as error:
+                trouble = f"; the last plan cannot be rounded to the controllers' steps: {error}"
+            else:
+                of_other = objective.residuals(other)
+                if objective.value_of(of_other) < objective.value_of(left):
+                    plan, left, chosen = other, of_other, found
+                    met = is_met()
+        missed = objective.missed(left).items()
         words = ", ".join(f"{n} is {math.exp(by):.3g} times its limit" for n, by in missed)
-        yield SearchStep(name, unit, start, objective.shown(best.left), share, best.words, words)
+        structure = "the plan is unchanged" if chosen is None else chosen.plan.in_words(chosen.cycle)
+        yield SearchStep(name, unit, start, objective.shown(left), share, structure, words)
         if met:
             break
-    plan, left, kept = best.plan, best.left, best.point is None
-    if kept:
+    if chosen is None:
         with suppress(SpecError):
             plan = rounded(spec).spec
         left = objective.residuals(plan)
-    now = objective.shown(left)
-    missed, changes = objective.missed(left), requirement_changes(spec, plan)
-    counted_missed = [] if not until_met or met else missed_targets(plan, 0.0)
-    result = Optimised(plan, name, unit, start, now, True, "", changes, best.words, kept)
-    result = result._replace(**search.record(result, None if met else best.point, last))
-    sentence = result.sentence
+    now, structure = objective.shown(left), "the plan is unchanged"
+    result = Optimised(
+        plan, name, unit, start, now, True, "", objective.changes(before, left), structure, chosen is None, search.used
+    )
+    sentence = f"after {search.used} gradients{trouble}"
+    if chosen is not None:
+        result = result._replace(structure=chosen.plan.in_words(chosen.cycle))
+        sentence = f"the geometric mean of all residuals is smaller by a factor of {result.gain:.2f}, {sentence}"
+        if not met and not search.stopped():
+            result = result._replace(prices=shadow_prices(chosen.plan, chosen.cycle, now))
     if not searched:
         sentence = f"the plan in the file: {MET}, without a search"
     elif met:
-        sentence = f"stopped early: {MET}" + (f"; {sentence}" if sentence else "")
-    elif kept:
+        sentence = f"stopped early: {MET}; {sentence}"
+    elif chosen is None:
         sentence = f"no better plan was found, so the plan in the file remains ({now:.4g} {unit}); {sentence}"
-    for of, how in ((missed, ""), (counted_missed, " with the typical figures of the terms that the spec omits")):
-        if of:
-            sentence += f"; no plan was found that meets the target of {', '.join(of)}{how}"
-            break
-    yield result._replace(sentence=sentence, converged=met or (result.converged and not missed and not counted_missed))
+    missed_now = list(objective.missed(left))
+    counted = [] if not until_met or met else list(missed_targets(plan, 0.0))
+    if missed_now or counted:
+        how = "" if missed_now else " with the typical figures of the terms that the spec omits"
+        sentence += f"; no plan was found that meets the target of {', '.join(missed_now or counted)}{how}"
+    yield result._replace(sentence=sentence, converged=not missed_now and not counted)

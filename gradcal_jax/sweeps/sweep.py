@@ -45,7 +45,7 @@ _DURATIONS: Final = {
     "soak": "the part of the plan at constant temperature",
     "motion": "the part of the plan in which the temperature changes",
 }
-_VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox", "optimistix")
+_VERSIONS: Final = ("jax", "jaxlib", "numpy", "scipy", "equinox")
 _TRIES: Final = 3
 _ONE_THREAD: Final = {
     "OMP_NUM_THREADS": "1",

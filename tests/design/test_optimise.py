@@ -15,7 +15,7 @@ import gradcal_jax as gj
 from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.design.optimise import FrontierPoint, belief_of, run_search, shortest
 from gradcal_jax.design.plan_limit import limit
-from gradcal_jax.design.searching import Optimised, PricedLimit, priced
+from gradcal_jax.design.searching import Optimised
 from gradcal_jax.design.visits import visit_choices
 from gradcal_jax.information.prediction import predict
 from gradcal_jax.information.sensitivity import sensitivity
@@ -76,20 +76,6 @@ def test_prices_are_what_a_slower_table_costs(spec, best):
     *_, again = run_search(eased, steps=3000)
     assert isinstance(again, Optimised)
     assert again.now - best.now == pytest.approx(-3.0 * price.change, rel=0.2)
-
-
-def test_prices_of_a_residual_that_falls_with_the_root_of_the_time():
-    """And of one that a tighter limit would improve, which is no price."""
-    hour, turns = PricedLimit("time", "minute", 60.0, 3600.0), PricedLimit("rate", "deg/s", 1.0, 300.0)
-    none = PricedLimit("travel", "turn", 1.0, np.inf)
-    law = lambda by: -0.5 * np.log(1.0 + by[0] / 3600.0) + 0.1 * by[2]  # noqa: E731
-    time, rate = priced(10.0, [hour, none, turns], law)
-    assert time.change == pytest.approx(-10.0 * 0.5 / 60.0, rel=1e-6)
-    # ln(1 + x) falls behind x by a fifth at x = 0.5.
-    assert time.linear == 10.0
-    (brief,) = priced(10.0, [hour._replace(unit=600.0)], lambda by: -0.5 * np.log(1.0 + by[0] / 3600.0))
-    assert brief.linear == 3.0
-    assert (rate.change, rate.linear) == (0.0, None)
 
 
 def test_elasticities_are_differences_of_predictions(spec):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.design.cycle_moves import Neighbourhood
-from gradcal_jax.design.pose_cycle import further, inverse_root, largest_alike, largest_log, nodes_for
+from gradcal_jax.design.pose_cycle import inverse_root, largest_alike, largest_log, nodes_for
 from gradcal_jax.design.slots import CycleCoordinates, PoseTurn, TableLimits, structure_of
 
 LIMITS = TableLimits(
@@ -89,16 +89,6 @@ def test_poses_that_are_not_free_have_no_derivative():
     assert np.all(moved(False)[0] == 0.0)
     # The last turn of each axis closes the cycle.
     assert np.flatnonzero(moved(True)[0]).tolist() == [0, 1, 2]
-
-
-def test_few_matrices_sum_up_all_cycles():
-    rng = np.random.default_rng(3)
-    parts, j = rng.standard_normal((4, 9, 9)), np.linspace(-1.0, 1.0, 30)[:, None, None, None]
-    shifts = np.sum(parts[None] * j ** np.arange(4)[None, :, None, None], axis=1)
-    few, added = further(shifts), rng.standard_normal((9, 9))
-    assert len(few) == 4
-    whole = sum(s.T @ added @ s for s in shifts)
-    assert sum(f.T @ added @ f for f in few) == pytest.approx(whole, rel=1e-12, abs=1e-10)
 
 
 def test_the_soft_largest_logarithm_is_above_the_largest_and_near_it():

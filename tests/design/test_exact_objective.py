@@ -1,0 +1,173 @@
+"""The objective of a search at infinite sharpness is that of the plan, as `predict` evaluates it."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from search_problem import IMU, turning
+from test_limits_of_cycles import one_gyro
+
+import gradcal_jax as gj
+from gradcal_jax.design import cycle_plan
+from gradcal_jax.design.cycle_plan import CyclePlan
+
+QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+ON_MOVES = {"sensor.accelerometer.read_on_moves_below": "250 deg/s"}
+HIDDEN = {"standard_deviation": "20 ppm", "temperature_degree": 2, "rate_degree": 2}
+
+
+def preset(name: str, **changes) -> gj.Spec:
+    """A preset on coarser grids."""
+    spec = gj.changed(gj.parse_spec(gj.presets.text(name)), changes)
+    rows = [r.model_dump(mode="json", exclude_unset=True) for r in spec.requirement]
+    coarse = [row | {"grid": [min(g, 21) for g in row["grid"]]} if "grid" in row else row for row in rows]
+    return gj.changed(spec, {"requirement": coarse})
+
+
+def six(**design) -> gj.Spec:
+    return preset("accelerometer-six-positions-toured", **{f"design.{key}": value for key, value in design.items()})
+
+
+def limited() -> gj.Spec:
+    """One requirement is minimised; the target of another, which the plan misses, limits the search."""
+    spec = six()
+    rows = [r.model_dump(mode="json", exclude_unset=True) | {"target": "1 ug"} for r in spec.requirement]
+    rows = [rows[0], *(row for row in rows[1:] if row["quantity"] == "accelerometer_bias")]
+    return gj.changed(spec, {"requirement": rows, "design.minimise": rows[0]["name"]})
+
+
+def read_at_rest(every: str) -> gj.Spec:
+    """One gyro on a table whose angle is read at rest."""
+    spec = gj.read_spec(IMU.parent / "designs" / "headline.toml")
+    requirement = spec.requirement[0].model_dump(mode="json", exclude_unset=True)
+    turns = [
+        ("5400 deg", "300 deg/s"),
+        ("-5400 deg", "300 deg/s"),
+        ("3600 deg", "150 deg/s"),
+        ("-3600 deg", "150 deg/s"),
+    ]
+    moves = [
+        move
+        for angle, rate in turns
+        for move in ({"turn": angle, "axis": "x", "peak_rate": rate, "shape": "linear ramps"}, {"rest": "7.3 s"})
+    ]
+    return gj.changed(spec, {
+        "plan.temperature": ["-30 degC", "-20 degC"], "sensor.gyro.scale_factor.temperature.degree": 1,
+        "plan.cycle": {"moves": moves}, "requirement": [requirement | {"grid": [31, 31]}],
+        "rig.table.axis[0].angle.read_every": every, "design": {"minimise": "full range", "free": ["cycle"]},
+    })  # fmt: skip
+
+
+NOISIER = [{"weight": 3.0}, {"sensor": {"accelerometer": {"velocity_random_walk": "0.3 m/s/sqrt(h)"}}}]
+SPECS = {
+    "six positions": six,
+    "scenarios by their weights": lambda: six(scenario=NOISIER),
+    "the worst of scenarios": lambda: six(scenario=NOISIER, robust="worst", minimise="worst ratio"),
+    "a target that limits": limited,
+    "rests read every second": lambda: read_at_rest("1 s"),
+    "rests read every 3 s": lambda: read_at_rest("3 s"),
+    "rests read at their end": lambda: read_at_rest("1000 s"),
+    "135 cycles": one_gyro,
+}
+MORE = {
+    "an IMU": turning,
+    "a discrepancy": lambda: gj.changed(turning(), {"sensor.gyro.scale_factor.discrepancy": HIDDEN}),
+    "slow moves": lambda: gj.changed(turning(), ON_MOVES),
+    "limited travel": lambda: gj.changed(turning(), {"rig.table.axis[0].travel": "520 deg"}),
+}
+
+
+def written(plan: CyclePlan, z: np.ndarray, of) -> gj.Spec:
+    """The plan of a point, with all digits."""
+    moves = []
+    for t in plan.coordinates.cycle(z, of):
+        if t.axis >= 0:
+            duration = abs(t.angle) / t.rate + t.rate / float(plan.limits.accelerations[t.axis])
+            turn = {
+                "turn": f"{math.degrees(t.angle)!r} deg",
+                "axis": plan.rounding.axes[t.axis],
+                "shape": "linear ramps",
+            }
+            moves.append(turn | {"peak_rate": f"{math.degrees(t.rate)!r} deg/s", "duration": f"{duration!r} s"})
+        if t.rest:
+            moves.append({"rest": f"{t.rest!r} s"})
+    return gj.changed(plan.spec, {"plan.cycle.moves": moves})
+
+
+def check(spec: gj.Spec, monkeypatch, within: float) -> None:
+    """At the file's plan and at a random point, without the time that is left for rounding; and the derivative."""
+    monkeypatch.setattr(cycle_plan, "_LEFT", 0.0)
+    plan = CyclePlan(spec)
+    of, ramps = plan.structure(plan.start), plan.course(plan.start.cycles).ramps
+    if ramps is None:
+        pytest.skip("the chamber's course is free")
+
+    def value(z, of, ramps):
+        return plan.objective.value(z, of, ramps, math.inf) - plan.coordinates.penalty(
+            plan.coordinates.decode(z, of), of.period
+        )
+
+    program = jax.jit(value, compiler_options=QUICKLY)
+    start = plan.coordinates.encode(plan.start.turns, of)
+    for random in (0.0, 0.02):
+        z = start + random * np.random.default_rng(0).standard_normal(start.shape)
+        found = float(program(jnp.asarray(z), jax.tree.map(jnp.asarray, of), ramps))
+        made = written(plan, z, of)
+        assert made.gradient_schedule.stretches[0].cycles == plan.start.cycles
+        assert found == pytest.approx(plan.exact.value_of(plan.exact.residuals(made)), abs=within)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SPECS)
+def test_the_objective_of_a_plan_is_its_prediction(name, monkeypatch):
+    check(SPECS[name](), monkeypatch, 1e-9)
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", MORE)
+def test_the_objective_of_many_cycles_of_an_imu_is_its_prediction(name, monkeypatch):
+    """But for the microseconds that are left behind the last cycle."""
+    check(MORE[name](), monkeypatch, 1e-7)
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", gj.presets.names())
+def test_the_objective_of_every_preset_is_its_prediction(name, monkeypatch):
+    spec = preset(name)
+    if spec.turns_one_gyro or spec.rig.table.drive == "hand":
+        pytest.skip("searched in visits (test_visits.py), or not at all")
+    check(spec, monkeypatch, 1e-7)
+
+
+BOTH_WAYS = {
+    "plan.temperature": None,
+    "plan.gradient": None,
+    "plan.programme": [
+        {"soak": "30 min", "at": "-30 degC", "used": True},
+        {"ramp_to": "70 degC", "rate": "2 K/min"},
+        {"ramp_to": "-30 degC", "rate": "1 K/min"},
+    ],
+}
+LOOPS = {
+    "sensor.gyro.hysteresis": [{"width": "10 K", "prior": "2 deg/h/K"}],
+    "sensor.gyro.scale_factor_hysteresis": [{"width": "10 K", "prior": "5 ppm/K"}],
+    "requirement[0].branch": "both",
+    "requirement[1].branch": "both",
+}
+BINS = {"basis": "bins", "edges": ["-30 degC", "0 degC", "30 degC", "70 degC"]}
+ABOUT = {
+    "both ways": (BOTH_WAYS, 0.03),
+    # The state of a play at twelve temperatures of a slope stands for that at all others.
+    "loops": (BOTH_WAYS | LOOPS, 0.1),
+    "bins": ({"sensor.accelerometer.bias.temperature": BINS}, 0.15),
+    "a lag": ({"sensor.thermal_lag": "2 min"}, 0.01),
+}
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", ABOUT)
+def test_where_some_cycles_stand_for_others_the_objective_is_about_the_prediction(name, monkeypatch):
+    changes, within = ABOUT[name]
+    check(gj.changed(turning(), changes), monkeypatch, within)

@@ -354,7 +354,7 @@ class CyclePlan:
             mounting, begins = min(part.stretch, mountings - 1), part.temperatures[0]
             begins -= 0.0 if self._one_run else part.slope * lag
             step, number = part.slope * period, len(part.temperatures)
-            ends = following == len(parts) or parts[following].first
+            ends = model.encoder.held and (following == len(parts) or parts[following].first)
             history = np.array([*([] if past is None else past), *part.history]) if of_path else np.zeros(0)
             samples = _SAMPLES_ON_A_PATH if of_path else _SAMPLES
             for group in [np.arange(number)] if polynomials else cycles_alike(number, samples):

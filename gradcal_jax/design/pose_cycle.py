@@ -179,7 +179,7 @@ class CycleObjective:
             steps, columns = readings(ramp)
             one, last = (_of_cycle(k, steps, columns) for k in range(FILTERED))
             begun, between = (passage(*one, known=known) for known in (True, False))
-            # Where a table holds still, the last standstill is another one: nothing turns after it.
+            # Where a table is held, the last standstill is another one, since nothing turns after it.
             return [begun, between, passage(*last, known=False) if model.encoder.held else between]
 
         def steadily(ramp: Ramp) -> AnyArray:

@@ -6,7 +6,6 @@ import tomllib
 from decimal import Decimal
 from pathlib import Path
 
-import jsonschema
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,7 +16,7 @@ from gradcal_jax.recipe.rounding import ControllerSteps, rounded, steps_of
 from gradcal_jax.recipe.tracks import tracks_of
 from gradcal_jax.spec import changes, presets
 from gradcal_jax.spec import spec as spec_file
-from gradcal_jax.tables import schemas, writing
+from gradcal_jax.tables import writing
 from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.quantity import Quantity as Q
@@ -33,7 +32,7 @@ COARSE = ControllerSteps(
 )
 
 
-COMMITTED = sorted((Path(__file__).parents[2] / "experiments" / "recipes").glob("*/*.toml"))
+COMMITTED = sorted((Path(__file__).parents[2] / "experiments" / "recipes").glob("headline*.toml"))
 
 
 def cycles(spec):
@@ -66,19 +65,6 @@ def test_rounding_keeps_visits_that_fill_their_ramp_to_the_last_second(visits, s
     result = rounded(spec)
     assert cycles(result.spec) == visits
     assert not any("has room" in note for note in result.notes)
-
-
-@pytest.mark.parametrize("name", presets.names())
-def test_every_preset_makes_a_recipe_that_reads_back_whole(name):
-    spec = spec_file.parse_spec(presets.text(name))
-    recipe = made_of(spec, optimisation={"objective": "full range", "starts": [1.5, 2.0], "limits": {"rate": 3}})
-    text = writing.to_toml(recipe)
-    back = parse_recipe(text)
-    assert back == recipe
-    assert back.fingerprint == recipe.fingerprint
-    assert back.spec.schedule == recipe.spec.schedule
-    jsonschema.validate(tomllib.loads(text), schemas.schema("recipe"))
-    assert recipe.duration_s == pytest.approx(spec.schedule.duration, rel=1e-9)
 
 
 def test_the_tracks_say_when_everything_begins_and_what_it_waits_for():
@@ -182,18 +168,6 @@ def test_rounded_plans_stay_within_the_rig_and_on_the_grid(moves, gradient, rest
         assert made == pytest.approx(planned, abs=float(steps.angle) * off)
         if not new.is_rest:
             assert new.peak_acceleration <= float(spec.rig.table.axis[0].max_acceleration) * (1 + 1e-6)
-
-
-def test_what_was_changed_by_hand_is_refused_with_the_key():
-    tables = tomllib.loads(writing.to_toml(made_of(MEMS)))
-    tables["motion"][0]["moves"][1]["rate"] = "301 deg/s"
-    tables["chamber"]["programme"][1]["duration"] = "1 h"
-    with pytest.raises(SpecError) as caught:
-        recipe_of(tables, "recipe.toml")
-    said = str(caught.value)
-    assert "motion[0].moves[1].rate" in said
-    assert "chamber.programme[1].duration" in said
-    assert "make the recipe again" in said
 
 
 @pytest.mark.parametrize(

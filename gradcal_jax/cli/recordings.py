@@ -33,9 +33,9 @@ def load(path: Path, columns: Path | None = None, rows: str | None = None, *, un
 
     `unit` is needed for a flight log with several IMUs on different clocks. Raises `ValueError`.
     """
+    from gradcal_jax.records.flight_logs import is_vehicle_log, read_vehicle_log
     from gradcal_jax.records.log import part_of
     from gradcal_jax.records.log_file import read_log
-    from gradcal_jax.records.vehicle import is_vehicle_log, read_vehicle_log
 
     _exists(path)
     between = None if rows is None else _rows(rows)
@@ -56,7 +56,7 @@ def load(path: Path, columns: Path | None = None, rows: str | None = None, *, un
 
 def load_all(path: Path, columns: Path | None = None, rows: str | None = None) -> "list[Log]":
     """Like `load`, for a vehicle's log with every gyro: a log for each clock."""
-    from gradcal_jax.records.vehicle import is_vehicle_log, read_vehicle_logs
+    from gradcal_jax.records.flight_logs import is_vehicle_log, read_vehicle_logs
 
     _exists(path)
     if columns is not None or not is_vehicle_log(path):

@@ -15,7 +15,7 @@ from gradcal_jax.estimation.alignment_check import CoarseFit
 from gradcal_jax.estimation.consistency import Test
 from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, ImuModel
 from gradcal_jax.records.log import Log, LogError
-from gradcal_jax.records.signal_faults import without_faults
+from gradcal_jax.records.signal_checks import without_faults
 from gradcal_jax.spec.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
 from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.schedule import StandardSchedule

@@ -23,7 +23,7 @@ from gradcal_jax.estimation.hand import LOWER, ByHand, HandRows, find_positions,
 from gradcal_jax.estimation.log_rows import Options, bridged_temperature, time_of
 from gradcal_jax.model import AXIS_NAMES, KINDS
 from gradcal_jax.records.log import Log, LogError
-from gradcal_jax.records.signal_faults import quiet_windows, refuse_repeated, without_faults
+from gradcal_jax.records.signal_checks import quiet_windows, refuse_unlike_noise, without_faults
 from gradcal_jax.tables.display import summary
 from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.units import DEG_PER_H, G
@@ -90,9 +90,8 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
         )
     for kind, values in (("gyro", rates), ("accelerometer", force)):
         for k, axis in enumerate("xyz"):
-            if said := refuse_repeated(f"{kind} {axis} of {name}", quiet_windows(values[:, k]).ravel()):
-                messages.append(said)
-    log, faults = without_faults(log, by_hand=True)
+            messages += refuse_unlike_noise(f"{kind} {axis} of {name}", quiet_windows(values[:, k]).ravel())
+    log, faults = without_faults(log)
     messages += faults[name].sentences
     usable = log.usable(number) & np.isfinite(rates).all(axis=1) & np.isfinite(force).all(axis=1)
     if not usable.any():

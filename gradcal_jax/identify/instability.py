@@ -15,7 +15,7 @@ from gradcal_jax import formulas, identify, units
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.information.verdicts import finite
 from gradcal_jax.records.log import SENSOR_RATE, EvenSeries, Log, LogError, Reason
-from gradcal_jax.records.signal_faults import changing_noise, refuse_clipped, refuse_repeated, without_faults
+from gradcal_jax.records.signal_checks import changing_noise, refuse_unlike_noise, without_faults
 from gradcal_jax.tables.display import summary
 from gradcal_jax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H
 
@@ -162,14 +162,14 @@ def at_rest(
     if log.status is not None:
         log = replace(log, status=log.status & ~np.uint16(other))  # which is no matter of this channel
     raw, read = log, log.counts(unit)
-    where, own = f"{kind} {label} of {name}", log.channel(axis, unit, force=force)
-    refuse_clipped(where, own if log.standstill is None else own[log.standstill >= 0])
-    refused = refuse_repeated(where, own[_resting(log, unit)])
+    own = log.channel(axis, unit, force=force)
+    own = own if log.standstill is None else own[log.standstill >= 0]
+    where = f"{kind} {label} of {name}"
+    said = refuse_unlike_noise(where, own) + changing_noise(where, own)
     log, faults = without_faults(log, {f"{kind} {label}"}, at_rest=True)
     even = log.even(axis, unit, force=force)
     valid = even.valid.copy()
-    changing = changing_noise(where, own[_resting(log, unit)])
-    messages = [*filter(None, (refused, changing)), *faults[name].sentences]
+    messages = [*said, *faults[name].sentences]
     if log.standstill is not None:
         valid &= (even.row >= 0) & (log.standstill[even.row] >= 0)
         moving = int(np.count_nonzero(even.valid & ~valid))
@@ -221,11 +221,6 @@ def at_rest(
         *named, rate, valid, even.sample_interval_s, time, temperature, thermal, (*messages, *words),
         _lost(raw, read, valid, even.sample_interval_s), per_row,
     )  # fmt: skip
-
-
-def _resting(log: Log, unit: str | int) -> np.ndarray:
-    """The usable rows that are not marked as moving."""
-    return log.usable(unit) if log.standstill is None else log.usable(unit) & (log.standstill >= 0)
 
 
 def _label(log: Log, axis: str | int, force: bool) -> str:

@@ -19,10 +19,11 @@ correlation within a burst (White 1980). The delays of the table's readings and 
 are the same at every reading and so part of the offset.
 """
 
+import importlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,16 +32,12 @@ from gradcal_jax.formulas import runs
 
 Floats = NDArray[np.float64]
 
-_GRID_S: Final = 0.5
-_PLACES: Final = 16
-_APART_S: Final = 2.0
-_FEWEST_BURSTS: Final = 3
-_LONGEST_S: Final = 60.0  # of a burst, and between two readings
-_CREDIBLE: Final = 1e-3  # no two clocks differ by more
-_MISFIT: Final = 0.02
-_AS_GOOD: Final = 4.0
-_MOST_UNSURE_S: Final = 0.05
-_STANDS_DPS: Final = 0.5
+# Of the correlation: its grid, the number of offsets that are refined, and how far apart they are.
+_GRID_S, _PLACES, _APART_S = 0.5, 16, 2.0
+# Longest burst, and time between two readings; least number of bursts; rate below which a table stands.
+_LONGEST_S, _FEWEST_BURSTS, _STANDS_DPS = 60.0, 3, 0.5
+# No two clocks differ by more. Largest misfit, and how much larger that of other offsets must be.
+_CREDIBLE, _MISFIT, _AS_GOOD, _MOST_UNSURE_S = 1e-3, 0.02, 4.0, 0.05
 
 
 class NoAlignment(ValueError):
@@ -148,13 +145,24 @@ def align(time_s: Floats, rates_dps: Mapping[str, Floats], tracks: Mapping[str, 
     return alignment
 
 
-@dataclass(frozen=True)
-class _Place:
+class _Place(NamedTuple):
     offset_s: float
     excess: float
     """By how much a second of the recording is longer than a second of the run."""
     misfit: float
     scale: float
+
+
+def _least_squares(residuals: Callable[[Floats], Floats], offset_s: float, excess: float) -> Any:
+    """The fit of a line near this one."""
+    optimize: Any = importlib.import_module("scipy.optimize")
+    return optimize.least_squares(
+        residuals,
+        [offset_s, excess],
+        bounds=([offset_s - _APART_S, -_CREDIBLE], [offset_s + _APART_S, _CREDIBLE]),
+        x_scale=[1e-2, 1e-5],
+        xtol=1e-12,
+    )
 
 
 def _on_grid(time_s: Floats, angle_deg: Floats, begins_s: float, count: int) -> Floats:
@@ -201,142 +209,101 @@ def _places(pairs: list[tuple[_Unit, AngleTrack]]) -> list[tuple[float, float]]:
 
 
 def _refined(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: float, outside: float) -> _Place:
-    """Gauss-Newton on the turns between consecutive readings, with one scale and one bias for each axis."""
-    excess, misfit, scale = 0.0, 1.0, 1.0
-    for _ in range(20):
-        rows: list[Floats] = []
-        values: list[Floats] = []
+    """The best line near an offset for the turns between consecutive readings, one scale and bias for each axis."""
+    turned = np.concatenate([np.diff(track.angle_deg) for _, track in pairs])
+
+    def left(line: Floats) -> tuple[Floats, Floats, Floats]:
+        """Residuals of the turns, zero where they are not known, these turns, and the scales."""
+        design = np.zeros((len(turned), 2 * len(pairs)))
+        first = 0
         for number, (unit, track) in enumerate(pairs):
-            u = middle_s + (track.time_s - offset_s) / (1.0 + excess)
-            angle, rate, part = unit.at(u)
             apart = np.diff(track.time_s)
+            angle, _, part = unit.at(middle_s + (track.time_s - line[0]) / (1.0 + line[1]))
             keep = (part[1:] >= 0) & (part[1:] == part[:-1]) & (apart < _LONGEST_S)
-            late = np.diff(rate)
-            row = np.zeros((len(apart), 2 + 2 * len(pairs)))
-            row[:, 0], row[:, 1] = -late, -np.diff(rate * (u - middle_s))
-            row[:, 2 + 2 * number], row[:, 3 + 2 * number] = np.diff(angle), apart
-            rows.append(row[keep])
-            values.append(np.diff(track.angle_deg)[keep])
-        design, turned = np.concatenate(rows), np.concatenate(values)
-        power = float(turned @ turned)
-        if len(turned) < 3 * design.shape[1] or power == 0.0:
-            return _Place(offset_s, excess, 1.0, scale)
-        solved = np.linalg.lstsq(design, turned, rcond=None)[0]
-        scale = float(np.mean(solved[2::2]))
-        left = turned - design[:, 2:] @ solved[2:]
-        misfit = float(left @ left) / power
-        step_s, step = float(solved[0]) / (scale or 1.0), float(solved[1]) / (scale or 1.0)
-        offset_s += min(max(step_s, -1.0), 1.0)
-        excess = min(max(excess + min(max(step, -1e-4), 1e-4), -_CREDIBLE), _CREDIBLE)
-        if abs(step_s) < 1e-7 and abs(step) < 1e-10:
-            break
-    return _Place(offset_s, excess, misfit + outside, scale)
+            rows = slice(first, first + len(apart))
+            design[rows, 2 * number] = np.where(keep, np.diff(angle), 0.0)
+            design[rows, 2 * number + 1] = np.where(keep, apart, 0.0)
+            first += len(apart)
+        known = np.where(design.any(axis=1), turned, 0.0)
+        solution = np.linalg.lstsq(design, known, rcond=None)[0]
+        return known - design @ solution, known, solution[::2]
+
+    fit = _least_squares(lambda line: left(line)[0], offset_s, 0.0)
+    rest, known, scales = left(fit.x)
+    power = float(known @ known)
+    if np.count_nonzero(known) < 3 * (2 + 2 * len(pairs)) or power == 0.0:
+        return _Place(offset_s, 0.0, 1.0, 1.0)
+    return _Place(float(fit.x[0]), float(fit.x[1]), float(rest @ rest) / power + outside, float(np.mean(scales)))
 
 
-@dataclass(frozen=True)
-class _Burst:
-    """Readings around one motion; constant and scale are eliminated after weighting."""
+class _Burst(NamedTuple):
+    """Readings around one motion."""
 
-    left_deg: Floats
-    slopes: Floats
-    rate_dps: Floats
-    design: Floats
+    unit: _Unit
+    time_s: Floats
+    angle_deg: Floats
+
+    def left(self, line: Floats, middle_s: float, noise_deg: float, jitter_s: float) -> tuple[Floats, Floats]:
+        """Residuals in units of their scatter, with a constant and a scale projected out, and the rates."""
+        angle, rate, _ = self.unit.at(middle_s + (self.time_s - line[0]) / (1.0 + line[1]))
+        weight = 1.0 / np.hypot(noise_deg, jitter_s * rate)
+        basis = np.linalg.qr(np.stack([weight, weight * (angle - angle.mean())], axis=1))[0]
+        apart = (self.angle_deg - angle) * weight
+        return apart - basis @ (basis.T @ apart), rate
 
 
-def _bursts(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: float, excess: float) -> Iterator[_Burst]:
+def _bursts(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, place: _Place) -> list[_Burst]:
+    bursts = list[_Burst]()
     for unit, track in pairs:
-        u = middle_s + (track.time_s - offset_s) / (1.0 + excess)
-        angle, rate, part = unit.at(u)
-        moves = np.abs(rate) > _STANDS_DPS
-        for first, last in _runs(moves, track.time_s):
-            rows = slice(max(0, first - 2), last + 3)
-            here, t = part[rows], track.time_s[rows]
-            if len(here) < 5 or here.min() < 0 or np.ptp(here) or float(np.diff(t).max()) > _LONGEST_S:
-                continue
-            design = np.stack((np.ones(len(here)), angle[rows] - angle[rows].mean()), axis=1)
-            slopes = -np.stack((rate[rows], rate[rows] * (u[rows] - middle_s)), axis=1)
-            yield _Burst(track.angle_deg[rows] - angle[rows], slopes, rate[rows], design)
-
-
-def _runs(moves: NDArray[np.bool_], time_s: Floats) -> Iterator[tuple[int, int]]:
-    """First and last reading of each motion; a long motion is split into pieces."""
-    for first, after in runs(moves).tolist():
-        begin = first
-        for place in range(first, after):
-            if place == after - 1 or time_s[place] - time_s[begin] > _LONGEST_S:
-                yield begin, place
-                begin = place + 1
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """One Gauss-Newton step, and its slopes and residuals by burst, in units of their scatter."""
-
-    bursts: list[_Burst]
-    weighted: list[tuple[Floats, Floats]]
-    normal: Floats
-    step: Floats
-
-    @property
-    def rest(self) -> list[Floats]:
-        return [left - slopes @ self.step for slopes, left in self.weighted]
-
-
-def _fit(bursts: list[_Burst], noise_deg: float, jitter_s: float) -> _Fit:
+        _, rate, part = unit.at(middle_s + (track.time_s - place.offset_s) / (1.0 + place.excess))
+        for first, after in runs(np.abs(rate) > _STANDS_DPS).tolist():
+            # A long motion is split into pieces.
+            piece = (track.time_s[first:after] - track.time_s[first]) // _LONGEST_S
+            begins = first + np.flatnonzero(np.diff(piece, prepend=-1.0))
+            for begin, end in zip(begins, [*begins[1:], after], strict=True):
+                rows = slice(max(0, begin - 2), end + 2)
+                here, time = part[rows], track.time_s[rows]
+                if len(here) >= 5 and here.min() >= 0 and np.ptp(here) == 0 and np.max(np.diff(time)) <= _LONGEST_S:
+                    bursts.append(_Burst(unit, time, track.angle_deg[rows]))
     if len(bursts) < _FEWEST_BURSTS:
         raise NoAlignment(
             f"the recording shows {len(bursts)} of the table's turns with readings; at least {_FEWEST_BURSTS} are "
             "needed to determine its clock"
         )
-    weighted = [_projected(burst, noise_deg, jitter_s) for burst in bursts]
-    slopes, left = (np.concatenate(parts) for parts in zip(*weighted, strict=True))
-    normal: Floats = slopes.T @ slopes
-    return _Fit(bursts, weighted, normal, np.asarray(np.linalg.solve(normal, slopes.T @ left), np.float64))
+    return bursts
 
 
 def _exactly(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, place: _Place) -> Alignment:
-    offset_s, excess = place.offset_s, place.excess
+    bursts = _bursts(pairs, middle_s, place)
+    line = np.array([place.offset_s, place.excess])
     noise_deg, jitter_s = 1e-3, 1e-3
-    for _ in range(6):
-        fit = _fit([*_bursts(pairs, middle_s, offset_s, excess)], noise_deg, jitter_s)
-        offset_s, excess = offset_s + float(fit.step[0]), excess + float(fit.step[1])
-        noise_deg, jitter_s = _scatter(fit.bursts, fit.rest, noise_deg, jitter_s)
-    fit = _fit([*_bursts(pairs, middle_s, offset_s, excess)], noise_deg, jitter_s)
-    rest, bursts = fit.rest, len(fit.bursts)
-    count = sum(len(left) for left in rest)
-    inverse = np.linalg.inv(fit.normal)
-    spare = max(count - 2 * bursts - 2, 1)
-    covariance = inverse * max(1.0, sum(float(left @ left) for left in rest) / spare)
-    each = np.array([slopes.T @ left for (slopes, _), left in zip(fit.weighted, rest, strict=True)])
-    robust = inverse @ (each.T @ each) @ inverse * bursts / max(bursts - 2, 1)
+    sizes = np.array([len(burst.time_s) for burst in bursts])
+    spared = np.repeat(1.0 - 2.0 / sizes, sizes)
+    for _ in range(5):
+
+        def residuals(line: Floats, scatter: tuple[float, float] = (noise_deg, jitter_s)) -> Floats:
+            return np.concatenate([burst.left(line, middle_s, *scatter)[0] for burst in bursts])
+
+        fit = _least_squares(residuals, *line)
+        line = fit.x
+        rates = np.concatenate([burst.left(line, middle_s, noise_deg, jitter_s)[1] for burst in bursts])
+        # The scatter of readings at rest, and its part that grows with the rate: one iteration.
+        for stands in (True, False):
+            of = (np.abs(rates) <= _STANDS_DPS) == stands
+            count = float(np.sum(spared[of]))
+            grown = math.sqrt(float(fit.fun[of] @ fit.fun[of]) / count) if count > 4.0 else 1.0
+            if stands:
+                noise_deg = max(noise_deg * (grown or 1.0), 1e-7)
+            else:
+                jitter_s = max(jitter_s * (grown or 1.0), 1e-9)
+    rest, slopes, count = fit.fun, fit.jac, len(bursts)
+    inverse = np.linalg.inv(slopes.T @ slopes)
+    covariance = inverse * max(1.0, float(rest @ rest) / max(len(rest) - 2 * count - 2, 1))
+    each = np.add.reduceat(slopes * rest[:, None], np.cumsum(sizes) - sizes)
+    robust = inverse @ (each.T @ each) @ inverse * count / max(count - 2, 1)
     covariance = robust if robust[0, 0] > covariance[0, 0] else covariance
     own, cross, slope = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
     # The middle that makes the errors of offset and rate independent.
-    shift_s = -cross / slope
-    line = middle_s + shift_s, offset_s + (1.0 + excess) * shift_s, 1.0 + excess
+    shift_s, rate = -cross / slope, 1.0 + float(line[1])
     stds = math.sqrt(max(own - cross**2 / slope, 0.0)), math.sqrt(slope)
-    return Alignment(*line, *stds, bursts, count, place.misfit)
-
-
-def _projected(burst: _Burst, noise_deg: float, jitter_s: float) -> tuple[Floats, Floats]:
-    """Slopes and residuals in units of their scatter, with constant and scale projected out."""
-    weight = 1.0 / np.hypot(noise_deg, jitter_s * burst.rate_dps)
-    basis = np.linalg.qr(burst.design * weight[:, None])[0]
-    slopes, left = burst.slopes * weight[:, None], burst.left_deg * weight
-    return slopes - basis @ (basis.T @ slopes), left - basis @ (basis.T @ left)
-
-
-def _scatter(bursts: list[_Burst], rest: list[Floats], noise_deg: float, jitter_s: float) -> tuple[float, float]:
-    """Scatter of readings at rest, and its part that grows with the rate, from the residuals: one iteration."""
-    still, moving = 0.0, 0.0
-    count_still, count_moving = 0.0, 0.0
-    for burst, left in zip(bursts, rest, strict=True):
-        spared = 1.0 - 2.0 / len(left)
-        stands = np.abs(burst.rate_dps) <= _STANDS_DPS
-        still += float(left[stands] @ left[stands])
-        moving += float(left[~stands] @ left[~stands])
-        count_still += spared * float(stands.sum())
-        count_moving += spared * float((~stands).sum())
-    grown = math.sqrt(still / count_still) if count_still > 4.0 and still > 0.0 else 1.0
-    quicker = math.sqrt(moving / count_moving) if count_moving > 4.0 and moving > 0.0 else 1.0
-    return max(noise_deg * grown, 1e-7), max(jitter_s * quicker, 1e-9)
+    return Alignment(middle_s + shift_s, float(line[0]) + rate * shift_s, rate, *stds, count, len(rest), place.misfit)

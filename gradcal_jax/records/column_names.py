@@ -16,8 +16,8 @@ from typing import Any, Final
 import numpy as np
 
 from gradcal_jax import units
+from gradcal_jax.records.column_map import ForceColumn, Measured, RateColumn
 from gradcal_jax.records.log import LogError
-from gradcal_jax.records.tables import ForceColumn, Measured, RateColumn
 from gradcal_jax.spec import presets
 
 EXAMPLE: Final = presets.template("columns.toml")

@@ -367,6 +367,15 @@ class Log:
             raise LogError("the log has no specific forces")
         return self.specific_force_m_per_s2[self.unit_index(unit), :, _index(axis, self.force_axes, "force axis")]
 
+    def channels(self, unit: str | int = 0) -> dict[str, Floats]:
+        """The rates and specific forces `(n,)` of a unit by the names of their channels: "gyro x"."""
+        number = self.unit_index(unit)
+        named = {f"gyro {axis}": self.rate_rad_per_s[number, :, k] for k, axis in enumerate(self.axes)}
+        if self.specific_force_m_per_s2 is not None:
+            for k, axis in enumerate(self.force_axes):
+                named[f"accelerometer {axis}"] = self.specific_force_m_per_s2[number, :, k]
+        return named
+
     def triads(self, unit: str | int = 0) -> tuple[Floats, Floats]:
         """Rates and specific forces `(n, 3)` along x, y, z; NaN for axes that the log does not have."""
         number, result = self.unit_index(unit), np.full((2, len(self.time_s), 3), np.nan)

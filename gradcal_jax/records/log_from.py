@@ -6,8 +6,8 @@ from typing import Any, Final, cast
 import numpy as np
 
 from gradcal_jax import units as of_units
+from gradcal_jax.records.examination import Columns, examine
 from gradcal_jax.records.log import Floats, Log, LogError
-from gradcal_jax.records.log_faults import Columns, examine
 from gradcal_jax.tables.problems import instead
 
 # By argument its dimension and its unit in SI.
@@ -56,55 +56,34 @@ def log_from(
     stated = dict(units or {})
     if unknown := [key for key in stated if key not in _KINDS]:
         raise LogError(f"units: {unknown[0]!r}: {instead(unknown[0], _KINDS)}")
-    stamps = _in_si("time", time, stated)
-
-    def one(kind: str, value: Any) -> Floats | None:
-        if value is None:
-            return None
-        values = np.asarray(value, np.float64) if kind == "standstill" else _in_si(kind, value, stated)
-        if values.shape != stamps.shape:
-            raise LogError(f"{kind} has the shape {values.shape}, and the times have the shape {stamps.shape}")
-        return values
-
-    def channels(kind: str, value: Any, labels: Sequence[str]) -> dict[str, Floats]:
-        """By axis."""
-        if value is None:
-            return {}
-        if not isinstance(value, Mapping):
-            array = np.asarray(value, np.float64)
-            if array.ndim not in (1, 2) or (array.ndim == 2 and array.shape[1] > len(labels)):
-                raise LogError(
-                    f"{kind} has the shape {array.shape}; expected (n,) or (n, {len(labels)}), or a mapping of axes to "
-                    "arrays"
-                )
-            columns = array[:, None] if array.ndim == 1 else array
-            value = dict(zip(labels, columns.T, strict=False))
-        of_axes = {str(axis): one(kind, values) for axis, values in cast("Mapping[Any, Any]", value).items()}
-        return cast("dict[str, Floats]", of_axes)
-
-    rates = channels("rate", rate, ("x", "y", "z"))
+    values = {"time": _in_si("time", time, stated)}
+    rates = _by_axis("rate", rate, ("x", "y", "z"))
     if not rates:
         raise LogError("rate has no axis: give at least one")
-    angles = channels("angle", angle, tuple(rates))
-    forces = channels("force", force, ("x", "y", "z"))
-    warm = one("temperature", temperature)
-    return examine(
-        Columns(
-            rate_rad_per_s=np.stack(list(rates.values()), axis=-1)[None],
-            units=(sensor,),
-            axes=tuple(rates),
-            time_s=stamps,
-            specific_force_m_per_s2=np.stack(list(forces.values()), axis=-1)[None] if forces else None,
-            force_axes=tuple(forces),
-            temperature_c=None if warm is None else warm[None],
-            table_axes=tuple(angles),
-            table_angle_rad=np.stack(list(angles.values()), axis=-1) if angles else None,
-            standstill=one("standstill", standstill),
-            host_time_s=one("host_time", host_time),
-            simulated=simulated,
-            provenance={"source": "arrays"},
+    channels = {f"gyro {axis}": ("rate", one) for axis, one in rates.items()}
+    channels |= {f"accelerometer {axis}": ("force", one) for axis, one in _by_axis("force", force, "xyz").items()}
+    channels |= {f"table angle {axis}": ("angle", one) for axis, one in _by_axis("angle", angle, tuple(rates)).items()}
+    channels |= {"temperature": ("temperature", temperature), "standstill": ("standstill", standstill)}
+    channels["host time"] = "host_time", host_time
+    for name, (kind, array) in channels.items():
+        if array is None:
+            continue
+        one = np.asarray(array, np.float64) if kind == "standstill" else _in_si(kind, array, stated)
+        if one.shape != values["time"].shape:
+            raise LogError(f"{kind} has the shape {one.shape}, and the times have the shape {values['time'].shape}")
+        values[name] = one[None] if name.startswith(("gyro", "accelerometer", "temperature")) else one
+    return examine(Columns((sensor,), values, simulated=simulated, provenance={"source": "arrays"}))
+
+
+def _by_axis(kind: str, value: Any, labels: Sequence[str]) -> dict[str, Any]:
+    if value is None or isinstance(value, Mapping):
+        return {str(axis): one for axis, one in cast("Mapping[Any, Any]", value or {}).items()}
+    array = np.asarray(value, np.float64)
+    if array.ndim not in (1, 2) or (array.ndim == 2 and array.shape[1] > len(labels)):
+        raise LogError(
+            f"{kind} has the shape {array.shape}; expected (n,) or (n, {len(labels)}), or a mapping of axes to arrays"
         )
-    )
+    return dict(zip(labels, array.reshape(len(array), -1).T, strict=False))
 
 
 def _in_si(kind: str, value: Any, stated: Mapping[str, str]) -> Floats:

@@ -18,7 +18,7 @@ _MODELS: Final[Mapping[str, tuple[str, str]]] = {
     "registers": ("hardware.register_protocol", "RegisterProtocol"),
     "text": ("hardware.text_unit", "TextSensor"),
     "prediction": ("tables.contracts", "Prediction"),
-    "columns": ("records.importers", "ColumnMap"),
+    "columns": ("records.column_map", "ColumnMap"),
     "calibration": ("calibration", "Calibration"),
     "recipe": ("recipe.recipe", "Recipe"),
     "sweep": ("sweeps.sweep_file", "SweepFile"),

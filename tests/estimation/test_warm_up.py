@@ -16,8 +16,8 @@ from gradcal_jax.calibration.correction import term_values
 from gradcal_jax.cli import main
 from gradcal_jax.estimation.calibrations import calibration_map
 from gradcal_jax.estimation.log_flow import estimate_warm_up
+from gradcal_jax.records.examination import Columns, examine
 from gradcal_jax.records.log import Log, LogError
-from gradcal_jax.records.log_faults import Columns, examine
 
 FIT = np.linspace(15.5, 48.0, 40)
 
@@ -145,14 +145,9 @@ def test_masked_rows_change_no_bit_of_a_calibration():
     def estimated(rate, temperature, false_reading):
         read = np.round(course, 3)
         read[3000:3030] = false_reading
-        columns = Columns(
-            rate_rad_per_s=np.where(marked[:, None], rate, rates)[None],
-            units=("g",),
-            axes=("x", "y", "z"),
-            time_s=time,
-            temperature_c=np.where(marked, temperature, read)[None],
-            marked=marked[None],
-        )
+        values = {f"gyro {axis}": np.where(marked, rate, rates[:, k])[None] for k, axis in enumerate("xyz")}
+        values |= {"time": time, "temperature": np.where(marked, temperature, read)[None], "marked": marked[None]}
+        columns = Columns(("g",), values)
         (result,) = estimate_warm_up([examine(columns)], axes=("x",)).calibrations
         return result
 

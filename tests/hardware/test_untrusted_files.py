@@ -22,9 +22,9 @@ from gradcal_jax.hardware.clock import RealClock
 from gradcal_jax.hardware.errors import HardwareError, PortRefused
 from gradcal_jax.hardware.run_folder import sessions, steps_done
 from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.records.column_map import AngleColumn, TextTable
 from gradcal_jax.records.log import LogError
-from gradcal_jax.records.table_readers import read_table
-from gradcal_jax.records.tables import AngleColumn, TextTable
+from gradcal_jax.records.table_files import read_table
 from gradcal_jax.spec.rig import TEMPLATE, parse_rig
 from gradcal_jax.tables.document import read_toml
 from gradcal_jax.tables.netcdf import NetcdfError, load_netcdf

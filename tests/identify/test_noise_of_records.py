@@ -10,9 +10,9 @@ import yaml
 
 from gradcal_jax.cli import main
 from gradcal_jax.identify.instability import allan_of, at_rest, instability, noise_file, noise_of_imu, of_sensor
+from gradcal_jax.records.flight_logs import read_vehicle_log
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.records.log_file import write_log
-from gradcal_jax.records.vehicle import read_vehicle_log
 from gradcal_jax.units import DEG_PER_SQRT_H
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "records"))

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gradcal_jax.records.column_map import RateColumn
 from gradcal_jax.records.column_names import contradiction, map_to_fill_in, question_of
 from gradcal_jax.records.importers import import_log, parse_column_map
 from gradcal_jax.records.log import LogError
 from gradcal_jax.records.log_file import read_log, write_log
-from gradcal_jax.records.tables import RateColumn
 
 PHYPHOX = '"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)","Gyroscope z (rad/s)"'
 OPENIMU = "time, xAccel (m/s^2), yAccel (m/s^2), zAccel (m/s^2), xRate (deg/s), yRate (deg/s), zRate (deg/s)"

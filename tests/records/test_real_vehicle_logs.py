@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gradcal_jax.records.flight_logs import read_vehicle_log
 from gradcal_jax.records.importers import import_log, parse_column_map
-from gradcal_jax.records.vehicle import read_vehicle_log
 
 DATA = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data")) / "vehicles"
 MAP = """format = "gradcal-columns/1"

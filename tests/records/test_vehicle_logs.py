@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from vehicle_samples import at_rest, dataflash, imu_rows, sensor_gyro, sensor_gyro_fifo, ulog
 
 from gradcal_jax.cli import main
+from gradcal_jax.records.flight_logs import read_vehicle_log
 from gradcal_jax.records.importers import import_log, parse_column_map
 from gradcal_jax.records.log import LogError
-from gradcal_jax.records.vehicle import read_vehicle_log
 
 ROWS = 500
 RNG = np.random.default_rng(3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.records.log import Log, Reason
-from gradcal_jax.records.signal_faults import (
+from gradcal_jax.records.signal_checks import (
     at_a_limit,
     coarse_steps,
     frozen_temperature,
@@ -99,8 +99,7 @@ def test_coarse_steps_are_the_fault_and_nothing_else(ratio: float, off: float | 
     assert seen.off > 0.02 * step
     assert off is None or seen.off == pytest.approx(off * step)
     faults = signal_faults(log_of(values))
-    assert not faults.saturated.any()
-    assert not faults.frozen.any()
+    assert not any(rows.any() for rows in faults.masked.values())
     assert list(faults.coarse) == ["coarse steps of gyro x"]
 
 
@@ -122,7 +121,7 @@ def test_a_frozen_thermometer_is_forgotten_and_a_coarse_or_constant_one_is_not()
     frozen[20_000:40_000] = frozen[20_000]
     cleaned, found = without_faults(log_of(rate, frozen))
     assert cleaned.temperature_c is not None
-    assert np.array_equal(np.isnan(cleaned.temperature_c[0]), found["A"].frozen_temperature)
+    assert np.array_equal(np.isnan(cleaned.temperature_c[0]), found["A"].masked[Reason.FROZEN_TEMPERATURE])
     assert np.count_nonzero(~cleaned.usable()) == 20_000
     assert "frozen: the thermometer from 400 to 799.98 s" in found["A"].sentences[0]
     for other in (np.rint(smooth / 2.0) * 2.0, np.full(len(rate), 20.0)):

@@ -1,0 +1,448 @@
+"""Rows that a channel shows by itself to be no measurement: values that repeat, outliers, gaps.
+
+A channel is rounded to steps q. If its noise σ is larger than q, equal values in succession are rare, and
+
+    a run of equal values far longer than usual    the channel is frozen
+    runs at the largest or smallest value          it is saturated
+    runs nearly everywhere                         q > σ: coarse steps; a mean is wrong by up to q/π·exp(−2π²σ²/q²), or
+                                                   q/2 without noise (Widrow and Kollár, Quantization Noise, 2008, 4)
+
+Where steps are coarse nothing else is looked for: they are the fault. A row far from the median of its neighbours is an
+outlier.
+"""
+
+import importlib
+import itertools
+from collections.abc import Container
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from gradcal_jax import formulas
+from gradcal_jax.records.log import Bools, Floats, Log, LogError, Reason, Whole, without_masked
+
+FAR: Final = 10.0
+"""Standard deviations from the neighbours' median beyond which a row is an outlier."""
+# Runs: rows of a frozen value and of one at a limit, rows at a limit in all, times the usual length, seconds of a
+# frozen temperature.
+_FROZEN, _HELD, _AT_LIMIT, _UNUSUAL, _FROZEN_S = 60, 3, 10, 10.0, 30.0
+# Outliers: rows of the median in motion and at rest, of the local noise, at the ends of a standstill that still settle,
+# about an outlier in which more than a pair is a bump; and the largest share.
+_BESIDE, _AROUND, _LOCAL, _SETTLING, _CROWD, _PAIR, _RARE = 5, 51, 200, 25, 21, 2, 0.01
+# A gap is longer than these seconds and intervals: over less, a rate is interpolated. Below this rate (Hz) a single row
+# may be the motion itself.
+_GAP_S, _GAP_ROWS, _LEAST_RATE = 0.25, 4.0, 20.0
+# K between rows that no thermometer jumps, and the largest share of rows between such jumps.
+_JUMP_K, _JUMPED = 5.0, 0.2
+# Rows of a window at rest; the share of a step from which rounding counts.
+_WINDOW, _OFF = 64, 0.02
+# Kurtosis below which values are unlike noise: that of a uniform distribution is 1.8, of noise 3.
+_FLAT: Final = 2.2
+# A step across the range over the largest value; rows over which the slopes beside it are measured.
+_ACROSS, _SLOPES = 1.5, (5, 20, 80)
+# Rows in which the size of the noise is measured, and the factor by which it may change.
+_NOISE_BLOCK, _CHANGES = 500, 1.4
+_SHOWN: Final = {"gyro": ("deg/s", np.pi / 180.0), "accelerometer": ("g", 9.80665)}
+
+
+class Runs(NamedTuple):
+    """Equal values in succession: the first row, the number of rows and the value of each run."""
+
+    begin: Whole
+    length: Whole
+    value: Floats
+
+    @classmethod
+    def of(cls, values: Floats, starts: Whole | None = None) -> "Runs":
+        """The runs of values `(n,)`; a new one begins at `starts`."""
+        changes = np.diff(values, prepend=np.nan) != 0.0
+        if starts is not None:
+            changes[starts] = True
+        begin = np.flatnonzero(changes)
+        return cls(begin, np.diff(begin, append=len(values)), values[begin])
+
+    def rows(self, chosen: Bools) -> Bools:
+        """`(n,)`: whether a row is in one of the `chosen` runs."""
+        return np.repeat(chosen, self.length)
+
+
+class StepSizes(NamedTuple):
+    """The least step of a channel, and by how much rounding to it may bias a mean (0: the steps are fine)."""
+
+    step: float
+    off: float
+
+
+class SignalFaults(NamedTuple):
+    """What one unit's samples show: first rows of stretches; rows `(n,)` by the reason they are masked for; sentences
+    on them; and by name those on coarse steps, which no choice of rows mends."""
+
+    starts: Whole
+    masked: dict[Reason, Bools]
+    sentences: tuple[str, ...]
+    coarse: dict[str, str]
+
+
+def quiet_windows(values: Floats) -> Floats:
+    """The rows of a channel at rest `(windows, rows)`: the quieter half of all windows of its finite rows."""
+    known = values[np.isfinite(values)]
+    windows = known[: len(known) // _WINDOW * _WINDOW].reshape(-1, _WINDOW)
+    variance = windows.var(axis=1)
+    return windows[variance <= np.median(variance)] if len(windows) else windows
+
+
+def coarse_steps(values: Floats) -> StepSizes:
+    """The steps of a channel `(n,)`, in its unit."""
+    some = values[np.isfinite(values)][: 1 << 17]
+    distinct = np.unique(some)
+    if len(distinct) < 2 or len(some) < 2 * _WINDOW:
+        return StepSizes(0.0, 0.0)
+    steps = np.diff(distinct)
+    step = float(np.min(steps[steps > 1e-9 * float(np.ptp(some))]))
+    place = (distinct - distinct[0]) / step
+    if float(np.max(np.abs(place - np.rint(place)))) > 0.05:  # no grid: a simulation without rounding
+        return StepSizes(0.0, 0.0)
+    quiet = quiet_windows(some)
+    changes = np.abs(np.diff(quiet, axis=1))
+    moved = changes[changes > 0.5 * step]
+    # (A sample that is read several times repeats too, and then changes by many steps.)
+    if len(moved) > 0.7 * changes.size or (len(moved) and float(np.median(moved)) > 1.5 * step):
+        return StepSizes(step, 0.0)
+    # (Two values alone are of a channel without noise, between two steps.)
+    two = len(np.unique(quiet)) <= 2
+    variance = 0.0 if two else max(float(np.median(quiet.var(axis=1))) - step**2 / 12.0, 0.0)
+    off = min(0.5, float(np.exp(-2.0 * np.pi**2 * variance / step**2)) / np.pi) if variance > 0.0 else 0.5
+    return StepSizes(step, off * step if off > _OFF else 0.0)
+
+
+def at_a_limit(values: Floats) -> Bools:
+    """`(n,)`: rows at the largest or smallest value of a channel of fine steps, where it is held again and again."""
+    runs = Runs.of(values)
+    known = values[np.isfinite(values)]
+    at = np.zeros(len(runs.value), bool)
+    for extreme in (known.max(), known.min()) if len(known) else ():
+        there = runs.value == extreme
+        held = np.count_nonzero(there & (runs.length >= _HELD))
+        middle = np.median(known)
+        far = abs(extreme - middle) > 20.0 * np.median(np.abs(known - middle)) > 0.0
+        # (One long run alone is frozen.)
+        if held and (far or (held > 1 and np.sum(runs.length[there]) >= _AT_LIMIT)):
+            at |= there
+    return runs.rows(at if at.any() and coarse_steps(values).off == 0.0 else np.zeros(len(at), bool))
+
+
+def standing_still(values: Floats) -> Bools:
+    """`(n,)`: rows of a channel of fine steps that keep one value for far longer than is usual in it."""
+    runs = Runs.of(values)
+    if len(values) < 2 * _FROZEN or len(runs.length) < 2 or coarse_steps(values).off > 0.0:
+        return np.zeros(len(values), bool)
+    long = runs.length > max(float(_FROZEN), _UNUSUAL * float(np.quantile(runs.length, 0.9)))
+    return runs.rows(long & np.isfinite(runs.value))
+
+
+def wrapped(values: Floats) -> Bools:
+    """`(n,)`: rows whose value left the range of its format at one end and came in at the other, as integers do.
+
+    They lie between two steps across the range, there and back; on both sides of each the values change against the
+    step. A table that reverses its direction within a row does not look so.
+    """
+    result = np.zeros(len(values), bool)
+    step = np.diff(values)
+    bends = np.abs(np.diff(step))
+    if not np.isfinite(bends).any():
+        return result
+    far = np.abs(step) > _ACROSS * float(np.nanmax(np.abs(values)))
+    least = 6.0 * float(np.nanmedian(bends))
+    within = np.where(far, 0.0, step)
+
+    def against(out: int, back: int, rows: int) -> bool:
+        sides = [(out, within[max(out - rows, 0) : out]), (back, within[back + 1 : back + 1 + rows])]
+        if back - out > 2 * rows:  # else too short a time to have slopes
+            sides += [(out, within[out + 1 : out + 1 + rows]), (back, within[back - rows : back])]
+        return all(-np.sign(step[at]) * float(np.sum(side)) > least for at, side in sides)
+
+    for out, back in itertools.pairwise(np.flatnonzero(far).tolist()):
+        if step[out] * step[back] < 0.0 and not result[out] and any(against(out, back, rows) for rows in _SLOPES):
+            result[out + 1 : back + 1] = True
+    return result
+
+
+def outliers(values: Floats, standing: Whole | None, *, at_rest: bool) -> Bools:
+    """`(n,)`: rare rows farther than `FAR` standard deviations of the noise about them from the median of their
+    neighbours; none if they are not rare. In motion they are single or pairs: what lasts longer, the sensor did feel.
+
+    `standing` `(n,)`: numbers of standstills, within which alone they are then looked for; None: by hand, where they
+    must also be far beyond the steps from row to row. `at_rest`: of a record that stands still throughout.
+    """
+    ndimage: Any = importlib.import_module("scipy.ndimage")
+    result = np.zeros(len(values), bool)
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < (2 * _WINDOW if at_rest else 2 * _LOCAL):
+        return result
+    own = values[known]
+    apart = np.abs(own - ndimage.median_filter(own, _AROUND if at_rest else _BESIDE, mode="reflect"))
+    if at_rest:
+        usual = float(np.median(apart))
+        far = (apart > FAR * 1.4826 * usual) & (usual > 0.0)
+    else:
+        beyond = apart > FAR * _local_noise(apart, ndimage)
+        # (In motion a wrong row moves its neighbours' medians, too, but by less.)
+        far = beyond & (apart >= 0.3 * ndimage.maximum_filter1d(apart, _BESIDE))
+        if standing is None:
+            # (A pair makes three steps, and two single rows four.)
+            steps = np.abs(np.diff(own, prepend=own[:1]))
+            far &= apart > FAR * ndimage.rank_filter(steps, -5, _CROWD)
+        else:
+            crowd = ndimage.uniform_filter1d(beyond.astype(float), _CROWD, mode="constant") * _CROWD
+            far &= (crowd < _PAIR + 0.5) & _inside(standing)[known]
+    if np.mean(far) < _RARE:
+        result[known[far]] = True
+    return result
+
+
+def _local_noise(apart: Floats, ndimage: Any) -> Floats:
+    """The standard deviation of the noise about each row, of distances from medians of five; infinite without any."""
+    parts = apart[: len(apart) // _LOCAL * _LOCAL].reshape(-1, _LOCAL)
+    # In white noise their median is 0.49 σ, and a tenth is beyond 3.27 times that: the median of a block that is partly
+    # in motion is that of its rest. A motion that begins in a block is in the next one, too.
+    block = np.maximum(np.median(parts, axis=1), np.quantile(parts, 0.9, axis=1) / 3.27) / 0.49
+    local = np.repeat(ndimage.maximum_filter1d(block, 3, mode="nearest"), _LOCAL)
+    noise = np.append(local, np.full(len(apart) - len(local), local[-1]))
+    return np.where(noise > 0.0, noise, np.inf)
+
+
+def _inside(standing: Whole) -> Bools:
+    """`(n,)`: rows of a standstill, away from its ends, where a table may still settle."""
+    inside = np.zeros(len(standing), bool)
+    for start, stop in formulas.runs(standing >= 0).tolist():
+        inside[start + _SETTLING : max(stop - _SETTLING, start + _SETTLING)] = True
+    return inside
+
+
+def frozen_temperature(time_s: Floats, values: Floats, starts: Whole) -> Bools:
+    """`(n,)`: rows whose temperature keeps one value for far longer than is usual and then jumps; all, if it never
+    changes. `starts`: rows at which stretches begin, over which it changes by itself."""
+    known = np.isfinite(values)
+    if not known.any() or np.ptp(values[known]) == 0.0:
+        return known & (time_s[-1] - time_s[0] > _FROZEN_S)
+    runs = Runs.of(values, starts)
+    finite = np.isfinite(runs.value)
+    end = np.minimum(runs.begin + runs.length, len(time_s) - 1)
+    lasting = time_s[end] - time_s[runs.begin]
+    usual = float(np.median(lasting[finite]))
+    jump = np.abs(np.diff(runs.value))
+    step = float(np.median(jump[np.isfinite(jump)])) if np.isfinite(jump).any() else 0.0
+    # Behind the last run nothing is: only a thermometer of fine steps, most of whose runs are short, must have moved
+    # on.
+    short = lasting[:-1][lasting[:-1] <= _UNUSUAL * usual]
+    fine = usual < 5.0 * float(np.median(np.diff(time_s))) and np.sum(short) > 0.5 * np.sum(lasting[:-1])
+    after = np.append(np.where(np.isin(runs.begin[1:], starts), 0.0, jump), np.inf if fine else 0.0)
+    return runs.rows(finite & (lasting > max(_FROZEN_S, _UNUSUAL * usual)) & (after > 4.0 * step))
+
+
+def jumped_temperature(values: Floats, starts: Whole) -> Bools:
+    """`(n,)`: rows between jumps of the temperature (°C), of which most rows know nothing: 85 °C of a thermometer that
+    restarts, 0 of a lost contact; none if they are many. `starts`: rows at which stretches begin."""
+    result = np.zeros(len(values), bool)
+    known = np.flatnonzero(np.isfinite(values))
+    own = values[known]
+    cut = np.abs(np.diff(own)) > _JUMP_K
+    if not cut.any():
+        return result
+    begins = np.concatenate([[0], np.flatnonzero(cut | np.isin(known[1:], starts)) + 1])
+    pieces = np.column_stack([begins, np.append(begins[1:], len(known))])
+    longest = int(np.argmax(np.diff(pieces)))
+    # From the longest piece on, forward and back, a piece that begins near where the last good one ended is good.
+    for order, near, far in ((pieces[longest:], 0, -1), (pieces[longest::-1], -1, 0)):
+        good = own[range(*order[0])[far]]
+        for first, end in order[1:].tolist():
+            piece = range(first, end)
+            behind_gap = known[first if near == 0 else end] in starts
+            if behind_gap or abs(own[piece[near]] - good) <= _JUMP_K:
+                good = own[piece[far]]
+            else:
+                result[known[first:end]] = True
+    return result if np.mean(result) < _JUMPED else np.zeros(len(values), bool)
+
+
+def refuse_unlike_noise(where: str, values: Floats) -> list[str]:
+    """Raise `LogError` where a channel at rest `(n,)` is not noise: one of its values is far more frequent than others
+    (a dead band, a limit, a number for missing readings), its steps are coarse, or its sign is missing. Or sentences
+    where steps add to its noise, or values are unlike it."""
+    finite = values[np.isfinite(values)]
+    if len(finite) <= _WINDOW:
+        return []
+    middle = np.median(finite)
+    far = np.abs(finite - middle) > FAR * 1.4826 * np.median(np.abs(finite - middle))
+    known = finite[~(standing_still(finite) | (at_a_limit(finite) & far))]
+    distinct, counts = np.unique(known, return_counts=True)
+    most = int(np.argmax(counts))
+    share = counts[most] / len(known)
+    if share > 0.5 or (share > _RARE and counts[most] > 10.0 * np.quantile(counts, 0.9)):
+        raise LogError(
+            f"{where}: {100.0 * share:.2g} % of its rows at rest have the same value ({distinct[most]:.6g}, SI), and "
+            "few other values are as frequent: is it a dead band, a limit that cuts off the noise, steps that are "
+            "coarse compared with it, or does this value mark missing readings? Log more digits, without a limit or "
+            "dead band, and leave missing cells empty"
+        )
+    if coarse_steps(known).off > 0.0:
+        raise LogError(
+            f"{where}: its steps are coarse compared with its noise, so the record does not show the noise; log more "
+            "digits, or use a smaller full scale"
+        )
+    if len(known) > 10 * _WINDOW and distinct[0] * distinct[-1] >= 0.0 and _reaches_zero(np.abs(known)):
+        raise LogError(
+            f"{where}: no row at rest is beyond zero, and many are close to zero: is the sign missing, or is the "
+            "value a magnitude? Log the signed rates"
+        )
+    said = list[str]()
+    if (ratio := _steps_over_noise(known)) > 0.5:
+        said.append(f"{where}: its steps are {ratio:.2g} times its noise, and increase the measured noise")
+    if (flatness := _kurtosis(known)) < _FLAT:
+        said.append(
+            f"{where}: its values at rest are not like noise (kurtosis {flatness:.2g}; of noise 3): do rows of several "
+            "sensors alternate (select one with the key `where`), or does something vibrate?"
+        )
+    return said
+
+
+def _reaches_zero(size: Floats) -> bool:
+    """Whether many of the sizes of a channel are near zero, though it changes by more from row to row."""
+    middle = 0.25 * float(np.median(size))
+    return bool(np.mean(size < middle) > 0.05 and np.median(np.abs(np.diff(size))) > middle)
+
+
+def _kurtosis(known: Floats) -> float:
+    """The kurtosis within the quiet windows of a channel."""
+    quiet = quiet_windows(known)
+    spread = quiet.std(axis=1, keepdims=True)
+    z = (quiet - quiet.mean(axis=1, keepdims=True)) / np.where(spread > 0.0, spread, np.nan)
+    return float(np.nanmean(z**4)) if np.isfinite(z).any() else 3.0
+
+
+def _steps_over_noise(known: Floats) -> float:
+    """Steps over the noise, in the whole or a quarter of a record: the resolution may change in its course."""
+    for part in (known, *np.array_split(known, 4)):
+        quiet = quiet_windows(part)
+        spread = float(np.sqrt(np.median(quiet.var(axis=1)))) if len(quiet) else 0.0
+        step = coarse_steps(part).step
+        if step > 0.5 * spread > 0.0 and len(np.unique(part)) < len(part) // 4:
+            return step / spread
+    return 0.0
+
+
+def changing_noise(where: str, values: Floats) -> list[str]:
+    """A sentence where the noise from row to row of a channel at rest `(n,)` changes in the course of the record."""
+    known = values[np.isfinite(values)]
+    count = min(len(known) // _NOISE_BLOCK, 20)
+    if count < 2:
+        return []
+    blocks = [np.diff(part[: len(known) // count]).std() for part in np.array_split(known, count)]
+    low, high = np.quantile(blocks, [0.1, 0.9])
+    if low > 0.0 and high < _CHANGES * low:
+        return []
+    change = high / low if low > 0.0 else np.inf
+    return [f"{where}: the noise changes during the record, by a factor of {change:.2g}; the result is an average"]
+
+
+def after_gaps(log: Log) -> tuple[Whole, list[str]]:
+    """Rows at which a log's stretches begin, gaps that it does not mark included, and a sentence on those."""
+    interval = np.diff(log.time_s)
+    usual = float(np.median(interval))
+    gaps = np.flatnonzero(interval > max(_GAP_S, _GAP_ROWS * usual)) + 1
+    new = np.setdiff1d(gaps, log.stretch_starts)
+    if not len(new):
+        return log.stretch_starts, []
+    lost = np.sum(interval[new - 1] / usual - 1.0)
+    return np.union1d(log.stretch_starts, new).astype(np.int64), [
+        f"{len(new)} gap{'s' if len(new) > 1 else ''} with about {lost:.0f} samples lost, the longest "
+        f"{np.max(interval[new - 1]):.3g} s, the first at {log.time_s[new[0] - 1]:.6g} s: moves during the gaps are "
+        "left out"
+    ]
+
+
+def signal_faults(
+    log: Log, unit: str | int = 0, channels: Container[str] | None = None, *, at_rest: bool = False
+) -> SignalFaults:
+    """What the samples of a unit's `channels` ("gyro x"; None: all) show by themselves, of rows that are not masked;
+    `at_rest`: of a record in which everything that is not marked as moving stands still."""
+    number, usable = log.unit_index(unit), log.usable(unit)
+    starts, sentences = after_gaps(log)
+    masked = dict[Reason, Bools]()
+    coarse = dict[str, str]()
+    frozen = dict[bytes, tuple[Bools, list[str]]]()
+
+    def mask(reason: Reason, rows: Bools) -> bool:
+        masked[reason] = masked.get(reason, np.zeros(len(usable), bool)) | rows
+        return bool(rows.any())
+
+    slow = log.standstill is None and log.sample_interval_s * _LEAST_RATE > 1.0
+    for where, values in log.channels(number).items():
+        if channels is not None and where not in channels:
+            continue
+        shown, size = _SHOWN[where.split()[0]]
+        own = np.where(usable, values, np.nan)
+        if (steps := coarse_steps(own)).off:
+            coarse[f"coarse steps of {where}"] = (
+                f"{where}: its steps of {steps.step / size:.3g} {shown} are coarse compared with its noise: quantised "
+                f"values may be wrong by {steps.off / size:.2g} {shown}, however long they are averaged; log more "
+                "digits, or use a smaller full scale"
+            )
+        limit = at_a_limit(own) | wrapped(own)
+        if mask(Reason.SATURATED, _whole_segments(log.standstill, limit)):
+            sentences.append(
+                f"{where} is saturated in {np.count_nonzero(limit)} rows, at "
+                f"{np.max(np.abs(own[limit])) / size:.4g} {shown}: the moves and standstills with these rows are left "
+                "out"
+            )
+        still = standing_still(own) & ~limit
+        if mask(Reason.FROZEN_VALUES, still):
+            frozen.setdefault(still.tobytes(), (still, []))[1].append(where)
+        own[limit | still] = np.nan
+        if at_rest and log.standstill is not None:
+            own[log.standstill < 0] = np.nan
+        if at_rest or not slow:
+            far = outliers(own, log.standstill, at_rest=at_rest)
+            if mask(Reason.FAR_FROM_NEIGHBOURS, far):
+                count = np.count_nonzero(far)
+                sentences.append(
+                    f"{where}: {count} rows ({count / len(own):.2g} of all) differ from their neighbours by more than "
+                    f"{FAR:g} standard deviations, and are left out"
+                )
+    if log.temperature_c is not None:
+        unknown = frozen_temperature(log.time_s, log.temperature_c[number], log.stretch_starts) & usable
+        # (A constant temperature is judged elsewhere.)
+        if not unknown[usable].all() and mask(Reason.FROZEN_TEMPERATURE, unknown):
+            frozen[b""] = (unknown, ["the thermometer"])
+    for rows, names in frozen.values():
+        first, last = formulas.runs(rows)[0].tolist()
+        sentences.append(
+            f"frozen: {', '.join(names)} from {log.time_s[first]:.6g} to {log.time_s[last - 1]:.6g} s (the value is "
+            f"constant there, but not in the rest of the record): {np.count_nonzero(rows)} rows are left out"
+        )
+    return SignalFaults(starts, masked, tuple(sentences), coarse)
+
+
+def without_faults(
+    log: Log, channels: Container[str] | None = None, *, at_rest: bool = False
+) -> tuple[Log, dict[str, SignalFaults]]:
+    """The log with such rows masked, without temperatures that stand still, and by unit what was found; the rest as of
+    `signal_faults`."""
+    found = {name: signal_faults(log, name, channels, at_rest=at_rest) for name in log.units}
+    status = np.zeros((len(log.units), len(log.time_s)), np.uint16) if log.status is None else log.status.copy()
+    for k, faults in enumerate(found.values()):
+        for reason, rows in faults.masked.items():
+            status[k, rows] |= reason.value
+    starts = next(iter(found.values())).starts
+    if not status.any() and len(starts) == len(log.stretch_starts):
+        return log, found
+    return without_masked(replace(log, status=status, stretch_starts=starts)), found
+
+
+def _whole_segments(standstill: Whole | None, rows: Bools) -> Bools:
+    """The rows of all standstills and moves with such rows: noise that is cut off on one side shifts a mean."""
+    if standstill is None or not rows.any():
+        return rows
+    number = np.cumsum(np.diff(standstill, prepend=standstill[0]) != 0)
+    return np.isin(number, np.unique(number[rows]))

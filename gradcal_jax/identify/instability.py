@@ -163,12 +163,13 @@ def at_rest(
         log = replace(log, status=log.status & ~np.uint16(other))  # which is no matter of this channel
     raw, read = log, log.counts(unit)
     own = log.channel(axis, unit, force=force)
-    own = own if log.standstill is None else own[log.standstill >= 0]
+    still = slice(None) if log.standstill is None else log.standstill >= 0
     where = f"{kind} {label} of {name}"
-    said = refuse_unlike_noise(where, own) + changing_noise(where, own)
+    said = refuse_unlike_noise(where, own[still])
     log, faults = without_faults(log, {f"{kind} {label}"}, at_rest=True)
     even = log.even(axis, unit, force=force)
     valid = even.valid.copy()
+    said += changing_noise(where, log.channel(axis, unit, force=force)[still])
     messages = [*said, *faults[name].sentences]
     if log.standstill is not None:
         valid &= (even.row >= 0) & (log.standstill[even.row] >= 0)

@@ -181,7 +181,7 @@ valued("one constant value", lambda w: np.full(ROWS, 0.25), "the same value|does
 valued(
     "counts of 16 bits without a sign",
     lambda w: np.rint(w / 0.004) % 65536,
-    "column map state a unit that is too large",
+    "are they counts",
 )
 valued("the mean of 8 samples", lambda w: np.convolve(noise(ROWS + 7), np.ones(8) / 8, "valid"))
 valued("a sample that is read twice", lambda w: np.repeat(noise(ROWS // 2, 50.0), 2))

@@ -1,3 +1,6 @@
+"""Files of many layouts become the log that their numbers say, or a sentence."""
+
+import gzip
 import warnings
 from pathlib import Path
 
@@ -9,118 +12,101 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from gradcal_jax.records import table_files
-from gradcal_jax.records.column_names import EXAMPLE, map_to_fill_in
+from gradcal_jax.records.column_names import EXAMPLE
 from gradcal_jax.records.importers import import_log, parse_column_map, read_column_map
 from gradcal_jax.records.log import LogError
+from gradcal_jax.records.log_file import read_log, write_log
 from gradcal_jax.tables.problems import SpecError
 
 HEAD = 'format = "gradcal-columns/1"\n'
 PLAIN = HEAD + 'time = { column = "t", unit = "ms" }\nrate.x = { column = "gx", unit = "deg/s" }\n'
-RNG = np.random.default_rng(0)
-RATES = RNG.standard_normal((50, 3))
+ID = HEAD + 'sample_rate = "100 Hz"\nrate.x = { column = "gx", unit = "deg/s" }\n'
+RATES = np.random.default_rng(0).standard_normal((50, 3))
 
 
 def plain(extra=""):
     return parse_column_map(PLAIN + extra)
 
 
-def refused(text):
-    with pytest.raises(SpecError) as caught:
-        parse_column_map(text)
-    return str(caught.value)
+ROWS = [f"{10 * i},{i % 3},{20 + i / 8}" for i in range(40)]
+WARM = 'temperature = { column = "temp", unit = "degC" }\n'
+NUMBERED = 'time = { column = 0, unit = "ms" }\nrate.x = { column = 1, unit = "deg/s" }\n'
+NUMBERED += 'temperature = { column = 2, unit = "degC" }\n[csv]\ndelimiter = "whitespace"\nheader = false\n'
+COMMAS = HEAD + 'time = { column = "Zeit", unit = "ms" }\nrate.x = { column = "w °/s", unit = "deg/s" }\n'
+COMMAS += 'temperature = { column = "T", unit = "degC" }\n[csv]\ndelimiter = ";"\nencoding = "latin-1"\ndecimal = ","\n'
+SKIPPED = "some words\r\n# a remark\r\n# t; gx; temp\r\n" + "\r\n".join(ROWS).replace(",", ";")
 
 
-def test_text_tables_in_their_many_layouts(tmp_path):
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ("t,gx,temp\n" + "\n".join(ROWS) + "\n", PLAIN + WARM),
+        ("\ufeff" + SKIPPED, PLAIN + WARM + '[csv]\ndelimiter = ";"\nskip = 1\n'),
+        ("\n\n".join(ROWS).replace(",", "   "), HEAD + NUMBERED),
+        ("Zeit;w °/s;T\n" + "\n".join(row.replace(",", ";").replace(".", ",") for row in ROWS), COMMAS),
+    ],
+)
+def test_text_tables_in_their_many_layouts(tmp_path, content, text):
     path = tmp_path / "run.csv"
-    rows = [f"{10 * i},{i % 3},{20 + i / 8}" for i in range(40)]
-    path.write_text("t,gx,temp\n" + "\n".join(rows) + "\n")
-    log = import_log(path, plain('temperature = { column = "temp", unit = "degC" }\n'))
+    path.write_text(content, encoding="latin-1" if "latin-1" in text else "utf-8")
+    log = import_log(path, parse_column_map(text))
     np.testing.assert_allclose(log.time_s, np.arange(40) * 0.01)
     np.testing.assert_allclose(log.rate_rad_per_s[0, :, 0], np.radians(np.arange(40) % 3))
     assert log.temperature_c[0, -1] == 20 + 39 / 8
     assert log.counts() == {"used": 40}
     assert log.provenance == {"source": "run.csv"}
-
-    path.write_text("\ufeffsome words\r\n# a remark\r\n# t; gx\r\n" + "\r\n".join(r.replace(",", ";") for r in rows))
-    again = import_log(path, plain('[csv]\ndelimiter = ";"\nskip = 1\n'))
-    np.testing.assert_array_equal(again.rate_rad_per_s, log.rate_rad_per_s)
-
-    path.write_text("\n\n".join(r.replace(",", "   ") for r in rows))
-    by_number = HEAD + 'time = { column = 0, unit = "ms" }\nrate.x = { column = 1, unit = "deg/s" }\n'
-    again = import_log(path, parse_column_map(by_number + '[csv]\ndelimiter = "whitespace"\nheader = false\n'))
-    np.testing.assert_array_equal(again.rate_rad_per_s, log.rate_rad_per_s)
-
-
-def test_decimal_commas_and_other_encodings_are_read_where_they_are_told(tmp_path):
-    path = tmp_path / "a.csv"
-    rows = "".join(f"{10 * i},0;{i % 3},5;{20 + i},25\n" for i in range(40))
-    path.write_text("Zeit;Drehrate °/s;T\n" + rows, encoding="latin-1")
-    text = (
-        HEAD
-        + """time = { column = "Zeit", unit = "ms" }
-rate.x = { column = "Drehrate °/s", unit = "deg/s" }
-temperature = { column = "T", unit = "degC" }
-[csv]
-delimiter = ";"
-encoding = "latin-1"
-"""
-    )
-    log = import_log(path, parse_column_map(text + 'decimal = ","\n'))
-    np.testing.assert_allclose(np.degrees(log.rate_rad_per_s[0, :, 0]), np.arange(40) % 3 + 0.5)
-    np.testing.assert_allclose(log.temperature_c[0], np.arange(40) + 20.25)
-    with pytest.raises(LogError, match='decimal comma; write decimal = ","'):
-        import_log(path, parse_column_map(text))
-    with pytest.raises(LogError, match='encoding = "latin-1" or "utf-16"'):
-        import_log(path, parse_column_map(text.replace("latin-1", "utf-8") + 'decimal = ","\n'))
-    assert "another delimiter" in refused(PLAIN + '[csv]\ndecimal = ","\n')
-    assert "encoding" in refused(PLAIN + '[csv]\nencoding = "utf-99"\n')
+    if "latin-1" in text:
+        with pytest.raises(LogError, match='decimal comma; write decimal = ","'):
+            import_log(path, parse_column_map(text.replace('decimal = ","', "")))
+        with pytest.raises(LogError, match='encoding = "latin-1" or "utf-16"'):
+            import_log(path, parse_column_map(text.replace("latin-1", "utf-8")))
 
 
 @pytest.mark.parametrize(
-    ("content", "sentence"),
+    ("name", "content", "sentence"),
     [
-        ("t,gx\n2024-05-01T12:00:00,1\n2024-05-01T12:00:01,2\n", "'t' has dates or times of day"),
-        ("t,gx\n12:00:00.1,1\n12:00:00.2,2\n", "'t' has dates or times of day"),
-        ("t,gx\n0,0x1F\n10,0x20\n", "'gx' has hexadecimal counts"),
-        ("t,gx\n0,FF1F\n10,FE20\n", "'gx' has values that look like hexadecimal counts"),
-        ("t,gx\n0,fast\n10,slow\n", "'gx' has no numbers, only texts such as 'slow'"),
-        ("t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': give the number of the column instead, 1 or 2"),
-        ("t;gx\n0;1\n10;3\n", 'or is delimiter = ";" missing under'),
+        ("a.csv", b"t,gx\n2024-05-01T12:00:00,1\n2024-05-01T12:00:01,2\n", "'t' has dates or times of day"),
+        ("a.csv", b"t,gx\n0,0x1F\n10,0x20\n", "'gx' has hexadecimal counts"),
+        ("a.csv", b"t,gx\n0,FF1F\n10,FE20\n", "'gx' has values that look like hexadecimal counts"),
+        ("a.csv", b"t,gx\n0,fast\n10,slow\n", "'gx' has no numbers, only texts such as 'slow'"),
+        ("a.csv", b"t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': give the number .* 1 or 2"),
+        ("a.csv", b"t;gx\n0;1\n10;3\n", 'or is delimiter = ";" missing under'),
+        ("a.xyz", b"1", "unknown file name extension"),
+        ("a.csv", b"", "is empty"),
+        ("a.csv", b"t,gx\n", "no rows below the header"),
+        ("a.csv", b"1,2\n3,4\n", "no line of column names"),
+        ("a.csv", b"t,gX\n1,2\n3,4\n", "no column 'gx'; nearest: 'gX'"),
+        ("a.csv", b"t,gx\n1,2\n", "at least two"),
+        ("a.csv", b"\xff\xfe\x00t", "not text in UTF-8"),
+        ("a.npz", b"PK nonsense", "cannot be read as NumPy's .npz"),
+        ("a.npy", b"\x93NUMPY nonsense", "cannot be read as NumPy's .npy"),
+        ("a.mat", b"MATLAB 7.3 MAT-file", "-v7"),
+        ("a.mat", b"nonsense" * 40, "cannot be read as MATLAB"),
+        ("a.csv.gz", gzip.compress(b"t,gx\n" + b"0.37,1\n" * 5000)[:40], "gzip"),
+        ("a.csv.gz", b"no gzip at all", "gzip"),
     ],
 )
-def test_columns_that_are_no_numbers_are_told_by_what_they_are(tmp_path, content, sentence):
-    path = tmp_path / "a.csv"
-    path.write_text(content, encoding="utf-8")
-    with pytest.raises(LogError) as caught:
+def test_a_faulty_file_gets_a_sentence(tmp_path, name, content, sentence):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=sentence):
         import_log(path, plain())
-    assert sentence in str(caught.value)
 
 
-@pytest.mark.parametrize("stamp", ["2024-05-01T12:00:0{}.5Z", "12:00:0{}.5"])
-def test_the_conversion_of_stamps_that_a_message_states_gives_the_record(tmp_path, stamp):
-    path = tmp_path / "a.csv"
-    path.write_text("t,gx\n" + "".join(f"{stamp.format(s)},{s % 3}\n" for s in range(9)), encoding="utf-8")
-    with pytest.raises(LogError) as caught:
-        import_log(path, plain())
-    lines = str(caught.value).partition("in pandas: ")[2].partition(". Or")[0]
-    with warnings.catch_warnings(action="ignore"):  # pandas guesses the format
-        exec(lines, {"pd": pd, "file": path, "column": "t"})
-    log = import_log(path, parse_column_map(PLAIN.replace('"ms"', '"s"')))
-    assert log.time_s.tolist() == list(range(9))
-
-
-def test_the_conversion_of_lines_of_json_that_a_message_states_gives_the_record(tmp_path, monkeypatch):
+@pytest.mark.parametrize("stamp", ["2024-05-01T12:00:0{}.5Z", "12:00:0{}.5", "json"])
+def test_the_conversion_that_a_message_states_gives_the_record(tmp_path, monkeypatch, stamp):
     monkeypatch.chdir(tmp_path)
-    path = Path("a.jsonl")
-    path.write_text("".join(f'{{"t": {10 * s}, "gx": {s % 3}}}\n' for s in range(9)), encoding="utf-8")
+    path, lines = Path("a.csv"), [f"{stamp.format(s)},{s % 3}\n" for s in range(9)]
+    if stamp == "json":
+        path, lines = Path("a.jsonl"), [f'{{"t": {s}, "gx": {s % 3}}}\n' for s in range(9)]
+    path.write_text("t,gx\n" * (stamp != "json") + "".join(lines), encoding="utf-8")
     with pytest.raises(LogError) as caught:
         import_log(path, plain())
-    exec(str(caught.value).partition("by pandas: ")[2], {"pd": pd})
-    assert import_log(path.with_suffix(".csv"), plain()).counts() == {"used": 9}
-
-
-def test_kelvins_are_told_how_to_be_written():
-    assert "zero = 273.15" in refused(PLAIN + 'temperature = { column = "T", unit = "K" }')
+    program = str(caught.value).partition("pandas: ")[2].partition(". Or")[0]
+    with warnings.catch_warnings(action="ignore"):  # pandas guesses the format
+        exec(program, {"pd": pd, "file": path, "column": "t"})
+    log = import_log(path.with_suffix(".csv"), parse_column_map(PLAIN.replace('"ms"', '"s"')))
+    assert log.time_s.tolist() == list(range(9))
 
 
 def test_rows_are_chosen_before_anything_is_judged(tmp_path):
@@ -130,62 +116,12 @@ def test_rows_are_chosen_before_anything_is_judged(tmp_path):
     path.write_text("t,gx\n" + "".join(f"{t},{i % 3}\n" for i, t in enumerate(stamps)), encoding="utf-8")
     with pytest.raises(LogError, match=r'--rows "0\.\.60" and --rows "60\.\."'):
         import_log(path, plain())
-    log = import_log(path, plain(), rows=(60, None))
-    assert log.counts() == {"used": 40, "left out": 60}
-
-
-def test_the_example_of_a_column_map_is_one_and_a_header_is_guessed(tmp_path):
-    assert list(parse_column_map(EXAMPLE).rate) == ["x", "y", "z"]
-    path = tmp_path / "a.csv"
-    path.write_text("timestamp [us];gyro_x (rad/s);gyro_y (rad/s);temperature_C\n0;1;2;20\n", encoding="utf-8")
-    found = parse_column_map(map_to_fill_in(path))
-    assert found.time.unit == "us"
-    assert {axis: column.unit for axis, column in found.rate.items()} == {"x": "rad/s", "y": "rad/s"}
-    assert found.temperature.unit == "degC"
-    assert found.csv.delimiter == ";"
-    path.write_text("t [s],gx [deg/s],ax [m/s2],acc_y (g)\n0,1,2,3\n", encoding="utf-8")
-    forces = parse_column_map(map_to_fill_in(path)).force
-    assert {axis: (column.column, column.unit) for axis, column in forces.items()} == {
-        "x": ("ax [m/s2]", "m/s^2"),
-        "y": ("acc_y (g)", "g"),
-    }
-    path.write_text("t,gx,gy\n0,1,2\n", encoding="utf-8")
-    assert 'unit = "???"' in map_to_fill_in(path)  # a header without units: a person says them
-    path.write_text("when,voltage\n0,1\n", encoding="utf-8")
-    assert map_to_fill_in(path) is None
-
-
-@given(header=st.text(max_size=80))
-@settings(max_examples=150, deadline=None)
-def test_any_header_gives_a_map_or_none(tmp_path_factory, header):
-    path = tmp_path_factory.mktemp("guess") / "a.csv"
-    path.write_text(header + ",gx [deg/s],t [s]\n", encoding="utf-8", errors="replace")
-    found = map_to_fill_in(path)
-    if found is not None and "???" not in found:
-        parse_column_map(found)
+    assert import_log(path, plain(), rows=(60, None)).counts() == {"used": 40, "left out": 60}
 
 
 CELLS = [
-    *(
-        "",
-        "nan",
-        "NaN",
-        "-nan",
-        "inf",
-        "True",
-        "false",
-        "FALSE",
-        "0x1F",
-        "1_0",
-        "1.5\0j",
-        "1d5",
-        "-",
-        "NA",
-        "null",
-        "1 2",
-    ),
-    *("\u22121", '"1"', "1e400", "1.7976931348623157e308", "4.9e-324", "0.1234567890123456789", "+1", " 2 ", "  "),
-    *("1\u00a0", "1.5,7,8,9", "1.5 # remark", "<NA>", "1.2.3", "x"),
+    *("", "nan", "inf", "True", "false", "0x1F", "1_0", "1.5\0j", "1d5", "-", "NA", "1 2", "\u22121", '"1"', "1e400"),
+    *("4.9e-324", "0.1234567890123456789", " 2 ", "1\u00a0", "1.5,7,8,9", "1.5 # remark", "1.2.3", "x"),
 ]
 
 
@@ -225,17 +161,12 @@ def test_torn_rows_are_counted_and_the_others_kept(tmp_path):
 def test_scale_zero_and_units_of_counts(tmp_path):
     path = tmp_path / "counts.npz"
     counts = np.array([[100, 0], [-32768, 1], [32767, 1], [0, 0]], np.int16)
-    fahrenheit = np.array([32.0, 50.0, 68.0, 212.0])
     stamps = 1_700_000_000_000_000_000 + np.array([0, 1, 2, 3]) * 10_000_000
-    np.savez(path, gyro=counts, t=stamps, flags=np.array([0, 0, 4, 0], np.uint8), f=fahrenheit)
-    log = import_log(
-        path,
-        parse_column_map(
-            HEAD + 'time = { column = "t", unit = "ns" }\nstatus = { column = "flags" }\n'
-            'temperature = { column = "f", unit = "degF" }\n'
-            'rate.x = { column = "gyro", index = 0, unit = "mdps", scale = 8.75, zero = 100 }\n'
-        ),
-    )
+    np.savez(path, gyro=counts, t=stamps, flags=np.array([0, 0, 4, 0], np.uint8), f=[32.0, 50.0, 68.0, 212.0])
+    text = HEAD + 'time = { column = "t", unit = "ns" }\nstatus = { column = "flags" }\n'
+    text += 'temperature = { column = "f", unit = "degF" }\n'
+    text += 'rate.x = { column = "gyro", index = 0, unit = "mdps", scale = 8.75, zero = 100 }\n'
+    log = import_log(path, parse_column_map(text))
     expected = (np.array([100.0, -32768.0, np.nan, 0.0]) - 100.0) * 8.75e-3  # the third row is masked
     np.testing.assert_allclose(np.degrees(log.rate_rad_per_s[0, :, 0]), expected, atol=1e-12)
     np.testing.assert_allclose(log.time_s, [0, 0.01, 0.02, 0.03], rtol=1e-12)  # in spite of 1.7e18
@@ -248,19 +179,15 @@ def test_matlab_and_npy_give_what_text_gives(tmp_path):
     others = {"text": "words", "pair": 1j * np.ones(3), "s": {"a": 1.0}}
     savemat(tmp_path / "run.mat", {"t": time, "gyro": RATES, "gx": RATES[:, :1], **others}, do_compression=True)
     np.save(tmp_path / "run.npy", np.column_stack([time, RATES]))
-    fields = np.zeros(50, [("t", "f8"), ("gx", "f4")])
+    fields = np.zeros(50, [("t", "f8"), ("gx", "f8")])
     fields["t"], fields["gx"] = time, RATES[:, 0]
     np.save(tmp_path / "fields.npy", fields)
     numbered = HEAD + 'time = { column = 0, unit = "ms" }\nrate.x = { column = 1, unit = "deg/s" }\n'
     indexed = PLAIN.replace('"gx"', '"gyro", index = 0')
-    for name, text in (("run.mat", PLAIN), ("run.mat", indexed), ("run.npy", numbered)):
+    for name, text in (("run.mat", PLAIN), ("run.mat", indexed), ("run.npy", numbered), ("fields.npy", PLAIN)):
         log = import_log(tmp_path / name, parse_column_map(text))
         np.testing.assert_allclose(log.rate_rad_per_s[0, :, 0], np.radians(RATES[:, 0]), rtol=1e-14)
         np.testing.assert_allclose(log.time_s, time / 1000)
-    log = import_log(tmp_path / "fields.npy", parse_column_map(PLAIN))
-    np.testing.assert_allclose(
-        log.rate_rad_per_s[0, :, 0], np.radians(RATES[:, 0].astype(np.float32).astype(float)), rtol=1e-14
-    )
 
 
 FORCES = "".join(f'force.{a} = {{ column = "acc", index = {k}, unit = "mg" }}\n' for k, a in enumerate("xyz"))
@@ -273,54 +200,41 @@ def test_specific_forces_are_read_masked_and_judged(tmp_path):
     acc[7, 1] = np.nan
     np.savez(path, t=np.arange(n) * 10.0, gx=0.1 * rng.standard_normal(n), acc=acc, counts=np.full((n, 3), 33000))
     log = import_log(path, plain(FORCES))
-    assert log.force_axes == ("x", "y", "z")
     acc[7] = np.nan  # masked
     np.testing.assert_allclose(log.specific_force_m_per_s2[0], 9.80665e-3 * acc, rtol=1e-12)
     assert log.counts() == {"used": n - 1, "missing force": 1}
     assert import_log(path, plain(FORCES), rows=(0, 9)).specific_force_m_per_s2.shape == (1, 9, 3)
-    with pytest.raises(LogError, match=r"usually 1 m/s²: is its unit g"):
-        import_log(path, plain(FORCES.replace('"mg"', '"m/s^2", scale = 1e-3')))
     counts = FORCES.replace('"acc"', '"counts"').replace('"mg"', '"m/s^2"')
-    with pytest.raises(LogError, match="is its unit g, or counts"):
-        import_log(path, plain(counts))
+    for wrong in (FORCES.replace('"mg"', '"m/s^2", scale = 1e-3'), counts):
+        with pytest.raises(LogError, match="is its unit g, or counts"):
+            import_log(path, plain(wrong))
     kept = import_log(path, plain(counts + "[policy]\nvalues = 'keep'\n"))
     assert [finding.kind for finding in kept.findings] == ["question"]
     assert kept.specific_force_m_per_s2[0, 0, 2] == 33000.0
-
-
-def test_forces_of_several_sensors_are_of_the_same_axes():
-    one = '[[sensor]]\nname = "a"\nrate.x = { column = "gx", unit = "deg/s" }\n' + FORCES
-    text = HEAD + 'sample_rate = "100 Hz"\n' + one + one.replace('"a"', '"b"').replace("force.z", "force.w")
-    assert "every sensor needs the same axes" in refused(text)
 
 
 def test_several_sensors_on_one_table(tmp_path):
     path = tmp_path / "many.npz"
     angle = np.linspace(0, 720, 50)
     np.savez(path, a=RATES, b=2 * RATES, angle=angle, rest=np.arange(50) < 9, ta=np.linspace(10, 20, 50))
-    log = import_log(
-        path,
-        parse_column_map(
-            HEAD + 'sample_rate = "200 Hz"\nstandstill = { column = "rest" }\nsimulated = true\n'
-            'table_angle.inner = { column = "angle", unit = "deg" }\n'
-            + "".join(
-                f'[[sensor]]\nname = "SN-{name}"\n{temperature}'
-                f'rate.x = {{ column = "{name}", index = 0, unit = "rad/s" }}\n'
-                f'rate.z = {{ column = "{name}", index = 2, unit = "rad/s" }}\n'
-                for name, temperature in (("a", 'temperature = { column = "ta", unit = "degC" }\n'), ("b", ""))
-            )
-            + '[policy]\nvalues = "keep"\n'
-        ),
-    )
-    assert log.units == ("SN-a", "SN-b")
-    assert log.axes == ("x", "z")
+    text = HEAD + 'sample_rate = "200 Hz"\nstandstill = { column = "rest" }\nsimulated = true\n'
+    text += 'table_angle.inner = { column = "angle", unit = "deg" }\npolicy.values = "keep"\n'
+    for name, warm in (("a", 'temperature = { column = "ta", unit = "degC" }\n'), ("b", "")):
+        text += f'[[sensor]]\nname = "SN-{name}"\n{warm}'
+        text += "".join(
+            f'rate.{a} = {{ column = "{name}", index = {k}, unit = "rad/s" }}\n' for a, k in (("x", 0), ("z", 2))
+        )
+    log = import_log(path, parse_column_map(text))
+    assert (log.units, log.axes, log.simulated) == (("SN-a", "SN-b"), ("x", "z"), True)
     np.testing.assert_array_equal(log.rate_rad_per_s[1], 2 * RATES[:, [0, 2]])
     assert np.isnan(log.temperature_c[1]).all()
     np.testing.assert_allclose(log.table_angle_rad[:, 0], np.radians(angle))
     assert log.standstill[:9].tolist() == [0] * 9
     assert log.time_s[1] == 0.005
-    assert log.simulated
     assert log.counts("SN-b") == {"used": 50}
+
+
+SENSOR = '[[sensor]]\nname = "a"\nrate.x = { column = "gx", unit = "deg/s" }\n'
 
 
 @pytest.mark.parametrize(
@@ -331,57 +245,65 @@ def test_several_sensors_on_one_table(tmp_path):
         (PLAIN.replace("deg/s", "deg"), "rate.x.unit"),
         (PLAIN.replace('"ms"', '"m"'), "time.unit"),
         (PLAIN + 'tempreature = { column = "a", unit = "degC" }', 'nearest: "temperature"'),
+        (PLAIN + 'temperature = { column = "T", unit = "K" }', "zero = 273.15"),
         (HEAD + 'rate.x = { column = "gx", unit = "deg/s" }', "sample_rate"),
         (HEAD + 'time = { column = "t", unit = "ms" }', "name at least one axis"),
-        (PLAIN + '[[sensor]]\nname = "a"\nrate.x = { column = "gx", unit = "deg/s" }', "or at the top"),
+        (PLAIN + SENSOR, "or at the top"),
+        (HEAD + SENSOR + SENSOR.replace('"a"', '"b"').replace("rate.x", "rate.w"), "every sensor needs the same axes"),
         (PLAIN + "[csv]\ndelimiter = 'abc'", "csv.delimiter"),
+        (PLAIN + '[csv]\ndecimal = ","\n', "another delimiter"),
+        (PLAIN + '[csv]\nencoding = "utf-99"\n', "encoding"),
         (PLAIN.replace('unit = "deg/s"', 'unit = "deg/s", scale = 0.0'), "must not be zero"),
     ],
 )
 def test_a_faulty_column_map_is_told_by_key(text, sentence):
-    assert sentence in refused(text)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "extra", "sentence"),
-    [
-        ("a.xyz", b"1", "", "unknown file name extension"),
-        ("a.csv", b"", "", "is empty"),
-        ("a.csv", b"t,gx\n", "", "no rows below the header"),
-        ("a.csv", b"1,2\n3,4\n", "", "no line of column names"),
-        ("a.csv", b"t,gX\n1,2\n3,4\n", "", "no column 'gx'; nearest: 'gX'"),
-        ("a.csv", b"t,gx\n1,2\n", "", "at least two"),
-        ("a.csv", b"\xff\xfe\x00t", "", "not text in UTF-8"),
-        ("a.npz", b"PK nonsense", "", "cannot be read as NumPy's .npz"),
-        ("a.npy", b"\x93NUMPY nonsense", "", "cannot be read as NumPy's .npy"),
-        ("a.mat", b"MATLAB 7.3 MAT-file", "", "-v7"),
-        ("a.mat", b"nonsense" * 40, "", "cannot be read as MATLAB"),
-    ],
-)
-def test_a_faulty_file_gets_a_sentence(tmp_path, name, content, extra, sentence):
-    path = tmp_path / name
-    path.write_bytes(content)
-    with pytest.raises(LogError, match=sentence):
-        import_log(path, plain(extra))
+    assert list(parse_column_map(EXAMPLE).rate) == ["x", "y", "z"]
+    with pytest.raises(SpecError) as caught:
+        parse_column_map(text)
+    assert sentence in str(caught.value)
 
 
 def test_pickles_directories_and_missing_files_are_refused(tmp_path):
     np.savez(tmp_path / "p.npz", t=np.arange(3.0), gx=np.array([None, 1, 2], object))
-    with pytest.raises(LogError, match="without pickles"):
-        import_log(tmp_path / "p.npz", plain())
     np.savez(tmp_path / "w.npz", t=np.arange(3.0), gx=np.array(["a", "b", "c"]))
-    with pytest.raises(LogError, match="has no numbers"):
-        import_log(tmp_path / "w.npz", plain())
     np.savez(tmp_path / "l.npz", t=np.arange(3.0), gx=np.arange(4.0))
-    with pytest.raises(LogError, match="different numbers of rows"):
-        import_log(tmp_path / "l.npz", plain())
     (tmp_path / "d.csv").mkdir()
-    with pytest.raises(LogError, match="is a directory"):
-        import_log(tmp_path / "d.csv", plain())
-    with pytest.raises(LogError, match="does not exist"):
-        import_log(tmp_path / "none.csv", plain())
+    for name, sentence in (
+        ("p.npz", "without pickles"),
+        ("w.npz", "has no numbers"),
+        ("l.npz", "different numbers of rows"),
+        ("d.csv", "is a directory"),
+        ("none.csv", "does not exist"),
+    ):
+        with pytest.raises(LogError, match=sentence):
+            import_log(tmp_path / name, plain())
     with pytest.raises(SpecError, match="does not exist"):
         read_column_map(tmp_path / "none.toml")
+
+
+def test_of_sensors_that_are_not_there_the_values_are_shown(tmp_path):
+    (tmp_path / "a.csv").write_text("id,gx\n" + "1,0.1\n2,0.2\n" * 300, encoding="utf-8")
+    np.savez(tmp_path / "a.npz", id=np.tile([1, 2], 300), gx=np.tile([0.1, 0.2], 300))
+    for name in ("a.csv", "a.npz"):
+        with pytest.raises(LogError, match=r"where: no row has 3 .*include 1, 2"):
+            import_log(tmp_path / name, parse_column_map(ID + 'where = { column = "id", equals = 3 }\n'))
+        log = import_log(tmp_path / name, parse_column_map(ID + 'where = { column = "id", equals = 2 }\n'))
+        assert np.degrees(log.rate_rad_per_s).ravel() == pytest.approx(np.full(300, 0.2))
+
+
+def test_a_log_that_is_read_is_logged_with_its_faults(tmp_path, caplog):
+    path = tmp_path / "a.csv"
+    path.write_text("t,gx\n" + "".join(f"{10 * k},0.1\n" for k in range(400) if not 100 < k < 200), encoding="utf-8")
+    with caplog.at_level("INFO", "gradcal_jax"):
+        log = import_log(path, plain())
+        write_log(log, tmp_path / "log.nc")
+        read_log(tmp_path / "log.nc")
+    said = [(record.levelname, record.getMessage()) for record in caplog.records]
+    read = [
+        ("INFO", f"read {one}: {len(log.time_s)} rows, {log.duration_s:.6g} s") for one in (path, tmp_path / "log.nc")
+    ]
+    assert log.findings
+    assert said == [read[0], *(("WARNING", f"{path}: {fault.message}") for fault in log.findings), read[1]]
 
 
 ENDINGS = st.sampled_from([".csv", ".npz", ".npy", ".mat", ".txt"])
@@ -391,7 +313,7 @@ STARTS = st.sampled_from(
 
 
 @given(ending=ENDINGS, start=STARTS, content=st.binary(max_size=400))
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=200, deadline=None)
 def test_arbitrary_bytes_give_a_log_or_a_sentence(tmp_path_factory, ending, start, content):
     path = tmp_path_factory.mktemp("bytes") / f"a{ending}"
     path.write_bytes(start + content)
@@ -404,34 +326,13 @@ def test_arbitrary_bytes_give_a_log_or_a_sentence(tmp_path_factory, ending, star
     assert sum(log.counts().values()) == log.rows_read
 
 
-@given(at=st.integers(0, 2000), value=st.integers(0, 255), kind=st.sampled_from(["npz", "npy"]))
-@settings(max_examples=150, deadline=None)
-def test_sound_files_with_a_broken_byte_give_a_log_or_a_sentence(tmp_path_factory, at, value, kind):
-    path = tmp_path_factory.mktemp("broken") / f"a.{kind}"
-    time, rate = np.arange(20.0), RATES[:20, 0]
-    if kind == "npz":
-        np.savez_compressed(path, t=time, gx=rate)
-    else:
-        fields = np.zeros(20, [("t", "f8"), ("gx", "f8")])
-        fields["t"], fields["gx"] = time, rate
-        np.save(path, fields)
-    content = bytearray(path.read_bytes())
-    content[at % len(content)] = value
-    path.write_bytes(bytes(content))
-    try:
-        log = import_log(path, plain())
-    except LogError:
-        return
-    assert sum(log.counts().values()) == log.rows_read
-
-
 FIELDS = st.one_of(
     st.floats().map(repr), st.sampled_from(["", "x", '"', "1e999", "1_0", " 5 ", "#", "0x1"]), st.integers().map(str)
 )
 
 
 @given(rows=st.lists(st.lists(FIELDS, max_size=4), max_size=30))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_every_row_of_any_text_table_is_accounted_for(tmp_path_factory, rows):
     lines = [",".join(row) for row in rows]
     path = tmp_path_factory.mktemp("rows") / "a.csv"
@@ -441,8 +342,7 @@ def test_every_row_of_any_text_table_is_accounted_for(tmp_path_factory, rows):
     except LogError:
         return
     expected = sum(1 for line in lines if line.split("#")[0].strip())
-    assert log.rows_read == expected
-    assert sum(log.counts().values()) == expected
+    assert log.rows_read == expected == sum(log.counts().values())
 
 
 @given(text=st.text(max_size=200), tail=st.booleans())

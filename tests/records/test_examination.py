@@ -67,6 +67,24 @@ def test_gaps_split_and_jitter_does_not():
     assert log.sample_interval_s == pytest.approx(0.01, rel=1e-9)
 
 
+@pytest.mark.parametrize("size", [2, 10])
+@pytest.mark.parametrize("rows_lost", [False, True])
+def test_bursts_with_losses_keep_the_rate_of_the_clock(size, rows_lost):
+    k = np.arange(20_000)
+    kept = np.random.default_rng(3).random(len(k)) > 0.03 if rows_lost else (k < 8000) | (k >= 9000)
+    log = examine(columns(quiet(len(k))[kept], (((k // size) * size + (k % size) * 0.02) / 200.0)[kept]))
+    assert set(kinds(log)) == {"uneven stamps", "gap"}
+    assert log.sample_interval_s == pytest.approx(0.005, rel=1e-3)
+
+
+def test_sound_stamps_are_kept_to_the_last_digit():
+    for hz in (1.0, 50.0, 100.0, 1000.0):
+        time = np.arange(5000) / hz + 1e-5 * np.random.default_rng(2).standard_normal(5000)
+        log = examine(columns(quiet(5000), time))
+        assert not {"gap", "uneven stamps"} & set(kinds(log))
+        assert np.array_equal(log.time_s, time)
+
+
 def test_missing_saturated_and_marked_rows_are_masked_by_unit():
     rate = quiet(1000)
     rate[[5, 6]] = np.nan
@@ -90,6 +108,7 @@ def test_a_frozen_temperature_is_found_and_a_coarse_one_is_not():
         (frozen, {"used": 5000, "frozen temperature": 1000}),
         (missing, {"used": 5990, "missing temperature": 10}),
         (np.rint(smooth / 0.25) * 0.25, {"used": 6000}),
+        (np.rint(20.0 + 25.0 * (1.0 - np.exp(-time / 60.0))), {"used": 6000}),  # and a plateau is no fault
         (np.full(6000, 21.5), {"used": 6000}),
     ):
         log = examine(columns(quiet(6000), time, temperature=shown[None]))

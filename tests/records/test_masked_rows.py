@@ -92,13 +92,6 @@ def test_stamps_ahead_cost_their_own_rows(tmp_path, ahead_s):
     assert 1.0 / log.sample_interval_s == pytest.approx(100.0)
 
 
-def test_a_restart_is_no_damage(tmp_path):
-    time = np.arange(ROWS) / 100.0
-    time[4000:] -= 39.0
-    with pytest.raises(LogError, match="steps back at row 4000"):
-        imported(tmp_path, time, rates(hz=100.0), TIME + GX)
-
-
 def test_increments_are_divided_by_the_interval_of_a_sample(tmp_path):
     values, time = rates(hz=100.0), np.arange(ROWS) / 100.0
     with pytest.raises(LogError, match='per = "row"'):

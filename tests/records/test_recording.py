@@ -164,17 +164,6 @@ def test_a_burst_that_is_fetched_in_pieces_moves_no_row_into_a_rest(pick: Callab
     assert log.findings == ()
 
 
-def test_a_rest_that_a_busy_computer_cut_short_is_told_from_the_turn_before_it() -> None:
-    # The second turn began nine seconds late, and of the rest behind it the step had one second left.
-    turns = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + 19.0, 0.0))
-    end_s = 14.0 + 2.0 * TURN_S + 20.0
-    log = recorded(turns, end_s + 1.0, burst_s=2.0, late_s=lambda number: 0.01 + 0.005 * (number % 3))
-    require_rest_in_standstills(log)
-    table, sensor = turned_deg(log, lambda rows: rows[len(rows) // 2])
-    assert table == pytest.approx([360.0, -360.0])
-    assert sensor == pytest.approx([360.0, -360.0], abs=0.1)
-
-
 @pytest.mark.parametrize("rest_s", [0.1, 0.3, 0.6, 1.0, 2.0])
 def test_a_rest_that_a_busy_computer_slept_through_holds_no_row_of_a_turn(rest_s: float) -> None:
     # As it was caught in the proof of kills: of ten seconds three tenths were left, and rows of the turns stood in it.

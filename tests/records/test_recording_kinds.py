@@ -87,10 +87,3 @@ def test_rare_wrong_rows_are_left_out_and_said(tmp_path: Path):
     words = "40 rows (0.00067 of all) differ from their neighbours by more than 10 standard deviations"
     assert words in rest.messages[0]
     assert walk(log) == pytest.approx(N, rel=0.03)
-
-
-def test_sound_noise_loses_no_row(tmp_path: Path):
-    for seed in range(5):
-        log = imported(tmp_path, np.arange(20_000) / 100.0, noise(20_000, 100.0, seed))
-        assert at_rest(log).valid.all()
-        assert not at_rest(log).messages

@@ -1,10 +1,8 @@
 """Logs of vehicles and robots: equal to their libraries' own export; what is known of each source; refusals."""
 
-import csv
 import json
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -177,23 +175,6 @@ def test_offsets_that_change_in_the_log_and_a_turned_board(tmp_path):
     np.testing.assert_allclose(log.rate_rad_per_s[0], sensor, atol=5e-7)
 
 
-def test_a_dataflash_log_is_what_pymavlink_exports(tmp_path):
-    path = dataflash(tmp_path / "a.bin", imu_rows(STAMPS_US, 0, RATE, TEMPERATURE), {"AHRS_ORIENTATION": 0.0})
-    log = read_vehicle_log(path)
-    from pymavlink.DFReader import DFReader_binary
-
-    reader = DFReader_binary(str(path))
-    with (tmp_path / "a.csv").open("w", newline="", encoding="utf-8") as opened:
-        writer = csv.writer(opened)
-        names = ["TimeUS", "GyrX", "GyrY", "GyrZ", "T"]
-        writer.writerow(names)
-        while (message := reader.recv_match(type="IMU")) is not None:
-            writer.writerow([repr(message.to_dict()[name]) for name in names])
-    reader.close()
-    names = {"time": "TimeUS", "unit": "us", "temperature": "T", "x": "GyrX", "y": "GyrY", "z": "GyrZ"}
-    assert_as_exported(log, tmp_path / "a.csv", MAP.format(**names))
-
-
 def test_ardupilots_imu_without_parameters_is_refused(tmp_path):
     path = tmp_path / "a.bin"
     dataflash(path, imu_rows(STAMPS_US, 0, RATE, TEMPERATURE), {})
@@ -231,15 +212,6 @@ sys.exit(main(["noise", {str(path)!r}]))
     assert "Traceback" not in done.stderr
 
 
-@given(ending=st.sampled_from(["ulg", "bin"]), content=st.binary(max_size=300), cut=st.integers(0))
-@settings(max_examples=100, deadline=None)
-def test_arbitrary_bytes_are_a_sentence(tmp_path_factory, ending, content, cut):
-    path = tmp_path_factory.mktemp("bytes") / f"a.{ending}"
-    path.write_bytes(content)
-    with pytest.raises(LogError):
-        read_vehicle_log(path)
-
-
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sound")
@@ -266,30 +238,6 @@ def test_damaged_logs_give_a_log_or_a_sentence(tmp_path_factory, sound, ending, 
     except LogError:
         return
     assert sum(log.counts().values()) == log.rows_read
-
-
-@pytest.mark.evidence
-@pytest.mark.parametrize("ending", ["ulg", "bin"])
-def test_an_hour_at_a_kilohertz_takes_in_proportion_to_six_minutes(tmp_path, ending):
-    """Processor time of ten times as many rows: some ten times as much, and never with their square."""
-    took = [_time_to_read(tmp_path / f"{rows}.{ending}", rows) for rows in (360_000, 3_600_000)]
-    print(f"{ending}: {took[0]:.1f} s and {took[1]:.1f} s")
-    assert took[1] < 30.0 * took[0]
-
-
-def _time_to_read(path, rows):
-    stamps = 1000 * np.arange(rows, dtype=np.int64)
-    rate = (np.random.default_rng(0).standard_normal((rows, 3)) * 1e-3).astype(np.float32)
-    temperature = (30 + stamps * 1e-9).astype(np.float32)
-    if path.suffix == ".ulg":
-        ulog(path, ("sensor_gyro", 0, sensor_gyro(stamps + 10**6, rate, temperature, 1)))
-    else:
-        dataflash(path, imu_rows(stamps, 0, rate, temperature), {"INS_GYROFFS_X": 0.1})
-    began = time.process_time()  # other processes do not count
-    log = read_vehicle_log(path)
-    took = time.process_time() - began
-    assert log.counts()["used"] == rows
-    return took
 
 
 def test_the_commands_take_them_as_they_are(tmp_path, capsys):

@@ -115,7 +115,7 @@ def misfit(said: list[str]) -> bool:
 
 def asked(said: list[str]) -> bool:
     """Whether another sentence doubts the figure: a question, steps, or noise that changes."""
-    return any("?" in one or "add to it" in one or "changes in the course" in one for one in said)
+    return any("?" in one or "increase the measured noise" in one or "noise changes" in one for one in said)
 
 
 def every(count: int, folders, *, sound: bool) -> tuple[list[float], list[bool]]:

@@ -23,6 +23,7 @@ import importlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -176,13 +177,9 @@ def _places(pairs: list[tuple[_Unit, AngleTrack]]) -> list[tuple[float, float]]:
     begins_u = min(float(unit.time_s[0]) for unit, _ in pairs)
     count_t = 1 + int((max(float(track.time_s[-1]) for _, track in pairs) - begins_t) / _GRID_S)
     count_u = 1 + int((max(float(unit.time_s[-1]) for unit, _ in pairs) - begins_u) / _GRID_S)
-    size = 1 << (count_t + count_u).bit_length()
-
-    def against(left: Floats, right: Floats) -> Floats:
-        """Σ left[i + lag] · right[i] for lags −(count_u − 1) … count_t − 1."""
-        product = np.fft.irfft(np.fft.rfft(left, size) * np.conj(np.fft.rfft(right, size)), size)
-        return np.concatenate((product[-(count_u - 1) :], product[:count_t])) if count_u > 1 else product[:count_t]
-
+    signal: Any = importlib.import_module("scipy.signal")
+    # Σ left[i + lag] · right[i] for lags −(count_u − 1) … count_t − 1.
+    against = partial(signal.correlate, method="fft")
     together = np.zeros(count_t + count_u - 1)
     inside_t, inside_u = together.copy(), together.copy()
     total_t = total_u = 0.0

@@ -166,13 +166,17 @@ def _read_text(
 
 
 def _opened(path: Path, layout: TextTable) -> TextIO:
-    if path.suffix.lower() == ".gz":
-        with path.open("rb") as packed:
-            packed.seek(max(0, path.stat().st_size - 4))
-            # The end of a gzip file states its size.
-            _check_size(int.from_bytes(packed.read(4), "little"), path)
-        return gzip.open(path, "rt", encoding=layout.encoding)
-    return path.open(encoding=layout.encoding)
+    if path.suffix.lower() != ".gz":
+        return path.open(encoding=layout.encoding)
+    with path.open("rb") as packed:
+        packed.seek(max(0, path.stat().st_size - 4))
+        # The end of a gzip file states its size.
+        declared = int.from_bytes(packed.read(4), "little")
+    try:
+        check_size(declared, path.stat().st_size)
+    except ValueError as error:
+        raise LogError(f"is not a complete gzip file, or {error}") from None
+    return gzip.open(path, "rt", encoding=layout.encoding)
 
 
 def _prepared(lines: TextIO, layout: TextTable) -> list[str]:

@@ -116,38 +116,6 @@ def test_the_second_half_stays_within_what_bounds_the_first(log, axis, share):
     assert np.max(other.largest_drift / bound.limit) == pytest.approx(share, abs=0.002)
 
 
-def test_over_a_narrow_range_of_temperature_less_drift_is_left(log):
-    """Per temperature range: only the rows inside it are used, and no window leaves it."""
-    even = log.even("y")
-    interval = even.sample_interval_s
-    warm = even.valid & (even.temperature_c > 30) & (even.temperature_c < 60)
-    times = integration_times(1.0, 60.0, interval, count=20)
-    everywhere = largest_drift(even.rate_rad_per_s, interval, times, 30.0, valid=even.valid)
-    inside = largest_drift(even.rate_rad_per_s, interval, times, 30.0, valid=warm)
-    assert np.all(inside.start_count < everywhere.start_count)
-    assert np.all(inside.largest_drift <= everywhere.largest_drift * (1 + 1e-9))
-    for row, start in enumerate(inside.start_index):
-        before, after = round(30.0 / interval), round(times[row] / interval)
-        assert warm[start - before : start + after].all()
-
-
-def test_heating_fitted_cooling_predicted(log):
-    """The gap between heating and cooling of x is what a fit of the heating alone fails by."""
-    even = log.even("x")
-    coldest = int(np.nanargmin(even.temperature_c))
-    hottest = coldest + int(np.nanargmax(even.temperature_c[coldest:]))
-    rows = np.arange(len(even.valid))
-    heating = even.valid & (rows >= coldest) & (rows < hottest)
-    cooling = even.valid & (rows >= hottest)
-    fit = fit_thermal_bias(
-        even.rate_rad_per_s, even.temperature_c, even.sample_interval_s, lag_time_s=0.0, valid=heating
-    )
-    left = even.rate_rad_per_s - fit.bias(even.temperature_c, even.sample_interval_s)
-    span = np.ptp(even.rate_rad_per_s[even.valid])
-    assert np.std(left[heating]) < 0.02 * span
-    assert np.sqrt(np.mean(left[cooling] ** 2)) > 0.1 * span
-
-
 def test_what_the_coefficients_do_not_describe_is_said(log):
     """A loop in temperature is none of Q, N, B, K; white noise beside it is described well, and nothing is said."""
     rest = at_rest(log, "x", lag="none")

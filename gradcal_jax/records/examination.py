@@ -105,11 +105,11 @@ def at_rows_with_rates(columns: Columns) -> Columns:
     time = columns.values.get("time", np.arange(columns.rows) * 1.0)
     joined = columns.of_rows(rated)
     for name, values in columns.measured(*CHANNELS[1:]).items():
-        joined.values[name] = np.apply_along_axis(_between, -1, values, time, time[rated])
+        joined.values[name] = np.apply_along_axis(interpolated, -1, values, time, time[rated])
     return replace(joined, rows_after=columns.rows - joined.rows)
 
 
-def _between(values: Floats, time: Floats, at: Floats) -> Floats:
+def interpolated(values: Floats, time: Floats, at: Floats) -> Floats:
     """Values `(n,)` at other times; NaN farther from the known ones than three of their intervals."""
     known = np.flatnonzero(np.isfinite(values) & np.isfinite(time))
     if len(known) < 2:

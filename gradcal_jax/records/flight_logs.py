@@ -33,7 +33,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from gradcal_jax.records.examination import Columns, examine
+from gradcal_jax.records.examination import Columns, examine, interpolated
 from gradcal_jax.records.log import SENSOR_RATE, Finding, Floats, Log, LogError, library, naming, quietly
 
 _BAG: Final = (
@@ -138,18 +138,6 @@ def _log(streams: Sequence[GyroStream], provenance: dict[str, str], rows: tuple[
     return replace(log, findings=(*notes, *log.findings))
 
 
-def _at(time_s: Floats, of_time_s: Floats, values: Floats) -> Floats:
-    """Readings of another sensor at a gyro's stamps; NaN farther outside than two of its intervals."""
-    kept = np.flatnonzero(np.isfinite(of_time_s) & np.isfinite(values))
-    if not len(kept):
-        return np.full(len(time_s), np.nan)
-    kept = kept[np.argsort(of_time_s[kept], kind="stable")]
-    x = of_time_s[kept]
-    beyond = 2 * float(np.median(np.diff(x))) if len(x) > 1 else 0.0
-    outside = (time_s < x[0] - beyond) | (time_s > x[-1] + beyond)
-    return np.where(outside, np.nan, np.interp(time_s, x, values[kept]))
-
-
 def _px4(path: Path) -> Iterator[GyroStream]:
     """Every gyro by its device id, in the order of topics; the FIFO's samples where there are some."""
     reader: Any = library("pyulog", "pyulog")
@@ -174,7 +162,7 @@ def _px4(path: Path) -> Iterator[GyroStream]:
         time = time * 1e-6 - start_s
         warm = sensor_rate = force = None
         if single is not None and "temperature" in single.data:
-            warm = _at(time, _stamps(single) * 1e-6 - start_s, single.data["temperature"].astype(np.float64))
+            warm = interpolated(single.data["temperature"].astype(np.float64), _stamps(single) * 1e-6 - start_s, time)
         if fifo is None and len(time) > 2:
             own = (len(time) - 1) / max(float(time[-1] - time[0]), 1e-9)
             sensor_rate = "unknown" if own < 90.0 else None
@@ -183,7 +171,7 @@ def _px4(path: Path) -> Iterator[GyroStream]:
                 sensor_rate = f"{published[device]:.6g} Hz" if published[device] > 1.1 * own else None
         if beside is not None:
             at, each = _samples(beside)
-            force = np.stack([_at(time, at * 1e-6 - start_s, one) for one in each.T], axis=1)
+            force = np.stack([interpolated(one, at * 1e-6 - start_s, time) for one in each.T], axis=1)
         yield GyroStream(device, time, rate, warm, sensor_rate=sensor_rate, force=force)
 
 

@@ -281,54 +281,41 @@ class Log:
     def summary_lines(self) -> list[str]:
         """Its contents in lines: length, units, axes, arrays, the numbers of rows by use, faults."""
         units = ", ".join(self.units) if len(self.units) <= 3 else f"{len(self.units)} units"
-        arrays = {"temperature": self.temperature_c, "second temperature": self.second_temperature_c}
-        arrays |= {"host time": self.host_time_s, "table angle": self.table_angle_rad}
-        also = [name for name, array in arrays.items() if array is not None]
-        also += [] if self.readings is None else [f"{len(self.readings.time_s)} readings of the table's angle"]
-        also += [f"{len(self.stretch_starts)} stretches"] if len(self.stretch_starts) > 1 else []
-        forces = f"; specific forces of {', '.join(self.force_axes)}" if self.force_axes else ""
+        fields = {"temperature": self.temperature_c, "second temperature": self.second_temperature_c}
+        fields |= {"host time": self.host_time_s, "table angle": self.table_angle_rad, "readings": self.readings}
+        also = [name for name, held in fields.items() if held is not None]
+        counts = ", ".join(f"{count} {reason}" for reason, count in self.counts(0).items())
         lines = [
             f"log of {units}: {self.duration_s:.6g} s at {1.0 / self.sample_interval_s:.6g} Hz"
             + ", SIMULATED" * self.simulated,
-            f"  rates of {', '.join(self.axes) or 'no axis'}{forces}",
+            f"  rates of {', '.join(self.axes) or 'no axis'}; specific forces of "
+            f"{', '.join(self.force_axes) or 'no axis'}",
+            f"  with {', '.join(also) or 'neither temperature nor angles'}, in {len(self.stretch_starts)} stretches",
+            f"  of {self.rows_read} rows: {counts}",
         ]
-        lines += [f"  with {', '.join(also)}"] if also else []
-        counts = ", ".join(f"{count} {reason}" for reason, count in self.counts(0).items())
-        lines.append(f"  of {self.rows_read} rows: {counts}")
         return lines + ([text_columns([(f.done, f.message) for f in self.findings])] if self.findings else [])
 
     _shown = summary_lines
 
     def __post_init__(self) -> None:
         rows = len(self.time_s)
-        labels = {"unit": self.units, "axis": self.axes, "force axis": self.force_axes, "table axis": self.table_axes}
-        sizes = {"time": rows} | {name.replace(" ", "_"): len(of) for name, of in labels.items()}
-        shape = (len(self.units), rows, len(self.axes))
-        if self.time_s.ndim != 1 or rows < 2:
-            raise LogError(f"a log needs at least two rows, not {rows}")
+        labels = {"unit": self.units, "axis": self.axes, "force_axis": self.force_axes, "table_axis": self.table_axes}
+        for name, of in labels.items():
+            if len(set(of)) != len(of):
+                raise LogError(f"two of the log's {name.replace('_', ' ')} labels are the same: {', '.join(of)}")
+        if rows < 2 or not self.units or not self.axes + self.force_axes:
+            raise LogError(f"a log needs at least two rows, a unit and an axis; this one has {rows} rows")
         if not (np.isfinite(self.time_s).all() and np.all(self.time_s[1:] > self.time_s[:-1])):
             raise LogError("the times of a log must increase from row to row")
-        if self.rate_rad_per_s.shape != shape or 0 in (*shape[:2], shape[2] + len(self.force_axes)):
-            raise LogError(
-                f"the rates have the shape {self.rate_rad_per_s.shape}; expected [unit, time, axis] = {shape}"
-            )
-        for name, variable in VARIABLES.items():
-            array: NDArray[Any] | None = getattr(self, variable.field)
-            if name not in NEEDED and array is not None:
-                wanted = tuple(sizes[dimension] for dimension in variable.dimensions)
-                if array.shape != wanted:
-                    raise LogError(f"the {name.replace('_', ' ')} has the shape {array.shape} instead of {wanted}")
+        sizes = {"time": rows, "stretch": len(self.stretch_starts)} | {name: len(of) for name, of in labels.items()}
+        _check_shapes(self, VARIABLES, sizes)
         if (known := self.readings) is not None:
-            if len({len(getattr(known, one.name)) for one in fields(known)}) != 1:
-                raise LogError("the readings of the table's angle have columns of different lengths")
+            _check_shapes(known, OF_READINGS, {"reading": len(known.time_s)})
             for name, values, end in (("row", known.row, rows), ("axis", known.axis, len(self.table_axes))):
                 if np.any((values < 0) | (values >= end)):
                     raise LogError(f"a reading of the table's angle has a {name} that the log does not have")
-            if not (np.isfinite(known.time_s).all() and np.isfinite(known.angle_rad).all()):
+            if not np.isfinite([known.time_s, known.angle_rad]).all():
                 raise LogError("a reading of the table's angle has no time or no angle")
-        for name, of in labels.items():
-            if len(set(of)) != len(of):
-                raise LogError(f"two of the log's {name} labels are the same: {', '.join(of)}")
         starts = self.stretch_starts
         if len(starts) == 0 or starts[0] != 0 or np.any(np.diff(starts) <= 0) or starts[-1] >= rows:
             raise LogError("stretch_starts must increase, and the first stretch of a log must begin at row 0")
@@ -361,11 +348,10 @@ class Log:
 
     def channel(self, axis: str | int, unit: str | int = 0, *, force: bool = False) -> Floats:
         """`(n,)`: the rates of one axis, or its specific forces."""
-        if not force:
-            return self.rate_rad_per_s[self.unit_index(unit), :, self.axis_index(axis)]
-        if self.specific_force_m_per_s2 is None:
-            raise LogError("the log has no specific forces")
-        return self.specific_force_m_per_s2[self.unit_index(unit), :, _index(axis, self.force_axes, "force axis")]
+        labels, kind = (self.force_axes, "accelerometer") if force else (self.axes, "gyro")
+        if not labels:
+            raise LogError("the log has no specific forces" if force else "the log has no rates")
+        return self.channels(unit)[f"{kind} {labels[_index(axis, labels, 'axis')]}"]
 
     def channels(self, unit: str | int = 0) -> dict[str, Floats]:
         """The rates and specific forces `(n,)` of a unit by the names of their channels: "gyro x"."""
@@ -378,13 +364,13 @@ class Log:
 
     def triads(self, unit: str | int = 0) -> tuple[Floats, Floats]:
         """Rates and specific forces `(n, 3)` along x, y, z; NaN for axes that the log does not have."""
-        number, result = self.unit_index(unit), np.full((2, len(self.time_s), 3), np.nan)
-        pairs = ((self.axes, self.rate_rad_per_s), (self.force_axes, self.specific_force_m_per_s2))
-        for into, (labels, values) in zip(result, pairs, strict=True):
-            for k, label in enumerate(labels):
-                if values is not None and label in ("x", "y", "z"):
-                    into[:, "xyz".index(label)] = values[number, :, k]
-        return result[0], result[1]
+        channels = self.channels(unit)
+        none = np.full(len(self.time_s), np.nan)
+        rates, forces = (
+            np.stack([channels.get(f"{kind} {axis}", none) for axis in "xyz"], axis=1)
+            for kind in ("gyro", "accelerometer")
+        )
+        return rates, forces
 
     def usable(self, unit: str | int = 0) -> Bools:
         """Which rows of a unit are not masked. [time]"""
@@ -460,6 +446,15 @@ def without_masked(log: Log) -> Log:
             changed[name] = values.copy()
             changed[name][rows] = np.nan
     return replace(log, **changed)
+
+
+def _check_shapes(holder: object, variables: Mapping[str, LogVariable], sizes: Mapping[str, int]) -> None:
+    for name, variable in variables.items():
+        array: NDArray[Any] | None = getattr(holder, variable.field)
+        wanted = tuple(sizes[dimension] for dimension in variable.dimensions)
+        if array is not None and array.shape != wanted:
+            words = f"expected [{', '.join(variable.dimensions)}] = {wanted}"
+            raise LogError(f"the {name.replace('_', ' ')} has the shape {array.shape}; {words}")
 
 
 def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:

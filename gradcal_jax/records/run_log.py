@@ -25,12 +25,11 @@ from numpy.typing import NDArray
 from gradcal_jax import formulas
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, records_of
-from gradcal_jax.hardware.roles import STANDARD_GRAVITY, ImuBatch, imu_batch
 from gradcal_jax.hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.records.alignment import Alignment, AngleTrack, align
 from gradcal_jax.records.clockmap import ClockMap, bridge_gaps, fit_arrivals, last_of_chunks
-from gradcal_jax.records.log import SERIAL_NUMBER, AngleReadings, Finding, Log
+from gradcal_jax.records.log import SERIAL_NUMBER, AngleReadings, Finding, Log, Reason
 from gradcal_jax.records.samples import Rows, SampleFile, compacted
 from gradcal_jax.records.sessions import Session, sessions_of
 from gradcal_jax.records.table_angles import (
@@ -187,7 +186,7 @@ def _of_recording(
         for session in recorded_in:
             tracks = {label: _track(session.events, axis) for axis, label in zip(axes, labels, strict=True)}
             alignments.append(align(recorded.time_s, turned, tracks))
-            file.push(_as_samples(recorded, number, rates, alignments[-1], session.events))
+            file.write(_as_rows(recorded, number, alignments[-1], session.events, file.kind))
         rows = file.rows()
     parts: list[_Part] = []
     for place, (session, alignment) in enumerate(zip(recorded_in, alignments, strict=True)):
@@ -239,30 +238,29 @@ def _track(events: Sequence[Event], axis: str) -> AngleTrack:
     return AngleTrack(times[first], angles[first])
 
 
-def _as_samples(
-    recorded: Log, number: int, rates: Mapping[str, Floats], clock: Alignment, events: Sequence[Event]
-) -> ImuBatch:
-    count = len(recorded.time_s)
-    host = clock.host_time_s(recorded.time_s)
-    temperature = np.full(count, np.nan)
+def _as_rows(recorded: Log, number: int, clock: Alignment, events: Sequence[Event], kind: np.dtype[Any]) -> Rows:
+    """The samples of a recording at the run's times. Temperatures are the recording's, or else the chamber's."""
+    rows = np.zeros(len(recorded.time_s), kind)
+    rows["time_s"] = recorded.time_s
+    rows["host_s"] = clock.host_time_s(recorded.time_s)
+    rows["rate"] = recorded.rate_rad_per_s[number]
+    rows["force"] = rows["temperature_c"] = rows["second_c"] = np.nan
+    if recorded.force_axes == ("x", "y", "z") and recorded.specific_force_m_per_s2 is not None:
+        rows["force"] = recorded.specific_force_m_per_s2[number]
     if recorded.temperature_c is not None:
-        temperature = np.asarray(recorded.temperature_c[number], np.float64)
+        rows["temperature_c"] = recorded.temperature_c[number]
     elif chamber := [event for event in events if event.name == "chamber"]:
-        at_s = np.array([event.time_s for event in chamber])
+        at_s = [event.time_s for event in chamber]
         loads = [event.data.get("product_c") for event in chamber]
         read_c = [float(e.data["air_c"] if load is None else load) for e, load in zip(chamber, loads, strict=True)]
-        temperature = np.interp(host, at_s, np.array(read_c))
-    steps = np.diff(recorded.time_s, prepend=recorded.time_s[0])
-    missing = np.maximum(np.round(steps / recorded.sample_interval_s).astype(np.int64) - 1, 0)
-    forces = np.full((count, 3), np.nan)
-    if recorded.force_axes == ("x", "y", "z") and recorded.specific_force_m_per_s2 is not None:
-        forces = recorded.specific_force_m_per_s2[number] / STANDARD_GRAVITY
-    more = {"gap_before": missing, "second_c": recorded.bridged_temperature(number, second=True)}
+        rows["temperature_c"] = np.interp(rows["host_s"], at_s, read_c)
+    if (second := recorded.bridged_temperature(number, second=True)) is not None:
+        rows["second_c"] = second
     if recorded.status is not None:
-        more["status"] = recorded.status[number].astype(np.int64)
-    gyro, temperatures = np.stack(list(rates.values()), axis=-1), np.repeat(temperature[:, None], 3, axis=1)
-    known = {name: values for name, values in more.items() if values is not None}
-    return replace(imu_batch(0.0, recorded.time_s, gyro, forces, temperatures, **known), host_time_s=host)
+        rows["status"] = np.where(recorded.status[number] != 0, Reason.MARKED.value, 0)
+    steps = np.diff(recorded.time_s, prepend=recorded.time_s[0])
+    rows["gap"] = np.maximum(np.round(steps / recorded.sample_interval_s).astype(np.int64) - 1, 0)
+    return rows
 
 
 def _clock_of(alignment: Alignment) -> ClockMap:

@@ -1,7 +1,7 @@
 """The samples of a run, in a file that is mapped into memory: those of a day may take more memory than there is."""
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gradcal_jax.hardware.roles import STANDARD_GRAVITY, ImuBatch
 from gradcal_jax.records.log import Reason
 
-BLOCK: Final = 1 << 16
+_BLOCK: Final = 1 << 16
 """Rows that are copied at once."""
 Rows = NDArray[Any]
 """A structured array."""
@@ -25,26 +25,15 @@ class SampleFile:
     """
 
     def __init__(self, folder: Path, axes: int = 3, table_axes: int = 0) -> None:
-        self.kind = np.dtype(
-            [
-                ("time_s", float),
-                ("host_s", float),
-                ("rate", float, (axes,)),
-                ("force", float, (3,)),
-                ("temperature_c", float),
-                ("second_c", float),
-                ("table_rate", float, (table_axes,)),
-                ("gap", np.int64),
-                ("standstill", np.int64),
-                ("mounting", np.int64),
-                ("status", np.uint16),
-                ("disturbed", np.bool_),
-                ("restarted", np.bool_),
-            ]
-        )
+        floats = ("time_s", "host_s", "temperature_c", "second_c")
+        columns: list[Any] = [(name, float) for name in floats]
+        columns += [("rate", float, (axes,)), ("force", float, (3,)), ("table_rate", float, (table_axes,))]
+        columns += [(name, np.int64) for name in ("gap", "standstill", "mounting")]
+        columns += [("status", np.uint16), ("disturbed", np.bool_), ("restarted", np.bool_)]
+        self.kind = np.dtype(columns)
         self._folder = folder
         self._count = 0
-        self._file = self._opened()
+        self._file = self._tried(tempfile.TemporaryFile, dir=folder, buffering=0)
 
     def __enter__(self) -> Self:
         return self
@@ -56,6 +45,7 @@ class SampleFile:
         return self._count
 
     def push(self, batch: ImuBatch) -> None:
+        """The samples of a batch."""
         rows = np.zeros(len(batch), self.kind)
         rows["time_s"] = batch.device_time_s
         rows["host_s"] = batch.host_time_s
@@ -67,12 +57,13 @@ class SampleFile:
         rows["status"] = np.where(batch.status != 0, Reason.MARKED.value, 0)
         rows["disturbed"] = batch.disturbed
         rows["restarted"] = batch.restarted
+        self.write(rows)
+
+    def write(self, rows: Rows) -> None:
+        """Rows as they are."""
         left = memoryview(rows.tobytes())
-        try:
-            while len(left):
-                left = left[self._file.write(left) :]
-        except OSError as problem:
-            raise self._named(problem) from None
+        while len(left):
+            left = left[self._tried(self._file.write, left) :]
         self._count += len(rows)
 
     def rows(self) -> Rows:
@@ -81,22 +72,20 @@ class SampleFile:
             return np.zeros(0, self.kind)
         return np.memmap(self._file, self.kind, "r+", shape=(self._count,))
 
-    def _opened(self) -> Any:
+    def _tried(self, action: Callable[..., Any], *given: Any, **named: Any) -> Any:
         try:
-            return tempfile.TemporaryFile(dir=self._folder, buffering=0)
+            return action(*given, **named)
         except OSError as problem:
-            raise self._named(problem) from None
-
-    def _named(self, problem: OSError) -> OSError:
-        return type(problem)(problem.errno, problem.strerror or str(problem), str(self._folder))
+            name = str(self._folder)
+            raise type(problem)(problem.errno, problem.strerror or str(problem), name) from None
 
 
 def compacted(rows: Rows, ranges: Sequence[tuple[int, int]]) -> Rows:
     """The rows of the increasing `ranges` alone, moved to the beginning."""
     count = 0
     for first, end in ranges:
-        for begin in range(first, end, BLOCK):
-            block = rows[begin : min(begin + BLOCK, end)].copy()
+        for begin in range(first, end, _BLOCK):
+            block = rows[begin : min(begin + _BLOCK, end)].copy()
             rows[count : count + len(block)] = block
             count += len(block)
     return rows[:count]

@@ -94,30 +94,39 @@ def rows_in_order(time: Floats, found: Findings, rows_before: int = 0) -> Whole:
     readable = np.abs(time) < ABSURD
     _refuse_intervals(time[readable])
     order = np.flatnonzero(readable)
-    kept = _increasing(time[order])
-    latest = np.maximum.accumulate(time[order])
-    earlier = np.concatenate([[-np.inf], latest[:-1]])[: len(order)]
-    _refuse_coarse(time, np.count_nonzero(~kept & (time[order] == earlier)), readable)
-    _refuse_restart(time[order], kept, rows_before)
-    back = _distance(time[order], kept)
-    count = int(np.count_nonzero(~kept & (time[order] != earlier)))
+    stamps = time[order]
+    kept = _increasing(stamps)
+    before = np.maximum.accumulate(np.where(kept, stamps, -np.inf))
+    span = float(np.ptp(stamps)) if len(stamps) else 0.0
+    alike = np.count_nonzero(~kept & (stamps == before))
+    if alike > _SHARE * len(time):
+        own = f'"{(len(stamps) - 1) / span:.6g} Hz"' if span > 0.0 else "what it was"
+        raise LogError(
+            f"of {len(time)} rows {alike} have the time stamp of an earlier row: are the time stamps too coarse to "
+            f"distinguish rows? If so, leave time out and give sample_rate = {own} (the number of rows divided by the "
+            "time span). Or are rows of several sensors mixed? If so, select the rows of one sensor with the key "
+            "`where`"
+        )
+    _refuse_restart(stamps, kept, rows_before)
+    count = int(np.count_nonzero(~kept) - alike)
     if count > max(_MANY, _SHARE * len(time)):
+        rows = np.arange(len(stamps))
+        back = float(np.max(np.abs(stamps - np.interp(rows, rows[kept], stamps[kept]))))
         words = f"{counted(count)} have a time stamp before that of an earlier row, by up to {back:.6g} s"
-        if back > _SHUFFLED * float(np.ptp(time[order])):
+        if back > _SHUFFLED * span:
             raise LogError(
                 f"{words}: the clock steps back again and again: does the column mix two clocks, or rows of several "
                 "sensors, or does a counter wrap? Select the rows of one sensor with where, or give sample_rate"
             )
         found.rows("rows out of order", count, f"{words}; the rows were sorted by time stamp", "sort")
-        order = order[np.argsort(time[order], kind="stable")]
-        kept = np.diff(time[order], prepend=-np.inf) > 0.0
-        earlier = np.where(kept, -np.inf, time[order])
-    bad = time[order]
+        order = order[np.argsort(stamps, kind="stable")]
+        stamps = before = time[order]
+        kept = np.diff(stamps, prepend=-np.inf) > 0.0
     for kind, rows, words in (
         ("unreadable row", np.flatnonzero(~readable), "without a readable time"),
-        ("damaged stamp", order[~kept & (bad > earlier)], "with a time stamp ahead of the rows around them"),
-        ("duplicate stamp", order[~kept & (bad == earlier)], "with the time stamp of an earlier row"),
-        ("unordered stamp", order[~kept & (bad < earlier)], "stamped before an earlier row"),
+        ("damaged stamp", order[~kept & (stamps > before)], "with a time stamp ahead of the rows around them"),
+        ("duplicate stamp", order[~kept & (stamps == before)], "with the time stamp of an earlier row"),
+        ("unordered stamp", order[~kept & (stamps < before)], "stamped before an earlier row"),
     ):
         if len(rows):
             found.removed[kind] = len(rows)
@@ -148,25 +157,6 @@ def _increasing(time: Floats) -> Bools:
         kept[row] = True
         row = before[row]
     return kept
-
-
-def _distance(time: Floats, kept: Bools) -> float:
-    """How far stamps are from those of the rows around them that are kept, s."""
-    rows = np.arange(len(time))
-    there = np.interp(rows, rows[kept], time[kept]) if kept.any() else time
-    return float(np.max(np.abs(time - there), initial=0.0))
-
-
-def _refuse_coarse(time: Floats, duplicates: Any, readable: Bools) -> None:
-    if duplicates <= _SHARE * len(time):
-        return
-    span = float(np.ptp(time[readable]))
-    own = f'"{(np.count_nonzero(readable) - 1) / span:.6g} Hz"' if span > 0.0 else "what it was"
-    raise LogError(
-        f"of {len(time)} rows {duplicates} have the time stamp of an earlier row: are the time stamps too coarse to "
-        f"distinguish rows? If so, leave time out and give sample_rate = {own} (the number of rows divided by the time "
-        "span). Or are rows of several sensors mixed? If so, select the rows of one sensor with the key `where`"
-    )
 
 
 def _refuse_intervals(time: Floats) -> None:

@@ -154,7 +154,7 @@ class _Place(NamedTuple):
     scale: float
 
 
-def _least_squares(residuals: Callable[[Floats], Floats], offset_s: float, excess: float) -> Any:
+def _least_squares(residuals: Callable[[Floats], Floats], offset_s: float, excess: float, ftol: float = 1e-8) -> Any:
     """The fit of a line near this one."""
     optimize: Any = importlib.import_module("scipy.optimize")
     return optimize.least_squares(
@@ -163,6 +163,7 @@ def _least_squares(residuals: Callable[[Floats], Floats], offset_s: float, exces
         bounds=([offset_s - _APART_S, -_CREDIBLE], [offset_s + _APART_S, _CREDIBLE]),
         x_scale=[1e-2, 1e-5],
         xtol=1e-12,
+        ftol=ftol,
     )
 
 
@@ -225,7 +226,7 @@ def _refined(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: f
         solution = np.linalg.lstsq(design, known, rcond=None)[0]
         return known - design @ solution, known, solution[::2]
 
-    fit = _least_squares(lambda line: left(line)[0], offset_s, 0.0)
+    fit = _least_squares(lambda line: left(line)[0], offset_s, 0.0, 1e-3)
     rest, known, scales = left(fit.x)
     power = float(known @ known)
     if np.count_nonzero(known) < 3 * (2 + 2 * len(pairs)) or power == 0.0:

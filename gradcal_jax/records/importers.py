@@ -23,7 +23,7 @@ from gradcal_jax.records.column_map import (
 from gradcal_jax.records.column_names import question_of
 from gradcal_jax.records.examination import Columns, at_rows_with_rates, examine
 from gradcal_jax.records.log import SENSOR_RATE, Bools, Floats, Log, LogError, naming
-from gradcal_jax.records.table_files import Table, read_table, rows_where
+from gradcal_jax.records.table_files import FileArrays, read_table, rows_where
 
 _LOG = logging.getLogger(__name__)
 _MEND: Final = '(correct the map, or set [policy] values = "keep")'
@@ -50,7 +50,7 @@ def import_log(path: str | Path, columns: ColumnMap | str | Path, *, rows: tuple
     with naming(path):
         if columns.policy.values == "refuse":
             _refuse_contradictions(table, columns)
-        log = _columns(table, columns, path.name)
+        log = columns_in_si(table, columns, path.name)
         if columns.interpolate:
             log = at_rows_with_rates(log)
         rows_hz = _rows_hz(log)
@@ -75,7 +75,7 @@ def _rows_hz(log: Columns) -> float:
     return 1.0 / max(float(np.median(np.diff(time))), 1e-9) if len(time) > 1 else log.sample_rate_hz or 1.0
 
 
-def _refuse_contradictions(table: Table, columns: ColumnMap) -> None:
+def _refuse_contradictions(table: FileArrays, columns: ColumnMap) -> None:
     """Names that state another quantity or unit than the map, and rates in whole numbers alone."""
     for source in columns.sources():
         if not isinstance(source, Measured):
@@ -91,7 +91,7 @@ def _refuse_contradictions(table: Table, columns: ColumnMap) -> None:
                 raise LogError(f"{words} {_MEND}")
 
 
-def _numbers(table: Table, source: Source) -> Any:
+def _numbers(table: FileArrays, source: Source) -> Any:
     """One column, unconverted (integers stay integers)."""
     values = table.array(source)
     if values.dtype.kind not in "biuf":
@@ -99,7 +99,7 @@ def _numbers(table: Table, source: Source) -> Any:
     return values
 
 
-def _in_si(table: Table, source: Source) -> Floats:
+def _in_si(table: FileArrays, source: Source) -> Floats:
     """One column in SI; angles per row stay angles, and times count from the first row."""
     values = _numbers(table, source)
     with np.errstate(all="ignore"):  # absurd numbers are found and named afterwards
@@ -121,11 +121,12 @@ def _in_si(table: Table, source: Source) -> Floats:
     return values if source.where is None else np.where(_meant(table, source), values, np.nan)
 
 
-def _meant(table: Table, source: Measured) -> Bools | bool:
+def _meant(table: FileArrays, source: Measured) -> Bools | bool:
     return True if source.where is None else rows_where(source.where, table.array(source.where))
 
 
-def _columns(table: Table, columns: ColumnMap, name: str) -> Columns:
+def columns_in_si(table: FileArrays, columns: ColumnMap, name: str) -> Columns:
+    """The columns of a table in SI, by its map; `name`: of its source. Raises `LogError` where they do not fit."""
     sensors = columns.sensors
     values = {name: _in_si(table, source) for name, source in columns.of_table().items()}
     for channel in dict.fromkeys(name for sensor in sensors for name in sensor.channels()):

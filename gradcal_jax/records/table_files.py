@@ -66,7 +66,7 @@ _LIKELY: Final = {
 """The same where a column has no number."""
 
 
-class Table:
+class FileArrays:
     """The arrays of a file, and the units that stand in a row of their own below the names."""
 
     def __init__(self, arrays: Arrays, units: Mapping[str | int, str] | None = None) -> None:
@@ -93,7 +93,7 @@ class Table:
         )
 
 
-def read_table(path: Path, layout: TextTable, sources: Sequence[Source], *, where: Where | None = None) -> Table:
+def read_table(path: Path, layout: TextTable, sources: Sequence[Source], *, where: Where | None = None) -> FileArrays:
     """The columns of a file, whose ending tells its kind: .csv, .txt, .tsv, .dat, .log, .asc (text; also with .gz
     behind it), .npz, .npy, .mat (MATLAB up to version 7), .parquet; of a text the rows `where` alone.
     Errors: `LogError` that names the file.
@@ -120,14 +120,14 @@ def read_table(path: Path, layout: TextTable, sources: Sequence[Source], *, wher
             if kind in _TEXT:
                 return _read_text(path, layout, sources, named, where)
             wanted = {source.column for source in (*sources, *named, *([where] if where else []))}
-            return Table(_READERS[kind](path, wanted))
+            return FileArrays(_READERS[kind](path, wanted))
         except OSError as error:
             raise LogError(f"cannot be read: {error.strerror or error}") from None
 
 
 def _read_text(
     path: Path, layout: TextTable, sources: Sequence[Source], named: Sequence[Where], where: Where | None
-) -> Table:
+) -> FileArrays:
     delimiter = DELIMITERS.get(layout.delimiter, layout.delimiter)
     numbers = {source.column for source in sources}
     texts = {one.column for one in (*named, *([where] if where else []))}
@@ -162,7 +162,7 @@ def _read_text(
     # A row of units stands below the names: no word of it is a number.
     if header and first and all(_number(text) != _number(text) for text in first[0]):
         units = {one: first[0][place].strip("()[] ") for one, place in places.items() if place < len(first[0])}
-    return Table({one: columns[place] for one, place in places.items()}, units)
+    return FileArrays({one: columns[place] for one, place in places.items()}, units)
 
 
 def _opened(path: Path, layout: TextTable) -> TextIO:

@@ -41,7 +41,7 @@ def spec_of(*, ways: int, size: float = SIZE, plays: bool = True) -> Spec:
     slope = ways * (WARM - COLD) / LASTING_S * 60.0
     programme = [{"soak": "10 s", "at": f"{COLD} degC"}]
     programme += [{"ramp_to": f"{(WARM, COLD)[way % 2]} degC", "rate": f"{slope} K/min"} for way in range(ways)]
-    of_temperature = {"basis": "polynomial", "degree": 3, "centre": "20 degC", "scale": "40 K"}
+    of_temperature = {"degree": 3, "centre": "20 degC", "scale": "40 K"}
     gyro = {
         "angle_random_walk": "0.1 deg/sqrt(h)", "rate_random_walk": "0 deg/h/sqrt(h)", "turn_on_bias": "0 deg/h",
         "drift": [{"standard_deviation": "0.5 deg/h", "correlation_time": "300 s"}],

@@ -62,8 +62,8 @@ angle_random_walk = "0.1 deg/sqrt(h)"
 standard_deviation = "1 deg/h"
 correlation_time   = "120 s"
 [sensor.gyro.scale_factor]
-temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
-rate        = { basis = "polynomial", degree = 1, scale = "300 deg/s" }
+temperature = { degree = 1, centre = "20 degC", scale = "50 K" }
+rate        = { degree = 1, scale = "300 deg/s" }
 [rig.table]
 standing = "read"
 mounting = { x = "+z", y = "+x", z = "+y" }
@@ -93,12 +93,12 @@ method      = "gradient"
 temperature = ["-30 degC", "70 degC"]
 gradient    = "2 K/min"
 [plan.cycle]
-other_axes = { duration = "780 s", read = true, read_every = "20 s" }
+other_axes = { duration = "780 s", read_every = "20 s" }
 moves = [
   { rest = "10 s", read_every = "5 s" },
-  { duration = "50 s", peak_rate = "200 deg/s" , shape = "cosine ramps" },
+  { turn = "9790 deg", duration = "50 s", peak_rate = "200 deg/s", shape = "cosine ramps" },
   { rest = "10 s", read_every = "5 s" },
-  { duration = "50 s", peak_rate = "-150 deg/s" , shape = "cosine ramps" },
+  { turn = "-7380 deg", duration = "50 s", peak_rate = "150 deg/s", shape = "cosine ramps" },
 ]
 [design]
 minimise = "full range"

@@ -27,7 +27,7 @@ def hidden(each: str) -> dict[str, object]:
 
 
 FREE: list[str] = []
-BIAS = {"temperature": {"basis": "polynomial", "degree": 3, "centre": "20 degC", "scale": "50 K"}}
+BIAS = {"temperature": {"degree": 3, "centre": "20 degC", "scale": "50 K"}}
 REALISTIC = {
     "rig.table.axis[0].angle.reading_noise": "0 deg",
     "rig.table.axis[0].angle.standstill_offset": "0.05 deg",

@@ -42,7 +42,7 @@ def record() -> Log:
 
 def spec(*, plays: bool) -> Spec:
     """Three gyros at rest, the noise as the record shows it."""
-    cubic = {"basis": "polynomial", "degree": 3, "centre": "30 degC", "scale": "50 K"}
+    cubic = {"degree": 3, "centre": "30 degC", "scale": "50 K"}
     gyro: dict[str, Any] = {
         "angle_random_walk": "0.6 deg/sqrt(h)",
         "drift": [{"standard_deviation": "250 deg/h", "correlation_time": "20 min"}],

@@ -31,7 +31,7 @@ from gradcal_jax.calibration.file import (
     term_values,
 )
 from gradcal_jax.records.log import Floats, Log, LogError
-from gradcal_jax.spec.bases import RateBins
+from gradcal_jax.spec.bases import SplineKeys
 from gradcal_jax.tables.display import summary
 
 _ROUNDS, _SETTLED, _DIVERGED = 60, 1e-14, 1e-9
@@ -230,7 +230,8 @@ def _followed_by(term: CalibratedTerm, at: Floats, path: OnPath | None) -> Float
 def _refuse_or_leave(channel: CalibratedChannel, at: Floats, measured: Floats, change: Floats, now: Floats) -> None:
     """Set to NaN what has no solution, far beyond what the sensor measures; raise `ValueError` within that."""
     # Next to a jump of the map (bins) two values may alternate: both are within the jump.
-    if any(isinstance(term.rate, RateBins) for term in channel.term) or not np.isfinite(measured).any():
+    bins = any(isinstance(term.rate, SplineKeys) and not term.rate.degree for term in channel.term)
+    if bins or not np.isfinite(measured).any():
         return
     limit = 2.0 * max(abs(float(r)) for r in channel.valid_rate) if channel.kind == "gyro" else _LARGEST_FORCE
     size = np.maximum(np.abs(now), np.nanmedian(np.abs(now)))

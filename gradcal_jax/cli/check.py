@@ -149,7 +149,7 @@ def _required(requirement: "Requirement") -> str:
     r: Any = requirement
     over = f"{r.temperature[0]} to {r.temperature[1]}"
     if hasattr(r, "mission"):
-        missions = (f"{m.file} ({time_text(r.after or m.rows.time[-1])})" for m in r.mission)
+        missions = (f"{m.file} ({time_text(m.rows.time[-1])})" for m in r.mission)
         over = f"{', '.join(missions)}, {over}"
     if isinstance(getattr(r, "rate", None), tuple):
         over += f", {r.rate[0]} to {r.rate[1]}"

@@ -418,10 +418,11 @@ class CyclePlan:
             moves += self.rounding.moves(part)
             behind = wait
             if visits.other and number < len(parts) - 1:
-                moves.append({"rest": f"{wait:.9g} s", "other_axes": True} | ({} if reads else {"read": "none"}))
+                moves.append({"rest": f"{wait:.9g} s", "other_axes": True} | ({} if reads else {"read_every": "none"}))
         cycle: dict[str, Any] = {"moves": moves}
         if visits.other:
-            cycle["other_axes"] = {"duration": f"{behind:.9g} s", "read": reads}
+            spacing = {"read_every": f"{self.limits.read_every:.9g} s"} if reads else {}
+            cycle["other_axes"] = {"duration": f"{behind:.9g} s"} | spacing
         every = self.limits.read_every
         spaced = {} if every == reading_spacing(self.spec) else {"rig.table.axis[0].angle.read_every": f"{every:.9g} s"}
         return {"plan.cycle": cycle, **spaced}

@@ -140,11 +140,7 @@ class CycleRounding(NamedTuple):
         for t in cycle:
             if t.axis >= 0 and t.angle:
                 rate, duration = self._made(t.axis, math.degrees(t.angle), math.degrees(t.rate))
-                whole = t.angle / (2.0 * math.pi)
-                turned: dict[str, Any] = {"turn": f"{math.degrees(t.angle):.10g} deg"}
-                if abs(whole - round(whole)) < _SLACK:
-                    turned = {"turns": round(whole)}
-                turn = turned | {"axis": self.axes[t.axis]}
+                turn = {"turn": f"{math.degrees(t.angle):.10g} deg", "axis": self.axes[t.axis]}
                 turn |= {"peak_rate": f"{rate:.8g} deg/s", "duration": f"{duration:.8g} s", "shape": SHAPE}
                 moves.append(turn)
             if t.rest:

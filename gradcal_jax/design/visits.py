@@ -28,7 +28,7 @@ _FREE_VISITS: Final = (3, 4, 6)
 
 
 class ResolvedCycle(NamedTuple):
-    """One cycle in SI: the moves one after the other, then the other axes' time, then idle standing (not read).
+    """One cycle in SI: the moves one after the other, then the other axes' time.
 
     `other_read_every` is None where the axis is not read while the others turn.
     """
@@ -37,12 +37,11 @@ class ResolvedCycle(NamedTuple):
     moving: float
     other: float
     other_read_every: float | None
-    idle: float
 
     @property
     def duration(self) -> float:
         """Duration of the whole cycle (s)."""
-        return self.moving + self.other + self.idle
+        return self.moving + self.other
 
 
 def motion_time(spec: Spec, design: Design) -> float:
@@ -83,8 +82,7 @@ def with_motion(spec: Spec, time: float) -> Spec:
             if isinstance(item, RampItem)
         }
     else:
-        one = plan.gradient
-        keys = {"plan.gradient": [slower(s) for s in one] if isinstance(one, tuple) else slower(float(one or 0.0))}
+        keys = {"plan.gradient": slower(float(plan.gradient or 0.0))}
     return changed(spec, keys)
 
 
@@ -102,13 +100,12 @@ def cycle_of(spec: Spec) -> ResolvedCycle | None:
         spacing = every if step.move.reads_as_table else step.move.read_every
         spaced = spacing is not None and math.isfinite(spacing)
         moves.append(replace(step.move, repeat=1, read_every=spacing if spaced else None))
-    moving, behind = math.fsum(move.duration for move in moves), math.fsum(s.move.duration for s in schedule.after)
+    moving = math.fsum(move.duration for move in moves)
     other = 0.0 if others is None else float(others.duration)
     other_every = None
-    if others is not None and others.read:
-        spacing = every if others.read_every is None else float(others.read_every)
-        other_every = min(spacing, other)
-    return ResolvedCycle(tuple(moves), moving, other, other_every, behind - other)
+    if others is not None and others.read_every is not None:
+        other_every = min(float(others.read_every), other)
+    return ResolvedCycle(tuple(moves), moving, other, other_every)
 
 
 def reading_spacing(spec: Spec) -> float:

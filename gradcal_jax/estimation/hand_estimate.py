@@ -31,7 +31,7 @@ from gradcal_jax.units import DEG_PER_H, G
 # Smallest eigenvalue of the mean of gravity's outer product below which all positions lie near one plane.
 _FLAT = 0.01
 _FRAME = "the accelerometers' own: x along accelerometer x, y in the plane of accelerometers x and y"
-_GYRO_RATE = {"basis": "polynomial", "degree": 0, "scale": "300 deg/s"}
+_GYRO_RATE = {"degree": 0, "scale": "300 deg/s"}
 
 
 class HandReport(NamedTuple):

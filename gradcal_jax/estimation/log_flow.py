@@ -341,7 +341,7 @@ temperature_offset = "0 K"
 axes = ["x"]
 angle_random_walk = "{number(walk.value * DEG_PER_SQRT_H)} deg/sqrt(h)"
 [sensor.gyro.bias]
-temperature = {{ basis = "polynomial", degree = {DEGREE}, centre = "{centre} degC", scale = "{scale} K" }}
+temperature = {{ degree = {DEGREE}, centre = "{centre} degC", scale = "{scale} K" }}
 [rig.site]
 latitude = "unknown"
 [rig.table]

@@ -151,9 +151,7 @@ def _channel(
         covariance = covariance * (statistic / degrees)
     valid = Quantity.of(low, "degC"), Quantity.of(high, "degC")
     still = Quantity.of(0.0, "rad/s")
-    basis = TemperaturePolynomial(
-        basis="polynomial", degree=DEGREE, centre=Quantity.of(centre, "degC"), scale=Quantity.of(scale, "K")
-    )
+    basis = TemperaturePolynomial(degree=DEGREE, centre=Quantity.of(centre, "degC"), scale=Quantity.of(scale, "K"))
     term = CalibratedTerm(
         name="bias",
         unit="m/s^2",

@@ -55,7 +55,7 @@ def flights_of(requirement: MissionHeadingRequirement) -> list[tuple[Flight, flo
     flights = []
     for mission in requirement.mission:
         time, rate, temperature, _ = (np.array(column) for column in mission.rows)
-        flights.append((Flight(time, rate, temperature), float(requirement.after or time[-1])))
+        flights.append((Flight(time, rate, temperature), float(time[-1])))
     return flights
 
 

@@ -11,7 +11,7 @@ from gradcal_jax import motion as trajectory
 from gradcal_jax.information.gears import gears_of
 from gradcal_jax.model import Map, OtherTemperature, OwnTerm, PathTerm, Processes, Reference, SensorModel, SignalMap
 from gradcal_jax.motion import Move, Schedule
-from gradcal_jax.spec.bases import PolynomialKeys, SplineKeys
+from gradcal_jax.spec.bases import PolynomialKeys
 from gradcal_jax.spec.motion_plan import PlanSchedule
 from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.schedule import StandardSchedule
@@ -161,9 +161,8 @@ def basis(section) -> model.Basis:
     """A basis of the core from its section of a spec."""
     if isinstance(section, PolynomialKeys):
         return model.Polynomial(section.degree, float(section.centre), float(section.scale))
-    if isinstance(section, SplineKeys):
-        return model.BSpline(tuple(float(k) for k in section.knots), section.degree)
-    return model.Bins(tuple(float(e) for e in section.edges))
+    knots = tuple(float(k) for k in section.knots)
+    return model.BSpline(knots, section.degree) if section.degree else model.Bins(knots)
 
 
 def section_map(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:

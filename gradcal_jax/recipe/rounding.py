@@ -192,8 +192,7 @@ def _cycles(spec: Spec) -> int:
 
 
 def _temperatures(plan: Table, rounder: _Rounder) -> None:
-    rounder.entries(plan, temperature="temperature", gradient="slope")
-    rounder.entries(plan.get("soak", {}), duration="longer time")
+    rounder.entries(plan, temperature="temperature", gradient="slope", soak="longer time")
     kinds = {"soak": "longer time", "rate": "slope"} | dict.fromkeys(("at", "ramp_to", "step_to"), "temperature")
     for item in plan.get("programme", ()):
         rounder.entries(item, **kinds)
@@ -223,8 +222,6 @@ def _cycle(spec: Spec, schedule: PlanSchedule, cycle: Table, rounder: _Rounder) 
         if move.shape == "hand":
             turn = dict(moves_of_file[step.source])
             rounder.entries(turn, duration="time")
-            if spec.rig.table.standing != "read":
-                turn.pop("read", None)
             moves.append(turn)
             at[k] += move.repeat * move.angle
             continue
@@ -235,18 +232,16 @@ def _cycle(spec: Spec, schedule: PlanSchedule, cycle: Table, rounder: _Rounder) 
             moves.append({"rest": rounder.to("time", move.duration, ROUND_CEILING)})
             continue
         moves.append(_turn(angle, move, steepest, fastest, rounder) | kept)
-        at[k] += move.repeat * units.parse(moves[-1]["turn"], "angle") if "turn" in moves[-1] else move.repeat * angle
+        at[k] += move.repeat * units.parse(moves[-1]["turn"], "angle")
     cycle["moves"] = moves
     answer_s = float(spec.rig.table.answer_time)
-    idle = duration_of(schedule.after) - units.parse(cycle.get("other_axes", {}).get("duration", "0 s"), "time")
     rounder.entries(cycle.get("other_axes", {}), duration="time", read_every="time")
-    rounder.entries(cycle, duration="time")
-    _keep_period(cycle, schedule.stretches, duration_of(schedule.steps), schedule.period, idle, answer_s, rounder)
+    _keep_period(cycle, schedule.stretches, duration_of(schedule.steps), schedule.period, answer_s, rounder)
 
 
 def _reading_of(move: Table, rounder: _Rounder) -> Table:
     """The keys of a rest or turn that say when it is read, as far as it has any."""
-    read = {key: move[key] for key in ("read", "read_every", "other_axes") if key in move}
+    read = {key: move[key] for key in ("read_every", "other_axes") if key in move}
     rounder.entries(read, read_every="time")
     return read
 
@@ -261,13 +256,12 @@ def _keep_period(
     stretches: Sequence[Stretch],
     own: float,
     period: float,
-    idle: float,
     answer_s: float,
     rounder: _Rounder,
 ) -> None:
     """Shorten the longest standstill by the time that rounding added, so that as many repetitions fit as before, or
-    make it longer by the time that it took off the turns. `own`, `period`, `idle`: of the planned cycle, the duration
-    of its moves, of all of it, and of what it idles, s; `answer_s`: the operator's time for each turn by hand."""
+    make it longer by the time that it took off the turns. `own`, `period`: of the planned cycle, the duration of
+    its moves and of all of it, s; `answer_s`: the operator's time for each turn by hand."""
     rests = [(units.parse(move["rest"], "time"), move, "rest") for move in cycle["moves"] if "rest" in move]
     answers = answer_s * sum(int(m.get("repeat", 1)) for m in cycle["moves"] if m.get("shape") == "hand")
     moving, others = math.fsum([answers, *(_duration(move) for move in cycle["moves"])]), 0.0
@@ -284,8 +278,7 @@ def _keep_period(
     if not alone:
         return
     longest, table, key = max(alone, key=lambda entry: entry[0])
-    moved = over > 0.0 or idle == 0.0  # idle time makes up for shorter turns by itself
-    if moved and abs(over) > 1e-9 * period and longest - over >= 2.0 * float(rounder.steps.time):
+    if abs(over) > 1e-9 * period and longest - over >= 2.0 * float(rounder.steps.time):
         table[key] = rounder.to("time", longest - over, ROUND_FLOOR)
 
 
@@ -295,14 +288,12 @@ def _turn(angle: float, move: ResolvedMove, steepest: float, fastest: float, rou
     peak = abs(move.peak_rate)
     ramp = peak / trapezoid_acceleration(move)
     turns = angle / (2.0 * math.pi)
+    turned = rounder.to("angle", angle)
     if abs(turns - round(turns)) <= 1e-9 * abs(turns):
-        written: Table = {"turns": float(round(turns))}
-        size = 2.0 * math.pi * abs(round(turns))
-    else:
-        text = rounder.to("angle", angle)
-        if units.parse(text, "angle") == 0.0:
-            text = rounder.to("angle", math.copysign(float(rounder.steps.angle), turns))
-        written, size = {"turn": text}, abs(units.parse(text, "angle"))
+        turned = f"{360 * round(turns)} deg"
+    elif units.parse(turned, "angle") == 0.0:
+        turned = rounder.to("angle", math.copysign(float(rounder.steps.angle), turns))
+    size = abs(units.parse(turned, "angle"))
     text = rounder.to("rate", peak)
     if units.parse(text, "angular rate") > fastest * (1.0 + 1e-9):
         text = rounder.to("rate", peak, ROUND_FLOOR)
@@ -321,7 +312,7 @@ def _turn(angle: float, move: ResolvedMove, steepest: float, fastest: float, rou
         text = rounder.to("rate", 2.0 * size / duration, ROUND_FLOOR)
         if units.parse(text, "angular rate") <= size / duration:
             text = units.format_quantity(2.0 * size / duration, "deg/s")
-    return written | {"peak_rate": text, "duration": duration_text, "shape": _SHAPE}
+    return {"turn": turned, "peak_rate": text, "duration": duration_text, "shape": _SHAPE}
 
 
 def _shown(value: Any) -> str:

@@ -1,7 +1,7 @@
-"""The `temperature` and `rate` bases of `[sensor.bias]` and `[sensor.scale_factor]`."""
+"""Bases over temperature and rate: powers of (x − centre)/scale, or B-splines where a table has `knots`."""
 
-from collections.abc import Iterable, Sequence
-from typing import Annotated, Literal
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated
 
 from pydantic import Field
 
@@ -9,7 +9,7 @@ from gradcal_jax import formulas
 from gradcal_jax.formulas import Array
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
-from gradcal_jax.tables.section import Section, chosen_by
+from gradcal_jax.tables.section import Section, read_by
 
 Degree = Annotated[q.Whole, Field(le=15)]
 SplineDegree = Annotated[int, Field(strict=True, ge=0, le=5)]
@@ -27,8 +27,6 @@ def increasing(values: Sequence[float], key: str) -> list[Problem]:
 class PolynomialKeys(Section):
     """Powers of (x − centre)/scale."""
 
-    basis: Literal["polynomial"] = "polynomial"
-    """Kind of functions."""
     degree: Degree
     """Highest power."""
     centre: q.Quantity
@@ -68,10 +66,9 @@ class RatePolynomial(PolynomialKeys):
 
 
 class SplineKeys(Section):
-    """B-splines of `degree` on increasing knots, both ends included."""
+    """B-splines of `degree` on increasing knots, both ends included; of degree 0 one constant between each pair of
+    neighbouring knots."""
 
-    basis: Literal["b-spline"]
-    """Kind of functions."""
     degree: SplineDegree = 3
     """Degree of the pieces."""
     knots: tuple[q.Quantity, ...]
@@ -91,7 +88,8 @@ class SplineKeys(Section):
 
     def values(self, x: Array) -> Array:
         """Values of its functions, `(n,) -> (n, size)`."""
-        return formulas.b_spline(x, tuple(float(k) for k in self.knots), self.degree)
+        knots = tuple(float(k) for k in self.knots)
+        return formulas.b_spline(x, knots, self.degree) if self.degree else formulas.bins(x, knots)
 
 
 class TemperatureSpline(SplineKeys):
@@ -108,54 +106,13 @@ class RateSpline(SplineKeys):
     """Knots (rates at which pieces meet), increasing, with the first and last rate of the spline."""
 
 
-class BinsKeys(Section):
-    """One constant between each pair of neighbouring edges."""
-
-    basis: Literal["bins"]
-    """Kind of functions."""
-    edges: tuple[q.Quantity, ...]
-
-    def _problems(self) -> Iterable[Problem]:
-        return increasing(self.edges, "edges")
-
-    @property
-    def size(self) -> int:
-        """Number of basis functions."""
-        return len(self.edges) - 1
-
-    @property
-    def span(self) -> tuple[float, float] | None:
-        """Where the basis is defined (°C or rad/s)."""
-        return (self.edges[0], self.edges[-1])
-
-    def values(self, x: Array) -> Array:
-        """Values of its functions, `(n,) -> (n, size)`."""
-        return formulas.bins(x, tuple(float(e) for e in self.edges))
+def _of_temperature(table: Mapping[str, object]) -> object:
+    return (TemperatureSpline if "knots" in table else TemperaturePolynomial).model_validate(table)
 
 
-class TemperatureBins(BinsKeys):
-    """One constant between each pair of neighbouring edges."""
-
-    edges: Annotated[tuple[q.Temperature, ...], Field(min_length=2, max_length=_MOST_PIECES)]
-    """Edges of the bins: temperatures, increasing."""
+def _of_rate(table: Mapping[str, object]) -> object:
+    return (RateSpline if "knots" in table else RatePolynomial).model_validate(table)
 
 
-class RateBins(BinsKeys):
-    """One constant between each pair of neighbouring edges."""
-
-    edges: Annotated[tuple[q.Rate, ...], Field(min_length=2, max_length=_MOST_PIECES)]
-    """Edges of the bins: rates, increasing."""
-
-
-TemperatureBasis = Annotated[
-    TemperaturePolynomial | TemperatureSpline | TemperatureBins,
-    chosen_by(
-        "basis",
-        {"polynomial": TemperaturePolynomial, "b-spline": TemperatureSpline, "bins": TemperatureBins},
-        default="polynomial",
-    ),
-]
-RateBasis = Annotated[
-    RatePolynomial | RateSpline | RateBins,
-    chosen_by("basis", {"polynomial": RatePolynomial, "b-spline": RateSpline, "bins": RateBins}, default="polynomial"),
-]
+TemperatureBasis = Annotated[TemperaturePolynomial | TemperatureSpline, read_by(_of_temperature)]
+RateBasis = Annotated[RatePolynomial | RateSpline, read_by(_of_rate)]

@@ -14,7 +14,6 @@ from gradcal_jax.spec.design import design_problems
 from gradcal_jax.spec.motion_plan import PlanStep, resolve_steps, row_count
 from gradcal_jax.spec.plan import ChamberCourse, RampItem, StandardPlan
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
-from gradcal_jax.spec.schedule import TemperatureSegment
 from gradcal_jax.spec.sensor import GyroTriad
 from gradcal_jax.tables.problems import Key, Problem, SpecError, repeated_names
 from gradcal_jax.tables.quantity import Quantity
@@ -53,7 +52,7 @@ def _plan_on_rig(spec: "Spec") -> Iterator[Problem]:
             schedule = spec.gradient_schedule
         except SpecError as error:
             problems += error.problems
-        problems += _course(plan, chamber, schedule and schedule.segments)
+        problems += _course(plan, chamber)
     yield from (p.under("plan") for p in problems)
     if schedule is None or isinstance(plan, StandardPlan):
         return
@@ -249,9 +248,7 @@ def _standard(plan: StandardPlan, table: RigTable, chamber: Chamber) -> Iterator
             yield Problem(("rates", i), message, rate.text)
 
 
-def _course(
-    plan: ChamberCourse, chamber: Chamber, segments: tuple[TemperatureSegment, ...] | None
-) -> Iterator[Problem]:
+def _course(plan: ChamberCourse, chamber: Chamber) -> Iterator[Problem]:
     """Where a course leaves the chamber's range or exceeds its slopes; keys relative to the plan."""
     if plan.programme is not None:
         here: Quantity | None = None
@@ -267,18 +264,7 @@ def _course(
         return
     for i, temperature in enumerate(plan.temperature or ()):
         yield from _in_chamber(temperature, chamber, ("temperature", i))
-    if isinstance(plan.gradient, tuple):
-        low, high = chamber.range
-        for i, slope in enumerate(plan.gradient):
-            yield from _slope(slope, slope > 0, chamber, ("gradient", i))
-        if segments is not None:
-            for i, segment in enumerate(s for s in segments if s.kind == "ramp"):
-                end = segment.temperature_end
-                if not low - 1e-6 <= end <= high + 1e-6:
-                    message = f"sets the chamber to {end:.4g} degC, outside the chamber's range, {low} to {high}"
-                    yield Problem(("gradient", i), message, plan.gradient[i].text)
-                    break
-    elif plan.gradient is not None and plan.temperature is not None and len(plan.temperature) == 2:
+    if plan.gradient is not None and plan.temperature is not None:
         yield from _slope(plan.gradient, plan.temperature[1] > plan.temperature[0], chamber, ("gradient",))
 
 

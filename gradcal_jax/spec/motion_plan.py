@@ -1,129 +1,38 @@
 """`[plan]` of a whole unit: the chamber's course, and a cycle of rests, turns of one axis, and poses.
 
 A pose has the final angles of axes; it becomes one move of each axis that is elsewhere, outermost first, as fast as the
-rig allows (or at `peak_rate`), with cosine ramps. A turn moves one axis by an angle, in any of the shapes of a single
-axis; without a shape it has cosine ramps, and without rate and duration it is as fast as the rig allows. A `peak_rate`
-without shape and duration is a limit: a short turn does not reach it.
+rig allows (or at `peak_rate`), with cosine ramps.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationError, model_serializer
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema
+from pydantic import Field
 
 from gradcal_jax.spec.bench import Rig, RigTable, TableAxis
-from gradcal_jax.spec.moves import FULL_TURN, Angled, CosineRamps, Move, ResolvedMove, Rest
+from gradcal_jax.spec.moves import FULL_TURN, Move, Pose, ResolvedMove, Rest, Turn
 from gradcal_jax.spec.plan import ChamberCourse, OtherAxes, StandardPlan
 from gradcal_jax.spec.schedule import CourseTimes, Stretch, TemperatureSegment, programme_of
-from gradcal_jax.tables.problems import Problem, SpecError, from_validation, hint
-from gradcal_jax.tables.quantity import Angle, Count, PositiveRate, Quantity, Temperature, Text, Time
-from gradcal_jax.tables.section import Section, chosen_by, read_by, refuse, refuse_misspelt
+from gradcal_jax.tables.problems import Problem, SpecError, hint
+from gradcal_jax.tables.quantity import Angle, Quantity, Temperature, Text
+from gradcal_jax.tables.section import Section, chosen_by, refuse
 
 _SLACK = 1e-6
 _HELD = 'has no effect if the table holds its angle at rest: leave this key out, or set rig.table.standing = "read"'
-_ONE_REST = "during a rest, all axes rest: leave this key out"
-# Spacing of the readings of a rest that is read at its end alone.
-_AT_END = math.inf
-# A quarter of a period of cosine ramps: peak acceleration times ramp over peak rate.
-_STEEPNESS = math.pi / 2.0
-
-
-class Pose(Section):
-    """Move the named axes to these angles, one axis after the other, outermost first."""
-
-    pose: dict[Text, Angle]
-    """Angles that the named axes move to; other axes do not move."""
-    peak_rate: PositiveRate | None = None
-    """Largest rate of the moves; absent: the maximum rate of each axis."""
-    rest: Time | None = None
-    """Duration of the rest after the moves."""
-
-
-class QuickTurn(Angled):
-    """A turn of one axis with cosine ramps, as fast as the axis's maximum rate and acceleration allow."""
-
-    axis: Text | None = None
-    """Name of the table axis; may be absent if the table has only one."""
-    peak_rate: PositiveRate | None = None
-    """Largest rate of the turn (a short turn can end before it reaches this rate); absent: the maximum rate of the
-    axis."""
-    repeat: Count = 1
-    """Number of times that the turn is made."""
-
-
-class AxisMove(Section):
-    """A rest, or one move of one axis."""
-
-    axis: Text | None = None
-    """Name of the table axis; may be absent if the table has only one."""
-    move: Move
-    """The rest or the turn; in the file, its keys stand in the same table as `axis`."""
-
-    @model_serializer(mode="wrap")
-    def _as_written(self, handler: Callable[[Any], Any]) -> dict[str, Any]:
-        """The table of the file: the move's own keys beside "axis", without defaults."""
-        tables: dict[str, Any] = handler(self)
-        return tables.pop("move") | tables
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """The file's table: a move's keys beside the name of the axis."""
-        moves: dict[str, Any] = handler.resolve_ref_schema(handler(schema))["properties"]["move"]
-        kinds: list[dict[str, Any]] = []
-        for ref in moves["anyOf"]:
-            kind = dict(handler.resolve_ref_schema(ref))
-            kind["properties"] = kind["properties"] | {"axis": {"type": "string", "minLength": 1}}
-            kinds.append(kind)
-        return {"anyOf": kinds}
-
-
-def _choose(whole: Mapping[str, object]) -> object:
-    table = dict(whole)
-    if "pose" in table:
-        return Pose.model_validate(table)
-    axis = table.pop("axis", None)
-    plain = "rest" not in table and "shape" not in table
-    if plain and not {"turn", "turns"} & set(table):
-        refuse_misspelt(table, ["rest", "turn", "pose"])
-        raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
-    if plain and not {"duration", "ramp"} & set(table):
-        return QuickTurn.model_validate(dict(whole))
-    try:
-        tables: dict[str, Any] = {"move": CosineRamps.model_validate(table) if plain else table}
-        return AxisMove.model_validate(tables if axis is None else {**tables, "axis": axis})
-    except ValidationError as error:
-        # The move's keys stand in the file beside "axis".
-        problems = from_validation(error)
-        raise SpecError(replace(p, key=p.key[1:]) if p.key[:1] == ("move",) else p for p in problems) from None
-
-
-PlanMove = Annotated[Pose | QuickTurn | AxisMove, read_by(_choose)]
 
 
 class MotionCycle(Section):
     """The motion of the table that is repeated."""
 
-    moves: Annotated[tuple[PlanMove, ...], Field(min_length=1, max_length=2000)]
+    moves: Annotated[tuple[Move, ...], Field(min_length=1, max_length=2000)]
     """Rests, turns and poses, in the order in which they are made."""
     start: dict[Text, Angle] = Field(default_factory=dict)
     """Angles of the axes at the start of the cycle, by name; absent: zero."""
     other_axes: OtherAxes | None = None
     """Time for which the table serves other sensors at the end of each cycle; only for a table with standing =
     "read"."""
-    duration: Time | None = None
-    """Duration of a cycle; absent: the sum of its moves and `other_axes`. If the duration is longer than this sum, the
-    table rests for the remaining time (without readings if standing = "read")."""
-
-
-# A list of moves may stand for the cycle.
-_of_moves = BeforeValidator(
-    lambda value: {"moves": cast("object", value)} if isinstance(value, list) else value,
-    json_schema_input_type=MotionCycle | tuple[PlanMove, ...] | None,
-)
 
 
 class MotionPlan(ChamberCourse):
@@ -133,14 +42,11 @@ class MotionPlan(ChamberCourse):
 
     method: Literal["gradient"] = "gradient"
     """The method of the plan."""
-    cycle: Annotated[MotionCycle | None, _of_moves] = None
+    cycle: MotionCycle | None = None
     """Motion that is repeated; absent: the table is at rest, and each axis is read at intervals of its `read_every`."""
     before: Annotated[tuple[Temperature, ...], Field(max_length=100)] = ()
     """Turning points of the sensor's temperature before the plan, in order, such as room temperature; they determine
     the initial state of a hysteresis. Absent: the initial state is unknown."""
-
-    def _problems(self) -> Iterable[Problem]:
-        return self.course_problems(with_cycle=self.cycle is not None)
 
 
 AnyPlan = Annotated[
@@ -227,7 +133,7 @@ def plan_schedule(plan: MotionPlan, rig: Rig) -> PlanSchedule:
         return PlanSchedule(segments, stretches, (), (0.0,) * len(rig.table.axis))
     steps, start, problems = resolve_steps(plan.cycle, rig)
     refuse(*problems)
-    moving, after = duration_of(steps), _after(plan.cycle, duration_of(steps), rig)
+    moving, after = duration_of(steps), _after(plan.cycle, rig)
     segments, stretches = programme_of(plan, rig.chamber, (moving, moving + duration_of(after)))
     mountings = len(rig.table.mounting)
     if mountings > 1 and len(stretches) == 1 and plan.programme is None:
@@ -259,26 +165,16 @@ def plan_schedule(plan: MotionPlan, rig: Rig) -> PlanSchedule:
     return schedule
 
 
-def _after(cycle: MotionCycle, moving: float, rig: Rig) -> tuple[PlanStep, ...]:
-    """What fills a cycle behind its moves: the time of other axes, and idle standing. Raises `SpecError`."""
-    rests: list[PlanStep] = []
-    other, read = 0.0, rig.table.standing == "read"
-    if cycle.other_axes is not None:
-        refuse(*([] if read else [Problem(("cycle", "other_axes"), _HELD)]))
-        other, every = float(cycle.other_axes.duration), cycle.other_axes.read_every
-        spacing = float(rig.table.axis[0].angle.read_every if every is None else every)
-        move = ResolvedMove("rest", other, read_end=False)
-        if cycle.other_axes.read:
-            move = replace(move, read_end=math.isinf(spacing), read_every=spacing)
-        rests.append(PlanStep(-1, move, -1))
-    if cycle.duration is not None:
-        idle = cycle.duration - moving - other
-        if idle < -_SLACK * cycle.duration:
-            message = f"is shorter than the {moving + other:.6g} s of the moves and of the other axes together"
-            refuse(Problem(("cycle", "duration"), message, cycle.duration.text))
-        if idle > 0.0:
-            rests.append(PlanStep(-1, ResolvedMove("rest", idle, read_end=not read), -1))
-    return tuple(rests)
+def _after(cycle: MotionCycle, rig: Rig) -> tuple[PlanStep, ...]:
+    """The time of other axes behind a cycle's moves. Raises `SpecError`."""
+    if cycle.other_axes is None:
+        return ()
+    if rig.table.standing != "read":
+        refuse(Problem(("cycle", "other_axes"), _HELD))
+    move, every = ResolvedMove("rest", float(cycle.other_axes.duration), read_end=False), cycle.other_axes.read_every
+    if every is not None:
+        move = replace(move, read_end=math.isinf(every), read_every=float(every))
+    return (PlanStep(-1, move, -1),)
 
 
 def _once_each(
@@ -317,6 +213,10 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
     steps: list[PlanStep] = []
     for i, item in enumerate(cycle.moves):
         key = ("cycle", "moves", i)
+        if isinstance(item, Rest):
+            problems += _unread(item, rig, key)
+            steps.append(PlanStep(-1, item.resolve(), i))
+            continue
         if isinstance(item, Pose):
             poses = True
             for name in item.pose:
@@ -326,17 +226,12 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
                 if goal is not None and abs(goal - here[k]) > 1e-9:
                     if by_hand:
                         problems.append(_beyond_drive(rig.table.drive, (*key, "pose"), "pose"))
-                    steps.append(PlanStep(k, quickest_turn(float(goal) - here[k], axis, item.peak_rate), i))
+                    steps.append(PlanStep(k, _quickest(float(goal) - here[k], axis, item.peak_rate), i))
                     here[k] = float(goal)
             if item.rest is not None:
                 steps.append(PlanStep(-1, ResolvedMove("rest", float(item.rest)), i))
             continue
-        if isinstance(item, AxisMove):
-            problems += _unread(item, rig, key)
-        if isinstance(item, AxisMove) and isinstance(item.move, Rest):
-            move = item.move.resolve(math.inf)
-            steps.append(PlanStep(-1, replace(move, read_every=_AT_END) if item.move.read == "end" else move, i))
-            continue
+        problems += _unread(item, rig, key)
         if item.axis is None and len(axes) > 1:
             message = f"this key is missing: which axis turns? {', '.join(axes)}"
             problems.append(Problem((*key, "axis"), message, kind="missing"))
@@ -345,24 +240,13 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
         if not known(name, "moves", i, "axis"):
             continue
         axis = rig.table.axis[axes[name]]
+        if (item.shape == "hand") != by_hand:
+            problems.append(_beyond_drive(rig.table.drive, (*key, "shape"), item.shape or "cosine ramps"))
         try:
-            if isinstance(item, QuickTurn):
-                if item.peak_rate is not None and item.peak_rate > axis.max_rate * (1.0 + _SLACK):
-                    message = (
-                        f'exceeds the maximum rate of axis "{axis.name}", {axis.max_rate}: lower this rate, or '
-                        "leave the key out"
-                    )
-                    problems.append(Problem((*key, "peak_rate"), message, str(item.peak_rate)))
-                assert item.angle is not None
-                move = replace(quickest_turn(item.angle, axis, item.peak_rate), repeat=item.repeat)
-            else:
-                move = cast("Any", item.move).resolve(float(axis.max_acceleration))
-                move = cast("ResolvedMove", move).answered(float(rig.table.answer_time))
+            move = item.resolve(axis, float(rig.table.answer_time))
         except SpecError as error:
             problems += [p.under(*key) for p in error.problems]
             continue
-        if (move.shape == "hand") != by_hand:
-            problems.append(_beyond_drive(rig.table.drive, (*key, "shape"), move.shape))
         problems += [p.under(*key) for p in _limits(move, axis)]
         steps.append(PlanStep(axes[name], move, i))
         here[axes[name]] += move.repeat * move.angle
@@ -371,15 +255,20 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
     return tuple(steps), tuple(start), problems
 
 
-def _unread(item: AxisMove, rig: Rig, key: tuple[str | int, ...]) -> Iterator[Problem]:
+def _unread(item: Section, rig: Rig, key: tuple[str | int, ...]) -> Iterator[Problem]:
     """Keys of a rest or turn that have no effect."""
-    if isinstance(item.move, Rest) and item.axis is not None:
-        yield Problem((*key, "axis"), _ONE_REST, item.axis)
     if rig.table.standing == "read":
         return
-    for name in ("read", "read_every", "other_axes"):
-        if (value := getattr(item.move, name, None)) not in (None, False):
+    for name in ("read_every", "other_axes"):
+        value = getattr(item, name, None)
+        if value is not None and value is not False:
             yield Problem((*key, name), _HELD, str(value))
+
+
+def _quickest(angle: float, axis: TableAxis, peak_rate: Quantity | None) -> ResolvedMove:
+    """The turn of a pose by `angle` (rad)."""
+    most = peak_rate if peak_rate is None or peak_rate < axis.max_rate else axis.max_rate
+    return Turn(turn=Quantity.of(angle, "rad"), peak_rate=most).resolve(axis, 0.0)
 
 
 def _unclosed(ends: Sequence[float], start: Sequence[float], axes: Iterable[str], why: str) -> list[Problem]:
@@ -394,19 +283,6 @@ def _unclosed(ends: Sequence[float], start: Sequence[float], axes: Iterable[str]
             )
             problems.append(Problem(("cycle", "moves"), message))
     return problems
-
-
-def quickest_turn(angle: float, axis: TableAxis, peak_rate: float | None = None) -> ResolvedMove:
-    """A turn with cosine ramps by `angle` (rad), as fast as the axis goes, or at `peak_rate` where it gets that far."""
-    size, acceleration = abs(angle), float(axis.max_acceleration)
-    most = float(axis.max_rate if peak_rate is None else min(peak_rate, axis.max_rate))
-    # Without a flat part θ = A·ramp, ramp = (π/2)·A/a.
-    peak = min(most, math.sqrt(size * acceleration / _STEEPNESS))
-    ramp = _STEEPNESS * peak / acceleration
-    duration, signed = size / peak + ramp, math.copysign(peak, angle)
-    sizes: dict[str, Any] = {"ramp": ramp, "peak_acceleration": acceleration, "fastest": peak}
-    sizes |= {"low": min(0.0, angle), "high": max(0.0, angle)}
-    return ResolvedMove("cosine ramps", max(duration, 2.0 * ramp), angle=angle, peak_rate=signed, **sizes)
 
 
 def _limits(move: ResolvedMove, axis: TableAxis) -> Iterator[Problem]:
@@ -436,8 +312,7 @@ def _travel(schedule: PlanSchedule, rig: Rig) -> Iterator[Problem]:
             for step in steps:
                 turned = (step.move.repeat - 1) * step.move.angle
                 # Where it begins is where the move before it ends.
-                ends = [side for side in (step.move.low, step.move.high) if side]
-                for far in (at + begin + end for begin in (0.0, turned) for end in ends):
+                for far in (at + begin + step.move.angle for begin in (0.0, turned)):
                     beyond = max(far - highest, lowest - far)
                     if beyond > farthest.get(step.source, (_SLACK * (highest - lowest),))[0] and (
                         cycle == 0 or step.source not in farthest

@@ -3,10 +3,9 @@
 Two methods. "standard": stable temperatures one after the other, each with a soak, a reference rate (or standstill) at
 each. "gradient": the temperature keeps changing, the table turns and rests, and the only reference is the angle.
 
-The temperature of a gradient plan is written in one of three ways:
+The temperature of a gradient plan is written in one of two ways:
 
 * `temperature = [start, end]` with one `gradient` (a size; `start` may be the warmer), after an optional `soak`;
-* `temperature = [start]` with a list of signed gradients, one a cycle: the ramp ends where they take it;
 * `programme`, a list of soaks, ramps and steps, of which the first is a soak with `at`.
 """
 
@@ -16,18 +15,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from gradcal_jax.spec.bench import Spacing
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import Section, read_by, refuse_misspelt
-
-
-class Soak(Section):
-    """Waiting time at the start temperature."""
-
-    duration: q.Time
-    """Duration of the wait."""
-    used: q.Flag = False
-    """Whether the readings taken during the wait are part of the data."""
 
 
 class SoakItem(Section):
@@ -81,36 +72,23 @@ class OtherAxes(Section):
 
     duration: q.Time
     """Duration of this time."""
-    read: q.Flag = False
-    """Whether this axis is read during this time."""
-    read_every: q.Time | None = None
-    """Time between these readings; absent: the `read_every` of the table axis."""
-
-    def _problems(self) -> Iterator[Problem]:
-        if self.read_every is not None and not self.read:
-            yield Problem(("read_every",), "has an effect only if read = true", self.read_every.text)
-
-
-Slopes = Annotated[
-    q.Quantity | tuple[q.Quantity, ...],
-    q.OneOrList(q.Of("temperature slope", above="0 K/min"), q.Of("temperature slope"), "one for each cycle"),
-]
+    read_every: Spacing | None = None
+    """Time between readings of this axis, or "rest" for one at the end; absent: it is not read."""
 
 
 class ChamberCourse(Section):
-    """The temperature of the chamber over time: a ramp, a list of slopes, or a programme."""
+    """The temperature of the chamber over time: a ramp, or a programme."""
 
-    temperature: Annotated[tuple[q.Temperature, ...], Field(min_length=1, max_length=2)] | None = None
-    """[start, end] of the ramp, or [start] if `gradient` is a list of slopes."""
-    gradient: Slopes | None = None
-    """Slope of the ramp as a positive number, or a list of signed slopes, one for each cycle."""
-    soak: Soak | None = None
-    """Waiting time at the start temperature."""
+    temperature: tuple[q.Temperature, q.Temperature] | None = None
+    """[start, end] of the ramp."""
+    gradient: q.PositiveTemperatureSlope | None = None
+    """Slope of the ramp, as a positive number."""
+    soak: q.Time | None = None
+    """Waiting time at the start temperature, whose readings are not part of the data."""
     programme: Annotated[tuple[ProgrammeItem, ...], Field(min_length=1, max_length=10_000)] | None = None
     """Soaks, ramps and steps in their order, instead of the keys above."""
 
-    def course_problems(self, *, with_cycle: bool) -> Iterator[Problem]:
-        """Problems of the course. `with_cycle`: whether there may be a slope for each cycle."""
+    def _problems(self) -> Iterator[Problem]:
         if self.programme is not None:
             for key in ("temperature", "gradient", "soak"):
                 if getattr(self, key) is not None:
@@ -122,20 +100,10 @@ class ChamberCourse(Section):
             elif not any(item.used for item in self.programme):
                 yield Problem(("programme",), "the plan would have no data: set used = true in at least one item")
             return
-        missing = [key for key in ("temperature", "gradient") if getattr(self, key) is None]
-        yield from (Problem((key,), 'this key is missing (or give a "programme")', kind="missing") for key in missing)
-        if self.temperature is None or missing:
-            return
-        if isinstance(self.gradient, tuple):
-            if not with_cycle:
-                message = "a list gives one slope for each cycle, and this plan has no cycle: give one slope"
-                yield Problem(("gradient",), message)
-            if len(self.temperature) == 2:
-                message = "a list of slopes determines the end of the ramp: give only the start, as [start]"
-                yield Problem(("temperature",), message, [t.text for t in self.temperature])
-        elif len(self.temperature) == 1:
-            yield Problem(("temperature",), "expected [start, end]", [t.text for t in self.temperature])
-        elif self.temperature[0] == self.temperature[1]:
+        for key in ("temperature", "gradient"):
+            if getattr(self, key) is None:
+                yield Problem((key,), 'this key is missing (or give a "programme")', kind="missing")
+        if self.temperature is not None and self.temperature[0] == self.temperature[1]:
             yield Problem(("temperature",), "start and end must differ", [t.text for t in self.temperature])
 
 

@@ -164,7 +164,7 @@ class SecondOrderRequirement(_OverTemperature):
 
 
 class MissionHeadingRequirement(_OfElements):
-    """Error of the integrated rate of a gyro at the end of a `mission`, or at the time `after` in the mission. For
+    """Error of the integrated rate of a gyro at the end of a `mission`. For
     several missions, the weighted root mean square or the maximum counts. `target` limits only the contribution of the
     calibration, because no calibration removes the sensor's own noise."""
 
@@ -172,18 +172,12 @@ class MissionHeadingRequirement(_OfElements):
     """Quantity that the requirement limits."""
     mission: Missions
     """Tables of rate and temperature over time, with weights."""
-    after: q.Time | None = None
-    """Time in the mission at which the error is taken; absent: the end of each mission."""
     statistic: Literal["rms", "max"] = "rms"
     """Statistic over several missions."""
     target: q.PositiveAngle | None = None
 
     def _problems(self) -> Iterator[Problem]:
         for i, mission in enumerate(self.mission):
-            end = mission.rows.time[-1]
-            if self.after is not None and self.after > end:
-                message = f"is after the end of {mission.file}, which lasts {end:.6g} s"
-                yield Problem(("after",), message, self.after.text)
             if self.statistic == "max" and "weight" in mission.model_fields_set:
                 yield Problem(("mission", i, "weight"), 'has no effect with statistic = "max"', mission.weight)
 

@@ -113,27 +113,20 @@ def programme_of(
 ) -> tuple[tuple[TemperatureSegment, ...], tuple[Stretch, ...]]:
     """The chamber's segments, and the stretches of used data with the cycles that fit. `cycle`: durations of its moves
     and of all of it, s. Raises `SpecError`."""
-    segments = _programme(plan, chamber) if plan.programme is not None else _ramp(plan, cycle)
+    segments = _programme(plan, chamber) if plan.programme is not None else _ramp(plan)
     return segments, _stretches(segments, cycle)
 
 
-def _ramp(plan: ChamberCourse, cycle: tuple[float, float] | None) -> tuple[TemperatureSegment, ...]:
+def _ramp(plan: ChamberCourse) -> tuple[TemperatureSegment, ...]:
     assert plan.temperature is not None
     assert plan.gradient is not None
     segments: list[TemperatureSegment] = []
     clock, here = 0.0, float(plan.temperature[0])
     if plan.soak is not None:
-        segments.append(TemperatureSegment("soak", 0.0, float(plan.soak.duration), here, here, plan.soak.used))
-        clock = float(plan.soak.duration)
-    if isinstance(plan.gradient, tuple):
-        assert cycle is not None
-        for slope in plan.gradient:
-            end = here + slope * cycle[1]
-            segments.append(TemperatureSegment("ramp", clock, cycle[1], here, end, True))
-            clock, here = clock + cycle[1], end
-    else:
-        end = float(plan.temperature[1])
-        segments.append(TemperatureSegment("ramp", clock, abs(end - here) / plan.gradient, here, end, True))
+        clock = float(plan.soak)
+        segments.append(TemperatureSegment("soak", 0.0, clock, here, here, False))
+    end = float(plan.temperature[1])
+    segments.append(TemperatureSegment("ramp", clock, abs(end - here) / plan.gradient, here, end, True))
     return tuple(segments)
 
 

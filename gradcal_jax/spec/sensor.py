@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Final, Literal, cast
+from typing import Annotated, ClassVar, Final, Literal, cast
 
 from pydantic import BeforeValidator, Field
 
@@ -75,12 +75,6 @@ class BiasTemperatureGradient(Section):
     prior: q.SizeOfGradientSensitivity | None = None
     """Standard deviation of the sensitivity before the calibration; absent: unknown; 0: there is no such
     sensitivity."""
-
-
-class ForceTemperatureError(TemperatureError):
-    """Error of the temperature measurement, as it acts on an accelerometer."""
-
-    bias_slope: q.AccelerationSlope | None = None
 
 
 class ForceTemperatureGradient(BiasTemperatureGradient):
@@ -246,10 +240,6 @@ class _Channel(Section):
     turn_on_bias: q.Quantity | None = None
     """Standard deviation of the part of the bias that takes a new value at every power-on and is not part of the
     map."""
-    scale_factor_instability: Annotated[_Instabilities, one_or_more(ScaleFactorInstability | _Instabilities)] = ()
-    """In-run instabilities of the scale factor; their sum is the error."""
-    temperature_error: TemperatureError | None = None
-    """Error of the measured temperature."""
     bias_temperature_gradient: BiasTemperatureGradient | q.Quantity | None = None
     """Bias proportional to dT/dt. A table: the sensitivity is estimated. A single figure: the standard deviation of the
     sensitivity, which is then not estimated but is included in the uncertainty."""
@@ -267,12 +257,6 @@ class _Channel(Section):
         of = self.bias_temperature_gradient
         return float((of.prior if isinstance(of, BiasTemperatureGradient) else of) or 0.0)
 
-    @property
-    def thermometer_noise(self) -> TemperatureError | None:
-        """The error of the measured temperature, where there is one."""
-        of = self.temperature_error
-        return None if of is None or of.standard_deviation == 0.0 else of
-
 
 class _Gyro(_Channel):
     """Noise and error functions of a gyro: every term of the error model (paper, eq. 1)."""
@@ -288,6 +272,10 @@ class _Gyro(_Channel):
     """Fraction of the full scale that plans leave unused."""
     drift: Annotated[_Drifts, one_or_more(Drift | _Drifts)] = ()
     """In-run bias instabilities; their sum is the error."""
+    scale_factor_instability: Annotated[_Instabilities, one_or_more(ScaleFactorInstability | _Instabilities)] = ()
+    """In-run instabilities of the scale factor; their sum is the error."""
+    temperature_error: TemperatureError | None = None
+    """Error of the measured temperature."""
     bias_temperature_gradient: Annotated[
         BiasTemperatureGradient | q.SizeOfGradientSensitivity | None,
         _gradient_of_bias(BiasTemperatureGradient, "bias temperature-gradient sensitivity", "0 deg/h/(K/min)"),
@@ -302,6 +290,12 @@ class _Gyro(_Channel):
         """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
         return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
 
+    @property
+    def thermometer_noise(self) -> TemperatureError | None:
+        """The error of the measured temperature, where there is one."""
+        of = self.temperature_error
+        return None if of is None or of.standard_deviation == 0.0 else of
+
 
 Grade = Literal["consumer", "tactical", "navigation"]
 
@@ -310,19 +304,20 @@ BodyAxis = Literal["x", "y", "z"]
 BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
 
 
-class _ErrorTerm(_ErrorFunction):
-    temperature: TemperaturePolynomial | None = None
-    """Basis over temperature; absent: constant."""
-
-
-class Misalignment(_ErrorTerm):
+class Misalignment(_ErrorFunction):
     """Small angles between an input axis and its nominal direction, towards the other two axes."""
 
+    temperature: TemperaturePolynomial | None = None
+    """Basis over temperature; absent: constant."""
     prior: q.PositiveAngle | None = None
     """Standard deviation of each coefficient before the calibration; absent: unknown."""
 
 
-class AccelerationSensitivity(_ErrorTerm):
+class _Constant(_ErrorFunction):
+    temperature: ClassVar[None] = None
+
+
+class AccelerationSensitivity(_Constant):
     """Bias of a gyro in proportion to the specific force, with three coefficients for each gyro (IEEE 528)."""
 
     prior: q.PositiveAccelerationSensitivity | None = None
@@ -357,7 +352,7 @@ _DriftsOfForce = Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)]
 class SpecificForceBias(_LateFunction):
     """An accelerometer's bias over temperature."""
 
-    temperature: TemperatureBasis | None = None
+    temperature: TemperaturePolynomial | None = None
     """Basis over temperature; absent: constant."""
     prior: SpecificForcePrior | None = None
     """Standard deviation of each coefficient before the calibration, or a list of them; absent: unknown."""
@@ -366,15 +361,15 @@ class SpecificForceBias(_LateFunction):
 class SpecificForceScale(_LateFunction):
     """An accelerometer's scale factor over temperature."""
 
-    temperature: TemperatureBasis | None = None
+    temperature: TemperaturePolynomial | None = None
     """Basis over temperature; absent: constant."""
     prior: ScaleFactorPrior | None = None
     """Standard deviation of each coefficient before the calibration, a ratio, or a list of them;
     absent: unknown."""
 
 
-class SecondOrder(_ErrorTerm):
-    """An accelerometer's K2 over temperature."""
+class SecondOrder(_Constant):
+    """An accelerometer's K2."""
 
     prior: q.PositiveSecondOrder | None = None
     """Standard deviation of each coefficient before the calibration; absent: unknown."""
@@ -410,6 +405,9 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     are not faster than `read_on_moves_below`. If the key of an error term is absent here, the error is assumed to be
     known, and is not estimated."""
 
+    scale_factor_instability: ClassVar[tuple[()]] = ()
+    thermometer_noise: ClassVar[None] = None
+
     axes: BodyAxes = ("x", "y", "z")
     """Axes along which the IMU has an accelerometer."""
     velocity_random_walk: q.VelocityRandomWalk
@@ -417,7 +415,6 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     drift: Annotated[_DriftsOfForce, one_or_more(SpecificForceDrift | _DriftsOfForce)] = ()
     """In-run bias instabilities; their sum is the error."""
     turn_on_bias: q.SizeOfSpecificForce | None = None
-    temperature_error: ForceTemperatureError | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     bias_temperature_gradient: Annotated[  # pyright: ignore[reportIncompatibleVariableOverride]
         ForceTemperatureGradient | q.ForceGradientSensitivity | None,
         _gradient_of_bias(ForceTemperatureGradient, "acceleration temperature-gradient sensitivity", "0 ug/(K/min)"),

@@ -110,8 +110,8 @@ class Spec(TitledFile):
         spaced = not any(once) or (all(once) and table.drive == "hand" and table.standing == "held")
         if not ((schedule := self.gradient_schedule).is_plain and spaced):
             raise ValueError(
-                "a run of an IMU needs a plan whose cycle has none of the keys read, read_every, other_axes and "
-                'duration; read_every of every table axis must be a time (or "rest", if the table has drive = '
+                "a run of an IMU needs a plan whose cycle has none of the keys read_every and other_axes; "
+                'read_every of every table axis must be a time (or "rest", if the table has drive = '
                 '"hand" and holds its angle). Other plans can be predicted, but not executed yet'
             )
         return schedule

@@ -116,7 +116,7 @@ def _moves(
     angle = whole * _FULL_TURN if whole else 0.95 * most
     # The two ramps take at most half of the angle.
     fastest = min(usable, math.sqrt(0.5 * angle * acceleration))
-    written = f"turns = {{}}{whole}" if whole else f'turn = "{{}}{math.degrees(angle):.4f} deg"'
+    written = f'turn = "{{}}{360 * whole if whole else round(math.degrees(angle), 4)} deg"'
     moves: list[str] = []
     for share in (1.0, 0.6, 0.3):
         peak = f"{math.floor(1e3 * math.degrees(fastest) * share) / 1e3:g}"

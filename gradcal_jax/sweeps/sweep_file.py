@@ -3,7 +3,7 @@
     format = "gradcal-sweep/1"
     base   = "paper-dynamic-gradient"        # a preset, or the path of a spec or recipe, seen from this file
     [change]                                 # keys that are other than in the base, at every point
-    "plan.soak.duration" = "30 min"
+    "plan.soak" = "30 min"
     [[axis]]                                 # a grid over all axes …
     key    = "plan.gradient"
     start  = "0.5 K/min"

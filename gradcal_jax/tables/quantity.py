@@ -57,8 +57,8 @@ class Quantity(float):
 
 @dataclass(frozen=True)
 class Of:
-    """Marks a field as a quantity of a dimension, with bounds (as texts); `infinite` is the word for no limit.
-    `example`: a usual value of the field, if that of the dimension is none."""
+    """Marks a field as a quantity of a dimension, with bounds (as texts); `infinite` is the word for no limit, `zero`
+    that for none. `example`: a usual value of the field, if that of the dimension is none."""
 
     dimension: str
     above: str | None = None
@@ -66,6 +66,7 @@ class Of:
     below: str | None = None
     at_most: str | None = None
     infinite: str | None = None
+    zero: str | None = None
     example: str | None = None
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -80,14 +81,20 @@ class Of:
         words = f"{dimension.described}, such as '{example}'"
         return {
             "type": "string",
-            "description": words + (f", or '{self.infinite}'" if self.infinite else ""),
+            "description": words + "".join(f", or '{word}'" for word in self._words),
             "examples": [example],
         }
+
+    @property
+    def _words(self) -> list[str]:
+        return [word for word in (self.infinite, self.zero) if word is not None]
 
     def read(self, value: object) -> Quantity:
         """The quantity in a file's value. Raises `ValueError` with the expected value."""
         if self.infinite is not None and value in (self.infinite, math.inf):
             return Quantity(math.inf, self.infinite, self.dimension)
+        if self.zero is not None and value in (self.zero, 0.0):
+            return Quantity(0.0, self.zero, self.dimension)
         if isinstance(value, Quantity) and value.dimension == self.dimension:
             quantity = value
         elif isinstance(value, str):
@@ -95,7 +102,7 @@ class Of:
         else:
             dimension = units.DIMENSIONS[self.dimension]
             example = self.example or dimension.example
-            named = f" or {one_of([self.infinite])}" if self.infinite else ""
+            named = f" or {one_of(self._words)}" if self._words else ""
             raise ValueError(f'expected {dimension.described} as text with a unit, such as "{example}"{named}')
         if quantity != 0.0 and not _SMALLEST <= abs(quantity) <= _LARGEST:
             raise ValueError("is outside the range of this program")

@@ -9,10 +9,10 @@ from gradcal_jax.records.log import Log
 
 G = 9.80665
 
-POLYNOMIAL_T = 'temperature = { basis = "polynomial", degree = 3, centre = "20 degC", scale = "50 K" }'
-POLYNOMIAL_W = 'rate = { basis = "polynomial", degree = 3, scale = "300 deg/s" }'
-SPLINE_T = 'temperature = { basis = "b-spline", knots = ["-30 degC", "0 degC", "40 degC", "70 degC"] }'
-BINS_W = 'rate = { basis = "bins", edges = ["-300 deg/s", "0 deg/s", "300 deg/s"] }'
+POLYNOMIAL_T = 'temperature = { degree = 3, centre = "20 degC", scale = "50 K" }'
+POLYNOMIAL_W = 'rate = { degree = 3, scale = "300 deg/s" }'
+SPLINE_T = 'temperature = { knots = ["-30 degC", "0 degC", "40 degC", "70 degC"] }'
+BINS_W = 'rate = { degree = 0, knots = ["-300 deg/s", "0 deg/s", "300 deg/s"] }'
 
 
 def axis_text(name, temperature=POLYNOMIAL_T, rate=POLYNOMIAL_W, seed=0, size=3e-3, n_t=4, n_w=4, more="", terms=""):
@@ -46,10 +46,10 @@ order = "measured = (1 + M(T, rate)) * rate + B(T)"
 WHOLE = HEAD + axis_text("x") + axis_text("y", seed=1) + axis_text("z", seed=2)
 
 
-TEMPERATURE = {"basis": "polynomial", "degree": 3, "centre": "20 degC", "scale": "50 K"}
+TEMPERATURE = {"degree": 3, "centre": "20 degC", "scale": "50 K"}
 LINEAR = TEMPERATURE | {"degree": 1}
 RANGES = {"valid_temperature": ["-30 degC", "70 degC"], "valid_rate": ["-300 deg/s", "300 deg/s"]}
-RATE = {"basis": "polynomial", "degree": 3, "scale": "300 deg/s"}
+RATE = {"degree": 3, "scale": "300 deg/s"}
 
 
 def a_truth(seed: int = 3) -> dict[str, float]:

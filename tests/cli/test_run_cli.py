@@ -27,12 +27,12 @@ from gradcal_jax.tables.writing import to_toml
 CHANGES = {
     "plan.temperature": ["23 degC", "24 degC"],
     "plan.gradient": "2 K/min",
-    "plan.soak.duration": "2 s",
+    "plan.soak": "2 s",
     "rig.table.axis[0].travel": "360 deg",  # all of which a plan may use
     "plan.cycle.moves": [
         {"rest": "3 s", "read_every": "1 s"},
-        {"turns": 1, "peak_rate": "200 deg/s", "shape": "linear ramps"},
-        {"turns": -1, "peak_rate": "200 deg/s", "shape": "linear ramps"},
+        {"turn": "360 deg", "peak_rate": "200 deg/s", "shape": "linear ramps"},
+        {"turn": "-360 deg", "peak_rate": "200 deg/s", "shape": "linear ramps"},
     ],
     "plan.cycle.other_axes": None,
 }

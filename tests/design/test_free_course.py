@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("without_prices")
 def turning(*, back: bool = False, late: bool = False) -> Spec:
     """One gyro with plays of bias and scale factor, whose table turns to and fro on one axis; `late`: and with what
     follows the temperature late."""
-    line = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "40 K"}
+    line = {"degree": 1, "centre": "20 degC", "scale": "40 K"}
     moves = [
         move
         for turns in (2, -2)
@@ -46,7 +46,7 @@ def turning(*, back: bool = False, late: bool = False) -> Spec:
         {
             "sensor.gyro.axes": ["z"],
             "sensor.gyro.scale_factor": {
-                "temperature": line, "rate": {"basis": "polynomial", "degree": 0, "scale": "100 deg/s"},
+                "temperature": line, "rate": {"degree": 0, "scale": "100 deg/s"},
                 "prior": "1000 ppm",
             },
             "sensor.gyro.hysteresis": [{"width": "10 K", "prior": "1 deg/h/K"}],

@@ -139,10 +139,10 @@ moves = [
 ]
 """
 MAPS = """
-bias = { temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }, prior = "500 deg/h" }
+bias = { temperature = { degree = 1, centre = "20 degC", scale = "50 K" }, prior = "500 deg/h" }
 [sensor.gyro.scale_factor]
-temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
-rate        = { basis = "polynomial", degree = 1, scale = "300 deg/s" }
+temperature = { degree = 1, centre = "20 degC", scale = "50 K" }
+rate        = { degree = 1, scale = "300 deg/s" }
 prior       = "10000 ppm"
 """
 GYRO = """angle_random_walk = "0.1 deg/sqrt(h)"

@@ -20,7 +20,7 @@ QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_pass
 def one_gyro(*, chamber: bool = False) -> gj.Spec:
     """A gyro on a table of two axes, one of limited travel."""
     spec = gj.read_spec(EXPERIMENTS / "hand2.toml")
-    line = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"}
+    line = {"degree": 1, "centre": "20 degC", "scale": "50 K"}
     turns = [("spin", 1000), ("tilt", 90), ("spin", -640), ("tilt", -90)]
     moves = [
         m for axis, t in turns for m in ({"turn": f"{t} deg", "axis": axis, "peak_rate": "200 deg/s"}, {"rest": "8 s"})
@@ -32,7 +32,7 @@ def one_gyro(*, chamber: bool = False) -> gj.Spec:
         "sensor.gyro.misalignment": None,
         "sensor.gyro.bias.temperature": line,
         "sensor.gyro.scale_factor.temperature": line,
-        "sensor.gyro.scale_factor.rate": {"basis": "polynomial", "degree": 1, "scale": "300 deg/s"},
+        "sensor.gyro.scale_factor.rate": {"degree": 1, "scale": "300 deg/s"},
         "rig.table.axis[0].travel": "200 deg",
         "plan.cycle.moves": moves,
         "design": {"minimise": "gyro scale factor"},

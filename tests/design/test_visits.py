@@ -37,7 +37,7 @@ def many_visits(spec: Spec) -> Spec:
     """One hundred short visits, all with the same moves."""
     back = {"turn": "-360 deg", "peak_rate": "100 deg/s", "shape": "linear ramps"}
     moves = [{"rest": "5 s"}, back | {"turn": "360 deg"}, {"rest": "5 s"}, back]
-    others = {"duration": "5 s", "read": True}
+    others = {"duration": "5 s", "read_every": "1 s"}
     keys = {"plan.cycle": {"moves": moves, "other_axes": others}, "rig.table.axis[0].angle.read_every": "1 s"}
     return changed(spec, keys)
 

@@ -15,10 +15,10 @@ angle_random_walk = "0.5 deg/sqrt(h)"
 standard_deviation = "5 deg/h"
 correlation_time = "60 s"
 [sensor.gyro.bias]
-temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "20 K" }
+temperature = { degree = 1, centre = "20 degC", scale = "20 K" }
 [sensor.gyro.scale_factor]
-temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "20 K" }
-rate = { basis = "polynomial", degree = 1, scale = "300 deg/s" }
+temperature = { degree = 1, centre = "20 degC", scale = "20 K" }
+rate = { degree = 1, scale = "300 deg/s" }
 [rig.table]
 standing = "read"
 mounting = { x = "+z", y = "+x", z = "+y" }
@@ -53,12 +53,12 @@ gradient = "4 K/min"
 [plan.cycle]
 moves = [
   { rest = "10 s", read_every = "1 s" },
-  { turns = 4, peak_rate = "300 deg/s", shape = "cosine ramps" },
+  { turn = "1440 deg", peak_rate = "300 deg/s", shape = "cosine ramps" },
   { rest = "5 s", read_every = "1 s" },
-  { turns = -2, peak_rate = "120 deg/s", shape = "cosine ramps" },
-  { turns = 2, peak_rate = "120 deg/s", shape = "cosine ramps" },
+  { turn = "-720 deg", peak_rate = "120 deg/s", shape = "cosine ramps" },
+  { turn = "720 deg", peak_rate = "120 deg/s", shape = "cosine ramps" },
   { rest = "5 s", read_every = "1 s" },
-  { turns = -4, peak_rate = "300 deg/s", shape = "cosine ramps" },
+  { turn = "-1440 deg", peak_rate = "300 deg/s", shape = "cosine ramps" },
 ]
 """
 

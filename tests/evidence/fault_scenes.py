@@ -91,7 +91,7 @@ def moves_of(spec: dict[str, Any], top_rate: float) -> list[Move]:
             moves.append(Move(number(move["rest"])))
             continue
         angle, rate = number(move["turn"]), number(move["peak_rate"])
-        ramp = number(move["ramp"]) if "ramp" in move else 0.5 * np.pi * rate / ACCELERATION
+        ramp = number(move["duration"]) - abs(angle) / rate if "duration" in move else 0.5 * np.pi * rate / ACCELERATION
         if rate * ramp > abs(angle):  # as fast as the axis goes
             rate = float(np.sqrt(2.0 * abs(angle) * ACCELERATION / np.pi))
             ramp = abs(angle) / rate
@@ -286,7 +286,6 @@ def term_values(term: dict[str, Any], t: Floats, x: Floats) -> Floats:
 
 
 def basis(of: dict[str, Any], x: Floats) -> Floats:
-    assert of["basis"] == "polynomial"
     rate = "deg/s" in of["scale"]
     centre = number(of.get("centre", "0"))
     assert centre == 0.0 or not rate

@@ -30,12 +30,12 @@ QUICK = {
     "paper-dynamic-gradient": {
         "plan.temperature": ["10 degC", "40 degC"],
         "plan.gradient": "1.5 K/min",
-        "plan.soak.duration": "5 min",
+        "plan.soak": "5 min",
         "box": ["15 degC", "35 degC"],
     },
     "paper-static-gradient": {
         "plan.temperature": ["10 degC", "30 degC"],
-        "plan.soak.duration": "5 min",
+        "plan.soak": "5 min",
         "box": ["14 degC", "26 degC"],
     },
     "paper-dynamic-standard": {
@@ -47,14 +47,14 @@ QUICK = {
     "two-axis-table": {
         "plan.temperature": ["5 degC", "35 degC"],
         "plan.gradient": "2 K/min",
-        "plan.soak.duration": "5 min",
+        "plan.soak": "5 min",
         "sensor.thermal_lag": "20 s",
         "box": ["8 degC", "30 degC"],
     },
     "gimbal-by-hand": {
         "plan.temperature": ["10 degC", "30 degC"],
         "plan.gradient": "1 K/min",
-        "plan.soak.duration": "1 min",
+        "plan.soak": "1 min",
         "box": ["14 degC", "26 degC"],
     },
 }

@@ -64,7 +64,7 @@ def recipe_of_rig(rig: str, folder: Path) -> Path:
     slope = 60.0 * float(spec.plan.gradient)
     shorter = {
         "plan.temperature": ["10 degC", f"{10.0 + 15.0 * slope:g} degC"],
-        "plan.soak.duration": "60 s",
+        "plan.soak": "60 s",
         "box": ["12 degC", f"{8.0 + 15.0 * slope:g} degC"],
     }
     gj.write_toml(thinned(spec, shorter), folder / "spec.toml")

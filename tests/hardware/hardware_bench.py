@@ -205,16 +205,16 @@ def short_recipe(ramp_k: float = 4.0, *, stable_for: str = "20 s", changes: dict
     """A recipe of minutes: a soak, then a ramp of 2 K/min with turns, of the paper's gyro."""
     moves = [
         {"rest": "4 s", "read_every": "1 s"},
-        {"turns": 1, "peak_rate": "200 deg/s", "shape": "linear ramps"},
+        {"turn": "360 deg", "peak_rate": "200 deg/s", "shape": "linear ramps"},
         {"rest": "3 s", "read_every": "1 s"},
-        {"turns": -1, "peak_rate": "150 deg/s", "shape": "linear ramps"},
+        {"turn": "-360 deg", "peak_rate": "150 deg/s", "shape": "linear ramps"},
     ]
     keys = {
         "plan.temperature": ["24 degC", f"{24.0 + ramp_k:g} degC"],
         "plan.gradient": "2 K/min",
-        "plan.soak.duration": "5 s",
+        "plan.soak": "5 s",
         "plan.cycle.moves": moves,
-        "plan.cycle.other_axes": {"duration": "2 s", "read": True},
+        "plan.cycle.other_axes": {"duration": "2 s", "read_every": "1 s"},
     }
     spec = changed(parse_spec(presets.text("paper-dynamic-gradient")), keys | (changes or {}))
     return unpredicted(spec, stable_for=stable_for)

@@ -58,8 +58,8 @@ def hand(minutes: float, **changes: Any) -> Spec:
 def short(cycles: int = 1) -> Spec:
     """A plan of `cycles` cycles of less than a minute, 20 to 30 degC, of a simpler unit."""
     minutes = 0.9 * cycles
-    temperature = {"basis": "polynomial", "degree": 1, "centre": "25 degC", "scale": "5 K"}
-    rate = {"basis": "polynomial", "degree": 1, "scale": "300 deg/s"}
+    temperature = {"degree": 1, "centre": "25 degC", "scale": "5 K"}
+    rate = {"degree": 1, "scale": "300 deg/s"}
     keys: dict[str, Any] = {f"sensor.{kind}.bias.temperature": temperature for kind in ("gyro", "accelerometer")}
     keys |= {
         "plan.temperature": ["20 degC", "30 degC"],

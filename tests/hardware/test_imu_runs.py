@@ -296,7 +296,7 @@ def test_three_mountings_on_one_axis(tmp_path: Path) -> None:
         moves += [{"turn": turn, "axis": "turn"}, {"rest": "4 s"}]
     keys = {
         "plan.gradient": "40 K/min",
-        "plan.soak.duration": "2 min",
+        "plan.soak": "2 min",
         "plan.cycle.moves": moves,
         "rig.chamber.max_heating": "60 K/min",
         "rig.chamber.max_cooling": "60 K/min",

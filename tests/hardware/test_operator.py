@@ -293,18 +293,18 @@ def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
 def hand_recipe(**more: object) -> Recipe:
     """Of the preset whose gimbal is moved by hand: a minute of it, its angles typed."""
     moves = [
-        {"rest": "6 s", "read": "none"},
-        {"turns": 1, "duration": "8 s", "unevenness": 0.3, "shape": "hand"},
-        {"rest": "6 s", "read": "none"},
-        {"turns": -1, "duration": "8 s", "unevenness": 0.3, "shape": "hand"},
-        {"rest": "6 s", "read": "none"},
+        {"rest": "6 s", "read_every": "none"},
+        {"turn": "360 deg", "duration": "8 s", "shape": "hand"},
+        {"rest": "6 s", "read_every": "none"},
+        {"turn": "-360 deg", "duration": "8 s", "shape": "hand"},
+        {"rest": "6 s", "read_every": "none"},
     ]
     keys = {
         "plan.temperature": ["23 degC", "25 degC"],
         "plan.gradient": "1 K/min",
-        "plan.soak.duration": "2 s",
+        "plan.soak": "2 s",
         "plan.cycle.moves": moves,
-        "plan.cycle.other_axes": {"duration": "20 s", "read": False},
+        "plan.cycle.other_axes": {"duration": "20 s"},
         "rig.table.answer_time": "0 s",
         "rig.table.axis[0].angle.read_every": "rest",
         "requirement": None,
@@ -328,7 +328,7 @@ def test_a_rehearsal_turns_by_hand_too(tmp_path: Path) -> None:
 
 READ_AT_REST = [
     move | ({"read_every": "1 s"} if "rest" in move else {})
-    for move in ({"rest": "6 s"}, {"turns": 1, "duration": "8 s", "shape": "hand"}, {"rest": "6 s"})
+    for move in ({"rest": "6 s"}, {"turn": "360 deg", "duration": "8 s", "shape": "hand"}, {"rest": "6 s"})
 ]
 
 
@@ -346,7 +346,7 @@ def test_a_log_has_the_readings_that_the_plan_counts(tmp_path: Path) -> None:
     """One typed angle in each rest; with an encoder one each second besides, also of the time that no cycle fills."""
     typed = hand_recipe()
     assert readings_of_rests(tmp_path / "typed", typed) == [1] * (2 * typed.motion[0].repeat + 1)
-    others = {"duration": "20 s", "read": True}
+    others = {"duration": "20 s", "read_every": "1 s"}
     keys = {"plan.cycle.moves": READ_AT_REST, "plan.cycle.other_axes": others, "rig.table.answer_time": "4 s"}
     keys |= {"rig.table.axis[0].angle.read_every": "1 s"}
     first, *middle, _ = readings_of_rests(tmp_path / "encoder", hand_recipe(**keys))
@@ -506,11 +506,11 @@ class AtTerminal:
 def quick_hand_recipe(folder: Path) -> Path:
     """In real time: a second here, two there."""
     moves = [
-        {"rest": "1 s", "read": "none"},
-        {"turns": 1, "duration": "6 s", "unevenness": 0.3, "shape": "hand"},
-        {"rest": "1 s", "read": "none"},
-        {"turns": -1, "duration": "6 s", "unevenness": 0.3, "shape": "hand"},
-        {"rest": "1 s", "read": "none"},
+        {"rest": "1 s", "read_every": "none"},
+        {"turn": "360 deg", "duration": "6 s", "shape": "hand"},
+        {"rest": "1 s", "read_every": "none"},
+        {"turn": "-360 deg", "duration": "6 s", "shape": "hand"},
+        {"rest": "1 s", "read_every": "none"},
     ]
     made = hand_recipe(
         **{

@@ -66,7 +66,7 @@ def test_every_preset_becomes_a_track_that_takes_as_long_as_its_plan(name: str) 
 def test_a_prediction_reads_what_the_recipe_reads(drive: str, standing: str) -> None:
     """Of an axis that is read once in each rest, in a plan whose first stretch is shorter than its cycle: an operator
     types no angle there, nor behind the last cycle. Of a table that is held, a rest is data without a reading."""
-    turn = {"duration": "10 s", "shape": "hand"} if drive == "hand" else {"peak_rate": "90 deg/s", "ramp": "1 s"}
+    turn = {"duration": "10 s", "shape": "hand"} if drive == "hand" else {"peak_rate": "90 deg/s", "duration": "5 s"}
     turn |= {"shape": "linear ramps"} if drive == "motor" else {}
     programme = [
         {"soak": "30 s", "at": "20 degC", "used": True},
@@ -82,7 +82,9 @@ def test_a_prediction_reads_what_the_recipe_reads(drive: str, standing: str) -> 
         "plan.gradient": None,
         "plan.soak": None,
         "plan.programme": programme,
-        "plan.cycle": {"moves": [{"rest": "15 s"}, {"turns": 1} | turn, {"rest": "15 s"}, {"turns": -1} | turn]},
+        "plan.cycle": {
+            "moves": [{"rest": "15 s"}, {"turn": "360 deg"} | turn, {"rest": "15 s"}, {"turn": "-360 deg"} | turn]
+        },
     }
     spec = unpredicted(changed(parse_spec(presets.text("rig-hand")), keys)).spec
     short, ramp = spec.gradient_schedule.stretches
@@ -144,7 +146,7 @@ def test_steps_carry_where_they_begin_by_themselves() -> None:
         parse_spec(presets.text("paper-dynamic-gradient")),
         {
             "plan.cycle.moves[1]": {"turn": "450 deg", "peak_rate": "10 deg/s", "shape": "linear ramps"},
-            "plan.cycle.moves[5]": {"rest": "1 s", "read": "none"},
+            "plan.cycle.moves[5]": {"rest": "1 s", "read_every": "none"},
         },
     )
     track = track_of(unpredicted(spec), ["table"])

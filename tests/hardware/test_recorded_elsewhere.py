@@ -116,9 +116,9 @@ def test_a_recording_of_another_axis_or_run_is_a_sentence(tmp_path: Path, capsys
     plant = run_without_a_unit(tmp_path / "run", short_recipe(ramp_k=6.0, changes=SLOWER))
     moves = [
         {"rest": "9 s", "read_every": "1 s"},
-        {"turns": -2, "peak_rate": "90 deg/s", "shape": "linear ramps"},
+        {"turn": "-720 deg", "peak_rate": "90 deg/s", "shape": "linear ramps"},
         {"rest": "5 s", "read_every": "1 s"},
-        {"turns": 2, "peak_rate": "60 deg/s", "shape": "linear ramps"},
+        {"turn": "720 deg", "peak_rate": "60 deg/s", "shape": "linear ramps"},
     ]
     slower = short_recipe(ramp_k=6.0, changes=SLOWER | {"plan.cycle.moves": moves})
     other = run_without_a_unit(tmp_path / "other", slower)

@@ -7,7 +7,7 @@ import gradcal_jax as gj
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.spec import presets
 
-OF_BIAS = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"}
+OF_BIAS = {"degree": 1, "centre": "20 degC", "scale": "50 K"}
 SPEC = gj.changed(gj.parse_spec(presets.text("paper-dynamic-gradient")), {"sensor.gyro.bias": {"temperature": OF_BIAS}})
 HIDDEN = {
     "sensor.gyro.scale_factor.discrepancy": {

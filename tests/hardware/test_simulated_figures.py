@@ -20,7 +20,7 @@ STATED = {
     "rig.table.axis[0].angle.backlash": "0.02 deg",
     "rig.site.latitude": "unknown",
 }
-LINE = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"}
+LINE = {"degree": 1, "centre": "20 degC", "scale": "50 K"}
 QUIET = {"sensor.gyro.angle_random_walk": "1e-9 deg/sqrt(h)", "sensor.gyro.drift": []}
 SEEDS = 300
 

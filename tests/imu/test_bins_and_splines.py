@@ -39,7 +39,7 @@ gradient = "2 K/min"
 [plan.cycle]
 moves = [{moves}]
 """
-CONSTANT = 'temperature = { basis = "polynomial", degree = 0, centre = "20 degC", scale = "50 K" }'
+CONSTANT = 'temperature = { degree = 0, centre = "20 degC", scale = "50 K" }'
 # As good as no bias.
 NO_BIAS = f'bias = {{ {CONSTANT}, prior = "0.000001 deg/h" }}'
 RESTS = '{ rest = "5 min" }, { turn = "180 deg", axis = "a" }, { rest = "5 min" }, { turn = "-180 deg", axis = "a" }'
@@ -70,7 +70,7 @@ def segments(text: str) -> list[tuple[float, float]]:
 @pytest.mark.parametrize("edges", [np.array([-30.0, -23.3, -4.0, 31.7, 52.0, 70.0]), np.linspace(-30.0, 70.0, 26)])
 def test_temperature_bins_weigh_the_time_that_is_spent_in_each(edges):
     listed = ", ".join(f'"{e:g} degC"' for e in edges)
-    bias = f'bias = {{ temperature = {{ basis = "bins", edges = [{listed}] }}, prior = "500 deg/h" }}'
+    bias = f'bias = {{ temperature = {{ degree = 0, knots = [{listed}] }}, prior = "500 deg/h" }}'
     text = SPEC.format(axes='"x"', maps=bias, latitude=45, direction="1.0, 0.0, 0.0", moves=RESTS)
     rows = []
     for begin, lasting in segments(text):
@@ -93,7 +93,7 @@ TURNING = ", ".join(
 def test_rate_bins_weigh_the_angle_that_is_turned_in_each():
     edges = [-105.0, -30.0, -7.0, 7.0, 30.0, 105.0]
     listed = ", ".join(f'"{e:g} deg/s"' for e in edges)
-    rate = f'rate = {{ basis = "bins", edges = [{listed}] }}'
+    rate = f"rate = {{ degree = 0, knots = [{listed}] }}"
     maps = f'{NO_BIAS}\nscale_factor = {{ {CONSTANT}, {rate}, prior = "10000 ppm" }}'
     text = SPEC.format(axes='"z"', maps=maps, latitude=0, direction="0.0, 0.0, 1.0", moves=TURNING)
     rows, durations = [], []
@@ -117,7 +117,7 @@ def test_splines_in_temperature_and_rate_are_as_a_fine_sum():
     """An inclined axis on the Earth: every gyro has its own rate, and the Earth's share changes with the attitude."""
     knots, rates = [-30.0, -10.0, 5.0, 40.0, 70.0], [-90.0, -20.0, 0.0, 35.0, 90.0]
     warm, fast = (
-        f'{{ basis = "b-spline", degree = {d}, knots = [{", ".join(f"{chr(34)}{k:g} {u}{chr(34)}" for k in of)}] }}'
+        f"{{ degree = {d}, knots = [{', '.join(f'{chr(34)}{k:g} {u}{chr(34)}' for k in of)}] }}"
         for d, u, of in ((3, "degC", knots), (2, "deg/s", rates))
     )
     maps = f'{NO_BIAS}\nscale_factor = {{ temperature = {warm}, rate = {fast}, prior = "10000 ppm" }}'

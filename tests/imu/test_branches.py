@@ -28,7 +28,7 @@ PLAY = [{"width": "5 K", "prior": "4 deg/h/K"}]
 
 def required(programme, gyro: dict[str, Any], **requirement: Any) -> Spec:
     """A standing gyro, read every 5 s, with a requirement on its bias from 10 to 50 degC."""
-    temperature = {"basis": "polynomial", "degree": 1, "centre": "30 degC", "scale": "30 K"}
+    temperature = {"degree": 1, "centre": "30 degC", "scale": "30 K"}
     own = {"axes": ["z"], "angle_random_walk": "0.2 deg/sqrt(h)", "grade": None}
     del own["grade"]
     axis = {

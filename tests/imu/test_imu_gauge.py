@@ -141,10 +141,10 @@ def sentences(moves, **changes) -> tuple[str, ...]:
     for triad in ("gyro", "accelerometer"):
         for name in ("bias", "scale_factor", "misalignment"):
             document["sensor"][triad][name].pop("temperature", None)
-    flat = {"basis": "polynomial", "degree": 0, "centre": "20 degC", "scale": "50 K"}
+    flat = {"degree": 0, "centre": "20 degC", "scale": "50 K"}
     document["sensor"]["gyro"]["bias"]["temperature"] = flat
     document["sensor"]["gyro"]["scale_factor"]["temperature"] = flat
-    document["sensor"]["gyro"]["scale_factor"]["rate"] = {"basis": "polynomial", "degree": 0, "scale": "300 deg/s"}
+    document["sensor"]["gyro"]["scale_factor"]["rate"] = {"degree": 0, "scale": "300 deg/s"}
     for key, value in changes.items():
         at, *path = key.split("__")
         part = document[at]

@@ -27,8 +27,8 @@ from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.problems import SpecError
 
 HOUR = np.pi / 180.0 / 3600.0
-LINEAR = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "30 K"}
-BY_RATE = {"basis": "polynomial", "degree": 0, "centre": "0 deg/s", "scale": "100 deg/s"}
+LINEAR = {"degree": 1, "centre": "20 degC", "scale": "30 K"}
+BY_RATE = {"degree": 0, "centre": "0 deg/s", "scale": "100 deg/s"}
 SECOND_S, BIAS_S, SCALE_S = 120.0, 200.0, 90.0
 PATH: dict[str, Any] = {
     "thermometer_difference": {"prior": "5 deg/h/K"},
@@ -135,7 +135,7 @@ def test_columns_are_the_integrals_of_the_definition(lag):
                 "gyro": GYRO
                 | {
                     "bias": {
-                        "temperature": {"basis": "bins", "edges": ["0 degC", "20 degC", "40 degC"]},
+                        "temperature": {"degree": 0, "knots": ["0 degC", "20 degC", "40 degC"]},
                         "lag": "1 min",
                     }
                 }

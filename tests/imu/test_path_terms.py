@@ -20,9 +20,9 @@ DEG = np.pi / 180.0
 HOUR = DEG / 3600.0
 G = 9.80665
 WIDTHS = (4.0, 9.0)
-LINEAR = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "30 K"}
+LINEAR = {"degree": 1, "centre": "20 degC", "scale": "30 K"}
 FLAT = LINEAR | {"degree": 0}
-BY_RATE = {"basis": "polynomial", "degree": 0, "centre": "0 deg/s", "scale": "100 deg/s"}
+BY_RATE = {"degree": 0, "centre": "0 deg/s", "scale": "100 deg/s"}
 GYRO: dict[str, Any] = {
     "axes": ["z"], "angle_random_walk": "0.3 deg/sqrt(h)",
     "bias": {"temperature": LINEAR, "prior": "100 deg/h"},

@@ -53,7 +53,7 @@ def log_of(first: int, end: int) -> Log:
 
 
 def spec_with(*, plays: bool, branch: str = "both") -> Spec:
-    plain = {"basis": "polynomial", "degree": 3, "centre": "30 degC", "scale": "50 K"}
+    plain = {"degree": 3, "centre": "30 degC", "scale": "50 K"}
     gyro = {
         "angle_random_walk": "0.6 deg/sqrt(h)", "rate_random_walk": "0 deg/h/sqrt(h)", "turn_on_bias": "0 deg/h",
         "drift": [{"standard_deviation": f"{DRIFT} deg/h", "correlation_time": "20 min"}],

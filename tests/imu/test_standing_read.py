@@ -13,12 +13,12 @@ _GYRO = {
     "angle_random_walk": "0.1 deg/sqrt(h)",
     "drift": [{"standard_deviation": "1 deg/h", "correlation_time": "120 s"}],
     "bias": {
-        "temperature": {"basis": "polynomial", "degree": 2, "centre": "20 degC", "scale": "50 K"},
+        "temperature": {"degree": 2, "centre": "20 degC", "scale": "50 K"},
         "prior": "500 deg/h",
     },
     "scale_factor": {
-        "temperature": {"basis": "polynomial", "degree": 2, "centre": "20 degC", "scale": "50 K"},
-        "rate": {"basis": "polynomial", "degree": 1, "scale": "300 deg/s"},
+        "temperature": {"degree": 2, "centre": "20 degC", "scale": "50 K"},
+        "rate": {"degree": 1, "scale": "300 deg/s"},
         "prior": "5000 ppm",
     },
 }

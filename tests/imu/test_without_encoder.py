@@ -39,8 +39,9 @@ def without_encoder(spec):
         ({"rig.table.axis[0].angle.reading_noise": "1 deg"}, "is only for an encoder"),
         ({"rig.table.standing": "read"}, "is only for an encoder"),
         ({"sensor.accelerometer.axes": ["x", "y"]}, "accelerometers along x, y and z"),
-        ({"plan.cycle.moves": [{"turns": 1, "duration": "5 s", "shape": "hand", "axis": "axle"},
-                               {"turns": -1, "duration": "5 s", "shape": "hand", "axis": "axle"}, {"rest": "2 s"}]},
+        ({"plan.cycle.moves": [{"turn": "360 deg", "duration": "5 s", "shape": "hand", "axis": "axle"},
+                               {"turn": "-360 deg", "duration": "5 s", "shape": "hand", "axis": "axle"},
+                               {"rest": "2 s"}]},
          "there is no rest between"),
     ],
 )  # fmt: skip

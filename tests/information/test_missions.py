@@ -63,15 +63,6 @@ def test_several_missions_are_weighed():
     assert of.shown(of.residuals(spec)) == pytest.approx(both.rms, rel=1e-9)
 
 
-def test_a_mission_is_asked_for_at_its_time():
-    whole = row_of(with_requirements(heading(hover())))
-    cut = row_of(with_requirements(heading(hover(), after="100 s")))
-    short = "\n".join(HOVER.splitlines()[:3])
-    assert cut.rms == pytest.approx(row_of(with_requirements(heading(hover(table=short)))).rms)
-    assert cut.own < whole.own
-    assert (cut.temperature_c, cut.rate_dps) == (pytest.approx((20.0, 30.0)), pytest.approx((-20.0, 30.0)))
-
-
 def test_shares_and_elasticities_add_up():
     spec = with_requirements(heading(hover(weight=2.0), spin()), BIAS)
     built = build_imu(spec)
@@ -194,7 +185,7 @@ def test_a_mission_alone_in_a_design_says_what_it_lacks():
         read_spec(FOLDER / "ppm.toml"), {"sensor.gyro.bias.prior": None, "sensor.gyro.scale_factor.prior": None}
     )
     tables = tables_of(flat)
-    tables["requirement"] = [heading(spin(), after="5 min")]
+    tables["requirement"] = [heading(spin())]
     tables["design"] |= {"minimise": "h"}
     assert np.isfinite(row_of(spec_of(tables)).rms)
     hidden = {"standard_deviation": "20 ppm", "temperature_degree": 5, "rate_degree": 5}

@@ -29,11 +29,11 @@ axes = ["x"]
 angle_random_walk = "0.1 deg/sqrt(h)"
 drift = [{ standard_deviation = "1 deg/h", correlation_time = "120 s" }]
 [sensor.gyro.bias]
-temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
+temperature = { degree = 1, centre = "20 degC", scale = "50 K" }
 prior = "400 deg/h"
 [sensor.gyro.scale_factor]
-temperature = { basis = "polynomial", degree = 1, centre = "20 degC", scale = "50 K" }
-rate = { basis = "polynomial", degree = 0, scale = "200 deg/s" }
+temperature = { degree = 1, centre = "20 degC", scale = "50 K" }
+rate = { degree = 0, scale = "200 deg/s" }
 prior = "3000 ppm"
 [rig.table]
 standing = "read"

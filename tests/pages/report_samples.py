@@ -28,7 +28,7 @@ def spec(**changes: object) -> Spec:
             "sensor.gyro.scale_factor.rate.degree": 1,
             "sensor.gyro.scale_factor.prior": "5000 ppm",
             "sensor.gyro.bias": {
-                "temperature": {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"},
+                "temperature": {"degree": 1, "centre": "20 degC", "scale": "50 K"},
                 "prior": "200 deg/h",
             },
             "rig.table.axis[0].max_acceleration": "300 deg/s^2",

@@ -196,7 +196,7 @@ def test_the_steps_come_from_the_rig_where_it_names_them():
     default = steps_of(PAPER)
     assert math.degrees(float(default.acceleration)) == pytest.approx(360.0 / 1152000 / 1.6384e-4)
     assert default == ControllerSteps(acceleration=default.acceleration)
-    made = rounded(spec).spec.plan.cycle.moves[1].move
+    made = rounded(spec).spec.plan.cycle.moves[1]
     assert made.peak_rate == Quantity.read("299.5 deg/s", "angular rate")
 
 

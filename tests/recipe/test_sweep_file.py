@@ -72,7 +72,7 @@ def test_drawn_points_fill_the_box_and_follow_the_seed(method):
         ('[[axis]]\nvalues = ["1 s"]', 'give exactly one of "key", "keys"'),
         ('[[axis]]\nkey = "plan..gradient"\nvalues = ["1 K/min"]', "is not a key"),
         (GRADIENT + "count = 3\n" + GRADIENT + "count = 3", "another axis also sets this key"),
-        (GRADIENT + "count = 3\n[[axis]]\n" + 'key = "plan.soak.duration"\nname = "gradient"\nvalues = ["1 h"]',
+        (GRADIENT + "count = 3\n[[axis]]\n" + 'key = "plan.soak"\nname = "gradient"\nvalues = ["1 h"]',
          'give one of them a different "name"'),
         (GRADIENT + "cuont = 3", 'nearest: "count"'),
         (GRADIENT + "count = 2000\n" + RESTS + 'start = "5 s"\nstop = "25 s"\ncount = 2000', "at most 1000000"),
@@ -103,10 +103,10 @@ def test_a_base_is_found_beside_the_file_and_changed(tmp_path):
 
     (tmp_path / "deep").mkdir()
     (tmp_path / "mine.toml").write_text(presets.text("paper-dynamic-gradient"), encoding="utf-8")
-    text = HEAD.replace("paper-dynamic-gradient", "../mine.toml") + '[change]\n"plan.soak.duration" = "30 min"\n'
+    text = HEAD.replace("paper-dynamic-gradient", "../mine.toml") + '[change]\n"plan.soak" = "30 min"\n'
     (tmp_path / "deep" / "sweep.toml").write_text(text + GRADIENT + "count = 3\n", encoding="utf-8")
     job = read_sweep(tmp_path / "deep" / "sweep.toml")
-    assert float(job.base.plan.soak.duration) == 1800.0
+    assert float(job.base.plan.soak) == 1800.0
     assert job.file.count == 3
 
 

@@ -141,7 +141,7 @@ def test_a_mission_beyond_the_plans_temperatures_is_refused(folder, row, said):
 def test_a_mission_beyond_a_basis_is_refused(folder):
     knots = ["-60 deg/s", "0 deg/s", "29 deg/s"]
     spec = read_spec(folder / "spec.toml")
-    rate = {"basis": "b-spline", "knots": knots}
+    rate = {"knots": knots}
     with pytest.raises(
         SpecError, match=r"line 5: the rate is 30 deg/s, outside the range of the rate basis, -60 to 29"
     ):

@@ -11,10 +11,10 @@ angle_random_walk = "0.1 deg/sqrt(h)"
 standard_deviation = "1 deg/h"
 correlation_time   = "120 s"
 [sensor.gyro.bias]
-temperature = { basis = "polynomial", degree = 1, centre = "10 degC", scale = "10 K" }
+temperature = { degree = 1, centre = "10 degC", scale = "10 K" }
 [sensor.gyro.scale_factor]
-temperature = { basis = "polynomial", degree = 1, centre = "10 degC", scale = "10 K" }
-rate        = { basis = "polynomial", degree = 1, scale = "100 deg/s" }
+temperature = { degree = 1, centre = "10 degC", scale = "10 K" }
+rate        = { degree = 1, scale = "100 deg/s" }
 [rig.table]
 standing = "read"
 rate_accuracy    = "100 ppm"
@@ -52,7 +52,7 @@ method      = "gradient"
 temperature = ["0 degC", "20 degC"]
 gradient    = "2 K/min"
 [plan.cycle]
-other_axes = { duration = "20 s", read = true, read_every = "1 s" }
+other_axes = { duration = "20 s", read_every = "1 s" }
 moves = [
   { rest = "5 s", read_every = "1 s" },
   { turn = "360 deg", peak_rate = "80 deg/s", shape = "cosine ramps" },

@@ -83,7 +83,7 @@ def test_changes_reach_into_lists_and_new_tables_and_remove():
         },
     )
     assert spec.schedule.steps[1].move.ramp == pytest.approx(9.45)
-    assert spec.plan.cycle.moves[1].move.duration.text == "81.45 s"
+    assert spec.plan.cycle.moves[1].duration.text == "81.45 s"
     assert spec.rig.resolution.time == 0.1
     assert spec.schedule.soak == 0.0
     assert spec.sensor.gyro.scale_factor.size == 12

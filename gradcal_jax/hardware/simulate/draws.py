@@ -75,7 +75,8 @@ def _constant(x: Vectors) -> Vectors:
 
 
 def _ordinal(section: Any, number: int) -> str:
-    return {"polynomial": "", "b-spline": "_spline", "bins": "_bin"}[section.basis] + str(number)
+    kind = "" if isinstance(section, PolynomialKeys) else "_spline" if section.degree else "_bin"
+    return f"{kind}{number}"
 
 
 class _Draws:
@@ -142,7 +143,7 @@ class _Draws:
     def _scale_factors(self, section: Any, size: float, axes: tuple[str, ...]) -> ErrorTerm:
         of_t, of_w = section.temperature, section.rate
         values = size * self.random.standard_normal((3, of_t.size, of_w.size))
-        powers = of_t.basis == of_w.basis == "polynomial" and max(values.shape[1:]) <= 10
+        powers = all(isinstance(of, PolynomialKeys) for of in (of_t, of_w)) and max(values.shape[1:]) <= 10
         for row, i, j in np.ndindex(values.shape):
             symbol = f"b{j}{i}" if powers else f"b{_ordinal(of_w, j)}_{_ordinal(of_t, i)}"
             if _XYZ[row] in axes:

@@ -249,21 +249,27 @@ def sensor_grade(sensor: Sensor) -> Grade:
     if (gyro := sensor.gyro) is None:
         return accelerometer_grade(sensor)
     if sensor.grade is not None:
-        return Grade(sensor.grade, str(class_row("sensor", sensor.grade)["like"]), "sensor.grade")
+        return _stated("sensor", sensor.grade, "sensor.grade")
     return _by_noise("sensor", gyro.drift, "angular rate", gyro.angle_random_walk)
 
 
 def accelerometer_grade(sensor: Sensor) -> Grade:
-    """The class of a unit's accelerometers, by their drift, or else by their velocity random walk; without any that of
-    its gyros."""
+    """The class of a unit's accelerometers: `sensor.grade`, or else by their drift, or else by their velocity random
+    walk; without any that of its gyros."""
     if (force := sensor.accelerometer) is None:
         return sensor_grade(sensor)
+    if sensor.grade is not None:
+        return _stated("accelerometer", sensor.grade, "sensor.grade")
     return _by_noise("accelerometer", force.drift, "acceleration", force.velocity_random_walk)
 
 
 def grade_of_forces(velocity_random_walk: Quantity) -> Grade:
     """The class of accelerometers of which only the velocity random walk (m/s/√s) is known."""
     return _by_noise("accelerometer", (), "acceleration", velocity_random_walk)
+
+
+def _stated(kind: str, grade: str, reason: str) -> Grade:
+    return Grade(grade, str(class_row(kind, grade)["like"]), reason)
 
 
 def _by_noise(kind: str, drift: Any, dimension: str, walk: Quantity) -> Grade:
@@ -292,7 +298,7 @@ def table_grade(spec: Spec) -> Grade:
     angles = [axis.angle for axis in spec.rig.table.axis]
     size = max(max(float(a.reading_noise), float(a.standstill_offset)) for a in angles)
     if (stated := spec.rig.table.grade) is not None:
-        return Grade(stated, str(class_row("table", stated)["like"]), "rig.table.grade")
+        return _stated("table", stated, "rig.table.grade")
     if size == 0.0:
         return _grade("table", math.inf, "angle", "angle", "the worst class, because the spec names no angle error")
     return _grade("table", size, "angle", "angle", "its angle errors")

@@ -18,12 +18,12 @@ BINS_W = 'rate = { degree = 0, knots = ["-300 deg/s", "0 deg/s", "300 deg/s"] }'
 def axis_text(name, temperature=POLYNOMIAL_T, rate=POLYNOMIAL_W, seed=0, size=3e-3, n_t=4, n_w=4, more="", terms=""):
     """A gyro's channel: `more` are keys of the channel, `terms` further terms."""
     rng = np.random.default_rng(seed)
-    a = [f"a{i}" if "poly" in temperature else f"a_spline{i}" for i in range(n_t)]
-    both = "poly" in temperature and "poly" in rate
+    a = [f"a{i}" if "knots" not in temperature else f"a_spline{i}" for i in range(n_t)]
+    both = "knots" not in temperature + rate
     b = [
         f"b{j}{i}"
         if both
-        else f"b{'_bin' if 'bins' in rate else ''}{j}_{'_spline' if 'spline' in temperature else ''}{i}"
+        else f"b{'_bin' if 'knots' in rate else ''}{j}_{'_spline' if 'knots' in temperature else ''}{i}"
         for i in range(n_t)
         for j in range(n_w)
     ]

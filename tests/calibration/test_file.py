@@ -4,8 +4,7 @@ import re
 
 import jsonschema
 import pytest
-import tomlkit
-from calibration_samples import HEAD, WHOLE, a_truth, axis_text, calibration_of, document
+from calibration_samples import HEAD, WHOLE, a_truth, axis_text, calibration_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -40,31 +39,15 @@ def test_a_file_comes_back_as_it_was(text, tmp_path):
         ("simulated = true", "simulated = 1", "simulated"),
         ("serial_number", "serialnumber", 'nearest: "serial_number"'),
         ("frame = ", "[broken\nframe = ", "not valid TOML"),
+        ("order = ", "# order = ", "missing"),
+        ('signals = ["rate x"]', 'signals = ["rat x"]', "is not a signal"),
+        ("b33 = ", "# b33 = ", "one for each function of the bases"),
     ],
 )
 def test_a_broken_file_is_told_what_is_wrong(old, new, sentence):
     assert old in WHOLE
     with pytest.raises(SpecError, match=re.escape(sentence)):
         parse_calibration(WHOLE.replace(old, new, 1))
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda d: d["channel"][0]["term"][0]["coefficients"].pop("a3"), "one for each function of the bases"),
-        (lambda d: d["channel"][0]["term"][1].update(signals=["rat x"]), "is not a signal"),
-        (lambda d: d["channel"].__setitem__(1, d["channel"][0]), "two channels"),
-        (lambda d: d["channel"][2].update(valid_temperature=["70 degC", "-30 degC"]), "must be larger than"),
-        (lambda d: d.update(covariance={"names": ["gyro_x.a9"], "matrix": [[1.0]]}), "no channel has"),
-        (lambda d: d.update(channels=[]), "unknown"),
-        (lambda d: d.pop("order"), "missing"),
-    ],
-)
-def test_a_broken_file_is_a_sentence(change, said):
-    broken = document(a_truth())
-    change(broken)
-    with pytest.raises(SpecError, match=said):
-        parse_calibration(tomlkit.dumps(broken))
 
 
 def test_a_covariance_must_be_square_and_of_known_names():
@@ -88,15 +71,3 @@ def test_arbitrary_texts_get_a_sentence(content, at, length):
         except SpecError:
             continue  # a sentence
         assert isinstance(found, Calibration)
-
-
-@given(content=st.binary(max_size=300), honest=st.booleans())
-@settings(max_examples=60, deadline=None)
-def test_arbitrary_bytes_get_a_sentence(tmp_path_factory, content, honest):
-    path = tmp_path_factory.mktemp("bytes") / "cal.toml"
-    path.write_bytes(WHOLE.encode() + content if honest else content)
-    try:
-        found = read_calibration(path)
-    except SpecError:
-        return
-    assert found == parse_calibration(WHOLE)  # what was added was a comment, or nothing

@@ -40,13 +40,10 @@ junk = st.one_of(
     st.dictionaries(st.text(min_size=1, max_size=4), st.integers(-9, 9), max_size=2),
     st.sampled_from(["nan deg", "-1 deg", "0 s", "1e300 s", "1e-300 deg", "1 K", "5 min", "-5 degC", "1 deg/s", "∞"]),
 )
-mutations = st.one_of(
-    st.just(("delete", None)),
+slips = st.one_of(
+    st.just(("delete", "")),
     st.tuples(st.just("misspell"), st.text("abcdefghijklmnopqrstuvwxyz_", min_size=1, max_size=3)),
     st.tuples(st.just("set"), junk),
-    st.tuples(st.just("negate"), st.none()),
-    st.tuples(st.just("swap"), st.integers(0, 10_000)),
-    st.tuples(st.just("double"), st.none()),
 )
 
 
@@ -56,47 +53,24 @@ def at(document, key):
     return document
 
 
-def mutate(document, key, mutation, keys):
-    """Apply one slip; returns the key that a message must name if the slip is a fault for certain, else None."""
-    kind, detail = mutation
-    try:
-        parent, last = at(document, key[:-1]), key[-1]
-        value = parent[last]
-    except (KeyError, IndexError, TypeError):  # an earlier slip took it away
-        return None
-    if not isinstance(parent, dict | list):
-        return None
-    if kind == "delete":
-        del parent[last]
-    elif kind == "misspell" and isinstance(last, str):
-        name = last + detail
-        if name in parent:
-            return None
-        parent[name] = parent.pop(last)
-        return (*key[:-1], name)
-    elif kind == "set":
+def slip_into(document, key, kind, detail):
+    """Make one slip; returns the key that a message must name if the slip is a fault for certain, else None."""
+    parent, last = at(document, key[:-1]), key[-1]
+    if kind == "set":
         parent[last] = copy.deepcopy(detail)
-    elif kind == "negate" and isinstance(value, str):
-        parent[last] = value[1:] if value.startswith("-") else "-" + value
-    elif kind == "negate" and isinstance(value, int | float) and not isinstance(value, bool):
-        parent[last] = -value
-    elif kind == "swap":
-        other = keys[detail % len(keys)]
-        try:
-            parent[last] = copy.deepcopy(at(document, other))
-        except (KeyError, IndexError, TypeError):
-            return None
-    elif kind == "double" and isinstance(parent, list):
-        parent.append(copy.deepcopy(value))
+    elif kind == "delete" or not isinstance(last, str) or last + detail in parent:
+        del parent[last]
+    else:
+        parent[last + detail] = parent.pop(last)
+        return (*key[:-1], last + detail)
     return None
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.sampled_from(sorted(GOOD)), st.lists(st.tuples(st.integers(0, 10_000), mutations), min_size=1, max_size=3))
-def test_slips_are_named_or_harmless_and_never_a_traceback(tmp_path, capsys, name, slips):
+@given(st.sampled_from(sorted(GOOD)), st.integers(0, 10_000), slips)
+def test_slips_are_named_or_harmless_and_never_a_traceback(tmp_path, capsys, name, place, slip):
     document = copy.deepcopy(GOOD[name])
-    keys = KEYS[name]
-    certain = [mutate(document, keys[i % len(keys)], slip, keys) for i, slip in slips]
+    certain = slip_into(document, KEYS[name][place % len(KEYS[name])], *slip)
     path = tmp_path / "slip.toml"
     path.write_text(tomlkit.dumps(document), encoding="utf-8", errors="replace")
     status = main(["check", "--files-only", str(path)])
@@ -109,30 +83,9 @@ def test_slips_are_named_or_harmless_and_never_a_traceback(tmp_path, capsys, nam
     else:
         assert out == ""
         assert str(path) in err
-    only = [key for key in certain if key is not None]
-    if len(slips) == 1 and only:
+    if certain is not None:
         assert status == 2
-        assert dotted(only[0]) in err
-
-
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.sampled_from(sorted(GOOD)), st.integers(0, 10_000), st.integers(0, 4), st.text(max_size=4))
-def test_slips_of_the_typing_hand_are_a_sentence_too(tmp_path, capsys, name, place, count, typed):
-    text = presets.text(name)
-    place %= len(text)
-    path = tmp_path / "slip.toml"
-    path.write_text(text[:place] + typed + text[place + count :], encoding="utf-8", errors="replace")
-    assert main(["check", "--files-only", str(path)]) in (0, 2)
-    assert "Traceback" not in capsys.readouterr().err
-
-
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.binary(max_size=200))
-def test_any_bytes_are_a_sentence(tmp_path, capsys, content):
-    path = tmp_path / "noise.toml"
-    path.write_bytes(content)
-    assert main(["check", "--files-only", str(path)]) == 2
-    assert str(path) in capsys.readouterr().err
+        assert dotted(certain) in err
 
 
 # A table that is not read has no use for the plan's readings, and gyros across its axis need a latitude.

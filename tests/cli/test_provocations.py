@@ -68,33 +68,20 @@ def test_arguments(case, folder, capsys):
 
 
 BYTES = {
-    "nothing": b"",
     "zeros": bytes(4096),
     "a byte order mark": b"\xef\xbb\xbf" + GOOD.encode(),
-    "UTF-16": GOOD.encode("utf-16"),
-    "Latin-1": GOOD.replace("°", "deg").encode().replace(b"deg/", b"\xb0/", 1),
     "carriage returns": GOOD.replace("\n", "\r\n").encode(),
     "old Macintosh": GOOD.replace("\n", "\r").encode(),
     "half of it": GOOD.encode()[: len(GOOD) // 2],
-    "twice": (GOOD + GOOD).encode(),
     "a NUL": GOOD.replace("[sensor]", "[sen\0sor]").encode(),
     "deep brackets": b"a = " + b"[" * 5000,
     "deep tables": b"[" + b".".join([b"a"] * 3000) + b"]",
     "a long key": b"x" * 100_000 + b" = 1",
-    "a long text": b'format = "' + b"y" * 1_000_000 + b'"',
     "many keys": b"\n".join(b"k%d = 1" % k for k in range(3000)),
     "numbers": b"format = 5\nsensor = 3\nrig = []\nplan = false\n",
     "huge numbers": GOOD.replace('"1 h"', '"1e308 h"').encode(),
     "a huge integer": GOOD.replace("degree = 3", "degree = " + "9" * 400).encode(),
-    "an infinity": GOOD.replace("degree = 3", "degree = inf").encode(),
-    "a nan": GOOD.replace("degree = 3", "degree = nan").encode(),
     "a date": GOOD.replace("degree = 3", "degree = 2020-01-01").encode(),
-    "JSON": b'{"format": "gradcal-spec/1"}',
-    "HTML": b"<!DOCTYPE html><html></html>",
-    "a HDF5 head": b"\x89HDF\r\n\x1a\n" + bytes(200),
-    "a zip": b"PK\x03\x04" + bytes(100),
-    "another format": GOOD.replace("gradcal-spec/1", "gradcal-spec/9").encode(),
-    "no format": GOOD.split("\n", 2)[2].encode(),
 }
 
 

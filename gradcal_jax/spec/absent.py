@@ -173,23 +173,24 @@ def path_terms_of(sensor: Sensor, kind: str) -> list[TypicalTerm]:
 
 def branch_sentences(spec: Spec) -> list[str]:
     """What requirements leave out that name no branch of the temperature, with the figures of the class."""
-    sentences, widest = list[str](), 0.0
+    left, widest = list[str](), 0.0
     for quantity, (kind, key) in _OF_BRANCHES.items():
-        names = [r.name for r in spec.requirement if r.quantity == quantity and getattr(r, "branch", None) is None]
+        open_ones = [r for r in spec.requirement if r.quantity == quantity and getattr(r, "branch", None) is None]
         triad = getattr(spec.sensor, kind)
-        if not names or triad is None or key in triad.model_fields_set:
+        if not open_ones or triad is None or key in triad.model_fields_set:
             continue
         play = next(t.value[0] for t in path_terms_of(spec.sensor, kind) if t.key == key)
-        words = ", ".join(f"'{name}'" for name in names)
-        width, prior = units.parse(play["width"], "temperature difference"), play["prior"]
-        size, per = prior.split(" ")
-        left = f"{float(size) * width:.3g} {per.removesuffix('/K')}"
-        sentences.append(
-            f"{words}: the requirement does not distinguish heating and cooling, so a hysteresis (±{left} in this "
-            'class) is not counted: add branch = "both" (or "heating" or "cooling") to the requirement'
-        )
+        width = units.parse(play["width"], "temperature difference")
+        size, per = play["prior"].split(" ")
+        left.append(f"±{float(size) * width:.3g} {per.removesuffix('/K')} of the {quantity.replace('_', ' ')}")
         widest = max(widest, width)
-    if sentences and _goes_one_way(spec):
+    if not left:
+        return []
+    sentences = [
+        f"the requirements do not distinguish heating and cooling, so a hysteresis (in this class {', '.join(left)}) "
+        'is not counted: add branch = "both" (or "heating" or "cooling") to them'
+    ]
+    if _goes_one_way(spec):
         returns = f"change the temperature back by {2.0 * widest:g} K or more{minutes_of_change(spec, 2.0 * widest)}"
         sentences.append(
             "one-way ramp, so the plan cannot observe a hysteresis, nor tell a drift during the run from a dependence "

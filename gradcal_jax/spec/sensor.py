@@ -406,6 +406,7 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     known, and is not estimated."""
 
     scale_factor_instability: ClassVar[tuple[()]] = ()
+    temperature_error: ClassVar[None] = None
     thermometer_noise: ClassVar[None] = None
 
     axes: BodyAxes = ("x", "y", "z")

@@ -31,7 +31,6 @@ def test_the_specs_are_the_presets(name):
     [
         ("static_standard", {}, 0.279, 0.372),
         ("static_gradient", {}, 0.402, 0.775),
-        ("static_gradient", {"plan__soak__used": True}, 0.358, 0.760),
     ],
 )
 def test_what_is_left_of_the_bias(name, changes, mean, largest):

@@ -131,7 +131,7 @@ def test_a_branch_counts_the_hysteresis_of_the_class_where_the_spec_names_none()
     (row,) = gj.predict(zero).requirements
     assert row.with_typical is None
     note, *_ = omitted_lines(silent)
-    assert "(±3 deg/h in this class) is not counted" in note
+    assert "(in this class ±3 deg/h of the gyro bias) is not counted" in note
     assert omitted_lines(zero) == attitude_sentences(zero)
 
 

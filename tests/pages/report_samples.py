@@ -51,7 +51,7 @@ def spec(**changes: object) -> Spec:
                 {"name": "at rest", "quantity": "gyro_bias", "temperature": ["20 degC", "26 degC"], "grid": [11]},
             ],
             "plan.temperature": ["20 degC", "26 degC"],
-            "plan.soak": {"duration": "60 s", "used": False},
+            "plan.soak": "60 s",
             "plan.cycle": {
                 "moves": [{"rest": "5 s", "read_every": "1 s"}, TURN, {"rest": "5 s", "read_every": "1 s"}, BACK]
             },

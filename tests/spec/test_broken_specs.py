@@ -41,7 +41,6 @@ def test_the_command_line_says_them_with_status_2(path, capsys):
 
 
 WHY = {
-    "basis_unknown": 'nearest: "polynomial"',
     "rig_max_rate_misspelt": 'nearest: "max_rate"',
     "requirement_statistic_misspelt": 'nearest: "mean of max"',
     "programme_item_unknown": 'nearest: "ramp_to"',

@@ -107,7 +107,6 @@ def test_the_form_of_one_and_of_several_missions(folder):
     ("mission", "more", "said"),
     [
         ('"fligth.csv"', "", 'does not exist; nearest: "flight.csv"'),
-        ('"flight.csv"', '\nafter = "2 min"', "is after the end of flight.csv, which lasts 60 s"),
         ('[{ file = "flight.csv", weight = 2 }]', '\nstatistic = "max"', 'no effect with statistic = "max"'),
         ('[{ file = "flight.csv", weight = -1.0 }]', "", "must be above 0"),
         ("[]", "", "expected at least 1 entries"),

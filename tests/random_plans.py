@@ -40,8 +40,8 @@ class Draws:
         soak = {"soak": self.of(2, 5, "min"), "used": self.chance(0.5)}
         ramp = {"temperature": ends, "gradient": slope}
         parts = [{"soak": "2 min", "at": ends[0]}, {"ramp_to": ends[1], "rate": slope}, soak]
-        used = {"soak": {"duration": self.of(120, 300, "s"), "used": True}}
-        return self.one(ramp, ramp | used, {"programme": [*parts, {"ramp_to": "20 degC", "rate": slope}]})
+        used = [{"soak": self.of(120, 300, "s"), "at": ends[0], "used": True}, parts[1]]
+        return self.one(ramp, {"programme": used}, {"programme": [*parts, {"ramp_to": "20 degC", "rate": slope}]})
 
     def moves(self, turn: Any, rest: Any) -> list[Tables]:
         """Up to three turns without a rest, of which the second may go back."""
@@ -76,8 +76,8 @@ def axis_plan(draws: Draws) -> Tables:
     """A plan of one gyro axis."""
 
     def rest() -> Tables:
-        read = draws.one({"read_every": "1 s"}, {"read_every": draws.of(1.5, 4, "s")}, {"read": "end"}, {}, {})
-        return {"rest": draws.of(4, 15, "s")} | (read if draws.chance(0.85) else {"read": "none"})
+        read = draws.one({"read_every": "1 s"}, {"read_every": draws.of(1.5, 4, "s")}, {"read_every": "rest"}, {}, {})
+        return {"rest": draws.of(4, 15, "s")} | (read if draws.chance(0.85) else {"read_every": "none"})
 
     def turn(sign: int, _: Tables | None) -> Tables:
         angle, shape = f"{sign * 180 * int(draws.rng.integers(1, 8))} deg", draws.one("cosine ramps", "linear ramps")
@@ -86,7 +86,7 @@ def axis_plan(draws: Draws) -> Tables:
     begin, end = {"rest": "8 s", "read_every": "1 s"}, {"rest": "6 s", "read_every": "1 s"}
     cycle: Tables = {"moves": [begin, *draws.moves(turn, rest), end]}
     if draws.chance(0.5):
-        cycle["other_axes"] = {"duration": draws.of(10, 40, "s"), "read": draws.chance(0.5)}
+        cycle["other_axes"] = {"duration": draws.of(10, 40, "s")} | draws.one({"read_every": "1 s"}, {})
     clock = {"sample_clock_error": "10 ppm"} if draws.chance(0.4) else {}
     mounting = {"x": "+z", "y": "+x", "z": "+y"}
     return {
@@ -136,13 +136,13 @@ def more_terms(draws: Draws, tables: Tables) -> None:
     sensor, angle = tables["sensor"], tables["rig"]["table"]["axis"][0]["angle"]
     gyro = sensor["gyro"]
     ends = ["0 degC", draws.of(15, 22, "degC"), "40 degC"]
-    spline = {"basis": "b-spline", "knots": ends, "degree": int(draws.rng.integers(0, 4))}
+    spline = {"knots": ends, "degree": int(draws.rng.integers(0, 4))}
     unstable = {"standard_deviation": draws.of(5, 60, "ppm"), "correlation_time": draws.of(60, 1200, "s")}
     error = {"standard_deviation": "0.1 K", "bias_slope": "5 deg/h/K", "scale_factor_slope": "15 ppm/K"}
     optional = (
-        (0.4, gyro["scale_factor"], "temperature", draws.one(spline, {"basis": "bins", "edges": ends})),
+        (0.4, gyro["scale_factor"], "temperature", spline),
         (0.3, gyro["scale_factor"], "smoothness", "100 ppm"),
-        (0.4, gyro["bias"], "temperature", draws.one(spline, {"basis": "bins", "edges": ends})),
+        (0.4, gyro["bias"], "temperature", spline),
         (0.4, gyro, "turn_on_bias", draws.of(3, 30, "deg/h")),
         (0.3, gyro, "rate_random_walk", draws.of(0.3, 3, "deg/h/sqrt(h)")),
         (0.4, gyro, "scale_factor_instability", [unstable]),
@@ -155,7 +155,7 @@ def more_terms(draws: Draws, tables: Tables) -> None:
     for share, section, key, value in optional:
         if draws.chance(share):
             section[key] = value
-    if "basis" not in gyro["scale_factor"]["temperature"]:
+    if "knots" not in gyro["scale_factor"]["temperature"]:
         gyro["scale_factor"].pop("smoothness", None)
 
 

@@ -28,7 +28,7 @@ _DESIGN: Final[dict[str, object]] = {
 STEPS: Final = (
     ("The paper's spec: sensor, table, chamber and plan", "start paper-dynamic-gradient -o paper.toml"),
     ("The error that the paper's plan leaves", "predict paper.toml"),
-    ("A better plan in the same time, on a table of 300 deg/s^2", "optimise design.toml -o recipe.toml --steps 2000"),
+    ("A better plan in the same time, on a table of 300 deg/s^2", "optimise design.toml -o recipe.toml --steps 400"),
     ("A proven limit for all plans", "limit recipe.toml"),
     ("The run in virtual time, on simulated devices", "run recipe.toml --simulate --seed 1 -o run"),
     ("The log of the run, from the raw bytes", "log run"),

@@ -32,8 +32,8 @@ def turning(*, back: bool = False, late: bool = False) -> Spec:
     line = {"degree": 1, "centre": "20 degC", "scale": "40 K"}
     moves = [
         move
-        for turns in (2, -2)
-        for move in ({"turns": turns, "axis": "turn", "peak_rate": "80 deg/s"}, {"rest": "60 s"})
+        for turn in ("720 deg", "-720 deg")
+        for move in ({"turn": turn, "axis": "turn", "peak_rate": "80 deg/s"}, {"rest": "60 s"})
     ]
     lagging = {
         "sensor.second_thermometer": {"lag": "10 min"},

@@ -18,28 +18,22 @@ ARW = "angle random walk"
 
 IDIOMS = [
     ("10 deg/s", "angular rate", 10 * DEG),
-    ("1 deg/h", "angular rate", DEG / 3600),
     ("1°/hr", "angular rate", DEG / 3600),
     ("5 dps", "angular rate", 5 * DEG),
-    ("−5 °/s", "angular rate", -5 * DEG),
     ("1 rpm", "angular rate", 2 * math.pi / 60),
     ("1 rad·s⁻¹", "angular rate", 1.0),
     ("300 deg/s^2", "angular acceleration", 300 * DEG),
     ("300 deg/(s·s)", "angular acceleration", 300 * DEG),
     ("0.1 deg/sqrt(h)", ARW, 0.1 * DEG / 60),
     ("0.1 °/√h", ARW, 0.1 * DEG / 60),
-    ("0.1 °/√(h)", ARW, 0.1 * DEG / 60),
     ("0.1 deg/rt-hr", ARW, 0.1 * DEG / 60),
     ("0.1 deg/h^0.5", ARW, 0.1 * DEG / 60),
     ("0.1 deg/h^(1/2)", ARW, 0.1 * DEG / 60),
     ("6 deg/h/sqrt(Hz)", ARW, 0.1 * DEG / 60),
-    ("6 °/h/rtHz", ARW, 0.1 * DEG / 60),
     ("6 deg/(h·√Hz)", ARW, 0.1 * DEG / 60),
     ("2 deg/h/sqrt(h)", "rate random walk", 2 * DEG / 3600 / 60),
     ("30 arcsec", "angle", DEG / 120),
-    ("30″", "angle", DEG / 120),
     ('30 "', "angle", DEG / 120),
-    ("0.5 ′", "angle", DEG / 120),
     ("1° 30′ 36″", "angle", 1.51 * DEG),
     ("-1 deg 30 arcmin", "angle", -1.5 * DEG),
     ("50 \N{GREEK SMALL LETTER MU}rad", "angle", 50e-6),
@@ -47,7 +41,6 @@ IDIOMS = [
     ("2h40min", "time", 9600.0),
     ("1 min 1.5 s", "time", 61.5),
     ("−30 °C", "temperature", -30.0),
-    ("25 ℃", "temperature", 25.0),
     ("86 degF", "temperature", 30.0),
     ("50 K", "temperature difference", 50.0),
     ("1 K/min", "temperature slope", 1 / 60),
@@ -70,7 +63,6 @@ IDIOMS = [
     ("0.1 m/s/√h", "velocity random walk", 0.1 / 60),
     (" 1e-3  rad ", "angle", 1e-3),
     (".5 deg", "angle", 0.5 * DEG),
-    ("+5 deg", "angle", 5 * DEG),
     ("1.5E2 s", "time", 150.0),
     ("10\N{NO-BREAK SPACE}s", "time", 10.0),
 ]
@@ -91,16 +83,13 @@ REFUSED = [
     ("20 C", "temperature", "unknown"),
     ("-300 degC", "temperature", "absolute zero"),
     ("1 degF/min", "temperature slope", "Fahrenheit"),
-    ("0", "time", "unit is missing"),
     ("", "time", "begin with a number"),
     ("0,1 deg", "angle", "point"),
     ("10 000 ppm", "scale factor", "separators"),
     ("±5 deg", "angle", "±"),
     ("nan deg", "angle", "finite"),
     ("1e400 s", "time", "range"),
-    ("1e-400 s", "time", "range"),
     ("1e99999999999 s", "time", "range"),
-    ("--5 s", "time", "begin with a number"),
     ("5 s s", "time", "does not belong to the unit"),
     ("5 deg s^-1", "angular rate", "does not belong to the unit"),
     ("3 deg/h·K", "bias slope", "parentheses"),
@@ -112,7 +101,6 @@ REFUSED = [
     ("0.1 deg/sqrt(h", ARW, "closed"),
     ("0.1 deg/", "angle", "complete"),
     ("0.1 deg/(h", "angular rate", "closed"),
-    ("0.1 deg)/h", "angular rate", "does not belong to the unit"),
     ("0.1 Deg/h", "angular rate", "nearest: 'deg'"),
     ("0.1 dgps", "angular rate", "nearest: 'dps'"),
     ("1 deg^4/s", "angular rate", "power"),
@@ -121,12 +109,10 @@ REFUSED = [
     ("40 min 2 h", "time", "become smaller"),
     ("1 h 90 min", "time", "below 60"),
     ("1.5 h 10 min", "time", "decimals"),
-    ("1 h 30", "time", "not understood"),
     ("1 deg 30 min", "angle", "not understood"),
     ("5 deg" + " " * 200 + "/s", "angular rate", "too long"),
     ("5 " + "(" * 30 + "s" + ")" * 30, "time", "nest"),
     ("٣ s", "time", "begin with a number"),
-    ("5 ｓ", "time", "not understood"),
 ]
 
 
@@ -144,45 +130,35 @@ def test_an_unknown_dimension_names_the_nearest():
         parse("1 deg/s", "angle rate")
 
 
-UNITS = {
-    "angle": ["deg", "°", "arcmin", "arcsec", "rad", "mrad", "µrad", "turns"],
-    "angular rate": ["deg/s", "deg/h", "°/h", "dps", "mdps", "rad/s", "rpm"],
-    "angular acceleration": ["deg/s^2", "rad/s²"],
-    "time": ["s", "min", "h", "ms", "µs", "d"],
-    "temperature": ["degC", "°C", "degF"],
-    "temperature difference": ["K", "mK"],
-    "temperature slope": ["K/min", "°C/min", "K/s", "K/h"],
-    ARW: ["deg/sqrt(h)", "°/√h", "deg/h/sqrt(Hz)", "dps/√Hz", "rad/s/√Hz", "deg/√min"],
-    "rate random walk": ["deg/h/sqrt(h)", "rad/s/√s"],
-    "scale factor": ["ppm", "ppb", "%", "‰", "1"],
-    "scale factor slope": ["ppm/K", "%/°C", "1/K"],
-    "bias slope": ["deg/h/K", "dps/°C"],
-    "scale factor temperature-gradient sensitivity": ["ppm/(K/min)", "s/K"],
-    "bias temperature-gradient sensitivity": ["deg/h/(K/min)", "rad/K"],
-    "acceleration": ["g", "mg", "µg", "m/s^2"],
-    "acceleration slope": ["µg/K", "m/s^2/K"],
-    "acceleration temperature-gradient sensitivity": ["µg/(K/min)", "m/s/K"],
-    "velocity random walk": ["m/s/√h", "µg/√Hz"],
-    "frequency": ["Hz", "kHz", "1/s"],
-    "length": ["m", "mm", "µm"],
-    "acceleration-sensitive drift": ["deg/h/g", "dps/g"],
-    "acceleration-squared-sensitive drift": ["deg/h/g^2"],
-    "second order": ["ug/g^2", "mg/g^2"],
-    "third order": ["ug/g^3"],
+MORE = {
+    "angle": "arcmin arcsec mrad µrad turns",
+    "angular rate": "deg/h °/h dps mdps rpm",
+    "time": "min h ms µs d",
+    "temperature": "°C degF",
+    "temperature slope": "°C/min K/h",
+    ARW: "°/√h deg/h/sqrt(Hz) dps/√Hz deg/√min",
+    "scale factor": "ppb % ‰",
+    "acceleration": "g µg",
+    "velocity random walk": "µg/√Hz",
+    "frequency": "kHz 1/s",
 }
-PAIRS = [(dimension, unit) for dimension, known in UNITS.items() for unit in known]
+PAIRS = [
+    (name, unit)
+    for name, d in DIMENSIONS.items()
+    for unit in dict.fromkeys((d.si, d.usual, *MORE.get(name, "").split()))
+]
 finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e250, max_value=1e250).filter(
     lambda x: x == 0.0 or abs(x) > 1e-250
 )
 
 
-def test_every_dimension_is_in_the_table_of_round_trips_and_reads_its_own_examples():
-    assert set(UNITS) == set(DIMENSIONS)
-    for name, dimension in DIMENSIONS.items():
-        assert math.isfinite(parse(dimension.example, name))
-        assert parse(f"1 {dimension.si}", name) == 1.0
-        assert dimension_of(dimension.usual) == name
-        assert unit_of(dimension.example) in dimension.example
+@pytest.mark.parametrize("name", DIMENSIONS)
+def test_every_dimension_reads_its_own_example_and_units(name):
+    dimension = DIMENSIONS[name]
+    assert math.isfinite(parse(dimension.example, name))
+    assert parse(f"1 {dimension.si}", name) == 1.0
+    assert dimension_of(dimension.usual) == name
+    assert unit_of(dimension.example) in dimension.example
 
 
 @settings(deadline=None)
@@ -243,14 +219,6 @@ def test_junk_is_a_quantity_or_a_unit_error_and_nothing_else(junk, dimension, nu
         assert parse(format_quantity(value, DIMENSIONS[dimension].si), dimension) == value
 
 
-@settings(deadline=None)
-@given(st.text(max_size=40))
-def test_units_alone_raise_nothing_but_unit_errors(text):
-    for call in (dimension_of, unit_of, lambda u: to_unit(1.0, u), lambda u: convert(1.0, u, "deg")):
-        message, _ = outcome(call, text)
-        assert message
-
-
 # Names that pint shares and reads rightly: no g (gram), no mg (milligram), no ″, no √, no bare ° before a slash.
 PINT = {
     "rad": "radian", "mrad": "mrad", "deg": "degree", "arcmin": "arcminute", "arcsec": "arcsecond", "rev": "turn",
@@ -282,26 +250,6 @@ def test_compound_units_agree_with_pint(top, bottom, number):
     if dimension == "frequency" and "Hz" not in ours and ("rpm" in ours or "dps" in ours):
         return
     assert parse(f"{number!r} {ours}", dimension) == pytest.approx(expected.magnitude, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("text", "dimension", "understood"),
-    [
-        # Until 0.25 silently wrong, refused by 0.26.
-        ("0.1 °/√h", ARW, ("degree / hour", "nothing")),
-        ("30″", "angle", ("dimensionless", "nothing")),
-        ("10 mg", "acceleration", ("milligram",)),
-    ],
-)
-def test_where_a_general_library_is_wrong_this_grammar_is_right(text, dimension, understood):
-    """Why there is a grammar of our own."""
-    try:
-        theirs = str(ureg.Quantity(text).units)
-    except pint.UndefinedUnitError:
-        theirs = "nothing"
-    assert theirs in understood
-    expected = {ARW: 0.1 * DEG / 60, "acceleration": 0.0980665, "angle": DEG / 120}[dimension]
-    assert parse(text, dimension) == pytest.approx(expected, rel=1e-15)
 
 
 def test_conversion_keeps_the_dimension():

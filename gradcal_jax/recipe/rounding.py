@@ -138,7 +138,9 @@ class _Rounder:
         return nearest if abs(exact - nearest) <= _HAIR else exact.to_integral_value(way)
 
     def text(self, kind: str, text: str) -> str:
-        """The rounded text of a quantity; `kind`: of `_KINDS`."""
+        """The rounded text of a quantity; `kind`: of `_KINDS`. A word such as "rest" stays."""
+        if text.isalpha():
+            return text
         name, dimension, least, way = _KINDS[kind]
         value = units.parse(text, dimension)
         count = self._count(name, value, way)

@@ -44,7 +44,10 @@ def random_plan(pytestconfig, seed, *, scale_factor):
         # Of a turn with linear ramps: peak · (duration − peak/acceleration).
         peak = min(float(rng.choice([20.0, 90.0, 180.0, 300.0])), 200.0 * lasts)
         turn = rng.uniform(0.5, 1.0) * peak * (lasts - peak / 400.0) * rng.choice([-1.0, 1.0])
-        moves.append({"turn": f"{turn:.3f} deg", "duration": f"{lasts} s", "axis": axis, "shape": "linear ramps"})
+        peak = 200.0 * (lasts - np.sqrt(lasts**2 - abs(turn) / 100.0))
+        moves.append(
+            {"turn": f"{turn:.3f} deg", "peak_rate": f"{peak:.6g} deg/s", "axis": axis, "shape": "linear ramps"}
+        )
         rest = float(rng.choice([0.0, 0.5, 2.0, 6.0]))
         moves += [{"rest": f"{rest} s"}] if rest else []
         left -= lasts + rest

@@ -107,7 +107,7 @@ def test_a_quick_search_is_near(spec, best):
 
 @pytest.mark.long
 def test_the_recipe_of_limited_travel_is_better_and_stays_within_it(spec):
-    turn = {"turn": "20 deg", "duration": "12 s", "shape": "linear ramps"}
+    turn = {"turn": "20 deg", "peak_rate": "1.68 deg/s", "shape": "linear ramps"}
     moves = [{"rest": "5 s"}, turn, {"rest": "5 s"}, turn | {"turn": "-20 deg"}]
     given = changed(spec, {"rig.table.axis[0].travel": "360 deg", "plan.cycle.moves": moves})
     *_, best = run_search(given, steps=600)

@@ -43,7 +43,7 @@ def many_visits(spec: Spec) -> Spec:
 
 
 def limited(spec: Spec, travel: float) -> Spec:
-    turn = {"turn": "20 deg", "duration": "12 s", "shape": "linear ramps"}
+    turn = {"turn": "20 deg", "peak_rate": "1.68 deg/s", "shape": "linear ramps"}
     moves = [{"rest": "5 s"}, turn, {"rest": "5 s"}, turn | {"turn": "-20 deg"}]
     return changed(spec, {"rig.table.axis[0].travel": f"{travel:.6g} deg", "plan.cycle.moves": moves})
 

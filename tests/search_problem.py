@@ -27,7 +27,7 @@ def targets_met(spec: Spec) -> bool:
 
 
 IMU = Path(__file__).parents[1] / "experiments" / "imu"
-LINE = {"basis": "polynomial", "degree": 1, "centre": "20 degC", "scale": "50 K"}
+LINE = {"degree": 1, "centre": "20 degC", "scale": "50 K"}
 
 
 @lru_cache
@@ -42,7 +42,7 @@ def turning() -> Spec:
     maps = ("gyro.bias", "gyro.scale_factor", "accelerometer.bias", "accelerometer.scale_factor")
     changes = {f"sensor.{name}.temperature": LINE for name in maps} | {
         "sensor.gyro.axes": ["x", "z"],
-        "sensor.gyro.scale_factor.rate": {"basis": "polynomial", "degree": 1, "scale": "300 deg/s"},
+        "sensor.gyro.scale_factor.rate": {"degree": 1, "scale": "300 deg/s"},
         "plan.cycle.moves": moves,
         "requirement": [
             r.model_dump(mode="json", exclude_unset=True) | {"grid": [21] * len(r.grid)}

@@ -156,12 +156,12 @@ LOOPS = {
     "requirement[0].branch": "both",
     "requirement[1].branch": "both",
 }
-BINS = {"basis": "bins", "edges": ["-30 degC", "0 degC", "30 degC", "70 degC"]}
+BINS = {"degree": 0, "knots": ["-30 degC", "0 degC", "30 degC", "70 degC"]}
 ABOUT = {
     "both ways": (BOTH_WAYS, 0.03),
     # The state of a play at twelve temperatures of a slope stands for that at all others.
     "loops": (BOTH_WAYS | LOOPS, 0.1),
-    "bins": ({"sensor.accelerometer.bias.temperature": BINS}, 0.15),
+    "bins": ({"sensor.gyro.bias.temperature": BINS}, 0.15),
     "a lag": ({"sensor.thermal_lag": "2 min"}, 0.01),
 }
 

@@ -27,7 +27,8 @@ from gradcal_jax.cli.output import (
 )
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.tables.display import amount, columns
+from gradcal_jax.tables.display import amount
+from gradcal_jax.tables.table import Table
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
@@ -47,7 +48,6 @@ def optimise(
     quick: Flag = False,
     until_met: Flag = False,
     motion: str | None = None,
-    points: int | None = None,
     force: Force = False,
 ) -> int:
     """Minimise the error that a plan leaves, within the limits of sensor, rig and time; write the new plan as a recipe.
@@ -84,10 +84,7 @@ def optimise(
         them, do not search.
     motion
         Find the best residual for each of these durations (not counting soaks), and the shortest plan for each target:
-        50min..300min, or a list such as 60min,100min,3h.
-    points
-        If --motion is a range: the number of durations in it, including both ends, with logarithmic spacing; by default
-        5.
+        50min..300min (five durations, with logarithmic spacing), or a list such as 60min,100min,3h.
     """
     drawable(plot)
     if (steps is not None and 0 < steps < 20) or (steps or 0) < 0:
@@ -97,10 +94,9 @@ def optimise(
     specification = spec_in(spec)
     if motion is not None:
         _refuse("with --motion", {"--until-met": until_met, "--quick": quick})
-        times = durations(motion, 5 if points is None else points)
+        times = durations(motion)
         use_float64()
         return show_frontier(specification, str(spec), times, output, steps, json=json, plot=plot)
-    _refuse("without --motion", {"--points": points})
     if steps == 0:
         _refuse("with --steps 0", {"--until-met": until_met, "--quick": quick, "--plot": plot})
     if output is None:
@@ -163,25 +159,21 @@ def optimum_text(best: "Optimised") -> str:
     from gradcal_jax.design.optimise import belief_of
 
     before = "not observable with the plan in the spec" if best.before is None else amount(best.before, best.unit)
-    lines = [
-        strong(f"{best.name}: {before} -> {amount(best.now, best.unit)} (rounded to the controllers' steps)"),
-        best.structure,
-        best.sentence,
-    ]
-    if belief := belief_of(best.spec):
-        lines.append(belief)
+    head = f"{best.name}: {before} -> {amount(best.now, best.unit)} (rounded to the controllers' steps)"
+    lines = [strong(head), best.structure, best.sentence, belief_of(best.spec)]
     if best.active:
         lines.append("limits that restrict the plan: " + "; ".join(best.active))
-    if priced := [p for p in best.prices if p.per]:
-        rows = [("if this limit is relaxed by", "the residual changes by")]
-        for p in priced:
-            changes = f"{p.change:+.3g} {best.unit}" if p.change else "nothing"
-            rows.append((f"1 {p.per} of {p.limit}", changes))
-        lines += ["", columns(rows, indent="")]
+    priced = [
+        (f"1 {p.per} of {p.limit}", f"{p.change:+.3g} {best.unit}" if p.change else "nothing")
+        for p in best.prices
+        if p.per
+    ]
+    if priced:
+        lines.append("\n" + Table.of(["if this limit is relaxed by", "the residual changes by"], priced).text())
     if len(best.rows) > 1:
-        shown = [(row.name, amount(row.before, row.unit), amount(row.now, row.unit)) for row in best.rows]
-        lines += ["", columns([("requirement", "before", "now"), *shown], indent="")]
-    return "\n".join(lines)
+        rows = [(row.name, amount(row.before, row.unit), amount(row.now, row.unit)) for row in best.rows]
+        lines.append("\n" + Table.of(["requirement", "before", "now"], rows).text())
+    return "\n".join(line for line in lines if line)
 
 
 def progress_of(step: "SearchStep") -> str:
@@ -211,6 +203,8 @@ class _Interrupt:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+# Durations of a range.
+_POINTS: Final = 5
 _HEADER: Final = (
     "Made by gradcal; `gradcal check` prints it as a table. To change the plan, change the spec and make the "
     "recipe again."
@@ -220,15 +214,13 @@ _HEADER: Final = (
 def write_recipe(spec: "Spec", output: Path, *, json: bool) -> None:
     """Write the recipe of a spec's own plan, or print it for the name "-"."""
     from gradcal_jax.design.recipe_of_plan import make_recipe
-    from gradcal_jax.tables.writing import to_toml
+    from gradcal_jax.tables.writing import to_toml, write_whole
 
     result = make_recipe(spec)
     text = to_toml(result, header=_HEADER)
     if str(output) == "-":
         print(text, end="")
         return
-    from gradcal_jax.tables.writing import write_whole
-
     write_whole(output, text)
     if json:
         rows = [row.model_dump() for row in result.prediction.requirements]
@@ -272,59 +264,45 @@ def show_frontier(
             reached.append(point)
             if output is not None and point.plan is not None:
                 write_toml(make_recipe(point.plan), output / f"{point.motion / 60.0:.4g}min.toml")
-    targets = {
-        r.name: limit[1]
-        for r in spec.requirement
-        if (limit := verdicts.limit_of(r)) is not None
-        and limit[0] == r.statistic
-        and spec.design
-        and r.name == spec.design.minimise
-    }
+    minimised = None if spec.design is None else spec.design.minimise
+    limits = {r.name: verdicts.limit_of(r) for r in spec.requirement if r.name == minimised}
+    targets = {name: limit[1] for name, limit in limits.items() if limit is not None}
     times_for = {name: room.shortest(reached, target) for name, target in targets.items()}
     if json:
-        rows = [
-            {
-                "motion_s": p.motion,
-                "residual": None if p.plan is None else p.plan.now,
-                "unit": None if p.plan is None else p.plan.unit,
-                "converged": p.plan is not None and p.plan.converged,
-                "sentence": p.reason,
-            }
-            for p in reached
-        ]
-        print(as_json({"points": rows, "shortest_s": times_for}))
+        print(as_json({"points": [_point(p) for p in reached], "shortest_s": times_for}))
     else:
         print(strong(spec.title or source))
-        shown = [("ramp", "residual", "search")]
+        rows = []
         for p in reached:
-            residual = "none" if p.plan is None else amount(p.plan.now, p.plan.unit)
-            shown.append((time_text(p.motion), residual, p.reason))
-        print(columns(shown, indent=""))
-        for name, target in targets.items():
-            time = times_for[name]
+            rows.append((time_text(p.motion), None if p.plan is None else amount(p.plan.now, p.plan.unit), p.reason))
+        print(Table.of(["ramp", "residual", "search"], rows).text())
+        for name, time in times_for.items():
             far = "is not reached within these durations"
             result = far if time is None else f"needs a ramp of about {time_text(time)}"
-            print(f"{name} at {target:.4g} {next((p.plan.unit for p in reached if p.plan), '')} {result}")
+            unit = next((p.plan.unit for p in reached if p.plan), "")
+            print(f"{name} at {targets[name]:.4g} {unit} {result}")
     save_figure(lambda plots: plots.draw_frontier(reached, targets), plot, quiet=json)
     return DONE if all(p.plan is not None and p.plan.converged for p in reached) else NOT_AS_WISHED
 
 
-def durations(text: str, points: int) -> list[float]:
+def _point(point: "FrontierPoint") -> dict[str, Any]:
+    """A duration and its plan for other programs."""
+    plan = point.plan
+    row = {"motion_s": point.motion, "residual": None, "unit": None, "converged": False, "sentence": point.reason}
+    return row if plan is None else row | {"residual": plan.now, "unit": plan.unit, "converged": plan.converged}
+
+
+def durations(text: str) -> list[float]:
     """Durations in s of "50min..300min" or "60min,100min". Errors: `ValueError` that says what was expected."""
     from gradcal_jax.tables.quantity import Quantity
 
-    def one(part: str) -> float:
-        value = float(Quantity.read(part.strip(), "time"))
-        if value <= 0.0:
-            raise ValueError(f"--motion: {part.strip()!r} is not a duration")
-        return value
-
-    if ".." in text:
-        ends = text.split("..")
-        if len(ends) != 2 or points < 2:
-            raise ValueError(f"--motion: expected a range such as 50min..300min with 2 points or more, got {text!r}")
-        low, high = one(ends[0]), one(ends[1])
-        if low >= high:
-            raise ValueError(f"--motion: {text!r}: the second duration must be longer than the first")
-        return [low * (high / low) ** (k / (points - 1)) for k in range(points)]
-    return sorted(one(part) for part in text.split(","))
+    first, dots, last = text.partition("..")
+    times = [float(Quantity.read(part.strip(), "time")) for part in ([first, last] if dots else text.split(","))]
+    if min(times) <= 0.0:
+        raise ValueError(f"--motion: expected durations longer than zero, got {text!r}")
+    if not dots:
+        return sorted(times)
+    low, high = times
+    if low >= high:
+        raise ValueError(f"--motion: {text!r}: the second duration must be longer than the first")
+    return [low * (high / low) ** (k / (_POINTS - 1)) for k in range(_POINTS)]

@@ -22,7 +22,6 @@ from gradcal_jax.design.free_course import (
     legs_of,
 )
 from gradcal_jax.design.plan_objective import (
-    Aim,
     ExactObjective,
 )
 from gradcal_jax.design.pose_cycle import (
@@ -44,22 +43,17 @@ from gradcal_jax.design.slots import (
 from gradcal_jax.design.visits import (
     LEAST_TURN,
     VisitTimes,
-    cycle_of,
     moves_of_visits,
     reading_spacing,
     reading_spacing_of_others,
     rest_spacing,
     shortest_rest,
 )
-from gradcal_jax.information.imu_residual import quantity_of
-from gradcal_jax.information.residual import Residual
-from gradcal_jax.information.unseen import unseen_columns
 from gradcal_jax.model import Hysteresis, ImuModel, TemperatureDifference
-from gradcal_jax.model.imu_build import course_before, fineness, geometry, waves_of
+from gradcal_jax.model.imu_build import course_before, fineness, waves_of
 from gradcal_jax.recipe.rounding import steps_of
 from gradcal_jax.recipe.tracks import makeable_acceleration
 from gradcal_jax.spec.changes import changed
-from gradcal_jax.spec.design import Design
 from gradcal_jax.spec.motion_plan import MotionPlan, PlanSchedule
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
@@ -108,21 +102,8 @@ class CyclePlan:
 
     def __init__(self, spec: Spec, times: VisitTimes | None = None) -> None:
         self.exact = exact = ExactObjective(spec)
-        self.spec, self.design, builts = spec, exact.design, exact.builts
-        self.built = builts[0]
-        models = [b.model for b in builts]
-        if len({model.size for model in models}) > 1:
-            raise ValueError(
-                "a design.scenario changes the set of parameters: every scenario must have the spec's parameters"
-            )
-        known = [_gram(m.prior_rows()) for m in models]
-        self._points = self.built.points
-        aims: list[tuple[Aim, Residual]] = []
-        unseen = unseen_columns(self.built)
-        for r, aim in zip(spec.requirement, exact.aims, strict=False):
-            if aim.counted or aim.limiting:
-                quantity = quantity_of(self.built, r)
-                aims.append((aim, quantity.statistic(aim.statistic, unseen)))
+        self.spec, self.design, self.built = spec, exact.design, exact.builts[0]
+        self._model = self.built.model
         self.turns_free = "cycle" in self.design.free or not self.design.free
         self._stands = isinstance(spec.plan, MotionPlan) and spec.plan.cycle is None
         if times is not None:
@@ -131,13 +112,12 @@ class CyclePlan:
             self._schedule = spec.executable_schedule if self._stands else spec.plain_schedule
         stretches, self._visits = self._schedule.stretches, None
         if times is not None:
-            self.limits = _limits(self.exact.cases[0].spec, self.design, (), [case.spec for case in self.exact.cases])
+            self.limits = _limits(exact)._replace(largest=_UNBOUNDED, longest=_UNBOUNDED, read_every=rest_spacing(spec))
             self._visits, turns = self._in_visits(times)
-            self._own = times.own
             self.start = RepeatedCycle(turns, times.cycles)
         elif self._stands:
             whole = stretches[0].duration
-            each = max(_OF_MEMORY * _longest_memory(models), whole / _STANDING)
+            each = max(_OF_MEMORY * _longest_memory([built.model for built in exact.builts]), whole / _STANDING)
             count = max(round(whole / each), _STANDING // 4)
             turns, self.turns_free = (PoseTurn(-1, 0.0, 0.0, whole / count),), False
             self.start = RepeatedCycle(turns, count)
@@ -146,7 +126,7 @@ class CyclePlan:
             self.start = RepeatedCycle(turns, max(1, stretches[0].cycles))
         self.repeats = max(self.start.cycles, *(s.cycles for s in stretches)) > 1 or len(stretches) > 1
         if times is None:
-            self.limits = _limits(spec, self.design, turns)
+            self.limits = _limits(exact, turns)
             spare = math.ceil(len(turns) * (1.0 + _SPARE) / _SLOTS) * _SLOTS
             self.slots = max(min(spare, self.design.moves or _MOST_TURNS), len(turns))
         else:
@@ -163,27 +143,15 @@ class CyclePlan:
             self.closed,
         )
         self._courses: dict[int, CycleCourse] = {}
-        self._model = models[0]
         parts = _parts(self._schedule, (1,) * len(stretches), 0.0)
-        aims.sort(key=lambda pair: pair[0].limiting)
         self.objective = CycleObjective(
             self.coordinates,
-            [geometry(built.spec.rig) for built in builts],
-            models,
-            known,
-            [statistic for aim, statistic in aims if aim.counted],
-            [statistic for aim, statistic in aims if aim.limiting],
-            np.array([aim.limit / aim.per_si for aim, _ in aims]),
-            weights=exact.weights,
-            of_logs=exact.of_logs,
+            exact,
             cycles=FILTERED if self.repeats or len(parts) > 1 else 1,
-            points=self._points,
             waves=waves_of(spec) if times is None else None,
-            nodes=1 if times is None else fineness(spec, self.built.model, self.built.motion.line)[1],
+            nodes=1 if times is None else fineness(spec, self._model, self.built.motion.line)[1],
             lag=spec.sensor.lag if self._one_run else None,
             readings=_READINGS_OF_A_STAY if self._stands else READINGS_OF_A_REST,
-            worst=exact.worst,
-            worst_model=self.design.robust == "worst",
         )
         self.free_course = self._free_course()
         if self.free_course is not None:
@@ -249,7 +217,7 @@ class CyclePlan:
         if self._visits is not None:
             number = (self._visits.group[-1] + 1) * cycle.cycles
             kind = "the same moves in each cycle" if self.repeats else "each with its own moves"
-            words = f"{number} visits of {self._own:.4g} s, {kind}"
+            words = f"{number} visits of {self._visits.own:.0f} s, {kind}"
         if self.free_course is None:
             return words
         of = self.free_course.coordinates.programme(np.array(cycle.course))
@@ -307,9 +275,7 @@ class CyclePlan:
     def _in_visits(self, times: VisitTimes) -> tuple[Visits, Cycle]:
         """The slots of the visits: a rest before the first turn of all, then turns with rests between them and, where
         no other axis waits, behind the last. With the moves of the file's cycle, as many as it has, in every visit."""
-        resolved = cycle_of(self.spec)
-        assert resolved is not None
-        own, slots, group = moves_of_visits(resolved), [], []
+        own, slots, group = moves_of_visits(self.spec), [], []
         whole, period = self._schedule.stretches[0].duration, times.own + times.other
         tail = times.other if times.cycles > 1 else max(whole - times.visits * period + times.other, 0.0)
         tail = tail if tail > _LEFT else 0.0
@@ -500,35 +466,28 @@ def _cycle_of(spec: Spec) -> Cycle:
     return tuple(turns)
 
 
-def _limits(spec: Spec, design: Design, start: Cycle, scenarios: Sequence[Spec] = ()) -> TableLimits:
-    """The limits of a spec's table; with `scenarios`, of an axis that has the table in visits, the strictest of all."""
-    if scenarios:
-        every = [_limits(one, design, ()) for one in scenarios]
-        return every[0]._replace(
-            rates=np.min([of.rates for of in every], axis=0),
-            accelerations=np.min([of.accelerations for of in every], axis=0),
-            reach=np.array([[max(of.reach[0, 0] for of in every), min(of.reach[0, 1] for of in every)]]),
-            largest=_UNBOUNDED,
-            longest=_UNBOUNDED,
-            read_every=rest_spacing(spec),
-        )
-    axes, gyro, forces = spec.rig.table.axis, spec.sensor.gyro, spec.sensor.accelerometer
-    usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
+def _limits(exact: ExactObjective, start: Cycle = ()) -> TableLimits:
+    """The strictest limits of the table in all cases of a search, and of the turns and rests of a cycle."""
+    spec, design = exact.cases[0].spec, exact.design
+    forces, step = spec.sensor.accelerometer, steps_of(spec).acceleration
     slow = 0.0 if forces is None else float(forces.read_on_moves_below or 0.0) * (1.0 + _SLACK)
-    step, steepest = steps_of(spec).acceleration, [float(a.max_acceleration) for a in axes]
-    read = spec.rig.table.standing == "read"
+    rates, accelerations, reach = [], [], []
+    for case in exact.cases:
+        axes, gyro = case.spec.rig.table.axis, case.spec.sensor.gyro
+        usable = math.inf if gyro is None or gyro.usable_rate is None else gyro.usable_rate
+        rates.append([min(float(a.max_rate), usable) for a in axes])
+        steepest = [float(a.max_acceleration) for a in axes]
+        accelerations.append([makeable_acceleration(a, None if step is None else float(step), a) for a in steepest])
+        reach.append([a.reach for a in axes])
+    low, high = np.moveaxis(np.array(reach, dtype=float), -1, 0)
     return TableLimits(
-        np.array([min(float(a.max_rate), usable) for a in axes]),
-        np.array([makeable_acceleration(a, None if step is None else float(step), a) for a in steepest]),
-        np.array([a.reach for a in axes], dtype=float),
+        np.min(rates, axis=0),
+        np.min(accelerations, axis=0),
+        np.stack([np.max(low, axis=0), np.min(high, axis=0)], axis=1),
         np.array(spec.executable_schedule.start, dtype=float),
         largest_alike(max([_LARGEST, *(abs(t.angle) for t in start)]), waves_of(spec)),
         shortest_rest(spec, design),
         max([float(design.longest_rest), *(t.rest for t in start)]),
         slow,
-        float(axes[0].angle.read_every) if read else math.inf,
+        float(spec.rig.table.axis[0].angle.read_every) if spec.rig.table.standing == "read" else math.inf,
     )
-
-
-def _gram(rows: np.ndarray) -> np.ndarray:
-    return rows.T @ rows

@@ -31,7 +31,10 @@ class Descent:
     """Descents of `function(y, args)`, `y` `(n,)`, compiled once for all points and arguments of equal shapes."""
 
     def __init__(self, function: Callable[[Any, Any], Any]) -> None:
-        self._both = jax.jit(jax.value_and_grad(function), compiler_options=compiler_options())
+        def value_and_slope(y: Any, args: Any) -> Any:
+            return jax.value_and_grad(function)(y, args)
+
+        self._both = jax.jit(value_and_slope, compiler_options=compiler_options())
 
     def __call__(
         self,

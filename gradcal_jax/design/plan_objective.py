@@ -8,13 +8,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gradcal_jax.design.pose_cycle import EXCESS
 from gradcal_jax.information import (
     Posterior,
 )
 from gradcal_jax.information.imu_residual import ImuResidual, quantity_of
-from gradcal_jax.information.residual import Statistic
-from gradcal_jax.information.unseen import own_of_imu
+from gradcal_jax.information.residual import Residual, Statistic
+from gradcal_jax.information.unseen import own_of_imu, unseen_columns
 from gradcal_jax.information.verdicts import UNIT_OF, limit_of
 from gradcal_jax.model.imu_build import (
     BuiltImu,
@@ -48,6 +47,9 @@ def _leaves(tables: dict[str, Any], before: str):
             yield key, value
 
 
+EXCESS: Final = 10.0
+"""What a limit that is exceeded costs, in multiples of the logarithm of what it leaves over its target: more than any
+limit's price, so that the optimum keeps all."""
 KEPT: Final = 1e-3
 """Largest log excess at which a limit counts as satisfied."""
 MARGIN: Final = 0.1
@@ -117,6 +119,10 @@ class ExactObjective:
         self.spec, self.design = spec, spec.design or Design()
         self.cases = cases_of(spec)
         self.builts = [build_imu(case.spec) for case in self.cases]
+        if len({built.model.size for built in self.builts}) > 1:
+            raise ValueError(
+                "a design.scenario changes the set of parameters: every scenario must have the spec's parameters"
+            )
         weights = np.array([case.weight for case in self.cases])
         self.weights = weights / np.sum(weights)
         name = self.design.minimise
@@ -141,6 +147,15 @@ class ExactObjective:
         if not self.aims:
             raise ValueError("the spec has no [[requirement]] to minimise: add one")
         self._quantities = [tuple(quantity_of(built, r) for r in spec.requirement) for built in self.builts]
+
+    def statistics(self) -> list[tuple[Aim, Residual]]:
+        """The aims that a search counts, then those that limit it, each as a function of a covariance."""
+        built, found = self.builts[0], list[tuple[Aim, Residual]]()
+        unseen = unseen_columns(built)
+        for r, aim in zip(self.spec.requirement, self.aims, strict=False):
+            if aim.counted or aim.limiting:
+                found.append((aim, quantity_of(built, r).statistic(aim.statistic, unseen)))
+        return sorted(found, key=lambda pair: pair[0].limiting)
 
     def residuals(self, spec: Spec) -> Residuals:
         """What a spec's plan leaves at each place in each scenario, in the order of the aims."""

@@ -8,7 +8,6 @@ often as there are cycles (`through`), a few small products each: exactly the in
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,13 +19,14 @@ from jaxtyping import Bool, Float, Int
 
 from gradcal_jax.arrays import AnyArray, fixed
 from gradcal_jax.design.free_course import FreeCourse, Ramp
+from gradcal_jax.design.plan_objective import EXCESS, ExactObjective
 from gradcal_jax.design.slots import SHAPE, STEEPNESS, CycleCoordinates, CycleStructure, Decoded
 from gradcal_jax.information import gram, imu_system, segments_of
 from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.information.noise_steps import NoiseSteps
-from gradcal_jax.information.residual import Residual
 from gradcal_jax.information.whitening import Passage, passage
 from gradcal_jax.model import ImuModel
+from gradcal_jax.model.imu_build import geometry
 from gradcal_jax.motion import Geometry, Schedule, TableMotion, body_nodes, gradient_plan, programme
 from gradcal_jax.motion.motion import rest, turn
 from gradcal_jax.motion.table_motion import largest_turn, nodes_of_turn
@@ -43,9 +43,6 @@ READINGS_OF_A_REST = 2
 _SHARP_COUNT, _SHARPEST = 1e3, 1e9
 # Relative and absolute rounding of a number of readings.
 _ROUNDING = 1e-9
-# What a limit that is exceeded costs, in multiples of the logarithm of what it leaves over its target: more than any
-# limit's price, so that the optimum keeps all.
-EXCESS = 10.0
 # The objective of a cycle that has none.
 _NOWHERE = 1e3
 # Readings that stand for all those of a time of other axes.
@@ -64,12 +61,11 @@ def largest_alike(least: float, waves: int) -> float:
 
 
 class CycleObjective:
-    """The logarithm of a cycle's residuals over their `targets` (SI): their mean or the worst, over `models` of the
-    noise likewise, in a mean with their `weights` (`of_logs`, else of the residuals); and `EXCESS` times what the
-    `limiting` ones exceed. `known`: for each model, the information before the plan begins; `geometries`: its table and
-    mountings. `cycles`: that are filtered, `FILTERED` or the only one. `readings`: how many stand for all those of a
-    rest. `waves`: as `nodes_for`; None: no column has waves, and every part of a turn has so many `nodes`. `lag` s: of
-    the temperature, which is steady as the plan begins; None: the ramps are those of the sensor itself.
+    """The objective of a design (`exact`) as a function of the coordinates of a cycle.
+
+    `cycles`: that are filtered, `FILTERED` or the only one. `readings`: how many stand for all those of a rest.
+    `waves`: as `nodes_for`; None: no column has waves, and every part of a turn has so many `nodes`. `lag` s: of the
+    temperature, which is steady as the plan begins; None: the ramps are those of the sensor itself.
 
     With a sharpness that is the number `math.inf` the readings of rests are those of a prediction. With any other one a
     few readings stand for them, of which the number is smooth, too: it grows with the rest.
@@ -78,32 +74,25 @@ class CycleObjective:
     def __init__(
         self,
         coordinates: CycleCoordinates,
-        geometries: Sequence[Geometry],
-        models: Sequence[ImuModel],
-        known: Sequence[Float[np.ndarray, "p p"]],
-        statistics: Sequence[Residual],
-        limiting: Sequence[Residual],
-        targets: Float[np.ndarray, " m"],
+        exact: ExactObjective,
         *,
-        weights: Float[np.ndarray, " s"],
-        of_logs: bool,
         cycles: int,
-        points: int,
         waves: int | None,
         readings: int,
         nodes: int = 1,
         lag: float | None = None,
-        worst: bool,
-        worst_model: bool,
     ) -> None:
-        self.coordinates, self.models, self.known = coordinates, models, known
+        self.coordinates, self.exact = coordinates, exact
         # Those of the coordinates may be eased, and are then no plain numbers.
         self.limits = coordinates.limits
-        self.geometries = [jax.tree.map(jnp.asarray, geometry) for geometry in geometries]
-        self.statistics, self.cycles, self.points = (*statistics, *limiting), cycles, points
-        self.targets, self.minimised, self.weights, self.of_logs = targets, len(statistics), weights, of_logs
-        self.nodes, self.lag = nodes, lag
-        self.waves, self.worst, self.worst_model = waves, worst, worst_model
+        self.models = [built.model for built in exact.builts]
+        self.geometries = [jax.tree.map(jnp.asarray, geometry(built.spec.rig)) for built in exact.builts]
+        aims = exact.statistics()
+        self.statistics = [statistic for _, statistic in aims]
+        self.targets = np.array([aim.limit / aim.per_si for aim, _ in aims])
+        self.minimised = sum(aim.counted for aim, _ in aims)
+        self.cycles, self.waves, self.nodes, self.lag = cycles, waves, nodes, lag
+        self.points = exact.builts[0].points
         self.readings = readings if math.isfinite(coordinates.limits.read_every) else 1
 
     def value_at(
@@ -133,13 +122,13 @@ class CycleObjective:
         decoded = self.coordinates.decode(z, of)
         logs = self.logs(decoded, of, ramps, sharpness, targets)
         logs, beyond = logs[:, : self.minimised], logs[:, self.minimised :]
-        each = largest_log(logs, sharpness, axis=1) if self.worst else jnp.mean(logs, axis=1)
-        if self.worst_model:
+        each = largest_log(logs, sharpness, axis=1) if self.exact.worst else jnp.mean(logs, axis=1)
+        if self.exact.design.robust == "worst":
             total = largest_log(each, sharpness, axis=0)
-        elif self.of_logs:
-            total = jnp.dot(self.weights, each)
+        elif self.exact.of_logs:
+            total = jnp.dot(self.exact.weights, each)
         else:
-            total = jax.scipy.special.logsumexp(each, b=self.weights)
+            total = jax.scipy.special.logsumexp(each, b=self.exact.weights)
         # From above, as all that is sharp: a limit is kept with a little room.
         total = total + EXCESS * jnp.sum(largest_log(jnp.stack([beyond, jnp.zeros_like(beyond)]), sharpness, axis=0))
         total = total + self.coordinates.penalty(decoded, of.period)
@@ -155,13 +144,12 @@ class CycleObjective:
     ) -> Float[AnyArray, "s m"]:
         """The logarithm of every statistic over its target in every model of the noise."""
         over = jnp.asarray(self.targets if targets is None else targets)
-        all_logs, each = [], []
-        for model, geometry, known in zip(self.models, self.geometries, self.known, strict=True):
-            each.append(known + self.information(model, geometry, decoded, of, ramps, sharpness))
-        for info in each:
-            root = inverse_root(info)
-            all_logs.append(jnp.log(jnp.stack([s(root, sharpness) for s in self.statistics]) / over))
-        return jnp.stack(all_logs)
+        logs = []
+        for model, table in zip(self.models, self.geometries, strict=True):
+            prior = model.prior_rows()
+            root = inverse_root(prior.T @ prior + self.information(model, table, decoded, of, ramps, sharpness))
+            logs.append(jnp.log(jnp.stack([s(root, sharpness) for s in self.statistics]) / over))
+        return jnp.stack(logs)
 
     def information(
         self, model: ImuModel, geometry: Geometry, decoded: Decoded, of: CycleStructure, ramps: Ramp, sharpness
@@ -182,17 +170,21 @@ class CycleObjective:
             # Where a table is held, the last standstill is another one, since nothing turns after it.
             return [begun, between, passage(*last, known=False) if model.encoder.held else between]
 
-        def steadily(ramp: Ramp) -> AnyArray:
+        def steadily(ramp: Ramp) -> tuple[AnyArray, AnyArray]:
+            """The information of the ramp's cycles among many, and what that of a first one and those after it exceeds
+            it by."""
             begun, one, _ = passages(ramp)
             same = jnp.eye(model.size)
             settled, _ = jax.lax.scan(lambda known, _: (through(known, one, same), None), begun, None, _SETTLED)
+            added = through(settled, one, same).product - settled.product
             assert ramp.number is not None
-            return ramp.number * (through(settled, one, same).product - settled.product)
+            return ramp.number * added, settled.product - (1 + _SETTLED) * added
 
         if self.cycles == 1:
             return jnp.sum(jax.lax.map(alone, ramps), axis=0)
         if ramps.number is not None:
-            return jnp.sum(jax.vmap(steadily)(ramps), axis=0)
+            added, begun = jax.vmap(steadily)(ramps)
+            return jnp.sum(added, axis=0) + begun[0]
         of_ramps = jax.lax.map(passages, ramps)
         nothing = jax.tree.map(lambda x: jnp.zeros_like(x[0]), of_ramps[0])
         known, _ = jax.lax.scan(_along, nothing, (ramps, of_ramps))

@@ -5,13 +5,12 @@ gradient: a search tries a few of them.
 """
 
 import math
-from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 from gradcal_jax.formulas import repetitions
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.design import Design
-from gradcal_jax.spec.motion_plan import MotionPlan
+from gradcal_jax.spec.motion_plan import MotionPlan, duration_of
 from gradcal_jax.spec.moves import ResolvedMove
 from gradcal_jax.spec.plan import RampItem, StandardPlan
 from gradcal_jax.spec.spec_sections import Spec
@@ -25,23 +24,6 @@ _TURNS: Final = 36
 _LEAST_TURNS: Final = 4
 # Numbers of visits that are searched where the cycle's length is free.
 _FREE_VISITS: Final = (3, 4, 6)
-
-
-class ResolvedCycle(NamedTuple):
-    """One cycle in SI: the moves one after the other, then the other axes' time.
-
-    `other_read_every` is None where the axis is not read while the others turn.
-    """
-
-    moves: tuple[ResolvedMove, ...]
-    moving: float
-    other: float
-    other_read_every: float | None
-
-    @property
-    def duration(self) -> float:
-        """Duration of the whole cycle (s)."""
-        return self.moving + self.other
 
 
 def motion_time(spec: Spec, design: Design) -> float:
@@ -86,38 +68,28 @@ def with_motion(spec: Spec, time: float) -> Spec:
     return changed(spec, keys)
 
 
-def cycle_of(spec: Spec) -> ResolvedCycle | None:
-    """The cycle of a plan about the only axis of a table; None where the axis stands.
+def moves_of_visits(spec: Spec) -> list[list[ResolvedMove]]:
+    """The moves of each visit of a cycle."""
+    visits: list[list[ResolvedMove]] = [[]]
+    for step in spec.gradient_schedule.every_step:
+        if step.move.other_axes:
+            visits.append([])
+        else:
+            visits[-1].append(step.move)
+    return visits
 
-    A rest that is read once, at its end, has no spacing; nor has a time of other axes in which nothing is read.
-    """
-    if isinstance(spec.plan, StandardPlan) or spec.plan.cycle is None:
-        return None
-    schedule, others = spec.gradient_schedule, spec.plan.cycle.other_axes
-    every = reading_spacing(spec)
-    moves: list[ResolvedMove] = []
-    for step in schedule.every_step:
-        spacing = every if step.move.reads_as_table else step.move.read_every
-        spaced = spacing is not None and math.isfinite(spacing)
-        moves.append(replace(step.move, repeat=1, read_every=spacing if spaced else None))
-    moving = math.fsum(move.duration for move in moves)
-    other = 0.0 if others is None else float(others.duration)
-    other_every = None
-    if others is not None and others.read_every is not None:
-        other_every = min(float(others.read_every), other)
-    return ResolvedCycle(tuple(moves), moving, other, other_every)
+
+def visit_times(spec: Spec) -> tuple[float, float]:
+    """The duration (s) of one visit, and the time after it for other axes."""
+    schedule, visits = spec.gradient_schedule, moves_of_visits(spec)
+    others = [step.move.duration for step in schedule.every_step if step.move.other_axes]
+    own = math.fsum(move.duration for visit in visits for move in visit)
+    return own / len(visits), others[0] if others else duration_of(schedule.after)
 
 
 def reading_spacing(spec: Spec) -> float:
     """Spacing (s) of the readings of the only axis where the plan does not say it; infinite: at the end of a rest."""
     return float(spec.rig.table.axis[0].angle.read_every)
-
-
-def visit_times(cycle: ResolvedCycle) -> tuple[float, float]:
-    """The duration (s) of one turn at the table, and the time after it for other axes."""
-    others = [move.duration for move in cycle.moves if move.other_axes]
-    each = (cycle.moving - sum(others)) / (len(others) + 1)
-    return each, others[0] if others else cycle.duration - cycle.moving
 
 
 class VisitTimes(NamedTuple):
@@ -133,15 +105,14 @@ class VisitTimes(NamedTuple):
 
 def visit_choices(spec: Spec, design: Design) -> list[VisitTimes]:
     """The visits that a search tries for a plan that turns one gyro."""
-    cycle, time = cycle_of(spec), spec.gradient_schedule.stretches[0].duration
-    assert cycle is not None
-    own, other = visit_times(cycle)
+    time, visits = spec.gradient_schedule.stretches[0].duration, moves_of_visits(spec)
+    own, other = visit_times(spec)
     if "cycle" in design.free:
         # The axis keeps its share of the time. The last visit ends with the ramp.
         share = own / (own + other)
         options = [(n, share * time / n, (1.0 - share) * time / (n - 1), 1) for n in _FREE_VISITS]
     else:
-        count, each = repetitions(time, own, own + other)[0], sum(m.other_axes for m in cycle.moves) + 1
+        count, each = repetitions(time, own, own + other)[0], len(visits)
         ramps = [s for s in spec.gradient_schedule.segments if s.kind == "ramp"]
         alone = len(ramps) == 1 and len(spec.gradient_schedule.stretches) == 1
         options = [(count, own, other, 1) if count <= _MOST_OWN and alone else (each, own, other, count // each)]
@@ -150,7 +121,7 @@ def visit_choices(spec: Spec, design: Design) -> list[VisitTimes]:
         fitting = max(1, int(0.5 * each / (LEAST_TURN + shortest_rest(spec, design))))
         wanted = max(_LEAST_TURNS, -(-_TURNS // count)) if cycles == 1 else 2 * _LEAST_TURNS
         turns = design.moves or min(wanted, fitting)
-        turns = max([turns, *map(_turns_of, moves_of_visits(cycle))])
+        turns = max([turns, *(sum(not move.is_rest for move in moves) for moves in visits)])
         least = turns * (LEAST_TURN + shortest_rest(spec, design))
         if least > each:
             raise ValueError(
@@ -170,29 +141,16 @@ def shortest_rest(spec: Spec, design: Design) -> float:
 
 
 def rest_spacing(spec: Spec) -> float:
-    """How often a table of one axis is read at rest, s: as its first rest says, or else the table."""
-    cycle = cycle_of(spec)
-    of_rests = [m.read_every for m in cycle.moves if m.is_rest and m.read_every] if cycle is not None else []
-    return float(of_rests[0]) if of_rests else reading_spacing(spec)
-
-
-def moves_of_visits(cycle: ResolvedCycle) -> list[list[ResolvedMove]]:
-    """The moves of each visit of a cycle."""
-    visits: list[list[ResolvedMove]] = [[]]
-    for move in cycle.moves:
-        if move.other_axes:
-            visits.append([])
-        else:
-            visits[-1].append(move)
-    return visits
-
-
-def _turns_of(moves: list[ResolvedMove]) -> int:
-    return sum(not move.is_rest for move in moves)
+    """How often a table of one axis is read at rest, s: as its first rest that is read so, or else the table."""
+    table = reading_spacing(spec)
+    rests = (step.move for step in spec.gradient_schedule.every_step if step.move.is_rest)
+    spacings = (table if rest.reads_as_table else rest.read_every for rest in rests)
+    return next((float(every) for every in spacings if every and math.isfinite(every)), table)
 
 
 def reading_spacing_of_others(spec: Spec, spacing: float) -> float:
     """How often the table is read (s) while other axes turn, where it is read as at rest every `spacing` s; infinite:
     not at all."""
-    cycle = cycle_of(spec)
-    return math.inf if cycle is None or cycle.other_read_every is None else spacing
+    cycle = None if isinstance(spec.plan, StandardPlan) else spec.plan.cycle
+    others = None if cycle is None else cycle.other_axes
+    return spacing if others is not None and others.read_every is not None else math.inf

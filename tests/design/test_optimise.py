@@ -2,7 +2,6 @@
 
 import math
 import re
-import tomllib
 
 import jax
 import jax.numpy as jnp
@@ -18,14 +17,9 @@ from gradcal_jax.design.plan_limit import limit
 from gradcal_jax.design.searching import Optimised
 from gradcal_jax.design.visits import visit_choices
 from gradcal_jax.information.prediction import predict
-from gradcal_jax.information.sensitivity import sensitivity
-from gradcal_jax.model.build import assemble
 from gradcal_jax.spec import spec as spec_file
 from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.problems import SpecError
-
-DEG = math.pi / 180.0
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +33,6 @@ def best(spec) -> Optimised:
     assert steps[-1].best <= steps[0].best
     assert isinstance(found, Optimised)
     return found
-
-
-def cycles_of(spec: Spec) -> int:
-    return sum(stretch.cycles for stretch in spec.gradient_schedule.stretches)
 
 
 def residual(spec: Spec) -> float:
@@ -66,35 +56,6 @@ def test_the_optimum_is_better_is_what_predict_says_and_lies_above_the_limit(spe
     assert before.certified <= before.reached * (1 + 1e-9)
     assert before.certified < best.now
     assert after.efficiency == pytest.approx(after.certified / best.now)
-
-
-@pytest.mark.evidence
-def test_prices_are_what_a_slower_table_costs(spec, best):
-    """The envelope theorem against the optimum found again with 1 % less rate."""
-    price = next(p for p in best.prices if p.limit == "largest rate of x")
-    eased = changed(spec, {"rig.table.axis[0].max_rate": "297 deg/s"})
-    *_, again = run_search(eased, steps=3000)
-    assert isinstance(again, Optimised)
-    assert again.now - best.now == pytest.approx(-3.0 * price.change, rel=0.2)
-
-
-def test_elasticities_are_differences_of_predictions(spec):
-    known = sensitivity(spec)
-    value, unit = known.residuals["full range"]
-    assert (value, unit) == (pytest.approx(residual(spec), rel=1e-9), "ppm")
-    by_name = {row.figure: row.percent for row in known.rows}
-    for figure, key, one in (
-        ("reading noise", "rig.table.axis[0].angle.reading_noise", "deg"),
-        ("angle random walk", "sensor.gyro.angle_random_walk", "deg/sqrt(h)"),
-        ("bias instability", "sensor.gyro.drift[0].standard_deviation", "deg/h"),
-    ):
-        nominal = {"deg": 0.05, "deg/sqrt(h)": 0.1, "deg/h": 1.0}[one]
-        more, less = (residual(changed(spec, {key: f"{nominal * f} {one}"})) for f in (1.01, 0.99))
-        assert by_name[figure] == pytest.approx(100.0 * (more - less) / (2.0 * value), rel=1e-3)
-    # A larger error never helps; all of it together is the residual.
-    assert sum(v for k, v in by_name.items() if k in ("reading noise", "angle random walk", "bias instability")) == (
-        pytest.approx(1.0, rel=1e-6)
-    )
 
 
 @pytest.mark.long
@@ -155,14 +116,6 @@ def static(**design) -> Spec:
     return changed(base, {"design": {"minimise": "full range"} | design})
 
 
-def test_a_turn_about_an_axis_that_the_table_lacks_is_refused():
-    tables = tomllib.loads(SPEC)
-    tables["plan"]["cycle"]["moves"][3]["axis"] = "z"
-    with pytest.raises(SpecError, match="the table has no axis of this name; known: x"):
-        spec_file.spec_of(tables)
-
-
-@pytest.mark.long
 def test_the_objective_of_a_table_at_rest_is_that_of_its_plan():
     """But for the cycles and readings that stand for all others."""
     spec = static()
@@ -170,11 +123,11 @@ def test_the_objective_of_a_table_at_rest_is_that_of_its_plan():
     of = plan.structure(plan.start)
     args = jax.tree.map(jnp.asarray, of), None, 1e5, plan.objective.targets
     value = float(plan.value(jnp.asarray(plan.point(plan.start, of)), args))
-    assert math.exp(value) == pytest.approx(exact(spec), rel=0.05)
+    assert math.exp(value) == pytest.approx(exact(spec), rel=0.01)
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize(("time", "least"), [("160 min", 0.3450), ("540 min", 0.1590)])
+@pytest.mark.parametrize(("time", "least"), [("160 min", 0.3449), ("540 min", 0.1590)])
 def test_the_chambers_best_courses_for_a_table_at_rest(time, least):
     *_, best = run_search(static(max_total=time))
     assert isinstance(best, Optimised)
@@ -210,11 +163,6 @@ def test_limits_that_exclude_each_other_are_named(spec, changes, says):
         next(run_search(changed(spec, changes), steps=20))
 
 
-def test_a_design_for_nothing_that_is_required_is_refused(spec):
-    with pytest.raises(SpecError, match="minimise"):
-        changed(spec, {"design.minimise": "half range"})
-
-
 def test_a_target_that_no_plan_can_meet_is_refused_with_the_limit(spec):
     least = limit(spec)[0].certified
     asked = changed(spec, {"requirement[0].target": f"{0.9 * least} ppm", "design.minimise": "motion time"})
@@ -237,10 +185,6 @@ def test_the_shortest_plan_lies_between_the_points_of_the_frontier(best):
     assert shortest(points, 10.0) == 3000.0
     assert shortest(points, 8.0) == pytest.approx(60.0 * 62.5)
     assert shortest(points, 4.0) is None
-
-
-def test_assembled_sources_of_the_spec_are_the_figures(spec):
-    assert set(assemble(spec).sources) == {"bias instability"}
 
 
 def with_targets(spec, own: str, bias: str = "") -> Spec:
@@ -294,13 +238,6 @@ def test_until_met_needs_targets_and_a_residual_to_minimise(spec, change):
     design["minimise"] = change.get("minimise", "full range")
     with pytest.raises(ValueError, match=r"target"):
         whole(changed(made, {"design": design}), until_met=True)
-
-
-def test_the_plan_as_it_was_counts_only_where_it_keeps_the_limits(spec):
-    for most, keeps in (("1000000 ppm", True), ("0.001 ppm", False)):
-        limited = with_targets(spec, "1000000 ppm", most)
-        assert keeps_limits(limited) == keeps
-    assert keeps_limits(spec)
 
 
 def test_many_short_visits_have_the_same_moves_in_each(spec):

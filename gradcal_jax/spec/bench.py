@@ -90,7 +90,6 @@ _DIRECTIONS: Final = {
 _TURN: Final = 2.0 * math.pi
 Direction = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Vector = tuple[q.Number, q.Number, q.Number]
-Length = Annotated[q.Quantity, q.Of("length")]
 Spacing = Annotated[q.Quantity, q.Of("time", above="0 s", infinite="rest")]
 
 
@@ -222,8 +221,6 @@ class Place(Mounting):
 
     name: q.Text  # pyright: ignore[reportIncompatibleVariableOverride, reportGeneralTypeIssues]
     """Name of the place. The IMU of the same name in a run or log is mounted at this place."""
-    lever_arm: tuple[Length, Length, Length] | None = None
-    """Position of the IMU relative to the intersection of the table's axes, in the fixture's frame."""
 
 
 _Axes = Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]

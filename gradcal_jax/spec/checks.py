@@ -14,7 +14,7 @@ from gradcal_jax.spec.design import design_problems
 from gradcal_jax.spec.motion_plan import PlanStep, resolve_steps, row_count
 from gradcal_jax.spec.plan import ChamberCourse, RampItem, StandardPlan
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
-from gradcal_jax.spec.sensor import GyroTriad
+from gradcal_jax.spec.sensor import FULL_SCALE_MARGIN, GyroTriad
 from gradcal_jax.tables.problems import Key, Problem, SpecError, repeated_names
 from gradcal_jax.tables.quantity import Quantity
 
@@ -86,7 +86,7 @@ def _full_scale(spec: "Spec") -> Iterator[Problem]:
         if rate > gyro.usable_rate * (1.0 + _SLACK):
             message = (
                 f"reaches {math.degrees(rate):.5g} deg/s, which exceeds the sensor's full scale, {gyro.full_scale}, "
-                f"reduced by the margin, {gyro.full_scale_margin}"
+                f"less {100.0 * FULL_SCALE_MARGIN:g} %"
             )
             yield Problem(key, message, text)
 
@@ -304,18 +304,9 @@ def _accelerometer(spec: "Spec") -> Iterator[Problem]:
     accelerometer, steps = spec.sensor.accelerometer, _steps(spec)
     if accelerometer is None or not steps:
         return
-    slow = float(accelerometer.read_on_moves_below or 0.0)
-    turning = [float(step.move.fastest) for step in steps if step.axis >= 0]
-    if len(turning) == len(steps) and min(turning) > slow:
+    if all(step.axis >= 0 for step in steps):
         message = "the cycle has no rest, and accelerometers are read only at rest: add { rest = … }"
         yield Problem(("plan", "cycle", "moves"), message)
-    if slow and turning and min(turning) > slow:
-        message = (
-            f"has no effect, because even the slowest move reaches {math.degrees(min(turning)):.4g} deg/s: raise "
-            "this limit, or leave out this key and the lever arm"
-        )
-        key = ("sensor", "accelerometer", "read_on_moves_below")
-        yield Problem(key, message, str(accelerometer.read_on_moves_below))
 
 
 def _without_encoder(spec: "Spec") -> Iterator[Problem]:

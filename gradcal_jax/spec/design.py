@@ -23,8 +23,6 @@ Free = Literal["cycle", "programme"]
 class Scenario(Section):
     """A variant of the sensor or the rig for which the plan must also be good: changes of single keys, and a weight."""
 
-    name: q.Text | None = None
-    """A title for tables and pages."""
     weight: Annotated[q.Number, Field(gt=0.0)] = 1.0
     """Weight of this scenario in the mean over all scenarios."""
     sensor: dict[str, Any] = Field(default_factory=dict)

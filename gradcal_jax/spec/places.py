@@ -45,16 +45,7 @@ def _at(spec: Spec, place: Place) -> Spec:
     table = spec.rig.table
     mountings = tuple(_composed(mounting, place) for mounting in table.mounting)
     changes = {"table": table.model_copy(update={"mounting": mountings, "place": ()})}
-    sensor = spec.sensor
-    force = sensor.accelerometer
-    if place.lever_arm is not None and force is not None and force.lever_arm is not None:
-        # The position is estimated, about zero: its mean square counts.
-        prior = force.lever_arm.prior
-        if prior is not None:
-            size = math.hypot(float(prior), *(float(x) for x in place.lever_arm))
-            arm = force.lever_arm.model_copy(update={"prior": Quantity.of(size, "m")})
-            sensor = sensor.model_copy(update={"accelerometer": force.model_copy(update={"lever_arm": arm})})
-    return spec.model_copy(update={"sensor": sensor, "rig": spec.rig.model_copy(update=changes)})
+    return spec.model_copy(update={"rig": spec.rig.model_copy(update=changes)})
 
 
 def _composed(fixture: Mounting, place: Place) -> Mounting:

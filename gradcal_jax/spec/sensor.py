@@ -185,6 +185,8 @@ class ScaleFactor(_LateFunction):
     """Possible structure of the map beyond its basis."""
 
 
+FULL_SCALE_MARGIN: Final = 0.05
+"""Fraction of a gyro's full scale that plans leave unused."""
 HOST_CLOCK: Final = 1e-6
 """Standard deviation, a ratio, of a sensor's clock after a run has compared it with the computer's. The comparison
 itself (time stamps with errors of about 1 ms at both ends) is accurate to 0.1 ppm over hours; the computer's own clock,
@@ -267,9 +269,7 @@ class _Gyro(_Channel):
     """Random walk of the rate."""
     turn_on_bias: q.SizeOfRate | None = None
     full_scale: q.PositiveRate | None = None
-    """Largest rate that the gyro measures."""
-    full_scale_margin: q.Margin = q.Quantity(0.05, "5 %", "scale factor")
-    """Fraction of the full scale that plans leave unused."""
+    """Largest rate that the gyro measures; plans leave 5 % of it unused."""
     drift: Annotated[_Drifts, one_or_more(Drift | _Drifts)] = ()
     """In-run bias instabilities; their sum is the error."""
     scale_factor_instability: Annotated[_Instabilities, one_or_more(ScaleFactorInstability | _Instabilities)] = ()
@@ -288,7 +288,7 @@ class _Gyro(_Channel):
     @property
     def usable_rate(self) -> float | None:
         """Full scale less its margin (rad/s); None where the sheet gives no full scale."""
-        return None if self.full_scale is None else self.full_scale * (1.0 - self.full_scale_margin)
+        return None if self.full_scale is None else self.full_scale * (1.0 - FULL_SCALE_MARGIN)
 
     @property
     def thermometer_noise(self) -> TemperatureError | None:
@@ -349,7 +349,7 @@ class SpecificForceDrift(_Process):
 _DriftsOfForce = Annotated[tuple[SpecificForceDrift, ...], Field(max_length=20)]
 
 
-class SpecificForceBias(_LateFunction):
+class SpecificForceBias(_ErrorFunction):
     """An accelerometer's bias over temperature."""
 
     temperature: TemperaturePolynomial | None = None
@@ -358,7 +358,7 @@ class SpecificForceBias(_LateFunction):
     """Standard deviation of each coefficient before the calibration, or a list of them; absent: unknown."""
 
 
-class SpecificForceScale(_LateFunction):
+class SpecificForceScale(_ErrorFunction):
     """An accelerometer's scale factor over temperature."""
 
     temperature: TemperaturePolynomial | None = None
@@ -373,13 +373,6 @@ class SecondOrder(_Constant):
 
     prior: q.PositiveSecondOrder | None = None
     """Standard deviation of each coefficient before the calibration; absent: unknown."""
-
-
-class LeverArm(Section):
-    """Position of an accelerometer relative to the intersection of the table's axes."""
-
-    prior: q.PositiveLength | None = None
-    """Standard deviation of each of the three coordinates before the calibration; absent: unknown."""
 
 
 class GyroTriad(_Gyro, path_terms.TemperaturePath):
@@ -401,13 +394,14 @@ class GyroTriad(_Gyro, path_terms.TemperaturePath):
 
 
 class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
-    """`[sensor.accelerometer]`: common properties of the accelerometers. They are read at rest, and during moves that
-    are not faster than `read_on_moves_below`. If the key of an error term is absent here, the error is assumed to be
-    known, and is not estimated."""
+    """`[sensor.accelerometer]`: common properties of the accelerometers, which are read at rest. If the key of an error
+    term is absent here, the error is assumed to be known, and is not estimated."""
 
     scale_factor_instability: ClassVar[tuple[()]] = ()
     temperature_error: ClassVar[None] = None
     thermometer_noise: ClassVar[None] = None
+    read_on_moves_below: ClassVar[None] = None
+    lever_arm: ClassVar[None] = None
 
     axes: BodyAxes = ("x", "y", "z")
     """Axes along which the IMU has an accelerometer."""
@@ -433,18 +427,6 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     """Directions of the input axes."""
     second_order: SecondOrder | None = None
     """K2: output in proportion to the square of the force."""
-    read_on_moves_below: q.PositiveRate | None = None
-    """Largest rate of moves during which accelerometers are also read; absent: they are read only at rest."""
-    lever_arm: LeverArm | None = None
-    """Positions of the accelerometers relative to the intersection of the table's axes."""
-
-    def _problems(self) -> Iterator[Problem]:
-        if self.lever_arm is not None and self.read_on_moves_below is None:
-            message = (
-                "has an effect only during moves, and accelerometers are read only at rest: leave this key out, or "
-                'also read them on slow moves, as in read_on_moves_below = "5 deg/s"'
-            )
-            yield Problem(("lever_arm",), message)
 
 
 class Sensor(_Instrument):

@@ -169,7 +169,6 @@ AngleRandomWalk = Annotated[Quantity, Of("angle random walk", above="0 deg/sqrt(
 RateRandomWalk = Annotated[Quantity, Of("rate random walk", at_least="0 deg/h/sqrt(h)")]
 PositiveScaleFactor = Annotated[Quantity, Of("scale factor", above="0 ppm")]
 SizeOfScaleFactor = Annotated[Quantity, Of("scale factor", at_least="0 ppm")]
-Margin = Annotated[Quantity, Of("scale factor", at_least="0 %", below="100 %", example="5 %")]
 Probability = Annotated[Quantity, Of("scale factor", above="0 %", below="100 %", example="90 %")]
 ScaleFactorSlope = Annotated[Quantity, Of("scale factor slope")]
 PositiveScaleFactorSlope = Annotated[Quantity, Of("scale factor slope", above="0 ppm/K")]

@@ -14,7 +14,6 @@ from gradcal_jax.design import cycle_plan
 from gradcal_jax.design.cycle_plan import CyclePlan
 
 QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-ON_MOVES = {"sensor.accelerometer.read_on_moves_below": "250 deg/s"}
 HIDDEN = {"standard_deviation": "20 ppm", "temperature_degree": 2, "rate_degree": 2}
 
 
@@ -74,7 +73,6 @@ SPECS = {
 MORE = {
     "an IMU": turning,
     "a discrepancy": lambda: gj.changed(turning(), {"sensor.gyro.scale_factor.discrepancy": HIDDEN}),
-    "slow moves": lambda: gj.changed(turning(), ON_MOVES),
     "limited travel": lambda: gj.changed(turning(), {"rig.table.axis[0].travel": "520 deg"}),
 }
 

@@ -87,20 +87,6 @@ def test_a_recipe_has_the_places():
     assert made.spec.rig.table.place[1].name == "b"
 
 
-def test_the_lever_arm_counts_in_the_prior_of_the_accelerometers_positions():
-    spec = fixture([{"name": "a", "lever_arm": ["0.3 m", "0 m", "-0.4 m"]}])
-    assert spec.sensor.accelerometer is not None
-    arm = {"rig.table.place": None, "sensor.accelerometer.lever_arm": {"prior": "0.1 m"}}
-    arm["sensor.accelerometer.read_on_moves_below"] = "70 deg/s"
-    place = spec.rig.table.place
-    of = gj.changed(spec, arm)
-    of = of.model_copy(
-        update={"rig": of.rig.model_copy(update={"table": of.rig.table.model_copy(update={"place": place})})}
-    )
-    (at,) = specs_at_places(of).values()
-    assert float(at.sensor.accelerometer.lever_arm.prior) == pytest.approx(np.hypot(0.1, 0.5))
-
-
 def test_imus_sit_at_the_places_of_their_names_or_in_order():
     spec = fixture([{"name": "a"}, {"name": "b"}])
     assert places_of(spec, ["b", "a"]) == {"b": "b", "a": "a"}

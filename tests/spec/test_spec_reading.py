@@ -194,7 +194,7 @@ def test_sensor_full_scale_less_margin_limits_the_motion():
     document = tables()
     document["sensor"]["gyro"]["full_scale"] = "300 deg/s"
     assert keys_of(document) == {"plan.cycle.moves[3]", "plan.cycle.moves[7]"}
-    document["sensor"]["gyro"]["full_scale_margin"] = "0 %"
+    document["sensor"]["gyro"]["full_scale"] = "316 deg/s"
     spec_file.spec_of(document)
     document = tables("paper-dynamic-standard")
     document["sensor"]["gyro"]["full_scale"] = "250 deg/s"
@@ -221,7 +221,7 @@ def test_full_scale_limits_what_each_gyro_sees_of_a_move():
         axis["angle"] = {"reading_noise": "1 arcsec"}
     document["rig"]["site"]["latitude"] = "50 deg"
     document["requirement"] = []
-    document["sensor"]["gyro"] |= {"axes": ["z"], "full_scale": "100 deg/s", "full_scale_margin": "0 %"}
+    document["sensor"]["gyro"] |= {"axes": ["z"], "full_scale": "105.3 deg/s"}
     outer = {"turn": "360 deg", "axis": "x", "peak_rate": "120 deg/s"}
     document["plan"]["cycle"] = {
         "moves": [{"rest": "1 min"}, outer, {"pose": {"inner": "60 deg"}}, outer, {"pose": {"inner": "0 deg"}}]
@@ -286,7 +286,7 @@ def test_sizes_of_bases():
     document = tables("consumer-mems")
     sensor = spec_file.spec_of(document).sensor.gyro
     assert (sensor.bias.size, sensor.scale_factor.size) == (6, 9)
-    assert sensor.usable_rate == pytest.approx(450 * DEG)
+    assert sensor.usable_rate == pytest.approx(475 * DEG)
     document["sensor"]["gyro"]["bias"]["temperature"] = {"degree": 0, "knots": ["-20 degC", "0 degC", "60 degC"]}
     assert spec_file.spec_of(document).sensor.gyro.bias.size == 2
 

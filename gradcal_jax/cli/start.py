@@ -10,6 +10,7 @@ from gradcal_jax.cli.output import DONE, Force, writable
 from gradcal_jax.tables.display import columns
 
 _COLUMN_MAP: Final = "column-map"
+_SWEEP: Final = "sweep"
 _TEMPLATES: Final = {
     "export-gains": "Template for export: offsets and gains for a flight controller",
     "export-tracker": "Template for export: matrices for a body or head tracker, in JSON",
@@ -49,6 +50,7 @@ def start(
 
         rows = [(name, presets.title(name)) for name in presets.names()]
         rows += [(_COLUMN_MAP, "Column map of a recording, for --columns"), *_TEMPLATES.items()]
+        rows.append((_SWEEP, "A sweep: many plans at once, for gradcal sweep"))
         print(columns(rows, indent=""))
         return DONE
     if output is None:
@@ -65,6 +67,8 @@ def _example(name: str, output: Path, force: bool) -> int:
 
     if name == _COLUMN_MAP:
         text, following = column_names.EXAMPLE, f"gradcal noise LOG --columns {output}"
+    elif name == _SWEEP:
+        text, following = presets.template("sweep.toml"), f"gradcal sweep {output} -o results.nc"
     elif name in _TEMPLATES:
         text, following = presets.template(f"{name}.j2"), f"gradcal export CALIBRATION --template {output}"
     else:

@@ -47,7 +47,7 @@ def sweep(
     Parameters
     ----------
     file
-        The sweep file (gradcal-sweep/1): a base spec, and values for its keys.
+        The sweep file (gradcal-sweep/1): a base spec, and values for its keys; gradcal start sweep writes an example.
     output
         The results to write (.nc).
     workers

@@ -1,25 +1,5 @@
 """gradcal-sweep/1: one spec, and which of its keys take which values: a design of experiments over plans.
-
-    format = "gradcal-sweep/1"
-    base   = "paper-dynamic-gradient"        # a preset, or the path of a spec or recipe, seen from this file
-    [change]                                 # keys that are other than in the base, at every point
-    "plan.soak" = "30 min"
-    [[axis]]                                 # a grid over all axes …
-    key    = "plan.gradient"
-    start  = "0.5 K/min"
-    stop   = "2 K/min"
-    count  = 7
-    [[axis]]
-    keys   = ["plan.cycle.moves[0].rest", "plan.cycle.moves[4].rest"]
-    values = ["5 s", "10 s", "20 s"]
-    [[axis]]                                 # whole sections of other specs
-    section = "sensor"
-    values  = ["tactical-mems", "consumer-mems"]
-    [samples]                                # … or, with this table, points drawn over all axes together
-    method = "latin hypercube"
-    count  = 1000
-
-Nothing here draws or computes: `gradcal_jax.sweeps` does.
+`templates/sweep.toml` is an example. Nothing here draws or computes: `gradcal_jax.sweeps` does.
 """
 
 import math

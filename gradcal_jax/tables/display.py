@@ -1,5 +1,5 @@
-"""How objects show themselves: as `repr` at most 15 lines of 80 columns, Imports nothing
-that takes time, and computes nothing."""
+"""How objects show themselves: as `repr` at most 15 lines of 80 columns. Imports nothing that takes time, and
+computes nothing."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence

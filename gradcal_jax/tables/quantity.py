@@ -187,7 +187,6 @@ Latitude = Annotated[Quantity, Of("angle", at_least="-90 deg", at_most="90 deg",
 Frequency = Annotated[Quantity, Of("frequency", above="0 Hz")]
 PositiveBiasSlope = Annotated[Quantity, Of("bias slope", above="0 deg/h/K")]
 PositiveAccelerationSlope = Annotated[Quantity, Of("acceleration slope", above="0 ug/K")]
-AccelerationSlope = Annotated[Quantity, Of("acceleration slope")]
 ForceGradientSensitivity = Annotated[
     Quantity, Of("acceleration temperature-gradient sensitivity", at_least="0 ug/(K/min)")
 ]

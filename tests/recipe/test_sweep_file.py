@@ -2,6 +2,7 @@
 
 import pytest
 
+from gradcal_jax.spec import presets
 from gradcal_jax.sweeps.sweep import changes_of, points_of
 from gradcal_jax.sweeps.sweep_file import parse_sweep, read_sweep
 from gradcal_jax.tables.problems import SpecError
@@ -31,6 +32,10 @@ def test_the_values_of_an_axis(text, expected):
     found = values(text)
     assert found == expected
     assert [type(value) for value in found] == [type(value) for value in expected]
+
+
+def test_the_example_is_a_sweep():
+    assert parse_sweep(presets.template("sweep.toml")).file.count == 15
 
 
 def test_a_grid_is_every_combination_with_the_last_axis_fastest():

@@ -106,9 +106,8 @@ def validate(
 ) -> int:
     """Test a calibration on a different log, and print the remaining errors by temperature and rate.
 
-    The measured errors are compared with the targets in the calibration, by the decision rule of each target and with
-    its guard band. The exit status is 1 if a target is missed, or if the calibration makes the errors larger instead of
-    smaller.
+    The measured errors are compared with the targets in the calibration, each by its own decision rule. The exit status
+    is 1 if a target is missed, or if the calibration makes the errors larger instead of smaller.
 
     Parameters
     ----------

@@ -188,8 +188,7 @@ def _gradient(spec: "Spec", schedule: "PlanSchedule") -> list[str]:
     if not schedule.steps:
         return [*lines, "  the table stands" + (f" and is read every {every}" if every else ""), readings]
     parts = [f"moves {time_text(duration_of(schedule.steps))}"]
-    for step, name in zip(schedule.after, ("other axes", "standing"), strict=False):
-        parts.append(f"{name} {time_text(step.move.duration)} ({_read(step.move, every)})")
+    parts += [f"other axes {time_text(s.move.duration)} ({_read(s.move, every)})" for s in schedule.after]
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     lines.append(f"cycle: {time_text(schedule.period)}, made {cycles} times: {', '.join(parts)}")
     moves: list[tuple[str, ...]] = []

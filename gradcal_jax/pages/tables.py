@@ -1,15 +1,16 @@
 """Tables of results, which terminal, page and certificate share."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from gradcal_jax.calibration import Calibration
-from gradcal_jax.estimation.calibration_rows import coefficient_rows
-from gradcal_jax.estimation.calibrations import standard_terms
 from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.recipe.recipe import Predicted
 from gradcal_jax.tables.contracts import Prediction, RequirementRow
 from gradcal_jax.tables.display import amount
 from gradcal_jax.tables.table import Column, Table
+
+if TYPE_CHECKING:
+    from gradcal_jax.recipe.recipe import Predicted
 
 _ONE_SIGMA = Column("1σ", "", 3)
 
@@ -31,7 +32,7 @@ def outcomes(rows: Sequence[RequirementRow]) -> Table:
     return Table.of(["requirement", "statistic", "residual 1σ", "target", "verdict", "limited by"], cells)
 
 
-def coefficients(planned: Predicted | Prediction | None, calibration: Calibration | None) -> Table:
+def coefficients(planned: "Predicted | Prediction | None", calibration: Calibration | None) -> Table:
     """Every coefficient with one standard deviation: of a calibration by its data, with errors that no residual shows,
     and as predicted by its plan."""
     predicted = {} if planned is None else {row.name: row for row in planned.parameters}
@@ -41,6 +42,9 @@ def coefficients(planned: Predicted | Prediction | None, calibration: Calibratio
             unit, factor = UNITS_OF_TERMS.get(row.unit, (row.unit, 1.0))
             rows.append((name, "not observable" if row.std is None else f"{row.std * factor:.3g}", unit))
         return Table.of(["coefficient", "1σ", "unit"], rows)
+    # Imported where it is used: a prediction needs no estimates.
+    from gradcal_jax.estimation.calibration_rows import coefficient_rows
+
     cells = []
     for of in coefficient_rows(calibration):
         unit, factor = UNITS_OF_TERMS.get(of["unit"], (of["unit"], 1.0))
@@ -57,6 +61,8 @@ def coefficients(planned: Predicted | Prediction | None, calibration: Calibratio
 
 def terms(calibration: Calibration) -> Table:
     """The calibration in the vocabulary of IEEE 952, 1431 and 1780."""
+    from gradcal_jax.estimation.calibrations import standard_terms
+
     rows = [
         (channel.label, term.name, term.value, term.std, term.unit, term.computed)
         for channel in calibration.channel

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from loop_laws import LoopTruth, draw_with_loops
+from loop_laws import LoopTruth
 
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import PlayTruth, SimulatedImu
@@ -98,18 +98,3 @@ def test_a_play_is_stepped_sample_by_sample_in_blocks_of_any_size():
         said = np.concatenate([loop(block, 1.0) for block in np.split(course, cuts)])
         np.testing.assert_allclose(said[:, 0], expected, atol=1e-12)
         np.testing.assert_allclose(said[:, 1:], np.outer(expected, [2.0, 0.0]), atol=1e-12)
-
-
-def test_loops_of_another_law_have_the_size_of_the_plays():
-    spec = changed(
-        parse_spec(presets.text("two-axis-table")),
-        {"sensor.gyro.hysteresis": [{"width": "10 K", "prior": "30 deg/h/K"}]},
-    )
-    sizes = np.array([draw_with_loops(spec, seed, 1, "relays").triads["gyro"].loops[0].size for seed in range(200)])
-    assert np.std(sizes) / HOUR == pytest.approx(300.0, rel=0.1)
-
-
-def test_masses_of_one_type_differ_a_little():
-    courses = [UP, UP[::-1]]
-    ones = np.array([legs("thermal masses", courses, seed)[1][:, 0] for seed in range(8)])
-    assert 0.005 < np.max(np.std(ones, axis=0)) < 0.1 * np.max(np.abs(ones))

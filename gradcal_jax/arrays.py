@@ -120,15 +120,6 @@ def fixed(x: Any) -> Any:
     return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
 
 
-def repeated(count: int, body: Callable[[Carry], Carry], start: Carry) -> Carry:
-    """`body` applied `count` times; one loop in a compiled program."""
-    if namespace(start) is jnp:
-        return jax.lax.fori_loop(0, count, lambda _, carry: body(carry), start)
-    for _ in range(count):
-        start = body(start)
-    return start
-
-
 def running_sum(values: Any) -> Any:
     """Sums of all rows up to and including each one; NumPy's with the rounding of every addition made good (Knuth's
     two-sum), which in thousands of additions would grow to a hundred times that of the sums themselves.

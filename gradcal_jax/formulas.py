@@ -141,15 +141,6 @@ def motion_angle(u: Array) -> Array:
     return xp.stack([*powers, *waves], axis=-1)
 
 
-def motion_acceleration(u: Array) -> Array:
-    """Derivative of the motion family, `(...) -> (..., 10)`; over the piece's duration it is an acceleration."""
-    xp = u.__array_namespace__()
-    s1, c1, s2, _, _, c4, _, c6, _, c8 = _waves(u)
-    powers = [xp.zeros_like(u), xp.ones_like(u), 2.0 * u, 3.0 * u * u]
-    waves = [-pi * s1, pi * c1, -2 * pi * s2, 4 * pi * c4, 6 * pi * c6, 8 * pi * c8]
-    return xp.stack([*powers, *waves], axis=-1)
-
-
 def _terms(**terms: float) -> tuple[float, ...]:
     names = ("one", "u", "u2", "u3", "cos1", "sin1", "cos2", "sin4", "sin6", "sin8")
     return tuple(terms.get(name, 0.0) for name in names)
@@ -160,7 +151,6 @@ _COSINE_UP, _COSINE_DOWN = _terms(one=0.5, cos1=-0.5), _terms(one=0.5, cos1=0.5)
 _LINEAR_UP, _LINEAR_DOWN = _terms(u=1.0), _terms(one=1.0, u=-1.0)
 
 SHAPES = ("cosine ramps", "linear ramps", "hand")
-RAMPED_SHAPES = ("cosine ramps", "linear ramps")
 
 
 def _uneven(unevenness: float) -> tuple[float, ...]:

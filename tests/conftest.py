@@ -49,7 +49,6 @@ def _typed_once(fn, *, typechecker, jaxtyped=jaxtyping.jaxtyped):
 # What takes a whole spec; the core's other modules take arrays.
 _OF_SPECS = {
     "build",
-    "imu_build",
     "prediction",
     "error_budget",
     "imu_residual",

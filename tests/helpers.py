@@ -10,26 +10,27 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import BSpline as ScipyBSpline
 from scipy.optimize import brentq
 
 from gradcal_jax import model as models
 from gradcal_jax import motion as trajectory
-from gradcal_jax.information import (
-    NoiseSteps,
-    Posterior,
-    at_readings,
-    information,
-    noise_steps,
-    posterior,
-    square_root,
-    whiten,
+from gradcal_jax.information import NoiseSteps, Posterior, imu_information, imu_system, posterior
+from gradcal_jax.model import (
+    SCALE_FACTOR,
+    AxisHarmonics,
+    Bins,
+    BodyNodes,
+    BSpline,
+    Channel,
+    EncoderNoise,
+    GradientOfBias,
+    ImuModel,
+    Polynomial,
+    make_map,
 )
-from gradcal_jax.model import Bins, BSpline, Polynomial, SensorModel
+from gradcal_jax.motion import Geometry, Schedule, TableMotion
 
 DEG = np.pi / 180.0
 DEG_PER_H = DEG / 3600.0
@@ -94,19 +95,86 @@ RATE_CUBIC = Polynomial(3, 0.0, 300.0 * DEG)
 RATE_LINEAR = Polynomial(1, 0.0, 300.0 * DEG)
 
 
-def core(scene: Scene, channel: str | None = None) -> tuple[trajectory.Schedule, SensorModel]:
-    """The engine's plan and model of a scene, as its channel (or another one) sees it."""
-    programme = trajectory.programme(scene.start, list(scene.stretches))
-    own = channel or scene.channel
-    make = lambda acts: tuple(core_move(a, own, scene.longest_piece) for a in acts)  # noqa: E731
-    plan = trajectory.gradient_plan(
-        programme,
-        make(scene.moves),
-        make(scene.after),
-        used=scene.used,
-        read_every=scene.read_every,
+class NoEarth(Geometry):
+    """A table on an Earth that does not turn: for the ranks that its rate would hide."""
+
+    def earth_rate(self):
+        return np.zeros(3)
+
+
+class Engine(NamedTuple):
+    """A gyro along the only axis of a table, in the engine's terms."""
+
+    motion: TableMotion
+    model: ImuModel
+    nodes: BodyNodes
+
+    def system(self) -> tuple[NoiseSteps, np.ndarray]:
+        return imu_system(self.motion, self.model, self.nodes)
+
+    def posterior(self) -> Posterior:
+        return posterior(imu_information(self.motion, self.model, self.nodes)[0])
+
+    def deviations(self) -> np.ndarray:
+        """Of the reported parameters."""
+        return self.posterior().deviations(self.model.to_reported)
+
+
+def one_axis(
+    plan: Schedule, gyro: Channel, encoder: EncoderNoise, lag: float | None = None, installation: tuple = ()
+) -> Engine:
+    """The engine's view of a plan."""
+    line = plan.trajectory(lag)
+    if lag is not None:
+        decays = np.ceil(np.log2(np.maximum(line.duration / lag / 8.0, 1.0))).astype(int)
+        pieces = np.repeat(np.arange(len(decays)), decays)
+        line, _ = line.divided(pieces, 0.5 ** np.concatenate([np.arange(n, 0, -1.0) for n in decays]))
+    geometry = NoEarth(np.eye(3)[:1], np.eye(3), np.eye(3)[None], np.zeros(()), np.zeros(()))
+    axis = np.where(line.moving, 0, -1)
+    waves = max((order for term in installation for order in term.orders), default=0)
+    how = (waves or None, 16)
+    motion = trajectory.table_motion(line, axis, np.zeros(len(axis), int), geometry, np.zeros(1), *how)
+    maps = [term for term in gyro.terms if isinstance(term, models.Map)]
+    warm = tuple(sorted({b for term in maps for b in term.temperature.breaks}))
+    fast = tuple(sorted({b for term in maps if term.rate is not None for b in term.rate.breaks}))
+    motion = trajectory.divided_motion(motion, warm, {0: fast} if fast else {}, *how)
+    model = ImuModel((gyro,), installation, encoder)
+    return Engine(motion, model, trajectory.body_nodes(motion, 16))
+
+
+def scale_map(temperature, rate, **more) -> models.Map:
+    """M(T, ω) of a gyro along x."""
+    return make_map(temperature, rate, name=SCALE_FACTOR, symbol="b", unit="1", signals=("rate x",), **more)
+
+
+def gyro_x(terms, white: float = 1e-5, processes: models.Processes | None = None) -> Channel:
+    """A gyro along x, with the discrepancies of its maps as the last terms."""
+    maps = [term for term in terms if isinstance(term, models.Map)]
+    every = (*terms, *(m.beyond for m in maps if m.beyond is not None))
+    return Channel(every, np.asarray(white), models.no_processes() if processes is None else processes, "gyro", 0)
+
+
+def encoder(reading: float = 0.0, offset: float = 0.0, timing: float = 0.0, rate: float = 0.0) -> EncoderNoise:
+    """An encoder that is read as it stands."""
+    of = (np.array([offset]), np.array([reading]), np.array([np.inf]))
+    return EncoderNoise(*of, False, np.array([timing]), np.asarray(rate), bool(offset))
+
+
+def plan_of(scene: Scene) -> Schedule:
+    """The engine's plan of a scene as its channel sees it."""
+    make = lambda acts: tuple(core_move(a, scene.channel, scene.longest_piece) for a in acts)  # noqa: E731
+    course = trajectory.programme(scene.start, list(scene.stretches))
+    return trajectory.gradient_plan(
+        course, make(scene.moves), make(scene.after), used=scene.used, read_every=scene.read_every
     )
-    return plan, core_model(scene)
+
+
+def core(scene: Scene) -> Engine:
+    """The engine's plan and model of a scene."""
+    orders = tuple(scene.harmonics)
+    waves = (AxisHarmonics(np.repeat(list(scene.harmonics.values()), 2), orders, 0, "x"),) if orders else ()
+    noise = encoder(scene.reading_noise, scene.offset, scene.timing)
+    return one_axis(plan_of(scene), core_model(scene), noise, scene.lag, waves)
 
 
 def core_move(act: Act, channel: str, longest: float = np.inf) -> trajectory.Move:
@@ -125,24 +193,24 @@ def core_move(act: Act, channel: str, longest: float = np.inf) -> trajectory.Mov
     )
 
 
-def core_model(scene: Scene) -> SensorModel:
+def core_model(scene: Scene) -> Channel:
     processes = models.no_processes()
     for noise in scene.noises:
+        gains = {"bias_gain": noise.bias_gain, "rate_gain": noise.rate_gain}
         if noise.kind == "walk":
             processes = processes + models.rate_random_walk(noise.size)
         elif noise.kind == "constant":
-            processes = processes + models.constant(noise.size, bias_gain=noise.bias_gain, rate_gain=noise.rate_gain)
+            processes = processes + models.constant(noise.size, **gains)
         else:
-            processes = processes + models.gauss_markov(
-                noise.size, noise.tau, bias_gain=noise.bias_gain, rate_gain=noise.rate_gain
-            )
-    reference = models.angle_reference(scene.reading_noise, scene.offset, scene.timing)
-    bias = None if scene.bias is None else models.make_map(scene.bias, prior_std=scene.bias_prior)
-    scale = None if scene.scale is None else models.make_map(*scene.scale, prior_std=scene.scale_prior)
-    flat = np.inf if scene.gradient else None
-    return models.gyro_model(
-        bias, scale, scene.arw, processes, reference, temperature_gradient_std=flat, harmonics=scene.harmonics
-    )
+            processes = processes + models.gauss_markov(noise.size, noise.tau, **gains)
+    terms: list[models.Term] = []
+    if scene.bias is not None:
+        terms.append(make_map(scene.bias, prior_std=scene.bias_prior, numbered=True))
+    if scene.scale is not None:
+        terms.append(scale_map(*scene.scale, prior_std=scene.scale_prior))
+    if scene.gradient:
+        terms.append(GradientOfBias(std=np.asarray(np.inf), has_prior=False))
+    return gyro_x(tuple(terms), scene.arw, processes)
 
 
 # --- the scene, walked through by itself ------------------------------------------------------------------------------
@@ -467,52 +535,22 @@ def augmented_kalman(steps: NoiseSteps, columns: np.ndarray, prior_covariance: n
     return state[n:, n:]
 
 
-class Engine(NamedTuple):
-    """What the engine makes of a scene."""
-
-    steps: NoiseSteps
-    columns: Any
-    prior: Any
-
-    def deviations(self, contrasts) -> np.ndarray:
-        """By whitening and one triangular factor."""
-        rows = np.concatenate([whiten(self.steps, self.columns), self.prior])
-        return square_root(rows).deviations(contrasts)
-
-
-def knowledge(plan, model: SensorModel, lag: float | None = None) -> Posterior:
-    """The posterior of a plan."""
-    return posterior(information(plan.trajectory(lag), model))
-
-
-@eqx.filter_jit
-def deviations(steps, columns, prior, contrasts):
-    """The engine's road through JAX, compiled once for each size of state and number of readings."""
-    return square_root(jnp.concatenate([whiten(steps, columns), prior])).deviations(contrasts)
-
-
-def engine_of(plan, model: SensorModel, lag: float | None = None) -> Engine:
-    """NumPy's."""
-    line = plan.trajectory(lag)
-    return Engine(noise_steps(line, model), at_readings(line, model), model.prior_rows())
-
-
-@eqx.filter_jit
-def _traced(plan, model, lag, rule) -> Engine:
-    line = plan.trajectory(lag)
-    return Engine(noise_steps(line, model), at_readings(line, model, rule), model.prior_rows())
-
-
-def traced_engine_of(plan, model: SensorModel, lag: float | None = None) -> Engine:
-    """JAX's, everything traced but sizes; compiled once for each structure."""
-    rule = trajectory.rule_of(model, plan.trajectory(lag))
-    as_arrays = lambda tree: jax.tree.map(jnp.asarray, tree)  # noqa: E731
-    return _traced(as_arrays(plan), as_arrays(model), None if lag is None else jnp.asarray(lag), rule)
-
-
-def engine(scene: Scene) -> Engine:
-    """Of a scene."""
-    return engine_of(*core(scene), scene.lag)
+def dense_of(steps: NoiseSteps) -> np.ndarray:
+    """Covariance of the used rows, from the steps written out."""
+    n = steps.observation.shape[1]
+    spread, response = [np.asarray(steps.initial)], [np.eye(n)]
+    rows = []
+    for f, q, h, r, used in zip(*(np.asarray(x) for x in steps[:5]), strict=True):
+        response = [f @ x for x in response] + [np.eye(n)]
+        spread.append(q)
+        if used:
+            rows.append(([h @ x for x in response], r))
+    total = np.zeros((len(rows), len(rows)))
+    for i, (a, r) in enumerate(rows):
+        total[i, i] += r
+        for j, (b, _) in enumerate(rows):
+            total[i, j] += sum(x @ q @ y for x, q, y in zip(a, spread, b, strict=False))
+    return total
 
 
 # --- scenes -----------------------------------------------------------------------------------------------------------

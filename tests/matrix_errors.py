@@ -8,8 +8,8 @@ import numpy as np
 
 from gradcal_jax.estimation.fit_of_log import Fit
 from gradcal_jax.information import segments_of, whiten
-from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, ImuModel, SignalMap
-from gradcal_jax.model.imu_build import MISALIGNMENT
+from gradcal_jax.model import AXIS_NAMES, SCALE_FACTOR, ImuModel
+from gradcal_jax.model.build import MISALIGNMENT
 
 # Steps of Gauss and Newton for what is no part of a calibration: the second one changes χ² by 1e-3.
 _STEPS = 3
@@ -138,14 +138,14 @@ def along_after_correction(
         for i in range(3):
             channel, own = model.channel("gyro", i), parameters[model.where("gyro", i)]
             assert channel is not None
-            scale = channel.model.map(SCALE_FACTOR)
+            scale = channel.map(SCALE_FACTOR)
             assert scale is not None
             at_rest = scale.values(temperatures, np.zeros(len(temperatures)))
             result[:, i, i] = 1.0
             for j in range(3):
-                if isinstance(term := channel.model.term(MISALIGNMENT.format(AXIS_NAMES[j])), SignalMap):
-                    result[:, i, j] += term.temperature(temperatures) @ own[channel.model.where(term.name)]
-            result[:, i] *= 1.0 + (at_rest @ own[channel.model.where(scale.name)])[:, None]
+                if (term := channel.map(MISALIGNMENT.format(AXIS_NAMES[j]))) is not None:
+                    result[:, i, j] += term.temperature(temperatures) @ own[channel.where(term.name)]
+            result[:, i] *= 1.0 + (at_rest @ own[channel.where(scale.name)])[:, None]
         return result
 
     def left(parameters: np.ndarray, true: np.ndarray) -> np.ndarray:

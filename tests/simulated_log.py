@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from gradcal_jax.model import BIAS, HARMONICS, SCALE_FACTOR, TEMPERATURE_GRADIENT, SensorModel
-from gradcal_jax.model.build import assemble
+from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, CommonScale, ImuModel
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.motion import Trajectory
 from gradcal_jax.records.log import AngleReadings, Log, ReadingKind
 from gradcal_jax.spec.schedule import StandardSchedule
@@ -28,47 +28,49 @@ class SimulatedLog(NamedTuple):
 
 
 class _Simulator:
-    """Sensors of a model and what they say; all is drawn from one generator."""
+    """Gyros of a model and what they say; all is drawn from one generator. `table`: the parameters of the installation,
+    which are common to all."""
 
-    def __init__(self, model: SensorModel, units: int, hz: float, rng: np.random.Generator, *, noiseless: bool) -> None:
-        self.model, self.units, self.hz, self.rng, self.noiseless = model, units, hz, rng, noiseless
-        self.truth = np.zeros((units, model.size))
+    def __init__(self, model: ImuModel, units: int, hz: float, rng: np.random.Generator, *, noiseless: bool) -> None:
+        (self.channel,), self.encoder, self.installation = model.channels, model.encoder, model.installation
+        self.units, self.hz, self.rng, self.noiseless = units, hz, rng, noiseless
+        self.truth = np.zeros((units, self.channel.size))
+        self.table = [term.stds * rng.standard_normal(term.size) * (not noiseless) for term in model.installation]
 
     def draw_truth(self) -> None:
         """Reported parameters from their priors (typical sizes where a prior is flat), discrepancies zero."""
-        model, std = self.model, np.zeros(self.model.size)
-        for of in (model.bias, model.scale):
-            if of is not None:
-                std[model.where(of.name)] = float(of.prior_std) if np.isfinite(of.prior_std) else _USUAL[of.name]
-        gradient = model.term(TEMPERATURE_GRADIENT)
-        if gradient is not None and gradient.has_prior:
-            std[model.where(TEMPERATURE_GRADIENT)] = float(gradient.std)
-        if model.harmonics is not None:
-            std[model.where(HARMONICS)] = np.repeat(model.harmonics.amplitudes, 2)
-        reported = std * self.rng.standard_normal((self.units, model.size))
-        self.truth = np.linalg.solve(model.to_reported, reported.T).T
+        channel, std, to_reported = self.channel, np.zeros(self.channel.size), np.eye(self.channel.size)
+        for term in channel.terms:
+            own = channel.where(term.name)
+            to_reported[own, own] = term.to_reported
+            if term.name in _USUAL:
+                std[own] = float(term.prior_std) if np.isfinite(term.prior_std) else _USUAL[term.name]
+            elif term.name == TEMPERATURE_GRADIENT and term.has_prior:
+                std[own] = float(term.std)
+        reported = std * self.rng.standard_normal((self.units, channel.size))
+        self.truth = np.linalg.solve(to_reported, reported.T).T
 
     def errors(self, rate: np.ndarray, temperature: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Of the maps, rad/s `(U, n)`."""
-        model, beta = self.model, self.truth
-        error = np.zeros((self.units, len(rate)))
-        if model.bias is not None:
-            error += beta[:, model.where(BIAS)] @ model.bias.temperature(temperature).T
-        moving = rate != 0.0
-        if model.scale is not None and moving.any():
-            values = model.scale.values(temperature[moving], rate[moving])
-            error[:, moving] += (beta[:, model.where(SCALE_FACTOR)] @ values.T) * rate[moving]
-        if model.term(TEMPERATURE_GRADIENT) is not None:
-            error += beta[:, model.where(TEMPERATURE_GRADIENT)] * slope[None]
-        return error
+        """Of the maps and the clock, rad/s `(U, n)`."""
+        channel, beta = self.channel, self.truth
+        error, moving = np.zeros((self.units, len(rate))), rate != 0.0
+        if (bias := channel.map(BIAS)) is not None:
+            error += beta[:, channel.where(BIAS)] @ bias.temperature(temperature).T
+        if (scale := channel.map(SCALE_FACTOR)) is not None and moving.any():
+            values = scale.values(temperature[moving], rate[moving])
+            error[:, moving] += (beta[:, channel.where(SCALE_FACTOR)] @ values.T) * rate[moving]
+        if channel.term(TEMPERATURE_GRADIENT) is not None:
+            error += beta[:, channel.where(TEMPERATURE_GRADIENT)] * slope[None]
+        clock = [own[0] for term, own in zip(self.installation, self.table, strict=True) if type(term) is CommonScale]
+        return error + sum(clock) * rate[None]
 
     def noise(self, rate: np.ndarray) -> np.ndarray:
         """Of samples one after another, rad/s `(U, n)`."""
         shape = (self.units, len(rate))
         if self.noiseless:
             return np.zeros(shape)
-        error = float(self.model.angle_random_walk) * np.sqrt(self.hz) * self.rng.standard_normal(shape)
-        p = self.model.processes
+        error = float(self.channel.angle_random_walk) * np.sqrt(self.hz) * self.rng.standard_normal(shape)
+        p = self.channel.processes
         for k in range(p.count):
             decay = float(p.decay[k])
             growth = -np.expm1(-2.0 * decay / self.hz) / (2.0 * decay) if decay > 0.0 else 1.0 / self.hz
@@ -82,14 +84,12 @@ class _Simulator:
         """What the table says less what is true, at every row, rad; `number`: of the standstill."""
         if self.noiseless:
             return np.zeros(len(angle))
-        reference = self.model.reference
-        offsets = float(reference.standstill_offset) * self.rng.standard_normal(int(number.max()) + 1)
-        error = float(reference.reading_noise) * self.rng.standard_normal(len(angle))
-        error += np.where(at_rest, offsets[number], 0.0)
-        waves = self.truth[0, self.model.where(HARMONICS)].reshape(-1, 2)
-        orders = () if self.model.harmonics is None else self.model.harmonics.orders
-        for order, (cosine, sine) in zip(orders, waves, strict=True):
-            error += cosine * (np.cos(order * angle) - 1.0) + sine * np.sin(order * angle)
+        offset, reading = float(self.encoder.offset[0]), float(self.encoder.reading[0])
+        error = reading * self.rng.standard_normal(len(angle))
+        error += np.where(at_rest, offset * self.rng.standard_normal(int(number.max()) + 1)[number], 0.0)
+        for term, own in zip(self.installation, self.table, strict=True):
+            for order, (cosine, sine) in zip(getattr(term, "orders", ()), own.reshape(-1, 2), strict=False):
+                error += cosine * (np.cos(order * angle) - 1.0) + sine * np.sin(order * angle)
         return error
 
     def log(self, rate: np.ndarray, time: np.ndarray, temperature: np.ndarray, axis: str, **table) -> SimulatedLog:
@@ -123,7 +123,7 @@ def simulate_log(
     alone. `readings`: the log has the plan's readings as events, those between two moves among them, instead of the
     angle at every row.
     """
-    built = assemble(spec)
+    built = build_imu(spec)
     assert spec.sensor.gyro is not None
     axis = spec.sensor.gyro.axes[0]
     simulator = _Simulator(built.model, units, sample_rate_hz, np.random.default_rng(seed), noiseless=noiseless)
@@ -131,12 +131,9 @@ def simulate_log(
         simulator.draw_truth()
     else:
         simulator.truth = truth[axis].copy()
-    # The table's, not the units'.
-    harmonics = built.model.where(HARMONICS)
-    simulator.truth[:, harmonics] = simulator.truth[:1, harmonics]
     if isinstance(spec.schedule, StandardSchedule):
         return _standard(simulator, spec.schedule, axis)
-    return _gradient(simulator, built.trajectory(), axis, readings=readings)
+    return _gradient(simulator, built.motion.line, axis, readings=readings)
 
 
 def _gradient(simulator: _Simulator, line: Trajectory, axis: str, *, readings: bool) -> SimulatedLog:
@@ -175,7 +172,7 @@ def _readings(simulator: _Simulator, line: Trajectory, angle: np.ndarray, time: 
 
     rows = np.unique(np.concatenate([[0], np.minimum(row(ends[read]), len(time) - 1)])).astype(np.int64)
     between = np.isin(rows, row(ends[read & moving])) & np.isin(rows, row(start[moving]))
-    offset = float(simulator.model.reference.standstill_offset)
+    offset = float(simulator.encoder.offset[0])
     values = angle[rows] + np.where(between, offset * simulator.rng.standard_normal(len(rows)), 0.0)
     whole, kind = np.zeros(len(rows), int), np.full(len(rows), int(ReadingKind.PLANNED))
     return AngleReadings.in_order([AngleReadings(time[rows], rows, whole, values, np.full(len(rows), np.nan), kind)])
@@ -189,7 +186,7 @@ def _standard(simulator: _Simulator, plan: StandardSchedule, axis: str) -> Simul
     points = [(t, rate, k > 0) for t in plan.temperatures for k, rate in enumerate((0.0, *plan.rates))]
     counts = [per_point if used else soak for _, _, used in points]
     temperature, rate, keep = (np.repeat(column, counts) for column in zip(*points, strict=True))
-    accuracy = 0.0 if simulator.noiseless else float(simulator.model.reference.rate_accuracy)
+    accuracy = 0.0 if simulator.noiseless else float(simulator.encoder.rate)
     reference = rate * (1.0 + np.repeat(accuracy * simulator.rng.standard_normal(len(points)), counts))
     said = rate + simulator.errors(rate, temperature, np.zeros(len(rate)))
     parts = np.split(np.arange(len(rate)), np.cumsum(counts)[:-1])

@@ -99,8 +99,8 @@ def test_all_results_of_functions_are_among_the_classes():
     names = {kind.__name__ for kind in public_classes()}
     expected = """
         AllanDeviation AllanFit AxisValidation Calibration Corrected Differentiable EstimateReport
-        Export FrontierPoint HandReport Instability Log Move Optimised PlanLimit Posterior Prediction Programme Recipe
-        RigFile RunResult Schedule Sensitivities SensorModel Spec Sweep ThermalBias TwinRow
+        Export FrontierPoint HandReport Instability Log Optimised PlanLimit Prediction Recipe
+        RigFile RunResult Sensitivities Spec Sweep ThermalBias TwinRow
     """
     assert names == set(expected.split())
 

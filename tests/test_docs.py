@@ -145,7 +145,7 @@ def test_the_page_of_notebooks_has_all_there_are():
 def test_the_class_of_one_s_own_in_the_how_to_predicts(capsys):
     (lines,) = re.findall(r"```python\n(.+?)```", TEXTS["docs/how-to/own-term.md"], flags=re.S)
     exec(compile(lines, "own-term.md", "exec"), {})
-    assert capsys.readouterr().out.count("gyro_x.Magnetic") == 3
+    assert capsys.readouterr().out.count("gyro_x.magnetic") == 3
 
 
 @pytest.mark.parametrize("module", sorted({*gj._HOME_OF_NAME.values(), "units.quantities", "spec.changes"}))

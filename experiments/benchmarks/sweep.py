@@ -32,8 +32,9 @@ def loop(points: list[dict]) -> None:
     import numpy as np
     from filterpy.kalman import KalmanFilter
 
-    from gradcal_jax.information import at_readings, contrasts, noise_steps
-    from gradcal_jax.model.build import assemble
+    from gradcal_jax.information import imu_system
+    from gradcal_jax.information.imu_residual import quantity_of
+    from gradcal_jax.model.build import build_imu
     from gradcal_jax.spec.changes import changed
     from gradcal_jax.sweeps.sweep_file import read_sweep
 
@@ -41,19 +42,13 @@ def loop(points: list[dict]) -> None:
     found = []
     for changes in points:
         spec = changed(base, changes)
-        built = assemble(spec)
-        line = built.trajectory("x")
-        steps = noise_steps(line, built.model)
+        built = build_imu(spec)
+        steps, columns = imu_system(built.motion, built.model, built.body_nodes())
         transition, covariance, seen = (np.asarray(x) for x in (steps.transition, steps.covariance, steps.observation))
         variance, used, initial = (np.asarray(x) for x in (steps.reading_variance, steps.used, steps.initial))
-        columns = np.asarray(at_readings(line, built.model))
         requirement = spec.requirement[0]
-        temperatures, rates = (
-            np.linspace(*(float(x) for x in ends), size)
-            for ends, size in zip((requirement.temperature, requirement.rate), requirement.grid, strict=True)
-        )
-        grid = [g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij")]
-        rows = contrasts(built.model, "scale_factor", *grid)[0]
+        (element,) = quantity_of(built, requirement).elements
+        rows = np.asarray(element.of.rows)
         begin = time.perf_counter()
         n, p = seen.shape[1], columns.shape[1]
         kalman = KalmanFilter(dim_x=n + p, dim_z=1)
@@ -69,7 +64,9 @@ def loop(points: list[dict]) -> None:
             if used[k]:
                 h[0, :n], h[0, n:] = seen[k], columns[k]
                 kalman.update(zero, R=variance[k], H=h)
-        left = np.sqrt(np.einsum("gi,ij,gj->g", rows, kalman.P[n:, n:], rows, optimize=True))
+        left = np.sqrt(
+            np.einsum("gi,ij,gj->g", rows, kalman.P[n:, n:][element.where, element.where], rows, optimize=True)
+        )
         ppm = float(np.mean(np.max(left.reshape(requirement.grid), axis=0))) * 1e6
         found.append({"seconds": time.perf_counter() - begin, "ppm": ppm, "readings": int(np.sum(used))})
     print(json.dumps({"version": importlib.metadata.version("filterpy"), "points": found}))

@@ -49,8 +49,8 @@ from gradcal_jax.design.visits import (
     rest_spacing,
     shortest_rest,
 )
-from gradcal_jax.model import Hysteresis, ImuModel, TemperatureDifference
-from gradcal_jax.model.imu_build import course_before, fineness, waves_of
+from gradcal_jax.model import ImuModel, OwnTerm
+from gradcal_jax.model.build import course_before, fineness, waves_of
 from gradcal_jax.recipe.rounding import steps_of
 from gradcal_jax.recipe.tracks import makeable_acceleration
 from gradcal_jax.spec.changes import changed
@@ -172,8 +172,7 @@ class CyclePlan:
     def _free_course(self) -> FreeCourse | None:
         """The chamber's courses of the search; None where that of the file is fixed."""
         spec, schedule, free = self.spec, self._schedule, self.design.free
-        terms = (t for c in self.built.model.channels for t in c.model.terms)
-        loops = any(isinstance(t, Hysteresis | TemperatureDifference) for t in terms)
+        loops = any(isinstance(t, OwnTerm) and t.of_path for t in self.built.model.terms)
         if "programme" not in free and (free or not (loops or self._stands)):
             return None
         first, *rest = schedule.segments
@@ -443,7 +442,7 @@ def _own_course(schedule: PlanSchedule) -> tuple[float, np.ndarray, np.ndarray]:
 
 def _longest_memory(models: Sequence[ImuModel]) -> float:
     """The longest correlation time of the noise, s."""
-    decays = (d for m in models for c in m.channels for d in np.asarray(c.model.processes.decay) if d > 0.0)
+    decays = (d for m in models for c in m.channels for d in np.asarray(c.processes.decay) if d > 0.0)
     return max((1.0 / d for d in decays), default=0.0)
 
 

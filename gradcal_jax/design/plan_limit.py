@@ -34,8 +34,7 @@ from gradcal_jax.information.residual import GridElement, statistic
 from gradcal_jax.information.unseen import floor_of_plan
 from gradcal_jax.information.verdicts import UNIT_OF, mission_weights
 from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Map, Polynomial, constant
-from gradcal_jax.model.build import chamber_programme
-from gradcal_jax.model.imu_build import BuiltImu, build_imu
+from gradcal_jax.model.build import BuiltImu, build_imu, chamber_programme
 from gradcal_jax.motion import EARTH_RATE, Programme
 from gradcal_jax.spec.absent import with_typical
 from gradcal_jax.spec.design import Design
@@ -210,7 +209,7 @@ def _largest_bound(data: _PlanData, requirement: Requirement) -> tuple[Limit, tu
 def _bounds(data: _PlanData, requirement: Requirement, element: GridElement) -> Iterator[tuple[Limit, tuple[str, ...]]]:
     """Limits of a requirement's element, and what their proofs leave out."""
     channel = next(c for c in data.built.model.channels if c.kind == "gyro" and AXIS_NAMES[c.axis] == element.label[0])
-    model, alone = channel.model, data.alone(channel)
+    alone = data.alone(channel)
     heading = requirement.quantity == "mission_heading"
     if heading and not alone:
         return
@@ -220,20 +219,20 @@ def _bounds(data: _PlanData, requirement: Requirement, element: GridElement) -> 
     rows = rows * np.broadcast_to(weights, shape).reshape(-1, 1)
     carried = ("the calibration contains the discrepancy as far as the data determine it",)
     more = carried if np.any(element.of.alone) else ()
-    if model.bias is not None and np.any(rows[:, model.where(BIAS)]):
-        of_bias = rows[:, model.where(BIAS)]
-        noise = float(model.angle_random_walk), model.processes
-        left = bias_seen_continuously(model.bias, *noise, data.windows, data.course(model.bias), of_bias)
+    bias, scale = channel.map(BIAS), channel.map(SCALE_FACTOR)
+    if bias is not None and np.any(rows[:, channel.where(BIAS)]):
+        of_bias = rows[:, channel.where(BIAS)]
+        noise = float(channel.angle_random_walk), channel.processes
+        left = bias_seen_continuously(bias, *noise, data.windows, data.course(bias), of_bias)
         value = float(statistic(requirement.statistic, left.reshape(shape)))
         yield Limit(value, value), (*_RELAXED, *more)
-    scale = model.scale
-    if scale is None or not isinstance(scale.rate, Polynomial) or not np.any(rows[:, model.where(SCALE_FACTOR)]):
+    if scale is None or not isinstance(scale.rate, Polynomial) or not np.any(rows[:, channel.where(SCALE_FACTOR)]):
         return
     # Of a channel among others, the noise is white and its clock is one with that of all.
     functions = (scale,) if scale.beyond is None else (scale, scale.beyond)
-    of_scale = np.concatenate([rows[:, model.where(f.name)] for f in functions], axis=1)
-    processes = model.processes
-    density, relaxed = float(model.angle_random_walk) ** 2, _RELAXED
+    of_scale = np.concatenate([rows[:, channel.where(f.name)] for f in functions], axis=1)
+    processes = channel.processes
+    density, relaxed = float(channel.angle_random_walk) ** 2, _RELAXED
     if alone:
         if clock := data.built.spec.sensor.clock_error:
             processes = processes + constant(clock, rate_gain=1.0)
@@ -262,11 +261,11 @@ def _bounds(data: _PlanData, requirement: Requirement, element: GridElement) -> 
 def _density_alone(data: _PlanData, channel: Channel) -> tuple[float, tuple[str, ...]]:
     """The least noise density (rad²/s) of any motion of a gyro that has the table alone, and what the proof leaves
     out."""
-    model, encoder = channel.model, data.built.model.encoder
+    encoder = data.built.model.encoder
     spacing, apart = data.spacing()
     relaxed = ["acceleration and travel"]
     reading, offset = float(encoder.reading[0]), float(encoder.offset[0])
-    noise = float(model.angle_random_walk), model.processes
+    noise = float(channel.angle_random_walk), channel.processes
     density = least_noise_density(*noise, reading, spacing)
     if reading > 0.0:
         often = f"the angle is read at most every {spacing:.3g} s"

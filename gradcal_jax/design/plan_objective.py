@@ -13,13 +13,12 @@ from gradcal_jax.information import (
 )
 from gradcal_jax.information.imu_residual import ImuResidual, quantity_of
 from gradcal_jax.information.residual import Residual, Statistic
-from gradcal_jax.information.unseen import own_of_imu, unseen_columns
+from gradcal_jax.information.unseen import own_of_imu, posterior_and_answers, unseen_columns
 from gradcal_jax.information.verdicts import UNIT_OF, limit_of
-from gradcal_jax.model.imu_build import (
+from gradcal_jax.model.build import (
     BuiltImu,
     build_imu,
     hung_alike,
-    imu_posterior,
 )
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.design import ALL, TIMES, WORST, Design, Scenario
@@ -73,7 +72,7 @@ def cases_of(spec: Spec) -> list[PlanCase]:
 def known_after(cases: Sequence[PlanCase]) -> tuple[list[BuiltImu], list[Posterior]]:
     """What is known after the plans of cases, by the terms that their specs name."""
     builts = [build_imu(case.spec) for case in cases]
-    return builts, [own_of_imu(built, imu_posterior(built)) for built in builts]
+    return builts, [own_of_imu(built) for built in builts]
 
 
 Residuals = Sequence[Sequence[ImuResidual]]
@@ -151,7 +150,7 @@ class ExactObjective:
     def statistics(self) -> list[tuple[Aim, Residual]]:
         """The aims that a search counts, then those that limit it, each as a function of a covariance."""
         built, found = self.builts[0], list[tuple[Aim, Residual]]()
-        unseen = unseen_columns(built)
+        unseen = unseen_columns(built, posterior_and_answers(built)[1])
         for r, aim in zip(self.spec.requirement, self.aims, strict=False):
             if aim.counted or aim.limiting:
                 found.append((aim, quantity_of(built, r).statistic(aim.statistic, unseen)))

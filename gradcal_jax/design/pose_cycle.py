@@ -26,7 +26,7 @@ from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.whitening import Passage, passage
 from gradcal_jax.model import ImuModel
-from gradcal_jax.model.imu_build import geometry
+from gradcal_jax.model.build import geometry
 from gradcal_jax.motion import Geometry, Schedule, TableMotion, body_nodes, gradient_plan, programme
 from gradcal_jax.motion.motion import rest, turn
 from gradcal_jax.motion.table_motion import largest_turn, nodes_of_turn

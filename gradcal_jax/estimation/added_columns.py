@@ -7,12 +7,12 @@ columns there is nothing to test: two turns to and fro with backlash are a scale
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Final, NamedTuple
 
 import equinox as eqx
 import numpy as np
 
+from gradcal_jax.calibration.correction import temperature_slope
 from gradcal_jax.estimation.consistency import Test, chi_squared_test
 from gradcal_jax.estimation.imu_readings import ImuReadings
 from gradcal_jax.estimation.imu_solve import ImuEstimate
@@ -20,9 +20,18 @@ from gradcal_jax.estimation.solve import Whitened, factored
 from gradcal_jax.information import Posterior, encoder_rows, imu_system, rows_of_angles, segments_of
 from gradcal_jax.information.imu_residual import imu_residual
 from gradcal_jax.information.posterior import OBSERVABLE
-from gradcal_jax.model import BIAS, DISCREPANCY, SCALE_FACTOR, Discrepancy, ImuModel, SensorModel, Term, make_map
-from gradcal_jax.model.build import basis
-from gradcal_jax.model.imu_build import BuiltImu
+from gradcal_jax.information.unseen import Answers
+from gradcal_jax.model import (
+    BIAS,
+    DISCREPANCY,
+    SCALE_FACTOR,
+    Channel,
+    Discrepancy,
+    GradientOfBias,
+    Term,
+    make_map,
+)
+from gradcal_jax.model.build import BuiltImu, basis
 from gradcal_jax.model.terms import sides
 from gradcal_jax.spec.absent import with_typical
 from gradcal_jax.spec.bases import RatePolynomial, TemperaturePolynomial
@@ -125,11 +134,28 @@ class Whitener:
         """The columns `(R, k)` of a term if the channel of this number had it; not whitened."""
         model = self.readings.model
         channel = model.channels[number]
-        alone = eqx.tree_at(lambda m: m.terms, channel.model, (term,))
-        (columns,) = ImuModel((replace(channel, model=alone),), (), model.encoder).own_columns(self.nodes)
+        nodes = self.nodes.channel(channel.kind, channel.axis)
+        columns = term.columns(nodes)
         rows, own = np.zeros((len(self.at.row_segment), term.size)), self.at.row_channel == number
         rows[own] = self.at.sums(np.asarray(columns))[self.at.row_segment[own]]
         return rows
+
+    def answers(self, solution: ImuEstimate) -> Answers:
+        """By how much the estimate is off for one unit of what it does not know; see `information.unseen`."""
+        late, numbers = self.late(solution.parameters), range(len(self.readings.model.channels))
+        unit = GradientOfBias(std=np.ones(()), has_prior=False)
+        columns = [self.of_term(k, unit) for k in numbers]
+        columns += [late * (self.at.row_channel == k)[:, None] for k in numbers]
+        along = solution.white.rows.T @ self(np.concatenate(columns, axis=1))
+        spread = solution.known.spread
+        answers = list((spread @ (spread.T @ along)).T)
+        return Answers(answers[: len(numbers)], answers[len(numbers) :])
+
+    def late(self, parameters: np.ndarray) -> np.ndarray:
+        """What the readings are more, `(R, 1)`, if the maps have the temperature of a second before."""
+        readings = self.readings
+        before = readings.temperature_c - temperature_slope(readings.temperature_c, readings.log.time_s)
+        return (readings.at(before, parameters) - readings.expected(parameters))[:, None]
 
     def by_latitude(self, parameters: np.ndarray) -> np.ndarray:
         """The derivatives `(R, 1)` with respect to the site's latitude, 1/rad; not whitened."""
@@ -147,7 +173,7 @@ class Whitener:
 # --- structure of the maps --------------------------------------------------------------------------------------------
 
 
-def hidden_maps(spec: Spec, model: SensorModel) -> Iterator[Discrepancy]:
+def hidden_maps(spec: Spec, channel: Channel) -> Iterator[Discrepancy]:
     """The polynomials beyond the maps of a gyro, for which a log is tested: those of the spec, or two degrees more."""
     gyro = spec.sensor.gyro
     assert gyro is not None
@@ -157,12 +183,12 @@ def hidden_maps(spec: Spec, model: SensorModel) -> Iterator[Discrepancy]:
             continue
         if quantity == SCALE_FACTOR and not isinstance(rate, RatePolynomial):
             continue
-        term = model.term(DISCREPANCY.format(quantity))
+        term = channel.term(DISCREPANCY.format(quantity))
         if not isinstance(term, Discrepancy):
             degrees = section.temperature.degree + _MORE, 0 if rate is None else rate.degree + _MORE
             over_rate = None if rate is None else basis(rate)
             # (The result of a test does not depend on the size.)
-            term = make_map(basis(section.temperature), over_rate, discrepancy=(1.0, *degrees)).beyond
+            term = make_map(basis(section.temperature), over_rate, name=quantity, discrepancy=(1.0, *degrees)).beyond
         assert term is not None
         yield term
 
@@ -175,14 +201,14 @@ def structure_tests(spec: Spec, whiten: Whitener, solution: ImuEstimate, beside:
         (k, channel, term)
         for k, channel in enumerate(model.channels)
         if channel.kind == "gyro"
-        for term in hidden_maps(spec, channel.model)
+        for term in hidden_maps(spec, channel)
     ]
     if not hidden:
         return
     # Whitened together: that costs hardly more than one of them.
     every = whiten(np.concatenate([whiten.of_term(k, term) for k, _, term in hidden], axis=1))
     for (_, channel, term), columns in zip(hidden, _split(every, [t.size for *_, t in hidden]), strict=True):
-        stated = channel.model.term(term.name) is not None
+        stated = channel.term(term.name) is not None
         own = Beside(solution.white.without(model.where("gyro", channel.axis, term.name))) if stated else beside
         of = own.components(columns)
         if len(of.gains):

@@ -6,7 +6,7 @@ import numpy as np
 
 from gradcal_jax.estimation import ImuEstimate, ImuReadings
 from gradcal_jax.information import segments_of
-from gradcal_jax.model import BIAS, PathTerm
+from gradcal_jax.model import BIAS, OwnTerm
 
 
 class BiasCurve(NamedTuple):
@@ -30,21 +30,21 @@ def bias_curves(readings: ImuReadings, solution: ImuEstimate) -> tuple[BiasCurve
     lasting, warm = at.sums(line.duration), at.sums(line.duration * np.mean(line.ends(), axis=0))
     curves: list[BiasCurve] = []
     for i, (c, columns) in enumerate(zip(model.channels, model.own_columns(readings.nominal()), strict=True)):
-        terms = [t for t in c.model.terms if t.name == BIAS or (isinstance(t, PathTerm) and not t.signals)]
+        terms = [t for t in c.terms if t.name == BIAS or (isinstance(t, OwnTerm) and not t.signals)]
         rows = solution.used & (at.row_channel == i) & (at.axis[at.row_segment] < 0)
         if not terms or not np.any(rows):
             continue
-        kept, where = np.zeros(c.model.size, bool), model.where(c.kind, c.axis)
+        kept, where = np.zeros(c.size, bool), model.where(c.kind, c.axis)
         for term in terms:
-            kept[c.model.where(term.name)] = True
+            kept[c.where(term.name)] = True
         segments = at.row_segment[rows]
         mean = at.sums(columns * kept)[segments] / lasting[segments, None]
         fitted = mean @ solution.parameters[where]
         std = np.linalg.norm(mean @ solution.known.spread[where], axis=1)
         unit = "rad/s" if c.kind == "gyro" else "m/s^2"
         measured = fitted + apart[rows] / lasting[segments]
-        of_map = np.zeros(c.model.size, bool)
-        of_map[c.model.where(BIAS)] = True
+        of_map = np.zeros(c.size, bool)
+        of_map[c.where(BIAS)] = True
         alone = (mean * of_map) @ solution.parameters[where]
         curves.append(BiasCurve(c.name, unit, warm[segments] / lasting[segments], measured, fitted, std, alone))
     return tuple(curves)

@@ -55,14 +55,14 @@ from gradcal_jax.information.plan_sentences import one_way_sentences, prior_devi
 from gradcal_jax.information.prediction import requirement_row
 from gradcal_jax.information.unseen import (
     EstimatedRun,
+    answers_of,
     budget_of_estimate,
     omitted_noise_of_imu,
-    ramp_of_record,
     unseen_errors,
 )
 from gradcal_jax.information.verdicts import finite
 from gradcal_jax.model import AXIS_NAMES, KINDS, ImuModel
-from gradcal_jax.model.imu_build import BuiltImu, build_imu
+from gradcal_jax.model.build import BuiltImu, build_imu
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.spec.absent import attitude_sentences, branch_sentences
 from gradcal_jax.spec.changes import along_axis
@@ -303,14 +303,15 @@ def report_of(
     named = _tests_of_fit(solution, model, tests, warmer[at.row_segment][used])
     covered = _covered(done, rates, temperature)
     record = slice(int(done.rows[0]), int(done.rows[-1]) + 1)
-    # At stable temperatures nothing lags, and between them no data are used.
-    ramp = 0.0 if stable else ramp_of_record(rows.time_s[record], temperature[record])
     one_way = bool(abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record]))
-    run = EstimatedRun(solution.parameters, covered[0], ramp, lag.uncounted, one_way, options.clock_doubt)
+    whiten = Whitener(readings)
+    # At stable temperatures nothing lags, and between them no data are used.
+    answers = answers_of(built, (), ()) if stable else whiten.answers(solution)
+    run = EstimatedRun(solution.parameters, covered[0], answers, lag.uncounted, one_way, options.clock_doubt)
     estimated = built._replace(about=solution.parameters)
     known = solution.known._replace(spread=solution.known.spread * tests.excess)
     budget = budget_of_estimate(estimated, known, run, noise)
-    beside, whiten, added = Beside(solution.white), Whitener(readings), []
+    beside, added = Beside(solution.white), []
     of_angles = angle_columns(built.spec, whiten, beside)
     if not options.robust:
         added += structure_tests(built.spec, whiten, solution, beside)

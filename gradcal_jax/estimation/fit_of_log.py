@@ -57,12 +57,10 @@ from gradcal_jax.model import (
     Hysteresis,
     Map,
     OwnTerm,
-    PathTerm,
-    RotationSensitivity,
-    SignalMap,
-    TemperatureDifference,
+    ProductTerm,
 )
-from gradcal_jax.model.imu_build import BuiltImu, course_before
+from gradcal_jax.model.build import BuiltImu, course_before
+from gradcal_jax.model.nodes import INPUTS
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.spec.absent import with_typical
 from gradcal_jax.spec.plan import StandardPlan
@@ -89,7 +87,7 @@ def _may_lag(built: BuiltImu) -> bool:
     """Whether the spec leaves a lag of the maps to the data: it does not state that there is none, and no term of the
     model has another temperature of its own."""
     sensor, terms = built.spec.sensor, built.model.terms
-    others = any(isinstance(t, TemperatureDifference) or getattr(t, "late", None) for t in terms)
+    others = any(getattr(t, "other", None) or getattr(t, "late", None) for t in terms)
     return not (others or sensor.second_thermometer is not None or sensor.temperature_lag == 0.0)
 
 
@@ -194,9 +192,9 @@ def _refuse_the_implausible(built: BuiltImu, name: str, solution: ImuEstimate) -
     doubt = _SURE * solution.known.deviations(model.to_reported)
     values = np.sign(values) * np.maximum(np.abs(values) - np.where(np.isfinite(doubt), doubt, np.inf), 0.0)
     for c in model.channels:
-        own = slice(begin, begin + c.model.size)
+        own = slice(begin, begin + c.size)
         begin = own.stop
-        refuse_implausible(f"{name}, {c.name.replace('_', ' ')}", c.model.names(), values[own], priors[own])
+        refuse_implausible(f"{name}, {c.name.replace('_', ' ')}", c.names(), values[own], priors[own])
 
 
 def _likely(built: BuiltImu, name: str, fit: Fit) -> Fit:
@@ -415,46 +413,45 @@ def calibrated_channels(
     }
     shared |= {"thermal_lag": Quantity.of(float(lag), "s")} if lag else {}
     for c in built.model.channels:
-        terms = _terms(built.spec, c, values[begin : begin + c.model.size])
+        terms = _terms(built.spec, c, values[begin : begin + c.size])
         yield CalibratedChannel(kind=c.kind, axis=AXIS_NAMES[c.axis], term=tuple(terms), **shared)
-        begin += c.model.size
+        begin += c.size
 
 
 def _terms(spec: Spec, channel: Channel, values: np.ndarray) -> Iterator[CalibratedTerm]:
     triad = getattr(spec.sensor, channel.kind)
-    for term in channel.model.terms:
+    for term in channel.terms:
         # A sensitivity to dT/dt and what else depends on the path of temperature are estimated beside the calibration.
-        if isinstance(term, Discrepancy | GradientOfBias | PathTerm | OwnTerm | RotationSensitivity):
+        if isinstance(term, Discrepancy | GradientOfBias | OwnTerm):
             continue
-        own = values[channel.model.where(term.name)]
+        own = values[channel.where(term.name)]
         coefficients = {name: float(v) for name, v in zip(term.names(), own, strict=True)}
         section = getattr(triad, section_of(triad, term.name))
-        assert isinstance(term, Map | SignalMap)
-        of_rate = (f"rate {AXIS_NAMES[channel.axis]}",)
-        signals = term.signals if isinstance(term, SignalMap) else () if term.rate is None else of_rate
+        assert isinstance(term, Map)
         bases = {"temperature": section.temperature, "rate": getattr(section, "rate", None)}
         bases |= {"lag": Quantity.of(term.late.lag, "s")} if term.late is not None else {}
-        yield build_term(term.name, term.unit, signals, coefficients, **bases)
+        yield build_term(term.name, term.unit, term.signals, coefficients, **bases)
 
 
 def _path_coefficients(built: BuiltImu, values: np.ndarray, deviations: np.ndarray) -> Iterator[PathCoefficient]:
     """Path-of-temperature terms, estimated in addition to the maps, from all reported parameters."""
     begin = 0
     for c in built.model.channels:
-        for term in c.model.terms:
+        own_input = (f"{INPUTS[c.kind]} {AXIS_NAMES[c.axis]}",)
+        for term in c.terms:
             own = slice(begin, begin + term.size)
             begin = own.stop
-            if not isinstance(term, PathTerm | GradientOfBias | OwnTerm):
+            if not isinstance(term, OwnTerm | GradientOfBias):
                 continue
             of_path: dict[str, Any] = {}
             if isinstance(term, Hysteresis):
                 of_path["width"] = Quantity.of(float(term.width), "K")
-            elif isinstance(term, TemperatureDifference):
-                of_path["second_thermometer"] = True
+            elif isinstance(term, ProductTerm) and term.signals in ((), own_input) and term.path_factors == 1:
+                of_path["second_thermometer"] = term.other is not None
             elif isinstance(term, OwnTerm):
                 of_path["own"] = True
             for name, value, std in zip(term.names(), values[own], deviations[own], strict=True):
-                if not isinstance(term, PathTerm) or name not in term.nuisances:
+                if not isinstance(term, OwnTerm) or name not in term.nuisances:
                     yield PathCoefficient(
                         channel=c.name, name=name, value=float(value), standard_deviation=float(std), unit=term.unit,
                         **of_path,

@@ -160,8 +160,8 @@ class ImuReadings(NamedTuple):
         ideal = nodes.integrals(lambda g: g.integral(np.concatenate([g.rate, g.force], axis=-1)), (6,))
         result, begin = np.zeros(len(at.row_segment)), 0
         for i, (c, columns) in enumerate(zip(model.channels, model.own_columns(nodes), strict=True)):
-            own = parameters[begin : begin + c.model.size]
-            begin += c.model.size
+            own = parameters[begin : begin + c.size]
+            begin += c.size
             output = ideal[nodes.kind, c.index] + columns @ own
             rows = at.row_channel == i
             result[rows] = at.sums(output)[at.row_segment[rows]] * (1.0 + table.clock[c.kind])
@@ -274,7 +274,7 @@ class ImuReadings(NamedTuple):
 
         def seen_by(kind: ChannelKind, names: str, each: float) -> bool:
             sizes = (v for name, v in zip(self.model.names(), values, strict=True) if re.match(names, name))
-            quiet = [float(c.model.angle_random_walk) for c in self.model.channels if c.kind == kind]
+            quiet = [float(c.angle_random_walk) for c in self.model.channels if c.kind == kind]
             return max(sizes, default=0.0) * angle * each > _ACROSS * min(quiet, default=np.inf)
 
         gravity = float(self.done.motion.geometry.gravity)

@@ -14,7 +14,7 @@ from gradcal_jax.calibration.correction import temperature_slope
 from gradcal_jax.estimation import HUBER, ImuRows
 from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.model import SECOND
-from gradcal_jax.model.imu_build import BuiltImu
+from gradcal_jax.model.build import BuiltImu
 from gradcal_jax.records.log import Log, LogError, ReadingKind
 from gradcal_jax.spec.absent import absent_lever_arm
 from gradcal_jax.spec.changes import changed
@@ -511,7 +511,7 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
         second = estimation.smoothed_temperature(time, second, **over)
     elif any(of.name == SECOND for of in built.model.others):
         raise LogError(
-            "the spec has a thermometer_difference, but the log has no second temperature (in a column map, the "
+            'the spec has a term by "T2 - T", but the log has no second temperature (in a column map, the '
             "key is second_temperature)"
         )
     return ImuRows(

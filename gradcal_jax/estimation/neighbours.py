@@ -124,7 +124,7 @@ def neighbours_of(readings: ImuReadings, solution: ImuEstimate, width_k: float) 
     ends, moving = readings.temperature_c[readings.done.rows], np.asarray(at.axis) >= 0
     warm, seconds = 0.5 * (ends[at.first] + ends[at.last + 1]), np.asarray(at.sums(motion.line.duration))
     for i, (c, columns) in enumerate(zip(model.channels, model.own_columns(nodes), strict=True)):
-        own = c.model.where(SCALE_FACTOR)
+        own = c.where(SCALE_FACTOR)
         if c.kind != "gyro" or own.start == own.stop:
             continue
         rows, of_channel = at.row_channel == i, np.zeros(len(at.first))

@@ -17,16 +17,13 @@ from gradcal_jax.information.montecarlo import (
     simulate_noise,
     simulated_errors,
 )
-from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
+from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.posterior import (
     Posterior,
     SquareRootInformation,
-    at_readings,
-    information,
     posterior,
-    since_origin,
     square_root,
     unobservable_combinations,
 )
-from gradcal_jax.information.residual import STATISTICS, contrasts, residual, statistic
+from gradcal_jax.information.residual import STATISTICS, contrasts, statistic
 from gradcal_jax.information.whitening import gram, whiten, whitened_factor

@@ -16,15 +16,13 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
 from gradcal_jax.information.error_budget import source_name
-from gradcal_jax.information.gears import rows_of_gears
-from gradcal_jax.information.imu_residual import quantity_of
-from gradcal_jax.information.imu_rows import segments_of, traced_information
-from gradcal_jax.information.residual import Residual
-from gradcal_jax.information.unseen import unseen_columns
+from gradcal_jax.information.imu_residual import RequiredQuantity, quantity_of
+from gradcal_jax.information.imu_rows import segments_of
+from gradcal_jax.information.unseen import answers_of, drifting_terms, unseen_columns
 from gradcal_jax.information.verdicts import UNIT_OF
-from gradcal_jax.model import ImuModel
-from gradcal_jax.model.imu_build import BuiltImu, build_imu, plan_schedule, unweighted_estimator
-from gradcal_jax.motion import Schedule, TableMotion, body_nodes
+from gradcal_jax.model import ImuModel, Term
+from gradcal_jax.model.build import BuiltImu, build_imu, plan_information, plan_schedule, unweighted_estimator
+from gradcal_jax.motion import Schedule, TableMotion
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
@@ -74,7 +72,8 @@ class Differentiable:
     _built: BuiltImu
     _schedule: Schedule
     _moves: np.ndarray
-    _residuals: dict[str, tuple[Residual, float]]
+    _terms: list[tuple[int, Term]]
+    _required: dict[str, RequiredQuantity]
 
     __repr__ = summary
 
@@ -94,10 +93,14 @@ class Differentiable:
             traced = lambda x: jnp.asarray(x) if eqx.is_inexact_array(x) else x  # noqa: E731
             schedule = jax.tree.map(traced, schedule)
         motion = self._moved(schedule, figures.get(_LAG))
-        nodes, at = body_nodes(motion, self._built.points), segments_of(self._built.motion, self._built.model)
-        common = rows_of_gears(motion, model, nodes, self._built.gears, at)[1] if self._built.gears else None
-        root = traced_information(motion, model, nodes, at, common).root()
-        return {name: xp.asarray(of(root) * factor) for name, (of, factor) in self._residuals.items()}
+        at = segments_of(self._built.motion, self._built.model)
+        info, columns = plan_information(self._built._replace(motion=motion, model=model), self._terms, at)
+        root, results = info.root(), dict[str, Any]()
+        unseen = unseen_columns(self._built, answers_of(self._built, self._terms, columns))
+        for name, of in self._required.items():
+            value = of.statistic(of.requirement.statistic, unseen)(root)
+            results[name] = xp.asarray(value * UNIT_OF[of.requirement.quantity][1])
+        return results
 
     def _moved(self, schedule: Schedule, lag: Any) -> TableMotion:
         """The motion of a plan, with the divisions of the spec's own one."""
@@ -122,7 +125,7 @@ class Differentiable:
             model = eqx.tree_at(lambda m, number=number: m.installation[number].stds, model, figures[name])
         drifts = _drifts(self._built)
         for k, channel in enumerate(model.channels):
-            own = channel.model
+            own = channel
             if (white := _WHITE[channel.kind]) in figures:
                 own = eqx.tree_at(lambda m: m.angle_random_walk, own, figures[white])
             for name, (kind, members) in drifts.items():
@@ -131,7 +134,7 @@ class Differentiable:
                     share = figures[name] / self.quantities[name]
                     changed = put(initial, at, initial[at] * share), put(driving, at, driving[at] * share)
                     own = eqx.tree_at(lambda m: (m.processes.initial_std, m.processes.diffusion), own, changed)
-            model = eqx.tree_at(lambda m, k=k: m.channels[k].model, model, own)
+            model = eqx.tree_at(lambda m, k=k: m.channels[k], model, own)
         return model
 
 
@@ -152,11 +155,8 @@ def differentiable(spec: Spec) -> Differentiable:
     built, schedule = build_imu(spec), plan_schedule(spec)
     moves = np.setdiff1d(np.arange(len(schedule.duration)), schedule.fill_move)
     built = built._replace(motion=_on_own_nodes(built.motion, schedule))
-    unseen, residuals = unseen_columns(built), dict[str, tuple[Residual, float]]()
-    for requirement in spec.requirement:
-        of = quantity_of(built, requirement).statistic(requirement.statistic, unseen)
-        residuals[requirement.name] = of, UNIT_OF[requirement.quantity][1]
-    return Differentiable(_figures(built, schedule, moves), built, schedule, moves, residuals)
+    required = {requirement.name: quantity_of(built, requirement) for requirement in spec.requirement}
+    return Differentiable(_figures(built, schedule, moves), built, schedule, moves, drifting_terms(built), required)
 
 
 def _on_own_nodes(motion: TableMotion, schedule: Schedule) -> TableMotion:
@@ -193,12 +193,12 @@ def _figures(built: BuiltImu, schedule: Schedule, moves: np.ndarray) -> dict[str
     """The spec's own quantities."""
     model, figures = built.model, dict[str, Any]()
     for channel in model.channels:
-        figures.setdefault(_WHITE[channel.kind], channel.model.angle_random_walk)
+        figures.setdefault(_WHITE[channel.kind], channel.angle_random_walk)
     figures |= {name: field(model) for name, field in _ENCODER.items()}
     figures = {name: value for name, value in figures.items() if np.any(value)}
     figures |= {name: model.installation[number].stds for name, number in _installed(model).items()}
     for name, (kind, members) in _drifts(built).items():
-        own = next(c.model.processes for c in model.channels if c.kind == kind)
+        own = next(c.processes for c in model.channels if c.kind == kind)
         initial, driving = (np.asarray(of)[list(members)] for of in (own.initial_std, own.diffusion))
         figures[name] = np.where(initial == 0.0, driving, initial)
     if built.spec.sensor.lag is not None:

@@ -21,7 +21,7 @@ from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.posterior import noise_of_sums
 from gradcal_jax.information.unseen import TURN_ON, CountedPosteriors, widened
 from gradcal_jax.model import ChannelKind, Discrepancy, ImuModel
-from gradcal_jax.model.imu_build import BuiltImu, unweighted_estimator
+from gradcal_jax.model.build import BuiltImu, unweighted_estimator
 from gradcal_jax.spec.requirement import MisalignmentRequirement, Requirement
 
 PRIOR: Final = "prior knowledge"
@@ -79,7 +79,7 @@ class ErrorBudget:
             of_prior[k, k] = stds[k - own] ** -2.0
             self._add(_source_of(name), of_prior)
         for c in model.channels:
-            for term in c.model.terms:
+            for term in c.terms:
                 if isinstance(term, Discrepancy):
                     of_prior, rows = np.zeros((model.size, model.size)), np.asarray(term.prior_rows())
                     where = model.where(c.kind, c.axis, term.name)
@@ -127,7 +127,7 @@ def source_name(kind: ChannelKind, process: str) -> str:
 def _active_sources(built: BuiltImu) -> list[str]:
     """Names of the noise sources that are not zero and act on this plan."""
     model, line = built.model, built.motion.line
-    white = {c.kind for c in model.channels if _is_there(c.model.angle_random_walk)}
+    white = {c.kind for c in model.channels if _is_there(c.angle_random_walk)}
     names = [name for kind, name in _WHITE.items() if kind in white]
     unread = {"reading noise", "standstill offset", "timing error"} if line.rates else {"rate accuracy"}
     if model.encoder.held or not len(line.moving_pieces):
@@ -144,19 +144,19 @@ def _only(built: BuiltImu, source: str) -> ImuModel:
     """The model with one noise source alone."""
     model = built.model
     for k, c in enumerate(model.channels):
-        processes = c.model.processes
+        processes = c.processes
         sizes = np.zeros(processes.count)
         for name, members in built.sources[c.kind].items():
             sizes[list(members)] = float(source_name(c.kind, name) == source)
         parts = (
-            c.model.angle_random_walk * float(_WHITE[c.kind] == source),
+            c.angle_random_walk * float(_WHITE[c.kind] == source),
             processes.initial_std * sizes,
             processes.diffusion * sizes,
         )
         of = lambda m, k=k: (  # noqa: E731
-            m.channels[k].model.angle_random_walk,
-            m.channels[k].model.processes.initial_std,
-            m.channels[k].model.processes.diffusion,
+            m.channels[k].angle_random_walk,
+            m.channels[k].processes.initial_std,
+            m.channels[k].processes.diffusion,
         )
         model = eqx.tree_at(of, model, parts)
     for name, field in _ENCODER.items():

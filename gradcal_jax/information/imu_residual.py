@@ -8,31 +8,25 @@ import numpy as np
 
 from gradcal_jax.information import Posterior, contrasts, statistic
 from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows, own_variance
-from gradcal_jax.information.residual import Contrasts, GridElement, Quantity, Residual, Statistic
+from gradcal_jax.information.residual import Contrasts, GridElement, Residual, Statistic
 from gradcal_jax.information.verdicts import UNIT_OF, finite, mission_weights
 from gradcal_jax.model import (
     AXIS_NAMES,
+    BIAS,
     SCALE_FACTOR,
-    TEMPERATURE_GRADIENT,
     Channel,
     ChannelKind,
-    Hysteresis,
+    GradientOfBias,
     ImuModel,
-    Map,
-    SensorModel,
-    SignalMap,
-    TemperatureDifference,
+    OwnTerm,
 )
-from gradcal_jax.model.imu_build import (
+from gradcal_jax.model.build import (
     G_SENSITIVITY,
-    GRADIENT_OF_SCALE,
-    HYSTERESIS,
     MISALIGNMENT,
-    SCALE_FACTOR_HYSTERESIS,
     SECOND_ORDER,
-    SPECIFIC_FORCE_BIAS,
     BuiltImu,
 )
+from gradcal_jax.model.nodes import INPUTS
 from gradcal_jax.spec.requirement import (
     AccelerometerBiasRequirement,
     GyroBiasRequirement,
@@ -65,7 +59,7 @@ def own_noise(built: BuiltImu, channel: Channel, flight: Flight, time: float) ->
     Where a calibration estimates the bias, two turn-on biases count: that of its run, which is in the map, and that
     of the mission. A rate random walk counts from the mission's beginning.
     """
-    model, gyro = channel.model, built.spec.sensor.gyro
+    model, gyro = channel, built.spec.sensor.gyro
     assert gyro is not None
     deviations = {"angle random walk": float(model.angle_random_walk) * time**0.5}
     for name, members in built.sources["gyro"].items():
@@ -134,7 +128,7 @@ def error_curves(
         part = Posterior(known.spread[where], known.hidden[where])
         for mission, (flight, end) in zip(requirement.mission, flights_of(requirement), strict=True):
             at = np.linspace(0.0, end, _CURVE)[1:]
-            left = mission_contrasts(channel.model, mission_rows(channel.model, flight, at)).left(part)
+            left = mission_contrasts(channel, mission_rows(channel, flight, at)).left(part)
             own = [np.linalg.norm(list(own_noise(built, channel, flight, float(time)).values())) for time in at]
             pair = (np.degrees(np.concatenate([[0.0], values])) for values in (left, own))
             curves.append((axis, ErrorCurve(mission.file, np.concatenate([[0.0], at]), *pair)))
@@ -281,7 +275,7 @@ def _elements(
         for c in model.channels:
             axis = AXIS_NAMES[c.axis]
             if c.kind == "gyro" and requirement.axis in ("all", "worst", axis):
-                yield GridElement(axis, model.where(c.kind, c.axis), heading_contrasts(c.model, requirement))
+                yield GridElement(axis, model.where(c.kind, c.axis), heading_contrasts(c, requirement))
     else:
         kind, terms = _TERMS[requirement.quantity]
         for c in model.channels:
@@ -295,15 +289,6 @@ def _elements(
                     yield element._replace(path=path)
 
 
-# The terms of the path by the quantity that they belong to: of dT/dt, and a play's name.
-_PATHS = {
-    "gyro_bias": (TEMPERATURE_GRADIENT, HYSTERESIS),
-    "gyro_scale_factor": (GRADIENT_OF_SCALE, SCALE_FACTOR_HYSTERESIS),
-    "accelerometer_bias": (TEMPERATURE_GRADIENT, HYSTERESIS),
-    "accelerometer_scale_factor": (GRADIENT_OF_SCALE, SCALE_FACTOR_HYSTERESIS),
-}
-
-
 def _states(channel: Channel, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
     """The states of the service at every point of the grid `(s, g, channel's p)`: after a leg of more than twice its
     width a play is behind the temperature by its width, between that and its opposite elsewhere, where the error is
@@ -312,16 +297,15 @@ def _states(channel: Channel, requirement: Requirement, temperatures: np.ndarray
     states = ((0.0, 0.0),) if service is None else service()
     if states == ((0.0, 0.0),):
         return None
-    model, (gradient, play) = channel.model, _PATHS[requirement.quantity]
-    head = play.partition("{")[0]
-    of_dt, of_play = np.zeros(model.size), np.zeros((len(temperatures), model.size))
-    of_dt[model.where(gradient)] = 1.0
-    for term in model.terms:
-        if isinstance(term, Hysteresis) and term.name.startswith(head):
-            of_play[:, model.where(term.name).start] = float(term.width)
-        elif isinstance(term, TemperatureDifference) and bool(term.signals) == (gradient == GRADIENT_OF_SCALE):
-            of_dt[model.where(term.name)] = -term.other.lag
-    return np.stack([slope * of_dt - sign * of_play for sign, slope in states])
+    own = (f"{INPUTS[channel.kind]} {AXIS_NAMES[channel.axis]}",) if "scale_factor" in requirement.quantity else ()
+    rows = np.zeros((len(states), len(temperatures), channel.size))
+    for term in channel.terms:
+        place = channel.where(term.name).start
+        if isinstance(term, OwnTerm) and term.signals == own:
+            rows[:, :, place] = np.array([term.in_service(*state) for state in states])[:, None]
+        elif isinstance(term, GradientOfBias) and not own:
+            rows[:, :, place] = np.array([slope for _, slope in states])[:, None]
+    return rows
 
 
 _TERMS = {
@@ -329,7 +313,7 @@ _TERMS = {
     "gyro_scale_factor": ("gyro", lambda a: [(SCALE_FACTOR, a)]),
     "gyro_misalignment": ("gyro", lambda a: [(MISALIGNMENT.format(b), a + b) for b in AXIS_NAMES if b != a]),
     "g_sensitivity": ("gyro", lambda a: [(G_SENSITIVITY.format(b), a + b) for b in AXIS_NAMES]),
-    "accelerometer_bias": ("accelerometer", lambda a: [(SPECIFIC_FORCE_BIAS, a)]),
+    "accelerometer_bias": ("accelerometer", lambda a: [(BIAS, a)]),
     "accelerometer_scale_factor": ("accelerometer", lambda a: [(SCALE_FACTOR, a)]),
     "accelerometer_misalignment": (
         "accelerometer",
@@ -349,23 +333,19 @@ def _of_term(
     about: np.ndarray | None,
 ) -> GridElement:
     """The linear function of one term of a channel on the grid."""
-    of, own = channel.model.term(term), model.where(channel.kind, channel.axis)
-    if isinstance(of, Map):
-        grid = np.meshgrid(temperatures, rates, indexing="ij")
-        quantity: Quantity = "scale_factor" if term == SCALE_FACTOR else "bias"
-        own_part = contrasts(channel.model, quantity, *(of.ravel() for of in grid))
-        if about is None or term != SCALE_FACTOR or not any(map(channel.model.term, _MISALIGNMENTS)):
-            return GridElement(label, own, own_part)
-        around = (0, 0), _around(model, channel)
-        left = _row(model, channel.kind, channel.axis, term, temperatures, about)
-        left[:, own] -= _signal_rows(channel, term, temperatures)
-        rows = np.pad(np.asarray(own_part.rows), around) + np.repeat(left, len(rates), axis=0)
-        alone = np.pad(np.asarray(own_part.alone), around)
-        return GridElement(label, slice(None), Contrasts(rows, alone, own_part.beyond))
+    of, own = channel.map(term), model.where(channel.kind, channel.axis)
+    if of is not None and of.of_own_input and not any(map(channel.term, _MISALIGNMENTS)):
+        about = None
+    grid = np.meshgrid(temperatures, rates, indexing="ij")
+    own_part = contrasts(channel, term, *(of.ravel() for of in grid))
     if about is None:
-        return GridElement(label, own, _plain(_signal_rows(channel, term, temperatures)))
-    rows = _row(model, channel.kind, channel.axis, term, temperatures, about)
-    return GridElement(label, slice(None), _plain(rows))
+        return GridElement(label, own, own_part)
+    around = (0, 0), _around(model, channel)
+    left = _row(model, channel.kind, channel.axis, term, temperatures, about)
+    left[:, own] -= _signal_rows(channel, term, temperatures)
+    rows = np.pad(np.asarray(own_part.rows), around) + np.repeat(left, len(rates), axis=0)
+    alone = np.pad(np.asarray(own_part.alone), around)
+    return GridElement(label, slice(None), Contrasts(rows, alone, own_part.beyond))
 
 
 def _around(model: ImuModel, channel: Channel) -> tuple[int, int]:
@@ -407,19 +387,17 @@ def _plain(rows: np.ndarray) -> Contrasts:
     return Contrasts(rows, np.zeros_like(rows), np.zeros(len(rows)))
 
 
-def heading_contrasts(model: SensorModel, requirement: MissionHeadingRequirement) -> Contrasts:
+def heading_contrasts(channel: Channel, requirement: MissionHeadingRequirement) -> Contrasts:
     """The error of a gyro's heading at the end of every mission, rad."""
-    rows = [mission_rows(model, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
-    return mission_contrasts(model, np.stack(rows))
+    rows = [mission_rows(channel, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
+    return mission_contrasts(channel, np.stack(rows))
 
 
 def _signal_rows(channel: Channel, term: str, temperatures: np.ndarray) -> np.ndarray:
-    """Contrasts `(n_T, channel's p)` of a term at rate zero."""
-    of, rows = channel.model.term(term), np.zeros((len(temperatures), channel.model.size))
-    if isinstance(of, Map):
-        rows[:, channel.model.where(term)] = of.values(temperatures, np.zeros(len(temperatures)))
-    elif isinstance(of, SignalMap):
-        rows[:, channel.model.where(term)] = of.temperature(temperatures)
+    """Contrasts `(n_T, channel's p)` of a term at rate zero, without its discrepancy."""
+    of, rows = channel.map(term), np.zeros((len(temperatures), channel.size))
+    if of is not None:
+        rows[:, channel.where(term)] = of.values(temperatures, np.zeros(len(temperatures)))
     return rows
 
 

@@ -36,12 +36,13 @@ from gradcal_jax.information.posterior import (
     SquareRootInformation,
     least_squares_of_means,
     noise_of_sums,
+    posterior,
     spread_of,
     square_root,
 )
-from gradcal_jax.information.whitening import whiten, whitened_factor
-from gradcal_jax.model import AXIS_NAMES, BodyGroup, BodyNodes, EncoderNoise, ImuModel
-from gradcal_jax.model.terms import block_diagonal
+from gradcal_jax.information.whitening import SINGLE_PRECISION, whiten, whitened_factor
+from gradcal_jax.model import BodyGroup, BodyNodes, EncoderNoise, ImuModel
+from gradcal_jax.model.terms import Term, block_diagonal
 from gradcal_jax.motion import TableMotion
 
 # Columns below this share of the largest one of the same unit are rounding.
@@ -99,32 +100,45 @@ def _fastest(motion: TableMotion, first: np.ndarray, model: ImuModel) -> np.ndar
 
 
 def imu_information(
-    motions: Sequence[tuple[TableMotion, BodyNodes]], model: ImuModel, common: Sequence[AnyArray] = ()
-) -> SquareRootInformation:
-    """The information of the rows of one or several motions, with independent drifts, and of the priors about the
-    parameters of the unit and its installation. `common` `(R, k)`: of each motion, by how much unknown errors of one
-    standard deviation change its rows."""
-    errors = common or [None] * len(motions)
-    rows = [
-        whiten(*imu_system(motion, model, nodes, common=of))
-        for (motion, nodes), of in zip(motions, errors, strict=True)
-    ]
-    # The errors stand first, so that what is left of the factor is the information without them.
-    count = common[0].shape[1] if common else 0
-    whole = square_root(np.concatenate([*rows, block_diagonal([np.eye(count), model.prior_rows()])]))
-    return whole.without(count)
-
-
-def traced_information(
-    motion: TableMotion, model: ImuModel, nodes: BodyNodes, at: Segments, common: AnyArray | None
-) -> SquareRootInformation:
-    """The same of one motion, differentiable. `at`: its segments."""
-    steps, columns = imu_system(motion, model, nodes, at, common)
+    motion: TableMotion,
+    model: ImuModel,
+    nodes: BodyNodes,
+    beside: Sequence[tuple[int, Term]] = (),
+    common: AnyArray | None = None,
+    at: Segments | None = None,
+) -> tuple[SquareRootInformation, Float[AnyArray, "p k"]]:
+    """The information of a motion's rows and of the priors about the parameters of the unit and its installation; and
+    the estimate's answers to further errors: by how much it is off for one unit of each of the terms `beside` (number
+    of a channel, and a term of one parameter), which it does not know. With a the whitened column of one, `v = C Φᵀa`.
+    `common` `(R, k)`: by how much unknown errors of one standard deviation change the rows. `at`: the segments, where
+    they are traced. Errors: `ValueError` in single precision."""
+    at = segments_of(motion, model) if at is None else at
+    further = rows_of_terms(model, nodes, at, beside)
+    steps, columns = imu_system(motion, model, nodes, at, common, further)
+    if columns.dtype != np.float64:
+        raise ValueError(SINGLE_PRECISION)
     count = 0 if common is None else common.shape[1]
     below = block_diagonal([np.eye(count), model.prior_rows()])
     if namespace(steps, columns, below) is np:
-        return square_root(np.concatenate([whiten(steps, columns), below])).without(count)
-    return SquareRootInformation(*whitened_factor(steps, columns, jnp.asarray(below))).without(count)
+        white, p = whiten(steps, columns), below.shape[1]
+        whole, product = square_root(np.concatenate([white[:, :p], below])), white[:, :p].T @ white[:, p:]
+        spread = posterior(whole).spread
+        return whole.without(count), (spread @ (spread.T @ product))[count:]
+    *of, product = whitened_factor(steps, columns, jnp.asarray(below))
+    whole = SquareRootInformation(*of)
+    return whole.without(count), (whole.covariance() @ product)[count:] if beside else product[count:]
+
+
+def rows_of_terms(
+    model: ImuModel, nodes: BodyNodes, at: Segments, terms: Sequence[tuple[int, Term]]
+) -> Float[AnyArray, "R k"]:
+    """Columns of terms of one parameter, as if the channels of these numbers had them."""
+    columns = [((slice(None), slice(0, 0)), np.zeros((len(at.row_segment), 0)))]
+    for k, (number, term) in enumerate(terms):
+        channel, rows = model.channels[number], np.flatnonzero(at.row_channel == number)
+        of_pieces = term.columns(nodes.channel(channel.kind, channel.axis))
+        columns.append(((rows, slice(k, k + 1)), at.sums(of_pieces)[at.row_segment[rows]]))
+    return placed((len(at.row_segment), len(terms)), *columns)
 
 
 def imu_unweighted(motion: TableMotion, model: ImuModel, nodes: BodyNodes) -> Posterior:
@@ -154,15 +168,16 @@ def imu_system(
     nodes: BodyNodes,
     at: Segments | None = None,
     common: Float[AnyArray, "rows k"] | None = None,
+    beside: Float[AnyArray, "rows j"] | None = None,
 ) -> tuple[NoiseSteps, Float[AnyArray, "R p"]]:
-    """Noise steps and regressors of all rows, those of `common` errors first. `at`: the segments, where the axes or the
-    used rows are traced."""
+    """Noise steps and regressors of all rows, those of `common` errors first, those `beside` last. `at`: the segments,
+    where the axes or the used rows are traced."""
     at = segments_of(motion, model) if at is None else at
     steps, row = _joint_steps(motion, model, nodes, at)
     columns = _columns(model, nodes, at)
     xp = namespace(columns)
-    if common is not None:
-        columns = xp.concatenate([common, columns], axis=1)
+    if common is not None or beside is not None:
+        columns = xp.concatenate([of for of in (common, columns, beside) if of is not None], axis=1)
     return steps, columns if len(row) == len(columns) else xp.where((row >= 0)[:, None], columns[row], 0.0)
 
 
@@ -181,7 +196,7 @@ def row_of_steps(motion: TableMotion, model: ImuModel) -> np.ndarray:
 
 def _by_pieces(model: ImuModel) -> bool:
     """Whether every piece is a step: where a rate drives a process, so that it is constant or smooth."""
-    return any(bool(np.any(np.asarray(c.model.processes.rate_gain))) for c in model.channels)
+    return any(bool(np.any(np.asarray(c.processes.rate_gain))) for c in model.channels)
 
 
 def _columns(model: ImuModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray, "R p"]:
@@ -190,7 +205,7 @@ def _columns(model: ImuModel, nodes: BodyNodes, at: Segments) -> Float[AnyArray,
     shared = at.sums(shared[nodes.kind])
     parts, begin, calibrated = [], 0, model.calibrated
     for i, (c, block) in enumerate(zip(model.channels, own, strict=True)):
-        rows, end = np.flatnonzero(at.row_channel == i), begin + c.model.size
+        rows, end = np.flatnonzero(at.row_channel == i), begin + c.size
         # (All segments are most often rows of an only channel.)
         segment = slice(None) if len(rows) == len(at.row_channel) == len(at.first) else at.row_segment[rows]
         parts.append(((rows, slice(begin, end)), at.sums(block)[segment]))
@@ -218,7 +233,7 @@ def _joint_steps(
     """The steps, and the row that each reads (−1: none). `observed`: the observations, if they are known."""
     xp = namespace(motion, model, nodes)
     line, channels = motion.line, len(model.channels)
-    m = sum(c.model.processes.count for c in model.channels)
+    m = sum(c.processes.count for c in model.channels)
     errors = _encoder_errors(motion, model, at)
     n = channels + m + len(errors.initial)
     # One step for each segment, or for each piece.
@@ -236,16 +251,14 @@ def _joint_steps(
     # The direction about which each piece turns.
     axes = nodes.axes_before if nodes.across_axes is None else nodes.axes_before + nodes.across_axes
     along = xp.sum(xp.where(motion.turns[..., None], axes[nodes.kind], 0.0), axis=1)
-    # What a gain multiplies: the rate that a gyro senses, the mean force that an accelerometer does.
-    drives = {"gyro": along * line.end_rate()[:, None]}
-    if by_pieces and any(c.kind == "accelerometer" for c in model.channels):
-        drives["accelerometer"] = nodes.integrals(_mean_force, (3,))[nodes.kind]
+    # What a gain multiplies: the rate that a gyro senses.
+    driving = along * line.end_rate()[:, None]
     state = channels
     for i, c in enumerate(model.channels):
-        p = c.model.processes
+        p = c.processes
         states = np.arange(state, state + p.count)
         state += p.count
-        rates = drives[c.kind][:, c.axis] if by_pieces else xp.zeros(count)
+        rates = driving[:, c.axis] if by_pieces and c.kind == "gyro" else xp.zeros(count)
         along_rates = None
         if by_pieces and c.kind == "gyro" and (varying := line.varying_pieces).shape[0]:
             along_rates = varying, drive_rates(line, varying) * along[varying, c.axis][:, None]
@@ -253,7 +266,7 @@ def _joint_steps(
         to_integral, decayed, variance, q_cross, q_self = process_steps(
             p, duration, rates, along_rates, before, afresh=afresh
         )
-        walk = c.model.angle_random_walk**2 * duration + variance
+        walk = c.angle_random_walk**2 * duration + variance
         transition += [
             ((everything, i, i), np.where(begins, 0.0, 1.0)),
             ((everything, i, states), to_integral),
@@ -289,11 +302,6 @@ def _joint_steps(
     used = at.used[row] & (row >= 0)
     whole = placed((n, n), *initial)
     return NoiseSteps(through, noise, observed, xp.zeros(len(row)), used, whole, stays), row
-
-
-def _mean_force(group: BodyGroup) -> Float[AnyArray, "U 3"]:
-    force = group.force if group.across is None else group.force + group.across[..., len(AXIS_NAMES) :]
-    return namespace(force).mean(force, axis=1)
 
 
 def _order(at: Segments, by_pieces: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -4,9 +4,9 @@ A calibration reduces the rate error `B(T) + M(T, ω)·ω` to `ψᵀ(β − β̂
 
     ∫ δω dt = cᵀ(β − β̂),    c = ∫ ψ(T, ω)·(1 or ω) dt,    σ² = cᵀ C c:
 
-one linear functional of the maps, computed by the same columns as the plan's readings (`SensorModel.columns`), with
+one linear functional of the maps, computed by the same columns as the plan's readings (`model.terms`), with
 those of a discrepancy (`residual.Contrasts`). A calibration does not remove noise: the angle random walk N√t and, for
-every process x that drives the angle at the rate g(t)·x (`model.sensor`), the variance of `∫ g x dt` over a mission
+every process x that drives the angle at the rate g(t)·x (`model.noise`), the variance of `∫ g x dt` over a mission
 that begins with the process in its stationary state.
 """
 
@@ -14,12 +14,11 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
 from gradcal_jax.information.residual import Contrasts
-from gradcal_jax.model import Discrepancy, GaussNodes, GradientOfBias, Map, Nodes, Processes, SensorModel
+from gradcal_jax.model import AXIS_NAMES, Channel, Discrepancy, GradientOfBias, Map, Nodes, Processes, SharedNodes
 from gradcal_jax.motion import quadrature
 
 # Gauss nodes on each straight line: exact for quintic by quintic maps times the rate.
@@ -45,35 +44,35 @@ class Flight(NamedTuple):
         return whole[k] + (at - self.time[k]) * (rate + self.rate[k]) / 2.0
 
 
-def mission_rows(model: SensorModel, flight: Flight, at: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p"]:
+def mission_rows(channel: Channel, flight: Flight, at: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p"]:
     """Contribution of each parameter's unit to the integrated rate since the begin at times `at` (s, increasing). Terms
     of forces, of other axes' rates and of the temperature's path have none."""
-    own = [term for term in model.terms if isinstance(term, Map | GradientOfBias | Discrepancy)]
-    places = np.concatenate([np.arange(model.size)[model.where(term.name)] for term in own])
-    part = eqx.tree_at(lambda m: m.terms, model, tuple(own))
+    own = [t for t in channel.terms if isinstance(t, Map | GradientOfBias | Discrepancy) and t.of_own_input]
     kept = flight.time[flight.time < at[-1]]
     breaks = np.unique(np.concatenate([kept, at, np.linspace(0.0, at[-1], _LINES + 1)]))
     rate, temperature = (np.interp(breaks, flight.time, of) for of in (flight.rate, flight.temperature))
     ends = np.searchsorted(breaks, at)
     cuts = np.unique(np.concatenate([[0], ends, np.arange(0, ends[-1], _AT_ONCE)]))
     nodes, weights = quadrature(_NODES)
-    rows = np.zeros((len(cuts), model.size))
+    rows, signal = np.zeros((len(cuts), channel.size)), f"rate {AXIS_NAMES[channel.axis]}"
     for number, (first, last) in enumerate(pairwise(cuts), 1):
         here = slice(first, last)
         along = lambda of, here=here: of[here, None] + np.diff(of)[here, None] * nodes  # noqa: E731
-        lasting, none = np.diff(breaks)[here, None] * weights, np.zeros(last - first)
-        group = GaussNodes(np.arange(last - first), lasting, along(rate), along(temperature), moving=True)
-        of_lines = part.columns(Nodes((group,), np.diff(temperature)[here], none, none))
-        rows[number, places] = np.sum(np.asarray(of_lines), axis=0)
+        lasting, each = np.diff(breaks)[here, None] * weights, np.arange(last - first)
+        rates, signals = along(rate), {signal: along(rate)}
+        group = SharedNodes(each, each, along(temperature), lasting, rates, signals, np.eye(_NODES))
+        of_lines = Nodes((group,), np.diff(temperature)[here])
+        for term in own:
+            rows[number, channel.where(term.name)] = np.sum(np.asarray(term.columns(of_lines)), axis=0)
     return np.cumsum(rows, axis=0)[np.searchsorted(cuts, ends)]
 
 
-def mission_contrasts(model: SensorModel, rows: Float[np.ndarray, "k p"]) -> Contrasts:
+def mission_contrasts(channel: Channel, rows: Float[np.ndarray, "k p"]) -> Contrasts:
     """Contrasts of errors that are these combinations of the parameters, with the discrepancy's part set apart."""
     alone, beyond = np.zeros_like(rows), np.zeros(len(rows))
-    for term in model.terms:
+    for term in channel.terms:
         if isinstance(term, Discrepancy):
-            where = model.where(term.name)
+            where = channel.where(term.name)
             alone[:, where] = rows[:, where]
             beyond += float(term.std) ** 2 * np.sum(rows[:, where] ** 2, axis=1)
     return Contrasts(rows, alone, beyond)

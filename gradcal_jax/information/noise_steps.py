@@ -1,6 +1,6 @@
-"""The noise states of a channel, one linear-Gaussian step for each piece of its timeline.
+"""Steps of a linear-Gaussian noise system, and what the processes of a channel contribute to them.
 
-State `x = [integrated angle error, one entry per process, offset of the current standstill]`. Over a piece
+State `x = [integral of the error, one entry per process, …]`. Over a piece
 
     x⁺ = F x + w,  Cov w = Q,        reading: y = H x + v,  Var v = R
 
@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
-from gradcal_jax.model import Processes, SensorModel
-from gradcal_jax.motion import Rule, Trajectory, quadrature
+from gradcal_jax.model import Processes
+from gradcal_jax.motion import Trajectory, quadrature
 
 _NODES = 16
 
@@ -40,69 +40,6 @@ class NoiseSteps(NamedTuple):
     used: Bool[AnyArray, " N"]
     initial: Float[AnyArray, "n n"]
     stays: Bool[AnyArray, " N"] | None = None
-
-
-def noise_steps(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> NoiseSteps:
-    """Steps of the noise alone, the parameters kept out of the state. `rule`: as of `posterior.at_readings`.
-
-    The first reading is the angle's origin: its white noise and the offset of its standstill are the initial error of
-    the angle state, an exact treatment of an unknown initial angle. A new origin is read at the end of a gap. With a
-    held rate as the reference every point's angle begins at zero, and its error is one draw of the reference.
-    """
-    p, reference = model.processes, model.reference
-    xp = namespace(line, model)
-    # States: the angle, the processes, and the offset of a standstill where the model has one.
-    m, count = p.count, line.piece_count
-    offset = int(reference.has_offset and not line.rates)
-    n = 1 + m + offset
-
-    varying = line.varying_pieces
-    driven = varying.shape[0] and ((xp is not np or np.any(p.rate_gain)) if rule is None else rule.driven)
-    before = (xp.cumsum(xp.where(line.gap, 0, 1)) == 0)[:, None] if line.has_gaps else None
-    along = (varying, drive_rates(line, varying)) if m and driven else None
-    afresh = line.rates and line.points == "independent"
-    drives = process_steps(p, line.duration, line.end_rate(), along, before, afresh=afresh)
-    to_angle, decayed, driven_walk, q_cross, q_self = drives
-    walk = model.angle_random_walk**2 * line.duration + driven_walk
-    kept = xp.zeros((count, 1)) if line.rates else xp.ones((count, 1))
-    none = xp.zeros((count, offset))
-    first_row = xp.concatenate([kept, to_angle, none], axis=1)
-    first_noise = xp.concatenate([walk[:, None], q_cross, none], axis=1)
-    white = xp.asarray(0.0 if line.rates else reference.reading_noise**2)
-    spread = reference.standstill_offset**2
-    if line.has_gaps:
-        # A new origin: the angle state is minus the error of the reference, its white noise and standstill offset.
-        origin, gap = np.eye(n)[0] * 0.0, line.gap[:, None]
-        if offset:
-            origin[-1] = -1.0
-        first_row = xp.where(gap, xp.asarray(origin)[None], first_row)
-        first_noise = xp.where(gap, xp.asarray(np.eye(n)[:1]) * white, first_noise)
-    # A move draws the offset of the next standstill; readings during the move have none.
-    stands = xp.where(line.moving, 0.0, 1.0)[:, None]
-    extra = [stands] * offset
-    diagonal = xp.concatenate([xp.zeros((count, 1)), decayed, *extra], axis=1)
-    noise = xp.concatenate([xp.zeros((count, 1)), q_self, *((1.0 - x) * spread for x in extra)], axis=1)
-    states, below = np.arange(n), np.eye(n)[None, 1:]
-    transition = xp.concatenate([first_row[:, None], below * diagonal[:, 1:, None]], axis=1)
-    covariance = xp.concatenate([first_noise[:, 1:, None], (below * noise[:, 1:, None])[:, :, 1:]], axis=2)
-    covariance = xp.concatenate([first_noise[:, None], covariance], axis=1)
-    at_rest = xp.where(line.at_rest, 1.0, 0.0)[:, None]
-    observation = xp.concatenate([xp.ones((count, 1)), xp.zeros((count, m)), *([at_rest] * offset)], axis=1)
-    if line.rates:
-        variance = xp.square(reference.rate_accuracy * line.turned())
-        first = xp.zeros(1)
-    else:
-        on_the_move = xp.where(line.at_rest, 0.0, line.end_rate() * reference.timing_error)
-        variance = white / line.share + on_the_move**2
-        first = xp.reshape(white + offset * spread, (1,))
-    initial = put(
-        xp.zeros((n, n)),
-        (states, states),
-        xp.concatenate([first, p.initial_std**2, *([xp.reshape(spread, (1,))] * offset)]),
-    )
-    if offset:
-        initial = put(initial, ([0, n - 1], [n - 1, 0]), -spread)
-    return NoiseSteps(transition, covariance, observation, variance, line.read, initial)
 
 
 def process_steps(

@@ -8,8 +8,8 @@ import numpy as np
 
 from gradcal_jax.information import Posterior, posterior, square_root, unobservable_combinations
 from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.model import AXIS_NAMES, Discrepancy, Hysteresis, PathTerm, RotationSensitivity
-from gradcal_jax.model.imu_build import HYSTERESIS, SCALE_FACTOR_HYSTERESIS, BuiltImu, build_imu, imu_posterior
+from gradcal_jax.model import AXIS_NAMES, Discrepancy, Hysteresis, OwnTerm
+from gradcal_jax.model.build import HYSTERESIS, SCALE_FACTOR_HYSTERESIS, BuiltImu, build_imu, imu_posterior
 from gradcal_jax.motion import Trajectory, frames
 from gradcal_jax.spec.absent import minutes_of_change
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
@@ -72,9 +72,9 @@ def unobserved_parameters(built: BuiltImu, known: Posterior) -> list[str]:
     hidden = {
         f"{c.name}.{name}"
         for c in built.model.channels
-        for t in c.model.terms
-        if isinstance(t, Discrepancy | PathTerm | RotationSensitivity)
-        for name in (t.nuisances if isinstance(t, PathTerm) else t.names())
+        for t in c.terms
+        if isinstance(t, Discrepancy | OwnTerm)
+        for name in (t.nuisances if isinstance(t, OwnTerm) else t.names())
     }
     stays = _stays(built, known)[: built.model.calibrated]
     return [name for name, same in zip(built.model.names(), stays, strict=False) if same and name not in hidden]
@@ -112,7 +112,7 @@ def _remedies(built: BuiltImu) -> dict[str, str]:
     """What a plan needs to observe each of the unit's own parameters, by its name."""
     remedies: dict[str, str] = {}
     for c in built.model.channels:
-        for term in c.model.terms:
+        for term in c.terms:
             fits = [of for (kind, head), of in _REMEDIES.items() if kind == c.kind and term.name.startswith(head)]
             remedy = fits[0] if fits else "change the plan"
             remedies |= {f"{c.name}.{name}": remedy for name in term.names()}
@@ -178,7 +178,7 @@ def one_way_sentences(built: BuiltImu, known: Posterior, line: Trajectory | None
     for c in model.channels:
         for head, words in ((HYSTERESIS, "bias"), (SCALE_FACTOR_HYSTERESIS, "scale factor")):
             head = head.partition("{")[0]
-            plays = [t for t in c.model.terms if isinstance(t, Hysteresis) and t.name.startswith(head)]
+            plays = [t for t in c.terms if isinstance(t, Hysteresis) and t.name.startswith(head)]
             row = np.zeros((1, model.size))
             for play in plays:
                 row[0, model.where(c.kind, c.axis, play.name).start] = float(play.width)

@@ -7,24 +7,17 @@ triangular factor is taken, so that nothing depends on the units of the paramete
 
 The design differentiates `SquareRootInformation`; results are reported from `Posterior`, in which the unobservable
 combinations are separate.
-
-**Regressors** are the derivatives of the integrated error at a reading with respect to each parameter. The terms of the
-model give their increments over every piece (`model.terms`). A reading of an angle sums all pieces since its origin;
-one of a held rate has that of its own piece.
 """
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from gradcal_jax.arrays import AnyArray, fixed, namespace, running_sum
-from gradcal_jax.information.noise_steps import NoiseSteps, noise_steps
-from gradcal_jax.information.whitening import SINGLE_PRECISION, whiten, whitened_factor
+from gradcal_jax.arrays import AnyArray, fixed, namespace
+from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.linalg import column_norms, solve_transposed, triangular_factor
-from gradcal_jax.model import ImuModel, SensorModel
-from gradcal_jax.motion import Rule, Trajectory, gauss_nodes
+from gradcal_jax.model import ImuModel
 from gradcal_jax.tables.display import summary
 
 # Singular values of unit-length columns below this share of the largest are rounding, not information.
@@ -63,21 +56,6 @@ class SquareRootInformation(NamedTuple):
         return xp.sqrt(xp.sum(solved * solved, axis=0))
 
 
-def information(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> SquareRootInformation:
-    """The information of the plan's readings and the priors about the model's parameters.
-
-    `rule`: integration rule of the terms (`trajectory.rule_of`), for a traced trajectory. Errors: `ValueError` in
-    single precision, which is insufficient for a covariance; a search that needs only a direction calls
-    `whitened_factor`.
-    """
-    steps, columns = noise_steps(line, model, rule), at_readings(line, model, rule)
-    if columns.dtype != np.float64:
-        raise ValueError(SINGLE_PRECISION)
-    if namespace(steps, columns) is np:
-        return square_root(np.concatenate([whiten(steps, columns), model.prior_rows()]))
-    return SquareRootInformation(*whitened_factor(steps, columns, jnp.asarray(model.prior_rows())))
-
-
 def square_root(rows: Float[AnyArray, "rows p"]) -> SquareRootInformation:
     """One triangular factor of rows whose columns are first scaled to unit length."""
     scale = fixed(column_norms(rows))
@@ -111,10 +89,9 @@ class Posterior(NamedTuple):
 
 
 def posterior(info: SquareRootInformation) -> Posterior:
-    """The posterior of the parameters (SI) after a plan, from `information.information(trajectory, model)`.
+    """The posterior of the parameters (SI).
 
     The singular values of the scaled factor separate the unobservable directions, `(p, p) -> (p, r), (p, k)`.
-    Errors: none here; `information` refuses single precision with a `ValueError`.
     """
     _, singular, directions = np.linalg.svd(np.asarray(info.factor))
     return known_of(singular, directions, np.asarray(info.scale))
@@ -175,34 +152,7 @@ def noise_of_sums(steps: NoiseSteps, weights: Float[np.ndarray, "N m"]) -> Float
     return total + response.T @ np.asarray(steps.initial) @ response
 
 
-def at_readings(line: Trajectory, model: SensorModel, rule: Rule | None = None) -> Float[AnyArray, "P p"]:
-    """Regressors of the reading at the end of each piece, rad for each parameter's unit.
-
-    `rule`: integration rule of the terms, for a traced trajectory. Errors: `ValueError` for an encoder's error by
-    angle where no angle is read.
-    """
-    if line.rates and model.harmonics is not None:
-        raise ValueError(
-            "encoder errors that are periodic in the angle do not apply to the standard method: leave out the harmonics"
-        )
-    increments = model.columns(gauss_nodes(line, model, rule))
-    return increments if line.rates else since_origin(increments, line.gap, line.has_gaps)
-
-
-def since_origin(
-    increments: Float[AnyArray, " P *c"], gap: AnyArray, has_gaps: bool = True
-) -> Float[AnyArray, " P *c"]:
-    """Running sums over pieces, from the end of the latest gap."""
-    xp = namespace(increments)
-    rows = running_sum(increments)
-    if not has_gaps:
-        return rows
-    latest = xp.maximum.accumulate(xp.where(gap, np.arange(len(rows)), -1))
-    origin = rows[xp.maximum(latest, 0)]
-    return rows - xp.where(xp.reshape(latest, (-1,) + (1,) * (rows.ndim - 1)) >= 0, origin, 0.0)
-
-
-def unobservable_combinations(known: Posterior, model: SensorModel | ImuModel) -> list[str]:
+def unobservable_combinations(known: Posterior, model: ImuModel) -> list[str]:
     """Each unobservable combination of reported parameters as text: "a0 - 0.5·a2"."""
     if not known.hidden.shape[1]:
         return []

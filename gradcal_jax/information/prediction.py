@@ -36,7 +36,7 @@ from gradcal_jax.information.verdicts import (
     verdict_of,
 )
 from gradcal_jax.model import Discrepancy, ImuModel
-from gradcal_jax.model.imu_build import (
+from gradcal_jax.model.build import (
     BuiltImu,
     build_imu,
     hung_alike,

@@ -12,26 +12,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.arrays import AnyArray, fixed, namespace, put
+from gradcal_jax.arrays import AnyArray, fixed, namespace
 from gradcal_jax.information.posterior import Posterior
-from gradcal_jax.model import Map, SensorModel
+from gradcal_jax.model import Channel
 
-Quantity = Literal["bias", "scale_factor"]
 Statistic = Literal["mean of max", "max", "mean", "rms"]
 STATISTICS: tuple[Statistic, ...] = ("mean of max", "max", "mean", "rms")
 EXACT = np.asarray(np.inf)
 """Value of `sharpness` for which a smooth statistic equals the statistic."""
-
-
-def map_of(model: SensorModel, quantity: Quantity) -> Map:
-    """The map of a quantity. Errors: `ValueError` when the model does not estimate it."""
-    of = model.map(quantity)
-    if of is None:
-        raise ValueError(
-            f"in this model, the {quantity.replace('_', ' ')} is known and not estimated, so there is no residual "
-            "to report"
-        )
-    return of
 
 
 class Contrasts(NamedTuple):
@@ -55,37 +43,22 @@ class Contrasts(NamedTuple):
 
 
 def contrasts(
-    model: SensorModel, quantity: Quantity, temperature: Float[AnyArray, " g"], rate: Float[AnyArray, " g"]
+    channel: Channel, name: str, temperature: Float[np.ndarray, " g"], rate: Float[np.ndarray, " g"]
 ) -> Contrasts:
-    """Contrasts of the map's error at each point.
+    """Contrasts of the error of a channel's map at each point (°C, rad/s), of a term that it does not have zero.
 
     The discrepancy is estimated with the other parameters, but a calibration does not carry it: its part of `cᵀCc` is
-    replaced by `χᵀΓχ`, which no plan changes. Errors: `ValueError` when the model does not estimate
-    the quantity.
+    replaced by `χᵀΓχ`, which no plan changes.
     """
-    of = map_of(model, quantity)
-    xp = namespace(of, temperature, rate)
-    rows = put(
-        xp.zeros((len(temperature), model.size)), (slice(None), model.where(of.name)), of.values(temperature, rate)
-    )
-    alone = xp.zeros((len(temperature), model.size))
-    if of.beyond is None:
-        return Contrasts(rows, alone, xp.zeros(len(temperature)))
-    outside = of.beyond.values(temperature, rate)
-    alone = put(alone, (slice(None), model.where(of.beyond.name)), outside)
-    return Contrasts(rows + alone, alone, of.beyond.std**2 * xp.sum(outside**2, axis=1))
-
-
-def residual(
-    known: Posterior, model: SensorModel, quantity: Quantity, temperature: np.ndarray, rate: np.ndarray
-) -> np.ndarray:
-    """Standard deviation of the calibrated map's error on a grid: `(n_T,), (n_ω,) -> (n_T, n_ω)`.
-
-    °C and rad/s in; dimensionless (scale factor) or rad/s (bias, for which the rate is ignored) out. `inf` where it is
-    unobservable. Errors: `ValueError` for a map that the model does not have.
-    """
-    grid_t, grid_w = np.meshgrid(temperature, rate, indexing="ij")
-    return contrasts(model, quantity, grid_t.ravel(), grid_w.ravel()).left(known).reshape(grid_t.shape)
+    of, shape = channel.map(name), (len(temperature), channel.size)
+    rows, alone, beyond = np.zeros(shape), np.zeros(shape), np.zeros(len(temperature))
+    if of is not None:
+        rows[:, channel.where(name)] = of.values(temperature, rate)
+    if of is not None and of.beyond is not None:
+        outside = of.beyond.values(temperature, rate)
+        alone[:, channel.where(of.beyond.name)] = outside
+        beyond = of.beyond.std**2 * np.sum(outside**2, axis=1)
+    return Contrasts(rows + alone, alone, beyond)
 
 
 class GridElement(NamedTuple):

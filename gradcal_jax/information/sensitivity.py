@@ -21,7 +21,7 @@ from gradcal_jax.information.error_budget import PRIOR, ErrorBudget, shares_of_v
 from gradcal_jax.information.imu_residual import imu_residual
 from gradcal_jax.information.unseen import budget_of_imu, own_of_imu
 from gradcal_jax.information.verdicts import UNIT_OF
-from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.motion import Schedule
 from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.requirement import Requirement
@@ -94,7 +94,7 @@ def sensitivity(spec: Spec) -> Sensitivities:
 
 def _residuals(built: BuiltImu) -> np.ndarray:
     """The value of every requirement's own statistic; infinite where it is not observable."""
-    known = own_of_imu(built, imu_posterior(built))
+    known = own_of_imu(built)
     return np.array([imu_residual(built, known, r).finite_statistic() for r in built.spec.requirement])
 
 

@@ -5,6 +5,10 @@ Earth's rate act as a constant of a map, or as its slope over temperature: the d
 and the estimate is off by a direction `v` of the parameters times the error. Each is therefore no parameter, but a
 column of the posterior's spread: the covariance is `C + Σ v vᵀ`, for predictions and estimates.
 
+A lag of the temperature and a sensitivity to dT/dt that are no parameters do show in the data, in part: on a way there
+and back they cancel. Of them counts what they leave in the estimate of this very plan or log, by the answers of its
+least squares (`imu_rows.imu_information`).
+
 `θ` of the input axis against the table's, each of two angles with standard deviation σ, multiplies the scale factor by
 `cos θ ≈ 1 − (θ₁² + θ₂²)/2`, whose root mean square is √2 σ². The Earth's rate along an axis of unknown direction is
 rectangular within ±15.04 deg/h (GUM, 4.3.7).
@@ -16,21 +20,27 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from gradcal_jax.arrays import namespace
 from gradcal_jax.calibration import UnseenError
-from gradcal_jax.information import Posterior
+from gradcal_jax.information import Posterior, posterior
 from gradcal_jax.information.gears import BACKLASH, SCALE_OF_ANGLE
 from gradcal_jax.model import (
+    AXIS_NAMES,
     BIAS,
     SCALE_FACTOR,
     TEMPERATURE_GRADIENT,
     Channel,
+    Discrepancy,
+    GradientOfBias,
     Hysteresis,
     ImuModel,
     Map,
-    SignalMap,
+    ProductTerm,
+    Term,
 )
-from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior
-from gradcal_jax.motion import EARTH_RATE, Trajectory, Turns, turns_of
+from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior, plan_information, unweighted_estimator
+from gradcal_jax.model.nodes import INPUTS
+from gradcal_jax.motion import EARTH_RATE, Turns, turns_of
 from gradcal_jax.spec.absent import absent_terms, slopes_of, with_typical
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec_sections import Spec
@@ -41,8 +51,6 @@ UNKNOWN_EARTH_RATE: Final = EARTH_RATE / 3.0**0.5
 # Temperatures at which the slope of a map is taken, and the step of the difference, K.
 _AT: Final = 64
 _STEP_K: Final = 0.01
-# Part of a run over which its ramp is measured, s.
-_MINUTES: Final = 300.0
 # Share of a coefficient's variance below which a column is left out of a file.
 _NEGLIGIBLE: Final = 1e-4
 # Last parts of the keys of omitted terms that are no noise: columns, or terms with parameters.
@@ -54,14 +62,22 @@ _NO_NOISE: Final = frozenset({
 Columns = Mapping[str, np.ndarray]
 
 
+class Answers(NamedTuple):
+    """By how much an estimate is off for one unit of an error that it does not know, `(p,)` for each channel: a bias by
+    dT/dt (rad/s or m/s² for K/s), and a temperature that is late by a second."""
+
+    gradient: Sequence[np.ndarray]
+    lag: Sequence[np.ndarray]
+
+
 class EstimatedRun(NamedTuple):
-    """An estimate in the place of a plan: its parameters `(p,)`, the range of temperature of its data (°C), and the
-    standard deviation of its lag (s) beyond what the covariance contains (None: the spec's). `one_way`: the temperature
-    never returns; `clock_doubt`: a ratio by which the log's clocks are apart."""
+    """An estimate in the place of a plan: its parameters `(p,)`, the range of temperature of its data (°C), its
+    answers, and the standard deviation of its lag (s) beyond what the covariance contains (None: the spec's).
+    `one_way`: the temperature never returns; `clock_doubt`: a ratio by which the log's clocks are apart."""
 
     parameters: np.ndarray
     temperature_c: tuple[float, float]
-    ramp: float
+    answers: Answers
     lag_std: float | None = None
     one_way: bool = False
     clock_doubt: float = 0.0
@@ -85,51 +101,92 @@ class CountedPosteriors(NamedTuple):
         return self.any_run if run == "any run" else self.whole
 
 
+def drifting_terms(built: BuiltImu) -> list[tuple[int, Term]]:
+    """What of a plan's errors by dT/dt the estimate does not know, as far as the spec names it: of every channel a bias
+    by dT/dt and, of its class's slopes over temperature, a scale factor by dT/dt."""
+    sensor, terms = built.spec.sensor, list[tuple[int, Term]]()
+    unknown = bool(sensor.temperature_lag)
+    still = not np.any(built.motion.line.slope) and not np.any(built.motion.line.excess)
+    for number, c in enumerate(built.model.channels):
+        if still or unweighted_estimator(built.spec):
+            break
+        own = f"{INPUTS[c.kind]} {AXIS_NAMES[c.axis]}"
+        if unknown or (getattr(sensor, c.kind).gradient_std and c.term(TEMPERATURE_GRADIENT) is None):
+            terms.append((number, GradientOfBias(std=np.ones(()), has_prior=False)))
+        if unknown:
+            terms.append((number, ProductTerm(np.ones(()), SCALE_FACTOR, "s/K", (own,), slopes=1)))
+    return terms
+
+
+def answers_of(built: BuiltImu, terms: Sequence[tuple[int, Term]], columns: Any) -> Answers:
+    """The answers of a plan's estimate, of which `columns` `(p, k)` are those to its drifting terms."""
+    none = np.zeros(built.model.size)
+    gradient, lag = [none] * len(built.model.channels), [none] * len(built.model.channels)
+    for k, (number, term) in enumerate(terms):
+        by_bias, by_scale = slopes_of(built.spec.sensor, built.model.channels[number].kind)
+        if isinstance(term, GradientOfBias):
+            gradient[number] = columns[:, k]
+        lag[number] = lag[number] - (by_bias if isinstance(term, GradientOfBias) else by_scale) * columns[:, k]
+    return Answers(gradient, lag)
+
+
+def posterior_and_answers(built: BuiltImu, known: Posterior | None = None) -> tuple[Posterior, Answers]:
+    """The posterior of a unit's plan, and the answers of its estimate to what it does not know. `known`: the posterior,
+    if it was computed."""
+    terms = drifting_terms(built)
+    if not terms:
+        return known or imu_posterior(built), answers_of(built, (), ())
+    info, columns = plan_information(built, terms)
+    return posterior(info), answers_of(built, terms, columns)
+
+
 def unseen_columns(
-    built: BuiltImu, spec: Spec | None = None, done: EstimatedRun | None = None
-) -> dict[str, np.ndarray]:
+    built: BuiltImu, answers: Answers, spec: Spec | None = None, done: EstimatedRun | None = None
+) -> dict[str, Any]:
     """Columns `(p, k)` by the name of their error, as far as `spec` names it (None: the unit's own). A sensitivity to
     dT/dt, a hysteresis or gears that the model estimates are in its covariance. In a plan a map has its class's slopes,
     in an estimate (`done`) its own."""
     model, spec = built.model, spec or built.spec
     sensor = spec.sensor
-    ramp = ramp_of(built.motion.line) if done is None else done.ramp
     lag = float(sensor.temperature_lag or 0.0) if done is None or done.lag_std is None else done.lag_std
     scales, backlash = _of_table(built, spec)
     scales["clocks that contradict each other"] = 0.0 if done is None else done.clock_doubt
     turns = turns_of(built.motion) if backlash else None
-    columns: dict[str, list[np.ndarray]] = {}
+    # A calibration does not carry the functions that a discrepancy adds.
+    carried = np.concatenate([np.full(t.size, not isinstance(t, Discrepancy)) for t in model.terms])
+    carried = np.pad(carried, (0, model.size - model.calibrated), constant_values=True)
+    columns: dict[str, list[Any]] = {}
 
-    def add(name: str, column: np.ndarray) -> None:
-        if np.any(column):
-            columns.setdefault(name, []).append(column)
+    def add(name: str, std: float, column: Any) -> None:
+        if std and (namespace(column) is not np or np.any(column)):
+            columns.setdefault(name, []).append(std * column)
 
-    for c in model.channels:
+    for number, c in enumerate(model.channels):
         triad = getattr(sensor, c.kind)
         constants = {name: _constant(model, c, name) for name in (BIAS, SCALE_FACTOR)}
         if c.kind == "gyro":
             for name, std in scales.items():
-                add(name, std * constants[SCALE_FACTOR])
+                add(name, std, constants[SCALE_FACTOR])
             if spec.rig.site.is_unknown:
-                add("Earth's rate", UNKNOWN_EARTH_RATE * constants[BIAS])
+                add("Earth's rate", UNKNOWN_EARTH_RATE, constants[BIAS])
             if turns is not None:
-                add(BACKLASH, backlash * _by_backlash(model, c, turns))
+                add(BACKLASH, backlash, _by_backlash(model, c, turns))
         if done is not None:
             for name, plays in ((BIAS, triad.hysteresis), (SCALE_FACTOR, triad.scale_factor_hysteresis)):
                 size = float(np.hypot.reduce([float(p.prior) * float(p.width) for p in plays], initial=0.0))
                 # A map from one branch is off by twice as much on the other as one from both.
                 if not _estimates_plays(c, name):
-                    add("hysteresis", size * (2.0 if done.one_way else 1.0) * constants[name])
-        if c.model.term(TEMPERATURE_GRADIENT) is None:
-            add("bias from dT/dt", triad.gradient_std * ramp * constants[BIAS])
+                    add("hysteresis", size * (2.0 if done.one_way else 1.0), constants[name])
+        if c.term(TEMPERATURE_GRADIENT) is None:
+            add("bias from dT/dt", triad.gradient_std, carried * answers.gradient[number])
         if done is None:
             by_bias, by_scale = slopes_of(sensor, c.kind)
             slope = by_bias * constants[BIAS] + by_scale * constants[SCALE_FACTOR]
         else:
             slope = _slopes(model, c, done)
-        add("offset of the temperature", float(sensor.temperature_offset or 0.0) * slope)
-        add("lag of the temperature", lag * ramp * slope)
-    return {name: np.stack(several, axis=1) for name, several in columns.items()}
+        add("offset of the temperature", float(sensor.temperature_offset or 0.0), slope)
+        add("lag of the temperature", lag, carried * answers.lag[number])
+    return {name: namespace(*of).stack(of, axis=1) for name, of in columns.items()}
 
 
 def _of_table(built: BuiltImu, spec: Spec) -> tuple[dict[str, float], float]:
@@ -147,22 +204,21 @@ def _of_table(built: BuiltImu, spec: Spec) -> tuple[dict[str, float], float]:
 
 def _estimates_plays(channel: Channel, name: str) -> bool:
     """Whether plays of a channel's map are parameters."""
-    plays = (term for term in channel.model.terms if isinstance(term, Hysteresis))
+    plays = (term for term in channel.terms if isinstance(term, Hysteresis))
     return any(bool(term.signals) == (name == SCALE_FACTOR) for term in plays)
 
 
 def _constant(model: ImuModel, channel: Channel, name: str) -> np.ndarray:
     """Parameters `(p,)` of a channel's term that is 1 everywhere; zero without the term."""
-    column, term = np.zeros(model.size), channel.model.term(name)
-    if isinstance(term, Map | SignalMap):
-        constant = term.constant if isinstance(term, Map) else term.temperature.constant
-        column[model.where(channel.kind, channel.axis, name)] = constant
+    column, term = np.zeros(model.size), channel.term(name)
+    if isinstance(term, Map):
+        column[model.where(channel.kind, channel.axis, name)] = term.constant
     return column
 
 
 def _by_backlash(model: ImuModel, channel: Channel, turns: Turns) -> np.ndarray:
     """Parameters `(p,)` of the scale factor by which turns seem larger than they are, each weighted with its size."""
-    column, term = np.zeros(model.size), channel.model.term(SCALE_FACTOR)
+    column, term = np.zeros(model.size), channel.term(SCALE_FACTOR)
     if isinstance(term, Map):
         functions = np.asarray(term.values(turns.temperature_c, turns.rate)) * turns.size[:, None]
         own = np.linalg.lstsq(functions, turns.lost * turns.size, rcond=1e-6)[0]
@@ -176,8 +232,8 @@ def _slopes(model: ImuModel, channel: Channel, done: EstimatedRun) -> np.ndarray
     column = np.zeros(model.size)
     low, high = done.temperature_c
     at = np.linspace(low, max(high, low + 1.0), _AT)
-    for term in channel.model.terms:
-        if not isinstance(term, Map | SignalMap):
+    for term in channel.terms:
+        if not isinstance(term, Map):
             continue
         where = model.where(channel.kind, channel.axis, term.name)
         functions = term.temperature(at)
@@ -186,27 +242,6 @@ def _slopes(model: ImuModel, channel: Channel, done: EstimatedRun) -> np.ndarray
         own = done.parameters[where].reshape(functions.shape[1], -1)
         column[where] = np.linalg.lstsq(functions, change @ own, rcond=None)[0].ravel()
     return column
-
-
-def ramp_of(line: Trajectory) -> float:
-    """Root mean square of dT/dt over the data that are used, K/s."""
-    kept = ~np.asarray(line.gap)
-    lasting, slope, excess = (np.asarray(of)[kept] for of in (line.duration, line.slope, line.excess))
-    # ∫(slope − a·e^(−λt))² dt over each piece, a = λ·excess
-    rate = float(line.lag_rate)
-    faded = -np.expm1(-rate * lasting)
-    square = slope**2 * lasting - 2.0 * slope * excess * faded + 0.5 * rate * excess**2 * faded * (2.0 - faded)
-    time = float(np.sum(lasting))
-    return (float(np.sum(square)) / time) ** 0.5 if time else 0.0
-
-
-def ramp_of_record(time: np.ndarray, temperature: np.ndarray) -> float:
-    """Root mean square of dT/dt of a record (s, °C), over parts of five minutes, K/s."""
-    span = float(time[-1] - time[0])
-    if span <= 0.0:
-        return 0.0
-    at = np.linspace(time[0], time[-1], max(2, round(span / _MINUTES) + 1))
-    return float(np.sqrt(np.mean((np.diff(np.interp(at, time, temperature)) / np.diff(at)) ** 2)))
 
 
 def widened(known: Posterior, columns: Columns) -> Posterior:
@@ -221,24 +256,25 @@ def _another_run(spec: Spec, model: ImuModel) -> dict[str, np.ndarray]:
     return {TURN_ON: np.stack(columns, axis=1)} if np.any(columns) else {}
 
 
-def own_of_imu(built: BuiltImu, known: Posterior) -> Posterior:
+def own_of_imu(built: BuiltImu, known: Posterior | None = None) -> Posterior:
     """The posterior of a unit's plan with what the spec names."""
-    return widened(known, unseen_columns(built))
+    known, answers = posterior_and_answers(built, known)
+    return widened(known, unseen_columns(built, answers))
 
 
 def budget_of_imu(built: BuiltImu, known: Posterior, complete: BuiltImu) -> CountedPosteriors:
     """The posteriors of a unit's plan; `complete`: with what the spec omits."""
-    fit = known if complete is built else imu_posterior(complete)
-    turn_on, every = _another_run(complete.spec, complete.model), unseen_columns(complete)
-    own = widened(known, every) if complete is built else own_of_imu(built, known)
-    whole = own if fit is known else widened(fit, every)
+    fit, answers = posterior_and_answers(complete, known if complete is built else None)
+    turn_on, every = _another_run(complete.spec, complete.model), unseen_columns(complete, answers)
+    whole = widened(fit, every)
+    own = whole if complete is built else own_of_imu(built, known)
     return CountedPosteriors(own, whole, widened(whole, turn_on), complete, fit, every | turn_on)
 
 
 def budget_of_estimate(built: BuiltImu, known: Posterior, done: EstimatedRun, noise: Columns) -> CountedPosteriors:
     """The posteriors of an estimate. `noise`: of `omitted_noise_of_imu`."""
     complete = with_typical(built.spec)
-    own, whole = (unseen_columns(built, spec, done) for spec in (built.spec, complete))
+    own, whole = (unseen_columns(built, done.answers, spec, done) for spec in (built.spec, complete))
     left, columns = widened(known, own), {**whole, **noise}
     counted = widened(known, columns) if absent_terms(built.spec) else left
     turn_on = _another_run(complete, built.model)
@@ -249,9 +285,9 @@ def floor_of_plan(spec: Spec) -> tuple[BuiltImu, Posterior]:
     """What no residual of any plan shows, as far as the spec names it, as a posterior of its own, and its model."""
     built = build_imu(spec)
     nothing = np.zeros((built.model.size, 0))
-    # Longer turns lose less to backlash.
-    columns = {name: column for name, column in unseen_columns(built).items() if name != BACKLASH}
-    return built, widened(Posterior(nothing, nothing), columns)
+    # Longer turns lose less to backlash, and another course less to what the temperature's rate adds.
+    columns = unseen_columns(built, answers_of(built, (), ()))
+    return built, widened(Posterior(nothing, nothing), {n: c for n, c in columns.items() if n != BACKLASH})
 
 
 def unseen_errors(budget: CountedPosteriors, names: Sequence[str], reported: np.ndarray) -> tuple[UnseenError, ...]:

@@ -95,14 +95,16 @@ def gram(steps: NoiseSteps, columns: Float[AnyArray, "N p"]) -> Float[AnyArray, 
 
 
 def whitened_factor(
-    steps: NoiseSteps, columns: Float[AnyArray, "N p"], below: Float[AnyArray, "q p"]
-) -> tuple[Float[AnyArray, "p p"], Float[AnyArray, " p"], Float[AnyArray, "p p"]]:
-    """R, upper triangular, and columns' lengths: `diag(scale) RᵀR diag(scale) = columnsᵀ V⁻¹ columns + belowᵀ below`;
-    and `(RᵀR)⁻¹`, not finite for singular R. Computed from the rows themselves, which keeps their condition number;
-    `scale` counts as a constant."""
+    steps: NoiseSteps, columns: Float[AnyArray, "N m"], below: Float[AnyArray, "q p"]
+) -> tuple[Float[AnyArray, "p p"], Float[AnyArray, " p"], Float[AnyArray, "p p"], Float[AnyArray, "p k"]]:
+    """R, upper triangular, and columns' lengths: `diag(scale) RᵀR diag(scale) = columnsᵀ V⁻¹ columns + belowᵀ below`
+    of the first p columns; `(RᵀR)⁻¹`, not finite for singular R; and their product `columnsᵀ V⁻¹ others` with the other
+    columns. Computed from the rows themselves, which keeps their condition number; `scale` counts as a constant."""
     blocks, data, _ = _in_blocks(steps, jnp.asarray(columns))
     product, rows = _gram_and_rows(blocks, data)
-    return _factor(product + below.T @ below, rows, jax.lax.stop_gradient(below))
+    p = below.shape[1]
+    of = _factor(product[:p, :p] + below.T @ below, rows[:, :p], jax.lax.stop_gradient(below))
+    return (*of, product[:p, p:])
 
 
 def _in_blocks(steps: NoiseSteps, columns: AnyArray) -> tuple[Blocks, AnyArray, tuple[np.ndarray, np.ndarray]]:

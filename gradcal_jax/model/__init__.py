@@ -1,4 +1,4 @@
-"""Models of a sensor: bases, terms with priors, and the noise of sensor and reference."""
+"""Models of a sensor: bases, terms with priors, noise processes, and the installation; `build`: of a spec."""
 
 from gradcal_jax.model.bases import Basis, Bins, BSpline, HigherPolynomials, Polynomial
 from gradcal_jax.model.imu import KINDS, Channel, ChannelKind, EncoderNoise, ImuModel
@@ -15,43 +15,26 @@ from gradcal_jax.model.nodes import (
     SECOND,
     BodyGroup,
     BodyNodes,
-    GaussNodes,
     Nodes,
     OtherTemperature,
+    SharedNodes,
 )
-from gradcal_jax.model.path import (
-    GradientOfScale,
-    Hysteresis,
-    PathTerm,
-    TemperatureDifference,
-)
-from gradcal_jax.model.sensor import (
-    Processes,
-    Reference,
-    SensorModel,
-    angle_reference,
-    constant,
-    gauss_markov,
-    gyro_model,
-    no_processes,
-    rate_random_walk,
-)
+from gradcal_jax.model.noise import Processes, constant, gauss_markov, no_processes, rate_random_walk
+from gradcal_jax.model.path import Hysteresis
 from gradcal_jax.model.terms import (
     BIAS,
+    DIFFERENCE,
     DISCREPANCY,
-    HARMONICS,
     SCALE_FACTOR,
+    SLOPE,
     TEMPERATURE_GRADIENT,
     Discrepancy,
-    EncoderHarmonics,
     GradientOfBias,
     Map,
     OwnTerm,
     ProductTerm,
-    RotationSensitivity,
-    SignalMap,
     Term,
     constant_function,
     make_map,
-    own_term,
+    term_of_class,
 )

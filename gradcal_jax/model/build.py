@@ -1,78 +1,519 @@
-"""A spec in the core's terms: its error model and its plan."""
+"""A spec in the core's terms: its channels, its installation, and the motion of the table."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from itertools import combinations_with_replacement
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gradcal_jax import model
 from gradcal_jax import motion as trajectory
-from gradcal_jax.information.gears import gears_of
-from gradcal_jax.model import Map, OtherTemperature, OwnTerm, PathTerm, Processes, Reference, SensorModel, SignalMap
-from gradcal_jax.motion import Move, Schedule
+from gradcal_jax.information import (
+    Posterior,
+    SquareRootInformation,
+    imu_information,
+    imu_unweighted,
+    posterior,
+    segments_of,
+)
+from gradcal_jax.information.gears import gears_of, rows_of_gears
+from gradcal_jax.information.imu_rows import Segments
+from gradcal_jax.model import (
+    AXIS_NAMES,
+    BIAS,
+    DIFFERENCE,
+    SCALE_FACTOR,
+    SECOND,
+    SLOPE,
+    Basis,
+    BodyNodes,
+    BSpline,
+    Channel,
+    ChannelKind,
+    Discrepancy,
+    GradientOfBias,
+    HigherPolynomials,
+    Hysteresis,
+    ImuModel,
+    Map,
+    OtherTemperature,
+    OwnTerm,
+    Polynomial,
+    Processes,
+    ProductTerm,
+    Term,
+    make_map,
+    term_of_class,
+)
+from gradcal_jax.motion import Geometry, Move, Schedule, TableMotion
 from gradcal_jax.spec.bases import PolynomialKeys
+from gradcal_jax.spec.bench import Rig
+from gradcal_jax.spec.memory import too_large
 from gradcal_jax.spec.motion_plan import PlanSchedule
 from gradcal_jax.spec.moves import ResolvedMove
+from gradcal_jax.spec.places import specs_at_places
+from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.schedule import StandardSchedule
-from gradcal_jax.spec.sensor import AccelerometerTriad, Bias, GyroTriad, ScaleFactor
-from gradcal_jax.spec.spec import expect_spec
+from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad, Sensor
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.section import Section
+from gradcal_jax.spec.temperature_path import GeneralTerm
 
+# Names of terms, for requirements and sentences.
+MISALIGNMENT = "misalignment_{}"
+G_SENSITIVITY = "g_sensitivity_{}"
+SECOND_ORDER = "second_order"
+HYSTERESIS = "hysteresis_{}K"
+SCALE_FACTOR_HYSTERESIS = "scale_factor_hysteresis_{}K"
+_CONSTANT = Polynomial(0, 0.0, 1.0)
+_LAGGED = 16
+_LAG_TIMES = 8.0
 # A varying rate is integrated on the nodes of a piece, against exponentials of at most this many correlation times.
 _CORRELATION_TIMES_A_PIECE = 3.0
+# Fastest wave of a body whose attitude matters, in cycles a turn: squares of the force's components, or harmonics times
+# a direction.
+_WAVES = 3
+_FEWEST = 16
+# Standard deviation of an angle that is known exactly, rad: far below any encoder's.
+_EXACT = 1e-12
+# Standard deviation (rad) of a standstill's angle that no encoder tells: unknown beside what gravity and the gyros say,
+# and small enough for a covariance in double precision to hold 0.1 µrad beside it.
+_UNKNOWN = 3.0
+# Rounding of a move's rate, at the rate up to which accelerometers are read.
+_SLACK = 1e-9
 
 
-class Assembled(NamedTuple):
-    """A spec of one gyro along the only axis of a table in the core's terms.
-
-    `sources`: the indices of the model's noise processes by the name of their error source.
-    """
+class BuiltImu(NamedTuple):
+    """An IMU's spec in the core's terms. `motion`: of the plan. `points`: quadrature points along a piece for functions
+    of temperature, which are smooth there (`rough`: not along the pieces of a log). `sources`: for each kind of channel
+    the indices of its noise processes by the name of their error source. `about` `(p,)`: the parameters of an estimate,
+    by which its errors act; None: an ideal sensor's. `gears`: see `gears.gears_of`, of what the spec itself names."""
 
     spec: Spec
-    model: SensorModel
-    schedule: Schedule
-    thermal_lag: float | None
-    sources: dict[str, tuple[int, ...]]
+    model: ImuModel
+    motion: TableMotion
+    points: int
+    rough: bool
+    sources: Mapping[ChannelKind, Mapping[str, tuple[int, ...]]]
+    about: np.ndarray | None = None
+    gears: Sequence[tuple[float, float]] = ()
 
-    def trajectory(self) -> trajectory.Trajectory:
-        """The motion of the plan."""
-        return self.schedule.trajectory(self.thermal_lag)
+    def body_nodes(self) -> BodyNodes:
+        """The nodes on which the terms are integrated."""
+        return trajectory.body_nodes(self.motion, self.points)
 
 
-def assemble(spec: Spec) -> Assembled:
-    """Sensor model and schedule of a spec of one gyro along the only axis of a table.
-
-    Errors: `TypeError` for anything but a spec, `ValueError` for one of several sensors or axes of the table.
-    """
-    gyro, site = expect_spec(spec).sensor.gyro, spec.rig.site
-    if gyro is None or not spec.turns_one_gyro:
+def build_imu(
+    spec: Spec,
+    change: Callable[[Schedule], Schedule] | None = None,
+    like: BuiltImu | None = None,
+) -> BuiltImu:
+    """Model and motion of an IMU's spec. `change`: what the times and rates of the plan become. `like`: an IMU with the
+    same plan and other error terms, whose motion serves if the terms need the same pieces. Errors: `MemoryError` for a
+    plan with more readings than this machine can hold, `ValueError` for a fixture of several IMUs."""
+    if spec.rig.table.place:
         raise ValueError(
-            "expected a spec with a single gyro along the only axis of a level table, with readings at rest "
-            '([rig.table] standing = "read"), and without terms that depend on past temperatures'
+            "the spec has a fixture of several IMUs, and only predict, optimise and estimate support fixtures; for "
+            "other commands, write the mounting of one place as rig.table.mounting, and remove rig.table.place"
         )
-    parts = named_processes(gyro, clock=spec.sensor.clock_error, earth_is_unknown=site.is_unknown)
-    processes, sources = processes_of(parts)
-    table, angle = spec.rig.table, spec.rig.table.axis[0].angle
-    reference = model.angle_reference(
-        float(angle.reading_noise),
-        float(angle.standstill_offset),
-        float(angle.timing_error),
-        float(table.rate_accuracy or 0.0),
+    if too := too_large(spec):
+        raise MemoryError(too)
+    model_, sources = _model_and_sources(spec)
+    bases = [t.temperature for t in model_.terms if isinstance(t, Map | Discrepancy)]
+    degree = max(_degree(b) for b in bases)
+    # A lagging unit's exponentials are no polynomials; a play is linear in T on each piece.
+    own = any(isinstance(t, OwnTerm) and not isinstance(t, Hysteresis | ProductTerm) for t in model_.terms)
+    exponential = spec.sensor.lag is not None or bool(_decays(model_)) or own
+    points = max(degree + 1, _LAGGED if exponential else 2 if model_.knows_path else 1)
+    rough = model_.knows_path or any(b.breaks for b in bases)
+    if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
+        return BuiltImu(spec, model_, like.motion, points, rough, sources, gears=like.gears)
+    gears = gears_of(spec) if like is None else like.gears
+    return BuiltImu(spec, model_, _motion(spec, model_, change), points, rough, sources, gears=gears)
+
+
+def plan_schedule(spec: Spec) -> Schedule:
+    """The schedule of a spec's plan."""
+    return table_schedule(spec.schedule, spec)
+
+
+def course_before(spec: Spec) -> np.ndarray | None:
+    """Turning points of the temperature (°C) before the spec's plan."""
+    before = () if isinstance(spec.plan, StandardPlan) else spec.plan.before
+    return np.array([float(t) for t in before]) if before else None
+
+
+def imu_posterior(built: BuiltImu) -> Posterior:
+    """The posterior of a unit after its plan and the motions before it, by the estimator that the spec names."""
+    if unweighted_estimator(built.spec):
+        return imu_unweighted(built.motion, built.model, built.body_nodes())
+    return posterior(plan_information(built)[0])
+
+
+def plan_information(
+    built: BuiltImu, beside: Sequence[tuple[int, Term]] = (), at: Segments | None = None
+) -> tuple[SquareRootInformation, Any]:
+    """`imu_information` of a plan on a table whose gears' errors are unknown."""
+    motion, of, nodes = built.motion, built.model, built.body_nodes()
+    common = rows_of_gears(motion, of, nodes, built.gears, at)[1] if built.gears else None
+    return imu_information(motion, of, nodes, beside, common, at)
+
+
+def unweighted_estimator(spec: Spec) -> bool:
+    """Whether the spec's estimator is ordinary least squares on the points' rates, as in the paper's figure."""
+    return isinstance(spec.plan, StandardPlan) and spec.plan.estimator == "least squares"
+
+
+def has_common_clock(spec: Spec) -> bool:
+    """Whether the sample clock is a parameter common to all channels; independent points each have their own."""
+    return not isinstance(spec.plan, StandardPlan) or spec.plan.points == "one run"
+
+
+def _installation(spec: Spec) -> tuple[model.InstallationTerm, ...]:
+    table, site = spec.rig.table, spec.rig.site
+    terms: list[model.InstallationTerm] = []
+    if table.tilt or table.azimuth:
+        # A zero prior would be no prior: an angle that is known exactly keeps a tiny one.
+        stds = np.array([float(table.tilt)] * 2 + [float(table.azimuth)])
+        terms.append(model.BaseTilt(np.maximum(stds, _EXACT)))
+    if len(table.axis) > 1 and any(a.orthogonality for a in table.axis):
+        stds = np.array([float(a.orthogonality) for a in table.axis[:-1]])
+        terms.append(model.NonOrthogonality(np.maximum(stds, _EXACT), tuple(a.name for a in table.axis)))
+    for k, axis in enumerate(table.axis):
+        if harmonics := axis.angle.harmonics:
+            stds = np.repeat(np.array([float(h.amplitude) for h in harmonics]), 2)
+            terms.append(model.AxisHarmonics(stds, tuple(h.order for h in harmonics), k, axis.name))
+    if spec.sensor.frame == "case":
+        terms.append(model.MountingError(np.repeat(np.array([float(m.accuracy) for m in table.mounting]), 3)))
+    if site.gravity_accuracy and spec.sensor.accelerometer is not None:
+        terms.append(model.CommonScale(np.array([float(site.gravity_accuracy)]), "gravity"))
+    force = spec.sensor.accelerometer
+    timed = force is not None and force.velocity_increments
+    if spec.sensor.clock_error and has_common_clock(spec) and (timed or spec.sensor.gyro is not None):
+        terms.append(model.CommonScale(np.array([spec.sensor.clock_error]), "sample_clock", forces=timed))
+    return tuple(terms)
+
+
+# The axes to which the terms of a section belong: none, the other axes, all of them.
+_OVER: dict[str, Callable[[str], Iterable[tuple[str, ...]]]] = {
+    "itself": lambda _: [()],
+    "others": lambda axis: [(b,) for b in AXIS_NAMES if b != axis],
+    "all": lambda _: [(b,) for b in AXIS_NAMES],
+}
+# Section, axes, signals ({own}: the channel's axis), name, symbol, SI unit.
+_MAPS: dict[ChannelKind, tuple[tuple[str, str, tuple[str, ...], str, str, str], ...]] = {
+    "gyro": (
+        ("bias", "itself", (), BIAS, "a", "rad/s"),
+        ("scale_factor", "itself", ("rate {own}",), SCALE_FACTOR, "b", "1"),
+        ("misalignment", "others", ("rate {}",), MISALIGNMENT, "m_{}", "rad"),
+        ("g_sensitivity", "all", ("force {}",), G_SENSITIVITY, "g_{}", "rad/s/(m/s^2)"),
+    ),
+    "accelerometer": (
+        ("bias", "itself", (), BIAS, "a", "m/s^2"),
+        ("scale_factor", "itself", ("force {own}",), SCALE_FACTOR, "s", "1"),
+        ("misalignment", "others", ("force {}",), MISALIGNMENT, "m_{}", "rad"),
+        ("second_order", "itself", ("force {own}",) * 2, SECOND_ORDER, "k2", "1/(m/s^2)"),
+        ("lever_arm", "all", ("size {own}{}",), "lever_arm_{}", "r_{}", "m"),
+    ),
+}
+_WHITE: dict[ChannelKind, str] = {"gyro": "angle_random_walk", "accelerometer": "velocity_random_walk"}
+
+
+def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str, tuple[int, ...]]]]:
+    channels: list[Channel] = []
+    sources: dict[ChannelKind, dict[str, tuple[int, ...]]] = {}
+    for kind in model.KINDS:
+        triad = getattr(spec.sensor, kind)
+        if triad is None:
+            continue
+        processes, sources[kind] = _processes(spec, triad)
+        below = getattr(triad, "read_on_moves_below", None)
+        slow = 0.0 if below is None else float(below) * (1.0 + _SLACK)
+        white = np.asarray(float(getattr(triad, _WHITE[kind])))
+        for axis in triad.axes:
+            terms = tuple(_terms(spec.sensor, triad, kind, axis))
+            channels.append(Channel(terms, white, processes, kind, AXIS_NAMES.index(axis), slow))
+    table, angles = spec.rig.table, [axis.angle for axis in spec.rig.table.axis]
+    numbers = ("standstill_offset", "reading_noise", "read_every", "timing_error")
+    offset, reading, every, timing = (np.array([float(getattr(a, name)) for a in angles]) for name in numbers)
+    if table.by_gravity:
+        offset, reading, every = np.full(len(angles), _UNKNOWN), np.zeros(len(angles)), np.full(len(angles), np.inf)
+    rate = np.asarray(float(table.rate_accuracy or 0.0))
+    held = table.standing == "held"
+    encoder = model.EncoderNoise(offset, reading, every, held, timing, rate, held or bool(np.any(offset)))
+    return ImuModel(tuple(channels), _installation(spec), encoder), sources
+
+
+def _processes(spec: Spec, triad: GyroTriad | AccelerometerTriad) -> tuple[Processes, dict[str, tuple[int, ...]]]:
+    """The noise processes of a channel, and their indices by error source: its own, the sample clock where it is no
+    common parameter of all channels, and the Earth's rate where no bias is estimated that includes it."""
+    total = model.no_processes()
+    sources: dict[str, tuple[int, ...]] = {}
+
+    def add(name: str, process: Processes) -> None:
+        nonlocal total
+        sources[name] = (*sources.get(name, ()), total.count)
+        total = total + process
+
+    for d in triad.drift:
+        add("bias instability", model.gauss_markov(float(d.standard_deviation), float(d.correlation_time)))
+    gyro = triad if isinstance(triad, GyroTriad) else None
+    if gyro is not None and gyro.rate_random_walk:
+        add("rate random walk", model.rate_random_walk(float(gyro.rate_random_walk)))
+    for d in triad.scale_factor_instability:
+        figures = float(d.standard_deviation), float(d.correlation_time)
+        add("scale-factor instability", model.gauss_markov(*figures, bias_gain=0.0, rate_gain=1.0))
+    if (error := triad.thermometer_noise) is not None:
+        # All channels share a thermometer, but the signs of their slopes are unknown: their errors are uncorrelated.
+        gains = {"bias_gain": float(error.bias_slope or 0.0), "rate_gain": float(error.scale_factor_slope or 0.0)}
+        time = np.inf if error.correlation_time is None else float(error.correlation_time)
+        add("temperature measurement", model.gauss_markov(float(error.standard_deviation), time, **gains))
+    if gyro is not None and spec.sensor.clock_error and not has_common_clock(spec):
+        add("sample clock", model.constant(spec.sensor.clock_error, rate_gain=1.0))
+    if triad.turn_on_bias and triad.bias is None:
+        add("turn-on bias", model.constant(float(triad.turn_on_bias), bias_gain=1.0))
+    if gyro is not None and spec.rig.site.is_unknown and gyro.bias is None:
+        # Rectangular within the whole rate.
+        add("Earth's rate", model.constant(trajectory.EARTH_RATE / 3.0**0.5, bias_gain=1.0))
+    return total, sources
+
+
+def _terms(sensor: Sensor, triad: GyroTriad | AccelerometerTriad, kind: ChannelKind, axis: str) -> Iterator[Term]:
+    """The terms of a channel in the order of its parameters."""
+    maps = [
+        _map(triad, key, tuple(s.format(*of, own=axis) for s in signals), name.format(*of), symbol.format(*of), unit)
+        for key, over, signals, name, symbol, unit in _MAPS[kind]
+        if getattr(triad, key) is not None
+        for of in _OVER[over](axis)
+    ]
+    yield from maps
+    if isinstance(triad, GyroTriad):
+        yield from _rotation_terms(triad)
+    unit, own = ("rad/s", f"rate {axis}") if kind == "gyro" else ("m/s^2", f"force {axis}")
+    if (gradient := triad.gradient_sensitivity) is not None:
+        std = or_infinite(gradient.prior)
+        yield GradientOfBias(std=std, has_prior=bool(np.isfinite(std)), si_unit="rad/K" if kind == "gyro" else "m/s/K")
+    plays = [(play, HYSTERESIS, f"{unit}/K", ()) for play in triad.hysteresis]
+    plays += [(play, SCALE_FACTOR_HYSTERESIS, "1/K", (own,)) for play in triad.scale_factor_hysteresis]
+    for play, name, si_unit, signals in plays:
+        prior, width = np.asarray(float(play.prior)), np.asarray(float(play.width))
+        yield Hysteresis(prior, name.format(f"{float(width):g}"), si_unit, signals, width=width)
+    for one in triad.term:
+        yield _general_term(sensor, one, unit, own)
+    yield from (m.beyond for m in maps if m.beyond is not None)
+
+
+def _map(
+    triad: GyroTriad | AccelerometerTriad, key: str, signals: tuple[str, ...], name: str, symbol: str, unit: str
+) -> Map:
+    """The map of a section with its priors. The constant of a bias *is* this run's turn-on bias, so their priors
+    add."""
+    section = getattr(triad, key)
+    temperature, rate, beyond = (getattr(section, of, None) for of in ("temperature", "rate", "discrepancy"))
+    hidden = None
+    if beyond is not None:
+        hidden = float(beyond.standard_deviation), beyond.temperature_degree, getattr(beyond, "rate_degree", 0)
+    late = getattr(section, "lag", None)
+    return make_map(
+        _CONSTANT if temperature is None else basis(temperature),
+        None if rate is None else basis(rate),
+        name=name,
+        symbol=symbol,
+        unit=unit,
+        signals=signals,
+        numbered=isinstance(triad, GyroTriad) and key == "bias",
+        prior_std=or_infinite(section.prior),
+        smoothness_std=or_infinite(getattr(section, "smoothness", None)),
+        common_std=float(triad.turn_on_bias or 0.0) if key == "bias" else 0.0,
+        discrepancy=hidden,
+        late=OtherTemperature.late(float(late)) if late else None,
     )
-    harmonics = {h.order: float(h.amplitude) for h in angle.harmonics}
-    backlash = float(sum(lash for _, lash in gears_of(spec)))
-    channel = gyro_channel(gyro, gyro.axes[0], processes, reference, harmonics=harmonics, backlash=backlash)
-    lag = spec.sensor.lag
-    schedule = table_schedule(spec.schedule, spec)
-    return Assembled(spec, channel, schedule, lag, sources)
+
+
+def _rotation_terms(gyro: GyroTriad) -> Iterator[ProductTerm]:
+    """Bias of a gyro by six products of two rates: its sensitivity to acceleration, times the centripetal acceleration
+    at its place, from where the specific force is known."""
+    if gyro.g_sensitivity is None or not (std := gyro.g_sensitivity.of_rotation):
+        return
+    for of in combinations_with_replacement(AXIS_NAMES, 2):
+        yield ProductTerm(np.asarray(std), f"ww_{''.join(of)}", "s", tuple(f"rate {a}" for a in of))
+
+
+def _general_term(sensor: Sensor, one: GeneralTerm, of_bias: str, own: str) -> OwnTerm:
+    """A `[[term]]` of a channel with the unit `of_bias` of its bias and the input `own`."""
+    of_scale, unit = one.target == "scale_factor", one.si_unit(of_bias)
+    std = np.asarray(one.prior_in_si(of_bias))
+    if one.class_name is not None:
+        return term_of_class(one.class_name, float(std), one.name, unit)
+    signals = tuple(factor for factor in one.factors if factor not in (SLOPE, DIFFERENCE))
+    other = None
+    if DIFFERENCE in one.factors:
+        assert sensor.second_thermometer is not None
+        other = OtherTemperature(SECOND, float(sensor.second_thermometer.lag))
+    every = ((own,) if of_scale else ()) + signals
+    return ProductTerm(std, one.name, unit, every, slopes=one.factors.count(SLOPE), other=other)
+
+
+def basis(section) -> Basis:
+    """A basis of the core from its section of a spec."""
+    if isinstance(section, PolynomialKeys):
+        return Polynomial(section.degree, float(section.centre), float(section.scale))
+    knots = tuple(float(k) for k in section.knots)
+    return BSpline(knots, section.degree) if section.degree else model.Bins(knots)
+
+
+def or_infinite(value: float | tuple[float, ...] | None) -> np.ndarray:
+    """The prior's standard deviation, or that of each coefficient; infinite (a flat prior) where it is absent."""
+    return np.asarray(np.inf if value is None else value, dtype=float)
+
+
+def geometry(rig: Rig) -> Geometry:
+    """The table's axes, the mountings, and the site."""
+    mountings = []
+    for mounting in rig.table.mounting:
+        matrix = np.array(mounting.columns).T
+        if mounting.rotation is not None:
+            vector = np.array([float(a) for a in mounting.rotation])
+            if (size := np.linalg.norm(vector)) > 0.0:
+                matrix = matrix @ trajectory.rotation(vector / size, np.asarray(size))
+        mountings.append(matrix)
+    return Geometry(
+        np.array([axis.unit_vector for axis in rig.table.axis]),
+        np.eye(3),
+        np.array(mountings),
+        np.asarray(rig.site.latitude_rad),
+        np.asarray(rig.site.gravity_m_per_s2),
+    )
+
+
+class RestPoses(NamedTuple):
+    """The `n` rests of a plan: `start` and `duration` s, and `up` `(n, 3)`, the vertical seen from the body."""
+
+    start: np.ndarray
+    duration: np.ndarray
+    up: np.ndarray
+
+
+def rest_poses(built: BuiltImu) -> RestPoses:
+    """The rests of a plan."""
+    motion = built.motion
+    line, at = motion.line, segments_of(motion, built.model)
+    before, _ = motion.angles()
+    stages = trajectory.frames(motion.geometry, before, motion.mounting)
+    rests = (at.axis < 0) & ~line.gap[at.first]
+    first = at.first[rests]
+    return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
+
+
+def _motion(spec: Spec, of: ImuModel, change: Callable[[Schedule], Schedule] | None) -> TableMotion:
+    """The motion of a spec's plan; `change`: what its times and rates become."""
+    schedule, axes, start = _schedule(spec.schedule, spec)
+    schedule = schedule if change is None else change(schedule)
+    line = schedule.trajectory(spec.sensor.lag)
+    # What fills a stretch stands.
+    axis = np.array([*axes, -1])[np.minimum(np.asarray(schedule.pieces.move), len(axes))]
+    # Between two stretches the table stands where the cycle began, up to whole turns, and the mounting changes.
+    stretch = np.cumsum(np.diff(line.gap.astype(int), prepend=0) < 0)
+    mounting = np.minimum(stretch, len(spec.rig.table.mounting) - 1)
+    decays = [*_decays(of), *([] if spec.sensor.lag is None else [float(line.lag_rate)])]
+    division = _divisions_by_decay(line, max(decays, default=0.0))
+    if len(division[0]):
+        line, source = line.divided(*division)
+        axis, mounting = axis[source], mounting[source]
+    fine = fineness(spec, of, line)
+    motion = trajectory.table_motion(line, axis, mounting, geometry(spec.rig), start, *fine)
+    motion = replace(motion, divisions=(division,))
+    smooth = trajectory.divided_motion(motion, *_breaks(of), *fine)
+    if not of.knows_path:
+        return smooth
+    widths = tuple(sorted({float(term.width) for term in of.terms if isinstance(term, Hysteresis)}))
+    on_path = replace(smooth, history=course_before(spec), others=of.others)
+    return trajectory.motion_divided_by_plays(on_path, widths, *fine)
+
+
+def _decays(of: ImuModel) -> list[float]:
+    """The rates (1/s) at which exponentials in a model's columns decay."""
+    return [1.0 / other.lag for other in of.others if other.lag]
+
+
+def _divisions(spec: Spec, of: ImuModel, built: BuiltImu) -> tuple[object, ...]:
+    """What divides the motion of a plan into pieces, and the nodes of these, for other error terms than it was built
+    for."""
+    path = [term for term in of.terms if isinstance(term, OwnTerm)]
+    times = of.others, [(type(term), term.name) for term in path]
+    return spec.sensor.lag, times, _breaks(of), fineness(spec, of, built.motion.line)
+
+
+def _schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[Schedule, list[int], np.ndarray]:
+    """The schedule of a plan as a channel sees it that every axis turns, the axis of each of its moves (−1: a rest),
+    and the axes' angles (rad) at its begin."""
+    schedule = table_schedule(plan, spec)
+    if isinstance(plan, StandardSchedule):
+        return schedule, [-1] + [0] * len(plan.rates), np.zeros(len(spec.rig.table.axis))
+    return schedule, [s.axis for s in (*plan.every_step, *plan.after)], np.array(plan.start)
+
+
+def _divisions_by_decay(line: trajectory.Trajectory, decay: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pieces and fractions of them at which they are bisected towards their start, so that an exponential that decays
+    at `decay` for s (of a thermal lag) changes little in each part."""
+    decays = np.where(line.gap, 0.0, line.duration) * decay
+    halves = np.ceil(np.log2(np.maximum(decays / _LAG_TIMES, 1.0))).astype(int)
+    pieces = np.repeat(np.arange(len(halves)), halves)
+    order = np.concatenate([np.zeros(0), *(np.arange(count, 0, -1) for count in halves)])
+    return pieces, 0.5**order
+
+
+def fineness(spec: Spec, of: ImuModel, line: trajectory.Trajectory) -> tuple[int | None, int]:
+    """The fastest wave in a column, in cycles a turn, and the number of nodes of a turning piece without waves. No
+    column has waves if every gyro lies along the only axis of a table, whose encoder's error counts at the readings."""
+    orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
+    frame = geometry(spec.rig)
+    along = [np.abs(frame.axes[0] @ mounting) for mounting in frame.mountings]
+    plain = (
+        len(frame.axes) == 1
+        and all(c.kind == "gyro" and all(np.all(a == np.eye(3)[c.axis]) for a in along) for c in of.channels)
+        and all(term.of_own_input for term in of.terms)
+        and all(isinstance(term, model.AxisHarmonics | model.CommonScale) for term in of.installation)
+    )
+    nodes = [_FEWEST]
+    for c in of.channels:
+        maps = [t for t in c.terms if isinstance(t, Map | Discrepancy) and t.of_own_input]
+        if c.kind == "gyro" and maps:
+            degrees = [max((_degree(getattr(t, name)) for t in maps), default=0) for name in ("temperature", "rate")]
+            nodes.append(trajectory.moving_nodes(line, *degrees))
+    # A single node is that of a standing piece.
+    most = max(nodes[1:] or nodes)
+    return (0 if orders else None, max(most, 2)) if plain else (waves_of(spec), max(most, _FEWEST))
+
+
+def _degree(of: Basis | None) -> int:
+    return of.degree if isinstance(of, Polynomial | BSpline | HigherPolynomials) else 0
+
+
+def waves_of(spec: Spec) -> int:
+    """The fastest wave in a column of an IMU, in cycles a turn."""
+    orders = [h.order for axis in spec.rig.table.axis for h in axis.angle.harmonics]
+    return max(_WAVES, max(orders, default=0) + 1)
+
+
+def _breaks(of: ImuModel) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:
+    """Where functions of temperature (degC) and, for each gyro's axis, of its rate (rad/s) are not smooth."""
+    warm: set[float] = set()
+    fast: dict[int, set[float]] = {}
+    for c in of.channels:
+        for term in c.terms:
+            if isinstance(term, Map):
+                warm.update(term.temperature.breaks)
+            if isinstance(term, Map) and term.rate is not None and term.rate.breaks:
+                fast.setdefault(c.axis, set()).update(term.rate.breaks)
+    return tuple(sorted(warm)), {axis: tuple(sorted(at)) for axis, at in fast.items()}
 
 
 def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> Schedule:
     """The schedule of a plan as a channel sees it that every axis turns."""
     if isinstance(plan, StandardSchedule):
-        return held_rates(plan)
+        points = (plan.temperatures, plan.soak_each, plan.integration, plan.rates)
+        return trajectory.standard_plan(*points, points=plan.shared)
     table, gyro = spec.rig.table, spec.sensor.gyro
     course, used = chamber_programme(plan)
     every = float(table.axis[0].angle.read_every) if table.standing == "read" else None
@@ -87,116 +528,6 @@ def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> Schedul
     # What no cycle fills is read once at its end, but by an operator, who types angles after turns only.
     left = None if every is None or (np.isinf(every) and not table.typed) else every
     return trajectory.gradient_plan(course, moves, after, used=used, read_every=left)
-
-
-def processes_of(parts: list[tuple[str, Processes]]) -> tuple[Processes, dict[str, tuple[int, ...]]]:
-    """All noise processes of a channel, and their indices by error source."""
-    total = model.no_processes()
-    sources: dict[str, tuple[int, ...]] = {}
-    for name, part in parts:
-        sources[name] = (*sources.get(name, ()), total.count)
-        total = total + part
-    return total, sources
-
-
-def named_processes(
-    sensor: GyroTriad | AccelerometerTriad, *, clock: float = 0.0, earth_is_unknown: bool = False
-) -> list[tuple[str, Processes]]:
-    """The noise processes of a channel with the names of their error sources: its own, the `clock` (a ratio) where it
-    is no common parameter of all channels, and the Earth's rate where no bias is estimated that includes it."""
-    figures = lambda d: (float(d.standard_deviation), float(d.correlation_time))  # noqa: E731
-    parts = [("bias instability", model.gauss_markov(*figures(d))) for d in sensor.drift]
-    if not isinstance(sensor, AccelerometerTriad) and sensor.rate_random_walk:
-        parts.append(("rate random walk", model.rate_random_walk(float(sensor.rate_random_walk))))
-    for d in sensor.scale_factor_instability:
-        process = model.gauss_markov(*figures(d), bias_gain=0.0, rate_gain=1.0)
-        parts.append(("scale-factor instability", process))
-    if (error := sensor.thermometer_noise) is not None:
-        # All channels share a thermometer, but the signs of their slopes are unknown: their errors are uncorrelated.
-        gains = {"bias_gain": float(error.bias_slope or 0.0), "rate_gain": float(error.scale_factor_slope or 0.0)}
-        deviation = float(error.standard_deviation)
-        process = model.constant(deviation, **gains)
-        if error.correlation_time is not None:
-            process = model.gauss_markov(deviation, float(error.correlation_time), **gains)
-        parts.append(("temperature measurement", process))
-    if clock:
-        parts.append(("sample clock", model.constant(clock, rate_gain=1.0)))
-    if sensor.turn_on_bias and sensor.bias is None:
-        parts.append(("turn-on bias", model.constant(float(sensor.turn_on_bias), bias_gain=1.0)))
-    if earth_is_unknown and sensor.bias is None:
-        # Rectangular within the whole rate.
-        parts.append(("Earth's rate", model.constant(trajectory.EARTH_RATE / 3.0**0.5, bias_gain=1.0)))
-    return parts
-
-
-def gyro_channel(
-    sensor: GyroTriad,
-    axis: str,
-    processes: Processes,
-    reference: Reference | None = None,
-    *,
-    harmonics: dict[int, float] | None = None,
-    backlash: float = 0.0,
-    signals: Sequence[SignalMap] = (),
-    path: Sequence[PathTerm | OwnTerm] = (),
-) -> SensorModel:
-    """The model of the gyro along an axis of the body: its maps, the terms of its other `signals` and of the `path`
-    of temperature, and its noise."""
-    gradient = sensor.gradient_sensitivity
-    return model.gyro_model(
-        None if sensor.bias is None else section_map(sensor.bias, float(sensor.turn_on_bias or 0.0)),
-        None if sensor.scale_factor is None else section_map(sensor.scale_factor),
-        float(sensor.angle_random_walk),
-        processes,
-        reference,
-        temperature_gradient_std=None if gradient is None else or_infinite(gradient.prior),
-        harmonics=harmonics,
-        backlash=backlash,
-        signals=signals,
-        path=path,
-    )
-
-
-def basis(section) -> model.Basis:
-    """A basis of the core from its section of a spec."""
-    if isinstance(section, PolynomialKeys):
-        return model.Polynomial(section.degree, float(section.centre), float(section.scale))
-    knots = tuple(float(k) for k in section.knots)
-    return model.BSpline(knots, section.degree) if section.degree else model.Bins(knots)
-
-
-def section_map(section: Bias | ScaleFactor, turn_on_std: float = 0.0) -> Map:
-    """`B(T)` or `M(T, ω)` with its priors, from a spec. The constant of a bias *is* this run's turn-on bias, so their
-    priors add."""
-    beyond, rate, degree = section.discrepancy, None, 0
-    if isinstance(section, ScaleFactor):
-        rate, degree = basis(section.rate), 0 if section.discrepancy is None else section.discrepancy.rate_degree
-    return model.make_map(
-        basis(section.temperature),
-        rate,
-        prior_std=or_infinite(section.prior),
-        smoothness_std=or_infinite(section.smoothness),
-        common_std=turn_on_std,
-        discrepancy=None if beyond is None else (float(beyond.standard_deviation), beyond.temperature_degree, degree),
-        late=late_of(section),
-    )
-
-
-def late_of(section: Section) -> OtherTemperature | None:
-    """The temperature that a section's map follows; None: the sensor's own."""
-    lag = getattr(section, "lag", None)
-    return OtherTemperature.late(float(lag)) if lag else None
-
-
-def or_infinite(value: float | tuple[float, ...] | None) -> np.ndarray:
-    """The prior's standard deviation, or that of each coefficient; infinite (a flat prior) where it is absent."""
-    return np.asarray(np.inf if value is None else value, dtype=float)
-
-
-def held_rates(schedule: StandardSchedule) -> Schedule:
-    """The plan of the standard method in the core's terms."""
-    points = (schedule.temperatures, schedule.soak_each, schedule.integration, schedule.rates)
-    return trajectory.standard_plan(*points, points=schedule.shared)
 
 
 def chamber_programme(
@@ -232,3 +563,13 @@ def move_of(move: ResolvedMove, longest_piece: float = np.inf) -> Move:
         read_every=move.read_every,
         longest_piece=longest_piece,
     )
+
+
+def hung_alike(spec: Spec) -> list[tuple[Spec, list[str]]]:
+    """The spec of the IMU at each place that hangs differently, with the names of the places that hang so; of a table
+    without places the spec itself."""
+    alike: dict[str, tuple[Spec, list[str]]] = {}
+    for name, at in specs_at_places(spec).items():
+        hung = [m.model_dump(exclude={"name"}) for m in at.rig.table.mounting]
+        alike.setdefault(repr((hung, at.sensor.model_dump())), (at, []))[1].append(name)
+    return list(alike.values())

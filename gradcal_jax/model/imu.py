@@ -26,25 +26,39 @@ from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
 from gradcal_jax.model.bases import Basis, Polynomial
 from gradcal_jax.model.installation import InstallationTerm
 from gradcal_jax.model.nodes import AXIS_NAMES, INPUTS, BodyGroup, BodyNodes, OtherTemperature
-from gradcal_jax.model.path import PathTerm, TemperatureDifference
-from gradcal_jax.model.sensor import SensorModel
-from gradcal_jax.model.terms import DISCREPANCY, Discrepancy, GradientOfBias, Map, SignalMap, Term, block_diagonal
+from gradcal_jax.model.noise import Processes
+from gradcal_jax.model.terms import (
+    DISCREPANCY,
+    Discrepancy,
+    GradientOfBias,
+    Map,
+    OwnTerm,
+    ProductTerm,
+    Term,
+    block_diagonal,
+)
 
 ChannelKind = Literal["gyro", "accelerometer"]
 KINDS: tuple[ChannelKind, ...] = ("gyro", "accelerometer")
 
 
 class Channel(PytreeModule):
-    """A gyro or an accelerometer along the body's axis `axis`, with its own terms and noise (`model`).
+    """A gyro or an accelerometer along the body's axis `axis`: a sum of `terms` in the order of its parameters, white
+    noise (`angle_random_walk`, rad/√s; of an accelerometer m/s/√s), and slow noise.
 
-    An accelerometer's noise is that of a gyro with m/s instead of rad. A gyro is always read, an accelerometer at rest
-    and on moves no faster than `read_below` rad/s.
+    A gyro is always read, an accelerometer at rest and on moves no faster than `read_below` rad/s.
     """
 
-    model: SensorModel
+    terms: tuple[Term, ...]
+    angle_random_walk: Float[AnyArray, ""]
+    processes: Processes
     kind: ChannelKind = eqx.field(static=True)
     axis: int = eqx.field(static=True)
     read_below: float = eqx.field(static=True, default=0.0)
+
+    def __check_init__(self):
+        if not any(isinstance(term, Map) for term in self.terms):
+            raise ValueError("nothing to calibrate: give the model a bias map, a scale-factor map, or both")
 
     @property
     def name(self) -> str:
@@ -54,6 +68,33 @@ class Channel(PytreeModule):
     def index(self) -> int:
         """Its index among three gyros and three accelerometers."""
         return self.axis + 3 * KINDS.index(self.kind)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return sum(term.size for term in self.terms)
+
+    def where(self, name: str) -> slice:
+        """Indices of a term's parameters among the channel's; an empty slice for a term that it does not have."""
+        begin = 0
+        for term in self.terms:
+            if term.name == name:
+                return slice(begin, begin + term.size)
+            begin += term.size
+        return slice(begin, begin)
+
+    def term(self, name: str) -> Term | None:
+        """The term of that name, if there is one."""
+        return next((term for term in self.terms if term.name == name), None)
+
+    def map(self, name: str) -> Map | None:
+        """The map of that name, if the channel has it."""
+        term = self.term(name)
+        return term if isinstance(term, Map) else None
+
+    def names(self) -> list[str]:
+        """Names of the reported parameters in order, without the channel's."""
+        return [name for term in self.terms for name in term.names()]
 
 
 class EncoderNoise(PytreeModule):
@@ -89,18 +130,18 @@ class ImuModel(PytreeModule):
     @property
     def calibrated(self) -> int:
         """Number of the unit's own parameters, which precede those of its installation."""
-        return sum(c.model.size for c in self.channels)
+        return sum(c.size for c in self.channels)
 
     @property
     def terms(self) -> list[Term]:
         """The terms of all channels, in the order of their parameters."""
-        return [term for c in self.channels for term in c.model.terms]
+        return [term for c in self.channels for term in c.terms]
 
     @property
     def own_states(self) -> int:
         """Number of the noise states that are the unit's own: integrals and processes of its channels. Those of the
         encoders follow."""
-        return sum(1 + c.model.processes.count for c in self.channels)
+        return sum(1 + c.processes.count for c in self.channels)
 
     @property
     def size(self) -> int:
@@ -112,9 +153,9 @@ class ImuModel(PytreeModule):
         begin = 0
         for c in self.channels:
             if (c.kind, c.axis) == (kind, axis):
-                inside = slice(0, c.model.size) if term is None else c.model.where(term)
+                inside = slice(0, c.size) if term is None else c.where(term)
                 return slice(begin + inside.start, begin + inside.stop)
-            begin += c.model.size
+            begin += c.size
         return slice(begin, begin)
 
     def channel(self, kind: ChannelKind, axis: int) -> Channel | None:
@@ -124,39 +165,40 @@ class ImuModel(PytreeModule):
     @property
     def knows_path(self) -> bool:
         """Whether any term depends on the path of temperature."""
-        return bool(self.others) or any(isinstance(term, PathTerm) for term in self.terms)
+        return bool(self.others) or any(isinstance(term, OwnTerm) and term.of_path for term in self.terms)
 
     @property
     def others(self) -> tuple[OtherTemperature, ...]:
         """The temperatures beside that of the sensor on which its terms depend."""
-        late = {term.late for term in self.terms if isinstance(term, Map | SignalMap) and term.late is not None}
-        return tuple(sorted(late | {term.other for term in self.terms if isinstance(term, TemperatureDifference)}))
+        late = {term.late for term in self.terms if isinstance(term, Map)}
+        other = {term.other for term in self.terms if isinstance(term, ProductTerm)}
+        return tuple(sorted((late | other) - {None}))
 
     def names(self) -> list[str]:
         """Names of the reported parameters in order: `gyro_x.b00`, `accelerometer_z.k2`, `azimuth`."""
-        own = [f"{c.name}.{name}" for c in self.channels for name in c.model.names()]
+        own = [f"{c.name}.{name}" for c in self.channels for name in c.names()]
         return own + [name for term in self.installation for name in term.names()]
 
     def units(self) -> list[str]:
         """SI units of the parameters."""
         shared = [term.unit for term in self.installation for _ in range(term.size)]
-        return [unit for c in self.channels for unit in c.model.units()] + shared
+        return [term.unit for term in self.terms for _ in range(term.size)] + shared
 
     @property
     def to_reported(self) -> np.ndarray:
         """`(p, p)`: the engine's parameters to the reported ones."""
-        blocks = [c.model.to_reported for c in self.channels]
+        blocks = [term.to_reported for term in self.terms]
         return block_diagonal([*blocks, np.eye(self.size - self.calibrated)])
 
-    def misalignments(self) -> Iterator[tuple[int, SignalMap, slice]]:
+    def misalignments(self) -> Iterator[tuple[int, Map, slice]]:
         """The terms by which a channel senses what acts across its axis: number of the channel, term, and the indices
         of its parameters."""
         begin = 0
         for number, c in enumerate(self.channels):
             across = [f"{INPUTS[c.kind]} {axis}" for k, axis in enumerate(AXIS_NAMES) if k != c.axis]
-            for term in c.model.terms:
+            for term in c.terms:
                 end = begin + term.size
-                if isinstance(term, SignalMap) and len(term.signals) == 1 and term.signals[0] in across:
+                if isinstance(term, Map) and len(term.signals) == 1 and term.signals[0] in across:
                     yield number, term, slice(begin, end)
                 begin = end
 
@@ -196,9 +238,9 @@ class ImuModel(PytreeModule):
         alike = [{} for _ in nodes.groups]
         for c in self.channels:
             view, moves = nodes.channel(c.kind, c.axis), c.kind == "gyro" or c.read_below > 0.0
-            for term in c.model.terms:
+            for term in c.terms:
                 end = begin + term.size
-                if isinstance(term, Map | SignalMap):
+                if isinstance(term, Map):
                     basis = term.temperature
                     places = np.arange(begin, end).reshape(basis.size, -1)
                     for group, own, known in zip(nodes.groups, view.groups, alike, strict=True):
@@ -224,8 +266,8 @@ class ImuModel(PytreeModule):
         """S with `columns at T + by = (columns at T) S` for each `by` (K); None unless all are polynomials of T."""
         result, known = np.tile(np.eye(self.size), (len(by), 1, 1)), {}
         begin = 0
-        for channel, term in ((c, term) for c in self.channels for term in c.model.terms):
-            if isinstance(term, Map | SignalMap):
+        for channel, term in ((c, term) for c in self.channels for term in c.terms):
+            if isinstance(term, Map):
                 basis, count = term.temperature, term.size // term.temperature.size
                 if not isinstance(basis, Polynomial) or term.late is not None:
                     return None
@@ -234,7 +276,7 @@ class ImuModel(PytreeModule):
                     known[key] = basis.shifts(by)[:, None]
                 result[:, places[:, :, None], places[:, None, :]] = known[key]
             elif isinstance(term, Discrepancy) and term.late is None:
-                of = channel.model
+                of = channel
                 own = term.name.removesuffix(DISCREPANCY.format(""))
                 first = begin - of.where(term.name).start
                 places = np.append(first + np.arange(of.size)[of.where(own)], begin + np.arange(term.size))
@@ -248,5 +290,5 @@ class ImuModel(PytreeModule):
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:
         """Whitened rows of the priors."""
-        blocks = [c.model.prior_rows() for c in self.channels]
+        blocks = [term.prior_rows() for term in self.terms]
         return block_diagonal(blocks + [namespace(self).diag(1.0 / term.stds) for term in self.installation])

@@ -8,30 +8,10 @@ of both.
 from dataclasses import replace
 from typing import Final, NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, placed, put
-
-
-class GaussNodes(PytreeModule):
-    """Nodes of the `k` `pieces`, `q` each: `weight` s, `rate` rad/s, `temperature` °C.
-
-    Where `moving` is false the rate is zero throughout.
-    """
-
-    pieces: Int[AnyArray, " k"]
-    weight: Float[AnyArray, "k q"]
-    rate: Float[AnyArray, "k q"]
-    temperature: Float[AnyArray, "k q"]
-    moving: bool = eqx.field(static=True)
-
-    def sums(self, first: Float[AnyArray, "k q a"], second: Float[AnyArray, "k q b"]) -> Float[AnyArray, "k ab"]:
-        """Weighted sums over each piece of all products of two sets of functions, the second fastest."""
-        xp = namespace(first, second)
-        weighted = xp.swapaxes(second * self.weight[..., None], -1, -2)
-        return xp.reshape(xp.swapaxes(weighted @ first, -1, -2), (first.shape[0], -1))
 
 
 class OtherTemperature(NamedTuple):
@@ -69,7 +49,6 @@ class SharedNodes(NamedTuple):
     share: Float[np.ndarray, "q m"]
     time: Float[AnyArray, "k m"] | None = None
     slope: Float[AnyArray, "k m"] | None = None
-    moving: bool = True
     others: dict[str, Float[AnyArray, "k m"]] | None = None
 
     def signal(self, name: str) -> Float[AnyArray, "U q"]:
@@ -96,7 +75,7 @@ class SharedNodes(NamedTuple):
         return product[..., None]
 
     def sums(self, first: Float[AnyArray, "k m a"], second: Float[AnyArray, "U q b"]) -> Float[AnyArray, "k ab"]:
-        """As of `GaussNodes`."""
+        """Weighted sums over each piece of all products of two sets of functions, the second fastest."""
         xp = namespace(first, second)
         weights = xp.swapaxes(second * self.weight[..., None], -1, -2) @ self.share
         return xp.reshape(
@@ -111,41 +90,29 @@ class SharedNodes(NamedTuple):
         return self.others[of.name]
 
 
-NodeGroup = GaussNodes | SharedNodes
-
-
 class Nodes(PytreeModule):
-    """All nodes of `count` pieces, and values of each piece for terms that are no integrals.
+    """All nodes of a channel's pieces, and values of each piece for terms that are no integrals.
 
-    `temperature_change` K over the piece; `angle_before`, `angle_after`: the table's angle at its ends, rad.
-    `temperature_before` °C as the piece begins, and `history` °C: turning points of the temperature before the first
-    piece; None where no term depends on the path of temperature.
+    `temperature_change` K over the piece. `temperature_before` °C as the piece begins, and `history` °C: turning points
+    of the temperature before the first piece; None where no term depends on the path of temperature.
     """
 
-    groups: tuple[NodeGroup, ...]
+    groups: tuple[SharedNodes, ...]
     temperature_change: Float[AnyArray, " P"]
-    angle_before: Float[AnyArray, " P"]
-    angle_after: Float[AnyArray, " P"]
     temperature_before: Float[AnyArray, " P"] | None = None
     history: Float[AnyArray, " H"] | None = None
-
-    @property
-    def count(self) -> int:
-        return self.temperature_change.shape[0]
 
     def at(self, other: OtherTemperature | None) -> "Nodes":
         """The same at another temperature; None: at that of the maps."""
         if other is None:
             return self
-        shared = (g for g in self.groups if isinstance(g, SharedNodes))
-        return replace(self, groups=tuple(g._replace(temperature=g.temperature_at(other)) for g in shared))
+        return replace(self, groups=tuple(g._replace(temperature=g.temperature_at(other)) for g in self.groups))
 
-    def integrals(self, of_group, size: int, *, moving_only: bool = False) -> Float[AnyArray, "P size"]:
+    def integrals(self, of_group, size: int) -> Float[AnyArray, "P size"]:
         """`of_group(group) -> (k, size)` of every group at its pieces; zero at pieces without a group."""
-        result = namespace(self.temperature_change).zeros((self.count, size))
+        result = namespace(self.temperature_change).zeros((self.temperature_change.shape[0], size))
         for group in self.groups:
-            if group.pieces.shape[0] and (group.moving or not moving_only):
-                result = put(result, group.pieces, of_group(group))
+            result = put(result, group.pieces, of_group(group))
         return result
 
 
@@ -244,10 +211,8 @@ class BodyNodes(PytreeModule):
 
     def channel(self, kind: str, index: int) -> Nodes:
         """Nodes of a gyro or accelerometer along the body's axis `index`, with the signals of all axes."""
-        own = INPUTS[kind]
-        none = namespace(self.temperature_change).zeros(self.temperature_change.shape)
-        groups, path = tuple(g.shared(own, index) for g in self.groups), (self.temperature_before, self.history)
-        return Nodes(groups, self.temperature_change, none, none, *path)
+        groups = tuple(g.shared(INPUTS[kind], index) for g in self.groups)
+        return Nodes(groups, self.temperature_change, self.temperature_before, self.history)
 
 
 AXIS_NAMES = ("x", "y", "z")

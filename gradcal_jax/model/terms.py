@@ -9,7 +9,7 @@ import importlib
 from abc import abstractmethod
 from collections.abc import Sequence
 from importlib.metadata import entry_points
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import equinox as eqx
 import jax
@@ -18,12 +18,11 @@ from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
 from gradcal_jax.model.bases import Basis, HigherPolynomials, Polynomial, tensor
-from gradcal_jax.model.nodes import NodeGroup, Nodes, OtherTemperature, SharedNodes
+from gradcal_jax.model.nodes import Nodes, OtherTemperature, SharedNodes
 
 BIAS: Final = "bias"
 SCALE_FACTOR: Final = "scale_factor"
 TEMPERATURE_GRADIENT: Final = "bias_temperature_gradient"
-HARMONICS: Final = "harmonics"
 # Until its first turn an axis stands anywhere within its backlash. With a standard deviation of this many backlashes,
 # several times the true one, the first turn tells hardly anything of their size: it would, if that were certain.
 UNTOLD_BEGIN: Final = 2.0
@@ -41,6 +40,11 @@ class Term(PytreeModule):
     @abstractmethod
     def unit(self) -> str:
         """SI unit of its parameters."""
+
+    @property
+    def of_own_input(self) -> bool:
+        """Whether it depends on no signal but the channel's own input."""
+        return False
 
     @property
     def size(self) -> int:
@@ -77,6 +81,10 @@ class Discrepancy(Term):
     std: Float[AnyArray, ""]
     name: str = eqx.field(static=True)
     late: OtherTemperature | None = eqx.field(static=True, default=None)
+
+    @property
+    def of_own_input(self) -> bool:
+        return True
 
     @property
     def unit(self) -> str:
@@ -132,23 +140,24 @@ class Discrepancy(Term):
         return np.linalg.solve(at(t)[None], np.stack([at(t + b) for b in by]))
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        def of_group(group: NodeGroup):
+        def of_group(group: SharedNodes):
             drive = 1.0 if self.rate is None else group.rate[..., None]
             pairs = self._factors(group.temperature, group.rate)
             parts = [group.sums(t, w * drive) for t, w in pairs if t.shape[-1] and w.shape[-1]]
             return namespace(group.weight).concatenate(parts, axis=-1)
 
-        return nodes.at(self.late).integrals(of_group, self.size, moving_only=self.rate is not None)
+        return nodes.at(self.late).integrals(of_group, self.size)
 
 
 class Map(Term):
-    """A calibrated function: `B(T)` (`rate` is None, rad/s) or `M(T, ω)`, which the rate multiplies, with its priors.
+    """A function of temperature, and of the channel's own input with `rate`, times a product of `signals`, with priors.
 
-    `prior_std`: standard deviation of every *reported* coefficient, or of each, rad/s for B and 1 for M; `inf` is flat.
-    `common_std`: of an error common to the whole map, inseparable from its constant (turn-on bias of B).
-    `smoothness_std`: standard deviation of the difference of neighbouring coefficients; `inf` is none.
-    `beyond`: functions that the structure omits, a term of its own in a model.
-    `late`: the temperature that the map follows; None: the sensor's own.
+    B(T) has neither signals nor `rate`; M(T, ω) has both; a misalignment has the rate about another axis alone.
+    `prior_std`: standard deviation of every *reported* coefficient, or of each (`has_prior`: finite). `common_std`: of
+    an error common to the whole map, inseparable from its constant (turn-on bias of B). `smoothness_std`: of the
+    difference of neighbouring coefficients (`has_smoothness`: finite). `beyond`: functions that the structure omits, a
+    term of its own in a model. `late`: the temperature that the map follows; None: the sensor's own. `symbol`: of the
+    coefficients; `numbered`: even if there is one.
     """
 
     temperature: Basis
@@ -156,30 +165,40 @@ class Map(Term):
     prior_std: Float[AnyArray, "*sizes"]
     smoothness_std: Float[AnyArray, ""]
     common_std: Float[AnyArray, ""]
-    beyond: Discrepancy | None = None
-    name: str = eqx.field(static=True, default=BIAS)
-    has_prior: bool = eqx.field(static=True, default=False)
-    has_smoothness: bool = eqx.field(static=True, default=False)
-    late: OtherTemperature | None = eqx.field(static=True, default=None)
+    beyond: Discrepancy | None
+    name: str = eqx.field(static=True)
+    symbol: str = eqx.field(static=True)
+    si_unit: str = eqx.field(static=True)
+    signals: tuple[str, ...] = eqx.field(static=True)
+    numbered: bool = eqx.field(static=True)
+    has_prior: bool = eqx.field(static=True)
+    has_smoothness: bool = eqx.field(static=True)
+    late: OtherTemperature | None = eqx.field(static=True)
 
     @property
     def unit(self) -> str:
-        return "rad/s" if self.rate is None else "1"
+        return self.si_unit
 
     @property
     def size(self) -> int:
         return self.temperature.size * (1 if self.rate is None else self.rate.size)
 
+    @property
+    def of_own_input(self) -> bool:
+        return self.rate is not None or not self.signals
+
     def names(self) -> list[str]:
         """As in the paper for polynomials: `a{k}` multiplies the k-th power of temperature in B; `b{j}{i}` the j-th
         power of rate and the i-th of temperature in M. Other bases count their functions: `a_bin3`, `b_spline2_1`.
         """
-        t, w = self.temperature, self.rate
+        t, w, symbol = self.temperature, self.rate, self.symbol
         if w is None:
-            return [f"a{_ordinal(t, i)}" for i in range(t.size)]
+            if t.size == 1 and not self.numbered:
+                return [symbol]
+            return [f"{symbol}{_ordinal(t, i)}" for i in range(t.size)]
         short = isinstance(t, Polynomial) and isinstance(w, Polynomial) and max(t.size, w.size) <= 10
         pairs = [(i, j) for i in range(t.size) for j in range(w.size)]
-        return [f"b{j}{i}" if short else f"b{_ordinal(w, j)}_{_ordinal(t, i)}" for i, j in pairs]
+        return [f"{symbol}{j}{i}" if short else f"{symbol}{_ordinal(w, j)}_{_ordinal(t, i)}" for i, j in pairs]
 
     def values(self, temperature: Float[AnyArray, "*s"], rate: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s size"]:
         """The engine's functions at temperatures (°C) and rates (rad/s)."""
@@ -218,36 +237,57 @@ class Map(Term):
         return xp.concatenate(rows) if rows else xp.zeros((0, self.size))
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        def of_group(g: NodeGroup):
-            return g.sums(self.temperature(g.temperature), self.drive(g))
+        nodes = nodes.at(self.late)
+        return nodes.integrals(lambda g: g.sums(self.temperature(g.temperature), self.drive(g)), self.size)
 
-        return nodes.at(self.late).integrals(of_group, self.size, moving_only=self.rate is not None)
+    def drive(self, group: SharedNodes) -> Float[AnyArray, "U q b"]:
+        """Factors of the functions of temperature at the nodes: the signals, and functions of the channel's input."""
+        product = group.product(self.signals)
+        return product if self.rate is None else self.rate(group.rate) * product
 
-    def columns_with_beyond(self, nodes: Nodes) -> tuple[Float[AnyArray, "P size"], Float[AnyArray, "P extra"]]:
-        """The map's columns and the discrepancy's, computed together where its polynomials continue the map's."""
-        beyond = self.beyond
-        assert beyond is not None
-        pairs = [(self.temperature, beyond.temperature), (self.rate, beyond.rate)]
-        if not all(_continued(*pair) for pair in pairs):
-            return self.columns(nodes), beyond.columns(nodes)
-        in_t, in_w = beyond.temperature.lowest, 1 if beyond.rate is None else beyond.rate.lowest
 
-        def of_group(g: NodeGroup):
-            xp, w = namespace(g.weight), beyond.rate
-            of_rate = xp.ones((*g.rate.shape, 1)) if w is None else g.rate[..., None] * w.from_zero(g.rate)
-            every = g.sums(beyond.temperature.from_zero(g.temperature), of_rate)
-            every = xp.reshape(every, (len(every), -1, of_rate.shape[-1]))
-            parts = (every[:, :in_t, :in_w], every[:, in_t:], every[:, :in_t, in_w:])
-            return xp.concatenate([xp.reshape(part, (len(every), -1)) for part in parts], axis=1)
+def make_map(
+    temperature: Basis,
+    rate: Basis | None = None,
+    *,
+    name: str = BIAS,
+    symbol: str = "a",
+    unit: str = "rad/s",
+    signals: tuple[str, ...] = (),
+    numbered: bool = False,
+    prior_std: float | np.ndarray = np.inf,
+    smoothness_std: float | np.ndarray = np.inf,
+    common_std: float = 0.0,
+    discrepancy: tuple[float, int, int] | None = None,
+    late: OtherTemperature | None = None,
+) -> Map:
+    """A map from plain numbers (SI). `discrepancy` is (standard deviation, highest degree in T, highest degree in ω).
 
-        both = nodes.at(self.late).integrals(of_group, self.size + beyond.size, moving_only=self.rate is not None)
-        return both[:, : self.size], both[:, self.size :]
-
-    def drive(self, group: NodeGroup) -> AnyArray:
-        """Factor of the functions of temperature at the nodes: 1 for B, `χ(ω)·ω` for M."""
-        if self.rate is None:
-            return namespace(group.rate).ones((*group.rate.shape, 1))
-        return self.rate(group.rate) * group.rate[..., None]
+    Errors: `ValueError` for a discrepancy of a basis that is not polynomial, or of no higher degree than the basis.
+    """
+    beyond = None
+    scalar = lambda v: np.asarray(v, dtype=float)  # noqa: E731
+    if discrepancy is not None:
+        std, *degrees = discrepancy
+        polynomials = [b for b in (temperature, rate) if isinstance(b, Polynomial)]
+        if len(polynomials) < (1 if rate is None else 2):
+            raise ValueError(
+                "a model discrepancy needs polynomial bases: for B-splines and bins, use a smoothness prior instead"
+            )
+        bases = [
+            HigherPolynomials(b.degree + 1, degree, b.centre, b.scale)
+            for b, degree in zip(polynomials, degrees, strict=False)
+        ]
+        of_rate = None if rate is None else bases[1]
+        hidden = DISCREPANCY.format(name)
+        beyond = Discrepancy(temperature=bases[0], rate=of_rate, std=scalar(std), name=hidden, late=late)
+        if beyond.size == 0:
+            raise ValueError(
+                "the discrepancy's degrees must exceed the model's, otherwise the discrepancy adds nothing"
+            )
+    finite = bool(np.all(np.isfinite(prior_std))), bool(np.isfinite(smoothness_std))
+    figures = scalar(prior_std), scalar(smoothness_std), scalar(common_std)
+    return Map(temperature, rate, *figures, beyond, name, symbol, unit, signals, numbered, *finite, late)
 
 
 def _prior_with_common(reported: np.ndarray, constant: np.ndarray, std, common_std) -> Float[AnyArray, "size size"]:
@@ -274,75 +314,10 @@ def block_diagonal(blocks: Sequence[AnyArray]) -> AnyArray:
     return placed((row, column), *parts)
 
 
-def _continued(own: Basis | None, higher: HigherPolynomials | None) -> bool:
-    """Whether higher polynomials continue those of a map, in the engine's form."""
-    if own is None or higher is None:
-        return own is higher
-    if not isinstance(own, Polynomial):
-        return False
-    return (own.size, own.centre, own.scale) == (higher.lowest, higher.centre, higher.scale)
-
-
 def _ordinal(basis: Basis, index: int) -> str:
     if isinstance(basis, Polynomial):
         return str(index)
     return f"_{type(basis).__name__.lower().removeprefix('b').replace('ins', 'bin')}{index}"
-
-
-class SignalMap(Term):
-    """A function of temperature times a product of signals: misalignment, sensitivity to acceleration, second order.
-
-    `signals`: names in the nodes (`SharedNodes.signal`), "|…|" for a magnitude; none: the function itself. `std`: of
-    every *reported* coefficient, or of each; `inf` is flat. `symbol`: name of the coefficients. `common_std`,
-    `late`: as of `Map`.
-    """
-
-    temperature: Basis
-    std: Float[AnyArray, "*sizes"]
-    signals: tuple[str, ...] = eqx.field(static=True)
-    name: str = eqx.field(static=True)
-    symbol: str = eqx.field(static=True)
-    si_unit: str = eqx.field(static=True)
-    has_prior: bool = eqx.field(static=True, default=True)
-    common_std: float | Float[AnyArray, ""] = 0.0
-    late: OtherTemperature | None = eqx.field(static=True, default=None)
-
-    @property
-    def unit(self) -> str:
-        return self.si_unit
-
-    @property
-    def size(self) -> int:
-        return self.temperature.size
-
-    def names(self) -> list[str]:
-        if self.size == 1:
-            return [self.symbol]
-        return [f"{self.symbol}{_ordinal(self.temperature, k)}" for k in range(self.size)]
-
-    @property
-    def to_reported(self) -> np.ndarray:
-        return self.temperature.to_reported
-
-    def prior_rows(self) -> Float[AnyArray, "q size"]:
-        if not self.has_prior:
-            return np.zeros((0, self.size))
-        return _prior_with_common(self.to_reported, self.temperature.constant, self.std, self.common_std)
-
-    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        nodes = nodes.at(self.late)
-        return nodes.integrals(lambda g: g.sums(self.temperature(g.temperature), self.drive(g)), self.size)
-
-    def drive(self, group: NodeGroup) -> AnyArray:
-        """Factor of the functions of temperature at the nodes."""
-        assert isinstance(group, SharedNodes), "terms with signals can only be used in the model of an IMU"
-        return group.product(self.signals)
-
-
-class RotationSensitivity(SignalMap):
-    """Bias of a gyro by a product of two rates: its sensitivity to acceleration, times the centripetal acceleration at
-    its place, from where the specific force is known. It belongs to the rig, or is too small to correct: no calibration
-    has it."""
 
 
 class GradientOfBias(Term):
@@ -357,6 +332,10 @@ class GradientOfBias(Term):
     si_unit: str = eqx.field(static=True, default="rad/K")
 
     @property
+    def of_own_input(self) -> bool:
+        return True
+
+    @property
     def unit(self) -> str:
         return self.si_unit
 
@@ -366,68 +345,6 @@ class GradientOfBias(Term):
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
         return nodes.temperature_change[:, None]
-
-
-class EncoderHarmonics(Term):
-    """The encoder's repeatable error by angle: cosine and sine of each of `orders` cycles a turn, with a prior each.
-
-    The reference is subtracted, hence the sign of the columns; the table starts at the angle 0.
-    """
-
-    amplitudes: Float[AnyArray, " h"]
-    orders: tuple[int, ...] = eqx.field(static=True)
-    name: str = eqx.field(static=True, default=HARMONICS)
-
-    def __check_init__(self):
-        if len(self.orders) != self.amplitudes.shape[0]:
-            raise ValueError("expected one amplitude for each harmonic order of the angle error")
-
-    @property
-    def unit(self) -> str:
-        return "rad"
-
-    @property
-    def size(self) -> int:
-        return 2 * len(self.orders)
-
-    def names(self) -> list[str]:
-        return [f"angle_{wave}{order}" for order in self.orders for wave in ("cos", "sin")]
-
-    def prior_rows(self) -> Float[AnyArray, "q size"]:
-        xp = namespace(self.amplitudes)
-        return xp.diag(1.0 / xp.repeat(self.amplitudes, 2))
-
-    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        return waves(nodes.angle_before, self.orders) - waves(nodes.angle_after, self.orders)
-
-
-class Backlash(Term):
-    """The backlash of a drive whose angle is read at the motor, with standard deviation `std` (rad): the side on which
-    the axis stands by its last turn, and where it stands before its first one."""
-
-    std: Float[AnyArray, ""]
-    name: str = eqx.field(static=True, default="backlash")
-
-    @property
-    def unit(self) -> str:
-        return "rad"
-
-    @property
-    def size(self) -> int:
-        return 2
-
-    def names(self) -> list[str]:
-        return ["backlash", "backlash_at_begin"]
-
-    def prior_rows(self) -> Float[AnyArray, "q size"]:
-        xp = namespace(self.std)
-        return xp.diag(1.0 / xp.stack([self.std, UNTOLD_BEGIN * self.std]))
-
-    def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        before, after = sides(nodes.angle_before, nodes.angle_after)
-        xp = namespace(before)
-        begins = [xp.where(of == 0.0, 1.0, 0.0) for of in (before, after)]
-        return xp.stack([before - after, begins[0] - begins[1]], axis=-1)
 
 
 def sides(before: Float[AnyArray, " P"], after: Float[AnyArray, " P"]) -> tuple[AnyArray, AnyArray]:
@@ -448,72 +365,28 @@ def waves(angle: Float[AnyArray, "*s"], orders: tuple[int, ...]) -> Float[AnyArr
     return xp.reshape(xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1), (*angle.shape, -1))
 
 
-def make_map(
-    temperature: Basis,
-    rate: Basis | None = None,
-    *,
-    prior_std: float | np.ndarray = np.inf,
-    smoothness_std: float | np.ndarray = np.inf,
-    common_std: float = 0.0,
-    discrepancy: tuple[float, int, int] | None = None,
-    late: OtherTemperature | None = None,
-) -> Map:
-    """A map from plain numbers (SI). `discrepancy` is (standard deviation, highest degree in T, highest degree in ω).
-
-    Errors: `ValueError` for a discrepancy of a basis that is not polynomial, or of no higher degree than the basis.
-    """
-    name, beyond = BIAS if rate is None else SCALE_FACTOR, None
-    scalar = lambda v: np.asarray(v, dtype=float)  # noqa: E731
-    if discrepancy is not None:
-        std, *degrees = discrepancy
-        polynomials = [b for b in (temperature, rate) if isinstance(b, Polynomial)]
-        if len(polynomials) < (1 if rate is None else 2):
-            raise ValueError(
-                "a model discrepancy needs polynomial bases: for B-splines and bins, use a smoothness prior instead"
-            )
-        bases = [
-            HigherPolynomials(b.degree + 1, degree, b.centre, b.scale)
-            for b, degree in zip(polynomials, degrees, strict=False)
-        ]
-        of_rate = None if rate is None else bases[1]
-        hidden = DISCREPANCY.format(name)
-        beyond = Discrepancy(temperature=bases[0], rate=of_rate, std=scalar(std), name=hidden, late=late)
-        if beyond.size == 0:
-            raise ValueError(
-                "the discrepancy's degrees must exceed the model's, otherwise the discrepancy adds nothing"
-            )
-    return Map(
-        temperature=temperature,
-        rate=rate,
-        prior_std=scalar(prior_std),
-        smoothness_std=scalar(smoothness_std),
-        common_std=scalar(common_std),
-        beyond=beyond,
-        name=name,
-        has_prior=bool(np.all(np.isfinite(prior_std))),
-        has_smoothness=bool(np.isfinite(smoothness_std)),
-        late=late,
-    )
-
-
 SLOPE: Final = "dT/dt"
-"""Name of the temperature's change in a product of factors."""
+DIFFERENCE: Final = "T2 - T"
+"""Factors of an error term that are no signals: the temperature's rate, K/s, and what the second thermometer shows less
+the first, K."""
 ENTRY_POINTS: Final = "gradcal.terms"
 """Entry points by which other packages add terms: each names a module that defines them."""
 _KNOWN: dict[str, "type[OwnTerm]"] = {}
 
 
 class OwnTerm(Term):
-    """An error of a channel that is linear in a few parameters, for `[[sensor.gyro.own]] term = "NAME OF THE CLASS"`.
+    """An error of a channel that is linear in a few parameters and estimated beside the calibration, which does not
+    correct it; `[[sensor.gyro.term]]`, by its factors or by `class = "NAME OF A SUBCLASS"`.
 
-    A subclass gives `values`, functions of the temperature's path and of the motion whose products are integrated, and
-    `SI_UNIT`, of a parameter times such a product: rad/s of a gyro, m/s² of an accelerometer. It may also give `size`,
-    `names`, `prior_rows`, or `columns` itself. `std`: standard deviation of each parameter before the calibration.
+    A subclass gives `values`, functions of the temperature's path and of the motion whose products are integrated; it
+    may also give `size`, `names`, `prior_rows`, or `columns` itself. `std`: standard deviation of each parameter before
+    the calibration. `si_unit`: of a parameter. `signals`: of the motion, which multiply a function of the path.
     """
 
-    SI_UNIT: ClassVar[str] = "rad/s"
     std: Float[AnyArray, ""]
     name: str = eqx.field(static=True)
+    si_unit: str = eqx.field(static=True, default="1")
+    signals: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __init_subclass__(cls, **options) -> None:
         super().__init_subclass__(**options)
@@ -521,7 +394,17 @@ class OwnTerm(Term):
 
     @property
     def unit(self) -> str:
-        return self.SI_UNIT
+        return self.si_unit
+
+    @property
+    def of_path(self) -> bool:
+        """Whether it depends on the path of temperature."""
+        return True
+
+    @property
+    def nuisances(self) -> list[str]:
+        """Names of parameters that describe the recording and not the sensor."""
+        return []
 
     def prior_rows(self) -> Float[AnyArray, "q size"]:
         return namespace(self.std).eye(self.size) / self.std
@@ -536,19 +419,43 @@ class OwnTerm(Term):
         of = np.asarray if isinstance(nodes.temperature_change, np.ndarray) else lambda values: values
         return nodes.integrals(lambda g: g.sums(*map(of, self.values(g))), self.size)
 
+    def in_service(self, sign: float, slope: float) -> float:
+        """The factor of the first parameter, apart from signals, a long time after the temperature began to change in
+        one direction (`sign`), at `slope` K/s."""
+        return 0.0
+
 
 class ProductTerm(OwnTerm):
-    """The product of `factors`, for `[[sensor.gyro.own]] factors = […]`: signals of the motion such as "rate x",
-    "force y" or "|force z|", and "dT/dt" (K/s)."""
+    """The product of `signals` such as "rate x", "force y" or "|force z|", of dT/dt (K/s) to the power `slopes`, and of
+    the difference of the temperature `other` from the sensor's."""
 
-    factors: tuple[str, ...] = eqx.field(static=True, default=())
+    slopes: int = eqx.field(static=True, default=0)
+    other: OtherTemperature | None = eqx.field(static=True, default=None)
+
+    @property
+    def of_own_input(self) -> bool:
+        return not self.signals
+
+    @property
+    def of_path(self) -> bool:
+        return self.path_factors > 0
+
+    @property
+    def path_factors(self) -> int:
+        """The number of factors that depend on the path of temperature."""
+        return self.slopes + (self.other is not None)
 
     def values(self, nodes: SharedNodes) -> tuple[Float[AnyArray, "k m 1"], Float[AnyArray, "U q 1"]]:
         of_path = constant_function(nodes.temperature)
-        for _ in range(self.factors.count(SLOPE)):
+        if self.slopes:
             assert nodes.slope is not None
-            of_path = of_path * nodes.slope[..., None]
-        return of_path, nodes.product(tuple(factor for factor in self.factors if factor != SLOPE))
+            of_path = of_path * nodes.slope[..., None] ** self.slopes
+        if self.other is not None:
+            of_path = of_path * (nodes.temperature_at(self.other) - nodes.temperature)[..., None]
+        return of_path, nodes.product(self.signals)
+
+    def in_service(self, sign: float, slope: float) -> float:
+        return slope**self.slopes * (1.0 if self.other is None else -self.other.lag * slope)
 
 
 def constant_function(like: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s 1"]:
@@ -556,15 +463,15 @@ def constant_function(like: Float[AnyArray, "*s"]) -> Float[AnyArray, "*s 1"]:
     return namespace(like).ones((*like.shape, 1))
 
 
-def own_term(term: str, std: float, name: str) -> OwnTerm:
+def term_of_class(of: str, std: float, name: str, si_unit: str) -> OwnTerm:
     """The term of a class that was defined, or that another package brings. Errors: `ValueError` without it."""
-    if term not in _KNOWN:
+    if of not in _KNOWN:
         for entry in entry_points(group=ENTRY_POINTS):
             importlib.import_module(entry.module)
-    if term not in _KNOWN:
+    if of not in _KNOWN:
         raise ValueError(
-            f'gradcal_jax.model.OwnTerm has no subclass "{term}": define this class, or import its module, before '
+            f'gradcal_jax.model.OwnTerm has no subclass "{of}": define this class, or import its module, before '
             "the spec is used. If commands or the workers of a sweep use the class, an installed package must name the "
             f'module of the class in an entry point of the group "{ENTRY_POINTS}"'
         )
-    return _KNOWN[term](std=np.asarray(std), name=name)
+    return _KNOWN[of](std=np.asarray(std), name=name, si_unit=si_unit)

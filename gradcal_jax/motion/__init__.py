@@ -1,6 +1,6 @@
 """From moves and temperature programmes to a schedule, its trajectory, and the nodes on which a model is integrated."""
 
-from gradcal_jax.motion.gauss import Rule, gauss_nodes, rule_of
+from gradcal_jax.motion.gauss import moving_nodes
 from gradcal_jax.motion.motion import Move, rest, turn
 from gradcal_jax.motion.programme import Programme, programme
 from gradcal_jax.motion.schedule import Schedule, gradient_plan, standard_plan

@@ -55,10 +55,10 @@ class Schedule(PytreeModule):
     """A plan of one channel. `duration` s, `peak_rate` rad/s, `ramp` s of each move; `fill_move` last for the
     time between the knots `fill_from` and `fill_to` of the programme less that of all moves, `fill_counts` times each.
 
-    `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list pieces. `has_gaps`: whether the data
-    of some pieces are not used; `cut`: whether knots of the programme may divide pieces. The first piece begins at the
-    knot `first_knot`. `rates`: the reference is a held rate at set points (standard method) instead of an angle;
-    `points`: whether the set points share the run's noise or are independent.
+    `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list pieces. `cut`: whether knots of the
+    programme may divide pieces. The first piece begins at the knot `first_knot`. `rates`: the reference is a held rate
+    at set points (standard method) instead of an angle; `points`: whether the set points share the run's noise or are
+    independent.
     """
 
     duration: Float[AnyArray, " M"]
@@ -73,7 +73,6 @@ class Schedule(PytreeModule):
     fill_to: Int[AnyArray, " F"]
     fill_counts: Float[AnyArray, "F M"]
     first_knot: Int[AnyArray, ""]
-    has_gaps: bool = eqx.field(static=True, default=False)
     cut: bool = eqx.field(static=True, default=False)
     rates: bool = eqx.field(static=True, default=False)
     points: Points = eqx.field(static=True, default="one run")
@@ -133,7 +132,6 @@ class Schedule(PytreeModule):
             segment=p.segment,
             moving_pieces=self.moving_pieces,
             varying_pieces=self.varying_pieces,
-            has_gaps=self.has_gaps,
             rates=self.rates,
             points=self.points,
             lagged=thermal_lag is not None,
@@ -173,7 +171,7 @@ def make_schedule(
     moving, varying = np.flatnonzero(pieces.moving), np.flatnonzero(pieces.varying)
     schedule = Schedule(
         duration, peak, ramp, programme, pieces, moving,
-        varying, fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(gaps), bool(inner_knots), rates,
+        varying, fill_move, fill_from, fill_to, counts, np.asarray(first_knot), bool(inner_knots), rates,
         points,
     )  # fmt: skip
     return _cut_at_knots(schedule, inner_knots) if inner_knots else schedule

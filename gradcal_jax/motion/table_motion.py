@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float, Int
 from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, once, size_class
 from gradcal_jax.formulas import EARTH_RATE, play_states
 from gradcal_jax.model import BodyGroup, BodyNodes, OtherTemperature
-from gradcal_jax.motion.gauss import EDGE, temperature_crossings
+from gradcal_jax.motion.gauss import EDGE, crossings, temperature_crossings, turning_points
 from gradcal_jax.motion.trajectory import Trajectory, quadrature
 
 
@@ -286,40 +286,23 @@ def motion_divided_by_plays(
 ) -> TableMotion:
     """The motion with its pieces divided where the temperature turns, and where plays of these half-widths (K) begin or
     cease to follow it, so that they are smooth on every piece. Numbers must be known; the rest as `divided_motion`."""
-    motion = _divided(motion, *_turning_points(motion.line), 0.0, waves, least)
+    turning, at = turning_points(motion.line)
+    inside = (at > _PLAY_EDGE) & (at < 1.0 - _PLAY_EDGE)
+    motion = _divided(motion, turning[inside], at[inside], 0.0, waves, least)
     line, (begin, end) = motion.line, motion.line.ends()
     pieces, places = [np.zeros(0, int)], [np.zeros(0)]
     earlier = begin[:1] if motion.history is None else np.append(motion.history, begin[0])
+    whole = np.zeros(len(begin)), np.ones(len(begin))
     for width in widths:
         # The states before each piece; the pieces are monotone.
         states = play_states(np.concatenate([earlier, end]), width)
         for state in (np.asarray(of)[len(earlier) - 1 : -1] for of in states):
-            level = state + np.where(end > begin, width, -width)
-            crossed = np.flatnonzero(~line.gap & ((begin < level) != (end < level)))
-            low, high = np.zeros(len(crossed)), np.ones(len(crossed))
-            for _ in range(_HALVINGS if line.lagged else 0):
-                middle = 0.5 * (low + high)
-                before = (line.temperature(middle[:, None], crossed)[:, 0] < level[crossed]) == (
-                    begin[crossed] < level[crossed]
-                )
-                low, high = np.where(before, middle, low), np.where(before, high, middle)
-            linear = (level - begin)[crossed] / (end - begin)[crossed]
+            crossed, at = crossings(line, state + np.where(end > begin, width, -width), *whole)
             pieces.append(crossed)
-            places.append(0.5 * (low + high) if line.lagged else linear)
+            places.append(at)
     piece, place = np.concatenate(pieces), np.concatenate(places)
     inside = (place > _PLAY_EDGE) & (place < 1.0 - _PLAY_EDGE)
     return _divided(motion, piece[inside], place[inside], _PLAY_EDGE, waves, least)
-
-
-def _turning_points(line: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """The pieces, and the fractions of them, at which the temperature of a lagging unit turns."""
-    if not line.lagged:
-        return np.zeros(0, int), np.zeros(0)
-    # T' = slope − λ·excess·exp(−λt)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = np.log(line.lag_rate * line.excess / line.slope) / line.lag_rate / line.duration
-    pieces = np.flatnonzero(np.isfinite(at) & (at > _PLAY_EDGE) & (at < 1.0 - _PLAY_EDGE))
-    return pieces, at[pieces]
 
 
 def _rate_crossings(motion: TableMotion, breaks: dict[int, tuple[float, ...]]) -> tuple[np.ndarray, np.ndarray]:

@@ -34,7 +34,7 @@ class Trajectory(PytreeModule):
     `read`: a reading at the end of the piece, which represents `share` readings; `at_rest`: the axis stands then;
     `moving`: the rate is not zero throughout; `gap`: its data are not used, and a new origin is read at its end;
     `segment` numbers the moves. `moving_pieces` and, of them, `varying_pieces` (the rate is not constant) list
-    pieces. `has_gaps`, `rates`, `points`: see `schedule.Schedule`; `lagged`: whether `excess` may be other than zero.
+    pieces. `rates`, `points`: see `schedule.Schedule`; `lagged`: whether `excess` may be other than zero.
     """
 
     start: Float[AnyArray, " P"]
@@ -54,7 +54,6 @@ class Trajectory(PytreeModule):
     segment: Int[AnyArray, " P"]
     moving_pieces: Int[AnyArray, " K"]
     varying_pieces: Int[AnyArray, " V"]
-    has_gaps: bool = eqx.field(static=True, default=False)
     rates: bool = eqx.field(static=True, default=False)
     points: Literal["one run", "independent"] = eqx.field(static=True, default="one run")
     lagged: bool = eqx.field(static=True, default=False)
@@ -174,7 +173,7 @@ class Trajectory(PytreeModule):
 
 
 _PLACES = ("moving_pieces", "varying_pieces")
-_SINGLE = ("lag_rate", "has_gaps", "rates", "points", "lagged")
+_SINGLE = ("lag_rate", "rates", "points", "lagged")
 _OF_PIECES = tuple(f.name for f in fields(Trajectory) if f.name not in (*_PLACES, *_SINGLE))
 
 
@@ -199,7 +198,7 @@ def held(
     return Trajectory(
         start, duration, none, np.ones(count), rate[:, None] * np.array([formulas.CONSTANT]), np.ones(count),
         temperature, slope, none, np.zeros(()), read, at_rest, moving, gap, np.arange(count), np.flatnonzero(moving),
-        np.zeros(0, int), bool(gap.any()), rates, points,
+        np.zeros(0, int), rates, points,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from gradcal_jax.information.posterior import square_root
 from gradcal_jax.information.prediction import counted_posteriors
 from gradcal_jax.information.unseen import TURN_ON, CountedPosteriors, widened
 from gradcal_jax.information.verdicts import run_of
-from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
 from gradcal_jax.spec.spec_sections import Spec

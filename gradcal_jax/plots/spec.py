@@ -13,7 +13,7 @@ from gradcal_jax.estimation.calibrations import Box
 from gradcal_jax.information import Posterior
 from gradcal_jax.information.imu_residual import ErrorCurve, error_curves, imu_residual
 from gradcal_jax.information.verdicts import target_of
-from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior, rest_poses
+from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior, rest_poses
 from gradcal_jax.plots.residual import boxes_of, draw_curves, draw_map
 from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, new_figure, new_panels, style_of
 from gradcal_jax.recipe.recipe import Recipe

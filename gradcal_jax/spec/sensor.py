@@ -209,7 +209,7 @@ class _Instrument(Section):
     temperature_lag: q.SizeOfTime | None = None
     """Standard deviation of the delay of the dies' temperature relative to the measured one."""
     second_thermometer: path_terms.SecondThermometer | None = None
-    """A second thermometer, required for `thermometer_difference`; its column in logs is `second_temperature`."""
+    """A second thermometer, required for terms by "T2 - T"; its column in logs is `second_temperature`."""
 
     @property
     def lag(self) -> float | None:
@@ -391,6 +391,7 @@ class GyroTriad(_Gyro, path_terms.TemperaturePath):
         if all(section is None for section in sections):
             message = "there is nothing to calibrate; add [sensor.gyro.bias], [sensor.gyro.scale_factor] or both"
             yield Problem((), message)
+        yield from path_terms.problems_of_terms(self.term, "rad/s")
 
 
 class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
@@ -415,7 +416,6 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
         _gradient_of_bias(ForceTemperatureGradient, "acceleration temperature-gradient sensitivity", "0 ug/(K/min)"),
     ] = None
     hysteresis: Annotated[tuple[path_terms.PlayOfForce, ...], Field(max_length=10)] = ()  # pyright: ignore[reportIncompatibleVariableOverride]
-    thermometer_difference: path_terms.DifferenceOfForce | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     velocity_increments: bool = False
     """Whether the accelerometers output an increment of velocity for each sample. If they do, an error of the sample
     clock acts like a scale factor; otherwise, specific forces do not depend on the clock."""
@@ -427,6 +427,9 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     """Directions of the input axes."""
     second_order: SecondOrder | None = None
     """K2: output in proportion to the square of the force."""
+
+    def _problems(self) -> Iterator[Problem]:
+        yield from path_terms.problems_of_terms(self.term, "m/s^2")
 
 
 class Sensor(_Instrument):
@@ -450,11 +453,11 @@ class Sensor(_Instrument):
                 yield Problem((name, "axes"), "must not name an axis twice", list(triad.axes))
             if triad is None or self.second_thermometer is not None:
                 continue
-            if triad.thermometer_difference is not None:
+            if any(path_terms.DIFFERENCE in one.factors for one in triad.term):
                 message = (
-                    'needs a second thermometer, as in [sensor] second_thermometer = { lag = "5 min" } (the lag '
-                    "is used in predictions)"
+                    '"T2 - T" needs a second thermometer, as in [sensor] second_thermometer = { lag = "5 min" } (the '
+                    "lag is used in predictions)"
                 )
-                yield Problem((name, "thermometer_difference"), message)
+                yield Problem((name, "term"), message)
         if self.gyro is None and self.accelerometer is None:
             yield Problem((), "there is nothing to calibrate; add [sensor.gyro] or [sensor.accelerometer]")

@@ -1,10 +1,11 @@
-"""Errors that depend on the path of temperature and not on its present value alone, and error classes of one's own."""
+"""Errors that depend on the path of temperature and not on its present value alone, and error terms of one's own."""
 
-from collections.abc import Iterator
-from typing import Annotated
+from collections.abc import Iterable, Iterator
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
+from gradcal_jax import units
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import Section
@@ -33,26 +34,6 @@ class PlayOfScaleFactor(PlayOfBias):
     prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
-class ScaleFactorTemperatureGradient(Section):
-    """Estimated sensitivity of the scale factor to dT/dt."""
-
-    prior: q.PositiveScaleFactorGradient
-    """Standard deviation of the coefficient before the calibration."""
-
-
-class DifferenceOfBias(Section):
-    """Bias proportional to the reading of the second thermometer minus that of the first."""
-
-    prior: q.PositiveBiasSlope
-    """Standard deviation of the coefficient before the calibration."""
-
-
-class DifferenceOfForce(DifferenceOfBias):
-    """Bias of an accelerometer, proportional to the reading of the second thermometer minus that of the first."""
-
-    prior: q.PositiveAccelerationSlope
-
-
 class SecondThermometer(Section):
     """A second thermometer, for example on the case, in addition to the first one (at the dies)."""
 
@@ -61,25 +42,59 @@ class SecondThermometer(Section):
     because logs have its readings."""
 
 
-Factor = Annotated[str, Field(pattern=r"^((rate|force) [xyz]|\|(rate|force) [xyz]\||dT/dt)$")]
+SLOPE: Final = "dT/dt"
+DIFFERENCE: Final = "T2 - T"
+Factor = Annotated[str, Field(pattern=r"^((rate|force) [xyz]|\|(rate|force) [xyz]\||dT/dt|T2 - T)$")]
+# SI units of an error by dT/dt, which have shorter names than a quotient.
+_BY_SLOPE: Final = {"rad/s": "rad/K", "m/s^2": "m/s/K", "1": "s/K"}
+_OF_FACTOR: Final = {"rate": "(rad/s)", "force": "(m/s^2)", "dT/dt": "(K/s)", "T2": "K"}
 
 
-class OwnError(Section):
-    """An estimated error term of your own: a product of `factors`, or a subclass of `gradcal_jax.model.OwnTerm`."""
+class GeneralTerm(Section):
+    """An estimated error of your own: the bias, or the scale factor, is proportional to a product of `factors`; or a
+    subclass of `gradcal_jax.model.OwnTerm`. The maps of a calibration do not contain it."""
 
-    term: q.Text | None = None
-    """Name of the class."""
+    name: q.Text
+    """Name of its parameter, or of the parameters of its class."""
+    target: Literal["bias", "scale_factor"] = "bias"
+    """What the error changes: the bias, or the scale factor, which multiplies the channel's own rate or force."""
     factors: tuple[Factor, ...] = ()
-    """The factors of the product, such as ["force x", "|force y|"] or ["rate z", "dT/dt"], in SI units (rad/s, m/s²,
-    K/s)."""
-    prior: Annotated[q.Number, Field(gt=0.0)]
-    """Standard deviation of each parameter of the term before the calibration, in SI units."""
-    name: q.Text | None = None
-    """Name of the parameters; absent: the name of the class, or the factors."""
+    """Components of the rate and of the specific force such as "rate x" or "|force z|", "dT/dt", or "T2 - T" (what the
+    second thermometer shows less the first)."""
+    class_name: q.Text | None = None
+    """Name of the class, in the place of `factors`; `prior` is then in the unit of the target."""
+    prior: q.Text
+    """Standard deviation of each parameter before the calibration, with the unit of the target divided by those of the
+    factors, as in "5 ppm/(K/min)" or "0.1 deg/h/g/g"."""
+
+    def si_unit(self, of_bias: str) -> str:
+        """SI unit of its parameter, by that of the channel's bias."""
+        unit = of_bias if self.target == "bias" else "1"
+        if self.factors == (SLOPE,):
+            return _BY_SLOPE[unit]
+        return "/".join([unit, *(_OF_FACTOR[factor.strip("|").partition(" ")[0]] for factor in self.factors)])
+
+    def prior_in_si(self, of_bias: str) -> float:
+        """Its prior, SI. Errors: `UnitError` for another unit."""
+        size = units.parse_in(self.prior, self.si_unit(of_bias))
+        if not size > 0.0:
+            raise units.UnitError(f"'{self.prior}' must be positive")
+        return size
 
     def _problems(self) -> Iterator[Problem]:
-        if (self.term is None) == (not self.factors):
-            yield Problem((), "give either the factors of a product, or the term of a class")
+        if (self.class_name is None) == (not self.factors):
+            yield Problem((), "give either the factors of a product, or the name of a class")
+        if self.factors.count(DIFFERENCE) > 1:
+            yield Problem(("factors",), 'may contain "T2 - T" once', self.factors)
+
+
+def problems_of_terms(terms: Iterable[GeneralTerm], of_bias: str) -> Iterator[Problem]:
+    """What is wrong with the priors of a channel's terms, by the SI unit of its bias."""
+    for number, one in enumerate(terms):
+        try:
+            one.prior_in_si(of_bias)
+        except units.UnitError as error:
+            yield Problem(("term", number, "prior"), str(error), one.prior)
 
 
 Plays = Annotated[tuple[PlayOfBias, ...], Field(max_length=10)]
@@ -94,12 +109,8 @@ class TemperaturePath(Section):
     """Hysteresis of the bias, as a sum of plays."""
     scale_factor_hysteresis: ScaleFactorPlays = ()
     """Hysteresis of the scale factor, as a sum of plays."""
-    scale_factor_temperature_gradient: ScaleFactorTemperatureGradient | None = None
-    """Scale-factor error proportional to dT/dt."""
-    own: Annotated[tuple[OwnError, ...], Field(max_length=20)] = ()
+    term: Annotated[tuple[GeneralTerm, ...], Field(max_length=20)] = ()
     """Error terms of your own."""
-    thermometer_difference: DifferenceOfBias | None = None
-    """Bias proportional to the difference of the two thermometers."""
 
     @property
     def on_path(self) -> bool:
@@ -107,6 +118,11 @@ class TemperaturePath(Section):
         return any(getattr(self, key) for key in TemperaturePath.model_fields)
 
     def _problems(self) -> Iterator[Problem]:
+        names = [one.name for one in self.term]
+        if len(set(names)) < len(names):
+            yield Problem(("term",), "two terms have the same name", names)
+        if reserved := set(names) & {"bias", "scale_factor", "second_order"}:
+            yield Problem(("term",), "is the name of a map", sorted(reserved)[0])
         for key in ("hysteresis", "scale_factor_hysteresis"):
             widths = [float(play.width) for play in getattr(self, key)]
             if len(set(widths)) < len(widths):

@@ -26,7 +26,16 @@ the shortest text that `parse` reads back as the same float.
 """
 
 from gradcal_jax.units.dimensions import DIMENSIONS, Dimension
-from gradcal_jax.units.quantities import UnitError, convert, dimension_of, format_quantity, parse, to_unit, unit_of
+from gradcal_jax.units.quantities import (
+    UnitError,
+    convert,
+    dimension_of,
+    format_quantity,
+    parse,
+    parse_in,
+    to_unit,
+    unit_of,
+)
 from gradcal_jax.units.shown import (
     ARCSEC,
     DEG_PER_H,
@@ -41,6 +50,6 @@ from gradcal_jax.units.shown import (
 
 __all__ = [
     "ARCSEC", "DEG_PER_H", "DEG_PER_S", "DEG_PER_SQRT_H", "DIMENSIONS", "PPM", "Dimension", "G", "UnitError",
-    "convert", "count_text", "dimension_of", "format_quantity", "parse", "time_text", "times_text", "to_unit",
-    "unit_of",
+    "convert", "count_text", "dimension_of", "format_quantity", "parse", "parse_in", "time_text", "times_text",
+    "to_unit", "unit_of",
 ]  # fmt: skip

@@ -221,6 +221,19 @@ def convert(value: float, from_unit: str, to: str) -> float:
     return _representable(_in_unit(value, target, source), value, to)
 
 
+def parse_in(text: str, unit: str) -> float:
+    """A text such as "5 ppm/(K/min)" as a number of `unit`, of any dimension. Errors: `UnitError` for another one."""
+    plain = text.strip(" ").translate(_SAME)
+    number = _NUMBER.match(plain)
+    if number is None:
+        raise UnitError(f"'{text}' is not understood: {_hint(plain)}; expected a number with a unit such as {unit}")
+    source, target = _lookup(plain[number.end() :]), _lookup(unit)
+    if source.powers != target.powers:
+        raise UnitError(f"'{text}' has another unit than expected; its SI unit must be {unit}")
+    with localcontext(PRECISE):
+        return _representable(Decimal(number.group()) * source.factor / target.factor, 0.0, unit)
+
+
 def _rounded(number: Decimal, digits: int) -> str:
     context = Context(prec=digits)
     rounded = context.create_decimal(number).normalize(context)

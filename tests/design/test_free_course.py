@@ -38,7 +38,7 @@ def turning(*, back: bool = False, late: bool = False) -> Spec:
     lagging = {
         "sensor.second_thermometer": {"lag": "10 min"},
         "sensor.clock": "sensor",
-        "sensor.gyro.thermometer_difference": {"prior": "0.5 deg/h/K"},
+        "sensor.gyro.term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "0.5 deg/h/K"}],
         "sensor.gyro.scale_factor.lag": "2 min",
     }
     return gj.changed(
@@ -120,7 +120,7 @@ SECOND = {
     "sensor.gyro.scale_factor_hysteresis": [],
     "sensor.second_thermometer": {"lag": "4 min"},
     "sensor.clock": "sensor",
-    "sensor.gyro.thermometer_difference": {"prior": "4 deg/h/K"},
+    "sensor.gyro.term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "4 deg/h/K"}],
     "design": {"free": ["cycle"]},
 }
 

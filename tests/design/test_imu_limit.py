@@ -6,7 +6,7 @@ import pytest
 import gradcal_jax as gj
 from gradcal_jax.design.plan_limit import limit
 from gradcal_jax.formulas import followed
-from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec.spec import read_spec, spec_of
 from gradcal_jax.units import DEG_PER_H
 

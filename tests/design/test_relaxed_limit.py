@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import scale_map
 
 from gradcal_jax.design.noise_floor import least_noise_density, scale_factor_floor
 from gradcal_jax.design.relaxed_limit import RelaxedProblem, relaxed_limit
-from gradcal_jax.model import Map, Polynomial, constant, gauss_markov, make_map, no_processes
+from gradcal_jax.model import Map, Polynomial, constant, gauss_markov, no_processes
 
 DEG = np.pi / 180.0
 WALK = 0.1 * DEG / 60.0
@@ -16,7 +17,7 @@ DRIFT = gauss_markov(DEG / 3600.0, 120.0)
 
 
 def scale_factor(degree_t: int, degree_w: int, **prior) -> Map:
-    return make_map(Polynomial(degree_t, 20.0, 50.0), Polynomial(degree_w, 0.0, MAX), **prior)
+    return scale_map(Polynomial(degree_t, 20.0, 50.0), Polynomial(degree_w, 0.0, MAX), **prior)
 
 
 def problem_of(scale: Map, temperature, rate, statistic: str, seconds: float, *, at=(20.0,)) -> RelaxedProblem:

@@ -1,4 +1,4 @@
-"""What errors of an estimate must be where the model is true, and readings on a plan's own trajectory."""
+"""What errors of an estimate must be where the model is true."""
 
 from typing import NamedTuple
 
@@ -7,8 +7,8 @@ from scipy import special
 
 from gradcal_jax.estimation import Estimate, Whitened
 from gradcal_jax.estimation.solve import factored
-from gradcal_jax.information import NoiseSteps, at_readings, noise_steps, whiten
-from gradcal_jax.model import SensorModel
+from gradcal_jax.information import NoiseSteps, whiten
+from gradcal_jax.model import ImuModel
 
 
 class Observations(NamedTuple):
@@ -19,7 +19,7 @@ class Observations(NamedTuple):
     readings: np.ndarray
 
 
-def whitened(observations: Observations, model: SensorModel) -> Whitened:
+def whitened(observations: Observations, model: ImuModel) -> Whitened:
     """The rows of all units together, of the steps that have a reading."""
     steps, columns = observations.steps, observations.columns
     rows = whiten(steps, np.concatenate([columns, observations.readings], axis=1))[steps.used]
@@ -41,11 +41,6 @@ def normalised_errors(found, truth):
     if found.known.hidden.shape[1]:
         raise ValueError("some parameters are not observable, so no error of theirs can be normalised")
     return np.sum(np.linalg.lstsq(found.known.spread, found.parameters - truth.T, rcond=None)[0] ** 2, axis=0)
-
-
-def on_trajectory(line, model, readings):
-    """Readings `(N, U)` taken on a plan's own trajectory: the regressors and steps are those of its prediction."""
-    return Observations(noise_steps(line, model), at_readings(line, model), readings)
 
 
 def solve(white: Whitened) -> Estimate:

@@ -15,9 +15,8 @@ from gradcal_jax.estimation.estimate import estimate_log
 from gradcal_jax.estimation.lag_of_maps import LateTemperatures
 from gradcal_jax.estimation.log_rows import Options, host_time
 from gradcal_jax.formulas import followed
-from gradcal_jax.information import information, posterior
 from gradcal_jax.model import BIAS, SCALE_FACTOR
-from gradcal_jax.model.build import assemble
+from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.records.log import Log, LogError, Reason
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
@@ -55,8 +54,7 @@ def test_raw_samples_of_many_units_err_as_they_say(many):
     for channel in channels:
         assert sum(channel.counts.values()) == made.log.rows_read
     # What was executed is what was planned, so what is known is what was predicted, within how readings are spaced.
-    built = assemble(spec)
-    predicted = posterior(information(built.trajectory(), built.model))
+    predicted = imu_posterior(build_imu(spec))
     rows = channels[0].built.model.to_reported
     ratio = channels[0].solution.known.deviations(rows) / predicted.deviations(rows)
     assert np.all(np.abs(ratio - 1.0) < 0.005)  # of rows instead of instants
@@ -81,12 +79,12 @@ def test_without_noise_the_maps_come_back(text):
     report = estimate_log(spec, [made.log])
     (calibration,) = report.calibrations
     bias, scale_factor = (calibration.channel[0].term_of(name) for name in ("bias", "scale_factor"))
-    model = assemble(spec).model
+    (channel,) = build_imu(spec).model.channels
     t, w = np.array([5.0, 20.0, 35.0]), np.radians(np.array([-250.0, 40.0, 250.0]))
-    rows = model.scale.values(t, w)
+    rows = channel.map(SCALE_FACTOR).values(t, w)
     truth = made.truth["x"][0]
-    np.testing.assert_allclose(term_values(scale_factor, t, w), rows @ truth[model.where(SCALE_FACTOR)], atol=0.2e-6)
-    of_bias = model.bias.values(t, t) @ truth[model.where(BIAS)]
+    np.testing.assert_allclose(term_values(scale_factor, t, w), rows @ truth[channel.where(SCALE_FACTOR)], atol=0.2e-6)
+    of_bias = channel.map(BIAS).values(t, t) @ truth[channel.where(BIAS)]
     np.testing.assert_allclose(term_values(bias, t), of_bias, atol=np.radians(0.02) / 3600)
     assert calibration.simulated
     assert made.log.simulated
@@ -110,8 +108,7 @@ def test_a_log_of_the_standard_method_errs_as_it_says(points):
     told = simulate_log(spec, sample_rate_hz=20.0, noiseless=True)
     (channel,) = estimated(spec, told.log)
     rows = channel.built.model.to_reported
-    built = assemble(spec)
-    predicted = posterior(information(built.trajectory(), built.model))
+    predicted = imu_posterior(build_imu(spec))
     ratio = channel.solution.known.deviations(rows) / predicted.deviations(rows)
     np.testing.assert_allclose(ratio, 1.0, rtol=1e-9 if points == "independent" else 2.5e-5)
 

@@ -6,7 +6,7 @@ from logs_zoo import spec_of
 from simulated_log import simulate_log
 
 from gradcal_jax.estimation.estimate import estimate_log
-from gradcal_jax.model.build import assemble
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec.changes import changed
 
 PPM = 1e-6
@@ -29,7 +29,7 @@ def logs_of(spec, hidden_ppm: float):
             "sensor.gyro.scale_factor.rate.degree": degrees[1] + 2,
         },
     )
-    model = assemble(higher).model
+    (model,) = build_imu(higher).model.channels
     where = model.where("scale_factor")
     pairs = [(i, j) for i in range(degrees[0] + 3) for j in range(degrees[1] + 3)]
     beyond = np.array([i > degrees[0] or j > degrees[1] for i, j in pairs])

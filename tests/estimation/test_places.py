@@ -10,7 +10,7 @@ import gradcal_jax as gj
 from gradcal_jax.design.cycle_plan import CyclePlan
 from gradcal_jax.information.imu_residual import imu_residual
 from gradcal_jax.information.verdicts import UNIT_OF
-from gradcal_jax.model.imu_build import build_imu, geometry, imu_posterior
+from gradcal_jax.model.build import build_imu, geometry, imu_posterior
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.bench import Place
 from gradcal_jax.spec.changes import tables_of

@@ -8,9 +8,8 @@ from logs_zoo import GRADIENT, estimated, spec_of
 from simulated_log import simulate_log
 
 from gradcal_jax.estimation import column_readings, smoothed_temperature
-from gradcal_jax.information import information, posterior
 from gradcal_jax.model import TEMPERATURE_GRADIENT
-from gradcal_jax.model.build import assemble
+from gradcal_jax.model.build import build_imu, imu_posterior
 
 # Up and down, so that a bias from dT/dt is not a constant one; the die lags, as dies do.
 FOLLOWED = (
@@ -36,12 +35,12 @@ def test_a_coarse_thermometer_is_no_information_about_the_gradient():
     made = simulate_log(spec, units=16, sample_rate_hz=20.0, seed=11)
     coarse = replace(made.log, temperature_c=np.round(made.log.temperature_c * 16.0) / 16.0)
     channels = estimated(spec, coarse)
-    built = assemble(spec)
-    row = built.model.to_reported[built.model.where(TEMPERATURE_GRADIENT)]
-    (predicted,) = posterior(information(built.trajectory(), built.model)).deviations(row)
+    built = build_imu(spec)
+    row = built.model.to_reported[built.model.where("gyro", 0, TEMPERATURE_GRADIENT)]
+    (predicted,) = imu_posterior(built).deviations(row)
     errors = np.array(
         [
-            float((row @ (c.solution.parameters[: len(t)] - t))[0])
+            float((row[:, : len(t)] @ (c.solution.parameters[: len(t)] - t))[0])
             for c, t in zip(channels, made.truth["x"], strict=True)
         ]
     )

@@ -20,7 +20,7 @@ from gradcal_jax.cli import main
 from gradcal_jax.estimation.estimate import with_options
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
-from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.model.build import build_imu
 
 # Of the simulated chamber's air behind its set point; and the ends of the pieces in which it approaches, in lags.
 AIR_LAG_S = 40.0

@@ -14,7 +14,7 @@ from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.information import segments_of, whiten
-from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.records.log import Log
 from gradcal_jax.spec.changes import changed, tables_of

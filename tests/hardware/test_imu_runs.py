@@ -22,7 +22,7 @@ from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.track import Ask, AxisCommand, track_of
-from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.records import run_log
 from gradcal_jax.records.log import Log
 from gradcal_jax.spec import presets

@@ -16,7 +16,7 @@ from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
 from gradcal_jax.hardware.run_folder import RunFolder
-from gradcal_jax.model.imu_build import BuiltImu, build_imu
+from gradcal_jax.model.build import BuiltImu, build_imu
 from gradcal_jax.records import run_log
 from gradcal_jax.records.log import Log, ReadingKind
 from gradcal_jax.spec.changes import changed

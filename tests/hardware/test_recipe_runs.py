@@ -27,7 +27,7 @@ from gradcal_jax.hardware.run_folder import (
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.information import segments_of
-from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.recipe.recipe import read_recipe
 from gradcal_jax.recipe.tracks import tracks_of
 from gradcal_jax.spec import presets

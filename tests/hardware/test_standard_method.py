@@ -6,14 +6,15 @@ variance that prediction and estimate take them to have. Fifty seeds of the pape
 
 import numpy as np
 from expected_errors import Observations, solve, whitened
+from helpers import NoEarth
 from scipy.stats import chi2
 
 from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SimulatedImu, TableTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, ChamberTruth
-from gradcal_jax.information import noise_steps
-from gradcal_jax.model.build import assemble
-from gradcal_jax.motion import gauss_nodes, held
+from gradcal_jax.information import imu_system
+from gradcal_jax.model.build import build_imu
+from gradcal_jax.motion import body_nodes, held, table_motion
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import parse_spec
@@ -55,7 +56,7 @@ def recorded(spec: Spec, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray,
 
 def test_fifty_seeds_scatter_as_the_model_says():
     spec = changed(parse_spec(presets.text("paper-dynamic-standard")), {"plan.integration": "1 min"})
-    model = assemble(spec).model
+    model = build_imu(spec).model
     residuals = errors = 0.0
     for seed in range(SEEDS):
         warmth, said, turned, truth = recorded(spec, seed)
@@ -66,12 +67,13 @@ def test_fifty_seeds_scatter_as_the_model_says():
             start, np.full(count, lasts), rate, warmth, warmth,
             read=every, at_rest=~every, moving=every, gap=~every, rates=True, points="independent",
         )  # fmt: skip
-        columns, readings = np.asarray(model.columns(gauss_nodes(line, model))), np.radians(said - turned)[:, None]
-        found = solve(whitened(Observations(noise_steps(line, model), columns, readings), model))
+        table = NoEarth(np.eye(3)[:1], np.eye(3), np.eye(3)[None], np.zeros(()), np.zeros(()))
+        motion = table_motion(line, np.zeros(count, int), np.zeros(count, int), table, np.zeros(1), None)
+        steps, columns = imu_system(motion, model, body_nodes(motion, 4))
+        readings = np.radians(said - turned)[:, None]
+        found = solve(whitened(Observations(steps, columns, readings), model))
         residuals += float(np.sum(found.residuals**2))
-        error = model.to_reported @ found.parameters[:, 0] - np.array(
-            [truth[f"gyro_x.{name}"] for name in model.names()]
-        )
+        error = model.to_reported @ found.parameters[:, 0] - np.array([truth[name] for name in model.names()])
         errors += float(np.sum(np.linalg.solve(model.to_reported @ found.known.spread, error) ** 2))
     freedom = SEEDS * (count - model.size)
     assert (count, model.size) == (36, 16)

@@ -8,7 +8,7 @@ import numpy as np
 from imu_helpers import shipped
 
 from gradcal_jax.formulas import runs
-from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.records.log import Log
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.spec import spec_of

@@ -12,7 +12,7 @@ import numpy as np
 from gradcal_jax import model
 from gradcal_jax import motion as trajectory
 from gradcal_jax.information import Posterior, imu_information, posterior
-from gradcal_jax.model import Channel, EncoderNoise, ImuModel, Polynomial, SensorModel, SignalMap, make_map
+from gradcal_jax.model import SCALE_FACTOR, Channel, EncoderNoise, ImuModel, Polynomial, make_map
 from gradcal_jax.motion import Geometry, TableMotion
 
 DEG = np.pi / 180.0
@@ -28,13 +28,6 @@ FIVE_ARCSEC = 5.0 * ARCSEC
 EAST, NORTH, UP = np.eye(3)
 CONSTANT = Polynomial(0, 0.0, 1.0)
 EXPERIMENTS = Path(__file__).parents[2] / "experiments" / "imu"
-
-
-class NoEarth(Geometry):
-    """A table on an Earth that does not turn: for the ranks that its rate would hide."""
-
-    def earth_rate(self):
-        return np.zeros(3)
 
 
 def shipped(name: str) -> dict[str, Any]:
@@ -162,8 +155,8 @@ def motion_of(
 AXES = "xyz"
 
 
-def _signal(symbol: str, signals: tuple[str, ...], unit: str, std: float, basis=CONSTANT) -> SignalMap:
-    return SignalMap(basis, np.asarray(std), signals, symbol, symbol, unit, bool(np.isfinite(std)))
+def _signal(symbol: str, signals: tuple[str, ...], unit: str, std: float, basis=CONSTANT) -> model.Map:
+    return make_map(basis, name=symbol, symbol=symbol, unit=unit, signals=signals, prior_std=std)
 
 
 def _drifts(drift) -> model.Processes:
@@ -188,9 +181,10 @@ def gyro(
     prior, own = {"b": np.inf, "s": np.inf, "m": np.inf, "g": np.inf} | (std or {}), terms.split()
     chosen: list[model.Term] = []
     if "b" in own:
-        chosen.append(make_map(basis, prior_std=prior["b"]))
+        chosen.append(make_map(basis, numbered=True, prior_std=prior["b"]))
     if "s" in own:
-        chosen.append(make_map(basis, rate_basis, prior_std=prior["s"]))
+        named: dict[str, Any] = {"name": SCALE_FACTOR, "symbol": "b", "unit": "1", "signals": (f"rate {AXES[axis]}",)}
+        chosen.append(make_map(basis, rate_basis, prior_std=prior["s"], **named))
     if "m" in own:
         chosen += [_signal(f"m_{o}", (f"rate {o}",), "rad", prior["m"], basis) for k, o in enumerate(AXES) if k != axis]
     if "g" in own:
@@ -198,7 +192,7 @@ def gyro(
     processes = _drifts(drift)
     for sigma, tau in instability:
         processes += model.gauss_markov(sigma, tau, bias_gain=0.0, rate_gain=1.0)
-    return Channel(SensorModel(tuple(chosen), np.asarray(white), processes, model.angle_reference()), "gyro", axis)
+    return Channel(tuple(chosen), np.asarray(white), processes, "gyro", axis)
 
 
 def accelerometer(
@@ -211,8 +205,8 @@ def accelerometer(
     basis=CONSTANT,
     read_below: float = 0.0,
 ) -> Channel:
-    """An accelerometer with the given `terms`: `b`, `s`, `m`, `k2`, `k3`, `asymmetry`, `cross`, `r`."""
-    prior = dict.fromkeys(("b", "s", "m", "k2", "k3", "asymmetry", "cross", "r"), np.inf) | (std or {})
+    """An accelerometer with the given `terms`: `b`, `s`, `m`, `k2`, `r`."""
+    prior = dict.fromkeys(("b", "s", "m", "k2", "r"), np.inf) | (std or {})
     own, along = terms.split(), f"force {AXES[axis]}"
     chosen: list[model.Term] = []
     if "b" in own:
@@ -225,17 +219,9 @@ def accelerometer(
         ]
     if "k2" in own:
         chosen.append(_signal("k2", (along, along), "1/(m/s^2)", prior["k2"]))
-    if "k3" in own:
-        chosen.append(_signal("k3", (along,) * 3, "1/(m/s^2)^2", prior["k3"]))
-    if "asymmetry" in own:
-        chosen.append(_signal("asymmetry", (f"|{along}|",), "1", prior["asymmetry"]))
-    if "cross" in own:
-        pairs = [(a, b) for i, a in enumerate(AXES) for b in AXES[i + 1 :]]
-        chosen += [_signal(f"k_{a}{b}", (f"force {a}", f"force {b}"), "1/(m/s^2)", prior["cross"]) for a, b in pairs]
     if "r" in own:
         chosen += [_signal(f"r_{o}", (f"size {AXES[axis]}{o}",), "m", prior["r"]) for o in AXES]
-    sensor = SensorModel(tuple(chosen), np.asarray(white), _drifts(drift), model.angle_reference())
-    return Channel(sensor, "accelerometer", axis, read_below)
+    return Channel(tuple(chosen), np.asarray(white), _drifts(drift), "accelerometer", axis, read_below)
 
 
 def encoder(count: int, offset: float = 0.0, reading: float = 0.0, every: float = 1.0) -> EncoderNoise:
@@ -248,7 +234,7 @@ def unit(channels, installation=(), noise: EncoderNoise | None = None, axes: int
 
 def known(motion: TableMotion, of: ImuModel) -> Posterior:
     """The program's posterior."""
-    return posterior(imu_information([(motion, trajectory.body_nodes(motion, POINTS))], of))
+    return posterior(imu_information(motion, of, trajectory.body_nodes(motion, POINTS))[0])
 
 
 def sigmas(motion: TableMotion, of: ImuModel) -> dict[str, float]:

@@ -22,9 +22,6 @@ PRIORS = {
     "force s": 5e-3,
     "force m": 1e-2,
     "force k2": 1e-3 / G,
-    "force k3": 1e-4 / G**2,
-    "force asymmetry": 1e-3,
-    "force k_": 1e-3 / G,
     "force r_": 0.05,
     "tilt": 1e-4,
     "azimuth": 5e-3,
@@ -118,11 +115,10 @@ def unit_of(scene: Scene) -> ImuModel:
     forces = [
         accelerometer(
             i,
-            "b s m k2 k3 cross " + ("r" if scene.slow else "asymmetry"),
+            "b s m k2" + (" r" if scene.slow else ""),
             white=scene.force_white,
             drift=scene.force_drift,
-            std={k: prior[f"force {k}"] for k in ("b", "s", "m", "k2", "k3", "asymmetry")}
-            | {"cross": prior["force k_"], "r": prior["force r_"]},
+            std={k: prior[f"force {k}"] for k in ("b", "s", "m", "k2")} | {"r": prior["force r_"]},
             read_below=scene.slow,
             basis=basis,
         )

@@ -322,16 +322,10 @@ class Simulator:
             if c >= 3:
                 name = f"accelerometer_{AXES[i]}"
                 add(f"{name}.k2", k, row, w @ force[:, i] ** 2)
-                add(f"{name}.k3", k, row, w @ force[:, i] ** 3)
                 if scene.slow:
                     sizes = w @ self.size_effect(k, t)[:, i]
                     for j, axis in enumerate(AXES):
                         add(f"{name}.r_{axis}", k, row, sizes[j])
-                else:
-                    add(f"{name}.asymmetry", k, row, w @ np.abs(force[:, i]))
-                for a in range(3):
-                    for b in range(a + 1, 3):
-                        add(f"{name}.k_{AXES[a]}{AXES[b]}", k, row, w @ (force[:, a] * force[:, b]))
         return found
 
     def columns(self) -> dict[str, np.ndarray]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gradcal_jax.formulas import b_spline
-from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.spec.spec import parse_spec
 
 DEG_PER_H = np.radians(1.0) / 3600.0
@@ -42,7 +42,6 @@ moves = [{moves}]
 CONSTANT = 'temperature = { degree = 0, centre = "20 degC", scale = "50 K" }'
 # As good as no bias.
 NO_BIAS = f'bias = {{ {CONSTANT}, prior = "0.000001 deg/h" }}'
-RESTS = '{ rest = "5 min" }, { turn = "180 deg", axis = "a" }, { rest = "5 min" }, { turn = "-180 deg", axis = "a" }'
 
 
 def sigmas(text: str) -> dict[str, float]:
@@ -58,59 +57,12 @@ def by_hand(rows: list[np.ndarray], durations: list[float], prior: float) -> np.
     return np.sqrt(np.diag(np.linalg.inv(f.T @ f + np.eye(f.shape[1]) / prior**2)))
 
 
-def segments(text: str) -> list[tuple[float, float]]:
-    """Begin and duration (s) of every rest and move of the plan, with what the cycles leave of the ramp."""
-    schedule = parse_spec(text).schedule
-    (stretch,) = schedule.stretches
-    lasting = [step.move.duration for _ in range(stretch.cycles) for step in schedule.steps]
-    lasting += [stretch.leftover] if stretch.leftover > 1e-6 else []
-    return list(zip(stretch.start + np.concatenate([[0.0], np.cumsum(lasting)[:-1]]), lasting, strict=True))
-
-
-@pytest.mark.parametrize("edges", [np.array([-30.0, -23.3, -4.0, 31.7, 52.0, 70.0]), np.linspace(-30.0, 70.0, 26)])
-def test_temperature_bins_weigh_the_time_that_is_spent_in_each(edges):
-    listed = ", ".join(f'"{e:g} degC"' for e in edges)
-    bias = f'bias = {{ temperature = {{ degree = 0, knots = [{listed}] }}, prior = "500 deg/h" }}'
-    text = SPEC.format(axes='"x"', maps=bias, latitude=45, direction="1.0, 0.0, 0.0", moves=RESTS)
-    rows = []
-    for begin, lasting in segments(text):
-        cold, warm = (-30.0 + 2.0 / 60.0 * t for t in (begin, begin + lasting))
-        inside = np.minimum(edges[1:], warm) - np.maximum(edges[:-1], cold)
-        rows.append(np.maximum(inside, 0.0) * 30.0)
-    right = by_hand(rows, [lasting for _, lasting in segments(text)], 500.0 * DEG_PER_H)
-    found = np.array([v for name, v in sigmas(text).items() if ".a_bin" in name])
-    assert found == pytest.approx(right, rel=1e-9)
-
-
 TURNS = [(400.0, 100.0, 8.0), (-400.0, 100.0, 8.0), (40.0, 20.0, 4.0), (-40.0, 20.0, 4.0), (10.0, 5.0, 4.0)]
 TURNING = ", ".join(
     f'{{ rest = "5 s" }}, {{ turn = "{a:g} deg", axis = "a", peak_rate = "{w:g} deg/s", duration = "{t:g} s", '
     'shape = "linear ramps" }'
     for a, w, t in TURNS
 )
-
-
-def test_rate_bins_weigh_the_angle_that_is_turned_in_each():
-    edges = [-105.0, -30.0, -7.0, 7.0, 30.0, 105.0]
-    listed = ", ".join(f'"{e:g} deg/s"' for e in edges)
-    rate = f"rate = {{ degree = 0, knots = [{listed}] }}"
-    maps = f'{NO_BIAS}\nscale_factor = {{ {CONSTANT}, {rate}, prior = "10000 ppm" }}'
-    text = SPEC.format(axes='"z"', maps=maps, latitude=0, direction="0.0, 0.0, 1.0", moves=TURNING)
-    rows, durations = [], []
-    cycles = parse_spec(text).schedule.stretches[0].cycles
-    for angle, peak, lasting in TURNS * cycles:
-        ramp = lasting - abs(angle) / peak
-        turned = np.zeros(5)
-        for k in range(5):
-            low, high = (np.clip(np.sign(angle) * e, 0.0, peak) for e in edges[k : k + 2])
-            turned[k] = abs(high**2 - low**2) / (2.0 * peak / ramp) * 2.0
-            turned[k] += peak * (lasting - 2.0 * ramp) * (edges[k] <= np.sign(angle) * peak < edges[k + 1])
-        assert np.sum(turned) == pytest.approx(abs(angle))
-        rows.append(np.sign(angle) * np.radians(turned))
-        durations.append(lasting)
-    right = by_hand(rows, durations, 0.01)
-    found = np.array([v for name, v in sigmas(text).items() if ".b_bin" in name])
-    assert found == pytest.approx(right, rel=1e-9)
 
 
 def test_splines_in_temperature_and_rate_are_as_a_fine_sum():

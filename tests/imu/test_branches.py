@@ -8,7 +8,7 @@ import pytest
 import gradcal_jax as gj
 from gradcal_jax.cli.check import omitted_lines
 from gradcal_jax.information.plan_sentences import check
-from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.absent import attitude_sentences, branch_sentences
 from gradcal_jax.spec.requirement import GyroBiasRequirement
@@ -58,7 +58,7 @@ def deviations(spec: Spec, sign: float, slope: float = 0.0) -> np.ndarray:
     """Standard deviations (deg/h) over the requirement's temperatures in one state, from the posterior alone."""
     built = build_imu(spec)
     names, rows = built.model.names(), np.zeros((5, built.model.size))
-    functions = built.model.channels[0].model.bias
+    functions = built.model.channels[0].map("bias")
     assert functions is not None
     rows[:, built.model.where("gyro", 2, "bias")] = functions.values(np.linspace(10.0, 50.0, 5), np.zeros(5))
     for k, name in enumerate(names):

@@ -11,7 +11,7 @@ import pytest
 
 from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.information.prediction import predict
-from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.spec.spec import spec_of
 
 DEG = np.pi / 180.0
@@ -95,18 +95,6 @@ def test_held_rates_with_every_error_of_a_gyro(points):
     noise += np.diag((0.3 * DEG / 60.0) ** 2 * lasting + (100e-6 * rate * lasting) ** 2)
     expected = covariance(columns, noise, np.array([np.hypot(100.0, 40.0) * hour, 5000e-6]))
     assert of_parameters(spec, "gyro_z.a0", "gyro_z.b00") == pytest.approx(expected, rel=1e-9)
-
-
-def test_a_known_bias_still_has_its_turn_on_part():
-    gyro = {
-        "axes": ["z"], "angle_random_walk": "0.3 deg/sqrt(h)", "turn_on_bias": "40 deg/h",
-        "scale_factor": {"temperature": FLAT, "rate": BY_RATE, "prior": "5000 ppm"},
-    }  # fmt: skip
-    spec = spec_of_table({"clock": "sensor", "gyro": gyro}, held(["60 deg/s", "100 deg/s"]))
-    rate = np.tile(np.array([60.0, 100.0]) * DEG, 2)
-    noise = (0.3 * DEG / 60.0) ** 2 * 100.0 * np.eye(4) + (40.0 * DEG / 3600.0 * 100.0) ** 2
-    expected = covariance(100.0 * rate[:, None], noise, np.array([5000e-6]))
-    assert of_parameters(spec, "gyro_z.b00") == pytest.approx(expected, rel=1e-9)
 
 
 def test_readings_on_the_move_rests_that_are_not_read_and_two_gyros():

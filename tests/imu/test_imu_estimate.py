@@ -16,7 +16,8 @@ from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.formulas import runs
 from gradcal_jax.information import Posterior, segments_of, whiten
 from gradcal_jax.information.imu_residual import quantity_of
-from gradcal_jax.model.imu_build import SPECIFIC_FORCE_BIAS, build_imu, imu_posterior
+from gradcal_jax.model import BIAS
+from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.motion import frames
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.spec.changes import changed
@@ -332,7 +333,7 @@ def test_what_accelerometers_tell_of_a_move_counts_by_what_is_known_of_them(kind
     done, _, found, _ = fit_readings(built, "SN7", rows, rows.temperature_c)
     biases = np.zeros((built.model.size, 3))
     for axis in range(3):
-        biases[built.model.where("accelerometer", axis, SPECIFIC_FORCE_BIAS).start, axis] = 1.0
+        biases[built.model.where("accelerometer", axis, BIAS).start, axis] = 1.0
     none = np.zeros((built.model.size, 0))
     known = {
         "known": Posterior(1e-9 * biases, none),

@@ -10,9 +10,9 @@ from itertools import product
 import equinox as eqx
 import numpy as np
 import pytest
+from helpers import NoEarth
 from imu_helpers import (
     ARCSEC,
-    AXES,
     DEG,
     DEG_PER_H,
     EAST,
@@ -21,11 +21,8 @@ from imu_helpers import (
     FORCE_WHITE,
     GYRO_DRIFT,
     GYRO_WHITE,
-    LATITUDE,
-    POINTS,
     UP,
     G,
-    NoEarth,
     accelerometer,
     back_and_forth,
     encoder,
@@ -45,9 +42,7 @@ from imu_helpers import (
 
 from gradcal_jax import model
 from gradcal_jax import motion as trajectory
-from gradcal_jax.information.imu_rows import imu_system
 from gradcal_jax.model import Polynomial
-from gradcal_jax.motion import EARTH_RATE
 
 FACES = [(0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0)]
 TETRAHEDRON = [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]
@@ -115,17 +110,6 @@ def test_a_tumble_in_white_noise_has_closed_forms(directions, with_second_order)
     np.testing.assert_allclose(found[1:3], np.sqrt(3) * one, rtol=1e-9)
 
 
-def test_six_faces_do_not_see_cross_coupling_and_edges_do():
-    for directions, seen in ((FACES, False), (EDGES, True)):
-        angles = up_along(directions)
-        motion = motion_of(two_axes(), poses(angles, 30.0, move=2.0), start=angles[0])
-        found = sigmas(motion, unit([accelerometer(0, "b s m cross")]))
-        # A column that is nothing but rounding counts as seen, to 1e9: infinite for all that it says.
-        assert np.all((of_symbol(found, "acc", "k_") < 1e-3) == seen)
-        assert np.all((of_symbol(found, "acc", "k_") > 1e3) != seen)
-        assert np.all(np.isfinite(of_symbol(found, "acc", "s")))
-
-
 def test_the_norm_of_gravity_alone_tells_six_of_nine():
     """Angles that nobody knows (encoders of 0.1 rad on three skew axes) leave |f| alone: six faces tell six numbers."""
     angles = up_along(FACES)
@@ -166,22 +150,6 @@ def test_fifteen_minutes_of_tumbling_in_drift(directions, tours, figures):
 
 # Axis, angle in degrees, largest rate in deg/s, and seconds at rest after it, of 48 poses that
 # `gradcal optimise experiments/imu/poses48.toml -o better.toml --steps 4000` found.
-ANNEALED = [
-    (0, 225, 77.2, 8.5), (0, -450, 90, 20.4), (0, 90, 53.6, 20.3), (0, 45, 90, 14.1),
-    (1, -450, 76.5, 24.5), (0, 450, 53.5, 14.4), (0, 45, 31.8, 7.2), (1, 0, 90, 14.4),
-    (1, 0, 90, 14.4), (1, 450, 90, 20.2), (0, 135, 90, 11.9), (1, 0, 90, 23.8),
-    (0, 90, 53.5, 17), (1, -135, 90, 17), (0, -90, 63, 24.5), (0, 315, 88.2, 29.4),
-    (0, 630, 90, 12.3), (1, 0, 90, 10.2), (1, -585, 90, 14.6), (0, 315, 63, 10),
-    (0, 90, 90, 13.6), (1, 180, 54, 5), (1, 45, 63, 20.4), (0, 135, 45, 16.7),
-    (0, 90, 61.7, 17), (0, 180, 90, 12.1), (1, -135, 44.5, 17.3), (0, 90, 38.2, 6),
-    (1, 90, 90, 7.2), (0, -1125, 90, 17), (0, -90, 36.9, 6.1), (1, 0, 90, 6.1),
-    (1, 270, 63, 16.7), (0, 270, 63, 23.8), (0, 90, 63, 11.9), (1, -90, 63, 8.3),
-    (0, -405, 90, 5), (0, 135, 90, 14.3), (1, -45, 90, 14.3), (0, -90, 90, 16.7),
-    (0, 180, 63.7, 17.3), (1, 135, 75.6, 20.4), (0, 495, 90, 16.7), (1, 450, 90, 16.2),
-    (0, -135, 31.6, 34), (1, 630, 90, 17.6), (0, 90, 63, 12.3), (1, 630, 52.9, 7),
-]  # fmt: skip
-
-
 def on_a_real_table(steps, start=(0.0, 0.0)) -> np.ndarray:
     """Encoder, tilt and non-orthogonality of 100 µrad, harmonics 1 and 2 of 10 arcsec, and K2."""
     installation = [
@@ -201,21 +169,6 @@ def on_a_real_table(steps, start=(0.0, 0.0)) -> np.ndarray:
 def test_fifteen_minutes_of_tumbling_on_a_real_table(directions, figures):
     angles = up_along(directions)
     for value, figure in zip(on_a_real_table(poses_within(angles, 900.0), angles[0]), figures, strict=True):
-        prints(value, figure)
-
-
-def test_fifteen_minutes_of_poses_that_were_searched():
-    """The prototype's 48 poses left 30.3, 9.46, 10.8 and 15.9: these leave no more of any, in the same time."""
-    steps = []
-    for axis, degrees, peak, dwell in ANNEALED:
-        steps += [turn(axis, float(degrees), float(peak))] if degrees else []
-        steps += [rest(float(dwell))] if dwell else []
-    assert sum(step.axis < 0 for step in steps) == 48
-    left = 900.0 - sum(step.move.duration for step in steps)
-    assert left >= 0.0
-    found = on_a_real_table([*steps, rest(left)])
-    assert np.all(found <= [30.3, 9.46, 10.8, 15.9])
-    for value, figure in zip(found, ("30.02", "9.08", "10.45", "15.34"), strict=True):
         prints(value, figure)
 
 
@@ -375,23 +328,6 @@ def test_faces_in_the_order_of_temperature_tell_no_acceleration_sensitivity():
     assert worst_direction(range(6), 1000.0) > 0.85 * 50.0
 
 
-def test_an_azimuth_that_is_wrong_fakes_acceleration_sensitivity():
-    """1° that no column explains: 0.22 deg/h/g, which is the Earth's horizontal rate times its sine."""
-    angles = up_along(FACES)
-    motion = motion_of(two_axes(), poses(angles, 100.0, move=1e-3), start=angles[0])
-    of = unit([gyro(k, "b g") for k in range(3)], [model.BaseTilt(np.full(3, 1.0))])
-    nodes = trajectory.body_nodes(motion, POINTS)
-    steps, columns = imu_system(motion, of, nodes)
-    rows = columns[np.asarray(steps.used)]
-    own, azimuth = rows[:, : of.calibrated], rows[:, of.calibrated + 2]
-    weights = 1.0 / np.sqrt(np.repeat([s.move.duration for s in poses(angles, 100.0, move=1e-3)], 3))
-    faked, *_ = np.linalg.lstsq(own * weights[:, None], azimuth * weights * DEG, rcond=None)
-    sensitivity = [abs(v) for v, name in zip(faked, of.names(), strict=False) if ".g_" in name]
-    prints(max(sensitivity) / DEG_PER_H * G, "0.22")
-    horizontal = EARTH_RATE * np.cos(LATITUDE) * DEG
-    assert max(sensitivity) * G == pytest.approx(horizontal, rel=1e-3)
-
-
 @pytest.mark.parametrize(("degrees", "figure"), [(90.0, "43.65"), (180.0, "30.86"), (360.0, "0.00")])
 def test_an_encoders_harmonic_in_the_scale_factor(degrees, figure):
     """Order 1 of 10 arcsec, back and forth over Δ: A√(2(1 − cos Δ))/Δ."""
@@ -403,26 +339,3 @@ def test_an_encoders_harmonic_in_the_scale_factor(degrees, figure):
     wanted = 10.0 * ARCSEC * np.sqrt(2.0 * (1.0 - np.cos(delta))) / delta
     assert found == pytest.approx(wanted, rel=1e-6, abs=1e-9)
     prints(found * 1e6, figure)
-
-
-@pytest.mark.parametrize("wave", [0, 1])
-def test_an_encoders_harmonic_that_is_ignored_is_a_bias_of_an_accelerometer(wave):
-    """Order 1 of 10 arcsec in a full circle of poses: half of it, 24.24 µg."""
-    count = 24
-    angles = [(360.0 / count * k,) for k in range(count)]
-    motion = motion_of(table(EAST), poses(angles, 10.0, move=1.0))
-    error = [model.AxisHarmonics(np.full(2, 10.0 * ARCSEC), (1,), 0, "tilt")]
-    of = unit([accelerometer(1, "b s m"), accelerometer(2, "b s m")], error, axes=1)
-    nodes = trajectory.body_nodes(motion, POINTS)
-    steps, columns = imu_system(motion, of, nodes)
-    rows = columns[np.asarray(steps.used)] / 10.0
-    own = np.linalg.norm(rows[:, : of.calibrated], axis=0) > 1e-6
-    harmonic = rows[:, of.calibrated + wave] * 10.0 * ARCSEC
-    faked, *_ = np.linalg.lstsq(rows[:, : of.calibrated][:, own], harmonic, rcond=None)
-    names = [n for n, used in zip(of.names(), own, strict=False) if used]
-    biases = [abs(v) for v, name in zip(faked, names, strict=True) if name.endswith(".b")]
-    prints(max(biases) / G * 1e6, "24.24")
-
-
-def test_the_axes_of_these_tests_are_the_programs():
-    assert tuple(AXES) == model.AXIS_NAMES

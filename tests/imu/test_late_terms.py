@@ -18,7 +18,7 @@ from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.hardware.simulate.draws import draw_truth
 from gradcal_jax.hardware.simulate.imu import ImuTruth
 from gradcal_jax.information.imu_residual import quantity_of
-from gradcal_jax.model.imu_build import BuiltImu, build_imu
+from gradcal_jax.model.build import BuiltImu, build_imu
 from gradcal_jax.records.importers import import_log, parse_column_map
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.records.log_file import read_log, write_log
@@ -31,7 +31,7 @@ LINEAR = {"degree": 1, "centre": "20 degC", "scale": "30 K"}
 BY_RATE = {"degree": 0, "centre": "0 deg/s", "scale": "100 deg/s"}
 SECOND_S, BIAS_S, SCALE_S = 120.0, 200.0, 90.0
 PATH: dict[str, Any] = {
-    "thermometer_difference": {"prior": "5 deg/h/K"},
+    "term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "5 deg/h/K"}],
 }  # fmt: skip
 GYRO: dict[str, Any] = {
     "axes": ["z"], "angle_random_walk": "0.3 deg/sqrt(h)", **PATH,
@@ -41,7 +41,7 @@ GYRO: dict[str, Any] = {
 FORCE: dict[str, Any] = {
     "axes": ["z"], "velocity_random_walk": "0.05 m/s/sqrt(h)",
     "bias": {"temperature": LINEAR, "prior": "2 mg"}, "scale_factor": {"prior": "500 ppm"},
-    "thermometer_difference": {"prior": "100 ug/K"},
+    "term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "100 ug/K"}],
 }  # fmt: skip
 SENSOR = {"clock": "sensor", "second_thermometer": {"lag": f"{SECOND_S} s"}, "gyro": GYRO, "accelerometer": FORCE}
 MOVES = [{"rest": "37 s"}, {"turn": "180 deg"}, {"rest": "53 s"}, {"turn": "-180 deg"}]
@@ -113,7 +113,7 @@ def test_columns_are_the_integrals_of_the_definition(lag):
     built = build_imu(spec_with(SENSOR | ({} if lag is None else {"thermal_lag": lag})))
     compared = 0
     for c, columns in zip(built.model.channels, built.model.own_columns(built.body_nodes()), strict=True):
-        names = c.model.names()
+        names = c.names()
         own_terms = {name: of for name, of in dense_columns(built, c.name).items() if name in names}
         # Over moves accelerometers are not read.
         kept = ~built.motion.line.gap & ((built.motion.axis < 0) | (c.kind == "gyro"))
@@ -156,14 +156,14 @@ def test_a_requirement_counts_the_slope_of_the_service():
     built = build_imu(spec_with(sensor, requirement=[of | {"slope": ["1 K/min", "1 K/min"]}]))
     (element,) = quantity_of(built, built.spec.requirement[0]).elements
     assert element.path is not None
-    own = dict(zip(built.model.channels[0].model.names(), element.path[0, 0], strict=True))
+    own = dict(zip(built.model.channels[0].names(), element.path[0, 0], strict=True))
     assert own["thermometer_difference"] == pytest.approx(-SECOND_S / 60.0)
 
 
 FOLLOWED = {
     "sensor.second_thermometer": {"lag": "4 min"},
     "sensor.gyro.hysteresis": [],
-    "sensor.gyro.thermometer_difference": {"prior": "4 deg/h/K"},
+    "sensor.gyro.term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "4 deg/h/K"}],
     "sensor.gyro.bias.lag": "2 min",
 }
 

@@ -10,7 +10,7 @@ import pytest
 
 from gradcal_jax.estimation.executed_nodes import turning_points
 from gradcal_jax.formulas import play_states
-from gradcal_jax.model.imu_build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.motion import TableMotion, body_nodes
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
@@ -29,7 +29,7 @@ GYRO: dict[str, Any] = {
     "scale_factor": {"temperature": FLAT, "rate": BY_RATE, "prior": "5000 ppm"},
     "hysteresis": [{"width": f"{w:g} K", "prior": "2 deg/h/K"} for w in WIDTHS],
     "scale_factor_hysteresis": [{"width": "9 K", "prior": "10 ppm/K"}],
-    "scale_factor_temperature_gradient": {"prior": "200 ppm/(K/min)"},
+    "term": [{"name": "gradient", "target": "scale_factor", "factors": ["dT/dt"], "prior": "200 ppm/(K/min)"}],
 }  # fmt: skip
 FORCE: dict[str, Any] = {
     "axes": ["z"], "velocity_random_walk": "0.05 m/s/sqrt(h)",
@@ -85,17 +85,6 @@ def test_a_play_is_its_definition_at_every_turning_point():
         assert np.all(np.diff(high - low) <= 1e-12)
 
 
-@pytest.mark.parametrize(("reverse", "slides"), [(7.99, False), (8.01, True)])
-def test_its_derivative_is_right_on_both_sides_of_where_it_begins_to_slide(reverse, slides):
-    """Up by 30 K, down by `reverse`: the play of 4 K stays at the top less 4 K until the course is down by 8 K."""
-
-    def state(top, bottom):
-        return play_states(jnp.stack([jnp.asarray(0.0), top, bottom]), 4.0)[0][-1]
-
-    of_top, of_bottom = jax.grad(state, argnums=(0, 1))(30.0, 30.0 - reverse)
-    assert (float(of_top), float(of_bottom)) == ((0.0, 1.0) if slides else (1.0, 0.0))
-
-
 def test_turning_points_keep_the_states_of_a_course():
     temperature = 20.0 * np.sin(np.linspace(0.0, 15.0, 700)) + np.linspace(0.0, 9.0, 700)
     few = turning_points(temperature)
@@ -138,7 +127,7 @@ def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
         result[f"hysteresis_{width:g}K_start"] = np.sum(left * weight, axis=1)
         result[f"scale_factor_hysteresis_{width:g}K"] = np.sum(h * drive * weight, axis=1)
         result[f"scale_factor_hysteresis_{width:g}K_start"] = np.sum(left * drive * weight, axis=1)
-    result["scale_factor_temperature_gradient"] = np.sum(slope * drive * weight, axis=1)
+    result["gradient"] = np.sum(slope * drive * weight, axis=1)
     return result
 
 
@@ -150,25 +139,13 @@ def test_columns_are_the_integrals_of_the_definition(lag):
     model, nodes = built.model, built.body_nodes()
     for c, columns in zip(model.channels, model.own_columns(nodes), strict=True):
         dense = dense_columns(built, c.name)
-        names = c.model.names()
+        names = c.names()
         compared = [n for n in dense if n in names and (c.kind == "gyro" or not n.startswith("scale"))]
         assert len(compared) == (7 if c.kind == "gyro" else 2)
         for name in compared:
             own = columns[:, names.index(name)]
             assert np.max(np.abs(own)) > 0.0, name
             assert own == pytest.approx(dense[name], rel=1e-6, abs=1e-6 * np.max(np.abs(own))), name
-
-
-def test_the_force_multiplies_the_hysteresis_of_an_accelerometers_scale_factor():
-    """At rest the force is constant: the column is that of the bias times it."""
-    built = build_imu(spec_with({"accelerometer": FORCE | {"hysteresis": [{"width": "4 K", "prior": "1 ug/K"}]}}))
-    (columns,), names = built.model.own_columns(built.body_nodes()), built.model.channels[0].model.names()
-    rests = built.motion.axis < 0
-    force = np.zeros(len(rests))
-    for g in built.body_nodes().groups:
-        force[g.pieces] = g.force[g.kind, 0, 2]
-    bias, scale = (columns[:, names.index(f"{kind}hysteresis_4K")] for kind in ("", "scale_factor_"))
-    assert scale[rests] == pytest.approx((bias * force)[rests], rel=1e-12, abs=1e-9)
 
 
 def rested(gyro: dict[str, Any], programme: list[dict[str, Any]]) -> BuiltImu:
@@ -198,18 +175,6 @@ def test_a_two_way_ramp_sees_what_a_one_way_ramp_does_not():
     assert 0.9 * 20.0 < one < 20.0
     assert two < 0.5
     assert heating < 0.6
-
-
-def test_the_initial_state_counts_until_a_traverse_of_twice_the_width():
-    programme = [{"soak": "1 min", "at": "0 degC", "used": True}, {"ramp_to": "30 degC", "rate": "1 K/min"}]
-    built = rested({"hysteresis": [{"width": "6 K", "prior": "5 deg/h/K"}]}, programme)
-    line, name = built.motion.line, built.model.names().index("gyro_z.hysteresis_6K_start")
-    start = built.model.own_columns(built.body_nodes())[0][:, name] / line.duration
-    begin, end = line.ends()
-    # The mean over a piece of 1 − x/2w after a rise by x.
-    assert start == pytest.approx(np.maximum(0.0, 1.0 - 0.5 * (begin + end) / 12.0), abs=1e-12)
-    prior = 3.0 * 5.0 * HOUR * 6.0
-    assert built.model.prior_rows()[name, name] == pytest.approx(1.0 / prior)
 
 
 def test_what_is_known_before_the_plan_settles_the_initial_state():

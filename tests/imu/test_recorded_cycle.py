@@ -17,7 +17,7 @@ from gradcal_jax import estimation
 from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.information import segments_of
-from gradcal_jax.model import Hysteresis
+from gradcal_jax.model import BIAS, Hysteresis
 from gradcal_jax.records.log import Log
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
@@ -130,7 +130,7 @@ def compared(report: SensorEstimate, first: int, begin: int) -> dict[str, tuple[
             mean = columns[inside].mean(axis=0)[None]
             spread = report.solution.known.spread[where]
             fitted = excess * float(np.linalg.norm(mean @ spread)) / HOUR
-            white = float(c.model.angle_random_walk) / np.sqrt(lasting[inside].sum()) / HOUR
+            white = float(c.angle_random_walk) / np.sqrt(lasting[inside].sum()) / HOUR
             values.append((BIN_K * (n + 0.5), means[inside].mean(), np.sqrt(fitted**2 + DRIFT**2 + white**2)))
         result[c.name] = tuple(map(np.array, zip(*values, strict=True)))
     return result
@@ -170,13 +170,13 @@ def test_the_heating_leg_alone_does_not_promise_the_cooling_leg(plays):
     model, parameters = report.built.model, report.solution.parameters
     cooling = slice(warmest, len(time))
     for c in model.channels:
-        where, bias = model.where(c.kind, c.axis), c.model.bias
+        where, bias = model.where(c.kind, c.axis), c.map(BIAS)
         assert bias is not None
         contrast = bias.values(temperature[cooling], np.zeros(len(time) - warmest))
         predicted = contrast @ parameters[where][: bias.size]
-        for term in c.model.terms[1:]:
+        for term in c.terms[1:]:
             assert isinstance(term, Hysteresis)
-            at = where.start + c.model.where(term.name).start
+            at = where.start + c.where(term.name).start
             predicted = predicted - float(term.width) * parameters[at]
         apart = (rate[cooling, c.axis] - predicted) / HOUR
         number = np.floor(temperature[cooling] / BIN_K).astype(int)

@@ -5,7 +5,7 @@ from estimate_scenes import draw_truth, record, scene
 
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
-from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec.changes import changed
 
 UNSTEADY = [{"standard_deviation": "200 ppm", "correlation_time": "10 min"}]
@@ -25,9 +25,9 @@ def test_noise_of_a_scale_factor_acts_on_what_is_sensed_across_the_axis():
     of = {c.name: k for k, c in enumerate(model.channels)}
     state, places = len(model.channels), {}
     for c in model.channels:
-        gains = np.asarray(c.model.processes.rate_gain)
+        gains = np.asarray(c.processes.rate_gain)
         places[c.name] = state + np.flatnonzero(gains)
-        state += c.model.processes.count
+        state += c.processes.count
     before, after = (np.asarray(readings.linear(about)[0].transition) for about in (straight, leaning))
 
     def by_scale_factor(transition: np.ndarray, name: str) -> np.ndarray:

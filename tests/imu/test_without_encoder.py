@@ -15,7 +15,7 @@ from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import ImuRows
 from gradcal_jax.estimation.imu_solve import absorbed
 from gradcal_jax.information import imu_system, whiten
-from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.motion import Geometry, frames
 from gradcal_jax.records.log import LogError
 from gradcal_jax.spec import presets
@@ -85,7 +85,7 @@ def test_wide_noise_of_the_angles_is_as_free_parameters():
     built = build_imu(PRESET)
     motion, model, nodes = built.motion, built.model, built.body_nodes()
     steps, columns = imu_system(motion, model, nodes)
-    n = len(model.channels) + sum(c.model.processes.count for c in model.channels)
+    n = len(model.channels) + sum(c.processes.count for c in model.channels)
     lost = absorbed(steps, slice(n, n + 1))
     # Dense: the noise without the angles' own, and a column for every angle.
     still = steps._replace(covariance=np.array(steps.covariance), initial=np.array(steps.initial))

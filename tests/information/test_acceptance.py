@@ -72,18 +72,3 @@ def test_a_verdict_follows_its_rule_and_says_it(keys, said):
     name, limit = limit_of(requirement)
     assert name == "mean of max"
     assert limit == pytest.approx(float(requirement.target) * 1e6 / requirement.coverage)
-
-
-def test_a_target_limits_a_search_by_its_rule():
-    from gradcal_jax.design.plan_objective import ExactObjective
-
-    text = gj.presets.text("paper-dynamic-gradient").replace("coverage    = 1 ", "coverage    = 2 ")
-    spec = gj.parse_spec(text + '[design]\nminimise = "motion time"\nmax_motion = "100 min"\n')
-    assert ExactObjective(spec).aims[0].limit == pytest.approx(80.0 / 2.0)
-
-
-@pytest.mark.parametrize("keys", [{"coverage": 0.0}, {"coverage": -1.0}])
-def test_a_coverage_that_cannot_be_is_refused(keys):
-    spec = gj.parse_spec(gj.presets.text("paper-dynamic-gradient"))
-    with pytest.raises(gj.SpecError):
-        gj.changed(spec, {f"requirement[0].{k}": v for k, v in keys.items()})

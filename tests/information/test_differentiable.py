@@ -153,12 +153,6 @@ def imu():
     )
 
 
-def test_gears_are_in_it(imu):
-    residual = gj.differentiable(imu)({})
-    for row in predict(imu).requirements:
-        assert float(residual[row.name]) == pytest.approx(row.decisive, rel=1e-9)
-
-
 @pytest.mark.long
 def test_an_imu_is_differentiated_with_its_gears(imu):
     """The gradient is the difference, in every quantity; compiled, its value is the prediction."""

@@ -11,11 +11,10 @@ import gradcal_jax as gj
 from gradcal_jax.estimation.estimate import SensorEstimate, estimate_sensors
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
-from gradcal_jax.information import segments_of
 from gradcal_jax.information.error_budget import ErrorBudget
 from gradcal_jax.information.gears import BACKLASH, SCALE_OF_ANGLE
 from gradcal_jax.information.imu_residual import imu_residual
-from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.records.log import Log
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
@@ -71,9 +70,7 @@ def squared(report: SensorEstimate, truth: np.ndarray) -> float:
     ("ratios", "play_deg", "begins"),
     [
         pytest.param((2e-4, -4e-4), (0.0, 0.0), 0.0, marks=pytest.mark.long),
-        pytest.param((0.0, 0.0), (0.03, 0.02), 0.0, marks=pytest.mark.long),
         ((-3e-4, 3e-4), (0.02, -0.01), 0.0),
-        pytest.param((0.0, 0.0), (0.03, 0.02), -1.0, marks=pytest.mark.long),
         pytest.param((0.0, 0.0), (0.03, 0.02), 1.0, marks=pytest.mark.long),
     ],
 )
@@ -94,42 +91,6 @@ def test_an_angle_that_is_off_shows_what_is_crooked():
     report, truth = estimated(4, (4e-4, -4e-4), (0.0, 0.0), SIZES, crooked=0.05)
     assert not report.calibration.contradicted
     assert 1e-3 < stats.chi2.sf(squared(report, truth), len(truth)) < 1.0 - 1e-3
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("sizes", [SIZES, {"scale_error": "4 ppm", "backlash": "0.0004 deg"}])
-def test_the_rows_are_those_of_a_fit_with_the_errors_as_parameters(sizes):
-    """Also where the errors are as small as what the readings tell of them."""
-    spec, rng = stated(scene("two axes", 0.1), sizes), np.random.default_rng(4)
-    (log,) = (geared(one, np.array([2e-7, -4e-7]), np.zeros(2)) for one in record(spec, draw_truth(spec, rng), rng))
-    built = build_imu(spec)
-    rows, _ = imu_rows(built, [log], "SN7", Options())
-    fit = fit_readings(built, "SN7", rows, rows.temperature_c)
-    about, plain = fit.solution.parameters, fit.readings._replace(common=None)
-    count = fit.readings.common.shape[1]
-    # Of each axis the scale, the backlash, and where it stands before its first turn.
-    assert count == 6
-    without = fit_readings(build_imu(scene("two axes", 0.1)), "SN7", rows, rows.temperature_c).solution
-    steps, columns = plain.linear(about)
-    apart = plain.observed - plain.expected(about)
-    used = np.asarray(segments_of(plain.done.motion, built.model).used)
-    both = np.column_stack([np.where(used, apart, 0.0), fit.readings.common])
-    white = plain.whitened(steps, np.column_stack([columns, plain.by_steps(both)]))
-    p, prior = built.model.size, built.model.prior_rows()
-    whole = np.concatenate([
-        np.column_stack([white[:, :p], white[:, p + 1 :]]), np.pad(prior, ((0, 0), (0, count))),
-        np.eye(count, p + count, p),
-    ])  # fmt: skip
-    data = np.concatenate([white[:, p], -prior @ about, np.zeros(count)])
-    information = whole.T @ whole
-    step = np.linalg.solve(information, whole.T @ data)
-    deviation = np.sqrt(np.diag(np.linalg.inv(information)))[:p]
-    assert np.max(np.abs(step[:p]) / deviation) < 1e-2
-    np.testing.assert_allclose(fit.solution.known.deviations(np.eye(p)), deviation, rtol=5e-3)
-    # They matter.
-    assert np.max(deviation / without.known.deviations(np.eye(p))) > 1.05
-    left = data - whole @ step
-    assert fit.solution.estimate.chi_squared == pytest.approx(left @ left, rel=1e-3)
 
 
 @pytest.mark.long
@@ -162,9 +123,7 @@ def test_the_budget_of_a_plan_with_gears_has_their_share():
 
         def left(scale: float = 1.0, lash: float = 1.0, noise: float = 1.0, requirement=requirement, built=built):
             channels = tuple(
-                replace(c, model=replace(c.model, angle_random_walk=np.asarray(noise * c.model.angle_random_walk)))
-                if c.kind == "gyro"
-                else c
+                replace(c, angle_random_walk=np.asarray(noise * c.angle_random_walk)) if c.kind == "gyro" else c
                 for c in built.model.channels
             )
             by = [(scale * s, lash * b) for s, b in built.gears]

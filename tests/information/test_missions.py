@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.design.plan_limit import limit
 from gradcal_jax.design.plan_objective import ExactObjective
 from gradcal_jax.information import prediction
 from gradcal_jax.information.error_budget import ErrorBudget
 from gradcal_jax.information.sensitivity import sensitivity
-from gradcal_jax.model.imu_build import build_imu, imu_posterior
+from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.recipe.recipe import parse_recipe
 from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.spec import read_spec, spec_of
@@ -85,43 +84,6 @@ def test_simulated_calibrations_count_missions():
         assert row.simulated == pytest.approx(row.predicted, rel=0.12)
 
 
-@pytest.mark.evidence
-def test_a_limit_of_missions_lies_below_the_plan():
-    design = {"minimise": "h"}
-    spec = with_requirements(heading(hover()), heading(spin(), name="s"), BIAS, design=design)
-    spec = spec_of(tables_of(spec) | {"requirement": tables_of(spec)["requirement"][1:]})
-    found = {row.name: row for row in limit(spec)}
-    for name in ("h", "s", "n"):
-        assert 0.0 < found[name].certified < found[name].value
-        assert found[name].relaxed
-
-
-@pytest.mark.parametrize("drift", ["0.5 deg/h", "5 deg/h"])
-def test_the_limit_of_the_bias_holds_for_a_plan_that_does_nothing_else(drift):
-    """An axis that stands and is read all the time, nearly without noise of the angle, comes near it from above."""
-    tables = tables_of(read_spec(FOLDER / "ppm.toml"))
-    tables["requirement"] = [BIAS]
-    del tables["sensor"]["gyro"]["scale_factor"]
-    tables["sensor"]["gyro"]["drift"] = [{"standard_deviation": drift, "correlation_time": "300 s"}]
-    angle = tables["rig"]["table"]["axis"][0]["angle"]
-    tables["rig"]["table"]["axis"][0]["angle"] = {"reading_noise": "0.001 arcsec", "read_every": angle["read_every"]}
-    tables["design"] = {"minimise": "n", "seed": 0}
-    (row,) = limit(spec_of(tables))
-    assert row.certified < row.value
-    assert row.efficiency > 0.6
-
-
-@pytest.mark.long
-def test_a_search_for_a_mission_beats_its_beginning_and_keeps_a_guard():
-    guard = {"requirement[0].target": "20 ppm"}
-    spec = changed(with_requirements(heading(spin()), design={"minimise": "h"}), guard)
-    best = gj.optimise(spec, quick=True)
-    assert best.now < best.before
-    rows = {row.name: row for row in gj.predict(best.spec).requirements}
-    assert rows["scale factor"].mean_of_max <= 20.0 * 1.05
-    assert rows["h"].rms == pytest.approx(best.now)
-
-
 def test_a_recipe_and_a_sweep_stand_alone(tmp_path, monkeypatch):
     (tmp_path / "hover.csv").write_text(HOVER, encoding="utf-8")
     text = to_toml(with_requirements()).replace(
@@ -151,33 +113,6 @@ def test_a_recipe_and_a_sweep_stand_alone(tmp_path, monkeypatch):
     (at,) = (k for k, r in enumerate(job.base.requirement) if r.name == "h")
     assert first[f"{at} rms"] == pytest.approx(row.rms)
     assert second[f"{at} rms"] > first[f"{at} rms"]
-
-
-@pytest.mark.long
-def test_pictures_and_the_page_show_missions(tmp_path):
-    from gradcal_jax.pages.page import report
-    from gradcal_jax.plots import draw_comparison, draw_prediction
-    from gradcal_jax.tables.writing import write_toml
-
-    spec = with_requirements(heading(hover(), target="2 deg"), heading(hover(), spin(), name="two"), BIAS)
-    figure = draw_prediction(spec)
-    (ax,) = [a for a in figure.axes if a.get_title() == "h"]
-    row = row_of(spec)
-    ends = {line.get_label(): line.get_ydata()[-1] for line in ax.lines}
-    assert ends == pytest.approx(
-        {"calibration": row.rms, "own noise": row.own, "together": np.hypot(row.rms, row.own)}, rel=1e-6
-    )
-    assert "deg" in ax.get_ylabel()
-    (ax,) = [a for a in draw_comparison([("a", spec), ("b", spec)]).axes if a.get_title() == "h"]
-    assert [line.get_label() for line in ax.lines] == ["a", "b"]
-    write_toml(gj.make_recipe(spec), tmp_path / "recipe.toml")
-    data = report(tmp_path / "recipe.toml", tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    (table,) = data["sections"]["Requirements"]["tables"]
-    (shown,) = (line for line in table if line["requirement"] == "h")
-    assert shown["own noise of the IMU, which remains"] == f"{row.own:.4g} deg"
-    assert "own noise of the IMU, which remains" in page
-    assert 'id="h-curves' in page
 
 
 def test_a_mission_alone_in_a_design_says_what_it_lacks():

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from estimate_scenes import draw_truth, record, scene
+from helpers import dense_of
 from simulated_log import simulate_log
 
 import gradcal_jax as gj
@@ -14,7 +15,9 @@ from gradcal_jax.estimation.calibrations import calibration_map
 from gradcal_jax.estimation.estimate import estimate_log, estimate_sensors
 from gradcal_jax.estimation.findings import omitted_sentences, wrapped_sentence
 from gradcal_jax.estimation.log_rows import Options
-from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.information import imu_system, segments_of
+from gradcal_jax.information.imu_residual import quantity_of
+from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.motion import turns_of
 from gradcal_jax.records.log import LogError
 from gradcal_jax.records.log_file import write_log
@@ -139,8 +142,6 @@ def test_explicit_zeros_are_the_same_model_and_nothing_is_omitted():
         ("rig.table.mounting[0].accuracy", "M", 2**0.5 * np.radians(0.5) ** 2 * 1e6),
         ("rig.table.axis[0].angle.scale_error", "M", 50.0),
         ("sensor.temperature_offset", "M", 2.0 * slopes_of(BARE.sensor)[1] * 1e6),
-        ("sensor.temperature_lag", "M", 4.0 * slopes_of(BARE.sensor)[1] * 1e6),
-        ("sensor.temperature_lag", "B", 4.0 * slopes_of(BARE.sensor)[0] / DEG_PER_H),
         ("sensor.gyro.bias_temperature_gradient", "B", 40.0),
         ("rig.site.latitude", "B", 15.04 / 3**0.5),
     ],
@@ -148,12 +149,68 @@ def test_explicit_zeros_are_the_same_model_and_nothing_is_omitted():
 def test_a_term_that_is_left_out_counts_with_its_figure(key, name, size):
     """In quadrature, beside what the spec names: each is a constant of a map."""
     row = left(without(key), name)
-    expected = np.hypot(row.decisive, size)
     # Constant over the box, so that every statistic of the residual is at most this and at least the larger of the two.
-    assert row.with_typical == pytest.approx(expected, rel=0.08)
+    assert row.with_typical == pytest.approx(np.hypot(row.decisive, size), rel=0.08)
     # The prior of 400 deg/h on the bias takes half a per cent off a sensitivity of 40.
     assert row.with_typical > size * (1.0 - 1e-2)
     assert row.decisive == pytest.approx(left(EXACT, name).decisive, rel=1e-12)
+
+
+QUICK = gj.changed(
+    EXACT,
+    {
+        "rig.chamber": {"range": ["-40 degC", "85 degC"], "max_heating": "40 K/min", "max_cooling": "40 K/min"},
+        "rig.table.axis[0].angle.read_every": "5 s",
+        **{f"plan.cycle.moves[{k}].read_every": "5 s" for k in (0, 2)},
+        "plan.gradient": "30 K/min",
+    },
+)
+RETURN = {
+    "plan.temperature": None,
+    "plan.gradient": None,
+    "plan.programme": [
+        {"soak": "1 s", "at": "-20 degC"},
+        {"ramp_to": "60 degC", "rate": "30 K/min"},
+        {"ramp_to": "-20 degC", "rate": "30 K/min"},
+    ],
+}
+
+
+@pytest.mark.parametrize("course", [{}, RETURN], ids=["one way", "there and back"])
+@pytest.mark.parametrize(
+    ("key", "figure", "gradient", "lag"),
+    [
+        ("sensor.gyro.bias_temperature_gradient", "9 deg/h/(K/min)", 9.0 * DEG_PER_H * 60.0, 0.0),
+        ("sensor.temperature_lag", "40 s", 0.0, 40.0),
+    ],
+)
+def test_a_lag_and_a_gradient_count_by_what_they_leave_in_the_estimate_of_this_plan(course, key, figure, gradient, lag):
+    """Against dense least squares on readings that have the error, integrated by hand; on a way there and back most of
+    it cancels."""
+    spec = gj.changed(QUICK, course)
+    built, named = build_imu(spec), gj.changed(spec, {key: figure})
+    steps, columns = imu_system(built.motion, built.model, built.body_nodes())
+    at, line, (begin, end) = segments_of(built.motion, built.model), built.motion.line, built.motion.line.ends()
+    by_bias, by_scale = slopes_of(spec.sensor)
+    # A temperature that is late by one lag is lower by lag · dT/dt.
+    pieces = (gradient - lag * by_bias) * (end - begin) - lag * by_scale * line.slope * line.turned()
+    error = np.add.reduceat(pieces, at.first)[at.row_segment][np.asarray(steps.used)]
+    rows = np.asarray(columns)[np.asarray(steps.used)]
+    weighed = np.linalg.solve(dense_of(steps), np.column_stack([rows, error]))
+    prior = built.model.prior_rows()
+    shift = np.linalg.solve(rows.T @ weighed[:, :-1] + prior.T @ prior, rows.T @ weighed[:, -1])
+    ours, plain = (gj.predict(s).requirements for s in (named, spec))
+    for row, without_it, requirement in zip(ours, plain, spec.requirement, strict=True):
+        quantity = quantity_of(built, requirement)
+        (element,) = quantity.elements
+        exact = quantity.residual(imu_posterior(built)).values.ravel()
+        unit = 1e6 if requirement.name == "M" else 1.0 / DEG_PER_H
+        wanted = np.hypot(exact, np.asarray(element.of.rows) @ shift[element.where] * unit)
+        assert row.max == pytest.approx(np.max(wanted), rel=1e-6)
+        if requirement.name == "B":
+            whole = (gradient + lag * by_bias) * 0.5 / DEG_PER_H
+            share = (row.max**2 - without_it.max**2) ** 0.5
+            assert share < 0.3 * whole if course else share > 0.8 * whole
 
 
 def test_a_named_figure_counts_as_itself():
@@ -197,27 +254,6 @@ def test_another_power_on_is_a_line_of_its_own_and_decides():
     this = left(gj.changed(named, {"requirement[1].of": "this run"}), "B")
     assert (this.verdict, this.another_run) == ("met", None)
     assert left(named, "M").another_run is None
-
-
-def test_the_command_shows_both_and_asks_for_the_earth(tmp_path, capsys):
-    (tmp_path / "spec.toml").write_text(SPEC)
-    assert main(["predict", str(tmp_path / "spec.toml"), "--budget"]) == 1
-    said = capsys.readouterr().out
-    assert all(key in said for key in ZEROS)
-    gj.write_toml(EXACT, tmp_path / "exact.toml")
-    assert main(["predict", str(tmp_path / "exact.toml")]) == 0
-    said = capsys.readouterr().out
-    assert "as named" not in said
-    assert "typical" not in said
-
-
-def test_the_computers_clock_counts_one_ppm():
-    slow = gj.changed(EXACT, {"sensor.sample_clock_error": "200 ppm", "sensor.clock": "sensor"})
-    by_host = gj.changed(slow, {"sensor.clock": "host"})
-    assert left(slow, "M").decisive > 199.0
-    one = gj.changed(EXACT, {"sensor.sample_clock_error": "1 ppm"})
-    assert left(by_host, "M").decisive == pytest.approx(left(one, "M").decisive, rel=1e-12)
-    assert "sensor.sample_clock_error" not in {t.key for t in absent_terms(gj.changed(BARE, {"sensor.clock": "host"}))}
 
 
 def test_without_a_key_the_better_clock_counts():
@@ -356,8 +392,8 @@ def test_an_error_that_no_residual_shows_is_within_the_stated_uncertainty(record
     report, rows = estimated(without(key), faulty)
     (sensor,) = report.sensors
     assert sensor.consistency.fit.passed
-    model = sensor.built.model.channels[0].model
-    of, unit = (model.scale, 1e6) if name == "M" else (model.bias, 1.0 / DEG_PER_H)
+    model = sensor.built.model.channels[0]
+    of, unit = (model.map("scale_factor"), 1e6) if name == "M" else (model.map("bias"), 1.0 / DEG_PER_H)
     where = model.where(of.name)
     at = np.linspace(-20.0, 60.0, 5)
     error = of.values(at, np.full(5, 1.0)) @ (sensor.solution.parameters[: model.size] - truth)[where] * unit
@@ -365,21 +401,6 @@ def test_an_error_that_no_residual_shows_is_within_the_stated_uncertainty(record
     assert worst > 5.0 * row.decisive
     assert worst <= 2.0 * row.worst
     assert key in " ".join(report.messages[log.units[0]])
-
-
-def test_an_option_that_states_the_earth_leaves_no_term_out(recorded):
-    log, _ = recorded
-    spec = without("rig.site.latitude")
-    turned = replace(log, rate_rad_per_s=log.rate_rad_per_s + 5.0 * DEG_PER_H)
-    _, rows = estimated(spec, turned, earth_rate=5.0 * DEG_PER_H)
-    assert rows["B"].verdict == "met"
-    # And so does the spec.
-    report, rows = estimated(gj.changed(EXACT, {"rig.site.latitude": "19.42 deg"}), turned)
-    plain, _ = estimated(EXACT, log)
-    # A gyro has its scale-factor error of the Earth's rate, too, which these rates lack.
-    np.testing.assert_allclose(
-        report.sensors[0].solution.parameters, plain.sensors[0].solution.parameters, atol=1e-2 * 5.0 * DEG_PER_H
-    )
 
 
 def test_two_clocks_that_contradict_each_other_are_said_and_the_computers_is_used(recorded, tmp_path, capsys):
@@ -444,10 +465,8 @@ def test_temperatures_in_another_unit_are_refused_by_name(recorded, unit, conver
     ("course", "one_way"),
     [
         ((20.0, 60.0), True),
-        ((60.0, -20.0), True),
         ((20.0, 60.0, 55.0), True),
         ((-20.0, 60.0, -20.0, 60.0), False),  # ends where a ramp would end
-        ((60.0, -20.0, 60.0, -20.0), False),
         ((20.0, 60.0, 20.0), False),
         ((20.0, 23.0), False),  # about constant
     ],
@@ -484,8 +503,6 @@ def unit_log():
         (lambda r, f: (r * [1, -1, 1], f), "gyro y: .*sign is opposite to the table's"),
         (lambda r, f: (r, f / 9.80665), "accelerometer .: .*in g instead of m/s"),
         (lambda r, f: (r[..., [1, 0, 2]], f), "gyro x: .*(swapped|quarter turn)"),
-        (lambda r, f: (np.degrees(r), f), "gyro .: .*deg/s instead of rad/s"),
-        (lambda r, f: (r, f[..., [1, 0, 2]] * [1, -1, 1]), "accelerometer .: .*quarter turn"),
     ],
 )
 def test_a_channel_that_no_device_has_is_refused_by_name_and_cause(unit_log, change, said):

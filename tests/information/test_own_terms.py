@@ -1,4 +1,4 @@
-"""A class from outside the package is a term as those within are: in predictions and in estimates."""
+"""A general error term, by its factors or by a class from outside the package: in predictions and in estimates."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,23 +18,10 @@ SMALL = {
 
 
 class SlopeTimesRate(OwnTerm):
-    """What `scale_factor_temperature_gradient` of a gyro along x is."""
-
-    SI_UNIT = "s/K"
+    """A scale factor by dT/dt, of a gyro along x."""
 
     def values(self, nodes):
         return nodes.slope[..., None], nodes.signal("rate x")[..., None]
-
-
-class Tumble(OwnTerm):
-    """What `g_sensitivity` is, all three at once."""
-
-    @property
-    def size(self):
-        return 3
-
-    def values(self, nodes):
-        return constant_function(nodes.temperature), jnp.stack([nodes.signal(f"force {a}") for a in "xyz"], axis=-1)
 
 
 class FallingOff(OwnTerm):
@@ -49,37 +36,38 @@ def axis():
     return gj.changed(gj.parse_spec(gj.presets.text("paper-dynamic-gradient")), SMALL)
 
 
-def test_a_term_of_one_s_own_predicts_as_the_same_within_the_package(axis):
-    built_in = gj.predict(
-        gj.changed(axis, {"sensor.gyro.scale_factor_temperature_gradient": {"prior": "50 ppm/(K/min)"}})
-    )
-    own = gj.predict(gj.changed(axis, {"sensor.gyro.own": [{"term": "SlopeTimesRate", "prior": 50e-6 * 60.0}]}))
-    alone = gj.predict(axis)
-    for known, ours, without in zip(built_in.requirements, own.requirements, alone.requirements, strict=True):
-        assert ours.mean_of_max == pytest.approx(known.mean_of_max, rel=1e-6)
-        assert abs(ours.mean_of_max / without.mean_of_max - 1.0) > 1e-3
-    assert [p.name for p in own.parameters if "Slope" in p.name] == ["gyro_x.SlopeTimesRate"]
+def with_term(spec, **term):
+    return gj.changed(spec, {"sensor.gyro.term": [term]})
 
 
-def test_signals_of_the_body_are_those_of_the_terms_within():
+def test_factors_are_the_class_that_multiplies_them(axis):
+    """The unit of a prior is that of the target over those of the factors."""
+    left = {
+        name: gj.predict(with_term(axis, name=name, **of)).requirements[0].mean_of_max
+        for name, of in {
+            "k": {"target": "scale_factor", "factors": ["dT/dt"], "prior": "50 ppm/(K/min)"},
+            "kr": {"factors": ["rate x", "dT/dt"], "prior": "0.003 deg/s/(deg/s)/(K/s)"},
+            "class": {"class_name": "SlopeTimesRate", "prior": "0.003 rad/s"},
+        }.items()
+    }
+    assert left["kr"] == pytest.approx(left["k"], rel=1e-9)
+    assert left["class"] == pytest.approx(left["k"], rel=1e-9)
+    assert abs(left["k"] / gj.predict(axis).requirements[0].mean_of_max - 1.0) > 1e-3
+
+
+def test_force_as_a_factor_is_the_sensitivity_to_it():
     whole = gj.parse_spec(gj.presets.text("ferraris"))
-    spec = gj.changed(
-        whole, {"requirement": [r for r in tables_of(whole)["requirement"] if r["quantity"] == "gyro_bias"]}
-    )
-    known = gj.changed(spec, {"sensor.gyro.g_sensitivity": {"prior": "50 deg/h/g"}})
-    # One standard deviation of each coefficient, in rad/s for each m/s².
-    prior = 50.0 * DEG_PER_H / 9.80665
-    own = gj.changed(spec, {"sensor.gyro.g_sensitivity": None, "sensor.gyro.own": [{"term": "Tumble", "prior": prior}]})
-    left, right = gj.predict(known), gj.predict(own)
-    of = {row.name: row for row in left.requirements}
-    both = [row for row in right.requirements if row.name in of]
-    assert both
-    for row in both:
-        assert row.judged == pytest.approx(of[row.name].judged, rel=1e-6)
+    of_bias = [r for r in tables_of(whole)["requirement"] if r["quantity"] == "gyro_bias"]
+    spec = gj.changed(whole, {"requirement": of_bias, "sensor.gyro.g_sensitivity": None})
+    terms = [{"name": f"g_{a}", "factors": [f"force {a}"], "prior": "50 deg/h/g"} for a in "xyz"]
+    left = gj.predict(gj.changed(spec, {"sensor.gyro.g_sensitivity": {"prior": "50 deg/h/g"}}))
+    right = gj.predict(gj.changed(spec, {"sensor.gyro.term": terms}))
+    for row, same in zip(left.requirements, right.requirements, strict=True):
+        assert same.judged == pytest.approx(row.judged, rel=1e-6)
 
 
 def test_an_estimate_finds_its_parameter(axis):
-    spec = gj.changed(axis, {"sensor.gyro.own": [{"term": "FallingOff", "prior": 2.0, "name": "decay"}]})
+    spec = with_term(axis, name="decay", class_name="FallingOff", prior="400000 deg/h")
     made = simulate_log(axis, sample_rate_hz=10.0).log
     hidden = 30.0 * DEG_PER_H
     wrong = made.rate_rad_per_s + hidden * np.exp(-(made.time_s - made.time_s[0]) / 900.0)[None, :, None]
@@ -102,19 +90,22 @@ def test_an_estimate_finds_its_parameter(axis):
     assert note.endswith("a term of your own, is lost")
 
 
-def test_a_product_of_factors_is_a_term(axis):
-    """As the class above."""
-    by_class = gj.predict(gj.changed(axis, {"sensor.gyro.own": [{"term": "SlopeTimesRate", "prior": 50e-6 * 60.0}]}))
-    product = {"factors": ["rate x", "dT/dt"], "prior": 50e-6 * 60.0}
-    ours = gj.predict(gj.changed(axis, {"sensor.gyro.own": [product]}))
-    assert ours.requirements[0].mean_of_max == pytest.approx(by_class.requirements[0].mean_of_max, rel=1e-12)
-    with pytest.raises(gj.SpecError, match="factors"):
-        gj.changed(axis, {"sensor.gyro.own": [{"factors": ["rate w"], "prior": 1.0}]})
-    with pytest.raises(gj.SpecError, match="give either"):
-        gj.changed(axis, {"sensor.gyro.own": [{"prior": 1.0}]})
+@pytest.mark.parametrize(
+    ("term", "says"),
+    [
+        ({"factors": ["rate w"], "prior": "1 deg/h"}, "factors"),
+        ({"prior": "1 deg/h"}, "give either"),
+        ({"factors": ["dT/dt"], "prior": "5 ppm/(K/min)"}, "its SI unit must be rad/K"),
+        ({"factors": ["dT/dt"], "prior": "0 deg/h/(K/min)"}, "must be positive"),
+        ({"factors": ["T2 - T"], "prior": "1 deg/h/K"}, "needs a second thermometer"),
+    ],
+)
+def test_a_term_without_meaning_is_refused(axis, term, says):
+    with pytest.raises(gj.SpecError, match=says):
+        with_term(axis, name="term", **term)
 
 
 def test_a_class_that_nobody_defined_is_a_sentence(axis):
-    spec = gj.changed(axis, {"sensor.gyro.own": [{"term": "Nowhere", "prior": 1.0}]})
+    spec = with_term(axis, name="term", class_name="Nowhere", prior="1 deg/h")
     with pytest.raises(ValueError, match=r'gradcal_jax\.model\.OwnTerm has no subclass "Nowhere"'):
         gj.predict(spec)

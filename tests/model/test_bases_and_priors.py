@@ -1,17 +1,19 @@
-"""What the error model's room promises by itself: bases, columns, priors' rows, processes."""
+"""What the error model's room promises by itself: bases, terms, priors' rows, processes."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import encoder, gyro_x, scale_map
 from numpy.polynomial import legendre
 
 from gradcal_jax import model as models
-from gradcal_jax.model import BIAS, HARMONICS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Bins, BSpline, Polynomial, make_map
+from gradcal_jax.model import BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, Bins, BSpline, GradientOfBias, Polynomial
+from gradcal_jax.model.terms import make_map
 
 X = np.linspace(-60.0, 95.0, 9)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 4])
+@pytest.mark.parametrize("degree", [0, 4])
 def test_reported_coefficients_are_those_of_the_normalised_monomials(degree):
     basis = Polynomial(degree, 20.0, 50.0)
     engine = np.random.default_rng(degree).standard_normal(basis.size)
@@ -26,9 +28,7 @@ def test_reported_coefficients_are_those_of_the_normalised_monomials(degree):
 )
 def test_every_basis_holds_the_constant(basis):
     inside = X[(X >= -40.0) & (X <= 85.0)]
-    values = np.asarray(basis(jnp.asarray(inside)))
-    assert values.shape == (len(inside), basis.size)
-    np.testing.assert_allclose(values @ basis.constant, 1.0, rtol=1e-13)
+    np.testing.assert_allclose(np.asarray(basis(jnp.asarray(inside))) @ basis.constant, 1.0, rtol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_every_basis_holds_the_constant(basis):
         (lambda: Bins((1.0,)), "two edges"),
         (lambda: make_map(Bins((0.0, 1.0)), discrepancy=(1e-4, 3, 0)), "smoothness prior instead"),
         (lambda: make_map(Polynomial(3, 0.0, 1.0), discrepancy=(1e-4, 3, 0)), "exceed the model's"),
-        (lambda: models.EncoderHarmonics(amplitudes=np.zeros(1), orders=(1, 2)), "one amplitude"),
+        (lambda: gyro_x(()), "a bias map, a scale-factor map, or both"),
     ],
 )
 def test_what_makes_no_sense_is_refused_with_the_mend(make, says):
@@ -48,49 +48,26 @@ def test_what_makes_no_sense_is_refused_with_the_mend(make, says):
         make()
 
 
-def gyro(**changes):
-    parts = {
-        "bias": make_map(Polynomial(3, 20.0, 50.0), prior_std=1e-3),
-        "scale": make_map(Polynomial(1, 20.0, 50.0), Polynomial(2, 0.0, 5.0), discrepancy=(1e-4, 2, 3)),
-        "angle_random_walk": 1e-5,
-        "temperature_gradient_std": 3e-6,
-        "harmonics": {1: 2e-4, 4: 1e-4},
-    }
-    return models.gyro_model(**(parts | changes))
-
-
-GROUPS = (BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, HARMONICS, "scale_factor_discrepancy")
-
-
-def test_terms_follow_one_another_and_are_found_by_name():
-    model = gyro()
-    groups = [model.where(name) for name in GROUPS]
-    # Of M: one more degree in T times four in ω, and one more in ω times the two in T.
-    assert [s.stop - s.start for s in groups] == [4, 6, 1, 4, 1 * 4 + 2 * 1]
+def test_terms_follow_one_another_with_rows_of_one_over_their_prior():
+    bias = make_map(Polynomial(3, 20.0, 50.0), prior_std=1e-3, numbered=True)
+    scale = scale_map(Polynomial(1, 20.0, 50.0), Polynomial(2, 0.0, 5.0), discrepancy=(1e-4, 2, 3))
+    of = gyro_x((bias, scale, GradientOfBias(std=np.asarray(3e-6), has_prior=True)))
+    groups = [of.where(name) for name in (BIAS, SCALE_FACTOR, TEMPERATURE_GRADIENT, "scale_factor_discrepancy")]
+    # Of the discrepancy: one more degree in T times four in ω, and one more in ω times the two in T.
+    assert [s.stop - s.start for s in groups] == [4, 6, 1, 1 * 4 + 2 * 1]
     assert [s.start for s in groups] == [0, *(s.stop for s in groups[:-1])]
-    assert model.size == groups[-1].stop == 21 == len(model.names()) == len(model.units())
-    assert model.where("bias_discrepancy") == slice(21, 21)
-    assert model.term("bias_discrepancy") is None
-    assert model.units()[-1] == "1"
-
-
-def test_priors_are_rows_of_one_over_their_deviation():
-    model = gyro()
-    rows = model.prior_rows()
+    assert of.size == groups[-1].stop == len(of.names())
+    assert of.where("bias_discrepancy") == slice(17, 17)
+    assert of.term("bias_discrepancy") is None
+    rows = models.ImuModel((of,), (), encoder()).prior_rows()
     information = rows.T @ rows
-    bias, scale, gradient, waves, beyond = (model.where(name) for name in GROUPS)
-    reported = model.bias.to_reported
-    np.testing.assert_allclose(information[bias, bias], reported.T @ reported / 1e-3**2, rtol=1e-12)
-    np.testing.assert_array_equal(information[scale], 0.0)  # Flat.
-    assert information[gradient, gradient].item() == pytest.approx(3e-6**-2)
-    harmonics = np.diagonal(information)[waves]
-    np.testing.assert_allclose(harmonics, np.repeat([2e-4, 1e-4], 2) ** -2.0, rtol=1e-12)
-    np.testing.assert_allclose(np.diagonal(information)[beyond], 1e-4**-2.0, rtol=1e-12)
-    flat = gyro(bias=None, temperature_gradient_std=np.inf, harmonics=None)
-    assert flat.prior_rows().shape == (6, flat.size)
+    reported = bias.to_reported
+    np.testing.assert_allclose(information[:4, :4], reported.T @ reported / 1e-3**2, rtol=1e-12)
+    np.testing.assert_array_equal(information[groups[1]], 0.0)  # Flat.
+    np.testing.assert_allclose(np.diagonal(information)[10:], [3e-6**-2.0, *[1e-4**-2.0] * 6], rtol=1e-12)
 
 
-def test_smoothness_is_on_neighbours():
+def test_smoothness_joins_neighbours():
     """Bins in rate have neighbours, powers of temperature have none: differences of reported coefficients by bin."""
     of = make_map(Polynomial(2, 20.0, 50.0), Bins((-1.0, 0.0, 0.5, 1.0)), smoothness_std=0.5)
     reported = np.random.default_rng(3).standard_normal((3, 3))  # power of temperature, bin
@@ -99,20 +76,11 @@ def test_smoothness_is_on_neighbours():
     assert np.sum((rows @ engine) ** 2) == pytest.approx(np.sum(np.diff(reported, axis=1) ** 2) / 0.25)
 
 
-def test_nothing_to_calibrate_is_refused():
-    with pytest.raises(ValueError, match="a bias map, a scale-factor map, or both"):
-        gyro(bias=None, scale=None)
-
-
 def test_processes_are_rows_of_the_table():
     both = models.gauss_markov(2e-6, 120.0) + models.rate_random_walk(3e-9) + models.constant(1e-5)
-    assert both.count == 3
     np.testing.assert_allclose(both.decay, [1 / 120.0, 0.0, 0.0])
     # A stationary process: what decays, 2·decay·σ², is what diffusion brings.
     np.testing.assert_allclose(both.diffusion**2, [2 / 120.0 * 2e-6**2, 3e-9**2, 0.0])
     np.testing.assert_allclose(both.initial_std, [2e-6, 0.0, 1e-5])
     forever = models.gauss_markov(2e-6, np.inf)
     assert float(forever.decay[0]) == float(forever.diffusion[0]) == 0.0
-    assert models.no_processes().count == 0
-    assert not models.angle_reference(1e-3).has_offset
-    assert models.angle_reference(1e-3, 1e-4).has_offset

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import SCENES, core
+from helpers import SCENES, plan_of
 
 from gradcal_jax import motion as trajectory
 from gradcal_jax.formulas import SHAPES
@@ -115,7 +115,7 @@ def everything(line):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_arrays_of_jax_are_the_same_plan(name):
-    plan, _ = core(SCENES[name])
+    plan = plan_of(SCENES[name])
     lag = SCENES[name].lag
     plain, traced = everything(plan.trajectory(lag)), everything(jax.tree.map(jnp.asarray, plan).trajectory(lag))
     for field, values in traced.items():

@@ -10,7 +10,7 @@ from gradcal_jax.information import imu_system
 from gradcal_jax.information.gears import rows_of_gears
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.prediction import predict
-from gradcal_jax.model.imu_build import build_imu
+from gradcal_jax.model.build import build_imu
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import parse_spec

@@ -40,7 +40,7 @@ def hand2(asked: dict) -> dict:
     import jax.numpy as jnp
 
     from gradcal_jax.information import SquareRootInformation, imu_system, whitened_factor
-    from gradcal_jax.model.imu_build import build_imu
+    from gradcal_jax.model.build import build_imu
     from gradcal_jax.motion import body_nodes
     from gradcal_jax.spec.spec import read_spec
 
@@ -48,7 +48,7 @@ def hand2(asked: dict) -> dict:
     built = build_imu(read_spec(Path(__file__).resolve().parents[2] / "imu" / "hand2.toml"))
     wanted = jax.tree.map(lambda x: isinstance(x, np.ndarray) and x.dtype == float, (built.motion, built.model))
     # Whether a rate drives a process is structure.
-    gains = lambda t: [g for c in t[1].channels for g in (c.model.processes.rate_gain, c.model.processes.bias_gain)]  # noqa: E731
+    gains = lambda t: [g for c in t[1].channels for g in (c.processes.rate_gain, c.processes.bias_gain)]  # noqa: E731
     wanted = eqx.tree_at(gains, wanted, replace_fn=lambda _: False)
     numbers, rest = eqx.partition((built.motion, built.model), wanted)
     numbers, reported = jax.tree.map(jnp.asarray, numbers), jnp.asarray(built.model.to_reported)
@@ -56,7 +56,7 @@ def hand2(asked: dict) -> dict:
     def value(numbers):
         motion, model = eqx.combine(numbers, rest)
         system = imu_system(motion, model, body_nodes(motion, built.points))
-        info = SquareRootInformation(*whitened_factor(*system, jnp.asarray(model.prior_rows())))
+        info = SquareRootInformation(*whitened_factor(*system, jnp.asarray(model.prior_rows()))[:3])
         return jnp.sum(jnp.log(info.deviations(reported)))
 
     found: dict = {}

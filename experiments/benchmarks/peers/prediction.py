@@ -6,10 +6,11 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from gradcal_jax.information import contrasts, information, posterior
+from gradcal_jax.information import imu_information
+from gradcal_jax.information.imu_residual import quantity_of
 from gradcal_jax.information.prediction import predict as predict_spec
 from gradcal_jax.information.sensitivity import sensitivity
-from gradcal_jax.model.build import assemble
+from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.spec.spec import read_spec
 
 _SPEC = Path(__file__).resolve().parents[2] / "paper" / "dynamic_gradient.toml"
@@ -30,31 +31,27 @@ def _seconds(task) -> list[float]:
 def predict(asked: dict) -> dict:
     jax.config.update("jax_enable_x64", True)
     spec = read_spec(_SPEC)
-    built = assemble(spec)
-    requirement = spec.requirement[0]
-    temperatures, rates = (
-        np.linspace(*(float(x) for x in ends), size)
-        for ends, size in zip((requirement.temperature, requirement.rate), requirement.grid, strict=True)
-    )
-    grid = [g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij")]
+    built = build_imu(spec)
+    quantity = quantity_of(built, spec.requirement[0])
+
+    def information():
+        return imu_information(built.motion, built.model, built.body_nodes())[0]
 
     def mean_of_max():
-        known = information(built.trajectory(), built.model)
-        rows, _, _ = contrasts(built.model, "scale_factor", *grid)
-        return float(np.mean(np.max(known.deviations(rows).reshape(requirement.grid), axis=0)))
+        return quantity.statistic("mean of max", {})(information().root())
 
-    line = built.trajectory()
+    line = built.motion.line
     return {
         "pieces": int(line.piece_count),
         "readings": int(np.sum(line.read)),
         "parameters": int(built.model.size),
-        "ppm": mean_of_max() * 1e6,
+        "ppm": float(mean_of_max()) * 1e6,
         "times": {
-            "plan → information": _seconds(lambda: information(built.trajectory(), built.model)),
+            "plan → information": _seconds(information),
             "plan → information → residual map → statistic": _seconds(mean_of_max),
             "compiled: derivatives in all figures of sensor, rig and plan": _seconds(lambda: sensitivity(spec)),
-            "`assemble(spec)`": _seconds(lambda: assemble(spec)),
-            "`posterior(information(…))`": _seconds(lambda: posterior(information(built.trajectory(), built.model))),
+            "`build_imu(spec)`": _seconds(lambda: build_imu(spec)),
+            "`imu_posterior(built)`": _seconds(lambda: imu_posterior(built)),
             "`predict(spec)` as called": _seconds(lambda: predict_spec(spec)),
         },
     }

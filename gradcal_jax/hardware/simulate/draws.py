@@ -27,6 +27,7 @@ from gradcal_jax.spec.bases import PolynomialKeys
 from gradcal_jax.spec.places import rotation_of
 from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad, Sensor, TemperatureError
 from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.spec.temperature_path import DIFFERENCE
 
 _XYZ: Final = "xyz"
 # Distances of a unit from the intersection of the axes, and of its gyros from its accelerometers.
@@ -34,7 +35,6 @@ _LEVER_M: Final = 0.03
 _APART_M: Final = 0.003
 _GRADIENT: Final = "bias_temperature_gradient"
 _PLAY: Final = "hysteresis_{:g}K"
-_DIFFERENCE: Final = "thermometer_difference"
 # The lag of a second thermometer is as the spec says within this share.
 _LAG_SPREAD: Final = 0.2
 _TYPICAL_GRADIENT: Final[dict[Kind, float]] = {"gyro": np.radians(1.0) / 60.0, "accelerometer": 1e-3 * 9.8 * 60.0}
@@ -189,9 +189,11 @@ def _draw_differences(
 ) -> Iterator[ErrorTerm]:
     """Errors of three sensors by the difference of two thermometers; `names`: their names and values, added to."""
     triad: Any = getattr(sensor, kind)
-    if triad.thermometer_difference is not None:
-        values = float(triad.thermometer_difference.prior) * random.standard_normal(3)
-        names |= _named(kind, _DIFFERENCE, values, triad.axes)
+    for term in triad.term:
+        if term.factors != (DIFFERENCE,) or term.target != "bias":
+            continue
+        values = term.prior_in_si("rad/s" if kind == "gyro" else "m/s^2") * random.standard_normal(3)
+        names |= _named(kind, term.name, values, triad.axes)
         slopes = values[:, None, None]
         yield ErrorTerm(slopes, lambda apart_k: apart_k[:, None], "one", second_lag_s, differs=True)
 

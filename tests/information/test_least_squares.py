@@ -1,0 +1,349 @@
+"""A gyro along the only axis of a table: its covariance by dense generalised least squares and by the paper's augmented
+Kalman filter, priors, unweighted least squares, the residual with a discrepancy, and what cannot be observed."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import (
+    DEG,
+    DEG_PER_H,
+    DRIFT,
+    SCENES,
+    Act,
+    Bins,
+    BSpline,
+    Engine,
+    Noise,
+    Polynomial,
+    Scene,
+    augmented_kalman,
+    core,
+    dense_gls,
+    encoder,
+    gyro_x,
+    one_axis,
+    prior_rows_reported,
+    reference,
+    scale_map,
+    varied,
+)
+
+from gradcal_jax import model as models
+from gradcal_jax import motion as trajectory
+from gradcal_jax.information import contrasts, imu_unweighted, statistic, unobservable_combinations, whiten
+from gradcal_jax.information.noise_steps import _chi, _phi1
+from gradcal_jax.model import BIAS, SCALE_FACTOR, make_map
+
+LINEAR = Polynomial(1, 20.0, 50.0)
+
+
+def residual(made: Engine, name: str, temperatures, rates) -> np.ndarray:
+    t, w = (g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij"))
+    of = contrasts(made.model.channels[0], name, t, w)
+    return of.left(made.posterior()).reshape(len(temperatures), len(rates))
+
+
+# --- three roads to one covariance ------------------------------------------------------------------------------------
+
+
+def compare_with_dense(scene: Scene) -> Engine:
+    made, slow = core(scene), reference(scene)
+    dense, _ = dense_gls(slow.regressors, slow.covariance, prior_rows_reported(scene, made.model.size))
+    np.testing.assert_allclose(made.deviations(), dense, rtol=1e-9, atol=0)
+    return made
+
+
+def compare_with_kalman(made: Engine, tolerance: float) -> None:
+    inverse, reported = np.linalg.inv(made.model.prior_rows()), made.model.to_reported
+    covariance = reported @ augmented_kalman(*made.system(), inverse @ inverse.T) @ reported.T
+    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance)), made.deviations(), rtol=tolerance, atol=0)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_filter_is_dense_least_squares(name):
+    rng = np.random.default_rng(len(name))
+    for scene in (SCENES[name], varied(SCENES[name], rng)):
+        made = compare_with_dense(scene)
+        if len(made.model.prior_rows()) == made.model.size:
+            compare_with_kalman(made, 1e-9)
+
+
+@pytest.mark.parametrize(("prior", "tolerance"), [(1e-4, 1e-9), (10.0, 1e-5)])
+def test_the_augmented_filter_agrees_as_far_as_its_priors_let_it(prior, tolerance):
+    """The textbook filter subtracts covariances: of its variances, of which the posterior is the square of 1e-6 of the
+    prior for a prior of 10, rounding leaves 1e-16 · 1e12 at worst."""
+    compare_with_kalman(compare_with_dense(replace(SCENES["paper-like"], scale_prior=prior)), tolerance)
+
+
+def random_scene(rng: np.random.Generator) -> Scene:
+    """Any shape, noise mixture, reference, basis and structure, within what an hour's plan could be."""
+    shapes = ("cosine ramps", "linear ramps", "hand", "rest")
+    uniform = lambda a, b: float(rng.uniform(a, b))  # noqa: E731
+    moves = []
+    for shape in [*rng.choice(shapes[:-1], size=3), *rng.choice(shapes, size=int(rng.integers(1, 4)))]:
+        duration = uniform(3.0, 12.0)
+        every = uniform(1.0, 4.0) if rng.random() < 0.3 else None
+        if shape == "rest":
+            moves.append(Act("rest", duration, every=uniform(1.0, 4.0)))
+            continue
+        more = {"ramp": uniform(0.3, duration / 2), "unevenness": uniform(0, 0.4), "every": every}
+        more["axis"] = "y" if rng.random() < 0.15 else "x"
+        more["others_every"] = uniform(1.0, 3.0) if rng.random() < 0.5 else None
+        moves.append(Act(str(shape), duration, uniform(-300, 300) * DEG, **more))
+    noises = [
+        Noise("drift", uniform(0.3, 5) * DEG_PER_H, uniform(20, 1000)),
+        Noise("drift", uniform(0.3, 20) * DEG_PER_H, uniform(1.5, 50)),
+        Noise("walk", uniform(0.003, 0.1) * DEG_PER_H),
+        Noise("constant", uniform(1, 5) * DEG_PER_H),
+        Noise("constant", uniform(1e-6, 1e-4), bias_gain=0.0, rate_gain=1.0),
+        Noise("scale", uniform(5e-6, 1e-4), uniform(30, 1000), 0.0, 1.0),
+        Noise("both", uniform(0.02, 0.3), uniform(50, 900), uniform(-5, 5) * DEG_PER_H, uniform(-3e-5, 3e-5)),
+    ]
+    noises = [n for n in noises if rng.random() < 0.4]
+    after = (Act("rest", uniform(5, 20), every=uniform(2, 5)),) if rng.random() < 0.7 else ()
+    period = sum(a.duration for a in (*moves, *after))
+    first = period * uniform(1.2, 2.2)
+    stretches = ((first, uniform(0.1, 0.4)), (uniform(5, 40), 0.0), (period * uniform(1.1, 2.0), uniform(-0.3, 0.3)))
+    temperature = [Polynomial(1, 20.0, 50.0), Polynomial(2, 10.0, 40.0), BSpline((-60.0, 0.0, 60.0), 1)]
+    rates = [Polynomial(1, 0.0, 5.0), Polynomial(2, 0.0, 6.0), Polynomial(3, 0.0, 5.0), Bins((-9.0, -1.5, 1.5, 9.0))]
+    biases = [None, Polynomial(1, 20.0, 50.0), Bins((-60.0, 10.0, 60.0))]
+    return Scene(
+        uniform(-30, 20),
+        stretches,
+        tuple(moves),
+        after,
+        used=((0, 1), (2, 3)) if rng.random() < 0.4 else None,
+        read_every=uniform(2, 6) if rng.random() < 0.8 else None,
+        lag=uniform(5, 200) if rng.random() < 0.4 else None,
+        arw=uniform(0.02, 0.5) * DEG / 60,
+        noises=tuple(noises),
+        reading_noise=uniform(0.001, 0.1) * DEG,
+        offset=uniform(0.001, 0.05) * DEG if rng.random() < 0.5 else 0.0,
+        timing=uniform(1e-5, 1e-3),
+        harmonics={int(rng.integers(1, 4)): uniform(0.002, 0.02) * DEG} if rng.random() < 0.3 else {},
+        bias=biases[int(rng.integers(3))],
+        scale=(temperature[int(rng.integers(3))], rates[int(rng.integers(4))]),
+        bias_prior=500 * DEG_PER_H,
+        scale_prior=1e-2,
+        longest_piece=3.0 * min((n.tau for n in noises if n.rate_gain), default=np.inf),
+    )
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("seed", range(60))
+def test_random_plans(seed):
+    # The textbook filter itself loses up to 2e-9 here, in float64; the dense road, in 80 bits, is the judge.
+    compare_with_kalman(compare_with_dense(random_scene(np.random.default_rng(seed))), 1e-8)
+
+
+@pytest.mark.parametrize("x", [1e-12, 9.9e-9, 1.01e-8, 1e-5, 1e-3, 0.1, 0.2999999, 0.3, 0.3000001, 1.0, 30.0, 500.0])
+def test_the_series_meet_the_closed_forms(x):
+    """Of the angle's variance by a process, as λD → 0; ten digits more than float64 have."""
+    from decimal import Decimal, localcontext
+
+    with localcontext(prec=60):
+        d = Decimal(x)
+        phi, chi = (1 - (-d).exp()) / d, (2 * d - 3 + 4 * (-d).exp() - (-2 * d).exp()) / (2 * d**3)
+    assert float(_phi1(np.asarray(x))) == pytest.approx(float(phi), rel=1e-14)
+    assert float(_chi(np.asarray(x))) == pytest.approx(float(chi), rel=1e-12)
+
+
+# --- priors -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("basis", [Polynomial(3, 20.0, 50.0), BSpline((-30.0, 0.0, 70.0), 2)])
+def test_the_turn_on_biass_prior_is_a_rank_one_update(basis):
+    rows = np.asarray(make_map(basis, prior_std=2e-3, common_std=5e-3).prior_rows())
+    reported, constant = basis.to_reported, basis.to_reported @ basis.constant
+    wanted = np.linalg.inv(2e-3**2 * np.eye(4) + 5e-3**2 * np.outer(constant, constant))
+    np.testing.assert_allclose(rows.T @ rows, reported.T @ wanted @ reported, rtol=1e-10, atol=1e-6)
+
+
+@pytest.mark.parametrize("basis", [Bins((-60.0, 0.0, 40.0, 60.0)), BSpline((-60.0, 0.0, 40.0, 60.0), 2)])
+def test_smoothness_reaches_where_the_plan_does_not(basis):
+    """The ramp ends at 10 °C: without smoothness the warm coefficients are unknown, with it they lean on the others."""
+    plan = trajectory.gradient_plan(trajectory.programme(-30.0, [(160.0, 0.25)]), read_every=5.0)
+    drift = models.gauss_markov(DRIFT.size, DRIFT.tau)
+    blind, seeing = (
+        one_axis(plan, gyro_x((make_map(basis, smoothness_std=s),), 3e-5, drift), encoder(1e-3))
+        for s in (np.inf, 5 * DEG_PER_H)
+    )
+    assert unobservable_combinations(blind.posterior(), blind.model)
+    assert np.isinf(residual(blind, BIAS, [55.0], [0.0]))
+    assert unobservable_combinations(seeing.posterior(), seeing.model) == []
+    cold, warm = residual(seeing, BIAS, [-20.0, 55.0], [0.0])[:, 0]
+    assert np.isfinite(warm)
+    assert warm > cold + 3 * DEG_PER_H
+
+
+# --- the standard method ----------------------------------------------------------------------------------------------
+
+TEMPERATURES, RATES, SOAK, LASTS = [-20.0, 10.0, 50.0], [-3.0, -1.0, 2.0, 4.0], 100.0, 60.0
+
+
+def standard(points: str, processes) -> tuple[Engine, np.ndarray, np.ndarray]:
+    """Points that are read as rates; and the rows of their integrals in reported coefficients, with their rates."""
+    plan = trajectory.standard_plan(TEMPERATURES, SOAK, LASTS, RATES, points=points)
+    scale = scale_map(LINEAR, Polynomial(2, 0.0, 5.0))
+    made = one_axis(plan, gyro_x((scale,), 3e-5, processes), encoder(rate=1e-4))
+    t, w = (g.ravel() for g in np.meshgrid(TEMPERATURES, RATES, indexing="ij"))
+    x = (t - 20.0) / 50.0
+    return made, LASTS * np.stack([x**i * (w / 5.0) ** j * w for i in range(2) for j in range(3)], axis=1), w
+
+
+def unweighted(made: Engine) -> np.ndarray:
+    return imu_unweighted(made.motion, made.model, made.nodes).deviations(made.model.to_reported)
+
+
+def both(rows, variance) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations by weighted and by ordinary least squares."""
+    best = np.linalg.inv(rows.T @ np.linalg.solve(variance, rows))
+    inverse = np.linalg.pinv(rows)
+    return np.sqrt(np.diagonal(best)), np.sqrt(np.diagonal(inverse @ variance @ inverse.T))
+
+
+def test_independent_points_by_hand():
+    processes = models.gauss_markov(2e-5, 100.0) + models.gauss_markov(1e-4, 50.0, bias_gain=0.0, rate_gain=1.0)
+    made, rows, w = standard("independent", processes)
+    mean = lambda sigma, tau: 2 * sigma**2 * (tau / 60 - (tau / 60) ** 2 * (1 - np.exp(-60 / tau)))  # noqa: E731
+    variance = 3e-5**2 / 60 + mean(2e-5, 100.0) + w**2 * mean(1e-4, 50.0) + (1e-4 * w) ** 2
+    best, plain = both(rows, LASTS**2 * np.diag(variance))
+    np.testing.assert_allclose(made.deviations(), best, rtol=1e-10)
+    np.testing.assert_allclose(unweighted(made), plain, rtol=1e-10)
+    assert np.all(made.deviations() <= plain)
+
+
+def test_what_is_common_to_a_run_stays_common_among_its_points():
+    """Both estimators against the covariance of all points written out by the processes' kernels."""
+    noise = models.gauss_markov(2e-5, 100.0) + models.gauss_markov(1e-4, 500.0, bias_gain=0.0, rate_gain=1.0)
+    noise = noise + models.constant(1e-3, rate_gain=1.0) + models.rate_random_walk(1e-7)
+    made, rows, w = standard("one run", noise)
+    stay, count = SOAK + LASTS * len(RATES), len(TEMPERATURES)
+    start = np.concatenate([k * stay + SOAK + LASTS * np.arange(len(RATES)) for k in range(count)])
+    apart = np.abs(start[:, None] - start[None]) - LASTS
+
+    def markov(sigma, tau):
+        between = sigma**2 * tau**2 * np.exp(-np.maximum(apart, 0.0) / tau) * (1 - np.exp(-LASTS / tau)) ** 2
+        own = 2 * sigma**2 * tau * (LASTS - tau * (1 - np.exp(-LASTS / tau)))
+        return np.where(np.eye(len(start), dtype=bool), own, between)
+
+    # A walk is zero where the first data begin, after the first soak.
+    first = np.minimum(start[:, None], start[None]) - SOAK
+    walk = 1e-14 * LASTS**2 * np.where(apart < 0.0, first + LASTS / 3, first + LASTS / 2)
+    variance = markov(2e-5, 100.0) + np.outer(w, w) * (markov(1e-4, 500.0) + (1e-3 * LASTS) ** 2) + walk
+    best, plain = both(rows, variance + np.diag(3e-5**2 * LASTS + (1e-4 * w * LASTS) ** 2))
+    np.testing.assert_allclose(made.deviations(), best, rtol=1e-8)
+    np.testing.assert_allclose(unweighted(made), plain, rtol=1e-8)
+    # The clock is a constant of the scale factor, and no number of points takes it off.
+    assert made.deviations()[0] > 1e-3
+
+
+# --- residuals --------------------------------------------------------------------------------------------------------
+
+
+def test_the_residual_with_a_discrepancy_is_the_errors_own_variance():
+    """Against the estimator's gain written out: `error = ψᵀ(β − β̂) + χᵀγ` with γ estimated and then thrown away."""
+    moves = (
+        trajectory.turn("cosine ramps", 4.0, 8.0, ramp=3.0),
+        trajectory.turn("cosine ramps", -3.0, 6.0, ramp=2.0),
+        trajectory.rest(4.0, 2.0),
+    )
+    plan = trajectory.gradient_plan(trajectory.programme(-30.0, [(200.0, 0.4)]), moves)
+    drift, bases = models.gauss_markov(DRIFT.size, DRIFT.tau), (LINEAR, Polynomial(1, 0.0, 5.0))
+    make = lambda **more: one_axis(  # noqa: E731
+        plan, gyro_x((scale_map(*bases, prior_std=1e-2, **more),), 3e-5, drift), encoder(0.05 * DEG)
+    )
+    made = make(discrepancy=(1e-4, 2, 3))
+    (channel,) = made.model.channels
+    temperatures, rates = np.array([-10.0, 60.0]), np.array([-4.5, 1.0])
+    result = residual(made, SCALE_FACTOR, temperatures, rates).ravel()
+    data, prior = whiten(*made.system()), made.model.prior_rows()
+    rows = np.concatenate([data, prior])
+    size = np.linalg.norm(rows, axis=0)
+    gain = np.linalg.lstsq(rows / size, np.eye(len(rows)), rcond=None)[0] / size[:, None]
+    scale = channel.map(SCALE_FACTOR)
+    c, g = channel.where(SCALE_FACTOR), channel.where(scale.beyond.name)
+    truth = np.linalg.inv(prior)  # columns: one standard deviation of each independent prior direction
+    t, w = (x.ravel() for x in np.meshgrid(temperatures, rates, indexing="ij"))
+    psi, chi = scale.values(t, w), scale.beyond.values(t, w)
+    # The prior's pseudo-data are zero, so only the data rows respond to the truth.
+    of_truth = gain[:, : len(data)] @ data @ truth
+    error_truth = psi @ (truth[c] - of_truth[c]) + chi @ truth[g]
+    error_noise = psi @ gain[c][:, : len(data)]
+    wanted = np.sqrt(np.sum(error_truth**2, axis=1) + np.sum(error_noise**2, axis=1))
+    np.testing.assert_allclose(result, wanted, rtol=1e-8)
+    assert np.all(result > residual(make(), SCALE_FACTOR, temperatures, rates).ravel())
+
+
+def test_the_discrepancys_functions_are_the_polynomials_left_out():
+    beyond = scale_map(Polynomial(1, 20.0, 50.0), Polynomial(2, 0.0, 5.0), discrepancy=(1e-3, 2, 4)).beyond
+    # Of M: one more degree in T times five in ω, and two more in ω times the two in T.
+    assert beyond.size == 1 * 5 + 2 * 2
+    pairs = [(2, j) for j in range(5)] + [(i, j) for i in range(2) for j in (3, 4)]
+    t, w = np.array([-10.0, 70.0, 33.0]), np.array([4.0, 5.0, -2.0])
+    one = np.polynomial.legendre.legval
+    wanted = [one((t - 20.0) / 50.0, np.eye(3)[i]) * one(w / 5.0, np.eye(5)[j]) for i, j in pairs]
+    np.testing.assert_allclose(beyond.values(t, w), np.stack(wanted, axis=1), rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("acts", "names"),
+    [
+        # Turns of one kind see one sum of the powers of rate: b00 + k·b10, k = ∫ω²/∫ω over the scale of 5 rad/s.
+        ((Act("cosine ramps", 20.0, 2.0, ramp=1.0),), ["- 0.395·{}b00 + {}b10", "- 0.395·{}b01 + {}b11"]),
+        # Two kinds see everything.
+        ((Act("cosine ramps", 20.0, 2.0, ramp=1.0), Act("cosine ramps", 9.0, -4.0, ramp=1.0)), []),
+        # Rest alone sees no scale factor at all.
+        ((Act("rest", 20.0, every=4.0),), ["{}b00", "{}b10", "{}b01", "{}b11"]),
+    ],
+)
+def test_what_cannot_be_observed_is_named(acts, names):
+    scene = Scene(-30.0, ((200.0, 0.4),), acts, noises=(DRIFT,), scale=(LINEAR, Polynomial(1, 0.0, 5.0)))
+    made = core(scene)
+    result = unobservable_combinations(made.posterior(), made.model)
+    assert sorted(result) == sorted(name.format("gyro_x.", "gyro_x.") for name in names)
+    value = residual(made, SCALE_FACTOR, [20.0], [1.0])
+    assert not np.isnan(value)
+    assert np.isinf(value) == bool(names)
+
+
+def test_a_combination_is_written_out():
+    """At constant temperature nothing tells a0 from a1: the sensor stands at x = (35 − 20)/50 = 0.3."""
+    made = core(Scene(35.0, ((100.0, 0.0),), (), read_every=10.0, bias=LINEAR))
+    assert unobservable_combinations(made.posterior(), made.model) == ["- 0.3·gyro_x.a0 + gyro_x.a1"]
+    there, elsewhere = residual(made, BIAS, [35.0, 60.0], [0.0])[:, 0]
+    assert 0.0 < there < np.inf
+    assert np.isinf(elsewhere)
+
+
+def test_statistics_of_a_map():
+    values = np.array([[1.0, 2.0], [3.0, 0.0]])
+    assert statistic("mean of max", values) == 2.5
+    assert statistic("max", values) == 3.0
+    assert statistic("mean", values) == 1.5
+    assert statistic("rms", values) == pytest.approx(np.sqrt(3.5))
+
+
+IN_SINGLE_PRECISION = """
+import jax.numpy as jnp
+from gradcal_jax import differentiable, parse_spec, presets
+of = differentiable(parse_spec(presets.text("paper-static-gradient")))
+try:
+    of({name: jnp.asarray(value) for name, value in of.quantities.items()})
+except ValueError as error:
+    print(error)
+"""
+
+
+def test_single_precision_is_refused_with_the_remedy():
+    """In a process of its own, where JAX is as it comes."""
+    quiet = {**os.environ, "JAX_ENABLE_X64": "0"}
+    ran = subprocess.run(
+        [sys.executable, "-c", IN_SINGLE_PRECISION], capture_output=True, text=True, env=quiet, check=True
+    )
+    assert "single precision" in ran.stdout
+    assert "jax_enable_x64" in ran.stdout

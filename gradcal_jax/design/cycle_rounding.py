@@ -30,13 +30,14 @@ class CycleRounding(NamedTuple):
 
     def on_steps(self, cycle: Cycle, *, slots: bool = False) -> Cycle:
         """The cycle with its turns rounded to whole angle steps, without turns of none. `slots`: these stay, empty."""
-        step, turned, result = self.angle_step or 1.0, {}, []
+        step, result = self.angle_step or 1.0, list[PoseTurn]()
+        wanted, made = np.zeros(len(self.axes)), np.zeros(len(self.axes))
         for t in cycle:
             if t.axis >= 0:
-                goal = turned.get(t.axis, (0.0, 0.0))[0] + t.angle
-                count = round((goal - turned.get(t.axis, (0.0, 0.0))[1]) / step)
-                turned[t.axis] = goal, turned.get(t.axis, (0.0, 0.0))[1] + count * step
-                t = t._replace(angle=count * step)
+                wanted[t.axis] += t.angle
+                angle = float(round((wanted[t.axis] - made[t.axis]) / step) * step)
+                made[t.axis] += angle
+                t = t._replace(angle=angle)
             if t.angle or t.rest or t.axis < 0:
                 result.append(t)
             elif slots:

@@ -175,13 +175,6 @@ def test_the_objective_of_a_search_is_that_of_its_plan(spec, name):
     assert float(value) == pytest.approx(sharp, abs=0.05)
 
 
-def test_the_plan_of_the_file_is_a_start(spec):
-    for given in (spec, many_visits(spec)):
-        plan = plan_of(given)
-        z, args = objective_at(plan, plan.start, 1e5)
-        assert math.exp(float(plan.value(z, args))) == pytest.approx(exact(given), rel=0.15)
-
-
 def test_turns_that_shrink_to_nothing_are_left_out(spec):
     plan = plan_of(spec)
     drawn = plan.drawn(np.random.default_rng(1))

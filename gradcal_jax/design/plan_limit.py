@@ -283,7 +283,7 @@ def _stacked(blocks: list[np.ndarray]) -> np.ndarray:
     """Blocks on a diagonal."""
     from scipy.linalg import block_diag
 
-    return block_diag(*blocks)
+    return np.asarray(block_diag(*blocks))
 
 
 def _between_knots(windows: Windows, chamber: Programme) -> Windows:

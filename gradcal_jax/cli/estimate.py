@@ -11,7 +11,6 @@ from cyclopts import Parameter
 from gradcal_jax.cli.output import (
     DONE,
     NOT_AS_WISHED,
-    Flag,
     ForceOutput,
     JsonNumbers,
     OptionalOutput,
@@ -51,7 +50,6 @@ def estimate(
     temperature: str | None = None,
     lag: str = "auto",
     clock: str | None = None,
-    robust: Flag = False,
     columns: Columns = None,
     force: ForceOutput = False,
     json: JsonNumbers = False,
@@ -90,8 +88,6 @@ def estimate(
     clock
         The clock whose time is used to integrate rates: "sensor", or "host" (the computer's). By default the clock that
         the spec states; if the spec states none and the log has both clocks, the computer's.
-    robust
-        Give less weight (Huber) to readings that the model cannot explain, and list these readings.
     plot
         Draw the fit into this file (.png, .svg, .pdf).
     """
@@ -122,21 +118,21 @@ def estimate(
         of_all = dict.fromkeys(name for one in logs for name in one.units)
         names = tuple(of_all) if model.rig.table.place else logs[0].units
     files = _files(output, names, force)
+    if model is None:
+        if lag != "auto" or clock is not None:
+            raise ValueError("--lag and --clock need --spec")
+        return _warm_up(log, logs, axis, files, plot, json)
     use_float64()
     from gradcal_jax.estimation.estimate import estimate_log, estimate_rows
-    from gradcal_jax.estimation.log_flow import estimate_warm_up
     from gradcal_jax.estimation.log_rows import Options
 
     sources = {"log": ", ".join(path.name for path in (log, *more)), "spec": "" if spec is None else spec.name}
     with MovingLine(sys.stderr) as line:
-        options = Options(robust=robust, temperature_c=at, lag=lag_s, clock=clock)
+        options = Options(temperature_c=at, lag=lag_s, clock=clock)
         if not line.plain:
             options = replace(options, progress=line.show)
-        if model is None:
-            report = estimate_warm_up(logs, axes=axis, options=options, sources=sources)
-        else:
-            only = axis[0] if axis else None
-            report = estimate_log(model, logs, axis=only, options=options, sources=sources)
+        only = axis[0] if axis else None
+        report = estimate_log(model, logs, axis=only, options=options, sources=sources)
     if json:
         print(as_json(estimate_rows(report)))
     else:
@@ -144,8 +140,6 @@ def estimate(
             print(described(one, str(path)))
         for sensor in report.sensors:
             print(text_of_estimate(sensor))
-        for whole in report.joined:
-            print(text_of_forces(whole), end="")
     _write(report.calibrations, files, json)
     save_figure(lambda plots: plots.calibration.draw_estimate(report), plot, quiet=json)
     return DONE if report.as_wished else NOT_AS_WISHED
@@ -155,6 +149,23 @@ def _spec_in(path: Path) -> "Spec":
     from gradcal_jax.recipe.recipe import spec_in
 
     return spec_in(path)
+
+
+def _warm_up(
+    path: Path, logs: "Sequence[Log]", axes: Sequence[str], files: Mapping[str, Path], plot: Path | None, json: bool
+) -> int:
+    """The biases over temperature of IMUs that warm up at rest, without a spec."""
+    from gradcal_jax.estimation.warm_up import estimate_warm_up, warm_up_rows
+
+    report = estimate_warm_up(logs, axes=axes, sources={"log": path.name})
+    if json:
+        print(as_json(warm_up_rows(report)))
+    else:
+        print("\n".join(described(one, str(path)) for one in logs))
+        print("\n".join(text_of_warm_up(one, report.messages[one.serial_number]) for one in report.calibrations))
+    _write(report.calibrations, files, json)
+    save_figure(lambda plots: plots.calibration.draw_warm_up(report.calibrations[0]), plot, quiet=json)
+    return DONE if report.as_wished else NOT_AS_WISHED
 
 
 def _by_hand(
@@ -211,7 +222,7 @@ def text_of_estimate(report: "SensorEstimate") -> str:
     from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path, outcomes, tests
 
     calibration = report.calibration
-    lines = [*_head(report, f"{len(report.solution.weights)} readings")]
+    lines = [*_head(report, f"{report.solution.used.sum()} readings")]
     lines.append("rows: " + ", ".join(f"{count} {reason}" for reason, count in report.counts.items()))
     if report.requirements:
         lines += ["", outcomes(report.requirements).text()]
@@ -228,17 +239,14 @@ def text_of_estimate(report: "SensorEstimate") -> str:
     return "\n".join([*lines, *(f"note: {message}" for message in report.messages)])
 
 
-def text_of_forces(calibration: "Calibration") -> str:
-    """The accelerometers of a warm-up, in words; empty without any."""
+def text_of_warm_up(calibration: "Calibration", messages: Sequence[str]) -> str:
+    """The biases of a warm-up at rest, in words."""
     from gradcal_jax.pages.tables import coefficients, tests
 
-    forces = tuple(channel for channel in calibration.channel if channel.kind == "accelerometer")
-    if not forces:
-        return ""
-    names = tuple(channel.name for channel in forces)
-    fits = tuple(test for test in calibration.fit if test.name.startswith(names))
-    shown = calibration.model_copy(update={"channel": forces, "fit": fits, "path": ()})
-    return "\n".join(["", strong("accelerometers"), coefficients(None, shown).text(), "", tests(shown).text(), ""])
+    lines = ["", strong(f"IMU {calibration.serial_number}" + (", SIMULATED" if calibration.simulated else ""))]
+    lines += [calibration.valid_range, f"frame: {calibration.frame}"]
+    lines += ["", coefficients(None, calibration).text(), "", tests(calibration).text()]
+    return "\n".join([*lines, *(f"note: {message}" for message in messages)])
 
 
 def text_of_held(report: "HandReport") -> str:

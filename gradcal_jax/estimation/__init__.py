@@ -5,8 +5,7 @@ from gradcal_jax.estimation.consistency import Consistency, Test, chi_squared_te
 from gradcal_jax.estimation.gravity_angles import angles_by_gravity
 from gradcal_jax.estimation.imu_executed import ExecutedImu, ImuRows, executed_imu
 from gradcal_jax.estimation.imu_readings import ImuReadings, readings_counted, readings_of
-from gradcal_jax.estimation.imu_solve import HUBER, ImuEstimate, angle_errors, estimate_unweighted, solve_imu
-from gradcal_jax.estimation.neighbours import Group, closest_neighbours, like_rates, moves_between_rests, neighbours_of
+from gradcal_jax.estimation.imu_solve import ImuEstimate, angle_errors, estimate_unweighted, solve_imu
 from gradcal_jax.estimation.plateaus import TablePoints, plateaus
 from gradcal_jax.estimation.read_motion import (
     column_readings,

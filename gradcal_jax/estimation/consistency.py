@@ -68,7 +68,8 @@ def consistency(estimate: Estimate) -> Consistency:
 
 
 def whiteness(residual: np.ndarray, taken: np.ndarray | None = None) -> Test:
-    """Ljung and Box's statistic of a series of whitened residuals `(n,)`.
+    """Ljung and Box's statistic of a series of whitened residuals `(n,)`, one-sided: of series that are anti-correlated
+    the probability is near one. Their noise is smaller than the model's, and the stated uncertainty holds.
 
     `taken` `(n, q)`: rows of an orthonormal basis of the fitted columns; the residuals' covariance is
     I − taken takenᵀ. None: no fit.
@@ -97,4 +98,5 @@ def whiteness(residual: np.ndarray, taken: np.ndarray | None = None) -> Test:
             product[m - 1, k - 1] = product[k - 1, m - 1]
     covariance = 2.0 * (product / free - np.outer(mean, mean)) / (free + 2.0)
     apart = correlations - mean
-    return chi_squared_test(float(apart @ np.linalg.solve(covariance, apart)), lags)
+    test = chi_squared_test(float(apart @ np.linalg.solve(covariance, apart)), lags)
+    return test if np.sum(apart) > 0.0 else test._replace(probability=1.0 - test.probability)

@@ -12,8 +12,7 @@ import numpy as np
 
 from gradcal_jax import estimation
 from gradcal_jax.calibration import Calibration
-from gradcal_jax.calibration.correction import correct_triads
-from gradcal_jax.estimation import Consistency, ExecutedImu, Group, ImuEstimate, ImuReadings, Test
+from gradcal_jax.estimation import Consistency, ExecutedImu, ImuEstimate, Test
 from gradcal_jax.estimation.added_columns import (
     Beside,
     Whitener,
@@ -31,7 +30,6 @@ from gradcal_jax.estimation.findings import (
     RecordFaults,
     beyond_the_data,
     beyond_the_spec,
-    counting_less,
     failed,
     lacks_of,
     omitted_sentences,
@@ -50,7 +48,6 @@ from gradcal_jax.estimation.fit_of_log import (
 from gradcal_jax.estimation.lag_of_maps import Lag
 from gradcal_jax.estimation.log_rows import Options, count_rows, imu_rows, with_earth, with_options
 from gradcal_jax.information import segments_of
-from gradcal_jax.information.imu_residual import internal_misalignments
 from gradcal_jax.information.plan_sentences import one_way_sentences, prior_deviations
 from gradcal_jax.information.prediction import requirement_row
 from gradcal_jax.information.unseen import (
@@ -61,7 +58,7 @@ from gradcal_jax.information.unseen import (
     unseen_errors,
 )
 from gradcal_jax.information.verdicts import finite
-from gradcal_jax.model import AXIS_NAMES, KINDS, ImuModel
+from gradcal_jax.model import AXIS_NAMES, ImuModel
 from gradcal_jax.model.build import BuiltImu, build_imu
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.spec.absent import attitude_sentences, branch_sentences
@@ -73,7 +70,7 @@ from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.contracts import RequirementRow, narrow_table
 from gradcal_jax.tables.display import summary
-from gradcal_jax.units import DEG_PER_S, PPM
+from gradcal_jax.units import DEG_PER_S
 
 # Steps to which the ranges of a calibration are rounded, outwards.
 _TEMPERATURE_STEP_K, _RATE_STEP_RAD_PER_S = 0.1, float(np.radians(0.1))
@@ -90,17 +87,8 @@ _FEW, _TOO_GOOD = 0.1, 1e-3
 _MOVED = 1e-2
 
 
-class InternalMisalignment(NamedTuple):
-    """A misalignment that no rotation of the unit changes, rad: between two axes, or between the triads."""
-
-    name: str
-    value: float
-    std: float
-
-
 class SensorEstimate(NamedTuple):
-    """The estimate of one sensor, in SI except `requirements`. `tests`: of the fit, by name; `gravity`: rms of |f| − g
-    over the rests, m/s², before the calibration and after it."""
+    """The estimate of one sensor, in SI except `requirements`. `tests`: of the fit, by name."""
 
     unit: str
     built: BuiltImu
@@ -110,13 +98,9 @@ class SensorEstimate(NamedTuple):
     requirements: tuple[RequirementRow, ...]
     consistency: Consistency
     tests: Mapping[str, Test]
-    internal: tuple[InternalMisalignment, ...]
-    gravity: tuple[float, float] | None
     messages: tuple[str, ...]
     lag: Lag = Lag(0.0)
     """Lag of the maps behind the measured temperature."""
-    neighbours: Mapping[str, tuple[Group, ...]] = MappingProxyType({})
-    """For each gyro: mean scale factors without a map, if they were requested."""
     counts: Mapping[str, int] = MappingProxyType({})
     """Numbers of rows used and left out, by reason; they add up to the rows read."""
     curves: tuple[BiasCurve, ...] = ()
@@ -146,8 +130,6 @@ class EstimateReport(NamedTuple):
     """The estimates of the `sensors` of a log."""
 
     sensors: tuple[SensorEstimate, ...]
-    joined: tuple[Calibration, ...] = ()
-    """If the channels of a sensor were estimated separately: the calibrations of all its channels."""
 
     __repr__ = summary
 
@@ -157,7 +139,7 @@ class EstimateReport(NamedTuple):
     @property
     def calibrations(self) -> tuple[Calibration, ...]:
         """The calibration of every sensor, in SI."""
-        return self.joined or tuple(one.calibration for one in self.sensors)
+        return tuple(one.calibration for one in self.sensors)
 
     @property
     def messages(self) -> dict[str, tuple[str, ...]]:
@@ -176,7 +158,7 @@ class EstimateReport(NamedTuple):
     @property
     def as_wished(self) -> bool:
         """Whether every target is met, every parameter observable and every test passed."""
-        return all(one.as_wished for one in self.sensors) and not any(one.contradicted for one in self.joined)
+        return all(one.as_wished for one in self.sensors)
 
 
 def estimate_log(
@@ -313,10 +295,9 @@ def report_of(
     budget = budget_of_estimate(estimated, known, run, noise)
     beside, added = Beside(solution.white), []
     of_angles = angle_columns(built.spec, whiten, beside)
-    if not options.robust:
-        added += structure_tests(built.spec, whiten, solution, beside)
-        added += latitude_test(built.spec, whiten, solution, beside)
-        added += angle_tests(of_angles, tests.excess)
+    added += structure_tests(built.spec, whiten, solution, beside)
+    added += latitude_test(built.spec, whiten, solution, beside)
+    added += angle_tests(of_angles, tests.excess)
     advice = _advice(named, tests) | {one.name: one.advice for one in added}
     findings = [*shown.findings, *failed(named | {one.name: one.test for one in added}, advice)]
     values, priors = model.to_reported @ solution.parameters, prior_deviations(built)
@@ -335,17 +316,9 @@ def report_of(
     unseen = unseen_errors(budget, [model.names()[k] for k in kept], model.to_reported[kept])
     if unseen:
         calibration = calibration.model_copy(update={"unseen": unseen})
-    neighbours = {}
-    if options.neighbours_k is not None:
-        neighbours = estimation.neighbours_of(readings, solution, options.neighbours_k)
-        if not neighbours:
-            messages = *messages, "no move has a rest directly before and after it: no moves can be averaged"
-    names = [model.channels[k].name.replace("_", " ") for k in at.row_channel[used]]
-    of_rows = rows.time_s[done.rows[at.first + 1]][at.row_segment][used]
     beside_tests = [
         *lag.sentences,
-        *counting_less(solution.weights, of_rows, names),
-        *sentences_of([*_remarks(tests, solution), *(one for one in findings if one not in shown.findings)]),
+        *sentences_of([*_remarks(tests, named, solution), *(one for one in findings if one not in shown.findings)]),
         *([f"not observable: {', '.join(calibration.unobservable)}"] if calibration.unobservable else []),
         *one_way_sentences(built, solution.known, done.motion.line),
         *branch_sentences(built.spec),
@@ -363,11 +336,8 @@ def report_of(
         requirements,
         tests,
         named,
-        tuple(_internal(built, solution, covered[0])),
-        _gravity(readings, calibration, temperature),
         (*messages, *beside_tests),
         lag,
-        neighbours,
         _counts(logs, name, done),
         bias_curves(readings, solution),
     )
@@ -409,7 +379,7 @@ def _advice(named: Mapping[str, Test], tests: Consistency) -> dict[str, str]:
     return found
 
 
-def _remarks(tests: Consistency, solution: ImuEstimate) -> Iterator[FitFinding]:
+def _remarks(tests: Consistency, named: Mapping[str, Test], solution: ImuEstimate) -> Iterator[FitFinding]:
     """What contradicts no model."""
     if solution.moved > _MOVED:
         yield FitFinding(
@@ -429,6 +399,17 @@ def _remarks(tests: Consistency, solution: ImuEstimate) -> Iterator[FitFinding]:
             "larger than the noise of this sensor",
             contradicts=False,
         )
+    for name, test in named.items():
+        channel, _, what = name.replace("_", " ").partition(": ")
+        if what == "whiteness" and test.probability > 1.0 - _TOO_GOOD:
+            yield FitFinding(
+                name,
+                test.probability,
+                1.0 - _TOO_GOOD,
+                f"{channel}: its residuals are anti-correlated: the slow noise of the spec is larger than that of this "
+                "sensor, and so is the uncertainty",
+                contradicts=False,
+            )
 
 
 def _covered(
@@ -468,42 +449,6 @@ def _counts(logs: Sequence[Log], name: str, done: ExecutedImu) -> dict[str, int]
     return counts
 
 
-# --- findings --------------------------------------------------------------------------------------------------------
-
-
-def _internal(built: BuiltImu, solution: ImuEstimate, covered: tuple[float, float]):
-    """Internal misalignments at the middle of the temperatures."""
-    middle = np.array([0.5 * (covered[0] + covered[1])])
-    for kind in KINDS:
-        triad = getattr(built.spec.sensor, kind)
-        if triad is not None and triad.misalignment is not None and len(triad.axes) == 3:
-            rows, errors = (internal_misalignments(built.model, kind, middle, a) for a in (None, solution.parameters))
-            for (label, row), (_, error) in zip(rows, errors, strict=True):
-                value, std = float(row[0] @ solution.parameters), float(solution.known.deviations(error)[0])
-                yield InternalMisalignment(f"{kind} {label}", value, std)
-
-
-def _gravity(readings: ImuReadings, calibration: Calibration, temperature: np.ndarray) -> tuple[float, float] | None:
-    """Rms of |f| − g over the rests: as measured, and corrected. None without three accelerometers."""
-    done, rows, model = readings.done, readings.log, readings.model
-    if sum(c.kind == "accelerometer" for c in model.channels) < 3:
-        return None
-    rests = np.flatnonzero((done.motion.axis < 0) & ~done.motion.line.gap & (done.motion.line.duration > 0.0))
-    step = np.diff(rows.time_s, prepend=rows.time_s[0])
-    first, last = done.rows[rests], done.rows[rests + 1]
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        total = np.cumsum(np.nan_to_num(values) * step[:, None], axis=0)
-        return (total[last] - total[first]) / (rows.time_s[last] - rows.time_s[first])[:, None]
-
-    force, rate = mean(rows.force), mean(np.where(np.isfinite(rows.rates), rows.rates, 0.0))
-    at = mean(temperature[:, None])[:, 0]
-    corrected = correct_triads(calibration.channel, rate, force, at)[1]
-    g = float(done.motion.geometry.gravity)
-    before, after = (float(np.sqrt(np.mean((np.linalg.norm(f, axis=1) - g) ** 2))) for f in (force, corrected))
-    return before, after
-
-
 def estimate_rows(report: EstimateReport) -> dict[str, Any]:
     """All numbers for `--json`."""
     return {
@@ -519,7 +464,7 @@ def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
     return {
         "unit": report.unit,
         "simulated": calibration.simulated,
-        "readings": len(report.solution.weights),
+        "readings": int(np.count_nonzero(report.solution.used)),
         "rows": dict(report.counts),
         "parameters": coefficient_rows(calibration),
         "covariance": None if calibration.covariance is None else calibration.covariance.model_dump(mode="json"),
@@ -527,8 +472,6 @@ def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
         "valid_rate_dps": [float(r) * DEG_PER_S for r in calibration.valid_rate],
         "lag_s": report.lag.seconds,
         "lag_std_s": report.lag.std,
-        "neighbours": [_group_row(name, group) for name, own in report.neighbours.items() for group in own],
-        "down_weighted": int(np.count_nonzero(report.solution.weights < 1.0)),
         "noise_scale": finite(tests.noise_scale),
         "share_beyond_three_sigma": tests.beyond_three,
         "largest_residual_sigma": tests.largest,
@@ -537,20 +480,6 @@ def _sensor_rows(report: SensorEstimate) -> dict[str, Any]:
             row.model_dump(mode="json", exclude_none=True) | {"value": row.judged, "named": row.decisive}
             for row in report.requirements
         ],
-        "internal_misalignment": [row._asdict() for row in report.internal],
-        "gravity_rms_m_per_s2": report.gravity,
         "tests": [row.model_dump(mode="json") for row in calibration.fit],
         "messages": list(report.messages),
-    }
-
-
-def _group_row(channel: str, group: Group) -> dict[str, Any]:
-    return {
-        "channel": channel,
-        "temperature_c": group.temperature_c,
-        "rate_dps": group.rate_rad_per_s * DEG_PER_S,
-        "moves": group.moves,
-        "scale_factor_ppm": group.scale_factor * PPM,
-        "standard_error_ppm": None if group.standard_error is None else group.standard_error * PPM,
-        "map_ppm": group.of_map * PPM,
     }

@@ -375,12 +375,3 @@ def _recorded_s(log: Log) -> float:
     steps = np.diff(log.time_s, prepend=log.time_s[:1])
     steps[log.stretch_starts] = 0.0
     return float(steps.sum())
-
-
-def counting_less(weights: np.ndarray, time_s: np.ndarray, names: Sequence[str]) -> list[str]:
-    """A sentence on the readings with the smallest robust weights; `names`: the channel of each reading."""
-    low = np.argsort(weights)[: np.count_nonzero(weights < 1.0)]
-    if not len(low):
-        return []
-    named = ", ".join(f"{names[k]} at {time_s[k]:.6g} s" for k in low[:5])
-    return [f"{len(low)} of {len(weights)} readings have less than full weight; the smallest weights: {named}"]

@@ -96,7 +96,6 @@ def fit_readings(
     name: str,
     rows: ImuRows,
     temperature: np.ndarray,
-    threshold: float | None = None,
     *,
     before: Fit | None = None,
     checked: bool = True,
@@ -106,9 +105,9 @@ def fit_readings(
     scale factor of a per cent would be estimated at wrong rates otherwise.) `checked`: whether readings of another unit
     or table are refused, which a lag may make of the right ones."""
     if before is None:
-        before = _pass(built, name, rows, temperature, threshold, None)
+        before = _pass(built, name, rows, temperature, None)
         before = _likely(built, name, before) if checked else before
-    fit = _pass(built, name, rows, temperature, threshold, before)
+    fit = _pass(built, name, rows, temperature, before)
     return _likely(built, name, fit) if checked else fit
 
 
@@ -132,7 +131,6 @@ def _pass(
     name: str,
     rows: ImuRows,
     temperature: np.ndarray,
-    threshold: float | None,
     before: Fit | None,
 ) -> Fit:
     """The executed motion, the unit's readings and the estimate, linearised about the one `before`; where no encoder
@@ -162,7 +160,7 @@ def _pass(
             solution = estimation.estimate_unweighted(readings)
         else:
             settled = {"settled": _COARSE} if before is None and not free else {}
-            solution = estimation.solve_imu(readings, about, threshold=threshold, **settled)
+            solution = estimation.solve_imu(readings, about, **settled)
         if not free:
             break
         errors = estimation.angle_errors(readings, solution.parameters)
@@ -268,7 +266,6 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
     rows, messages = recorded
     temperature_of = LateTemperatures(rows, _wander(built.spec))
     refuse_misaligned(name, estimation.coarse_fits(rows, built.motion.geometry), built.model.channels)
-    threshold = options.threshold if options.robust else None
     lag, stable = Lag(0.0 if isinstance(options.lag, str) else options.lag), isinstance(built.spec.plan, StandardPlan)
     fit = None
     if options.lag == "fit" and stable:
@@ -280,25 +277,25 @@ def _fit_of(built: BuiltImu, name: str, recorded: Recorded, options: Options) ->
             # A lag may make readings of another IMU of the right ones.
             late = temperature_of(lag)
             at_lag = fit_readings(built, name, rows, late, before=before, checked=False)
-            return _with_errors(at_lag, [late + doubt for doubt in temperature_of.doubts(lag)], None)
+            return _with_errors(at_lag, [late + doubt for doubt in temperature_of.doubts(lag)])
 
         size = built.spec.sensor.temperature_lag
         lag, fit, said = fit_with_lag(fit_at, temperature_of, size, wanted=options.lag == "fit")
         messages = *messages, *said
     temperature = temperature_of(lag.seconds)
     doubts = [] if stable else temperature_of.doubts(lag.seconds)
-    if fit is not None and threshold is None:
+    if fit is not None:
         fit = _likely(built, name, fit)
     else:
         options.progress(f"IMU {name}: fit")
-        fit = fit_readings(built, name, rows, temperature, threshold)
-        fit = _with_errors(fit, [temperature + doubt for doubt in doubts], threshold)
+        fit = fit_readings(built, name, rows, temperature)
+        fit = _with_errors(fit, [temperature + doubt for doubt in doubts])
     possible = float(built.spec.sensor.temperature_lag or 0.0) if options.lag == "auto" and _may_lag(built) else 0.0
     if possible and not (stable or lag.seconds):
         # A small lag cannot be fitted, but tests of the fit would notice it.
         doubts = temperature_of.doubts(possible)
         others = [temperature_of(possible), *(temperature + doubt for doubt in doubts)]
-        fit, lag = _with_errors(fit, others, threshold), Lag(0.0, in_rows=True)
+        fit, lag = _with_errors(fit, others), Lag(0.0, in_rows=True)
     return FittedRows(built, recorded._replace(messages=messages), temperature, fit, lag)
 
 
@@ -311,7 +308,7 @@ def _wander(spec: Spec) -> float:
     return max(rates, default=0.0)
 
 
-def _with_errors(fit: Fit, others_c: Sequence[np.ndarray], threshold: float | None) -> Fit:
+def _with_errors(fit: Fit, others_c: Sequence[np.ndarray]) -> Fit:
     """The fit with errors of the maps' temperature common to all its rows; `others_c` (°C): temperatures that each is
     off by one standard deviation."""
     if not others_c:
@@ -319,7 +316,7 @@ def _with_errors(fit: Fit, others_c: Sequence[np.ndarray], threshold: float | No
     readings, parameters = fit.readings, fit.solution.parameters
     changes = [readings.at(other_c, parameters) - readings.expected(parameters) for other_c in others_c]
     readings = readings.with_common(np.stack(changes, axis=1))
-    return fit._replace(readings=readings, solution=estimation.solve_imu(readings, parameters, threshold=threshold))
+    return fit._replace(readings=readings, solution=estimation.solve_imu(readings, parameters))
 
 
 def calibration_of(
@@ -386,8 +383,6 @@ def calibration_of(
 
 def _estimator(solution: ImuEstimate, lag: Lag, options: Options) -> str:
     parts = [f"Gauss-Newton with finite rotations, {solution.rounds} iterations"]
-    if np.any(solution.weights < 1.0):
-        parts.append("robust (Huber)")
     if lag.std is not None:
         parts.append(f"lag fitted: {lag.seconds:.4g} s, 1 sigma {lag.std:.2g} s")
     if options.clock == "host":

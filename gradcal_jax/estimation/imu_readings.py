@@ -47,8 +47,6 @@ _TURNS = np.radians(1.0)
 _ALONG, _ACROSS = 0.1, 0.2
 # Step of finite differences, rad.
 _SMALL_TURN = 1e-5
-# Least part of an encoder's error in the row of a gyro that is along its axis.
-_SEES_ENCODER = 0.5
 # The readings of a standstill begin and end within this share of the time between readings.
 _LATE_READING = 0.5
 # Of an IMU from the axes, m: a standard deviation.
@@ -206,21 +204,6 @@ class ImuReadings(NamedTuple):
         motion, model = self.done.motion, self.model
         of_angles = encoder_rows(motion, model, self.nominal()) if about is None else self.by_angles(about)
         return rows_of_angles(segments_of(motion, model), of_angles, before, after)
-
-    def with_noise(self, steps: NoiseSteps, variance: np.ndarray) -> NoiseSteps:
-        """The steps with more noise of their readings, `(N,)`: where the only axis of a table is read, of its encoder,
-        which the next row contains, too."""
-        line, axes = self.done.motion.line, self.done.motion.geometry.axis_count
-        if axes > 1 or self.model.encoder.held or line.rates:
-            return steps._replace(reading_variance=steps.reading_variance + variance)
-        now = self.model.own_states
-        stays = np.zeros(len(variance), bool) if steps.stays is None else np.asarray(steps.stays)
-        along = np.asarray(steps.observation)[:, now]
-        of_encoder = ~stays & (np.abs(along) > _SEES_ENCODER)
-        covariance = np.array(steps.covariance)
-        covariance[of_encoder, now, now] += variance[of_encoder] / along[of_encoder] ** 2
-        of_row = steps.reading_variance + np.where(of_encoder, 0.0, variance)
-        return steps._replace(covariance=covariance, reading_variance=of_row)
 
     def nominal(self) -> BodyNodes:
         """The nodes of the nominal table."""

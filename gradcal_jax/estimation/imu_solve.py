@@ -10,13 +10,6 @@ with the whitened Jacobian `W J` at the nominal installation or at a first estim
 factor of about the installation's error: 1 mrad gains three digits a step. Where h is curved between that point and the
 estimate, by more than a part of the noise, J is taken again about the estimate: misalignments can stand for a
 rotation of the body's frame, which products of small errors (`M(T) δ`) would seem to tell with the first J.
-
-**Robust**: readings that the model cannot explain (an encoder's slip, a reading taken too early) get a lower weight, by
-Huber's function on the normalised innovations `r_k`: `w = min(1, k/|r|)`, k = 2.5 by default (the efficiency on clean
-data stays above 99 %). A weight acts on the *reading*, whose variance becomes `R + (1/w − 1) S`, S the variance of its
-innovation, and all rows are whitened again: a lower weight of the whitened row alone would leave the effect of the bad
-reading in the filter's state and so in the next innovations. A jump of the integrated rate persists and shows as
-several bad readings in a row: it is reported, but only the data can be corrected.
 """
 
 from typing import NamedTuple
@@ -46,9 +39,6 @@ _CURVED, _BENT, _LINEARISED = 0.5, 3.0, 20
 _SETTLED = 1e-3
 # A step after which χ² is higher by more than this is halved, at most so many times.
 _HIGHER, _HALVINGS = 1.0, 10
-HUBER = 2.5
-# Largest number of weighings, and the change of a weight at which they end.
-_WEIGHINGS, _NO_CHANGE = 20, 0.01
 # Factor by which the angles' noise is narrowed to see which readings it absorbs, and the least part that counts.
 _NARROWER, _ABSORBED = 0.5, 1e-6
 
@@ -56,8 +46,8 @@ _NARROWER, _ABSORBED = 0.5, 1e-6
 class ImuEstimate(NamedTuple):
     """One unit's `estimate`, and its `white` rows, linearised about it, for those of the `R` rows that are
     `used`. `taken`: the same rows of an orthonormal basis of the fitted columns. `moved`: size of the last of the
-    `rounds`, in standard deviations. `weights`: of the rows used, 1 for full weight; `channel`: of each of
-    them, its number. `curved`: norm of what the whitened residuals differ from linear ones by.
+    `rounds`, in standard deviations. `channel`: of each of the rows used, its number. `curved`: norm of what the
+    whitened residuals differ from linear ones by.
     """
 
     estimate: Estimate
@@ -66,7 +56,6 @@ class ImuEstimate(NamedTuple):
     taken: np.ndarray
     moved: float
     rounds: int
-    weights: np.ndarray
     channel: np.ndarray
     curved: float = 0.0
 
@@ -85,19 +74,12 @@ class ImuEstimate(NamedTuple):
         return self.estimate.known
 
 
-def solve_imu(
-    readings: ImuReadings,
-    about: np.ndarray | None = None,
-    *,
-    threshold: float | None = None,
-    settled: float = _SETTLED,
-) -> ImuEstimate:
+def solve_imu(readings: ImuReadings, about: np.ndarray | None = None, *, settled: float = _SETTLED) -> ImuEstimate:
     """Parameters of a unit and its installation from its rows, with minimal norm in unobservable directions.
 
-    `about`: approximate parameters in the engine's coordinates, the point of linearisation. `threshold`: rows with
-    larger residuals, in standard deviations, get a lower weight; see the module's head. `settled`: the share of its
+    `about`: approximate parameters in the engine's coordinates, the point of linearisation. `settled`: the share of its
     standard deviation by which no parameter changes at the last step. Errors: `ValueError` where no
-    row is used, or one is not finite, and for a threshold that is not positive.
+    row is used, or one is not finite.
     """
     steps, columns = readings.linear(about)
     used = np.asarray(segments_of(readings.done.motion, readings.model).used)
@@ -106,38 +88,10 @@ def solve_imu(
     if not np.isfinite(readings.observed[used]).all():
         raise ValueError("a reading that is used is not finite")
     estimate = _solved(readings, steps, columns, used, about, settled)
-    if about is not None:
-        estimate, steps, columns = _linearised_again(readings, estimate, steps, columns, used, about)
-    if threshold is None:
-        return estimate
-
-    if not threshold > 0.0:
-        raise ValueError(f"the threshold of a robust estimate must be positive, not {threshold}")
-    noise, kept = steps, readings.by_steps(used)
-    extra, weights = np.zeros(len(kept)), np.ones(int(kept.sum()))
-    for _ in range(_WEIGHINGS):
-        spread = innovation_variance(noise)[kept]
-        # The innovation relative to its variance without the increase.
-        plain = spread - extra[kept]
-        against = np.abs(estimate.estimate.residuals) * np.sqrt(spread / np.maximum(plain, np.finfo(float).tiny))
-        new = np.minimum(1.0, threshold / np.maximum(against, threshold))
-        if np.max(np.abs(new - weights)) < _NO_CHANGE:
-            break
-        weights = new
-        extra[kept] = (1.0 / weights - 1.0) * plain
-        noise = readings.with_noise(steps, extra)
-        estimate = _solved(readings, noise, columns, used, estimate.parameters)
-    return estimate._replace(weights=weights)
+    return estimate if about is None else _linearised_again(readings, estimate, used, about)
 
 
-def _linearised_again(
-    readings: ImuReadings,
-    estimate: ImuEstimate,
-    steps: NoiseSteps,
-    columns: np.ndarray,
-    used: np.ndarray,
-    about: np.ndarray,
-) -> tuple[ImuEstimate, NoiseSteps, np.ndarray]:
+def _linearised_again(readings: ImuReadings, estimate: ImuEstimate, used: np.ndarray, about: np.ndarray) -> ImuEstimate:
     """The estimate with noise steps and derivatives about itself, where those about `about` are not good enough. If it
     does not stand still, `moved` is what the last linearisation changed."""
     of = np.eye(len(about))
@@ -153,17 +107,10 @@ def _linearised_again(
         if change <= _WEIGHED and estimate.curved < _CURVED:
             break
         if number == _LINEARISED:
-            return estimate._replace(moved=max(estimate.moved, change)), steps, columns
+            return estimate._replace(moved=max(estimate.moved, change))
         steps, columns = readings.linear(at)
         estimate, about = _solved(readings, steps, columns, used, at), at
-    return estimate, steps, columns
-
-
-def innovation_variance(steps: NoiseSteps) -> np.ndarray:
-    """`(N,)`: variance of each reading conditional on those before it, rad²; zero at steps without a reading."""
-    none = np.zeros((len(steps.initial), 0)), np.zeros((len(steps.used), 0))
-    per_std = filter_readings(none[0], steps.initial, steps, none[1]).per_std
-    return np.divide(1.0, per_std**2, out=np.zeros(len(per_std)), where=per_std > 0.0)
+    return estimate
 
 
 def absorbed(steps: NoiseSteps, states: slice) -> np.ndarray:
@@ -273,4 +220,4 @@ def _solved(
     estimate = Estimate(beta, known, rest, np.asarray(squares), degrees)
     white = Whitened(jacobian, rest + jacobian @ beta, prior)
     channel = segments_of(readings.done.motion, model).row_channel[used]
-    return ImuEstimate(estimate, white, used, taken, moved, rounds, np.ones(len(rest)), channel, curved)
+    return ImuEstimate(estimate, white, used, taken, moved, rounds, channel, curved)

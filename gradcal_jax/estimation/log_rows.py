@@ -10,8 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from gradcal_jax import estimation
-from gradcal_jax.calibration.correction import temperature_slope
-from gradcal_jax.estimation import HUBER, ImuRows
+from gradcal_jax.estimation import ImuRows
 from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.model import SECOND
 from gradcal_jax.model.build import BuiltImu
@@ -31,8 +30,6 @@ class Options:
 
     earth_rate: float | None = None
     """Earth rate along the sensor's axis, rad/s; it is subtracted. None: the spec's rate, if stated."""
-    robust: bool = False
-    threshold: float = HUBER
     lag: float | Literal["auto", "fit"] = "auto"
     """Lag of the maps behind the measured temperature, s; "fit": estimated; "auto": estimated, and used if the data
     show one."""
@@ -43,8 +40,6 @@ class Options:
     read_every: float | None = None
     """Time between readings (s) of a log with the angle in every row; None: that of the spec, otherwise 1 s."""
     table_axis: str | None = None
-    neighbours_k: float | None = None
-    """If stated: also compute scale factors without a map, from moves of one rate within this temperature range, K."""
     temperature_c: float | None = None
     """Temperature of a log without a thermometer, °C."""
     progress: Callable[[str], None] = lambda _: None
@@ -373,22 +368,6 @@ def count_rows(log: Log, unit: int, used: np.ndarray) -> dict[str, int]:
     usable = masked.pop("used")
     count = int(np.count_nonzero(used & log.usable(unit)))
     return {"used": count, "without a reference": usable - count, **masked}
-
-
-# dT/dt of a temperature that neither heats nor cools, K/s.
-_STEADY = 0.1 / 60.0
-BRANCHES = {1: "heating", -1: "cooling", 0: "steady"}
-"""Names of the branches by their numbers."""
-
-
-def branch_of(temperature_c: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-    """The number of the branch at every row `(n,)`, by dT/dt over a minute; 0 where no temperature is known."""
-    known = np.isfinite(temperature_c) & np.isfinite(time_s)
-    if not known.any():
-        return np.zeros(len(temperature_c), int)
-    slope = np.zeros(len(temperature_c))
-    slope[known] = temperature_slope(temperature_c[known], time_s[known])
-    return np.where(np.abs(slope) < _STEADY, 0, np.sign(slope)).astype(int)
 
 
 # Assumed time between two recordings of one unit in different mountings, s: far longer than any drift lasts.

@@ -9,7 +9,6 @@ force and rate at rest are gravity and the Earth's rate.
 """
 
 import itertools
-import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -17,7 +16,7 @@ import numpy as np
 
 from gradcal_jax import estimation, formulas
 from gradcal_jax.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, Result, correction
-from gradcal_jax.estimation.log_rows import BRANCHES, branch_of, count_rows, table_axis_of, table_readings, usable_rows
+from gradcal_jax.estimation.log_rows import count_rows, table_axis_of, table_readings, usable_rows
 from gradcal_jax.information.verdicts import specific_risk
 from gradcal_jax.motion import EARTH_RATE
 from gradcal_jax.records.log import Log, LogError
@@ -31,6 +30,8 @@ _OTHER_AXIS = 1e-4
 # Least turn that shows a scale factor, rad; parts of a move over whose temperatures is averaged.
 _LEAST_TURN, _PARTS = np.radians(1.0), 8
 _STRAIGHT = 0.98
+# Rates within this share of each other are one.
+_ALIKE = 0.2
 
 
 class Cell(NamedTuple):
@@ -44,8 +45,6 @@ class Cell(NamedTuple):
     after: float
     scatter: float
     unit: str
-    branch: str | None = None
-    """Branch of the temperature; None: all of them together."""
 
 
 class Acceptance(NamedTuple):
@@ -90,8 +89,7 @@ def validate(
     *,
     unit: str | int = 0,
     temperature_parts: int = 3,
-    bin_k: float | None = None,
-    by_branch: bool = False,
+    neighbours_k: float | None = None,
     earth_rate: float = 0.0,
     table_axis: str | None = None,
     gravity: float = G,
@@ -99,18 +97,21 @@ def validate(
     """The errors that a calibration leaves on an independent log (its own is refused): ppm of moves' angles and deg/h
     at rest, rms before and after, by `temperature_parts` ranges of temperature (°C) and by rate (deg/s).
 
-    For every axis of both. `bin_k`: width of the ranges (K), in the place of their number; `by_branch`: heating and
-    cooling apart. `earth_rate` rad/s along the sensor's axis is subtracted; `table_axis`: the one that turns
-    it; `gravity`: m/s², at the place. Errors: `LogError` where the log holds neither moves with a reference nor rests.
+    For every axis of both. `neighbours_k`: closest neighbours, averaged over ranges of this width (K), also of the
+    calibration's own log. `earth_rate` rad/s along the sensor's axis is subtracted; `table_axis`: the one that turns
+    it; `gravity`: m/s², at the place. Errors: `LogError` where the log holds neither moves with a reference nor rests;
+    `ValueError` for a width that is not positive.
     """
+    if neighbours_k is not None and not neighbours_k > 0.0:
+        raise ValueError(f"the temperature difference of neighbours must be positive, not {neighbours_k}")
     number = log.unit_index(unit)
-    if calibration.provenance.get(LOG_HASH) == log.fingerprint(number):
+    if neighbours_k is None and calibration.provenance.get(LOG_HASH) == log.fingerprint(number):
         raise LogError(
             "the calibration was estimated from this log, so these residuals are those of the fit. Validate with "
             "another log"
         )
     corrected = correction.apply(calibration, log, unit)
-    how = _Ranges(temperature_parts, bin_k, by_branch)
+    how = _Ranges(temperature_parts, neighbours_k)
     result: list[AxisValidation] = []
     if _together(calibration):
         result += _triads(log, corrected.log, number, how, gravity, corrected.left_alone)
@@ -160,69 +161,72 @@ def _standstills(log: Log, unit: int) -> tuple[np.ndarray, list[str]]:
 def _axis(
     log: Log, corrected: Log, unit: int, axis: str, how: "_Ranges", earth_rate: float, table_axis: str | None
 ) -> AxisValidation:
-    (number, messages), column = _standstills(log, unit), log.axis_index(axis)
-    raw = log.rate_rad_per_s[unit, :, column]
-    new = corrected.rate_rad_per_s[0, :, column]
-    usable = usable_rows(log, unit) & np.isfinite(raw)
+    (number, messages), column, time = _standstills(log, unit), log.axis_index(axis), log.time_s
+    both = log.rate_rad_per_s[unit, :, column], corrected.rate_rad_per_s[0, :, column]
+    usable = usable_rows(log, unit) & np.isfinite(both[0])
+    step = np.diff(time, prepend=time[0])
+    turned = [np.cumsum(np.where(usable, rates - earth_rate, 0.0) * step) for rates in both]
     table = table_axis_of(log, axis, table_axis)
     read, standing = table_readings(log, table, number >= 0, np.inf, messages, every_kind=True)
-    angle, reading, _ = read.at_rows(len(raw))
-    temperature = log.temperature_c[unit] if log.temperature_c is not None else np.full(len(raw), np.nan)
+    angle, reading, _ = read.at_rows(len(time))
+    temperature = log.temperature_c[unit] if log.temperature_c is not None else np.full(len(time), np.nan)
     stops = [np.flatnonzero(reading[a:b]) + a for a, b in formulas.runs(standing | reading)]
     stops = [rows for rows in stops if len(rows)]
     if sum(map(len, stops)) < 2:
         raise LogError("nothing can be estimated: the log has fewer than two readings while the table is at rest")
-    unusable, time = np.cumsum(~usable), log.time_s
+    unusable = np.cumsum(~usable)
 
     def whole(spans: Iterable[tuple[int, int]]) -> np.ndarray:
         """Spans from one reading to another, first and last row, in which every row may be integrated."""
         return np.array([(a, b) for a, b in spans if unusable[a] == unusable[b]], int).reshape(-1, 2)
 
-    turns = whole((a[-1], b[0]) for a, b in itertools.pairwise(stops) if angle is not None)
     still = whole(span for rows in stops for span in itertools.pairwise(rows))
-    used = estimation.within(np.concatenate([turns, still]), len(raw))
-    step = np.diff(time, prepend=time[0])
-    branch = how.branch(temperature, log.time_s)
-    cells: list[Cell] = []
-    moves = 0
-    scale = bias = None
+    if how.neighbours_k is not None:
+        # The drift is that of both rests.
+        stops = [rows for rows in stops if time[rows[-1]] - time[rows[0]] > _BRIEF_S]
+    turns = whole((a[-1], b[0]) for a, b in itertools.pairwise(stops) if angle is not None)
+    used = estimation.within(np.concatenate([turns, still]), len(time))
     # Turns with a stop of a single reading between them are one.
     apart = turns[1:, 0] != turns[:-1, 1]
     ends = np.append(True, apart)[: len(turns)], np.append(apart, True)[: len(turns)]
     turns = np.stack([turns[end, k] for k, end in enumerate(ends)], axis=1)
     if angle is not None:
         turns = turns[np.abs(angle[turns[:, 1]] - angle[turns[:, 0]]) > _LEAST_TURN]
-    if angle is not None and (moves := len(turns)):
+    cells, scale, bias = list[Cell](), None, None
+    if angle is not None and len(turns):
         first, last = turns.T
-        truth = angle[last] - angle[first]
-        integrals = (np.cumsum(np.where(usable, rates - earth_rate, 0.0) * step) for rates in (raw, new))
-        before, after = ((of[last] - of[first] - truth) / truth * PPM for of in integrals)
+        truth, lasting = angle[last] - angle[first], time[last] - time[first]
+        drifts = [np.zeros(len(turns))] * 2
+        if how.neighbours_k is not None:
+            place = {int(row): (int(rows[0]), int(rows[-1])) for rows in stops for row in (rows[0], rows[-1])}
+            rests = np.array([[place[int(row)] for row in turn] for turn in turns])
+            spans = time[rests[..., 1]] - time[rests[..., 0]]
+            drifts = [np.mean((of[rests[..., 1]] - of[rests[..., 0]]) / spans, axis=1) for of in turned]
+        before, after = (
+            ((of[last] - of[first] - drift * lasting) / truth - 1.0) * PPM
+            for of, drift in zip(turned, drifts, strict=True)
+        )
         warm = np.array([_mean_of_parts(temperature, time, *turn) for turn in turns.tolist()])
         scale = (_rms(before), _rms(after))
-        speed, of_moves = truth / (time[last] - time[first]) * DEG_PER_S, branch[(first + last) // 2]
-        cells += _cells(warm, speed, before, after, how.edges(warm), "ppm", of_moves)
+        cells += _cells(warm, truth / lasting * DEG_PER_S, before, after, how.edges(warm), "ppm")
     still = still[time[still[:, 1]] - time[still[:, 0]] > _BRIEF_S]
-    if rests := len(still):
-        # A rest in which the temperature changes is divided by its ranges and branches.
-        piece = np.full(len(raw), -1)
+    if len(still):
+        # A rest in which the temperature changes is divided by its ranges.
+        piece = np.full(len(time), -1)
         for k, (begin, end) in enumerate(still.tolist()):
             piece[begin + 1 : end + 1] = k
         inside = usable & (piece >= 0)
         edges = how.edges(temperature[inside])
-        number = ((piece * (len(edges) - 1) + _ranges(temperature, edges)) * 3 + branch + 1)[inside]
-
-        def mean(values: np.ndarray, lasting: np.ndarray | float = 1.0) -> np.ndarray:
-            return np.bincount(number, (values * step)[inside]) / lasting
-
-        lasting = mean(np.ones(len(raw)))
+        part = (piece * (len(edges) - 1) + _ranges(temperature, edges))[inside]
+        lasting = np.bincount(part, step[inside])
         kept = lasting > _BRIEF_S
-        lasting = np.where(kept, lasting, np.nan)
-        before, after, warm = (mean(x, lasting)[kept] for x in (raw - earth_rate, new - earth_rate, temperature))
+        values = (both[0] - earth_rate, both[1] - earth_rate, temperature)
+        before, after, warm = (np.bincount(part, (of * step)[inside])[kept] / lasting[kept] for of in values)
         before, after = before * DEG_PER_H, after * DEG_PER_H
         bias = (_rms(before, lasting[kept]), _rms(after, lasting[kept]))
-        cells += _cells(warm, None, before, after, edges, "deg/h", np.arange(len(kept))[kept] % 3 - 1)
+        cells += _cells(warm, None, before, after, edges, "deg/h")
     rows = count_rows(log, unit, used)
-    return AxisValidation(axis, moves, rests, scale, bias, tuple(cells), rows, tuple(messages))
+    return AxisValidation(axis, len(turns), len(still), scale, bias, tuple(cells), rows, tuple(messages))
 
 
 def _mean_of_parts(temperature: np.ndarray, time: np.ndarray, first: int, last: int) -> float:
@@ -266,8 +270,6 @@ def _triads(
 
     warm = mean(temperature[:, None])[:, 0] if np.isfinite(temperature).all() else np.full(len(rests), np.nan)
     edges, result = how.edges(warm), list[AxisValidation]()
-    branch = how.branch(temperature, log.time_s)
-    at_rests = np.array([branch[np.flatnonzero(number == rest)].mean().round() for rest in rests], int)
     for kind, truth, factor, label in (
         ("gyro", EARTH_RATE, DEG_PER_H, "deg/h"),
         ("accelerometer", gravity, 1e6 / G, "ug"),
@@ -277,16 +279,16 @@ def _triads(
             continue
         at_rest = [mean(values) for values in before_and_after]
         before, after = ((np.linalg.norm(values, axis=1) - truth) * factor for values in at_rest)
-        cells, pair = _cells(warm, None, before, after, edges, label, at_rests), (_rms(before), _rms(after))
+        cells, pair = _cells(warm, None, before, after, edges, label), (_rms(before), _rms(after))
         if kind == "accelerometer":
             result.append(AxisValidation("accelerometers", 0, len(rests), None, None, tuple(cells), rows, (), pair))
             continue
-        turns = _turns(log, number, rests, (temperature, branch), before_and_after, at_rest, step)
+        turns = _turns(log, number, rests, temperature, before_and_after, at_rest, step)
         scale = None
         if len(turns):
-            uncorrected, left, heat, speed, of_turns = turns.T
+            uncorrected, left, heat, speed = turns.T
             scale = _rms(uncorrected), _rms(left)
-            cells += _cells(heat, speed, uncorrected, left, how.edges(heat), "ppm", of_turns.astype(int))
+            cells += _cells(heat, speed, uncorrected, left, how.edges(heat), "ppm")
         result.append(AxisValidation("gyros", len(turns), len(rests), scale, pair, tuple(cells), rows, tuple(messages)))
     return result
 
@@ -295,14 +297,13 @@ def _turns(
     log: Log,
     number: np.ndarray,
     rests: np.ndarray,
-    path: tuple[np.ndarray, np.ndarray],
+    temperature: np.ndarray,
     rates: list[np.ndarray],
     at_rest: list[np.ndarray],
     step: np.ndarray,
 ) -> np.ndarray:
-    """Turns between rests about one table axis, `(turns, 5)`: errors before and after the correction (ppm), temperature
-    (°C), mean rate (deg/s), and the number of the branch. `path`: temperature and branch at every row."""
-    temperature, branch = path
+    """Turns between rests about one table axis, `(turns, 4)`: errors before and after the correction (ppm), temperature
+    (°C), mean rate (deg/s)."""
     angles: list[np.ndarray] = []
     for axis in range(len(log.table_axes)):
         read, _ = table_readings(log, axis, number >= 0, np.inf, [], every_kind=True)
@@ -325,9 +326,8 @@ def _turns(
             length = float(np.linalg.norm(whole))
             still = 0.5 * (rest[k] + rest[k + 1]) @ whole / length
             row.append(PPM * ((length - still * lasting) / turned[-1] - 1.0))
-        heat, of_turn = float(np.mean(temperature[between])), float(np.round(np.mean(branch[between])))
-        found.append((*row, heat, turned[-1] / lasting * DEG_PER_S, of_turn))
-    return np.array(found).reshape(-1, 5)
+        found.append((*row, float(np.mean(temperature[between])), turned[-1] / lasting * DEG_PER_S))
+    return np.array(found).reshape(-1, 4)
 
 
 def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:
@@ -335,25 +335,18 @@ def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:
 
 
 class _Ranges(NamedTuple):
-    """How cells are made: equal `parts` of the temperatures or, with `bin_k`, ranges of that width (K) from whole
-    multiples of it on; heating and cooling apart or together."""
+    """How cells are made: equal `parts` of the temperatures or, of closest neighbours, ranges of their width (K)."""
 
     parts: int
-    bin_k: float | None
-    by_branch: bool
+    neighbours_k: float | None
 
     def edges(self, temperature: np.ndarray) -> np.ndarray:
         """The edges (°C); one range where the temperature hardly changes or is not known."""
         known = temperature[np.isfinite(temperature)]
         low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
-        if self.bin_k is not None and len(known):
-            first, last = math.floor(low / self.bin_k), math.floor(high / self.bin_k) + 1
-            return self.bin_k * np.arange(first, last + 1)
+        if self.neighbours_k is not None:
+            return low + self.neighbours_k * np.arange(int((high - low) / self.neighbours_k) + 2)
         return np.linspace(low, high, self.parts + 1) if high - low > _SAME_K else np.array([low, high])
-
-    def branch(self, temperature: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-        """The number of the branch at every row; 0 for all where they are not told apart."""
-        return branch_of(temperature, time_s) if self.by_branch else np.zeros(len(time_s), int)
 
 
 def _ranges(temperature: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -362,21 +355,30 @@ def _ranges(temperature: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
 
 
-def _cells(temperature, speed, before, after, edges: np.ndarray, unit: str, branch: np.ndarray) -> list[Cell]:
-    """Cells of ranges of temperature, of like rates and of branches (all 0: not told apart)."""
+def _like_rates(rates: np.ndarray) -> np.ndarray:
+    """`(n,)`: numbers of the groups of `rates` `(n,)` whose neighbours are alike."""
+    order = np.argsort(rates)
+    ordered = rates[order]
+    apart = np.diff(ordered) > _ALIKE * np.maximum(np.abs(ordered[1:]), np.abs(ordered[:-1]))
+    like = np.empty(len(order), int)
+    like[order] = np.concatenate([[0], np.cumsum(apart)])
+    return like
+
+
+def _cells(temperature, speed, before, after, edges: np.ndarray, unit: str) -> list[Cell]:
+    """Cells of ranges of temperature, and of like rates."""
     known = np.isfinite(temperature)
     warm = _ranges(temperature, edges)
-    fast = np.zeros(len(before), int) if speed is None else estimation.like_rates(speed, 0.2)
+    fast = np.zeros(len(before), int) if speed is None else _like_rates(speed)
     rows: list[Cell] = []
-    for i, j, way in itertools.product(range(len(edges) - 1), np.unique(fast), (1, -1, 0)):
-        inside = (warm == i) & (fast == j) & (branch == way)
+    for i, j in itertools.product(range(len(edges) - 1), np.unique(fast)):
+        inside = (warm == i) & (fast == j)
         if not inside.any():
             continue
         rates = None if speed is None else (float(speed[inside].min()), float(speed[inside].max()))
         warmth = (float(edges[i]), float(edges[i + 1])) if known.any() else None
         was, left = float(np.mean(before[inside])), float(np.mean(after[inside]))
-        name = BRANCHES[way] if np.any(branch) else None
-        rows.append(Cell(warmth, rates, int(inside.sum()), was, left, float(np.std(after[inside])), unit, name))
+        rows.append(Cell(warmth, rates, int(inside.sum()), was, left, float(np.std(after[inside])), unit))
     return rows
 
 

@@ -39,9 +39,6 @@ def draw_residuals_over_time(report: SensorEstimate, *, ax: Axes | None = None) 
         drawn.append(
             ax.scatter(time[own], residual, s=6, marker=marker, color=PALETTE[k % 6], label=name, rasterized=True)
         )
-    if (low := report.solution.weights < 1.0).any():
-        residual = report.solution.estimate.residuals
-        ax.scatter(time[low], residual[low], s=30, marker="x", color=PALETTE[1], label="reduced weight")
     for level in (-3.0, 3.0):
         ax.axhline(level, color="black", linewidth=0.7, linestyle=":")
     ax.set(xlabel="time, h", ylabel="whitened residual, σ", title="residuals of the rows")
@@ -80,6 +77,16 @@ def draw_by_hand(report: HandReport) -> Figure:
     draw_gravity_left(report, ax=first)
     draw_turns_left(report, ax=second)
     figure.suptitle(f"unit {report.unit}" + (", SIMULATED" if report.calibration.simulated else ""))
+    return figure
+
+
+def draw_warm_up(calibration: Calibration) -> Figure:
+    """The bias of each kind of channel over temperature."""
+    panels = panels_of(calibration)
+    figure = Figure(figsize=(4.5 * len(panels), 3.4), layout="constrained")
+    for (kind, name), ax in zip(panels, figure.subplots(1, len(panels), squeeze=False)[0], strict=True):
+        draw_calibrated_term(calibration, kind, name, ax=ax)
+    figure.suptitle(f"IMU {calibration.serial_number}" + (", SIMULATED" if calibration.simulated else ""))
     return figure
 
 

@@ -264,9 +264,9 @@ def accelerometer_grade(sensor: Sensor) -> Grade:
     return _by_noise("accelerometer", force.drift, "acceleration", force.velocity_random_walk)
 
 
-def grade_of_forces(velocity_random_walk: Quantity) -> Grade:
-    """The class of accelerometers of which only the velocity random walk (m/s/√s) is known."""
-    return _by_noise("accelerometer", (), "acceleration", velocity_random_walk)
+def grade_of_noise(kind: str, random_walk: Quantity) -> Grade:
+    """The class of gyros ("sensor") or of an "accelerometer" of which only the white noise is known."""
+    return _by_noise(kind, (), "acceleration" if kind == "accelerometer" else "angular rate", random_walk)
 
 
 def _stated(kind: str, grade: str, reason: str) -> Grade:

@@ -15,7 +15,7 @@ from gradcal_jax.calibration import read_calibration
 from gradcal_jax.calibration.correction import term_values
 from gradcal_jax.cli import main
 from gradcal_jax.estimation.calibrations import calibration_map
-from gradcal_jax.estimation.log_flow import estimate_warm_up
+from gradcal_jax.estimation.warm_up import estimate_warm_up
 from gradcal_jax.records.examination import Columns, examine
 from gradcal_jax.records.log import Log, LogError
 

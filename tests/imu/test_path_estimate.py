@@ -9,7 +9,6 @@ from loop_laws import draw_with_loops
 from loop_scene import WIDTHS, recorded, spec_of
 from matplotlib.figure import Figure
 
-import gradcal_jax as gj
 from gradcal_jax.calibration import read_calibration, write_calibration
 from gradcal_jax.calibration.correction import apply, temperature_slope
 from gradcal_jax.calibration.exports import export
@@ -174,31 +173,3 @@ def test_a_play_of_the_scale_factor_and_dt_dt_are_taken_off_exactly():
     done = apply(calibration, log)
     assert done.log.rate_rad_per_s[0, :, 0] == pytest.approx(true, rel=1e-12, abs=1e-12)
     assert done.unknown_branch == np.count_nonzero(states[1] - states[0] > 1e-6) > 0
-
-
-def at_rest_all_the_time() -> Log:
-    """Another record of the unit with a loop, as one rest."""
-    _, truth = estimated()
-    log = recorded(truth, spec_of(ways=2, size=40.0), ways=2, seed=8)
-    rate = log.rate_rad_per_s.copy()
-    (lost,) = np.flatnonzero(np.isnan(rate[0]).any(axis=1))
-    rate[:, lost] = rate[:, lost - 1]
-    return replace(log, rate_rad_per_s=rate, standstill=np.zeros(rate.shape[1], np.int64))
-
-
-def test_validation_by_branch_and_by_bins_shows_the_loop(tmp_path, capsys):
-    """Heating and cooling differ at the same temperature before the correction; the sum of both hides it."""
-    report, truth = estimated()
-    log, calibration = at_rest_all_the_time(), report.calibration
-    axis = int(np.argmax(np.abs(truth.triads["gyro"].loops[0].size)))
-    name = "xyz"[axis]
-    (of,) = [one for one in gj.validate(calibration, log, bin_k=2.0, by_branch=True) if one.axis == name]
-    cells = {(cell.temperature_c, cell.branch): cell for cell in of.cells}
-    assert {branch for _, branch in cells} >= {"heating", "cooling"}
-    warm = [(low, low + 2.0) for low in np.arange(-10.0, 50.0, 2.0)]
-    loop = np.array([cells[t, "heating"].before - cells[t, "cooling"].before for t in warm])
-    size = 2.0 * truth.triads["gyro"].loops[0].size[axis] / HOUR
-    assert np.mean(loop) == pytest.approx(size, abs=0.35 * abs(size))
-    left = np.array([cells[t, "heating"].after - cells[t, "cooling"].after for t in warm])
-    assert np.sqrt(np.mean(left[15:] ** 2)) < 0.5 * np.sqrt(np.mean(loop[15:] ** 2))
-    assert all(cell.branch is None for cell in gj.validate(calibration, log)[0].cells)

@@ -1,15 +1,18 @@
 """Validation of a calibration with an independent log: remaining errors by temperature and rate.
 
-The corrected rates are integrated from standstill to standstill. The difference of a move's angle from the table's,
-over the angle, is the remaining scale-factor error; the integrated rate at rest, over the time, the remaining bias.
+The rates are integrated from standstill to standstill. The drift in the rests beside a move, its closest neighbours in
+time, is subtracted; the difference of the move's angle from the table's, over the angle, is the remaining scale-factor
+error. The mean rate at rest is the remaining bias. Moves of one rate within a few kelvins are averaged.
 
 Channels that depend on each other are validated together, by what no mounting changes: the norm of the integrated rate
-of a turn about one table axis, less the rate at rest along it, is the turned angle; the norms of the mean specific
-force and rate at rest are gravity and the Earth's rate.
+of a turn about one table axis is the turned angle; the norms of the mean specific force and rate at rest are gravity
+and the Earth's rate.
+
+**Closest neighbours**, a calibration without a structure, as in the paper, are the same means *before* the correction:
+since they use neither the map nor the correlation of the noise, they check the map of the same log, too.
 """
 
 import itertools
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,8 +30,8 @@ from gradcal_jax.units import DEG_PER_H, DEG_PER_S, PPM, G
 _BRIEF_S, _SAME_K = 1.0, 1.0
 # A turn is of one table axis where the others turn by less, rad.
 _OTHER_AXIS = 1e-4
-# Least turn that shows a scale factor, rad; parts of a move over whose temperatures is averaged.
-_LEAST_TURN, _PARTS = np.radians(1.0), 8
+# Least turn that shows a scale factor, rad.
+_LEAST_TURN = np.radians(1.0)
 _STRAIGHT = 0.98
 # Rates within this share of each other are one.
 _ALIKE = 0.2
@@ -112,12 +115,24 @@ def validate(
         )
     corrected = correction.apply(calibration, log, unit)
     how = _Ranges(temperature_parts, neighbours_k)
-    result: list[AxisValidation] = []
+    groups: list[tuple[str, str, float, list[np.ndarray]]] = []
     if _together(calibration):
-        result += _triads(log, corrected.log, number, how, gravity, corrected.left_alone)
-    for name in log.axes if not result else ():
+        for name, kind, truth in (("gyros", "gyro", EARTH_RATE), ("accelerometers", "accelerometer", gravity)):
+            both = [of.triads(k)[kind != "gyro"] for of, k in ((log, number), (corrected.log, 0))]
+            left_alone = any(label.startswith(kind) for label in corrected.left_alone)
+            if np.isfinite(both[0]).any(axis=0).all() and not left_alone:
+                groups.append((name, kind, truth, both))
+    for name in log.axes if not groups else ():
         if f"gyro {name}" not in corrected.left_alone:
-            result.append(_axis(log, corrected.log, number, name, how, earth_rate, table_axis))
+            both = [of.channel(name, k)[:, None] for of, k in ((log, number), (corrected.log, 0))]
+            groups.append((name, "gyro", earth_rate, both))
+    result: list[AxisValidation] = []
+    for name, kind, truth, both in groups:
+        tables = list(range(len(log.table_axes)))
+        if both[0].shape[1] == 1:
+            place = table_axis_of(log, name, table_axis)
+            tables = [] if place is None else [place]
+        result.append(_validated(log, number, name, kind, truth, both, tables, how))
     if not any(one.moves or one.rests for one in result):
         raise LogError("the log has neither a move with a table angle nor a rest, so there is no reference")
     return result
@@ -158,84 +173,104 @@ def _standstills(log: Log, unit: int) -> tuple[np.ndarray, list[str]]:
     return found, ["the log marks no standstills: they were detected where the rates are steady"]
 
 
-def _axis(
-    log: Log, corrected: Log, unit: int, axis: str, how: "_Ranges", earth_rate: float, table_axis: str | None
+class _Stop(NamedTuple):
+    """A rest of the table axes: its first and last row, and their angles `(L,)`, rad."""
+
+    first: int
+    last: int
+    angles: np.ndarray
+
+
+def _stops(log: Log, unit: int, tables: list[int], messages: list[str]) -> list[_Stop]:
+    """The rests of these axes of the table that are longer than a moment."""
+    number, words = _standstills(log, unit)
+    messages += words
+    standing = reading = number >= 0
+    reads = []
+    for table in tables:
+        read, stands = table_readings(log, table, standing, np.inf, messages, every_kind=True)
+        reads.append(read)
+        if len(tables) == 1:
+            # Other axes may move meanwhile; the angle is known where it is read.
+            _, reading, _ = read.at_rows(len(number))
+            standing = stands | reading
+    found: list[_Stop] = []
+    for begin, end in formulas.runs(standing).tolist():
+        rows = begin + np.flatnonzero(reading[begin:end])
+        if not len(rows) or log.time_s[rows[-1]] - log.time_s[rows[0]] < _BRIEF_S:
+            continue
+        inside = [read.angle[(read.rows >= begin) & (read.rows < end)] for read in reads]
+        angles = np.array([np.mean(angle) if len(angle) else np.nan for angle in inside])
+        found.append(_Stop(int(rows[0]), int(rows[-1]), angles))
+    return found
+
+
+def _validated(
+    log: Log, unit: int, name: str, kind: str, truth: float, both: list[np.ndarray], tables: list[int], how: "_Ranges"
 ) -> AxisValidation:
-    (number, messages), column, time = _standstills(log, unit), log.axis_index(axis), log.time_s
-    both = log.rate_rad_per_s[unit, :, column], corrected.rate_rad_per_s[0, :, column]
-    usable = usable_rows(log, unit) & np.isfinite(both[0])
-    step = np.diff(time, prepend=time[0])
-    turned = [np.cumsum(np.where(usable, rates - earth_rate, 0.0) * step) for rates in both]
-    table = table_axis_of(log, axis, table_axis)
-    read, standing = table_readings(log, table, number >= 0, np.inf, messages, every_kind=True)
-    angle, reading, _ = read.at_rows(len(time))
-    temperature = log.temperature_c[unit] if log.temperature_c is not None else np.full(len(time), np.nan)
-    stops = [np.flatnonzero(reading[a:b]) + a for a, b in formulas.runs(standing | reading)]
-    stops = [rows for rows in stops if len(rows)]
-    if sum(map(len, stops)) < 2:
-        raise LogError("nothing can be estimated: the log has fewer than two readings while the table is at rest")
-    unusable = np.cumsum(~usable)
-
-    def whole(spans: Iterable[tuple[int, int]]) -> np.ndarray:
-        """Spans from one reading to another, first and last row, in which every row may be integrated."""
-        return np.array([(a, b) for a, b in spans if unusable[a] == unusable[b]], int).reshape(-1, 2)
-
-    still = whole(span for rows in stops for span in itertools.pairwise(rows))
-    if how.neighbours_k is not None:
-        # The drift is that of both rests.
-        stops = [rows for rows in stops if time[rows[-1]] - time[rows[0]] > _BRIEF_S]
-    turns = whole((a[-1], b[0]) for a, b in itertools.pairwise(stops) if angle is not None)
-    used = estimation.within(np.concatenate([turns, still]), len(time))
-    # Turns with a stop of a single reading between them are one.
-    apart = turns[1:, 0] != turns[:-1, 1]
-    ends = np.append(True, apart)[: len(turns)], np.append(apart, True)[: len(turns)]
-    turns = np.stack([turns[end, k] for k, end in enumerate(ends)], axis=1)
-    if angle is not None:
-        turns = turns[np.abs(angle[turns[:, 1]] - angle[turns[:, 0]]) > _LEAST_TURN]
-    cells, scale, bias = list[Cell](), None, None
-    if angle is not None and len(turns):
-        first, last = turns.T
-        truth, lasting = angle[last] - angle[first], time[last] - time[first]
-        drifts = [np.zeros(len(turns))] * 2
-        if how.neighbours_k is not None:
-            place = {int(row): (int(rows[0]), int(rows[-1])) for rows in stops for row in (rows[0], rows[-1])}
-            rests = np.array([[place[int(row)] for row in turn] for turn in turns])
-            spans = time[rests[..., 1]] - time[rests[..., 0]]
-            drifts = [np.mean((of[rests[..., 1]] - of[rests[..., 0]]) / spans, axis=1) for of in turned]
-        before, after = (
-            ((of[last] - of[first] - drift * lasting) / truth - 1.0) * PPM
-            for of, drift in zip(turned, drifts, strict=True)
-        )
-        warm = np.array([_mean_of_parts(temperature, time, *turn) for turn in turns.tolist()])
-        scale = (_rms(before), _rms(after))
-        cells += _cells(warm, truth / lasting * DEG_PER_S, before, after, how.edges(warm), "ppm")
-    still = still[time[still[:, 1]] - time[still[:, 0]] > _BRIEF_S]
-    if len(still):
+    """The validation of a triad by norms, or of one channel: `both` `(n, 3)` or `(n, 1)`, before and after; `truth`:
+    what they show at rest, rad/s or m/s²."""
+    messages, alone = list[str](), both[0].shape[1] == 1
+    stops = _stops(log, unit, tables, messages)
+    usable = usable_rows(log, unit) & np.isfinite(both[0]).all(axis=1)
+    step = np.where(usable, np.diff(log.time_s, prepend=log.time_s[0]), 0.0)
+    clock, broken = np.cumsum(step), np.cumsum(~usable)
+    temperature = np.full(len(step), np.nan) if log.temperature_c is None else log.temperature_c[unit]
+    integrals = [np.cumsum(np.where(usable[:, None], values, 0.0) * step[:, None], axis=0) for values in both]
+    spans = [(stop.first, stop.last) for stop in stops]
+    turns: list[tuple[float, ...]] = []
+    for one, other in itertools.pairwise(stops) if kind == "gyro" and tables else ():
+        begin, end, turned = one.last, other.first, other.angles - one.angles
+        k = int(np.argmax(np.abs(turned)))
+        beside = np.delete(np.abs(turned), k)
+        if broken[begin] != broken[end] or not abs(turned[k]) > _LEAST_TURN or np.any(beside > _OTHER_AXIS):
+            continue
+        lasting, errors = clock[end] - clock[begin], list[float]()
+        path = np.sum(np.linalg.norm(both[0][begin + 1 : end + 1], axis=1) * step[begin + 1 : end + 1])
+        for total in integrals:
+            whole = total[end] - total[begin]
+            # About one direction, the integrated rate of a triad is as long as its way.
+            along = np.sign(turned) if alone else whole / np.linalg.norm(whole)
+            if not alone and not errors and whole @ along < _STRAIGHT * path:
+                break
+            rests = [(total[of.last] - total[of.first]) / (clock[of.last] - clock[of.first]) for of in (one, other)]
+            moved = whole - np.mean(rests, axis=0) * lasting
+            errors.append(float(moved @ along / abs(turned[k]) - 1.0) * PPM)
+        if errors:
+            speed = float(turned[k] if alone else abs(turned[k])) / lasting * DEG_PER_S
+            turns.append(
+                (*errors, float(np.average(temperature[begin + 1 : end + 1], weights=step[begin + 1 : end + 1])), speed)
+            )
+            spans.append((begin, end))
+    cells, scale, pair = list[Cell](), None, None
+    if turns:
+        before, after, warm, speeds = np.array(turns).T
+        scale = _rms(before), _rms(after)
+        cells += _cells(warm, speeds, before, after, how.edges(warm), "ppm")
+    if stops:
         # A rest in which the temperature changes is divided by its ranges.
-        piece = np.full(len(time), -1)
-        for k, (begin, end) in enumerate(still.tolist()):
-            piece[begin + 1 : end + 1] = k
+        piece = np.full(len(step), -1)
+        for k, stop in enumerate(stops):
+            piece[stop.first + 1 : stop.last + 1] = k
         inside = usable & (piece >= 0)
         edges = how.edges(temperature[inside])
         part = (piece * (len(edges) - 1) + _ranges(temperature, edges))[inside]
         lasting = np.bincount(part, step[inside])
         kept = lasting > _BRIEF_S
-        values = (both[0] - earth_rate, both[1] - earth_rate, temperature)
-        before, after, warm = (np.bincount(part, (of * step)[inside])[kept] / lasting[kept] for of in values)
-        before, after = before * DEG_PER_H, after * DEG_PER_H
-        bias = (_rms(before, lasting[kept]), _rms(after, lasting[kept]))
-        cells += _cells(warm, None, before, after, edges, "deg/h")
-    rows = count_rows(log, unit, used)
-    return AxisValidation(axis, len(turns), len(still), scale, bias, tuple(cells), rows, tuple(messages))
 
+        def mean(values: np.ndarray) -> np.ndarray:
+            return np.bincount(part, (values * step)[inside])[kept] / lasting[kept]
 
-def _mean_of_parts(temperature: np.ndarray, time: np.ndarray, first: int, last: int) -> float:
-    """The mean temperature (°C) over equal parts of the time from one row to another."""
-    parts = min(_PARTS, last - first)
-    rows = np.searchsorted(time[: last + 1], np.linspace(time[first], time[last], parts + 1) - 1e-9)
-    rows[0] = first
-    at = temperature[np.minimum(rows, last)]
-    return float(np.mean(0.5 * (at[1:] + at[:-1])))
+        factor, label = (DEG_PER_H, "deg/h") if kind == "gyro" else (1e6 / G, "ug")
+        means = [np.stack([mean(column) for column in values.T], axis=1) for values in both]
+        sizes = [of[:, 0] if alone else np.linalg.norm(of, axis=1) for of in means]
+        before, after = ((size - truth) * factor for size in sizes)
+        pair = _rms(before, lasting[kept]), _rms(after, lasting[kept])
+        cells += _cells(mean(temperature), None, before, after, edges, label)
+    used = estimation.within(np.array(spans, int).reshape(-1, 2), len(step))
+    rows, rates = count_rows(log, unit, used), kind == "gyro"
+    figures = scale, pair if rates else None, tuple(cells), rows, tuple(messages), None if rates else pair
+    return AxisValidation(name, len(turns), len(stops), *figures)
 
 
 def _together(calibration: Calibration) -> bool:
@@ -246,88 +281,6 @@ def _together(calibration: Calibration) -> bool:
         for term in channel.term
         for name in term.signals
     )
-
-
-def _triads(
-    log: Log, corrected: Log, unit: int, how: "_Ranges", gravity: float, left_alone: tuple[str, ...]
-) -> list[AxisValidation]:
-    """The triads of gyros and of accelerometers that are calibrated and in the log."""
-    number, messages = _standstills(log, unit)
-    usable = usable_rows(log, unit)
-    step = np.where(usable, np.diff(log.time_s, prepend=log.time_s[0]), 0.0)
-    rows, still = count_rows(log, unit, usable), number >= 0
-    lasts = np.bincount(number[still], step[still])
-    rests = np.flatnonzero(lasts > _BRIEF_S)
-    if not len(rests):
-        return []
-    temperature = np.full(len(number), np.nan) if log.temperature_c is None else log.temperature_c[unit]
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        """Over each rest, `(rests, columns)`."""
-        known = (np.nan_to_num(values) * step[:, None])[still]
-        sums = np.stack([np.bincount(number[still], column, len(lasts)) for column in known.T], axis=1)
-        return sums[rests] / lasts[rests, None]
-
-    warm = mean(temperature[:, None])[:, 0] if np.isfinite(temperature).all() else np.full(len(rests), np.nan)
-    edges, result = how.edges(warm), list[AxisValidation]()
-    for kind, truth, factor, label in (
-        ("gyro", EARTH_RATE, DEG_PER_H, "deg/h"),
-        ("accelerometer", gravity, 1e6 / G, "ug"),
-    ):
-        before_and_after = [of.triads(k)[kind == "accelerometer"] for of, k in ((log, unit), (corrected, 0))]
-        if not np.isfinite(before_and_after[0]).any(axis=0).all() or any(name.startswith(kind) for name in left_alone):
-            continue
-        at_rest = [mean(values) for values in before_and_after]
-        before, after = ((np.linalg.norm(values, axis=1) - truth) * factor for values in at_rest)
-        cells, pair = _cells(warm, None, before, after, edges, label), (_rms(before), _rms(after))
-        if kind == "accelerometer":
-            result.append(AxisValidation("accelerometers", 0, len(rests), None, None, tuple(cells), rows, (), pair))
-            continue
-        turns = _turns(log, number, rests, temperature, before_and_after, at_rest, step)
-        scale = None
-        if len(turns):
-            uncorrected, left, heat, speed = turns.T
-            scale = _rms(uncorrected), _rms(left)
-            cells += _cells(heat, speed, uncorrected, left, how.edges(heat), "ppm")
-        result.append(AxisValidation("gyros", len(turns), len(rests), scale, pair, tuple(cells), rows, tuple(messages)))
-    return result
-
-
-def _turns(
-    log: Log,
-    number: np.ndarray,
-    rests: np.ndarray,
-    temperature: np.ndarray,
-    rates: list[np.ndarray],
-    at_rest: list[np.ndarray],
-    step: np.ndarray,
-) -> np.ndarray:
-    """Turns between rests about one table axis, `(turns, 4)`: errors before and after the correction (ppm), temperature
-    (°C), mean rate (deg/s)."""
-    angles: list[np.ndarray] = []
-    for axis in range(len(log.table_axes)):
-        read, _ = table_readings(log, axis, number >= 0, np.inf, [], every_kind=True)
-        of_rest = [read.angle[number[read.rows] == rest] for rest in rests]
-        angles.append(np.array([np.mean(own) if len(own) else np.nan for own in of_rest]))
-    found: list[tuple[float, ...]] = []
-    for k in range(len(rests) - 1) if angles else ():
-        first = int(np.flatnonzero(number == rests[k])[-1])
-        last = int(np.flatnonzero(number == rests[k + 1])[0])
-        turned = np.sort(np.abs([angle[k + 1] - angle[k] for angle in angles]))
-        between = slice(first + 1, last + 1)
-        if not turned[-1] > _LEAST_TURN or np.any(turned[:-1] > _OTHER_AXIS) or not step[between].all():
-            continue
-        lasting, row = float(step[between].sum()), list[float]()
-        wholes = [values[between].T @ step[between] for values in rates]
-        # About one direction, the integrated rate is as long as its way.
-        if np.linalg.norm(wholes[0]) < _STRAIGHT * (np.linalg.norm(rates[0][between], axis=1) @ step[between]):
-            continue
-        for whole, rest in zip(wholes, at_rest, strict=True):
-            length = float(np.linalg.norm(whole))
-            still = 0.5 * (rest[k] + rest[k + 1]) @ whole / length
-            row.append(PPM * ((length - still * lasting) / turned[-1] - 1.0))
-        found.append((*row, float(np.mean(temperature[between])), turned[-1] / lasting * DEG_PER_S))
-    return np.array(found).reshape(-1, 4)
 
 
 def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:

@@ -46,7 +46,7 @@ from gradcal_jax.estimation.fit_of_log import (
     points_of,
 )
 from gradcal_jax.estimation.lag_of_maps import Lag
-from gradcal_jax.estimation.log_rows import Options, count_rows, imu_rows, with_earth, with_options
+from gradcal_jax.estimation.log_rows import Options, count_rows, imu_rows, with_options
 from gradcal_jax.information import segments_of
 from gradcal_jax.information.plan_sentences import one_way_sentences, prior_deviations
 from gradcal_jax.information.prediction import requirement_row
@@ -253,8 +253,6 @@ def _prepared(spec: Spec, logs: Sequence[Log], units: Sequence[str], options: Op
     if not names:
         raise LogError("no IMU is in all of the logs")
     lacks = lacks_of(spec, logs)
-    if options.earth_rate is not None:
-        spec = with_earth(spec, options.earth_rate)
     spec, options, said = with_options(spec, logs, options)
     for log, name in itertools.product(logs, names):
         if log.temperature_c is not None:

@@ -59,6 +59,7 @@ def estimate_by_hand(
     gravity: float,
     *,
     units: Sequence[str] = (),
+    earth_rate: float = 0.0,
     options: Options | None = None,
     sources: dict[str, str] | None = None,
 ) -> list[HandReport]:
@@ -66,7 +67,7 @@ def estimate_by_hand(
 
     Accelerometers by |f| = g over the standstills, then gyros by the turns of gravity between them
     (`gradcal_jax.estimation.hand`). `options`: `estimation.log_rows.Options`, of which
-    this takes `earth_rate` (rad/s, straight up), `clock` and `temperature_c`; `sources`: names of files, for the
+    this takes `clock` and `temperature_c`; `earth_rate`: rad/s, straight up; `sources`: names of files, for the
     provenance. Returns reports with a `calibration` (SI), tests, residuals of gravity (m/s²) and of the turns (rad),
     and `messages`.
 
@@ -75,10 +76,12 @@ def estimate_by_hand(
     if not gravity > 0.0:
         raise ValueError(f"gravity is {gravity:g} m/s²: it must be positive")
     names = list(units) or list(log.units)
-    return [_report(log, name, gravity, options or Options(), sources or {}) for name in names]
+    return [_report(log, name, gravity, earth_rate, options or Options(), sources or {}) for name in names]
 
 
-def _report(log: Log, name: str, gravity: float, options: Options, sources: dict[str, str]) -> HandReport:
+def _report(
+    log: Log, name: str, gravity: float, earth_rate: float, options: Options, sources: dict[str, str]
+) -> HandReport:
     number, (time, messages) = log.unit_index(name), time_of(log, options)
     rates, force = log.triads(number)
     missing = [f"gyro {a}" for k, a in enumerate("xyz") if not np.isfinite(rates[:, k]).any()]
@@ -113,7 +116,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
                 "forces are steady"
             )
         rows = HandRows(filled.time, rates, force, filled.usable, standing)
-        solution = solve_by_hand(rows, gravity, options.earth_rate or 0.0)
+        solution = solve_by_hand(rows, gravity, earth_rate)
     except ValueError as error:
         raise LogError(f"{name}: {error}") from None
     tests = {
@@ -133,7 +136,7 @@ def _report(log: Log, name: str, gravity: float, options: Options, sources: dict
     )
     calibration = _calibration(solution, rows, temperature, tests, log, name).model_copy(update={"provenance": source})
     left = [float(np.sqrt(np.mean(fit.left**2))) for fit in (solution.accelerometer, solution.gyro)]
-    messages += _words(solution, tests, calibration.unobservable, gravity, options.earth_rate or 0.0)
+    messages += _words(solution, tests, calibration.unobservable, gravity, earth_rate)
     return HandReport(name, solution, calibration, tests, left[0], left[1], tuple(messages))
 
 

@@ -101,23 +101,17 @@ def estimate(
     *,
     axis: str | None = None,
     units: Sequence[str] = (),
-    earth_rate: float | None = None,
     lag: float | Literal["auto", "fit"] = "auto",
     clock: Literal["sensor", "host"] | None = None,
-    read_every: float | None = None,
-    table_axis: str | None = None,
     temperature_c: float | None = None,
 ) -> EstimateReport:
     """The calibration of every sensor in a log, by a spec's model, with covariance, tests and verdicts.
 
     Noise, table and terms are the spec's; the executed motion is read from the log. With several mountings, one log for
     each. `axis`: the recorded one, where the spec has one gyro on a table of one axis. `units`: default all.
-    `earth_rate` rad/s along that axis is subtracted (default: the spec's). `lag`
-    s of the maps behind the measured temperature, "fit", or "auto": fitted, and used if the data show one (and the spec
-    does not state that there is none). `clock`: the clock over whose time rates are integrated (default: the spec's, or
-    else the computer's where the log has both). `read_every` s: spacing of readings at rest (default: the spec's).
-    `table_axis`: the log's name of the table's only axis. `temperature_c` of a log without a
-    thermometer.
+    `lag` s of the maps behind the measured temperature, "fit", or "auto": fitted, and used if the data show one (and
+    the spec does not state that there is none). `clock`: the clock over whose time rates are integrated (default: the
+    spec's, or else the computer's where the log has both). `temperature_c` of a log without a thermometer.
 
     Returns `calibrations` (SI, one a sensor; `write_calibration` writes them), `verdicts` (in their units) and
     `messages` by sensor, every sensor's fit, and `as_wished`. Gauss-Newton through the finite geometry, with the
@@ -125,13 +119,6 @@ def estimate(
 
     Errors: `LogError` and `ValueError` where the log lacks what the estimate needs.
     """
-    options = Options(
-        earth_rate=earth_rate,
-        lag=lag,
-        clock=clock,
-        read_every=read_every,
-        table_axis=table_axis,
-        temperature_c=temperature_c,
-    )
+    options = Options(lag=lag, clock=clock, temperature_c=temperature_c)
     logs = [log] if isinstance(log, Log) else log
     return estimate_log(expect_spec(spec), logs, axis=axis, units=units, options=options)

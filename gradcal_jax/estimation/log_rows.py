@@ -2,7 +2,6 @@
 clocks, temperatures and their branches, and which rows may be used."""
 
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
@@ -11,7 +10,6 @@ import numpy as np
 
 from gradcal_jax import estimation
 from gradcal_jax.estimation import ImuRows
-from gradcal_jax.formulas import EARTH_RATE
 from gradcal_jax.model import SECOND
 from gradcal_jax.model.build import BuiltImu
 from gradcal_jax.records.log import Log, LogError, ReadingKind
@@ -28,8 +26,6 @@ from gradcal_jax.tables.quantity import Quantity
 class Options:
     """Options of an estimate; `estimation.log_flow.estimate` explains each."""
 
-    earth_rate: float | None = None
-    """Earth rate along the sensor's axis, rad/s; it is subtracted. None: the spec's rate, if stated."""
     lag: float | Literal["auto", "fit"] = "auto"
     """Lag of the maps behind the measured temperature, s; "fit": estimated; "auto": estimated, and used if the data
     show one."""
@@ -37,9 +33,6 @@ class Options:
     """None: the spec's clock; if the spec states none and the log has both clocks, the computer's clock."""
     clock_doubt: float = 0.0
     """A further uncertainty of the clock, a ratio; at least what the log's clocks are apart, unless someone chose."""
-    read_every: float | None = None
-    """Time between readings (s) of a log with the angle in every row; None: that of the spec, otherwise 1 s."""
-    table_axis: str | None = None
     temperature_c: float | None = None
     """Temperature of a log without a thermometer, °C."""
     progress: Callable[[str], None] = lambda _: None
@@ -289,22 +282,6 @@ def with_options(spec: Spec, logs: Sequence[Log], options: Options) -> tuple[Spe
     return spec, replace(options, clock=clock, clock_doubt=doubt), said
 
 
-def with_earth(spec: Spec, earth_rate: float) -> Spec:
-    """The spec of a gyro along its table's only axis, at the latitude at which an axis that points up has that rate of
-    the Earth (rad/s). Raises `ValueError` for other specs, whose rate of the Earth changes with the table's angles."""
-    gyro, hung = spec.sensor.gyro, spec.rig.table.mounting[0]
-    along = "" if gyro is None or not spec.is_one_axis else str(getattr(hung, gyro.axes[0]))
-    if along not in ("+z", "-z"):
-        raise ValueError(
-            "an Earth's rate is only for one gyro along the only axis of a table, if this axis is vertical; for other "
-            "specs, state [rig.site] latitude"
-        )
-    up = earth_rate if along == "+z" else -earth_rate
-    latitude = math.asin(max(-1.0, min(up / EARTH_RATE, 1.0)))
-    site = spec.rig.site.model_copy(update={"latitude": Quantity.of(latitude, "deg")})
-    return spec.model_copy(update={"rig": spec.rig.model_copy(update={"site": site})})
-
-
 def _clocks_differ_by(fit: ClockFit, error: Quantity | None) -> float:
     """Standard deviation of the difference of two clocks, a ratio, by what is stated of them."""
     return float(np.hypot(np.hypot(fit.std or 0.0, HOST_CLOCK), float(error or _QUARTZ)))
@@ -343,13 +320,9 @@ def bridged_temperature(log: Log, unit: int, constant_c: float | None) -> np.nda
     return values
 
 
-def table_axis_of(log: Log, axis: str, named: str | None) -> int | None:
+def table_axis_of(log: Log, axis: str) -> int | None:
     """The table axis that turns a sensor axis; None for a log without table axes. Raises `LogError` where it is
     unclear."""
-    if named is not None:
-        if named not in log.table_axes:
-            raise LogError(f"the log has no table axis '{named}': it has {', '.join(log.table_axes) or 'none'}")
-        return log.table_axes.index(named)
     if axis in log.table_axes:
         return log.table_axes.index(axis)
     if len(log.table_axes) == 1:
@@ -465,27 +438,27 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
         angles, at_a_stop, rate = (
             np.full((len(time), 1), np.nan),
             np.zeros(len(time), bool),
-            _table_rate(built, log, options.table_axis),
+            _table_rate(built, log),
         )
     elif built.spec.rig.table.by_gravity:
         # Whatever the log says of angles is where the table was meant to go.
         angles, at_a_stop = np.full((len(time), len(built.spec.rig.table.axis)), np.nan), np.zeros(len(time), bool)
     elif read_by_events(built.spec):
         known = log.table_axes and (log.readings is not None or log.table_angle_rad is not None)
-        place = _places_of(built, log, options.table_axis)[0] if known or options.table_axis else None
+        place = _places_of(built, log)[0] if known else None
         if not known:
             messages.append(
                 "the log has no table angle: the estimate uses only the gyro rates at rest, and the scale factor "
                 "is not observable"
             )
         noise = float(built.model.encoder.reading[0])
-        read, standing = table_readings(log, place, standing, _spacing(built, options), messages, noise)
+        read, standing = table_readings(log, place, standing, _spacing(built), messages, noise)
         at_a_stop, worth, at_end = np.zeros(len(time), bool), np.ones(len(time)), np.zeros(len(time), bool)
         at_a_stop[read.rows], worth[read.rows], at_end[read.rows] = True, read.worth, read.at_end
         angles = np.full((len(time), 1), np.nan)
         angles[read.rows, 0] = read.angle
     else:
-        angles, at_a_stop = _table_angles(built, log, options.table_axis)
+        angles, at_a_stop = _table_angles(built, log)
     if (second := log.bridged_temperature(number, second=True)) is not None:
         second = estimation.smoothed_temperature(time, second, **over)
     elif any(of.name == SECOND for of in built.model.others):
@@ -498,10 +471,10 @@ def _rows_of_log(built: BuiltImu, log: Log, name: str, options: Options) -> tupl
     ), messages
 
 
-def _spacing(built: BuiltImu, options: Options) -> float:
+def _spacing(built: BuiltImu) -> float:
     """The spacing of readings at rest, s."""
     every = float(built.model.encoder.every[0])
-    return options.read_every or (every if np.isfinite(every) else _READ_EVERY_S)
+    return every if np.isfinite(every) else _READ_EVERY_S
 
 
 def read_by_events(spec: Spec) -> bool:
@@ -509,9 +482,9 @@ def read_by_events(spec: Spec) -> bool:
     return len(spec.rig.table.axis) == 1 and spec.rig.table.standing == "read"
 
 
-def _table_rate(built: BuiltImu, log: Log, chosen: str | None) -> np.ndarray:
+def _table_rate(built: BuiltImu, log: Log) -> np.ndarray:
     """The rate held by the table's only axis, rad/s. Raises `LogError`."""
-    place = _places_of(built, log, chosen)[0] if log.table_axes else None
+    place = _places_of(built, log)[0] if log.table_axes else None
     if place is not None and log.table_rate_rad_per_s is not None:
         return log.table_rate_rad_per_s[:, place]
     if place is not None and log.table_angle_rad is not None:
@@ -523,31 +496,27 @@ def _table_rate(built: BuiltImu, log: Log, chosen: str | None) -> np.ndarray:
     return np.zeros(len(log.time_s))
 
 
-def _places_of(built: BuiltImu, log: Log, chosen: str | None) -> list[int]:
-    """Where the axes of the spec's table stand among the log's; `chosen`: the log's name of the only one."""
+def _places_of(built: BuiltImu, log: Log) -> list[int]:
+    """Where the axes of the spec's table stand among the log's; the only one of both may have two names."""
     names = [axis.name for axis in built.spec.rig.table.axis]
-    if chosen is not None:
-        if len(names) > 1:
-            raise LogError("--table-axis is only for a table of one axis: use the same names of axes in spec and log")
-        names = [chosen]
+    if len(names) == len(log.table_axes) == 1:
+        return [0]
     if missing := [name for name in names if name not in log.table_axes]:
-        if chosen is not None or not len(names) == len(log.table_axes) == 1:
-            raise LogError(
-                f"the log has no table axis {', '.join(missing)}: it has {', '.join(log.table_axes) or 'none'}. "
-                "Use the same names in the spec's [[rig.table.axis]] and in the log's column map"
-            )
-        names = list(log.table_axes)
+        raise LogError(
+            f"the log has no table axis {', '.join(missing)}: it has {', '.join(log.table_axes) or 'none'}. "
+            "Use the same names in the spec's [[rig.table.axis]] and in the log's column map"
+        )
     return [log.table_axes.index(name) for name in names]
 
 
-def _table_angles(built: BuiltImu, log: Log, chosen: str | None) -> tuple[np.ndarray, np.ndarray]:
+def _table_angles(built: BuiltImu, log: Log) -> tuple[np.ndarray, np.ndarray]:
     """The table's angles `(n, L)` about the spec's axes, in its order, NaN where not read, and whether a row's are
     readings of standing axes."""
     count = len(log.time_s)
     if log.table_angle_rad is None and log.readings is None:
         names = ", ".join(axis.name for axis in built.spec.rig.table.axis)
         raise LogError(f"the log has no table angles ({names}), but the table angles are the reference")
-    places = _places_of(built, log, chosen)
+    places = _places_of(built, log)
     if log.readings is None:
         assert log.table_angle_rad is not None
         return log.table_angle_rad[:, places], np.zeros(count, bool)

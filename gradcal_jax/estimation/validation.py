@@ -94,15 +94,14 @@ def validate(
     temperature_parts: int = 3,
     neighbours_k: float | None = None,
     earth_rate: float = 0.0,
-    table_axis: str | None = None,
     gravity: float = G,
 ) -> list[AxisValidation]:
     """The errors that a calibration leaves on an independent log (its own is refused): ppm of moves' angles and deg/h
     at rest, rms before and after, by `temperature_parts` ranges of temperature (°C) and by rate (deg/s).
 
     For every axis of both. `neighbours_k`: closest neighbours, averaged over ranges of this width (K), also of the
-    calibration's own log. `earth_rate` rad/s along the sensor's axis is subtracted; `table_axis`: the one that turns
-    it; `gravity`: m/s², at the place. Errors: `LogError` where the log holds neither moves with a reference nor rests;
+    calibration's own log. `earth_rate` rad/s along the sensor's axis is subtracted; `gravity`: m/s²,
+    at the place. Errors: `LogError` where the log holds neither moves with a reference nor rests;
     `ValueError` for a width that is not positive.
     """
     if neighbours_k is not None and not neighbours_k > 0.0:
@@ -130,7 +129,7 @@ def validate(
     for name, kind, truth, both in groups:
         tables = list(range(len(log.table_axes)))
         if both[0].shape[1] == 1:
-            place = table_axis_of(log, name, table_axis)
+            place = table_axis_of(log, name)
             tables = [] if place is None else [place]
         result.append(_validated(log, number, name, kind, truth, both, tables, how))
     if not any(one.moves or one.rests for one in result):

@@ -238,17 +238,6 @@ PROGRAMME = """programme = [
   { ramp_to = "0 degC", rate = "5 K/min" } ]"""
 
 
-def test_the_earths_rate_is_taken_off():
-    spec = spec_of()
-    made = simulate_log(spec, sample_rate_hz=20.0, seed=3)
-    earth = np.radians(10.4) / 3600
-    turned = replace(made.log, rate_rad_per_s=made.log.rate_rad_per_s + earth)
-    plain = estimated(spec, made.log)[0].solution.estimate.parameters
-    corrected = estimated(spec, turned, options=Options(earth_rate=earth))[0].solution.estimate.parameters
-    # A gyro has its scale-factor error of the Earth's rate, too, which these rates lack.
-    np.testing.assert_allclose(corrected, plain, atol=1e-3 * earth)
-
-
 def test_the_computers_clock_in_the_place_of_the_sensors():
     spec = spec_of()
     made = simulate_log(spec, sample_rate_hz=20.0, seed=3, noiseless=True)
@@ -349,8 +338,6 @@ def test_what_a_log_lacks_is_a_sentence():
     assert at.calibration.valid_temperature == pytest.approx((23.4, 23.4))
     with pytest.raises(LogError, match="this log has temperatures"):
         estimated(spec, log, options=Options(temperature_c=23.4))
-    with pytest.raises(LogError, match="no table axis q"):
-        estimated(spec, log, options=Options(table_axis="q"))
     with pytest.raises(ValueError, match="fewer than two readings while the table is at rest"):
         estimated(spec, replace(log, standstill=np.full(len(log.time_s), -1)))
     with pytest.raises(LogError, match="no axis 'roll'"):

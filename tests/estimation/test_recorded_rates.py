@@ -18,6 +18,7 @@ from gradcal_jax.estimation.estimate import estimate_log
 from gradcal_jax.estimation.log_rows import Options
 from gradcal_jax.records.importers import import_log, parse_column_map
 from gradcal_jax.records.log import Log
+from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec import parse_spec
 
 FOLDER = Path(os.environ.get("GRADCAL_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -164,8 +165,9 @@ def test_xsens_stands_still_between_hand_motions():
     assert number.max() + 1 == 38  # as many as motions are told of; the record ends in the last one
     first = np.flatnonzero(number == 0)
     assert (first[-1] - first[0]) * log.sample_interval_s > 40.0  # the first 50 s are at rest
-    options = Options(read_every=0.5, temperature_c=22.0)
-    reports = [estimate_log(STEPS, [log], axis=axis, options=options) for axis in log.axes]
+    options = Options(temperature_c=22.0)
+    often = changed(STEPS, {"rig.table.axis[0].angle.read_every": "0.5 s"})
+    reports = [estimate_log(often, [log], axis=axis, options=options) for axis in log.axes]
     for axis, report in zip(log.axes, reports, strict=True):
         (channel,) = report.sensors
         names = channel.built.model.names()

@@ -18,7 +18,7 @@ from gradcal_jax.records.log import Log, LogError
 G = 9.81
 LATITUDE = np.radians(45.0)
 EARTH = imu_twin.OMEGA * np.array([0.0, np.cos(LATITUDE), np.sin(LATITUDE)])
-AT = Options(temperature_c=23.0, earth_rate=float(EARTH[2]))
+AT = {"options": Options(temperature_c=23.0), "earth_rate": float(EARTH[2])}
 HZ = 50.0
 CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 WHITE = {"gyro": 0.15 / 60.0 * np.pi / 180.0, "accelerometer": 0.05 / 60.0}  # rad/√s, m/s/√s
@@ -151,7 +151,7 @@ def test_a_simulated_unit_is_found_within_its_covariance():
     rng = np.random.default_rng(5)
     truth = drawn(rng)
     log = held(truth, rng)
-    (report,) = estimate_by_hand(log, G, options=AT)
+    (report,) = estimate_by_hand(log, G, **AT)
     assert report.calibration.simulated
     assert set(values_of(report)) == set(truth)
     square, size = squared(report, truth)
@@ -173,7 +173,7 @@ def test_without_noise_the_estimate_is_the_truth():
     rng = np.random.default_rng(1)
     truth = drawn(rng)
     log = held(truth, rng, noisy=False, earth=np.zeros(3))
-    (report,) = estimate_by_hand(log, G, options=replace(AT, earth_rate=0.0))
+    (report,) = estimate_by_hand(log, G, **AT | {"earth_rate": 0.0})
     found = values_of(report)
     for name, value in truth.items():
         allowed = 2e-5 if name.startswith("gyro") else 1e-9
@@ -184,7 +184,7 @@ def test_marked_standstills_are_those_that_are_found():
     rng = np.random.default_rng(6)
     truth = drawn(rng)
     log = held(truth, rng)
-    (report,) = estimate_by_hand(replace(log, standstill=None), G, options=AT)
+    (report,) = estimate_by_hand(replace(log, standstill=None), G, **AT)
     assert len(report.solution.positions.duration) == 30
     assert any("30 were detected" in message for message in report.messages)
     square, size = squared(report, truth)
@@ -212,7 +212,7 @@ def faces(k: int, rng: np.random.Generator) -> np.ndarray:
 def test_positions_in_one_plane_are_said_to_be():
     rng = np.random.default_rng(3)
     ideal = dict.fromkeys(drawn(rng), 0.0)
-    (report,) = estimate_by_hand(held(ideal, rng, only=about_x), G, options=AT)
+    (report,) = estimate_by_hand(held(ideal, rng, only=about_x), G, **AT)
     said = " ".join(report.messages)
     assert "close to one plane" in said
     assert "axis x was never held within 60° of up" in said
@@ -227,7 +227,7 @@ def test_six_faces_tell_no_angle_between_the_accelerometers():
     """Norms of gravity along ± x, y, z see six of nine coefficients (`imu.md`: rank 6 of 9)."""
     rng = np.random.default_rng(4)
     ideal = dict.fromkeys(drawn(rng), 0.0)
-    (report,) = estimate_by_hand(held(ideal, rng, only=faces), G, options=AT)
+    (report,) = estimate_by_hand(held(ideal, rng, only=faces), G, **AT)
     angles = {"accelerometer_y.m_x", "accelerometer_z.m_x", "accelerometer_z.m_y"}
     assert {name for name in report.calibration.unobservable if name.startswith("acc")} == angles
 
@@ -252,7 +252,7 @@ def test_what_cannot_be_is_a_sentence(change, words):
     rng = np.random.default_rng(8)
     log = change(held(drawn(rng), rng))
     with pytest.raises(LogError, match=words):
-        estimate_by_hand(log, G, options=AT)
+        estimate_by_hand(log, G, **AT)
 
 
 @pytest.mark.evidence
@@ -265,7 +265,7 @@ def test_a_hundred_and_twenty_units_err_as_their_covariance_says(earth):
         rng = np.random.default_rng(4000 + seed)
         truth = drawn(rng)
         log = held(truth, rng, earth=EARTH if earth else np.zeros(3))
-        (report,) = estimate_by_hand(log, G, options=AT if earth else replace(AT, earth_rate=0.0))
+        (report,) = estimate_by_hand(log, G, **(AT if earth else AT | {"earth_rate": 0.0}))
         for kind in sums:
             square, size = squared(report, truth, kind)
             sums[kind] += square
@@ -292,7 +292,7 @@ def test_turns_that_contradict_the_model_enlarge_the_covariance_and_are_said():
     wandering = 1.0 + 0.03 * np.sin(log.time_s / 7.0)
     drift = np.repeat(2e-4 * rng.standard_normal((len(wandering) // 200 + 1, 3)), 200, axis=0)[: len(wandering)]
     log = replace(log, rate_rad_per_s=log.rate_rad_per_s * wandering[None, :, None] + drift[None])
-    (report,) = estimate_by_hand(log, G, options=AT)
+    (report,) = estimate_by_hand(log, G, **AT)
     assert not report.tests["gyros: turns of gravity"].passed
     assert report.solution.gyro.beyond > 0.01
     assert any("gravity's direction after a turn" in message for message in report.messages)

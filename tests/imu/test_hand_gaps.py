@@ -15,7 +15,7 @@ def sound() -> tuple[dict[str, float], Log, HandReport]:
     rng = np.random.default_rng(5)
     truth = drawn(rng)
     log = held(truth, rng)
-    (report,) = estimate_by_hand(log, G, options=AT)
+    (report,) = estimate_by_hand(log, G, **AT)
     return truth, log, report
 
 
@@ -42,7 +42,7 @@ def lost(log: Log, rng: np.random.Generator, count: int) -> Log:
 def test_lost_rows_in_turns_are_filled(sound):
     truth, log, before = sound
     thin = lost(log, np.random.default_rng(2), 150)
-    (report,) = estimate_by_hand(thin, G, options=AT)
+    (report,) = estimate_by_hand(thin, G, **AT)
     assert report.solution.turns >= before.solution.turns - 2
     assert any("rows in gaps of one or two rows are filled" in words for words in report.messages)
     distance, count = squared(report, truth)
@@ -61,9 +61,9 @@ def test_rare_wrong_rows_are_left_out(sound, kind: str):
     else:
         rate[0, rows], force[0, rows] = 0.0, 0.0
     (report,) = estimate_by_hand(
-        replace(log, rate_rad_per_s=rate, specific_force_m_per_s2=force, standstill=None), G, options=AT
+        replace(log, rate_rad_per_s=rate, specific_force_m_per_s2=force, standstill=None), G, **AT
     )
-    (alone,) = estimate_by_hand(replace(log, standstill=None), G, options=AT)
+    (alone,) = estimate_by_hand(replace(log, standstill=None), G, **AT)
     assert report.solution.turns >= 0.6 * alone.solution.turns
     assert any("differ from their neighbours by more than" in words for words in report.messages)
     distance, count = squared(report, truth)

@@ -18,9 +18,7 @@ from simulated_log import simulate_log
 
 from gradcal_jax.estimation.estimate import estimate_log, estimate_sensors
 from gradcal_jax.estimation.log_rows import Options
-from gradcal_jax.records.log import LogError
-from gradcal_jax.spec import spec as specs
-from gradcal_jax.spec.changes import changed, tables_of
+from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec_sections import Spec
 
 UNWEIGHTED = STANDARD.replace('"standard"', '"standard"\nestimator = "least squares"')
@@ -102,27 +100,6 @@ def test_the_lag_of_an_imus_maps_is_found(lag_s: float) -> None:
         ("lag behind the measured temperature by" if lag_s else "the lag of the maps is not significant") in m
         for m in report.messages
     )
-
-
-def test_the_earths_rate_and_the_tables_axis_may_be_given_with_the_log() -> None:
-    spec = spec_of()
-    log = simulate_log(spec, sample_rate_hz=20.0, seed=4).log
-    imu, along = as_imu(spec), np.radians(10.0) / 3600.0
-    log.rate_rad_per_s[:] += along
-    table = log.table_axes[0]
-    plain, known = (
-        estimate_sensors(imu, [log], options=Options(earth_rate=rate, table_axis=table))[0].calibration.values()
-        for rate in (None, along)
-    )
-    # What is known to turn has the scale factor's error, too.
-    assert plain["gyro_x.a0"] - known["gyro_x.a0"] == pytest.approx(along, rel=5e-3)
-    with pytest.raises(LogError, match="no table axis tilt"):
-        estimate_sensors(imu, [log], options=Options(table_axis="tilt"))
-    sideways = tables_of(imu)
-    sideways["rig"]["table"]["axis"][0]["direction"] = [1.0, 0.0, 0.0]
-    sideways["rig"]["table"]["mounting"] = [{"x": "+x", "y": "+y", "z": "+z"}]
-    with pytest.raises(ValueError, match="only axis of a table, if this axis is vertical"):
-        estimate_sensors(specs.spec_of(sideways), [log], options=Options(earth_rate=along))
 
 
 def test_points_that_a_log_lacks_are_named() -> None:

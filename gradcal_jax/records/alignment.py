@@ -223,8 +223,8 @@ def _refined(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, offset_s: f
             design[rows, 2 * number + 1] = np.where(keep, apart, 0.0)
             first += len(apart)
         known = np.where(design.any(axis=1), turned, 0.0)
-        solution = np.linalg.lstsq(design, known, rcond=None)[0]
-        return known - design @ solution, known, solution[::2]
+        solution = np.asarray(np.linalg.lstsq(design, known, rcond=None)[0], np.float64)
+        return known - design @ solution, np.asarray(known, np.float64), solution[::2]
 
     fit = _least_squares(lambda line: left(line)[0], offset_s, 0.0, 1e-3)
     rest, known, scales = left(fit.x)
@@ -271,34 +271,35 @@ def _bursts(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, place: _Plac
     return bursts
 
 
+def _grown(rest: Floats, spared: Floats) -> float:
+    """How much larger the scatter is than it was taken to be; 1 where too few readings show it."""
+    count = float(np.sum(spared))
+    return (math.sqrt(float(rest @ rest) / count) if count > 4.0 else 1.0) or 1.0
+
+
 def _exactly(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, place: _Place) -> Alignment:
     bursts = _bursts(pairs, middle_s, place)
     line = np.array([place.offset_s, place.excess])
     noise_deg, jitter_s = 1e-3, 1e-3
     sizes = np.array([len(burst.time_s) for burst in bursts])
     spared = np.repeat(1.0 - 2.0 / sizes, sizes)
+    rest, slopes, count = np.zeros(0), np.zeros((0, 2)), len(bursts)
     for _ in range(5):
 
         def residuals(line: Floats, scatter: tuple[float, float] = (noise_deg, jitter_s)) -> Floats:
             return np.concatenate([burst.left(line, middle_s, *scatter)[0] for burst in bursts])
 
         fit = _least_squares(residuals, *line)
-        line = fit.x
+        line, rest, slopes = fit.x, fit.fun, fit.jac
         rates = np.concatenate([burst.left(line, middle_s, noise_deg, jitter_s)[1] for burst in bursts])
         # The scatter of readings at rest, and its part that grows with the rate: one iteration.
-        for stands in (True, False):
-            of = (np.abs(rates) <= _STANDS_DPS) == stands
-            count = float(np.sum(spared[of]))
-            grown = math.sqrt(float(fit.fun[of] @ fit.fun[of]) / count) if count > 4.0 else 1.0
-            if stands:
-                noise_deg = max(noise_deg * (grown or 1.0), 1e-7)
-            else:
-                jitter_s = max(jitter_s * (grown or 1.0), 1e-9)
-    rest, slopes, count = fit.fun, fit.jac, len(bursts)
-    inverse = np.linalg.inv(slopes.T @ slopes)
+        standing = np.abs(rates) <= _STANDS_DPS
+        noise_deg = max(noise_deg * _grown(rest[standing], spared[standing]), 1e-7)
+        jitter_s = max(jitter_s * _grown(rest[~standing], spared[~standing]), 1e-9)
+    inverse: Floats = np.linalg.inv(slopes.T @ slopes)
     covariance = inverse * max(1.0, float(rest @ rest) / max(len(rest) - 2 * count - 2, 1))
     each = np.add.reduceat(slopes * rest[:, None], np.cumsum(sizes) - sizes)
-    robust = inverse @ (each.T @ each) @ inverse * count / max(count - 2, 1)
+    robust: Floats = inverse @ (each.T @ each) @ inverse * count / max(count - 2, 1)
     covariance = robust if robust[0, 0] > covariance[0, 0] else covariance
     own, cross, slope = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
     # The middle that makes the errors of offset and rate independent.

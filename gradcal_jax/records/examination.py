@@ -102,10 +102,11 @@ def at_rows_with_rates(columns: Columns) -> Columns:
         raise LogError(
             "interpolate: fewer than two rows have all rates; leave out channels with separate rows, or join the rows"
         )
-    time = columns.values.get("time", np.arange(columns.rows) * 1.0)
+    time: Floats = columns.values.get("time", np.arange(columns.rows, dtype=np.float64))
     joined = columns.of_rows(rated)
     for name, values in columns.measured(*CHANNELS[1:]).items():
-        joined.values[name] = np.apply_along_axis(interpolated, -1, values, time, time[rated])
+        each = [interpolated(one, time, time[rated]) for one in np.atleast_2d(values)]
+        joined.values[name] = np.stack(each).reshape(*values.shape[:-1], -1)
     return replace(joined, rows_after=columns.rows - joined.rows)
 
 

@@ -50,7 +50,7 @@ _LETTERS: Final = (
     "a:S64 b:i1 B:u1 h:<i2 H:<u2 i:<i4 I:<u4 f:<f4 d:<f8 g:<f2 n:S4 N:S16 Z:S64 c:<i2 C:<u2 e:<i4 E:<u4 L:<i4 M:u1 "
     "q:<i8 Q:<u8"
 )
-_STRUCT: Final = dict(one.split(":") for one in _LETTERS.split())
+_STRUCT: Final = {one[0]: one[2:] for one in _LETTERS.split()}
 """DataFlash's letters as NumPy's types; the scaled ones (c, C, e, E, L) are not among the fields used here."""
 
 

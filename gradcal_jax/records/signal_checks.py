@@ -317,7 +317,7 @@ def _kurtosis(known: Floats) -> float:
     """The kurtosis within the quiet windows of a channel."""
     quiet = quiet_windows(known)
     spread = quiet.std(axis=1, keepdims=True)
-    z = (quiet - quiet.mean(axis=1, keepdims=True)) / np.where(spread > 0.0, spread, np.nan)
+    z: Floats = (quiet - quiet.mean(axis=1, keepdims=True)) / np.where(spread > 0.0, spread, np.nan)
     return float(np.nanmean(z**4)) if np.isfinite(z).any() else 3.0
 
 

@@ -91,14 +91,6 @@ def test_coefficients_and_confidence_hold_what_they_say():
     assert 0.62 < np.mean(inside) < 0.75
 
 
-def test_bias_instability_is_found_in_its_own_noise():
-    samples, interval, instability = 1 << 17, 1.0, 0.7
-    rate = flicker(12, samples, interval, instability) + 0.3 * np.random.default_rng(13).standard_normal(samples)
-    fit = fit_allan(overlapping_allan(rate, interval), terms=("angle_random_walk", "bias_instability"))
-    assert fit.bias_instability.value == pytest.approx(instability, rel=0.05)
-    assert fit.bias_instability.shows
-
-
 def test_what_is_not_there_is_zero_or_does_not_show():
     fit = fit_allan(overlapping_allan(simulate(21, 50_000, 0.01, angle_random_walk=2.0), 0.01))
     assert fit.angle_random_walk.value == pytest.approx(2.0, abs=4 * fit.angle_random_walk.standard_error)

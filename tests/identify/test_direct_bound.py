@@ -137,14 +137,6 @@ def test_a_drift_beyond_the_record_is_told_by_its_slope():
     assert bound.drift_std**2 / bound.correlation_time_s == pytest.approx(1e-8, rel=0.1)
 
 
-def test_the_answer_does_not_depend_on_the_unit_of_angle():
-    observed = observe(at_rest(2, 10, 3 * DEG_PER_H, 120.0), 60.0)
-    in_deg_per_h = type(observed)(**{**vars(observed), "largest_drift": observed.largest_drift / DEG_PER_H})
-    radians, degrees = fit_direct_bound(observed, WALK), fit_direct_bound(in_deg_per_h, WALK / DEG_PER_H)
-    assert degrees.drift_std == pytest.approx(radians.drift_std / DEG_PER_H, rel=1e-6)
-    assert degrees.correlation_time_s == pytest.approx(radians.correlation_time_s, rel=1e-4)
-
-
 def test_the_drift_that_decides_is_placed():
     rate = at_rest(4, 10, 3 * DEG_PER_H, 120.0)
     rate[20_000:20_100] += 50 * DEG_PER_H

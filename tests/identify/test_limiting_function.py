@@ -106,19 +106,3 @@ def test_mean_shape_keeps_its_digits_however_short_the_windows(t, delta, tau):
     u, v = t / tau, delta / tau
     expected = conditional_variance(u) + conditional_variance(v) + (loss(u) - loss(v)) ** 2
     assert float(drift_shape_of_mean(t, delta, tau)) == pytest.approx(expected, rel=1e-12)
-
-
-def test_simulated_statistic_has_the_modelled_variance():
-    sigma, tau, walk, delta, t, step = 1.0, 30.0, 2.0, 8.0, 40.0, 0.5
-    rng = np.random.default_rng(4)
-    runs, count = 20000, round((delta + t) / step)
-    drift = np.empty((count, runs))
-    drift[0] = sigma * rng.standard_normal(runs)
-    keep = np.exp(-step / tau)
-    for k in range(1, count):
-        drift[k] = keep * drift[k - 1] + sigma * np.sqrt(1 - keep**2) * rng.standard_normal(runs)
-    rate = drift + walk / np.sqrt(step) * rng.standard_normal((count, runs))
-    before = round(delta / step)
-    statistic = rate[before:].mean(0) - rate[:before].mean(0)
-    expected = float(limiting_function_of_mean(t, sigma, tau, walk, delta))
-    assert statistic.std() == pytest.approx(expected, rel=4 / np.sqrt(2 * runs))

@@ -47,15 +47,6 @@ def test_every_row_is_accounted_for_and_the_oscillators_wander_is_named(log):
     assert log.duration_s / 60 == pytest.approx(71, abs=0.5)
 
 
-@pytest.mark.parametrize(("axis", "rms"), [("x", 0.0041), ("y", 0.0009), ("z", 0.0014)])
-def test_a_polynomial_in_temperature_leaves_what_the_hysteresis_is(log, axis, rms):
-    even = log.even(axis)
-    fit = fit_thermal_bias(
-        even.rate_rad_per_s, even.temperature_c, even.sample_interval_s, degree=5, lag_time_s=0.0, valid=even.valid
-    )
-    assert fit.residual_rms == pytest.approx(rms, abs=0.0001)
-
-
 def describe(log, axis, lag_time_s):
     """(Allan fit, Direct Bound) of an axis with B(T) removed, by a lag or without."""
     even = log.even(axis)

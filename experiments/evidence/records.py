@@ -49,7 +49,7 @@ def judged(record: Recorded) -> tuple[str, list[str]]:
 def rule_of(said: str) -> str:
     """The words of a note without its figures and names."""
     plain = re.sub(r"^gyro \w+( of \w+)?: ", "", said)
-    words = re.sub(r"[-+]?\d[\d.e+-]*( (rows?|%|ms|s|Hz))?", "…", plain).split()
+    words = re.sub(r"[-+]?\d[\d.e+-]*( (rows?|%|ms|s|Hz)\b)?", "…", plain).split()
     return " ".join(words[:7])
 
 

@@ -257,22 +257,23 @@ def _undone(number: int, table: Any, in_force: Callable[[str, Floats, float], Fl
     now = np.clip(warm, low, high) - 35.0
     undone = dict[str, Floats]()
     thermal = False
+
+    def of_axes(name: str, otherwise: float) -> Floats:
+        return np.stack([in_force(f"{name}_{axis}", time, otherwise) for axis in "XYZ"], axis=1)
+
     for kind in ("GYR", "ACC") if "AccX" in names else ("GYR",):
-        logged = [table[f"{kind.capitalize()}{axis}"].astype(np.float64) for axis in "XYZ"]
-        undone[kind] = np.stack(logged, axis=1) @ turned
+        values = np.stack([table[f"{kind.capitalize()}{axis}"].astype(np.float64) for axis in "XYZ"], axis=1) @ turned
         place = f"INS_{kind}{n if n > 1 else ''}"
         at = in_force(f"INS_{kind}{n}_CALTEMP", time, -300.0)
         corrected = (learning == 1.0) & (at >= -80.0) & np.isfinite(warm)
         thermal |= bool(corrected.any())
         then = np.clip(at, low, high) - 35.0
-        for k, axis in enumerate("XYZ"):
-            change = np.zeros(len(time))
-            for power in (1, 2, 3):
-                coefficient = 1e-6 * in_force(f"INS_TCAL{n}_{kind}{power}_{axis}", time, 0.0)
-                change += coefficient * (now**power - then**power)
-            if kind == "ACC":
-                undone[kind][:, k] /= in_force(f"{place}SCAL_{axis}", time, 1.0)
-            undone[kind][:, k] += np.where(corrected, change, 0.0) + in_force(f"{place}OFFS_{axis}", time, 0.0)
+        if kind == "ACC":
+            values /= of_axes(f"{place}SCAL", 1.0)
+        for power in (1, 2, 3):
+            change = np.where(corrected, now**power - then**power, 0.0)[:, None]
+            values += 1e-6 * of_axes(f"INS_TCAL{n}_{kind}{power}", 0.0) * change
+        undone[kind] = values + of_axes(f"{place}OFFS", 0.0)
     note = f"IMU{number}: ArduPilot's offsets{' and thermal calibration' * thermal} have been removed from the data"
     return GyroStream(f"IMU{number}", time, undone["GYR"], warm, note, force=undone.get("ACC"))
 

@@ -34,6 +34,10 @@ class Turn:
     to_deg: float
 
 
+def prompt(number: int) -> float:
+    return 0.002
+
+
 def no_loss(burst: int, data: bytes) -> bytes:
     return data
 
@@ -81,8 +85,8 @@ def session(
     turns: Sequence[Turn],
     end_s: float,
     *,
-    burst_s: float,
-    late_s: Callable[[int], float],
+    burst_s: float = 0.5,
+    late_s: Callable[[int], float] = prompt,
     piece_s: float = 0.02,
     lost: Callable[[int, bytes], bytes] = no_loss,
     reboots_s: Sequence[float] = (),
@@ -129,6 +133,7 @@ def session(
     return sorted(records, key=lambda record: record.time_s)
 
 
+BUSY = {"burst_s": 2.0, "late_s": lambda number: 0.01 + 0.005 * (number % 3)}
 THERE_AND_BACK = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + 10.0, 0.0))
 
 
@@ -155,7 +160,7 @@ def require_rest_in_standstills(log: Log) -> None:
 
 @pytest.mark.parametrize("pick", [lambda rows: rows[0], lambda rows: rows[len(rows) // 2], lambda rows: rows[-1]])
 def test_a_burst_that_is_fetched_in_pieces_moves_no_row_into_a_rest(pick: Callable[[np.ndarray], int]) -> None:
-    log = recorded(THERE_AND_BACK, 40.0, burst_s=2.0, late_s=lambda number: 0.01 + 0.005 * (number % 3))
+    log = recorded(THERE_AND_BACK, 40.0, **BUSY)
     require_rest_in_standstills(log)
     table, sensor = turned_deg(log, pick)
     assert table == pytest.approx([360.0, -360.0])
@@ -168,7 +173,7 @@ def test_a_burst_that_is_fetched_in_pieces_moves_no_row_into_a_rest(pick: Callab
 def test_a_rest_that_a_busy_computer_slept_through_holds_no_row_of_a_turn(rest_s: float) -> None:
     # As it was caught in the proof of kills: of ten seconds three tenths were left, and rows of the turns stood in it.
     turns = (Turn(14.0, 360.0), Turn(14.0 + TURN_S + rest_s, 0.0))
-    log = recorded(turns, 40.0, burst_s=2.0, late_s=lambda number: 0.01 + 0.005 * (number % 3))
+    log = recorded(turns, 40.0, **BUSY)
     require_rest_in_standstills(log)
     table, sensor = turned_deg(log, lambda rows: rows[len(rows) // 2])
     assert table == pytest.approx([360.0, -360.0] if rest_s > 0.2 else [0.0], abs=1e-9)
@@ -187,8 +192,6 @@ def test_datagrams_lost_whole_are_counted_with_their_rounds() -> None:
     log = recorded(
         THERE_AND_BACK,
         60.0,
-        burst_s=0.5,
-        late_s=lambda number: 0.002,
         lost=lose_101,
     )
     (gap,) = log.findings
@@ -203,7 +206,6 @@ def test_a_gap_whose_length_nobody_can_tell_goes_on_by_the_computers_clock() -> 
     log = recorded(
         THERE_AND_BACK,
         60.0,
-        burst_s=0.5,
         late_s=lambda number: 0.002 if number < 80 else 0.05,
         lost=lose_101,
     )
@@ -215,7 +217,7 @@ def test_a_gap_whose_length_nobody_can_tell_goes_on_by_the_computers_clock() -> 
 
 
 def test_stamps_that_come_later_from_some_place_on_change_no_time() -> None:
-    log = recorded(THERE_AND_BACK, 60.0, burst_s=0.5, late_s=lambda number: 0.002 if number < 80 else 0.14)
+    log = recorded(THERE_AND_BACK, 60.0, late_s=lambda number: 0.002 if number < 80 else 0.14)
     assert log.findings == ()
     assert np.diff(log.time_s).max() == pytest.approx(0.008)
     require_rest_in_standstills(log)
@@ -224,7 +226,7 @@ def test_stamps_that_come_later_from_some_place_on_change_no_time() -> None:
 def test_a_unit_that_begins_anew_in_mid_run_splits_the_log_and_is_said() -> None:
     turns = (*THERE_AND_BACK, Turn(60.0, 360.0), Turn(75.0, 0.0))
     log = recorded(
-        turns, 90.0, burst_s=0.5, late_s=lambda number: 0.002, reboots_s=(48.3,)
+        turns, 90.0, reboots_s=(48.3,)
     )  # fmt: skip
     kinds = {finding.kind: finding for finding in log.findings}
     assert kinds["unit restarted"].count == 1
@@ -263,7 +265,7 @@ def angles_at_rest(log: Log) -> list[float]:
 def test_a_pause_ends_stretch_and_standstill_and_what_stood_stands_behind_it(stopped: bool) -> None:
     # Nothing is read again behind the pause: of a table that is turned by hand the angle was typed before it.
     pause = paused(45.0, 55.0, stopped=stopped)
-    log = recorded(THERE_AND_BACK, 70.0, burst_s=0.5, late_s=lambda number: 0.002, happened=pause)
+    log = recorded(THERE_AND_BACK, 70.0, happened=pause)
     assert log.host_time_s is not None
     assert log.standstill is not None
     (start,) = log.stretch_starts.tolist()[1:]
@@ -278,7 +280,7 @@ def test_a_pause_ends_stretch_and_standstill_and_what_stood_stands_behind_it(sto
 def test_an_interlock_ends_stretch_and_standstill() -> None:
     told = [Event(START_S + 44.0, "interlock", {"rule": "stale unit", "action": "pause", "text": "no bytes"})]
     pause = [*told, *paused(45.0, 55.0, stopped=True)]
-    log = recorded(THERE_AND_BACK, 70.0, burst_s=0.5, late_s=lambda number: 0.002, happened=pause)
+    log = recorded(THERE_AND_BACK, 70.0, happened=pause)
     assert log.host_time_s is not None
     (start,) = log.stretch_starts.tolist()[1:]
     assert log.host_time_s[start - 1] == pytest.approx(START_S + 44.0, abs=0.01)
@@ -286,13 +288,13 @@ def test_an_interlock_ends_stretch_and_standstill() -> None:
 
 @pytest.mark.parametrize("place", ["before", "behind"])
 def test_an_axis_that_nobody_turns_or_reads_changes_nothing(place: str) -> None:
-    plain = recorded(THERE_AND_BACK, 40.0, burst_s=0.5, late_s=lambda number: 0.002)
+    plain = recorded(THERE_AND_BACK, 40.0)
     lines = TEMPLATE.splitlines()
     start = lines.index("# [[axis]]")
     by_hand = "\n".join(line.removeprefix("# ") for line in lines[start : start + 7]) + "\n"
     table = TEMPLATE.index("[[axis]]  ")
     rig = TEMPLATE[:table] + by_hand + TEMPLATE[table:] if place == "before" else TEMPLATE + by_hand
-    log = recorded(THERE_AND_BACK, 40.0, burst_s=0.5, late_s=lambda number: 0.002, rig=rig)
+    log = recorded(THERE_AND_BACK, 40.0, rig=rig)
     assert log.standstill is not None
     assert plain.standstill is not None
     np.testing.assert_array_equal(log.standstill, plain.standstill)
@@ -325,11 +327,10 @@ DAY_S = 86400.0
 def test_how_much_later_a_run_went_on(
     began_s: float, again_s: float, later_s: float, simulated: bool, apart_s: float
 ) -> None:
-    said: dict[str, Any] = {"burst_s": 0.5, "late_s": lambda number: 0.002}
     first = Session(began_s, 1.7e9, simulated=simulated)
     second = Session(again_s, 1.7e9 + later_s, 1, simulated=simulated)
     third = Session(again_s + 600.0, 1.7e9 + later_s + 600.0, 2, simulated=simulated)
-    records = [record for told in (first, second, third) for record in session(told, (), 30.0, **said)]
+    records = [record for told in (first, second, third) for record in session(told, (), 30.0)]
     log = log_of(JournalContents(records), short_recipe(), parse_rig(TEMPLATE))
     assert log.host_time_s is not None
     begins = log.host_time_s[log.stretch_starts] - log.host_time_s[0]
@@ -343,7 +344,7 @@ def test_a_unit_of_a_fast_clock_that_begins_anew_goes_on_where_the_computer_says
     told = Session(START_S, clock_error=5e-3)
     seam = Event(START_S + 1.0, "seam", {"step": "turns", "why": "the run was resumed; the step begins again"})
     records = [
-        *session(told, (), 500.0, burst_s=0.5, late_s=lambda number: 0.002, reboots_s=(480.3,)),
+        *session(told, (), 500.0, reboots_s=(480.3,)),
         Event(START_S + 600.0, "session", {"number": 1, "simulated": False, "wall_clock_s": 600.0}),
         Event(START_S + 601.0, seam.name, seam.data),
     ]

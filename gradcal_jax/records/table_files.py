@@ -67,17 +67,16 @@ _LIKELY: Final = {
 
 
 class FileArrays:
-    """The arrays of a file, and the units that stand in a row of their own below the names."""
+    """The arrays of a file, and what the file calls them: the name, and the name with the unit that stands in a row of
+    its own below the names."""
 
-    def __init__(self, arrays: Arrays, units: Mapping[str | int, str] | None = None) -> None:
+    def __init__(self, arrays: Arrays, names: Mapping[str | int, list[str]] | None = None) -> None:
         self._arrays = arrays
-        self._units = units or {}
+        self._names = names or {}
 
     def names(self, source: Source) -> list[str]:
-        """What the file calls a column; with the unit behind it that stands in a row of its own, if there is one."""
-        name = str(source.column)
-        unit = self._units.get(source.column, "")
-        return [name, f"{name} ({unit})"] if unit else [name]
+        """What the file calls a column."""
+        return self._names.get(source.column, [str(source.column)])
 
     def array(self, source: Source) -> Array:
         """One column `(rows,)` of any type. Raises `LogError` where there is none."""
@@ -158,11 +157,13 @@ def _read_text(
     if columns is None:
         kept = None if where is None else (where, places[where.column])
         columns = _by_cell(rows, delimiter, used, {places[one] for one in texts}, width, kept)
-    units: dict[str | int, str] = {}
+    called: dict[str | int, list[str]] = {one: [header[place]] for one, place in places.items() if place < len(header)}
     # A row of units stands below the names: no word of it is a number.
-    if header and first and all(_number(text) != _number(text) for text in first[0]):
-        units = {one: first[0][place].strip("()[] ") for one, place in places.items() if place < len(first[0])}
-    return FileArrays({one: columns[place] for one, place in places.items()}, units)
+    if first and all(_number(text) != _number(text) for text in first[0]):
+        for one, names in called.items():
+            unit = "".join(first[0][places[one] : places[one] + 1]).strip("()[] ")
+            names += [f"{names[0]} ({unit})"] * bool(unit)
+    return FileArrays({one: columns[place] for one, place in places.items()}, called)
 
 
 def _opened(path: Path, layout: TextTable) -> TextIO:

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from gradcal_jax.records.column_map import RateColumn, parse_column_map
 from gradcal_jax.records.column_names import contradiction, map_to_fill_in, question_of
+from gradcal_jax.records.importers import import_log
+from gradcal_jax.records.log import LogError
 
 HEADERS = {
     '"Time (s)","Gyroscope x (rad/s)","Gyroscope z (rad/s)"': {
@@ -104,3 +106,10 @@ def test_names_of_increments_ask(start: str, axis: str):
     assert question is not None
     assert 'per = "row"' in question
     assert question_of(start + axis, RateColumn(column="a", unit="mdeg", per="row")) is None
+
+
+def test_a_column_that_is_named_by_its_number_has_the_name_of_the_header(tmp_path: Path):
+    (tmp_path / "a.csv").write_text("t,gx [mdps]\n" + "".join(f"{k},{k % 3}.5\n" for k in range(9)), encoding="utf-8")
+    text = 'format = "gradcal-columns/1"\nsample_rate = "1 Hz"\nrate.x = { column = 1, unit = "deg/s" }\n'
+    with pytest.raises(LogError, match="states the unit mdps"):
+        import_log(tmp_path / "a.csv", text)

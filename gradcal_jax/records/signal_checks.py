@@ -75,10 +75,9 @@ class StepSizes(NamedTuple):
 
 
 class SignalFaults(NamedTuple):
-    """What one unit's samples show: first rows of stretches; rows `(n,)` by the reason they are masked for; sentences
-    on them; and by name those on coarse steps, which no choice of rows mends."""
+    """What one unit's samples show: rows `(n,)` by the reason they are masked for; sentences on them; and by name those
+    on coarse steps, which no choice of rows mends."""
 
-    starts: Whole
     masked: dict[Reason, Bools]
     sentences: tuple[str, ...]
     coarse: dict[str, str]
@@ -362,13 +361,10 @@ def after_gaps(log: Log) -> tuple[Whole, list[str]]:
     ]
 
 
-def signal_faults(
-    log: Log, unit: str | int = 0, channels: Container[str] | None = None, *, at_rest: bool = False
-) -> SignalFaults:
-    """What the samples of a unit's `channels` ("gyro x"; None: all) show by themselves, of rows that are not masked;
-    `at_rest`: of a record in which everything that is not marked as moving stands still."""
-    number, usable = log.unit_index(unit), log.usable(unit)
-    starts, sentences = after_gaps(log)
+def _faults_of(log: Log, number: int, channels: Container[str] | None, at_rest: bool) -> SignalFaults:
+    """What the samples of a unit show by themselves, of rows that are not masked."""
+    usable = log.usable(number)
+    sentences = list[str]()
     masked = dict[Reason, Bools]()
     coarse = dict[str, str]()
     frozen = dict[bytes, tuple[Bools, list[str]]]()
@@ -421,20 +417,24 @@ def signal_faults(
             f"frozen: {', '.join(names)} from {log.time_s[first]:.6g} to {log.time_s[last - 1]:.6g} s (the value is "
             f"constant there, but not in the rest of the record): {np.count_nonzero(rows)} rows are left out"
         )
-    return SignalFaults(starts, masked, tuple(sentences), coarse)
+    return SignalFaults(masked, tuple(sentences), coarse)
 
 
 def without_faults(
     log: Log, channels: Container[str] | None = None, *, at_rest: bool = False
 ) -> tuple[Log, dict[str, SignalFaults]]:
-    """The log with such rows masked, without temperatures that stand still, and by unit what was found; the rest as of
-    `signal_faults`."""
-    found = {name: signal_faults(log, name, channels, at_rest=at_rest) for name in log.units}
+    """The log without rows that its `channels` ("gyro x"; None: all) show to be no measurement, with stretches that
+    begin after gaps, and by unit what was found. `at_rest`: of a record in which everything that is not marked as
+    moving stands still."""
+    starts, gaps = after_gaps(log)
+    found = dict[str, SignalFaults]()
+    for number, name in enumerate(log.units):
+        own = _faults_of(log, number, channels, at_rest)
+        found[name] = own._replace(sentences=(*gaps, *own.sentences))
     status = np.zeros((len(log.units), len(log.time_s)), np.uint16) if log.status is None else log.status.copy()
     for k, faults in enumerate(found.values()):
         for reason, rows in faults.masked.items():
             status[k, rows] |= reason.value
-    starts = next(iter(found.values())).starts
     if not status.any() and len(starts) == len(log.stretch_starts):
         return log, found
     return without_masked(replace(log, status=status, stretch_starts=starts)), found

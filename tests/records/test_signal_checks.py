@@ -10,7 +10,6 @@ from gradcal_jax.records.signal_checks import (
     at_a_limit,
     coarse_steps,
     frozen_temperature,
-    signal_faults,
     standing_still,
     without_faults,
     wrapped,
@@ -91,7 +90,7 @@ def test_coarse_steps_are_the_fault_and_nothing_else(ratio: float, off: float | 
     assert seen.step == pytest.approx(step)
     assert seen.off > 0.02 * step
     assert off is None or seen.off == pytest.approx(off * step)
-    faults = signal_faults(log_of(values))
+    faults = without_faults(log_of(values))[1]["A"]
     assert not any(rows.any() for rows in faults.masked.values())
     assert list(faults.coarse) == ["coarse steps of gyro x"]
 

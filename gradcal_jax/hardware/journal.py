@@ -44,6 +44,7 @@ _MOST_WAITING = 1 << 28
 # A disk that makes no progress for so long has failed.
 _LONGEST_WAIT_S = 10.0
 _SYNC_EVERY_S = 1.0
+_LOOKS_S = 0.25
 LINE_EVENT = "line"
 _NUMBER = (int, float)
 # The fields of events that are read back, and their types.
@@ -119,12 +120,12 @@ class Journal(AbstractContextManager["Journal"]):
         self._busy_since_s: float | None = None
         self.free_bytes = self._free()
         """Of the disk, at least every second while the run writes."""
-        self._closing = False
-        # Guards the waiting records, and the numbers of records queued, requested on disk, and on disk.
-        self._change = threading.Condition()
+        # Guards what waits for the disk: records, and who waits for them to be on it.
+        self._lock, self._wake = threading.RLock(), threading.Event()
         self._waiting: list[bytes] = []
         self._waiting_bytes = 0
-        self._put_in = self._wanted = self._on_disk = 0
+        self._waiters: list[threading.Event] = []
+        self._closing = False
         self._writer = threading.Thread(target=self._write_on, daemon=True, name="journal")
         self._writer.start()
 
@@ -134,8 +135,7 @@ class Journal(AbstractContextManager["Journal"]):
         not return from a call is noticed here, whoever looks."""
         since_s = self._busy_since_s
         if since_s is not None and time.monotonic() - since_s > _LONGEST_WAIT_S:
-            with self._change:
-                self._fail(f"the disk has not answered for {_LONGEST_WAIT_S:g} s")
+            self._fail(f"the disk has not answered for {_LONGEST_WAIT_S:g} s")
         return self._problem
 
     def _free(self) -> int:
@@ -145,19 +145,20 @@ class Journal(AbstractContextManager["Journal"]):
         """Write an event; with `at_once` wait until the disk has it, or until there is a `problem`, and log it: a
         handler of the user's may wait, too."""
         payload = json.dumps({"event": name, **data}, separators=(",", ":"), allow_nan=False).encode()
-        with self._change:
-            self._append(_EVENT, 0, time_s, payload)
-            if at_once:
-                mine = self._wanted = self._put_in
-                if not self._change.wait_for(lambda: self._on_disk >= mine or self.problem, _LONGEST_WAIT_S):
-                    self._fail(f"the disk has not answered for {_LONGEST_WAIT_S:g} s")
+        on_disk = threading.Event()
+        with self._lock:
+            waits = self._append(_EVENT, 0, time_s, payload) and at_once
+            if waits:
+                self._waiters.append(on_disk)
+        while waits and not (on_disk.wait(_LOOKS_S) or self.problem):
+            pass
         if at_once:
             with suppress(Exception):  # whatever a filter or handler raises
                 _LOG.info("run at %.3f s: %s %s", time_s, name, data)
 
     def bytes_of(self, line: str, time_s: float, data: bytes, *, received: bool) -> None:
         """Write bytes of a line; they are on the disk within a second."""
-        with self._change:
+        with self._lock:
             number = self._lines.get(line)
             if number is None:
                 number = self._first_number + len(self._lines)
@@ -165,8 +166,7 @@ class Journal(AbstractContextManager["Journal"]):
                     self._fail("a journal has at most 256 lines, including those of resumed runs")
                     return
                 self._lines[line] = number
-                note = json.dumps({"event": LINE_EVENT, "number": number, "name": line}).encode()
-                self._append(_EVENT, 0, time_s, note)
+                self.event(time_s, LINE_EVENT, at_once=False, number=number, name=line)
             self._append(_RECEIVED if received else _SENT, number, time_s, data)
 
     def recorder(self, line: str) -> Recorder:
@@ -174,48 +174,43 @@ class Journal(AbstractContextManager["Journal"]):
         return lambda time_s, direction, data: self.bytes_of(line, time_s, data, received=direction == "<")
 
     def close(self) -> None:
-        with self._change:
-            self._closing = True
-            self._change.notify_all()
+        self._closing = True
+        self._wake.set()
         self._writer.join(_LONGEST_WAIT_S if self.problem else None)
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _append(self, kind: int, line: int, time_s: float, payload: bytes) -> None:
-        """Queue a record for the disk. The caller holds the lock."""
-        if self._problem or self._closing:
-            return
+    def _append(self, kind: int, line: int, time_s: float, payload: bytes) -> bool:
+        """Queue a record for the disk, if it can still be written. The caller holds the lock."""
         body = _HEAD.pack(kind, line, len(payload), time_s) + payload
         record = _SYNC + body + zlib.crc32(body).to_bytes(4, "little")
         if self._waiting_bytes + len(record) > _MOST_WAITING:
             self._fail(f"the disk is too slow: {_MOST_WAITING >> 20} MB wait to be written")
-            return
+        if self._problem or self._closing:
+            return False
         self._waiting.append(record)
         self._waiting_bytes += len(record)
-        self._put_in += 1
-        self._change.notify_all()
+        self._wake.set()
+        return True
 
     def _write_on(self) -> None:
         """The writer's thread: write all waiting records at once, sync on request and once a second."""
-        synced_s, dirty = time.monotonic(), False
-        while True:
-            with self._change:
-                left = _SYNC_EVERY_S - (time.monotonic() - synced_s) if dirty else None
-                if left is None or left > 0.0:
-                    self._change.wait_for(
-                        lambda: self._waiting or self._closing or self._wanted > self._on_disk, timeout=left
-                    )
+        synced_s, dirty, closing = time.monotonic(), False, False
+        while not (closing or self._problem):
+            self._wake.wait(max(0.0, synced_s + _SYNC_EVERY_S - time.monotonic()) if dirty else None)
+            self._wake.clear()
+            closing = self._closing
+            with self._lock:
                 batch, self._waiting, self._waiting_bytes = b"".join(self._waiting), [], 0
-                upto, closing = self._put_in, self._closing
-                at_once = closing or self._wanted > self._on_disk
+                waiters, self._waiters = self._waiters, []
             try:
                 self._busy_since_s = time.monotonic()
                 dirty = dirty or bool(batch)
                 while batch:
                     batch = batch[os.write(self._file, batch) :]
                     self._busy_since_s = time.monotonic()
-                if dirty and (at_once or time.monotonic() - synced_s >= _SYNC_EVERY_S):
+                if dirty and (waiters or closing or time.monotonic() >= synced_s + _SYNC_EVERY_S):
                     os.fsync(self._file)
                     self._busy_since_s = time.monotonic()
                     self.free_bytes = self._free()
@@ -223,25 +218,18 @@ class Journal(AbstractContextManager["Journal"]):
                 self._busy_since_s = None
             except Exception as problem:
                 full = isinstance(problem, OSError) and problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-                with self._change:
-                    self._fail("the disk is full" if full else f"{getattr(problem, 'strerror', None) or problem}")
-                break
-            with self._change:
-                if not dirty:
-                    self._on_disk = upto
-                self._change.notify_all()
-                if closing and not self._waiting:
-                    break
+                self._fail("the disk is full" if full else f"{getattr(problem, 'strerror', None) or problem}")
+            for waiter in waiters:
+                waiter.set()
         os.close(self._file)
 
     def _fail(self, why: str) -> None:
-        """Nothing more is written. The caller holds the lock."""
+        """Nothing more is written."""
         self._busy_since_s = None
         self._problem = self._problem or (
             f"The journal {self.path} cannot be written: {why}. Free some space or choose another folder; the "
             "earlier part is valid and the run can be resumed."
         )
-        self._change.notify_all()
 
 
 def read_journal(path: Path, *, chunks: bool = True) -> JournalContents:

@@ -1,8 +1,9 @@
 """Request and reply over one line, for all drivers whose device answers requests.
 
 Queries are repeated, commands are not (their driver reads back instead). A reply that comes after its time-out, within
-as long again, counts, and is said (`Transport.late`). After a query with a lost reply the line must be silent for the
-time-out before the next query, so that no later reply counts for that one; a command waits for nothing.
+as long again, counts, and is said (`Transport.late`); what comes later does not count, and is named in the reason why
+there is no reply. After a query with a lost reply the line must be silent for the time-out before the next query, so
+that no later reply counts for that one; a command waits for nothing.
 """
 
 import threading
@@ -20,6 +21,8 @@ Reply = TypeVar("Reply")
 
 # The silence (real time) that ends a damaged reply.
 _SETTLE_S = 0.05
+# How long a device that has never answered is listened to after its last try, in time-outs.
+_LATEST = 6.0
 TRIES = 3
 
 
@@ -49,6 +52,8 @@ class Exchange:
         self._min_interval_s = min_interval_s
         self._next_request_s = clock.now() + boot_s
         self._silence_s = 0.0
+        self._sent_s = time.monotonic()
+        self._answered = False
         self._lock = threading.RLock()
 
     def alone(self) -> AbstractContextManager[None]:
@@ -72,7 +77,7 @@ class Exchange:
         timeout_s = reply_timeout_s or self._reply_timeout_s
         with self.alone():
             if repeat:
-                self.transport.drain(self._silence_s)
+                self._drop(self._silence_s)
                 self._silence_s = 0.0
             tries = TRIES if repeat else 1
             for attempt in range(1, tries + 1):
@@ -80,13 +85,28 @@ class Exchange:
                 late_s = timeout_s if attempt == 1 and reply_timeout_s is None else 0.0
                 try:
                     self._send(request, pause_after_s)
-                    return self._reply(request, parse, timeout_s, late_s)
-                except (ReplyTimeout, FramingError) as problem:
-                    self._silence_s = timeout_s if isinstance(problem, ReplyTimeout) else _SETTLE_S
+                    reply = self._reply(request, parse, timeout_s, late_s)
+                    self._answered = True
+                    return reply
+                except ReplyTimeout as problem:
+                    self._silence_s = timeout_s
+                    last = attempt == tries
+                    self._drop(_LATEST * timeout_s if last and repeat and not self._answered else _SETTLE_S)
+                    if last:
+                        raise ReplyTimeout(f"{problem} {self.transport.late}".strip()) from None
+                except FramingError:
+                    self._silence_s = _SETTLE_S
                     self.transport.drain(_SETTLE_S)
                     if attempt == tries:
                         raise
             raise AssertionError("unreachable: the last try returns or raises")
+
+    def _drop(self, quiet_s: float) -> None:
+        """Drop what comes too late to be a reply, and remember that it came."""
+        unanswered = self._silence_s > _SETTLE_S
+        if self.transport.drain(quiet_s) and unanswered:
+            late_s = time.monotonic() - self._sent_s
+            self.transport.late = f"{self.device} answered up to {late_s:.1f} s after a request: raise reply_timeout."
 
     def write(self, request: bytes, *, pause_after_s: float | None = None) -> None:
         with self.alone():
@@ -97,6 +117,7 @@ class Exchange:
         self.transport.drain()
         self._framer.reset()
         self._next_request_s = self.clock.now() + (self._min_interval_s if pause_after_s is None else pause_after_s)
+        self._sent_s = time.monotonic()
         self.transport.write(request)
 
     def _reply(self, request: bytes, parse: Callable[[bytes], Reply], timeout_s: float, late_s: float) -> Reply:

@@ -12,6 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -94,27 +95,22 @@ class ChamberControl:
         self.chamber = chamber
         self._clock = clock
         self._event = event
-        self._lock = threading.Lock()
         self._telling = threading.RLock()
-        self._ended = False
+        self._ended = self._started = False
         self._history: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
         # A ramp by set points of the runner, for a controller without ramps or with coarse ones, and its end.
         self._soft: tuple[AirCourse, float] | None = None
         self._next_soft_s = 0.0
         self._held_c: float | None = None
         self._conditions_since_s = math.inf
-        self._started = False
         self.expected = AirCourse()
         self.newest: ChamberReading | None = None
 
     def heard(self, reading: ChamberReading) -> None:
-        with self._lock:
-            self.newest = reading
-            if not reading.conditioning:
-                self._held_c = None
-            value = reading.product_c if reading.product_c is not None else reading.air_c
-            if not self._history or reading.time_s > self._history[-1][0]:
-                self._history.append((reading.time_s, value))
+        self.newest = reading
+        if not reading.conditioning:
+            self._held_c = None
+        self._history.append((reading.time_s, reading.air_c if reading.product_c is None else reading.product_c))
 
     @property
     def conditions(self) -> bool:
@@ -138,13 +134,10 @@ class ChamberControl:
     def hold(self, temperature_c: float) -> None:
         """Condition at a temperature, unless the chamber does so already."""
         with self._alone() as may:
-            if not may:
-                return
-            self._soft = None
-            if self._held_c != temperature_c:
+            if may and self._held_c != temperature_c:
                 self._set(temperature_c)
-                self._held_c = temperature_c
                 self._event("chamber told", hold_c=temperature_c)
+            self._soft = None
 
     def expect(self, course: Course, now_s: float) -> None:
         if course.ramp_k_per_min is not None:
@@ -163,62 +156,53 @@ class ChamberControl:
     def _set(self, temperature_c: float) -> None:
         if self._started:
             self.chamber.set_point(temperature_c)
-            return
-        self.chamber.hold(temperature_c)
-        self._started = True
-        self._conditioned()
+        else:
+            self.chamber.hold(temperature_c)
+            self._conditioned()
+        self._held_c = temperature_c
 
     def _conditioned(self) -> None:
+        self._started = True
         self._conditions_since_s = min(self._conditions_since_s, self._clock.now())
 
     def follow(self, course: Course) -> None:
         """Follow a course: by the controller's own ramp where it has the planned one, else by `step_soft_ramp`."""
+        rate = course.ramp_k_per_min
+        if rate is None:
+            self.hold(course.temperature_c)
+            return
         with self._alone() as may:
             if not may:
                 return
-            if course.ramp_k_per_min is None:
-                self.hold(course.temperature_c)
-                return
-            self._held_c = None
-            command = {"ramp_to_c": course.temperature_c, "asked_k_per_min": course.ramp_k_per_min}
+            self._held_c = self._soft = None
+            command: dict[str, Any] = {"ramp_to_c": course.temperature_c, "asked_k_per_min": rate}
             limits, now = self.chamber.limits(), self.chamber.read()
             if self._started and not now.conditioning:
-                self._soft = None
                 self._event("chamber not told", **command, why="it is off, and this run did not switch it off")
-                return
-            start_c = now.setpoint_c
-            if ramps_alone(limits, course.ramp_k_per_min):
-                self._soft = None
-                rate = self.chamber.ramp(course.temperature_c, course.ramp_k_per_min)
-                self._started = True
+            elif ramps_alone(limits, rate):
+                command["k_per_min"] = self.chamber.ramp(course.temperature_c, rate)
                 self._conditioned()
-                self._event("chamber told", **command, k_per_min=rate)
-                return
-            soft = AirCourse()
-            self._next_soft_s = self._clock.now()
-            soft.stands(self._next_soft_s, start_c)
-            soft.ramps(self._next_soft_s, course.temperature_c, course.ramp_k_per_min)
-            self._soft = soft, course.temperature_c
-            self._event("chamber told", **command, k_per_min=course.ramp_k_per_min, by="steps of the runner")
+                self._event("chamber told", **command)
+            else:
+                soft, self._next_soft_s = AirCourse(), self._clock.now()
+                soft.stands(self._next_soft_s, now.setpoint_c)
+                soft.ramps(self._next_soft_s, course.temperature_c, rate)
+                self._soft = soft, course.temperature_c
+                self._event("chamber told", **command, k_per_min=rate, by="steps of the runner")
 
     def step_soft_ramp(self) -> None:
         """Continue a ramp by set points, at least five seconds apart; to be called often."""
-        if self._soft is not None:
-            with self._alone() as may:
-                if may:
-                    self._step_soft_ramp()
-
-    def _step_soft_ramp(self) -> None:
-        now = self._clock.now()
-        if self._soft is None or now < self._next_soft_s:
+        if self._soft is None:
             return
-        ramp, target_c = self._soft
-        # A set point that is held until the next one is late by half of that time.
-        reached_c = ramp.at(now + 0.5 * max(_SOFT_STEP_S, now - self._next_soft_s + _SOFT_STEP_S))
-        self._set(reached_c)
-        if reached_c == target_c:
-            self._soft, self._held_c = None, target_c
-        self._next_soft_s = now + _SOFT_STEP_S
+        with self._alone() as may:
+            now = self._clock.now()
+            if not may or self._soft is None or now < self._next_soft_s:
+                return
+            ramp, target_c = self._soft
+            # A set point that is held until the next one is late by half of that time.
+            self._set(ramp.at(now + 0.5 * max(_SOFT_STEP_S, now - self._next_soft_s + _SOFT_STEP_S)))
+            self._soft = None if self._held_c == target_c else self._soft
+            self._next_soft_s = now + _SOFT_STEP_S
 
     def watch(self, every_s: float, watching: threading.Event, failed: Callable[[str], None]) -> None:
         failures = 0
@@ -247,8 +231,7 @@ class ChamberControl:
 
     def stable_at(self, temperature_c: float, wanted: Stable) -> float | None:
         """The newest temperature, if it has been stable for the required time; else None."""
-        with self._lock:
-            readings = list(self._history)
+        readings = list(self._history)
         lowest, highest = math.inf, -math.inf
         for time_s, value in reversed(readings):
             lowest, highest = min(lowest, value), max(highest, value)

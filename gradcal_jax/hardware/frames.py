@@ -14,6 +14,7 @@ The unit is configured beforehand with its maker's tool; a run checks that what 
 counted from the first byte of the frame.
 """
 
+from collections import deque
 from collections.abc import Iterator
 from typing import Annotated, Final, Literal
 
@@ -23,6 +24,8 @@ from pydantic import Field
 
 from gradcal_jax.hardware.checksums import CrcOfRows
 from gradcal_jax.hardware.line_protocol import DescribedSensor, unit_problems
+from gradcal_jax.hardware.roles import ImuBatch, join
+from gradcal_jax.hardware.sample_times import SECONDS, SampleDecoder, conversion
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Frequency, Number, Text
 from gradcal_jax.tables.section import Section
@@ -33,6 +36,9 @@ Order = Literal["big", "little"]
 At = Annotated[int, Field(strict=True, ge=0, le=999)]
 Hex = Annotated[str, Field(strict=True, pattern=r"^([0-9A-Fa-f]{2}){1,16}$")]
 Modulus = Annotated[int, Field(strict=True, ge=2, le=2**64)]
+_BLOCK: Final = 1 << 14  # frames that are checked together
+_REMEMBERED: Final = 15
+_UNITS: Final = {"gyro": ("deg/s", 1.0), "acceleration": ("mg", 1e-3)}
 QUANTITIES: Final = ("gyro", "acceleration", "temperature", "second_temperature")
 
 
@@ -210,3 +216,117 @@ def numbers_of(rows: NDArray[np.uint8], at: int, kind: str, order: Order, count:
         negative = (value >= 1 << 23) & (kind == "i24")
         return np.where(negative, value - (1 << 24), value)
     return block.view(f"{'>' if order == 'big' else '<'}{kind[0]}{size}")
+
+
+class FrameDecoder(SampleDecoder):
+    """Bytes -> samples. A frame counts where it begins with the sync bytes and its checksum is right; other bytes are
+    noise. A frame that comes twice counts once, if it has a counter or a time."""
+
+    def __init__(self, unit: FramedSensor) -> None:
+        self._unit, self._check = unit, RowCheck(unit.check)
+        self._sync = np.frombuffer(bytes.fromhex(unit.sync), np.uint8)
+        self._buffer = np.empty(0, np.uint8)
+        self._starting = True
+        rate = float(unit.rate)
+        stamp = unit.counter or unit.time
+        kind = "" if stamp is None else "time" if unit.counter is None else "count"
+        tick_s, modulus = 1.0 / rate, None
+        if stamp is not None:
+            modulus = stamp.modulus or (None if stamp.type[0] == "f" else 2 ** (8 * bytes_of(stamp.type)))
+            tick_s = SECONDS[stamp.unit] if kind == "time" else 1.0 / float(stamp.rate or unit.rate)
+        super().__init__(kind, rate, tick_s, modulus)
+        self._stamp = stamp
+        # Within a round of the counter no two frames are alike, so a repeated one was sent once and came twice.
+        self._recent: deque[bytes] = deque(maxlen=max(1, self.round_samples - 1) if kind == "count" else _REMEMBERED)
+
+    def push(self, data: bytes, host_time_s: float) -> ImuBatch:
+        self._buffer = np.concatenate([self._buffer, np.frombuffer(data, np.uint8)])
+        starts, done = self._frames()
+        batches: list[ImuBatch] = []
+        # Frames that follow each other without noise are decoded together.
+        place, number = 0, 0
+        while number < len(starts):
+            run = number + 1
+            while run < len(starts) and starts[run] == starts[run - 1] + self._unit.length:
+                run += 1
+            self._noise(starts[number] - place)
+            place = starts[run - 1] + self._unit.length
+            rows = self._buffer[starts[number] : place].reshape(-1, self._unit.length)
+            batches.append(self._decode(rows, host_time_s))
+            number = run
+        self._noise(done - place)
+        self._buffer = self._buffer[done:]
+        return join(batches)
+
+    def _frames(self) -> tuple[list[int], int]:
+        """Where the sound frames of the buffer begin, and where the bytes begin that more bytes may make a frame."""
+        data, sync, length = self._buffer, self._sync, self._unit.length
+        padded = np.concatenate([data, np.zeros(len(sync), np.uint8)])
+        places = np.arange(len(data))
+        begins = np.ones(len(data), np.bool_)
+        for offset, byte in enumerate(sync):
+            begins &= (padded[offset : offset + len(data)] == byte) | (places + offset >= len(data))
+        candidates = np.flatnonzero(begins)
+        whole = candidates[candidates + length <= len(data)]
+        starts: list[int] = []
+        end = 0
+        for block in range(0, len(whole), _BLOCK):
+            some = whole[block : block + _BLOCK]
+            good = some[self._check.sound(data[some[:, None] + np.arange(length)])]
+            for start in good.tolist():
+                if start >= end:
+                    starts.append(start)
+                    end = start + length
+        waiting = candidates[(candidates + length > len(data)) & (candidates >= end)]
+        return starts, int(waiting[0]) if len(waiting) else len(data)
+
+    def _new_frames(self, rows: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Remove repeated frames: those that came before, but not a unit's constant output."""
+        if self._stamp is None:
+            return rows
+        stamp = slice(self._stamp.at, self._stamp.at + bytes_of(self._stamp.type))
+        check = self._unit.check.at
+        fresh: list[int] = []
+        for number, row in enumerate(rows):
+            frame = row.tobytes()
+            if frame in self._recent:
+                before = self._recent[-1]
+                constant = frame[: stamp.start] + frame[stamp.stop : check]
+                if frame == before or constant != before[: stamp.start] + before[stamp.stop : check]:
+                    continue
+            self._recent.append(frame)
+            fresh.append(number)
+        self.repeated_datagrams += len(rows) - len(fresh)
+        return rows[fresh]
+
+    def _decode(self, rows: NDArray[np.uint8], host_time_s: float) -> ImuBatch:
+        unit, rows = self._unit, self._new_frames(rows)
+        count = len(rows)
+        if not count:
+            return join([])
+        stamps = np.zeros(count)
+        if self._stamp is not None:
+            stamps = numbers_of(rows, self._stamp.at, self._stamp.type, unit.order)[:, 0]
+        values = {name: self._values(name, column, rows) for name, column in unit.columns.items()}
+        status, restarted = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+        if unit.status is not None:
+            for number, at in enumerate(unit.status.at):
+                status |= rows[:, at].astype(np.int64) << 8 * number
+            if unit.status.starting is not None:
+                starting = (rows[:, unit.status.at[0]] >> unit.status.starting & 1).astype(np.bool_)
+                # A stream may begin with a unit that starts.
+                restarted = starting & ~np.concatenate(([self._starting], starting[:-1]))
+                self._starting = bool(starting[-1])
+        unusable = ~np.isfinite(np.hstack(list(values.values()))).all(axis=1)
+        status[unusable & (status == 0)] = 1
+        disturbed = np.zeros(count, np.bool_)
+        disturbed[0], self._disturbed = self._disturbed, False
+        return self._batch(host_time_s, stamps, values, disturbed, status=status, restarted=restarted)
+
+    def _values(self, name: str, column: FrameColumn, rows: NDArray[np.uint8]) -> NDArray[np.float64]:
+        """`(n, 3)` values of a column, in deg/s, g0 or degC."""
+        unit, factor = _UNITS.get(name, ("degC", 1.0))
+        scale, zero = conversion(column.unit, unit, factor)
+        numbers = numbers_of(rows, column.at, column.type, self._unit.order, column.values).astype(np.float64)
+        values = numbers / column.counts * column.factor * scale + zero
+        return np.repeat(values, 3 // column.values, axis=1)

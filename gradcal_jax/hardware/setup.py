@@ -40,8 +40,8 @@ DRIVERS: Final[Mapping[str, str]] = {
     "registers": f"{_HERE}.registers:RegistersConfig",
     "lines": f"{_HERE}.lines:LinesConfig",
     OPERATOR: f"{_HERE}.operator:OperatorConfig",
-    "frames": f"{_HERE}.frames:FramesConfig",
-    "text_unit": f"{_HERE}.text_unit:TextUnitConfig",
+    "frames": f"{_HERE}.listening:FramesConfig",
+    "text_unit": f"{_HERE}.listening:TextUnitConfig",
 }
 """The drivers that come with this program; `driver_of` knows those of other packages, too."""
 

@@ -17,9 +17,14 @@ import re
 from collections.abc import Iterator
 from typing import Annotated, Final, Literal
 
+import numpy as np
 from pydantic import Field
 
+from gradcal_jax.hardware.checksums import xor8
+from gradcal_jax.hardware.framing import LineFramer
 from gradcal_jax.hardware.line_protocol import DescribedSensor, reply_pattern, unit_problems
+from gradcal_jax.hardware.roles import Floats, ImuBatch, join
+from gradcal_jax.hardware.sample_times import SECONDS, SampleDecoder, conversion
 from gradcal_jax.tables.problems import Problem, instead
 from gradcal_jax.tables.quantity import Text
 from gradcal_jax.tables.section import Section
@@ -97,3 +102,54 @@ class TextSensor(DescribedSensor):
     def pattern(self) -> re.Pattern[str]:
         """The pattern of a line, with the fields as named groups."""
         return reply_pattern(self.line, _NUMBER, tabs=True, padded=True)
+
+
+class TextUnitDecoder(SampleDecoder):
+    """Lines -> samples. A line that comes twice in succession counts once, if it has a counter or a time."""
+
+    def __init__(self, unit: TextSensor) -> None:
+        self._unit, self._pattern, self._framer = unit, unit.pattern(), LineFramer()
+        rate = float(unit.rate)
+        self._stamp = next((name for name in ("count", "time") if name in unit.fields), "")
+        timed = self._stamp == "time"
+        modulus = unit.time.modulus if timed else unit.counter
+        super().__init__(self._stamp, rate, SECONDS[unit.time.unit] if timed else 1.0 / rate, modulus)
+        self._last_line = b""
+
+    def matches(self, frame: bytes) -> re.Match[str] | None:
+        if self._unit.checksum == "xor8":
+            body, star, check = frame.rstrip().rpartition(b"*")
+            if not star or body[:1] != b"$" or check.upper() != b"%02X" % xor8(body[1:]):
+                return None
+            frame = body
+        return self._pattern.fullmatch(frame.decode("latin-1").strip())
+
+    def push(self, data: bytes, host_time_s: float) -> ImuBatch:
+        rows: list[list[float]] = []
+        disturbed: list[bool] = []
+        for frame in self._framer.push(data):
+            match = self.matches(frame)
+            if match is None:
+                # The first line may be the end of one that began before.
+                self._noise(len(frame))
+            elif self._stamp and frame == self._last_line:
+                self.repeated_datagrams += 1
+            else:
+                fields = match.groupdict()
+                rows.append([float(fields.get(name, "nan")) for name in NAMES])
+                disturbed.append(self._disturbed)
+                self._disturbed, self._last_line = False, frame
+        if not rows:
+            return join([])
+        table, values = np.array(rows), dict[str, Floats]()
+        temperature = conversion(self._unit.temperature, "degC")
+        scales = {
+            "gyro": (0, 3, conversion(self._unit.gyro, "deg/s")),
+            "acceleration": (3, 6, conversion(self._unit.acceleration, "mg", 1e-3)),
+            "temperature": (6, 7, temperature),
+            "second_temperature": (7, 8, temperature),
+        }
+        for name, (first, end, (scale, zero)) in scales.items():
+            values[name] = np.repeat(table[:, first:end] * scale + zero, 3 // (end - first), axis=1)
+        stamps = table[:, NAMES.index(self._stamp or "count")]
+        return self._batch(host_time_s, stamps, values, np.array(disturbed))

@@ -17,7 +17,7 @@ from simulated_devices.watlow_f4 import SimulatedWatlowF4
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T
 
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers import frames, lines, registers
+from gradcal_jax.hardware.drivers import lines, listening, registers
 from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
 from gradcal_jax.hardware.roles import STANDARD_GRAVITY
 from gradcal_jax.hardware.runner import Runner, RunProgress
@@ -152,8 +152,8 @@ def frames_bench(
     rate_hz: float = 125.0,
     burst_s: float = 0.016,
     **port_options: Any,
-) -> Iterator[tuple[frames.ListeningImu, SimulatedFrames, SimulatedPort]]:
-    config = frames.FramesConfig(**unit_options(rate_hz))
+) -> Iterator[tuple[listening.ListeningImu, SimulatedFrames, SimulatedPort]]:
+    config = listening.FramesConfig(**unit_options(rate_hz))
     sensor = sensor or sensor_on_table(clock, sample_rate_hz=rate_hz)
     device = SimulatedFrames(sensor, clock, rate_hz=rate_hz, burst_s=burst_s)
     with served(device, clock, config.line_settings["baudrate"], **port_options) as (port, transport):

@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
-from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, TextUnitDecoder
+from gradcal_jax.hardware.drivers.listening import TextUnitConfig
 from gradcal_jax.hardware.line_protocol import LineProtocol, described, reply_pattern, shipped
+from gradcal_jax.hardware.text_unit import TextUnitDecoder
 from gradcal_jax.tables.problems import SpecError
 
 NAMES = ["gyro_x", "gyro_y", "gyro_z", "acceleration_x", "acceleration_y", "acceleration_z"]

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.hardware.checksums import CrcOfRows
-from gradcal_jax.hardware.drivers.frames import FrameDecoder, FramesConfig
-from gradcal_jax.hardware.frames import FORMAT, FramedSensor
+from gradcal_jax.hardware.drivers.listening import FramesConfig
+from gradcal_jax.hardware.frames import FORMAT, FrameDecoder, FramedSensor
 from gradcal_jax.hardware.line_protocol import described, shipped
 from gradcal_jax.hardware.roles import ImuBatch, join
 from gradcal_jax.tables.problems import SpecError

@@ -10,8 +10,8 @@ from simulated_devices.line_clock import LineClock
 from simulated_devices.line_tables import SimulatedGrbl
 from simulated_devices.port import SimulatedPort
 
-from gradcal_jax.hardware.drivers.frames import FramesConfig
 from gradcal_jax.hardware.drivers.lines import LinesConfig
+from gradcal_jax.hardware.drivers.listening import FramesConfig
 from gradcal_jax.hardware.errors import PortRefused
 from gradcal_jax.hardware.journal import Direction
 from gradcal_jax.hardware.setup import check_rig, configs_of, open_rig

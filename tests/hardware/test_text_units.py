@@ -16,11 +16,12 @@ from simulated_devices.text_unit import SimulatedTextUnit, TextUnitOptions
 
 from gradcal_jax.hardware.checksums import xor8
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig, TextUnitDecoder
+from gradcal_jax.hardware.drivers.listening import TextUnitConfig
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.roles import ImuBatch, join
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.setup import check_each, configs_of
+from gradcal_jax.hardware.text_unit import TextUnitDecoder
 from gradcal_jax.records.run_log import log as log_of_run
 from gradcal_jax.spec.rig import RigFile, rig_of
 from gradcal_jax.tables.problems import SpecError

@@ -148,7 +148,7 @@ def test_unplugged_line_raises_disconnected_everywhere() -> None:
 
 def test_importing_the_room_needs_no_jax() -> None:
     names = (
-        "import sys; import gradcal_jax.hardware.drivers.frames, gradcal_jax.hardware.simulate.lab, "
+        "import sys; import gradcal_jax.hardware.drivers.listening, gradcal_jax.hardware.simulate.lab, "
         "gradcal_jax.hardware.drivers.lines; print([m for m in ('jax', 'equinox', 'xarray', 'matplotlib', 'scipy') "
         "if m in sys.modules])"
     )

@@ -10,7 +10,7 @@ import pytest
 from hardware_bench import Rig, once, short_recipe
 from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.hardware.drivers.text_unit import TextUnitConfig
+from gradcal_jax.hardware.drivers.listening import TextUnitConfig
 from gradcal_jax.hardware.interlocks import ExecutedStep, SampleLosses
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.runner import Runner, RunProgress

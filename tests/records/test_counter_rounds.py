@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gradcal_jax.hardware.drivers.listening import SampleTimes
 from gradcal_jax.hardware.roles import imu_batch
+from gradcal_jax.hardware.sample_times import SampleTimes
 from gradcal_jax.records.clockmap import bridge_gaps
 from gradcal_jax.records.samples import SampleFile
 

@@ -1,71 +1,26 @@
-"""What units have in common to which nothing is sent: they are listened to, and their stamps show what was lost.
+"""Drivers of IMUs to which nothing is sent: they send binary frames, or print lines, as a rig file describes them.
 
-A counter that wraps early shows losses modulo its modulus, and the log adds the rest by the host's clock; a time or a
-long counter shows them all, and that the unit restarted. Without a stamp the rate of samples alone shows a loss.
+Unverified on real hardware: everything; each description says what its sources leave open.
 """
 
-from typing import Any, ClassVar, Final
+from collections.abc import Iterable
+from functools import cached_property
+from typing import ClassVar
 
-import numpy as np
-
-from gradcal_jax import units
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers.base import DescribedOptions, ExchangeDriver
 from gradcal_jax.hardware.errors import FramingError, ReplyTimeout, printable
+from gradcal_jax.hardware.frames import FrameDecoder, FramedSensor
 from gradcal_jax.hardware.framing import LineFramer
+from gradcal_jax.hardware.line_protocol import described
 from gradcal_jax.hardware.request_reply import Exchange
 from gradcal_jax.hardware.roles import Identity, ImuDecoder, ImuSettings, KeptSettings
+from gradcal_jax.hardware.text_unit import TextSensor, TextUnitDecoder
 from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.tables.problems import Problem
 
 _ENOUGH = 3
 _LOOKS_S = 0.1
-_LONG = 1 << 16
-SECONDS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-
-
-class SampleTimes:
-    """The unit's own times (s) of its samples, from a stamp of each: `kind` "count", "time", or "" for none.
-
-    tick_s   duration of one step of the stamp, s
-    modulus  value at which the stamp restarts at 0; None: it never restarts
-    """
-
-    def __init__(self, kind: str, rate_hz: float, tick_s: float, modulus: int | None) -> None:
-        self._kind, self._rate_hz, self._modulus = kind, rate_hz, modulus
-        self.resolution_s = tick_s if kind else 1.0 / rate_hz
-        self._step = 1.0 / (rate_hz * self.resolution_s)
-        self._short = kind == "count" and modulus is not None and modulus < _LONG
-        self.round_samples = round((modulus or 0) / self._step) if self._short else 0
-        self._before: tuple[float, float] | None = None
-        self._samples = 0
-
-    def push(self, stamps: Any) -> tuple[Any, Any, Any]:
-        """For each sample: its time, the samples missing before it, and whether the unit restarted before it."""
-        count = len(stamps)
-        never = np.zeros(count, np.bool_)
-        if not self._kind:
-            first, self._samples = self._samples, self._samples + count
-            return np.arange(first + 1, first + 1 + count) / self._rate_hz, np.zeros(count, np.int64), never
-        stamps = stamps.astype(np.float64)
-        stamp, ticks = self._before or (float(stamps[0]) - self._step, 0.0)
-        steps = np.diff(stamps, prepend=stamp)
-        restarted = steps < 0.0
-        if self._modulus is not None:
-            steps = np.mod(steps, float(self._modulus))
-            restarted = never if self._short else steps > 0.5 * self._modulus
-        steps = np.where(restarted, self._step, steps)
-        if self._short:
-            steps[steps == 0.0] = self._modulus
-        counts = ticks + np.cumsum(steps)
-        self._before = float(stamps[-1]), float(counts[-1])
-        gaps = np.maximum(np.rint(steps / self._step).astype(np.int64) - 1, 0)
-        return counts * self.resolution_s, gaps, restarted
-
-
-def conversion(unit: str, wanted: str, factor: float = 1.0) -> tuple[float, float]:
-    """Scale and zero of a linear change of units, times `factor`."""
-    zero = units.convert(0.0, unit, wanted) * factor
-    return units.convert(1.0, unit, wanted) * factor - zero, zero
 
 
 class ListeningConfig(DescribedOptions):
@@ -78,13 +33,8 @@ class ListeningConfig(DescribedOptions):
         raise NotImplementedError
 
     @property
-    def expected(self) -> str:
-        """What the description expects, for a message."""
-        raise NotImplementedError
-
-    @property
     def registers(self) -> dict[str, str]:
-        """What a run's journal says of the description."""
+        """What the description expects, for messages and the journal."""
         raise NotImplementedError
 
     def link(self, line: Transport, clock: Clock) -> Exchange:
@@ -93,6 +43,49 @@ class ListeningConfig(DescribedOptions):
 
     def device(self, link: Exchange, clock: Clock, name: str = "", encoder: object = None) -> "ListeningImu":
         return ListeningImu(link, self)
+
+
+class FramesConfig(ListeningConfig):
+    """Options of an IMU that sends binary frames."""
+
+    driver = "frames"
+
+    def _misfits(self, described: FramedSensor) -> Iterable[Problem]:
+        baudrate, needed = self.line_settings["baudrate"], 10 * described.length * float(described.rate)
+        if baudrate < needed:
+            message = (
+                f"{float(described.rate):g} frames/s of {described.length} bytes need {needed:.0f} bits/s, and the "
+                f"line has {baudrate}: raise baudrate (also in the unit) or lower its rate."
+            )
+            yield Problem((), message)
+
+    @cached_property
+    def described(self) -> FramedSensor:
+        return described(FramedSensor, self.protocol, self.changes)
+
+    def decoder(self) -> FrameDecoder:
+        return FrameDecoder(self.described)
+
+    @property
+    def registers(self) -> dict[str, str]:
+        return {"sync": self.described.sync, "length": str(self.described.length)}
+
+
+class TextUnitConfig(ListeningConfig):
+    """Options of an IMU that prints lines."""
+
+    driver = "text_unit"
+
+    @cached_property
+    def described(self) -> TextSensor:
+        return described(TextSensor, self.protocol, self.changes)
+
+    def decoder(self) -> TextUnitDecoder:
+        return TextUnitDecoder(self.described)
+
+    @property
+    def registers(self) -> dict[str, str]:
+        return {"line": self.described.line} | ({"checksum": "xor8"} if self.described.checksum == "xor8" else {})
 
 
 class ListeningImu(ExchangeDriver[ListeningConfig]):
@@ -139,7 +132,8 @@ class ListeningImu(ExchangeDriver[ListeningConfig]):
         where, wait = f"{self._title} at {transport.url}", f"in {self._timeout_s:g} s"
         if not received:
             raise ReplyTimeout(f"{where} sent nothing {wait}. Check power, cable, port, baud rate, and `boot`.")
+        expected = ", ".join(f"{name} {value!r}" for name, value in self._config.registers.items())
         raise FramingError(
-            f"{where} sent {printable(received[-80:])!r} {wait}, but the description expects {self._config.expected}. "
+            f"{where} sent {printable(received[-80:])!r} {wait}, but the description expects {expected}. "
             "Compare them character by character; unreadable text means a wrong baud rate."
         )

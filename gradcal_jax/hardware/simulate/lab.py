@@ -23,8 +23,9 @@ from gradcal_jax.hardware import roles
 from gradcal_jax.hardware.checksums import CrcOfRows
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.drivers.base import AxisDriver, AxisOptions, ChamberDriver
-from gradcal_jax.hardware.drivers.frames import FrameDecoder, FramesConfig
+from gradcal_jax.hardware.drivers.listening import FramesConfig
 from gradcal_jax.hardware.drivers.operator import OperatorAxis, OperatorConfig
+from gradcal_jax.hardware.frames import FrameDecoder
 from gradcal_jax.hardware.setup import Bench
 from gradcal_jax.hardware.simulate.draws import draw_places, draw_table, draw_truth
 from gradcal_jax.hardware.simulate.imu import SampledSensor, SensorSamples, SimulatedImu

@@ -1,5 +1,5 @@
 """ACME's unit sends frames, and is described in the rig file."""
 
-from gradcal_jax.hardware.drivers.frames import FramesConfig
+from gradcal_jax.hardware.drivers.listening import FramesConfig
 
 __all__ = ["FramesConfig"]

@@ -151,18 +151,18 @@ def check(rig: Path, /, *, recipe: Path | None = None, json: Json = False) -> in
 def _tried(rig: "RigFile", recipe: Path, reports: "list[DeviceReport]") -> tuple[list[str], tuple[str, ...]]:
     """The measured rate of each IMU, and everything that is not as the recipe needs it."""
     from gradcal_jax.hardware.clock import RealClock
-    from gradcal_jax.hardware.dry_run import dry_run_on, measured_rate
+    from gradcal_jax.hardware.dry_run import MEASURED_S, dry_run_on, what_lacks
     from gradcal_jax.hardware.setup import only_of, open_rig
     from gradcal_jax.hardware.track import track_of
     from gradcal_jax.recipe.recipe import read_recipe
 
-    track = track_of(read_recipe(recipe), [axis.name for axis in rig.axis])
+    track, clock = track_of(read_recipe(recipe), [axis.name for axis in rig.axis]), RealClock()
     tried, problems = list[str](), dry_run_on(track, reports).problems
-    with open_rig(only_of(rig, {unit.name for unit in rig.imu}), RealClock()) as bench:
+    with open_rig(only_of(rig, {unit.name for unit in rig.imu}), clock) as bench:
         for name, unit in bench.imus.items():
-            text, good = measured_rate(unit)
-            tried.append(f"{name}: {text}")
-            problems += () if good else (f"{name}: NOT AS IT SHOULD BE",)
+            lacks = what_lacks(unit, clock)
+            tried.append(f"{name}: {lacks or f'every sample came in {MEASURED_S:g} s'}")
+            problems += (f"{name}: NOT AS IT SHOULD BE",) if lacks else ()
     return tried, problems
 
 

@@ -1,18 +1,19 @@
 """Dry run: what a track asks of each device, and what these do not accept. Nothing moves."""
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from gradcal_jax.hardware.chamber_control import ramps_alone, rate_as_made
-from gradcal_jax.hardware.errors import HardwareError
+from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.interlocks import ExecutedStep, SampleLosses
 from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits, ImuStream
 from gradcal_jax.hardware.setup import DeviceReport
 from gradcal_jax.hardware.track import AxisCommand, Course, Track
 
-_STREAM_S, _LONGEST_S = 3.0, 12.0
-_RATE_OFF = 0.05
+# In so long a tenth of the rate is seen.
+MEASURED_S = 12.0
+_LATE_S = 0.5
 # Relative error of an acceleration that changes nothing of a turn.
 _LIKE_ACCELERATION = 0.05
 # How a spec says it.
@@ -117,30 +118,15 @@ def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str
     return problems
 
 
-def measured_rate(unit: ImuStream) -> tuple[str, bool]:
-    """The rate of samples of a unit, in words, and whether it is as its settings say."""
-    try:
-        settings, decoder = unit.configure(), unit.decoder()
-        unit.start()
-    except HardwareError as problem:
-        return str(problem), False
-    count, missing, first_s, last_s = 0, 0, math.nan, math.nan
-    rate_hz, good, began_s = math.nan, False, time.monotonic()
-    # The longer the measurement, the smaller the error by late readings of a busy host.
-    while (lasted_s := time.monotonic() - began_s) < (_STREAM_S if good or missing or not count else _LONGEST_S):
-        batch = decoder.push(*unit.read_bytes(0.5))
-        if not len(batch):
-            continue
-        missing += int(batch.gap_before[1:].sum())
-        last_s = float(batch.host_time_s[-1])
-        if math.isnan(first_s):
-            # The first bytes had waited for an unknown time.
-            first_s = last_s
-            continue
-        count += len(batch)
-        rate_hz = count / (last_s - first_s) if last_s > first_s else math.nan
-        good = abs(rate_hz / settings.sample_rate_hz - 1.0) < _RATE_OFF
+def what_lacks(unit: ImuStream, clock: Clock) -> str:
+    """A sentence where samples are lost, or come at another rate than the unit's settings say; empty: all is well."""
+    settings = unit.configure()
+    losses = SampleLosses(unit.decoder(), settings.sample_rate_hz, None, clock.now())
+    unit.start()
+    began_s = clock.now()
+    while clock.now() < began_s + MEASURED_S:
+        data, time_s = unit.read_bytes(0.5)
+        if data:
+            losses.push(data, time_s)
     unit.stop()
-    if math.isnan(rate_hz):
-        return f"no samples arrived in {lasted_s:.0f} s", False
-    return f"{rate_hz:.1f} of {settings.sample_rate_hz:g} samples/s, {missing} missing", good and not missing
+    return losses.between(ExecutedStep(0, began_s, clock.now()), 0.0, _LATE_S, None)

@@ -7,6 +7,7 @@ before ends, unless it waits for a stable temperature.
 
 import itertools
 import math
+from bisect import bisect
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -177,6 +178,7 @@ class Track:
 
 _LONGEST_STAND_S = 600.0
 _BETWEEN_READINGS_S = 10.0
+_HAIR_S = 1e-6
 _SPIN_ACCELERATION_DPS2 = 100.0
 
 
@@ -292,90 +294,71 @@ Part = tuple[float, TrackStep]
 
 
 def _parts(block: MotionBlock, total: float, names: dict[str, str], *, ends: bool) -> Iterator[Part]:
-    if block.repeat == 1 and len(block.moves) == 1 and block.moves[0].do in ("rest", "wait"):
-        yield from _standing(block, total)
-        return
-    if any(move.do == "spin" for move in block.moves):
-        yield from _points(block, names)
-        return
+    """The moves and readings of a block, cut where a cycle or a rate begins, or at even parts of a long rest. `ends`:
+    rests are read at their ends; else a table that stands while others move is read at even intervals all the time."""
     period, after = float(block.period), float(block.standing_after)
+    rests = block.repeat == 1 and len(block.moves) == 1 and block.moves[0].do in ("rest", "wait")
+    spins = any(move.do == "spin" for move in block.moves)
     own = [move for move in block.moves if move.do != "wait"]
     busy = math.fsum(move.repeat * float(move.duration) for move in own)
+    moves: list[AxisCommand] = []
+    reads = [0.0]
     for number in range(block.repeat):
         last = number == block.repeat - 1
-        start, lasts_s = number * period, total - number * period if last else period
-        moves: list[AxisCommand] = []
-        reads = [0.0] if number == 0 else list[float]()
-        cycle_s = None if ends else start
-        for move in own if last else block.moves:
-            _add(moves, reads, move, names, cycle_s)
+        for move in own if last and not rests else block.moves:
+            lasts_s = float(move.duration)
+            for repetition in range(move.repeat):
+                start = number * period + float(move.start) + repetition * lasts_s
+                moves += _commands(move, start, names, spins=spins)
+                every = 1.0 if spins else None if move.read_every is None else float(move.read_every)
+                reads += _reads(start, lasts_s, every, ends=ends or spins)
+                at_end = move.read == "end" if every is None else ends and move.do == "rest"
+                if at_end and not (rests or spins or math.isclose(reads[-1], start + lasts_s, abs_tol=1e-9)):
+                    reads.append(start + lasts_s)
         if last and after > 0.0 and block.read_every_after is not None:
-            reads += _reads(lasts_s - after, after, float(block.read_every_after), cycle_s)
-        name = f"{block.name}, {number + 1} of {block.repeat}" if block.repeat > 1 else block.name
-        slack_s = after if last else max(0.0, period - busy)
-        yield start, TrackStep(name, lasts_s, moves=tuple(moves), read_at_s=tuple(sorted(reads)), slack_s=slack_s)
-
-
-def _standing(block: MotionBlock, total: float) -> Iterator[Part]:
-    every = block.moves[0].read_every
-    times = [0.0, *reading_times(total, None if every is None else float(every))]
+            reads += _reads(total - after, after, float(block.read_every_after), ends=ends)
     count = max(1, math.ceil(total / _LONGEST_STAND_S - 1e-9))
-    for number in range(count):
-        start = number * (total / count)
-        end = total if number == count - 1 else start + total / count
-        inside = [t - start for t in times if start - 1e-9 < t <= end + 1e-9 and (t > start + 1e-9 or number == 0)]
-        name = f"{block.name}, {number + 1} of {count}" if count > 1 else block.name
-        yield start, TrackStep(name, end - start, read_at_s=tuple(inside))
+    cuts = [number * period for number in range(block.repeat)]
+    if rests or spins:
+        cuts = [k * (total / count) for k in range(count)] if rests else [float(move.start) for move in block.moves]
+    starts = [move.start_s + _HAIR_S for move in moves]
+    reads.sort()
+    for number, (begin, end) in enumerate(itertools.pairwise([*cuts, total]), 1):
+        inside = moves[bisect(starts, begin) : bisect(starts, end)]
+        first = bisect(reads, begin + _HAIR_S) if number > 1 else 0
+        yield (
+            begin,
+            TrackStep(
+                f"{block.name}, {number} of {len(cuts)}" if len(cuts) > 1 else block.name,
+                end - begin,
+                moves=tuple(replace(move, start_s=max(move.start_s - begin, 0.0)) for move in inside),
+                read_at_s=tuple(time_s - begin for time_s in reads[first : bisect(reads, end + _HAIR_S)]),
+                slack_s=after if number == len(cuts) else max(0.0, period - busy),
+            ),
+        )
 
 
-def _points(block: MotionBlock, names: dict[str, str]) -> Iterator[Part]:
-    """The standard method's rates: a step for each; a standstill begins with a stop."""
-    axis = next(iter(names.values()), "")
-    for number, move in enumerate(block.moves, 1):
-        rate, duration = to_unit(float(move.rate or 0.0), "deg/s"), float(move.duration)
-        moves: tuple[AxisCommand, ...] = ()
-        if rate and axis:
-            moves = (AxisCommand(0.0, axis, "spin", rate_dps=rate, acceleration_dps2=_SPIN_ACCELERATION_DPS2),)
-        elif axis and number > 1:
-            moves = (AxisCommand(0.0, axis, "stop"),)
-        reads = (*([0.0] if number == 1 else []), *reading_times(duration, 1.0))
-        name = f"{block.begins_with}, rate {number} of {len(block.moves)}"
-        yield float(move.start), TrackStep(name, duration, moves=moves, read_at_s=reads)
-
-
-def _add(
-    moves: list[AxisCommand], reads: list[float], move: TrackMove, names: dict[str, str], cycle_s: float | None
-) -> None:
-    duration = float(move.duration)
-    for repetition in range(move.repeat):
-        start = float(move.start) + repetition * duration
-        if move.do not in ("rest", "wait"):
-            moves.append(_command(move, start, names[move.axis]))
-        if move.read_every is not None:
-            reads += _reads(start, duration, float(move.read_every), cycle_s)
-            if cycle_s is None and move.do == "rest" and reads[-1:] != [start + duration]:
-                reads.append(start + duration)
-        elif move.read == "end":
-            reads.append(start + duration)
-
-
-def _reads(start: float, duration: float, every: float, cycle_s: float | None) -> list[float]:
-    """The times of the readings of a move, on the clock of its cycle. `cycle_s`: the begin of the cycle, for a table
-    that is held (None: one that is read at the end of its rests): an axis that stands while others move one after
-    another is read at even intervals all the time."""
-    if cycle_s is None:
+def _reads(start: float, duration: float, every: float | None, *, ends: bool) -> list[float]:
+    if ends or every is None:
         return [start + time for time in reading_times(duration, every)]
-    before, after = (reading_count(cycle_s + time, every) for time in (start, start + duration))
-    return [k * every - cycle_s for k in range(before + 1, after + 1)]
+    before, after = (reading_count(time, every) for time in (start, start + duration))
+    return [k * every for k in range(before + 1, after + 1)]
 
 
-def _command(move: TrackMove, start: float, axis: str) -> AxisCommand:
+def _commands(move: TrackMove, start: float, names: dict[str, str], *, spins: bool) -> list[AxisCommand]:
+    if spins:
+        # The standard method's rates; a standstill begins with a stop.
+        rate, axis = to_unit(float(move.rate or 0.0), "deg/s"), names[move.axis]
+        stop = [AxisCommand(start, axis, "stop")] if start > 0.0 else []
+        return [AxisCommand(start, axis, "spin", 0.0, rate, _SPIN_ACCELERATION_DPS2)] if rate else stop
+    if move.do in ("rest", "wait"):
+        return []
     assert move.angle is not None
     assert move.rate is not None
     assert move.acceleration is not None
     angle, rate = to_unit(float(move.angle), "deg"), abs(to_unit(float(move.rate), "deg/s"))
     acceleration = to_unit(float(move.acceleration), "deg/s^2")
-    turn = AxisCommand(start, axis, "turn", rate_dps=rate, acceleration_dps2=acceleration, angle_deg=angle)
+    turn = AxisCommand(start, names[move.axis], "turn", angle, rate, acceleration)
     # Beyond the rounding of the recipe's numbers.
     more_s = round(float(move.duration) - turn.duration_s, 3)
-    return replace(turn, answer_s=max(0.0, more_s)) if move.do == "turn by hand" else turn
+    return [replace(turn, answer_s=max(0.0, more_s)) if move.do == "turn by hand" else turn]

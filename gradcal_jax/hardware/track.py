@@ -169,9 +169,10 @@ class Track:
 
     def courses_from(self, number: int) -> list[Course]:
         """The commands to the chamber of a step that begins anew: what is in force at its beginning comes first."""
-        courses = list(self.steps[number].courses)
+        step = self.steps[number]
+        courses = list(step.courses)
         before = [course for step in self.steps[:number] for course in step.courses]
-        if before and not (courses and courses[0].start_s <= 0.0):
+        if before and step.stable is None and not (courses and courses[0].start_s <= 0.0):
             courses.insert(0, replace(before[-1], start_s=0.0))
         return courses
 

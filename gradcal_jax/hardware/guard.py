@@ -34,7 +34,7 @@ from gradcal_jax.hardware import transport
 from gradcal_jax.hardware.clock import Clock, RealClock, in_thread
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, PortRefused, PortTaken, sentence_of
 from gradcal_jax.hardware.journal import Journal
-from gradcal_jax.hardware.roles import AxisSafe, ChamberSafe, SafeReport
+from gradcal_jax.hardware.roles import SafeReport
 from gradcal_jax.hardware.setup import LEFT, Bench, configs_of, lines_of, only_of, open_rig
 from gradcal_jax.hardware.supervision import SafeOutcome, end_status, sound_alarm
 from gradcal_jax.spec.rig import RigFile, read_rig
@@ -65,10 +65,10 @@ def make_safe(
     acts: dict[str, Callable[[], SafeReport]] = {}
     outcomes: list[SafeOutcome] = []
     for entry in bench.rig.axis:
-        acts[entry.name] = partial(bench.axes[entry.name].safe, AxisSafe(entry.safe))
+        acts[entry.name] = partial(bench.axes[entry.name].safe, entry.safe)
         outcomes.append(SafeOutcome(entry.name, entry.safe))
     if bench.chamber is not None and (how := bench.rig.chamber) is not None:
-        acts["chamber"] = partial(bench.chamber.safe, ChamberSafe(how.safe), float(how.ambient))
+        acts["chamber"] = partial(bench.chamber.safe, how.safe, float(how.ambient))
         outcomes.append(SafeOutcome("chamber", how.safe))
     began_s = time.monotonic()
 

@@ -7,7 +7,6 @@ The roles are `typing` protocols: a driver has the methods and inherits nothing.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -78,22 +77,6 @@ class Identity:
     details: dict[str, str] = field(default_factory=dict[str, str])
 
 
-class ChamberSafe(Enum):
-    """The state of a chamber after a run."""
-
-    STANDBY = "standby"  # conditioning off: drifts to the room
-    HOLD = "hold"  # stays where it is
-    AMBIENT = "ambient"  # goes on conditioning at the rig file's ambient temperature: no condensation
-
-
-class AxisSafe(Enum):
-    """The state of an axis after a run."""
-
-    HOLD = "hold"  # controlled stop, stays powered
-    STOP = "controlled stop"  # controlled stop; powered state left to the device
-    UNPOWER = "unpower"  # controlled stop, then the motor goes idle: only where the axis is safe without power
-
-
 @dataclass(frozen=True)
 class ChamberLimits:
     """The limits that the chamber reports. Ramps are rounded to steps of a rate, where not 0."""
@@ -133,9 +116,8 @@ class ChamberReading:
 
 @dataclass(frozen=True)
 class SafeReport:
-    """The command of `safe()` and its read-back."""
+    """Whether the read-back after `safe()` shows the safe state."""
 
-    action: str
     verified: bool
     evidence: str
 
@@ -161,8 +143,8 @@ class TemperatureChamber(Protocol):
         ...
 
     def standby(self) -> None: ...
-    def safe(self, policy: ChamberSafe, ambient_c: float = 23.0) -> SafeReport:
-        """Starts nothing: a chamber that is off is safe as it is."""
+    def safe(self, policy: str, ambient_c: float = 23.0) -> SafeReport:
+        """Bring it to the safe state `policy` of the rig file. Starts nothing: a chamber that is off is safe."""
         ...
 
 
@@ -215,7 +197,6 @@ class AxisReading:
     moving: bool
     referenced: bool
     faults: tuple[str, ...]
-    warnings: tuple[str, ...]
 
 
 @runtime_checkable
@@ -237,7 +218,9 @@ class MotionAxis(Protocol):
     def stop(self) -> None:
         """Controlled stop; returns when the axis stands."""
 
-    def safe(self, policy: AxisSafe) -> SafeReport: ...
+    def safe(self, policy: str) -> SafeReport:
+        """Bring it to the safe state `policy` of the rig file, from a controlled stop."""
+        ...
 
 
 class OperatorAsked(Protocol):

@@ -144,7 +144,7 @@ class Stage:
     def read(self) -> AxisReading:
         now = self.clock.now()
         angle, rate = self.plant.state(now)
-        return AxisReading(now, angle, rate, self.plant.moving(now), True, (), ())
+        return AxisReading(now, angle, rate, self.plant.moving(now), True, ())
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
         self.told.append(position_deg)

@@ -17,7 +17,7 @@ from gradcal_jax.hardware.errors import (
     LimitExceeded,
     ReplyTimeout,
 )
-from gradcal_jax.hardware.roles import AxisSafe, ImuBatch, ImuStream, MotionAxis, join
+from gradcal_jax.hardware.roles import ImuBatch, ImuStream, MotionAxis, join
 from gradcal_jax.hardware.setup import DRIVERS
 
 AXES = {"grbl": grbl_bench, "aerosmith": aerosmith_bench}
@@ -67,7 +67,7 @@ def test_every_axis_homes_moves_spins_and_stops(axis_bench) -> None:
         assert reading.rate_dps == pytest.approx(-200.0, rel=1e-3)
         axis.stop()
         assert not axis.read().moving
-        report = axis.safe(AxisSafe.HOLD)
+        report = axis.safe("hold")
         assert report.verified
         assert device.plant.state(clock.now())[1] == 0.0
 
@@ -111,7 +111,7 @@ def test_every_command_of_an_axis_lost_doubled_damaged_or_late_once_is_noticed(a
                 assert device.plant.state(clock.now())[0] == pytest.approx(10.0, abs=0.01)
             except HardwareError:
                 refused += 1
-            assert axis.safe(AxisSafe.HOLD).verified
+            assert axis.safe("hold").verified
             assert device.plant.state(clock.now())[1] == 0.0
     # A damaged line that the device itself refuses is said, too.
     assert refused <= (tried if fault == "flip" else tried // 4)

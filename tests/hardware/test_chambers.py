@@ -40,7 +40,7 @@ from gradcal_jax.hardware.errors import (
     ReplyTimeout,
 )
 from gradcal_jax.hardware.framing import NotThisReply, Tcp, parse_words, parse_written, read_body, write_body
-from gradcal_jax.hardware.roles import ChamberSafe, TemperatureChamber
+from gradcal_jax.hardware.roles import TemperatureChamber
 from gradcal_jax.hardware.setup import DRIVERS, configs_of
 from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.transport import Transport
@@ -77,14 +77,14 @@ def test_every_chamber_holds_settles_and_goes_safe(bench) -> None:
         settled = chamber.read()
         assert settled.air_c == pytest.approx(-30.0, abs=0.05)
         assert settled.alarms == ()
-        for policy, air in ((ChamberSafe.HOLD, -30.0), (ChamberSafe.AMBIENT, 23.0)):
+        for policy, air in (("hold", -30.0), ("ambient", 23.0)):
             assert chamber.safe(policy, 23.0).verified
             clock.sleep(7200.0)
             assert chamber.read().air_c == pytest.approx(air, abs=0.1)
         # Of a room that the chamber's limits leave out, as near as they allow.
-        assert chamber.safe(ChamberSafe.AMBIENT, 500.0).verified
+        assert chamber.safe("ambient", 500.0).verified
         assert chamber.read().setpoint_c == limits.highest_c
-        assert chamber.safe(ChamberSafe.STANDBY).verified
+        assert chamber.safe("standby").verified
         assert not chamber.read().conditioning
         assert port.lost_bytes == 0
 
@@ -299,7 +299,7 @@ def test_f4_in_fahrenheit_without_standby_and_with_a_tripped_limit() -> None:
     unswitched = f4_bench(LineClock(), WatlowF4Options(conditioning_event=0), f4_config(changes=changes))
     with unswitched as (chamber, _, _):
         with pytest.raises(Rejected, match="no \\[tell\\] off"):
-            chamber.safe(ChamberSafe.STANDBY)
+            chamber.safe("standby")
         with pytest.raises(Rejected, match="steps"):
             chamber.ramp(50.0, 1.0)
     with f4_bench(LineClock()) as (chamber, device, _):

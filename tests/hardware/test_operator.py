@@ -28,7 +28,7 @@ from gradcal_jax.hardware.dry_run import dry_run_of
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded
 from gradcal_jax.hardware.execute import run, run_session
 from gradcal_jax.hardware.journal import Chunk, read_journal
-from gradcal_jax.hardware.roles import AxisLimits, AxisSafe, ChamberLimits
+from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits
 from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.lab import SimulatedHand, SimulatedPerson
@@ -125,7 +125,7 @@ def test_a_person_turns_and_types_what_the_dial_shows() -> None:
             assert began < reading.time_s < clock.now() - 4.9
         words = "x: turn by +360 deg in 10 s, to 360 deg; let it come to rest and type the angle"
         assert person.heard[1].startswith(words)
-        assert axis.safe(AxisSafe.HOLD).verified
+        assert axis.safe("hold").verified
 
 
 def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more() -> None:
@@ -218,7 +218,7 @@ def test_an_encoder_is_read_and_its_motor_is_left_alone() -> None:
         assert reading.position_deg == pytest.approx(360.0, abs=2.0)
         assert reading.position_deg == pytest.approx(plant.state(clock.now())[0], abs=0.01)
         axis.stop()
-        axis.safe(AxisSafe.HOLD)
+        axis.safe("hold")
         assert "press Enter:" in person.heard[0]
     # Questions, and no command that moves or changes anything.
     assert set(board.lines) <= {"$I", "$$"}
@@ -279,7 +279,7 @@ def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
     with open_rig(rig, LineClock()) as bench:
         axis = bench.axes["x"]
         assert axis.identify().driver == "operator"
-        assert axis.safe(AxisSafe.HOLD).verified
+        assert axis.safe("hold").verified
         with pytest.raises(HardwareError, match="no terminal at which to ask the operator"):
             axis.home()
         spin = AxisCommand(0.0, "x", "spin", rate_dps=10.0, acceleration_dps2=10.0)

@@ -13,7 +13,6 @@ from gradcal_jax.hardware.drivers.registers import RegistersConfig
 from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
 from gradcal_jax.hardware.line_protocol import described, shipped
 from gradcal_jax.hardware.register_protocol import FORMAT, RegisterProtocol
-from gradcal_jax.hardware.roles import ChamberSafe
 from gradcal_jax.tables.problems import SpecError
 
 OVEN: dict[str, Any] = {
@@ -78,7 +77,7 @@ def test_a_chamber_from_its_description_alone() -> None:
             chamber.hold(151.0)
         with pytest.raises(Rejected, match="makes them by steps"):
             chamber.ramp(30.0, 1.0)
-        assert chamber.safe(ChamberSafe.STANDBY).verified
+        assert chamber.safe("standby").verified
         assert device.words[23] == 0
         # A register that takes no value: local mode.
         device.stuck.add(2)

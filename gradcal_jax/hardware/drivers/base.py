@@ -87,20 +87,20 @@ class ChamberDriver(ExchangeDriver[Config], roles.TemperatureChamber, ABC):
         _require(limits.beyond(temperature_c, ramp_k_per_min))
         return limits
 
-    def safe(self, policy: roles.ChamberSafe, ambient_c: float = 23.0) -> roles.SafeReport:
-        if policy is roles.ChamberSafe.STANDBY:
+    def safe(self, policy: str, ambient_c: float = 23.0) -> roles.SafeReport:
+        if policy == "standby":
             self.standby()
         else:
             limits, reading = self.limits(), self.read()
             if reading.conditioning:
-                wanted_c = reading.air_c if policy is roles.ChamberSafe.HOLD else ambient_c
+                wanted_c = reading.air_c if policy == "hold" else ambient_c
                 self.set_point(min(max(wanted_c, limits.lowest_c), limits.highest_c))
                 reading = self.read()
             if not reading.conditioning:
-                return roles.SafeReport(policy.value, True, f"mode {reading.mode}: it is off, and nothing starts it")
+                return roles.SafeReport(True, f"mode {reading.mode}: it is off, and nothing starts it")
         reading = self.read()
-        verified = reading.conditioning is (policy is not roles.ChamberSafe.STANDBY)
-        return roles.SafeReport(policy.value, verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
+        verified = reading.conditioning is (policy != "standby")
+        return roles.SafeReport(verified, f"mode {reading.mode}, set point {reading.setpoint_c} degC")
 
 
 class DriverOptions(Section):
@@ -213,15 +213,15 @@ class AxisDriver(ExchangeDriver[Options], roles.MotionAxis, ABC):
         recent.append((asked_s, position_deg))
         return rate
 
-    def _left_safe(self, policy: roles.AxisSafe, lack: str, unpower: Callable[[], object]) -> roles.SafeReport:
+    def _left_safe(self, policy: str, lack: str, unpower: Callable[[], object]) -> roles.SafeReport:
         """The end of `safe`, where the axis stands: without power, if that is wanted and nothing lacks for it."""
-        if policy is roles.AxisSafe.UNPOWER:
+        if policy == "unpower":
             if lack:
                 raise Rejected(f"{self._title} cannot be unpowered: {lack}.")
             unpower()
         reading = self.read()
-        state = "; ".join((*reading.faults, *reading.warnings)) or "no faults"
-        return roles.SafeReport(policy.value, not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
+        state = "; ".join(reading.faults) or "no faults"
+        return roles.SafeReport(not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
 
     def _until_still(self, longest_s: float, doing: str, *, raise_faults: bool = True) -> roles.AxisReading:
         end = self._clock.now() + longest_s

@@ -42,7 +42,7 @@ from gradcal_jax.hardware.errors import (
 from gradcal_jax.hardware.framing import LineFramer, NotThisReply
 from gradcal_jax.hardware.line_protocol import LineProtocol, LineQuestion, described, formatted, reply_pattern, shows
 from gradcal_jax.hardware.request_reply import Exchange
-from gradcal_jax.hardware.roles import AxisLimits, AxisReading, AxisSafe, Identity, KeptSettings, SafeReport
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, Identity, KeptSettings, SafeReport
 from gradcal_jax.hardware.transport import Transport
 from gradcal_jax.tables.quantity import Angle, PositiveAcceleration, PositiveRate
 
@@ -75,7 +75,7 @@ class LinesConfig(RequestOptions, AxisOptions):
         return (LinesChamber if self.described.role == "chamber" else LinesAxis)(link, self)
 
     def lacks_for(self, safe: str) -> str:
-        if safe != AxisSafe.UNPOWER.value or {"off", "powered"} <= {*self.described.tell, *self.described.state}:
+        if safe != "unpower" or {"off", "powered"} <= {*self.described.tell, *self.described.state}:
             return ""
         return 'its protocol lacks [tell.off], or [state.powered] that shows its effect: add both, or choose "hold"'
 
@@ -264,7 +264,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         self._referenced = self._referenced and not faults
         position = self._degrees(float(texts["position"]))
         rate = self._mean_rate(asked_s, time_s, position, moving=moving)
-        return AxisReading(time_s, position, rate, moving, self._referenced, faults, ())
+        return AxisReading(time_s, position, rate, moving, self._referenced, faults)
 
     def home(self) -> None:
         self._powered = False
@@ -343,7 +343,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         for send in interrupt.send:
             self._exchange.transport.write(self._codec.message(send, bare=interrupt.bare))
 
-    def safe(self, policy: AxisSafe) -> SafeReport:
+    def safe(self, policy: str) -> SafeReport:
         self.stop()
         lack = self._config.lacks_for(policy.value)
         return self._left_safe(policy, lack, lambda: self._switch("off", "powered", False))

@@ -29,7 +29,6 @@ from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceed
 from gradcal_jax.hardware.roles import (
     AxisLimits,
     AxisReading,
-    AxisSafe,
     Identity,
     KeptSettings,
     MotionAxis,
@@ -182,7 +181,7 @@ class OperatorAxis(MotionAxis):
         if self._encoder is not None:
             return replace(self._encoded(), moving=bool(self._question))
         if self._stands is None or self._question:
-            return AxisReading(self._clock.now(), math.nan, 0.0, True, self._stands is not None, (), ())
+            return AxisReading(self._clock.now(), math.nan, 0.0, True, self._stands is not None, ())
         return self._stands
 
     def home(self) -> None:
@@ -212,9 +211,9 @@ class OperatorAxis(MotionAxis):
             self._question, self._stands = "", None
             self._console.withdraw(f"{self._name}: cancelled: leave the axis where it is.")
 
-    def safe(self, policy: AxisSafe) -> SafeReport:
+    def safe(self, policy: str) -> SafeReport:
         self.stop()
-        return SafeReport(policy.value, True, "nothing drives the axis: it is where the operator left it")
+        return SafeReport(True, "nothing drives the axis: it is where the operator left it")
 
     def _ask(self, what: str) -> None:
         enter = self._told or self._encoder is not None
@@ -261,7 +260,7 @@ class OperatorAxis(MotionAxis):
         except units.UnitError as problem:
             self._console.ask(f"{self._name}: {problem}. Type the angle that its scale shows:")
             return None
-        return AxisReading(time_s, nearest_turn_deg(shown_deg, self._goal_deg), 0.0, False, True, (), ())
+        return AxisReading(time_s, nearest_turn_deg(shown_deg, self._goal_deg), 0.0, False, True, ())
 
     def _encoded(self) -> AxisReading:
         """The encoder's reading, with whole turns counted from the zero mark."""

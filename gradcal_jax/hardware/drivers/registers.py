@@ -22,7 +22,6 @@ from gradcal_jax.hardware.framing import Modbus, Rtu, Tcp, parse_words, parse_wr
 from gradcal_jax.hardware.line_protocol import described
 from gradcal_jax.hardware.register_protocol import RegisterProtocol
 from gradcal_jax.hardware.request_reply import Exchange
-from gradcal_jax.hardware.roles import ChamberSafe
 from gradcal_jax.hardware.transport import Transport
 
 _FINEST_DECIMALS = 3
@@ -51,7 +50,7 @@ class RegistersConfig(RequestOptions):
         return (Tcp if self.described.line.transport == "tcp" else Rtu)(self.address)
 
     def lacks_for(self, safe: str) -> str:
-        if safe != ChamberSafe.STANDBY.value or "off" in self.described.tell:
+        if safe != "standby" or "off" in self.described.tell:
             return ""
         return 'its description has no [tell] on and off: add them by `changes`, or choose "ambient" or "hold"'
 

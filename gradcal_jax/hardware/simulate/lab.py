@@ -144,7 +144,7 @@ class SimulatedAxis(AxisDriver[AxisOptions]):
     def read(self) -> roles.AxisReading:
         now = self._clock.now()
         angle, rate = self._on_grid(self.plant.reading(now)) - self._off_deg, self.plant.state(now)[1]
-        return roles.AxisReading(now, angle, rate, self.plant.moving(now), self._referenced, (), ())
+        return roles.AxisReading(now, angle, rate, self.plant.moving(now), self._referenced, ())
 
     def home(self) -> None:
         now = self._clock.now()
@@ -173,7 +173,7 @@ class SimulatedAxis(AxisDriver[AxisOptions]):
         self.plant.spin(self._clock.now(), 0.0, self._acceleration_dps2)
         self._clock.sleep_until(self.plant.ends_s)
 
-    def safe(self, policy: roles.AxisSafe) -> roles.SafeReport:
+    def safe(self, policy: str) -> roles.SafeReport:
         self.stop()
         return self._left_safe(policy, "", self.read)
 

@@ -196,7 +196,7 @@ class ChamberControl:
             return
         with self._alone() as may:
             now = self._clock.now()
-            if not may or self._soft is None or now < self._next_soft_s:
+            if not may or self._soft is None or now < self._next_soft_s:  # pyright: ignore[reportUnnecessaryComparison]
                 return
             ramp, target_c = self._soft
             # A set point that is held until the next one is late by half of that time.

@@ -306,7 +306,7 @@ class FrameDecoder(SampleDecoder):
             return join([])
         stamps = np.zeros(count)
         if self._stamp is not None:
-            stamps = numbers_of(rows, self._stamp.at, self._stamp.type, unit.order)[:, 0]
+            stamps = numbers_of(rows, self._stamp.at, self._stamp.type, unit.order)[:, 0].astype(np.float64)
         values = {name: self._values(name, column, rows) for name, column in unit.columns.items()}
         status, restarted = np.zeros(count, np.int64), np.zeros(count, np.bool_)
         if unit.status is not None:

@@ -11,12 +11,12 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from gradcal_jax.hardware.line_protocol import Condition, DeviceDescription
-from gradcal_jax.tables.problems import Problem
+from gradcal_jax.tables.problems import Problem, instead
 from gradcal_jax.tables.quantity import Count, Flag, Quantity, SizeOfTime, Text, Time
 from gradcal_jax.tables.section import Section
 
 FORMAT: Final = "gradcal-registers/1"
-RegisterCommand = Literal["setpoint", "ramp", "on", "off", "no_ramp", "end_program"]
+_COMMANDS: Final = ("setpoint", "ramp", "on", "off", "no_ramp", "end_program")
 
 
 class ModbusLine(Section):
@@ -71,7 +71,7 @@ class RegisterProtocol(DeviceDescription):
     registers: dict[str, Register]
     """Registers of the device, by name. Names that the program knows: air, setpoint, product, mode, lowest, highest,
     model, serial, firmware."""
-    tell: dict[RegisterCommand, dict[str, int | float | Text]]
+    tell: dict[str, dict[str, int | float | Text]]
     """Commands, by name: the registers to write, and the values for them."""
     alarm: dict[str, Condition] = Field(default_factory=dict[str, Condition])
     """Alarms of the device, by name."""
@@ -103,7 +103,9 @@ class RegisterProtocol(DeviceDescription):
         for name, writes in self.tell.items():
             yield from self._of_command(name, writes)
 
-    def _of_command(self, name: RegisterCommand, writes: Mapping[str, int | float | str]) -> Iterator[Problem]:
+    def _of_command(self, name: str, writes: Mapping[str, int | float | str]) -> Iterator[Problem]:
+        if name not in _COMMANDS:
+            yield Problem(("tell", name), f"is not a command of a chamber; {instead(name, _COMMANDS)}")
         placeholder = f"{{{name}}}" if name in ("setpoint", "ramp") else ""
         for register, value in writes.items():
             key = ("tell", name, register)

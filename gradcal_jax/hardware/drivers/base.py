@@ -246,9 +246,9 @@ class DescribedOptions(DriverOptions):
     changes: Any = None
     """Tables that differ from it; `false` in the place of one that is left out."""
 
-    @property
-    @abstractmethod
-    def described(self) -> Any: ...
+    @cached_property
+    def described(self) -> Any:
+        raise NotImplementedError
 
     def _misfits(self, described: Any) -> Iterable[Problem]:
         """Options that do not fit the description."""

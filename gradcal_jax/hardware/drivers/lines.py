@@ -232,7 +232,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
 
     def limits(self) -> AxisLimits:
         known, config = self._protocol.limits, self._config
-        fastest = [known.max_rate, config.max_rate]
+        fastest: list[float | None] = [known.max_rate, config.max_rate]
         if "max_rate" in self._protocol.fields:
             # Read once: some boards refuse to show their settings while the axis moves.
             if self._own_max_rate is None:
@@ -242,9 +242,10 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         strongest = [known.max_acceleration, config.max_acceleration]
         lowest = known.lowest_angle if config.lowest is None else config.lowest
         highest = known.highest_angle if config.highest is None else config.highest
-        most = (min(value for value in values if value is not None) for values in (fastest, strongest))
-        ends = (None if end is None else math.degrees(end) for end in (lowest, highest))
-        return AxisLimits(*map(math.degrees, most), *ends, math.degrees(known.step or 0.0))
+        rate, acceleration = (min(value for value in values if value is not None) for values in (fastest, strongest))
+        first, last = (None if end is None else math.degrees(end) for end in (lowest, highest))
+        step_deg = math.degrees(known.step or 0.0)
+        return AxisLimits(math.degrees(rate), math.degrees(acceleration), first, last, step_deg)
 
     def read(self) -> AxisReading:
         # The motion is read first: a position read after that is the final one if the axis stood.
@@ -345,7 +346,7 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
 
     def safe(self, policy: str) -> SafeReport:
         self.stop()
-        lack = self._config.lacks_for(policy.value)
+        lack = self._config.lacks_for(policy)
         return self._left_safe(policy, lack, lambda: self._switch("off", "powered", False))
 
     def _per_turn(self) -> float:

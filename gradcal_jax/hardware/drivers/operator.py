@@ -73,7 +73,7 @@ class OperatorConfig(DriverOptions):
     def link(self, line: TextLine, clock: Clock) -> "Console":
         return Console(line, clock)
 
-    def device(self, link: Any, clock: Clock, name: str, encoder: MotionAxis | None) -> "OperatorAxis":
+    def device(self, link: Any, clock: Clock, name: str = "", encoder: MotionAxis | None = None) -> "OperatorAxis":
         return OperatorAxis(link, self, clock, name, encoder)
 
 

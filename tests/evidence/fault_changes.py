@@ -118,9 +118,10 @@ def tipped(scene: Scene) -> None:
 
 
 def odd_turns(scene: Scene) -> None:
-    """Turns that are not whole: 600 and 240 deg."""
-    for whole in (1800, 720):
-        scene.replace(f'{whole} deg"', f'{whole // 3} deg"')
+    """Turns that are not whole: 600 and 240 deg, with the same ramps."""
+    for whole, rate, lasts, shorter in ((1800, 200, 10, 4), (720, 60, 13, 5)):
+        at = f'peak_rate = "{rate} deg/s", duration = '
+        scene.replace(f'{whole} deg", {at}"{lasts} s"', f'{whole // 3} deg", {at}"{shorter} s"')
     scene.replace("\n]\n", '\n  { rest = "1 s" },\n]\n')
 
 

@@ -50,6 +50,7 @@ ALL = (
     Report("tests_of_the_fit", ("tests/evidence/test_started_rigs.py",), RUNS),
     Report("gravity", ("tests/evidence/test_gravity_as_encoder.py",), RUNS),
     Report("records", ("experiments/evidence/records.py",), ("records", "identify")),
+    Report("mutations", ("experiments/evidence/mutations.py",), (*RUNS, "calibration", "cli", "pages", "sweeps")),
     Report("hardware", ("tests/hardware",), RUNS),
     Report("proofs", ("tests", "--ignore=tests/evidence", "--ignore=tests/hardware"), (*RUNS, "design", "identify")),
 )

@@ -7,11 +7,19 @@ from pathlib import Path
 import pytest
 
 PATH = Path(__file__).parents[2] / "experiments" / "evidence" / "all.py"
-SPEC = importlib.util.spec_from_file_location("all_reports", PATH)
-assert SPEC is not None
-assert SPEC.loader is not None
-reports = sys.modules["all_reports"] = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(reports)
+
+
+def loaded(name: str):
+    """A script beside the reports."""
+    spec = importlib.util.spec_from_file_location(f"evidence_{name}", PATH.with_name(f"{name}.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+reports, mutations = loaded("all"), loaded("mutations")
 
 
 def test_each_report_names_tests_and_rooms_that_exist():
@@ -33,6 +41,13 @@ def test_a_changed_room_makes_its_report_stale(monkeypatch, tmp_path):
     assert reports.digest_of_rooms(("model",)) == before
     module.write_text('"""One."""\nx = 2\n')
     assert reports.digest_of_rooms(("model",)) != before
+
+
+def test_each_fault_by_hand_has_its_place_and_its_tests():
+    assert mutations.without_place() == []
+    root = PATH.parents[2]
+    assert all((root / place).exists() for fault in mutations.FAULTS for place in fault.tests.split())
+    assert len(mutations.FAULTS) >= 30
 
 
 @pytest.mark.evidence

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from gradcal_jax.estimation.standstill import begun_earlier
 from gradcal_jax.formulas import followed, runs
 from gradcal_jax.model import SECOND, OtherTemperature
 from gradcal_jax.motion import Geometry, TableMotion, Trajectory, frames, held
@@ -116,8 +115,6 @@ def executed_imu(
     spans = stands if log.at_a_stop.any() else [_inner(log.time_s, *stand) for stand in stands]
     if len(spans) < 2:
         raise ValueError("the log has fewer than two standstills, so there are no poses to compare")
-    if log.at_a_stop.any():
-        spans = begun_earlier(log.time_s, log.rates, log.usable, spans, np.array(mean_angles(log, spans)))
     if read_every < PIECE_S and log.at_a_stop.any():
         # Every reading is a reference: a standstill is that from its first to its last.
         read = [np.flatnonzero(log.at_a_stop[a : b + 1]) + a for a, b in stands]

@@ -32,12 +32,6 @@ _QUIETEST = 0.10
 _FEWEST_ROWS, _FEW_ROWS = 4, 10
 # Spread of a quantised sensor that changes between two values half of the time or less, in counts.
 _FLICKER = 0.3
-# The margin (s) at the begin of a run's standstills (of `decoding`, which is not known here); the fewest moves of an
-# axis that tell whether it is needed; and what speaks for it: a mean of what is sensed after the moves beyond so many
-# of its standard deviations, or a scatter of so many times that of rest.
-_SETTLED_S, _FEWEST_MOVES, _SEEN, _SCATTER = 0.1, 20, 2.0, 1.3
-# The smallest turn (rad) that counts as a move.
-_TURNED = np.radians(1.0)
 # Means of a window that are farther from a stretch's line than so many times their scatter are of a turn.
 _TURNS = 6.0
 
@@ -220,47 +214,3 @@ def lost_in_moves(
     at, change = at[wide], change[wide]
     uncertain = 0.5 * change * (interval[at] - usual)
     return len(at), float(np.sum(uncertain)) / max(len(runs(~standing)), 1)
-
-
-def begun_earlier(
-    time_s: np.ndarray, rates: np.ndarray, usable: np.ndarray, spans: list[tuple[int, int]], angles: np.ndarray
-) -> list[tuple[int, int]]:
-    """Standstills of a run (first and last row) with the part of the margin at their begin in which the gyros see that
-    the table has settled already: of rests of two seconds it is some per cent.
-
-    `rates` `(n, 3)` rad/s; `angles` `(k, L)` rad, of the standstills. After all moves of each axis what the gyros sense
-    along the move must add up to no angle, to within its standard deviation, which many moves make small. Errors: none.
-    """
-    most = int(np.floor(_SETTLED_S / float(np.median(np.diff(time_s))) + 1e-6))
-    settled = np.ones(most, bool)
-    turned = np.abs(np.diff(angles, axis=0))
-    axes = np.flatnonzero(np.any(turned > _TURNED, axis=0))
-    if not (most and len(axes)):
-        return spans
-    for axis in axes:
-        after: list[np.ndarray] = []
-        still: list[np.ndarray] = []
-        for k in np.flatnonzero((np.argmax(turned, axis=1) == axis) & (turned[:, axis] > _TURNED)).tolist():
-            (_, end), (first, last) = spans[k : k + 2]
-            if first - end < 3 * most or last - first < most or not usable[end + 1 : last + 1].all():
-                continue
-            sensed = np.nan_to_num(rates[end + 1 : last + 1])
-            sensed = sensed - sensed[first - end :].mean(axis=0)
-            way = sensed[: first - end].sum(axis=0)
-            along = sensed @ (way / max(float(np.linalg.norm(way)), 1e-12))
-            # Backwards from the standstill's begin, and as many rows after it.
-            after.append(along[first - end - most : first - end][::-1])
-            still.append(along[first - end : first - end + most])
-        if len(after) < _FEWEST_MOVES:
-            return spans
-        moved, rest = (np.cumsum(of, axis=1) for of in (after, still))
-        scatter = rest.std(axis=0)
-        settled &= np.abs(moved.mean(axis=0)) * len(moved) ** 0.5 < _SEEN * scatter
-        settled &= moved.std(axis=0) < _SCATTER * scatter
-    # The angles of so many rows: chance does not last, and what is left of a move is largest near it.
-    kept = int(np.max(np.flatnonzero(settled) + 1, initial=0))
-    begun = [spans[0]]
-    for first, last in spans[1:]:
-        whole = first - kept > begun[-1][1] and usable[first - kept + 1 : first + 1].all()
-        begun.append((first - kept if whole else first, last))
-    return begun

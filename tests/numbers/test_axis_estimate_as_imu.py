@@ -26,7 +26,7 @@ STATIC = GRADIENT[: GRADIENT.index("[plan.cycle]")].replace('read_every = "1 s"'
 BEFORE = json.loads((Path(__file__).parent / "axis_estimator.json").read_text(encoding="utf-8"))
 CASES = {
     "moves without rests": GRADIENT,
-    "unread rests": GRADIENT.replace('"5 s", read_every = "1 s"', '"5 s", read = "none"'),
+    "unread rests": GRADIENT.replace('"5 s", read_every = "1 s"', '"5 s", read_every = "none"'),
     "standing": STATIC[: STATIC.index("[sensor.gyro.scale_factor]")] + STATIC[STATIC.index("[rig.table]") :],
     "standard": STANDARD,
     "standard, unweighted": UNWEIGHTED,

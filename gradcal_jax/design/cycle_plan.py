@@ -468,8 +468,7 @@ def _cycle_of(spec: Spec) -> Cycle:
 def _limits(exact: ExactObjective, start: Cycle = ()) -> TableLimits:
     """The strictest limits of the table in all cases of a search, and of the turns and rests of a cycle."""
     spec, design = exact.cases[0].spec, exact.design
-    forces, step = spec.sensor.accelerometer, steps_of(spec).acceleration
-    slow = 0.0 if forces is None else float(forces.read_on_moves_below or 0.0) * (1.0 + _SLACK)
+    step = steps_of(spec).acceleration
     rates, accelerations, reach = [], [], []
     for case in exact.cases:
         axes, gyro = case.spec.rig.table.axis, case.spec.sensor.gyro
@@ -487,6 +486,6 @@ def _limits(exact: ExactObjective, start: Cycle = ()) -> TableLimits:
         largest_alike(max([_LARGEST, *(abs(t.angle) for t in start)]), waves_of(spec)),
         shortest_rest(spec, design),
         max([float(design.longest_rest), *(t.rest for t in start)]),
-        slow,
+        0.0,
         float(spec.rig.table.axis[0].angle.read_every) if spec.rig.table.standing == "read" else math.inf,
     )

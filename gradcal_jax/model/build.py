@@ -79,8 +79,6 @@ _EXACT = 1e-12
 # Standard deviation (rad) of a standstill's angle that no encoder tells: unknown beside what gravity and the gyros say,
 # and small enough for a covariance in double precision to hold 0.1 µrad beside it.
 _UNKNOWN = 3.0
-# Rounding of a move's rate, at the rate up to which accelerometers are read.
-_SLACK = 1e-9
 
 
 class BuiltImu(NamedTuple):
@@ -213,7 +211,6 @@ _MAPS: dict[ChannelKind, tuple[tuple[str, str, tuple[str, ...], str, str, str], 
         ("scale_factor", "itself", ("force {own}",), SCALE_FACTOR, "s", "1"),
         ("misalignment", "others", ("force {}",), MISALIGNMENT, "m_{}", "rad"),
         ("second_order", "itself", ("force {own}",) * 2, SECOND_ORDER, "k2", "1/(m/s^2)"),
-        ("lever_arm", "all", ("size {own}{}",), "lever_arm_{}", "r_{}", "m"),
     ),
 }
 _WHITE: dict[ChannelKind, str] = {"gyro": "angle_random_walk", "accelerometer": "velocity_random_walk"}
@@ -227,12 +224,10 @@ def _model_and_sources(spec: Spec) -> tuple[ImuModel, dict[ChannelKind, dict[str
         if triad is None:
             continue
         processes, sources[kind] = _processes(spec, triad)
-        below = getattr(triad, "read_on_moves_below", None)
-        slow = 0.0 if below is None else float(below) * (1.0 + _SLACK)
         white = np.asarray(float(getattr(triad, _WHITE[kind])))
         for axis in triad.axes:
             terms = tuple(_terms(spec.sensor, triad, kind, axis))
-            channels.append(Channel(terms, white, processes, kind, AXIS_NAMES.index(axis), slow))
+            channels.append(Channel(terms, white, processes, kind, AXIS_NAMES.index(axis)))
     table, angles = spec.rig.table, [axis.angle for axis in spec.rig.table.axis]
     numbers = ("standstill_offset", "reading_noise", "read_every", "timing_error")
     offset, reading, every, timing = (np.array([float(getattr(a, name)) for a in angles]) for name in numbers)

@@ -401,8 +401,6 @@ class AccelerometerTriad(_Channel, path_terms.TemperaturePath):
     scale_factor_instability: ClassVar[tuple[()]] = ()
     temperature_error: ClassVar[None] = None
     thermometer_noise: ClassVar[None] = None
-    read_on_moves_below: ClassVar[None] = None
-    lever_arm: ClassVar[None] = None
 
     axes: BodyAxes = ("x", "y", "z")
     """Axes along which the IMU has an accelerometer."""

@@ -102,7 +102,7 @@ _SURE = (
 """Rooms whose tests use the core by ways that its own tests, and the recorded numbers, have checked."""
 _ESTIMATES = ("estimate", "recording", "logs", "read_tables", "several", "late_terms", "without_encoder", "known_plans")
 """The same of files in `imu`, and of whole plans, whose figures have sources of their own."""
-_SEARCHES = ("pose_search", "free_course", "limits_of_cycles", "optimise", "imu_limit", "robust", "steps", "exact_objective")
+_SEARCHES = ("pose_search", "free_course", "limits_of_cycles", "optimise", "imu_limit", "robust", "steps", "exact")
 """The same of files in `design`, of searches of whole specs."""
 
 

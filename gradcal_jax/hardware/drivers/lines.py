@@ -1,4 +1,4 @@
-"""Devices with a text protocol that a rig file describes (`files.run.line_protocol`): chambers and axes.
+"""Devices with a text protocol that a rig file describes (`hardware.line_protocol`): chambers and axes.
 
 The description has the queries, commands and replies; this driver has their order and verification:
 

@@ -1,4 +1,4 @@
-"""Chambers that are read and commanded by Modbus registers which a rig file describes (`files.run.register_protocol`).
+"""Chambers that are read and commanded by Modbus registers which a rig file describes (`hardware.register_protocol`).
 
 Every register that is written is read back, from itself or from the one that shows its effect; a set point that a
 controller accepts and ignores is noticed so. A program that runs is ended before a set point, and a ramp is taken off

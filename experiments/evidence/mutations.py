@@ -95,14 +95,14 @@ FAULTS = (
         "hardware/interlocks.py",
         "low, high = min(low, bounds.room_c), max(high, bounds.room_c)",
         'return ""',
-        "tests/hardware/test_limits_always_hold.py tests/hardware/test_journal_and_safety.py",
+        "tests/hardware/test_mishaps.py tests/hardware/test_journal_and_safety.py",
     ),
     Fault(
         "a long pause that nobody ends goes on",
         "hardware/interlocks.py",
         "if not now.by_itself or now.paused_s is None or now.paused_s < bounds.longest_pause_s:",
         "if True:",
-        "tests/hardware/test_limits_always_hold.py",
+        "tests/hardware/test_mishaps.py",
     ),
     Fault(
         "an absolute signal keeps its sign in a correction",
@@ -151,7 +151,7 @@ FAULTS = (
         "hardware/checksums.py",
         "_MODBUS = CrcOfRows(16, 0x8005, 0xFFFF, reflect=True)",
         "_MODBUS = CrcOfRows(16, 0x8005, 0x0000, reflect=True)",
-        "tests/hardware/test_registers.py tests/hardware/test_codecs.py",
+        "tests/hardware/test_registers.py tests/hardware/test_line_protocols.py",
     ),
     Fault(
         "a negative number of 24 bits is read as a positive one",

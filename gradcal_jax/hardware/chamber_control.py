@@ -23,6 +23,7 @@ from gradcal_jax.hardware.roles import ChamberLimits, ChamberReading, Temperatur
 from gradcal_jax.hardware.track import Course, Stable
 
 _SOFT_STEP_S = 5.0
+_LOOKS_S = 0.02
 _REMEMBERED = 1 << 14
 _KNOTS = 64
 # How far a chamber may overshoot at the end of an approach, as a share of its way.
@@ -117,13 +118,15 @@ class ChamberControl:
         return self.newest is not None and self.newest.time_s > self._conditions_since_s
 
     def end(self, longest_s: float) -> bool:
-        """Send no further command; returns when the current one has ended, or after `longest_s` real seconds; whether
-        it has."""
+        """Send no further command; returns when the current one has ended, or after `longest_s`; whether it has."""
         self._ended = True
-        with self._clock.aside():
-            if ended := self._telling.acquire(timeout=longest_s):
-                self._telling.release()
-        return ended
+        end_s = self._clock.now() + longest_s
+        while not self._telling.acquire(blocking=False):
+            if self._clock.now() >= end_s:
+                return False
+            self._clock.sleep(_LOOKS_S)
+        self._telling.release()
+        return True
 
     @contextmanager
     def _alone(self) -> Generator[bool, None, None]:

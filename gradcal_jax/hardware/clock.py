@@ -13,16 +13,15 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol
 
 # Linux's monotonic clock stops while the computer sleeps and the devices continue; this one does not stop.
+_LOOKS_S = 0.01
 _RUNS_ON = getattr(time, "CLOCK_BOOTTIME", None)
 
 
 @contextmanager
 def holding(lock: threading.RLock, clock: "Clock") -> Generator[None, None, None]:
-    """Context that holds a lock. Waiting for it does not hold virtual time, because the thread that has the lock may
-    have to wait on the clock."""
-    if not lock.acquire(blocking=False):
-        with clock.aside():
-            lock.acquire()
+    """Context that holds a lock, which is waited for on the clock, as by the thread that has it."""
+    while not lock.acquire(blocking=False):
+        clock.sleep(_LOOKS_S)
     try:
         yield
     finally:
@@ -43,10 +42,6 @@ class Clock(Protocol):
         """Context in which virtual time stands still unless this thread waits on the clock."""
         ...
 
-    def aside(self) -> AbstractContextManager[None]:
-        """Context in which a party lets time pass: for waiting on something that is not this clock."""
-        ...
-
 
 class RealClock:
     """The computer's monotonic clock: steps of the wall clock do not change it, and it includes the computer's
@@ -64,8 +59,6 @@ class RealClock:
 
     def party(self) -> AbstractContextManager[None]:
         return nullcontext()
-
-    aside = party
 
 
 _BESIDE_S = 0.1
@@ -90,15 +83,13 @@ def repeating(work: Callable[[], object], every_s: float) -> Generator[None, Non
         thread.join(timeout=35.0)
 
 
-def in_thread(
-    work: Callable[[], object], clock: Clock, failed: Callable[[Exception], object], *, waits_on_clock: bool = True
-) -> threading.Event:
-    """Begin `work` in a thread of its own, a party of the clock if it waits on that; `failed` gets what it raises.
-    Returns what is set at its end."""
+def in_thread(work: Callable[[], object], clock: Clock, failed: Callable[[Exception], object]) -> threading.Event:
+    """Begin `work` in a thread of its own, a party of the clock; `failed` gets what it raises. Returns what is set at
+    its end."""
     begun, over = threading.Event(), threading.Event()
 
     def attempt() -> None:
-        with clock.party() if waits_on_clock else nullcontext():
+        with clock.party():
             begun.set()
             try:
                 work()
@@ -173,14 +164,6 @@ class VirtualClock:
     def party(self) -> Generator[None, None, None]:
         before = self._members.get(threading.get_ident(), 0)
         self._enter(before + 1)
-        try:
-            yield
-        finally:
-            self._enter(before)
-
-    @contextmanager
-    def aside(self) -> Generator[None, None, None]:
-        before = self._enter(0)
         try:
             yield
         finally:

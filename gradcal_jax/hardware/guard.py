@@ -49,6 +49,7 @@ _TO_OPEN_S = 3.0
 _KEEP_TRYING_S = 3600.0
 _LONGEST_PAUSE_S = 30.0
 _RETRY_PAUSE_S = 0.2
+_LOOKS_S = 0.02
 _GOES_ON = "an earlier command to this device is still active"
 _LOST = "the run has ended unexpectedly, or a device is not safe"
 
@@ -60,7 +61,7 @@ def make_safe(
 
     `busy` is called in a device's thread, with its name: whether an earlier command to it is still active, for whose
     end it may wait. Such a device is made safe at once, and again: the command could undo it. Returns after all devices
-    are verified, or after `deadline_s` real seconds; raises no error of a device.
+    are verified, or after `deadline_s`; raises no error of a device.
     """
     acts: dict[str, Callable[[], SafeReport]] = {}
     outcomes: list[SafeOutcome] = []
@@ -70,7 +71,7 @@ def make_safe(
     if bench.chamber is not None and (how := bench.rig.chamber) is not None:
         acts["chamber"] = partial(bench.chamber.safe, how.safe, float(how.ambient))
         outcomes.append(SafeOutcome("chamber", how.safe))
-    began_s = time.monotonic()
+    began_s = clock.now()
 
     def attempt(outcome: SafeOutcome) -> None:
         while True:
@@ -86,19 +87,21 @@ def make_safe(
                     # Its cable may be in again.
                     with suppress(Exception):
                         bench.lines[outcome.name].reopen()
-            if outcome.verified or time.monotonic() >= began_s + deadline_s:
-                outcome.took_s = time.monotonic() - began_s
-                outcome.at_s = clock.now() if outcome.verified else None
+            now_s = clock.now()
+            if outcome.verified or now_s >= began_s + deadline_s:
+                outcome.took_s = now_s - began_s
+                outcome.at_s = now_s if outcome.verified else None
                 return
-            with clock.aside():
-                time.sleep(_RETRY_PAUSE_S)
+            clock.sleep(_RETRY_PAUSE_S)
 
-    ends = [in_thread(partial(attempt, outcome), clock, str) for outcome in outcomes]
-    with clock.aside():
-        for end in ends:
-            end.wait(max(0.0, began_s + deadline_s - time.monotonic()))
-    lasted_s = time.monotonic() - began_s
-    outcomes = [replace(outcome, took_s=outcome.took_s or lasted_s) for outcome in outcomes]
+    with clock.party():
+        ends = [in_thread(partial(attempt, outcome), clock, str) for outcome in outcomes]
+        while clock.now() < began_s + deadline_s and not all(end.is_set() for end in ends):
+            clock.sleep(_LOOKS_S)
+    outcomes = [
+        replace(outcome, took_s=outcome.took_s if end.is_set() else deadline_s)
+        for outcome, end in zip(outcomes, ends, strict=True)
+    ]
     return outcomes + [SafeOutcome(entry.name, LEFT, True, "an IMU has no unsafe state") for entry in bench.rig.imu]
 
 

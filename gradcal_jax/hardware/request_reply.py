@@ -7,7 +7,6 @@ that no later reply counts for that one; a command waits for nothing.
 """
 
 import threading
-import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import TypeVar
@@ -19,7 +18,7 @@ from gradcal_jax.hardware.transport import Transport
 
 Reply = TypeVar("Reply")
 
-# The silence (real time) that ends a damaged reply.
+# The silence that ends a damaged reply.
 _SETTLE_S = 0.05
 # How long a device that has never answered is listened to after its last try, in time-outs.
 _LATEST = 6.0
@@ -30,7 +29,7 @@ class Exchange:
     """One conversation at a time on a port. Thread-safe; several devices of one port share one exchange.
 
     `min_interval_s` is the device's least time between the starts of two requests, `boot_s` the time from here to the
-    first, on the run's clock; `reply_timeout_s` is real time.
+    first, and `reply_timeout_s` how long a reply is awaited: all on the run's clock.
     """
 
     def __init__(
@@ -52,7 +51,7 @@ class Exchange:
         self._min_interval_s = min_interval_s
         self._next_request_s = clock.now() + boot_s
         self._silence_s = 0.0
-        self._sent_s = time.monotonic()
+        self._sent_s = self.clock.now()
         self._answered = False
         self._lock = threading.RLock()
 
@@ -105,7 +104,7 @@ class Exchange:
         """Drop what comes too late to be a reply, and remember that it came."""
         unanswered = self._silence_s > _SETTLE_S
         if self.transport.drain(quiet_s) and unanswered:
-            late_s = time.monotonic() - self._sent_s
+            late_s = self.clock.now() - self._sent_s
             self.transport.late = f"{self.device} answered up to {late_s:.1f} s after a request: raise reply_timeout."
 
     def write(self, request: bytes, *, pause_after_s: float | None = None) -> None:
@@ -117,16 +116,16 @@ class Exchange:
         self.transport.drain()
         self._framer.reset()
         self._next_request_s = self.clock.now() + (self._min_interval_s if pause_after_s is None else pause_after_s)
-        self._sent_s = time.monotonic()
+        self._sent_s = self.clock.now()
         self.transport.write(request)
 
     def _reply(self, request: bytes, parse: Callable[[bytes], Reply], timeout_s: float, late_s: float) -> Reply:
         """The first frame that is a reply, also one that is up to `late_s` late. A damaged one may be noise before it;
         where anything came in time, nothing that is late is waited for."""
         asked = f"{self.device} at {self.transport.url} was sent {printable(request)!r}"
-        end_s, received = time.monotonic() + timeout_s, b""
+        end_s, received = self.clock.now() + timeout_s, b""
         damage: FramingError | None = None
-        while (left_s := end_s + (0.0 if received else late_s) - time.monotonic()) > 0.0:
+        while (left_s := end_s + (0.0 if received else late_s) - self.clock.now()) > 0.0:
             data = self.transport.read(left_s)
             received += data
             for frame in self._framer.push(data):
@@ -142,7 +141,7 @@ class Exchange:
                 except FramingError as problem:
                     damage = problem
                     continue
-                over_s = time.monotonic() - end_s
+                over_s = self.clock.now() - end_s
                 if over_s > 0.0:
                     self.transport.late = f"{asked} and answered {max(over_s, 0.1):.1f} s late: raise reply_timeout."
                 return reply

@@ -37,6 +37,7 @@ from gradcal_jax.hardware.track import Ask, Course, Stable, Track, TrackStep
 from gradcal_jax.spec.rig import ImuDevice
 
 Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
+_HELPERS_END_S, _HELPERS_LOOK_S = 5.0, 0.02
 _SLICE_S = 0.25
 _ARRIVAL_S, _PIECES_S, _LONGEST_ARRIVAL_S = 0.1, 0.2, 60.0
 _TRIES = 3
@@ -137,9 +138,9 @@ class Runner:
                 status, reason = "aborted", sentence_of(problem)
             outcomes = self._end(status, reason)
             self._working.clear()
-            with self.clock.aside():
-                for helper in helpers:
-                    helper.wait(timeout=5.0)
+            end_s = self.clock.now() + _HELPERS_END_S
+            while self.clock.now() < end_s and not all(helper.is_set() for helper in helpers):
+                self.clock.sleep(_HELPERS_LOOK_S)
             # At the end: no other thread reads the lines of the units any more.
             for name, problem in put_back(self.bench).items():
                 self._event("settings put back", device=name, problem=problem)
@@ -163,13 +164,13 @@ class Runner:
         if problems := dry_run_of(self.track, self.bench.chamber_limits(), axes).problems:
             raise LimitExceeded("The run was not started. " + " ".join(problems))
 
-        def start(failed: str, work: Callable[[], None], *, waits_on_clock: bool = True) -> None:
+        def start(failed: str, work: Callable[[], None]) -> None:
             """Work in a thread of its own; a sentence that begins with `failed` ends the run where it cannot go on."""
 
             def fail(problem: Exception) -> None:
                 self._fail(f"{failed}: {problem}")
 
-            helpers.append(in_thread(work, self.clock, fail, waits_on_clock=waits_on_clock))
+            helpers.append(in_thread(work, self.clock, fail))
 
         if self._chamber is not None:
             reading, limits = self._chamber.chamber.read(), self._chamber.chamber.limits()
@@ -184,8 +185,7 @@ class Runner:
         for name, unit in self.bench.imus.items():
             unit.start()
             self._listen_to(name)
-            # A simulated unit waits on the clock, not on a line.
-            start(name, partial(self._carry_bytes, name), waits_on_clock=self.bench.simulated)
+            start(name, partial(self._carry_bytes, name))
 
     def _fail(self, problem: str) -> None:
         self._problem = problem

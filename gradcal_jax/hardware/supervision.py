@@ -24,8 +24,8 @@ from gradcal_jax.tables.writing import write_whole
 
 @dataclass
 class SafeOutcome:
-    """The outcome of one device. `evidence` is the read-back, or the last problem; `took_s` real seconds; `at_s` of the
-    run's clock, when it was verified (none: it was not).
+    """The outcome of one device. `evidence` is the read-back, or the last problem; `took_s` and `at_s`, when it was
+    verified (none: it was not), are of the run's clock.
 
     Its thread fills it; the waiting thread takes a copy, with the state so far of a thread that hangs.
     """

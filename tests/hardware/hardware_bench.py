@@ -1,4 +1,4 @@
-"""A bench for the tests: simulated devices behind pseudo-terminals, and the drivers that talk to them."""
+"""A bench for the tests: simulated devices at the ends of lines, and the drivers that talk to them."""
 
 import tempfile
 from collections.abc import Callable, Iterator
@@ -10,21 +10,23 @@ import numpy as np
 from simulated_devices.espec import SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
 from simulated_devices.line_chambers import SimulatedCts, SimulatedThermotron
-from simulated_devices.line_clock import CountedTransport
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.port import SimulatedPort
 from simulated_devices.watlow_f4 import SimulatedWatlowF4
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T
+from simulated_devices.wire import Wire, line_to
 
-from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.clock import Clock, VirtualClock
 from gradcal_jax.hardware.drivers import lines, listening, registers
-from gradcal_jax.hardware.journal import Chunk, JournalContents, read_journal
+from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
+from gradcal_jax.hardware.journal import Chunk, Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import STANDARD_GRAVITY
-from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
+from gradcal_jax.hardware.setup import only_of, open_rig
 from gradcal_jax.hardware.simulate.imu import EARTH_RATE, ErrorTerm, ImuTruth, SimulatedImu, TableTruth, TriadTruth
 from gradcal_jax.hardware.simulate.lab import unit_options
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
-from gradcal_jax.hardware.transport import Transport
+from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.recipe.recipe import Predicted, Recipe, RecipeOrigin
 from gradcal_jax.recipe.rounding import rounded, steps_of
 from gradcal_jax.recipe.tracks import Stability, tracks_of
@@ -46,9 +48,10 @@ def fit_clock(device_time_s: Any, host_time_s: Any, *, resolution_s: float = 0.0
 
 
 @contextmanager
-def served(device: Any, clock: Clock, baudrate: int, **options: Any) -> Iterator[tuple[SimulatedPort, Transport]]:
-    with SimulatedPort(device, clock, **options) as port:
-        transport = CountedTransport(port.url, clock=clock, baudrate=baudrate)
+def served(device: Any, clock: Clock, baudrate: int, **options: Any) -> Iterator[tuple[Any, Any]]:
+    """A device at the end of a line in memory, and the host's end of it."""
+    with Wire(device, clock, **options) as port:
+        transport = line_to(port.url, clock=clock, baudrate=baudrate)
         try:
             with clock.party():
                 yield port, transport
@@ -87,7 +90,7 @@ def _bench(simulated: Any, plant_of: Any, config_of: Callable[[], Any]) -> Any:
     @contextmanager
     def bench(
         clock: Clock, options: Any = None, config: Any = None, truth: Any = None, **port_options: Any
-    ) -> Iterator[tuple[Any, Any, SimulatedPort]]:
+    ) -> Iterator[tuple[Any, Any, Wire]]:
         more = options if isinstance(options, dict) else {} if options is None else {"options": options}
         device = simulated(plant_of(truth, clock), clock, **more)
         config = config or config_of()
@@ -152,7 +155,7 @@ def frames_bench(
     rate_hz: float = 125.0,
     burst_s: float = 0.016,
     **port_options: Any,
-) -> Iterator[tuple[listening.ListeningImu, SimulatedFrames, SimulatedPort]]:
+) -> Iterator[tuple[listening.ListeningImu, SimulatedFrames, Wire]]:
     config = listening.FramesConfig(**unit_options(rate_hz))
     sensor = sensor or sensor_on_table(clock, sample_rate_hz=rate_hz)
     device = SimulatedFrames(sensor, clock, rate_hz=rate_hz, burst_s=burst_s)
@@ -161,10 +164,12 @@ def frames_bench(
 
 
 class Rig:
-    """A simulated rig under the template's rig file. The unit sends its samples every `burst_s`. The board is opened
-    without its waiting time."""
+    """A simulated rig under the template's rig file, on lines in memory, or on pseudo-terminals for other processes.
+    The unit sends its samples every `burst_s`. The board is opened without its waiting time."""
 
-    def __init__(self, clock: Clock, truth: ImuTruth | None = None, *, burst_s: float = 0.128) -> None:
+    def __init__(
+        self, clock: Clock, truth: ImuTruth | None = None, *, burst_s: float = 0.128, on_terminals: bool = False
+    ) -> None:
         plant = ChamberPlant(ChamberTruth(start_c=24.8, load_time_constant_s=60.0), clock.now())
         axis = AxisPlant(None, clock.now())
         self.chamber = SimulatedEspec(plant, clock)
@@ -172,7 +177,8 @@ class Rig:
         self.table = SimulatedGrbl(axis, clock)
         self.sensor = sensor_on_table(clock, truth, axis=axis, chamber=plant)
         self.imu = SimulatedFrames(self.sensor, clock, burst_s=burst_s)
-        self.ports = [SimulatedPort(device, clock) for device in (self.chamber, self.table, self.imu)]
+        line: Any = SimulatedPort if on_terminals else Wire
+        self.ports = [line(device, clock) for device in (self.chamber, self.table, self.imu)]
         text = TEMPLATE
         for index, port in enumerate(self.ports):
             text = text.replace(f"/dev/ttyUSB{index}", port.open().url)
@@ -184,7 +190,7 @@ class Rig:
 
     def __exit__(self, *_: object) -> None:
         for port in self.ports:
-            port.close()
+            port.__exit__()
 
 
 def chunks_of(contents: JournalContents, line: str, *, received: bool = True) -> Iterator[Chunk]:
@@ -237,14 +243,58 @@ def unpredicted(spec: Spec, *, stable_for: str = "20 s") -> Recipe:
     )
 
 
-def once(runner: Runner, when: Callable[[RunProgress], bool], act: Callable[[], Any], every_s: float = 1.0) -> None:
-    """Act from within the run, the first time that its progress, shown each `every_s`, is so."""
-    done: list[bool] = []
+@contextmanager
+def running(
+    folder: Path,
+    track: Track,
+    truth: ImuTruth | None = None,
+    *,
+    limits: InterlockLimits | None = None,
+    with_unit: bool = True,
+    **more: Any,
+) -> Iterator[tuple[Rig, Runner]]:
+    """A rig and the runner of a track on it, in virtual time; its journal lies in the folder."""
+    clock = VirtualClock()
+    folder.mkdir(exist_ok=True)
+    with Rig(clock, truth) as rig, Journal(folder / "journal") as journal:
+        devices = rig.rig if with_unit else only_of(rig.rig, {"chamber", "table"})
+        rules = Interlocks(limits or InterlockLimits())
+        with open_rig(devices, clock) as bench:
+            yield rig, Runner(track, bench, journal, clock, rules, **{"safe_deadline_s": 10.0} | more)
+
+
+def short_track() -> Track:
+    return track_of(short_recipe(2.0), ["table"])
+
+
+def events(folder: Path, name: str) -> list[Event]:
+    return [event for event in read_journal(folder / "journal").events if event.name == name]
+
+
+Act = tuple[Callable[[RunProgress], bool], Callable[[], Any]]
+
+
+def acting(runner: Runner, *acts: Act, every_s: float = 1.0) -> None:
+    """Act from within the run, each the first time that its progress, shown each `every_s`, is so."""
+    left = list(acts)
 
     def look(progress: RunProgress) -> None:
-        if not done and when(progress):
-            done.append(True)
-            act()
+        for act in [act for act in left if act[0](progress)]:
+            left.remove(act)
+            act[1]()
 
     runner.chamber_every_s = every_s
     runner.on_progress = look
+
+
+def in_step(number: int) -> Callable[[RunProgress], bool]:
+    """Once the step of this number has begun."""
+    return lambda progress: progress.steps_done == number and progress.step_left_s is not None
+
+
+def paused(progress: RunProgress) -> bool:
+    return progress.state is RunState.PAUSED
+
+
+def at(runner: Runner, time_s: float) -> Callable[[RunProgress], bool]:
+    return lambda progress: runner.clock.now() >= time_s

@@ -23,14 +23,14 @@ Shown by tests, without figures:
 * of two runs on one port the second is refused (`test_transport`);
 * a port that leads to another device is a sentence with what was sent and what came back (`test_run_cli`);
 * a host that sleeps in a turn, a stage that swallows one, samples that are lost: the step is made again, or the run
-  ends and says so; an axis faster than it was told is stopped (`test_not_done`);
+  ends and says so; an axis faster than it was told is stopped (`test_mishaps`);
 * a guard that is killed is announced and replaced, a run that hangs is ended, and where a run's folder is moved or
   removed before the run is killed, the rig is made safe (`test_guard`);
-* commands of every chamber, axis and unit that are lost, doubled, damaged or late once are noticed (`test_chambers`,
-  `test_axes_and_imus`, `test_frames`);
+* commands of every chamber, axis and unit that are lost, doubled, damaged or late once are noticed
+  (`test_line_devices`, `test_frames`);
 * somebody at the terminal of `gradcal run` turns a gimbal by hand, mistypes, pauses, gives up and goes on
   (`test_operator`, on a pseudo-terminal of its own);
-* minimalmodbus speaks with the simulated F4 (`test_chambers`).
+* minimalmodbus speaks with the simulated F4 (`test_line_devices`).
 """
 
 

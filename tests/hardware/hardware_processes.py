@@ -15,13 +15,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from simulated_devices.line_clock import FastClock
+from simulated_devices.port import FastClock
 from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.hardware import guard as watching
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
+from gradcal_jax.hardware.runner import RunProgress
 from gradcal_jax.recipe.recipe import read_recipe
 from gradcal_jax.spec.rig import read_rig
 from gradcal_jax.tables.writing import write_toml, write_whole
@@ -50,11 +51,21 @@ def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
     write_whole(path / "pid", str(os.getpid()))
     watching._SILENT_S = float(os.environ.get("SILENT_S", watching._SILENT_S))
     rules = Interlocks(InterlockLimits(imu_stale_s=2.0 * speed, temperature_band_k=math.inf, latest_s=1.0 * speed))
+    began_s, memory_mb = clock.now(), list[float]()
+
+    def look(progress: RunProgress) -> None:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) if sys.platform == "linux" else 0
+        memory_mb.append(pages * os.sysconf("SC_PAGESIZE") / 1e6)
+
     result = run_session(
-        made, made.rig(), clock, first_step=first, guard=guard, interlocks=rules, safe_deadline_s=20.0,
-        handle_signals=True,
+        made, made.rig(), clock, first_step=first, guard=guard, interlocks=rules, safe_deadline_s=20.0 * speed,
+        handle_signals=True, on_progress=look,
     )  # fmt: skip
-    print(result.exit_status, result.reason, flush=True)
+    used, took_s = os.times(), clock.now() - began_s
+    started_s = next((e.time_s for e in made.contents().events if e.name == "step"), began_s)
+    cost = {"took_s": took_s, "processor_s": used.user + used.system, "streamed_s": began_s + took_s - started_s}
+    cost["memory_mb"] = memory_mb[len(memory_mb) // 10 :: max(1, len(memory_mb) - len(memory_mb) // 10 - 1)]
+    print(f"{result.exit_status} {result.reason}\n{json.dumps(cost)}", flush=True)
     return 0 if result.exit_status == "success" and result.verified_safe else 3
 
 

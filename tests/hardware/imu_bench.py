@@ -6,11 +6,11 @@ from typing import Any, Literal
 import numpy as np
 from hardware_bench import unpredicted
 from matrix_errors import nees_of
-from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, clock_fit, imu_rows, with_options
 from gradcal_jax.hardware import execute
+from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.information import segments_of, whiten
@@ -129,7 +129,7 @@ def estimated(
 class Stage:
     """A stage of which nothing but turns is asked, that turns at `pace` times the rate that it is told."""
 
-    def __init__(self, clock: LineClock, pace: float = 1.0) -> None:
+    def __init__(self, clock: VirtualClock, pace: float = 1.0) -> None:
         self.plant, self.clock, self.settings = AxisPlant(None, clock.now()), clock, KeptSettings()
         self.pace, self.told = pace, list[float]()
 

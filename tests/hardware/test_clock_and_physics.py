@@ -6,10 +6,8 @@ import time
 import numpy as np
 import pytest
 from hardware_bench import EARTH_RATE_DPS, frames_bench, perfect, sensor_on_table
-from simulated_devices.limited_axis import LimitedAxis
-from simulated_devices.line_clock import LineClock
 
-from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.clock import RealClock, VirtualClock
 from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.simulate.imu import ImuTruth, Process, TriadTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
@@ -18,7 +16,7 @@ from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPl
 
 
 def test_virtual_sleep_takes_no_time_and_wakes_in_order() -> None:
-    clock = LineClock()
+    clock = VirtualClock()
     order: list[tuple[float, str]] = []
     ready = threading.Barrier(3)
 
@@ -42,26 +40,14 @@ def test_virtual_sleep_takes_no_time_and_wakes_in_order() -> None:
     assert [moment for moment, _ in order] == sorted([1.0, 100.0, 5000.0, 2.0, 99.0, 10000.0, 0.5, 1.5, 7200.0])
 
 
-def test_virtual_time_stands_still_while_a_party_works() -> None:
-    clock = LineClock()
-    other = threading.Thread(target=clock.sleep_until, args=(10.0,))
-    with clock.party():
-        other.start()
-        time.sleep(0.1)
-        assert clock.now() == 0.0
-        with clock.aside():
-            other.join()
-        assert clock.now() == 10.0
-
-
 def test_virtual_clock_keeps_the_pace_that_was_asked_for() -> None:
-    clock = LineClock(speed=100.0)
+    clock = VirtualClock(speed=100.0)
     started = time.monotonic()
     for _ in range(5):
         clock.sleep(4.0)
     assert 0.18 < time.monotonic() - started < 1.0
     with pytest.raises(ValueError, match="above zero"):
-        LineClock(speed=0.0)
+        VirtualClock(speed=0.0)
 
 
 def test_real_clock_follows_the_monotonic_clock_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,14 +102,6 @@ def test_trapezoid_arrives_exactly_within_rate_and_acceleration() -> None:
     plant.spin(20.0, -90.0, 90.0)
     assert plant.state(30.0) == (pytest.approx(720.0 - 45.0 - 90.0 * 9.0), -90.0)
     assert plant.moving(30.0)
-
-
-def test_short_move_is_a_triangle_and_travel_ends_a_spin() -> None:
-    plant = LimitedAxis((-180.0, 180.0))
-    plant.move_to(0.0, 1.0, 300.0, 100.0)
-    assert plant.state(0.2)[0] == pytest.approx(1.0)
-    plant.spin(1.0, 90.0, 1000.0)
-    assert plant.state(60.0) == (180.0, 0.0)
 
 
 def test_a_rate_is_held_as_well_as_the_table_can_and_its_encoder_does_not_see_it() -> None:
@@ -193,7 +171,7 @@ def test_an_axis_behind_a_gear_turns_by_less_than_its_motor_counts() -> None:
 def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once() -> None:
     drifts = (Process(1.0, 10.0, 1.0), Process(0.1, 100.0, 1.0), Process(1e-4, 60.0, 0.0, 1.0))
     truth = ImuTruth({"gyro": TriadTruth((), white=0.01, walk=1e-3, drifts=drifts)})
-    one, many = (sensor_on_table(LineClock(), truth, seed=9) for _ in range(2))
+    one, many = (sensor_on_table(VirtualClock(), truth, seed=9) for _ in range(2))
     whole = one.take(400).rate_dps
     parts = np.concatenate([many.take(count).rate_dps for count in (1, 2, 16, 31, 50, 300)])
     np.testing.assert_allclose(parts, whole, rtol=0, atol=1e-12)
@@ -204,7 +182,7 @@ def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once() -> None:
 
 def test_a_turn_read_through_the_line_is_the_turn_that_was_made() -> None:
     """Angle by frames over a pseudo-terminal against the plant's true angle, with exact host stamps."""
-    clock = LineClock()
+    clock = VirtualClock()
     axis = AxisPlant()
     axis.move_to(20.0, 720.0, 150.0, 300.0)
     sensor = sensor_on_table(clock, perfect(clock_error=50e-6), axis=axis)
@@ -215,8 +193,7 @@ def test_a_turn_read_through_the_line_is_the_turn_that_was_made() -> None:
         batches = []
         started = time.monotonic()
         while clock.now() < 60.0:
-            with clock.aside():
-                batches.append(decoder.push(*unit.read_bytes(0.5)))
+            batches.append(decoder.push(*unit.read_bytes(0.5)))
         real = time.monotonic() - started
     samples = join(batches)
     assert decoder.bad_bytes == 0

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hardware_bench import served, unpredicted
-from journal_log import angles_of_rests, log_of
-from simulated_devices.line_clock import LineClock
+from journal_log import angles_of_rests
 from simulated_devices.line_tables import SimulatedGrbl
 from simulated_devices.operator import SimulatedOperator
 from simulated_devices.port_lab import SimulatedLab
@@ -26,22 +25,20 @@ from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock
 from gradcal_jax.hardware.drivers import lines, operator
 from gradcal_jax.hardware.dry_run import dry_run_of
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded
-from gradcal_jax.hardware.execute import run, run_session
-from gradcal_jax.hardware.journal import Chunk, read_journal
+from gradcal_jax.hardware.execute import run
+from gradcal_jax.hardware.journal import read_journal
 from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits
-from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.simulate.lab import SimulatedHand, SimulatedPerson
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 from gradcal_jax.hardware.track import AxisCommand, Track, TrackStep, track_of
 from gradcal_jax.hardware.transport import Terminal
 from gradcal_jax.recipe.recipe import Recipe
-from gradcal_jax.recipe.tracks import read_at_rest
 from gradcal_jax.records import run_log
 from gradcal_jax.records.log import ReadingKind
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.changes import changed
-from gradcal_jax.spec.rig import TEMPLATE, parse_rig
+from gradcal_jax.spec.rig import parse_rig
 from gradcal_jax.spec.spec import parse_spec
 from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.quantity import Quantity
@@ -76,12 +73,6 @@ def test_what_is_not_an_angle_is_not_taken_for_one(text: str, unit: str) -> None
         operator.angle_deg(text, unit)
 
 
-def test_a_dial_of_one_turn_is_read_nearest_to_the_goal() -> None:
-    assert operator.nearest_turn_deg(0.3, 720.0) == pytest.approx(720.3)
-    assert operator.nearest_turn_deg(359.6, 0.0) == pytest.approx(-0.4)
-    assert operator.nearest_turn_deg(359.6, -360.0) == pytest.approx(-360.4)
-
-
 # ------------------------------------------------------------------------------------------------------ the driver
 
 
@@ -107,7 +98,7 @@ def settled(axis: operator.OperatorAxis, clock: Clock) -> float:
 
 
 def test_a_person_turns_and_types_what_the_dial_shows() -> None:
-    clock = LineClock()
+    clock = VirtualClock()
     with gimbal(clock) as (axis, person, plant):
         axis.home()
         assert settled(axis, clock) == pytest.approx(plant.state(clock.now())[0], abs=0.05)
@@ -129,7 +120,7 @@ def test_a_person_turns_and_types_what_the_dial_shows() -> None:
 
 
 def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more() -> None:
-    clock = LineClock()
+    clock = VirtualClock()
     with gimbal(clock, SimulatedHand(3), slips=0.6) as (axis, person, plant):
         axis.home()
         settled(axis, clock)
@@ -151,7 +142,7 @@ def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more(
 
 
 def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
-    clock = LineClock()
+    clock = VirtualClock()
     with gimbal(clock, travel="400 deg") as (axis, person, _):
         axis.home()
         settled(axis, clock)
@@ -173,7 +164,7 @@ def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
 
 
 def test_who_is_late_is_rung_for_and_a_port_that_is_gone_is_said() -> None:
-    clock = LineClock()
+    clock = VirtualClock()
     bells: list[bytes] = []
     with gimbal(clock, SimulatedHand(reading_s=100.0), remind="30 s") as (axis, person, _):
         listen = person.receive
@@ -190,7 +181,7 @@ def test_who_is_late_is_rung_for_and_a_port_that_is_gone_is_said() -> None:
 
 
 def test_an_encoder_is_read_and_its_motor_is_left_alone() -> None:
-    clock = LineClock()
+    clock = VirtualClock()
     # The encoder's zero lies two turns away from where the gimbal's mark is.
     plant = AxisPlant(AxisTruth(reading_noise_deg=0.001), clock.now())
     plant.set_zero(clock.now(), 720.0)
@@ -237,16 +228,6 @@ gravity_loaded = false
 """
 
 
-def test_the_templates_gimbal_is_a_rig() -> None:
-    lines = TEMPLATE.splitlines()
-    start = lines.index("# [[axis]]")
-    written = "\n".join(line.removeprefix("# ") for line in lines[start : start + 8])
-    rig = parse_rig('format = "gradcal-rig/1"\n' + written)
-    assert rig.axis[0].encoder is not None
-    with pytest.raises(HardwareError, match="ttyUSB3 cannot be opened"):
-        open_rig(rig, LineClock())
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -276,7 +257,7 @@ def test_nobody_there_is_said_before_anything_begins(tmp_path: Path) -> None:
         run(hand_recipe(), tmp_path / "run", rig=rig)
     assert not (tmp_path / "run").exists()
     # Asked what it is, it answers; making it safe asks nobody.
-    with open_rig(rig, LineClock()) as bench:
+    with open_rig(rig, VirtualClock()) as bench:
         axis = bench.axes["x"]
         assert axis.identify().driver == "operator"
         assert axis.safe("hold").verified
@@ -355,19 +336,6 @@ def test_a_log_has_the_readings_that_the_plan_counts(tmp_path: Path) -> None:
     assert middle == pytest.approx([1 + 6 + 20 + 6] * len(middle), abs=5)
 
 
-def test_a_stretch_in_which_no_cycle_fits_is_not_read_where_angles_are_typed() -> None:
-    programme = [
-        {"soak": "2 s", "at": "23 degC"},
-        {"ramp_to": "25 degC", "rate": "1 K/min"},
-        {"soak": "1 min"},
-        {"ramp_to": "25.2 degC", "rate": "1 K/min"},
-    ]
-    own = {"plan.temperature": None, "plan.gradient": None, "plan.soak": None, "plan.programme": programme}
-    made = hand_recipe(**own)
-    assert len(made.motion) == 2
-    assert not read_at_rest(made.motion)
-
-
 def test_an_axis_whose_angle_is_typed_is_not_read_at_rest() -> None:
     typed = AxisLimits(120.0, 200.0, None, None, 0.01, by_hand=True, typed=True)
     encoder = replace(typed, typed=False)
@@ -398,44 +366,6 @@ def test_early_turns_make_up_for_late_ones() -> None:
     assert 4.0 < late[0] < 12.0
     # Each takes two of the four seconds.
     assert late[1:] == pytest.approx([late[0] - 2.0, late[0] - 4.0], abs=0.3)
-
-
-def test_a_run_by_hand_from_recipe_to_log(tmp_path: Path) -> None:
-    made = hand_recipe()
-    with SimulatedLab(made.spec, clock := LineClock(), seed=3) as lab:
-        folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
-        result = run_session(folder, lab.rig, clock, simulated=True)
-    assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
-    contents = folder.contents()
-    repeats = made.motion[0].repeat
-    moves = [event for event in contents.events if event.name == "move"]
-    assert len(moves) == 2 * repeats
-    log = log_of(contents, made, folder.rig())
-    assert log.standstill is not None
-    assert int(log.standstill.max()) == 2 * repeats
-    # What was typed is in the journal byte for byte, and it is the log's angle of that standstill.
-    typed = b"".join(
-        record.data
-        for record in contents.records
-        if isinstance(record, Chunk) and record.line.startswith("port ") and record.received
-    )
-    dials = [float(text) % 360.0 for text in re.findall(r"([\d.]+) deg\r", typed.decode("latin-1"))]
-    angles = []
-    for number in range(2 * repeats + 1):
-        rows = log.standstill == number
-        # Every rest keeps its length, however late somebody was.
-        assert np.count_nonzero(rows) >= 5.8 * 125.0
-        angle = np.degrees(angles_of_rests(log)[number])
-        angles.append(angle)
-    assert np.round(np.mod(angles, 360.0), 3).tolist() == np.round(dials, 3).tolist()
-    turned = np.diff(angles)
-    assert np.abs(turned) == pytest.approx(360.0, abs=3.0)
-    assert np.sign(turned).tolist() == [1.0, -1.0] * repeats
-    # The sensor was turned as far as was typed, but for its scale factor and bias.
-    for number, angle in enumerate(turned):
-        last, first = np.flatnonzero(log.standstill == number)[-1], np.flatnonzero(log.standstill == number + 1)[0]
-        measured = float(np.degrees(log.rate_rad_per_s[0, last + 1 : first + 1, 0].sum() / 125.0))
-        assert measured == pytest.approx(angle, abs=0.03 * 360.0)
 
 
 PROGRAM = """

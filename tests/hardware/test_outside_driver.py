@@ -10,11 +10,10 @@ from pathlib import Path
 import pytest
 from hardware_bench import Rig, short_recipe
 from journal_log import log_of
-from simulated_devices.line_clock import LineClock
-from simulated_devices.port import SimulatedPort
+from simulated_devices.wire import Wire
 
 from gradcal_jax.cli import main
-from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.clock import RealClock, VirtualClock
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.guard import make_folder_safe
 from gradcal_jax.hardware.run_folder import new_folder
@@ -89,7 +88,7 @@ def test_rig_check_and_guard_know_it(tmp_path: Path, capsys: pytest.CaptureFixtu
     with pytest.raises(SpecError, match=r'nearest: "lowest"'):
         configs_of(parse_rig(text))
     device = SimulatedAcme(ChamberPlant(ChamberTruth(), clock.now()), clock)
-    with SimulatedPort(device, clock) as port:
+    with Wire(device, clock) as port:
         rig = acme_rig(port.url)
         write_toml(rig, tmp_path / "rig.toml")
         assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 0
@@ -113,7 +112,7 @@ def test_the_guards_own_process_knows_it(site: Path, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_run_and_log_know_it(tmp_path: Path) -> None:
-    clock = LineClock()
+    clock = VirtualClock()
     made = short_recipe(2.0, changes={"rig.table.axis[0].max_acceleration": "300 deg/s^2"})
     with Rig(clock) as lab:
         acme = SimulatedAcme(lab.chamber.plant, clock)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from imu_bench import Stage, made, short
-from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.estimation import ExecutedImu, executed_imu, readings_counted
 from gradcal_jax.estimation.fit_of_log import fit_readings
 from gradcal_jax.estimation.log_rows import Options, imu_rows
 from gradcal_jax.hardware import execute
 from gradcal_jax.hardware.axis_control import AxisControl
+from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.run_folder import RunFolder
 from gradcal_jax.model.build import BuiltImu, build_imu
 from gradcal_jax.records import run_log
@@ -80,21 +80,8 @@ def test_a_run_reads_an_axis_that_stands_while_others_move_as_often_as_is_predic
     assert whole >= 4
 
 
-def test_an_axis_that_stands_where_a_part_begins_is_not_told_to_go_there(ran) -> None:
-    folder, log, _ = ran
-    events = RunFolder(folder).contents().events
-    steps = [k for k, event in enumerate(events) if event.name == "step begins"]
-    soak, after = next(
-        (k, later) for k, later in itertools.pairwise(steps) if k > steps[0] and not events[k].data["data"]
-    )
-    assert not [event for event in events[soak:after] if event.name == "move"]
-    (seam,) = np.flatnonzero(np.diff(log.time_s) > 50.0)
-    assert log.standstill is not None
-    assert log.standstill[seam] == log.standstill[seam + 1] >= 0
-
-
 def test_an_axis_goes_to_its_start_unless_it_was_watched_and_stands_there() -> None:
-    clock = LineClock()
+    clock = VirtualClock()
     stage: Any = Stage(clock)
 
     def wait() -> None:

@@ -10,9 +10,9 @@ from hardware_bench import short_recipe, unpredicted
 from hardware_evidence import record
 from journal_log import log_of
 from simulated_devices.faults import Faults
-from simulated_devices.line_clock import LineClock
 from simulated_devices.port_lab import SimulatedLab
 
+from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.journal import Chunk, JournalContents
@@ -181,19 +181,12 @@ def test_gyros_may_differ_from_the_table_by_what_the_spec_says_of_them() -> None
     assert track_of(unpredicted(forces), [axis.name for axis in forces.rig.table.axis]).gyros is None
 
 
-def test_axes_that_the_rig_does_not_have_are_named() -> None:
-    made = unpredicted(parse_spec(presets.text("two-axis-table")))
-    said = r"turns axis spin, tilt, and the rig's axes are table: use the names of the recipe"
-    with pytest.raises(HardwareError, match=said):
-        track_of(made, ["table"])
-
-
 # --------------------------------------------------------------------------------------------- ended, and gone on with
 
 
 def executed(folder: RunFolder, seed: int, *, stop_at_step: int | None = None, begins_s: float = 0.0) -> RunResult:
     """A session on a fresh simulated laboratory; it is asked to stop in the middle of a step."""
-    clock = LineClock(begins_s)
+    clock = VirtualClock(begins_s)
     made = read_recipe(folder.path / "recipe.toml")
     first = prepare_resume(folder) if folder.journal_path.exists() else 0
     runners: list[Runner] = []
@@ -212,7 +205,7 @@ def executed(folder: RunFolder, seed: int, *, stop_at_step: int | None = None, b
 @pytest.mark.long
 def test_a_resumed_run_gives_the_same_data_with_a_seam(tmp_path: Path) -> None:
     made = short_recipe(2.0)
-    with SimulatedLab(made.spec, LineClock()) as lab:
+    with SimulatedLab(made.spec, VirtualClock()) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
         whole = new_folder(tmp_path / "whole", made, lab.rig, simulated={})
     assert executed(whole, 4).exit_status == "success"
@@ -244,14 +237,14 @@ def test_a_resumed_run_gives_the_same_data_with_a_seam(tmp_path: Path) -> None:
 
 def test_resuming_refuses_another_recipe_another_version_and_another_device(tmp_path: Path) -> None:
     made = short_recipe()
-    with SimulatedLab(made.spec, LineClock()) as lab:
+    with SimulatedLab(made.spec, VirtualClock()) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
         with pytest.raises(RunFolderError, match="name a new folder"):
             new_folder(tmp_path / "run", made, lab.rig)
     assert executed(folder, 4, stop_at_step=1).exit_status == "stopped"
     with pytest.raises(RunFolderError, match="gradcal run --resume"):
         new_folder(tmp_path / "run", made, folder.rig())
-    clock = LineClock(1e4)
+    clock = VirtualClock(1e4)
     with SimulatedLab(made.spec, clock) as lab:
         line = lab.table._line
         lab.table._line = lambda text: [b"[VER:1.1f.20170801:]\r\n", b"ok\r\n"] if text == "$I" else line(text)
@@ -275,7 +268,7 @@ ALLOWED_S = 15.0
 
 def aborted(folder: Path, after_s: float, *, mute: int | None) -> RunResult:
     """A whole run that is aborted at an instant of its clock, with one device silent from then on."""
-    clock = LineClock()
+    clock = VirtualClock()
     made = short_recipe(2.0)
     with SimulatedLab(made.spec, clock) as lab:
         run = new_folder(folder, made, lab.rig, simulated={})

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 from hardware_bench import served
-from simulated_devices.line_clock import LineClock
 from simulated_devices.modbus import ModbusSlave
 
+from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.drivers.registers import RegistersConfig
 from gradcal_jax.hardware.errors import LimitExceeded, NotVerified, Rejected
 from gradcal_jax.hardware.line_protocol import described, shipped
@@ -65,7 +65,7 @@ def test_an_eurotherm_cannot_be_put_into_standby() -> None:
 
 
 def test_a_chamber_from_its_description_alone() -> None:
-    clock, device, config = LineClock(), Slave(), RegistersConfig(protocol=OVEN, reply_timeout="0.2 s")
+    clock, device, config = VirtualClock(), Slave(), RegistersConfig(protocol=OVEN, reply_timeout="0.2 s")
     with served(device, clock, 9600) as (_, transport):
         chamber = config.device(config.link(transport, clock), clock)
         assert (chamber.read().air_c, chamber.read().mode, chamber.read().conditioning) == (23.5, "OFF", False)
@@ -90,7 +90,11 @@ def test_a_chamber_from_its_description_alone() -> None:
 def test_numbers_of_two_registers_in_either_order(kind: str, low_first: bool) -> None:
     entry = {"address": 40, "type": kind, "decimals": 0 if kind == "float32" else 2}
     tables = changed(registers={"setpoint": entry}) | {"line": {"low_word_first": low_first}}
-    clock, device, config = LineClock(), Slave({40: 0, 41: 0}), RegistersConfig(protocol=tables, reply_timeout="0.2 s")
+    clock, device, config = (
+        VirtualClock(),
+        Slave({40: 0, 41: 0}),
+        RegistersConfig(protocol=tables, reply_timeout="0.2 s"),
+    )
     with served(device, clock, 9600) as (_, transport):
         chamber = config.device(config.link(transport, clock), clock)
         chamber.hold(-12.25)

@@ -1,15 +1,18 @@
-"""The folder of a run: made only for what can run, taken over only from a run that never began."""
+"""The folder of a run: made only for what can run, and what it began as: rig and recipe are remembered."""
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hardware_bench import short_recipe
 
 from gradcal_jax.hardware.errors import HardwareError
-from gradcal_jax.hardware.execute import run
+from gradcal_jax.hardware.execute import resume, run
 from gradcal_jax.hardware.journal import Journal
-from gradcal_jax.hardware.run_folder import RunFolderError, begin_session, new_folder
+from gradcal_jax.hardware.run_folder import RunFolder, RunFolderError, begin_session, new_folder, prepare_resume
+from gradcal_jax.records.run_log import log
 from gradcal_jax.spec.rig import TEMPLATE, RigFile, parse_rig
+from gradcal_jax.tables.writing import write_toml
 
 
 def rig_of(*axes: str) -> RigFile:
@@ -45,3 +48,67 @@ def test_nothing_of_anybody_else_is_taken_away(names: tuple[str, ...], tmp_path:
     with pytest.raises(RunFolderError, match="is not empty"):
         new_folder(tmp_path, short_recipe(), rig_of("x"))
     assert {entry.name: entry.read_text() for entry in tmp_path.iterdir()} == dict.fromkeys(names, "of my own")
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated run that was aborted in its last step, with data."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+
+    def stop(progress) -> None:
+        if progress.steps_done == progress.steps - 1:
+            runners[0].request("stop", "enough")
+
+    runners: list = []
+    made = short_recipe(2.0)
+    result = run(made, folder, simulate=True, on_progress=stop, with_runner=runners.append)
+    assert result.exit_status == "stopped"
+    return folder
+
+
+def test_a_run_does_not_go_on_with_another_rig(ended: Path) -> None:
+    folder, text = RunFolder(ended), (ended / "rig.toml").read_text()
+    first = prepare_resume(folder)
+    assert first > 0
+    assert prepare_resume(folder, folder.rig()) == first
+    changed = text.replace('"125 Hz"', '"250 Hz"').replace('safe = "standby"', 'safe = "hold"')
+    assert changed != text
+    try:
+        (ended / "rig.toml").write_text(changed)
+        with pytest.raises(RunFolderError) as caught:
+            resume(ended)
+        said = str(caught.value)
+        assert "chamber.safe is 'hold' and was 'standby'" in said
+        assert "imu[0].options.changes.rate is '250 Hz' and was '125 Hz'" in said
+        # One that is named is held against it, too.
+        other = RunFolder(ended).rig()
+        (ended / "rig.toml").write_text(text)
+        with pytest.raises(RunFolderError, match=r"chamber\.safe is 'hold'"):
+            resume(ended, rig=other)
+    finally:
+        (ended / "rig.toml").write_text(text)
+
+
+def test_a_run_does_not_go_on_with_another_recipe(ended: Path) -> None:
+    text = (ended / "recipe.toml").read_text()
+    changed = text.replace('for_at_least = "', 'for_at_least = "1', 1)
+    assert changed != text
+    try:
+        (ended / "recipe.toml").write_text(changed)
+        with pytest.raises(RunFolderError, match="The recipe is not the one that the run in"):
+            resume(ended)
+    finally:
+        (ended / "recipe.toml").write_text(text)
+
+
+def test_a_log_is_decoded_as_the_run_was_configured(ended: Path) -> None:
+    before, text = log(ended), (ended / "rig.toml").read_text()
+    rig = RunFolder(ended).rig()
+    rig.imu[0].options["sample_rate"] = "500 Hz"
+    try:
+        write_toml(rig, ended / "rig.toml")
+        after = log(ended)
+    finally:
+        (ended / "rig.toml").write_text(text)
+    np.testing.assert_array_equal(after.time_s, before.time_s)
+    np.testing.assert_array_equal(after.rate_rad_per_s, before.rate_rad_per_s)

@@ -11,10 +11,9 @@ from typing import Any
 
 import pytest
 from hardware_bench import Rig, short_recipe
-from simulated_devices.line_clock import LineClock
 
 from gradcal_jax.cli import main
-from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.clock import RealClock, VirtualClock
 from gradcal_jax.hardware.dry_run import dry_run_of, rate_as_made
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.roles import ChamberLimits
@@ -73,18 +72,6 @@ def test_slopes_are_said_as_the_chamber_makes_them() -> None:
     assert dry_run_of(track, tenths, {}).rounded == ()
 
 
-def test_what_is_said_of_a_slope_is_what_the_driver_makes_of_it() -> None:
-    from hardware_bench import cts_bench, thermotron_bench
-
-    for bench in (thermotron_bench, cts_bench):
-        clock = LineClock()
-        with bench(clock) as (chamber, _, _):
-            chamber.hold(20.0)
-            clock.sleep(3600.0)
-            limits = chamber.limits()
-            assert chamber.ramp(37.0, 1.26) == pytest.approx(rate_as_made(limits, 1.26), abs=1e-6)
-
-
 @pytest.mark.long
 def test_a_rig_is_tried_for_a_recipe_and_nothing_moves(made: Path, tmp_path: Path, capsys) -> None:
     clock = RealClock()
@@ -114,27 +101,25 @@ class Keyboard(io.StringIO):
         return True
 
 
-def test_the_list_is_confirmed_or_nothing_begins(made: Path, tmp_path: Path, capsys, monkeypatch) -> None:
+@pytest.mark.parametrize(("keyboard", "words"), [(Keyboard, "nothing was moved"), (io.StringIO, "with --yes")])
+def test_the_list_is_confirmed_or_nothing_begins(
+    made: Path, tmp_path: Path, capsys, monkeypatch, keyboard, words
+) -> None:
     with Rig(RealClock()) as lab:
         write_toml(with_alarm(lab.rig, tmp_path / "heard"), tmp_path / "rig.toml")
-        monkeypatch.setattr(sys, "stdin", Keyboard("no\n"))
+        monkeypatch.setattr(sys, "stdin", keyboard("no\n"))
         asked = ["run", str(made), "--rig", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "run")]
         assert main(asked) != 0
         said = capsys.readouterr()
-        for text in (
-            "24 to 28 degC",
-            "up to 200 deg/s",
-            '"hold"',
-            "command that an alarm executes: ",
-        ):
+        for text in ("24 to 28 degC", "up to 200 deg/s", '"hold"', "command that an alarm executes: "):
             assert text in said.out
-        assert "nothing was moved" in said.err
+        assert words in said.err
         assert not (tmp_path / "run").exists()
         assert (commands(lab), lab.axis.state(0.0)) == ([], (0.0, 0.0))
 
 
 def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: Path, capsys) -> None:
-    clock = LineClock()
+    clock = VirtualClock()
     seen: list[dict[str, Any]] = []
     with Rig(clock) as lab:
         about = {"operator": "A. Person", "note": "second try"}
@@ -167,7 +152,7 @@ def test_who_and_what_are_kept_and_the_status_tells_how_a_run_stands(tmp_path: P
 
 
 def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path: Path) -> None:
-    clock = LineClock()
+    clock = VirtualClock()
     with Rig(clock) as lab:
         rig = with_alarm(lab.rig, tmp_path / "heard")
         run = new_folder(tmp_path / "run", short_recipe(2.0, changes=SLOWER), rig, simulated={})

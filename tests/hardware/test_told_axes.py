@@ -3,7 +3,6 @@
 import math
 
 import pytest
-from simulated_devices.line_clock import LineClock
 from test_operator import gimbal
 
 from gradcal_jax.hardware.clock import VirtualClock
@@ -16,7 +15,7 @@ TOLD = AxisLimits(300.0, 400.0, None, None, 0.01, told=True)
 
 
 def test_a_person_without_a_dial_says_that_it_stands():
-    clock = LineClock()
+    clock = VirtualClock()
     with gimbal(clock, angle="none") as (axis, person, plant):
         assert not axis.limits().typed
         assert axis.limits().told
@@ -33,7 +32,7 @@ def test_a_person_without_a_dial_says_that_it_stands():
 
 
 def test_what_is_typed_without_a_dial_is_asked_again():
-    clock = LineClock()
+    clock = VirtualClock()
     with gimbal(clock, angle="none") as (axis, person, _):
         person.always_types = True
         axis.move_to(90.0, 72.0, 14.4)

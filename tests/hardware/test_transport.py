@@ -11,8 +11,6 @@ import time
 from pathlib import Path
 
 import pytest
-from hardware_bench import espec_bench, espec_config, served
-from simulated_devices.line_clock import LineClock
 from simulated_devices.port import SimulatedPort
 
 from gradcal_jax.hardware.clock import RealClock
@@ -23,11 +21,6 @@ from gradcal_jax.hardware.transport import PortLock, Transport
 class Echo:
     def receive(self, data: bytes) -> list[bytes]:
         return [data]
-
-
-class Deaf:
-    def receive(self, data: bytes) -> list[bytes]:
-        return []
 
 
 def test_second_opener_of_a_port_is_refused_with_the_owner() -> None:
@@ -153,24 +146,3 @@ def test_importing_the_room_needs_no_jax() -> None:
         "if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", names], capture_output=True, text=True, check=True).stdout == "[]\n"
-
-
-def test_driver_on_a_line_that_is_no_such_device_says_what_it_heard() -> None:
-    clock = RealClock()
-    config = espec_config(reply_timeout="0.1 s")
-    with served(Echo(), clock, 9600) as (_, line):
-        chamber = config.device(config.link(line, clock), clock)
-        with pytest.raises(Exception, match=r"TYPE\?") as caught:
-            chamber.identify()
-        assert "Is it the right device?" in str(caught.value) or "not a complete reply" in str(caught.value)
-    with served(Deaf(), clock, 9600) as (_, line):
-        chamber = config.device(config.link(line, clock), clock)
-        with pytest.raises(Exception, match=r"did not answer in 0.1 s.*echo back"):
-            chamber.identify()
-
-
-def test_driver_over_a_socket() -> None:
-    with espec_bench(LineClock(), on_socket=True) as (chamber, _, port):
-        assert port.url.startswith("socket://")
-        chamber.hold(30.0)
-        assert chamber.read().setpoint_c == 30.0

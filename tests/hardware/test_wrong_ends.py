@@ -1,35 +1,26 @@
 """Wrong ends and wrong words: what a run, its guard and its checks say of devices that answer otherwise."""
 
 import json
-import os
 import socket
 import subprocess
 import sys
 import threading
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hardware_bench import Rig, cts_bench, espec_bench, espec_config, grbl_bench, short_recipe
-from simulated_devices.faults import Faults
-from simulated_devices.line_clock import LineClock
-from simulated_devices.port import SimulatedPort
+from hardware_bench import Rig, acting, events, running, short_recipe, short_track
+from simulated_devices.faults import Spoils
 
 from gradcal_jax.cli import main
-from gradcal_jax.cli.run import progress_text
 from gradcal_jax.hardware import guard
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.drivers.lines import LinesConfig
-from gradcal_jax.hardware.errors import Disconnected, PortTaken, Rejected, ReplyTimeout
+from gradcal_jax.hardware.errors import Disconnected, PortTaken
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.guard import Guard, make_safe
-from gradcal_jax.hardware.journal import read_journal
 from gradcal_jax.hardware.run_folder import new_folder
-from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
 from gradcal_jax.hardware.setup import check_each, open_rig
 from gradcal_jax.hardware.supervision import read_status
-from gradcal_jax.hardware.transport import Transport
 from gradcal_jax.spec.rig import rig_of
 from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.writing import write_toml
@@ -44,7 +35,7 @@ def test_after_the_guard_the_status_says_how_it_ended(tmp_path: Path, capsys: py
     clock = RealClock()
     status = {"format": "gradcal-status/1", "at_s": time.time(), "simulated": False, "state": "running", "step": "turn"}
     status |= {"steps": 2, "steps_done": 1, "axes": {}, "samples": {}, "track_left_s": 100.0}
-    with Rig(clock) as rig:
+    with Rig(clock, on_terminals=True) as rig:
         write_toml(rig.rig, tmp_path / "rig.toml")
         (tmp_path / "status.json").write_text(json.dumps(status))
         guard.make_folder_safe(tmp_path, deadline_s=10.0)
@@ -84,7 +75,7 @@ def test_a_start_that_commanded_nothing_leaves_the_ports_to_the_next_one(
 
 def test_a_taken_port_names_the_guard_that_holds_it(tmp_path: Path) -> None:
     clock = RealClock()
-    with Rig(clock) as rig:
+    with Rig(clock, on_terminals=True) as rig:
         write_toml(rig.rig, tmp_path / "rig.toml")
         rig.ports[0].faults = lambda message: []
         words = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(tmp_path)]
@@ -123,7 +114,7 @@ def test_a_device_that_is_asked_nothing_by_its_limits_has_to_answer_all_the_same
 
 
 def test_two_names_of_one_adapter_are_one_port(tmp_path: Path) -> None:
-    with Rig(RealClock()) as rig:
+    with Rig(RealClock(), on_terminals=True) as rig:
         by_id = tmp_path / "by-id"
         by_id.symlink_to(rig.ports[1].url)
         axis = {"driver": "lines", "safe": "hold", "gravity_loaded": False, "options": {"protocol": "grbl"}}
@@ -135,67 +126,7 @@ def test_two_names_of_one_adapter_are_one_port(tmp_path: Path) -> None:
             rig_of({**FORMAT, "chamber": chamber, "axis": [one]})
 
 
-@pytest.mark.parametrize("long", [False, True])
-def test_a_cts_chamber_may_acknowledge_either_way(long: bool) -> None:
-    with cts_bench(LineClock()) as (chamber, device, _):
-        answer = device._answer
-
-        def acknowledges(text: str) -> str:
-            reply = answer(text)
-            return {"a": "a0", "u": "u1", "d": "d1"}.get(reply, reply) if long else reply
-
-        device._answer = acknowledges
-        chamber.hold(40.0)
-        assert chamber.ramp(30.0, 1.5) == pytest.approx(1.5)
-        assert device.target_c == 30.0
-
-
-def test_a_grbl_board_that_reports_inches_is_refused_unless_that_is_left_out() -> None:
-    with grbl_bench(LineClock()) as (axis, device, _):
-        device.settings[13] = 1.0
-        with pytest.raises(Rejected, match=r"with \$13=1 the board reports inches"):
-            axis.identify()
-    config = LinesConfig(protocol="grbl", reply_timeout="0.2 s", require=False)
-    with grbl_bench(LineClock(), config=config) as (axis, device, _):
-        device.settings[13] = 1.0
-        axis.identify()
-
-
-def test_a_board_that_restarts_when_its_port_is_opened_is_given_its_time() -> None:
-    clock = LineClock()
-    began = clock.now()
-    with grbl_bench(clock) as (axis, device, _):
-        receive, heard = device.receive, list[float]()
-
-        def deaf_at_first(data: bytes) -> list[bytes]:
-            heard.append(clock.now())
-            return receive(data) if clock.now() - began >= 2.0 else []
-
-        device.receive = deaf_at_first
-        axis.identify()
-    assert heard[0] - began >= 2.5
-
-
 # ---------------------------------------------------------------------------------------------------------- messages
-
-
-def test_without_a_terminal_the_list_is_not_confirmed_by_itself(tmp_path: Path, capsys, monkeypatch) -> None:
-    with Rig(RealClock()) as rig:
-        write_toml(rig.rig, tmp_path / "rig.toml")
-        write_toml(short_recipe(), tmp_path / "recipe.toml")
-        with open(os.devnull) as nothing:
-            monkeypatch.setattr(sys, "stdin", nothing)
-            words = [
-                "run",
-                str(tmp_path / "recipe.toml"),
-                "--rig",
-                str(tmp_path / "rig.toml"),
-                "-o",
-                str(tmp_path / "r"),
-            ]
-            assert main(words) == 2
-        assert "with --yes" in capsys.readouterr().err
-        assert not (tmp_path / "r").exists()
 
 
 def test_a_run_that_never_began_is_not_called_sound(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -209,30 +140,6 @@ def test_a_run_that_never_began_is_not_called_sound(tmp_path: Path, capsys: pyte
     said = capsys.readouterr().err
     assert "the run did not begin, and no command was sent: table at" in said
     assert "sound" not in said
-
-
-def test_a_pause_states_its_reason(tmp_path: Path) -> None:
-    clock = LineClock()
-    runners: list[Runner] = []
-    seen: list[str] = []
-
-    def look(progress: RunProgress) -> None:
-        if progress.state is RunState.RUNNING and progress.steps_done == 1 and not seen:
-            seen.append("")
-            runners[0].request("pause", "the operator heard something")
-        elif progress.state is RunState.PAUSED:
-            seen.append(progress_text(progress, False))
-            assert progress.why == "the operator heard something"
-            threading.Timer(0.5, lambda: runners[0].request("resume")).start()
-
-    with Rig(clock) as rig:
-        changes = {"rig.table.axis[0].max_acceleration": "300 deg/s^2"}
-        run = new_folder(tmp_path / "run", short_recipe(2.0, changes=changes), rig.rig, simulated={})
-        more = {"on_progress": look, "with_runner": runners.append, "wait_when_paused": True}
-        assert run_session(run, rig.rig, clock, simulated=True, **more).exit_status == "success"
-        assert "paused: the operator heard something; step" in seen[1]
-    asked = [e.data["reason"] for e in read_journal(run.journal_path).events if e.name == "request"]
-    assert asked[:1] == ["the operator heard something"]
 
 
 def test_a_cable_that_is_in_again_is_used_to_make_safe() -> None:
@@ -251,83 +158,12 @@ def test_a_cable_that_is_in_again_is_used_to_make_safe() -> None:
         assert rig.axis.state(clock.now())[1] == 0.0
 
 
-def test_a_refusal_names_device_and_port() -> None:
-    with espec_bench(LineClock()) as (chamber, device, port):
-        device._command = lambda text: "PROTECT ON"
-        with pytest.raises(Rejected, match=f"ESPEC at {port.url} was sent 'TEMP, S40.0.*PROTECT ON"):
-            chamber.hold(40.0)
-    with grbl_bench(LineClock()) as (axis, device, port):
-        axis.home()
-        device._jog_line = lambda _: b"error:15\r\n"
-        with pytest.raises(Rejected, match=f"GRBL at {port.url} was sent .*error:15"):
-            axis.spin(10.0, 100.0)
-
-
 # ------------------------------------------------------------------------------------------------------ late answers
 
 
-class Slow:
-    """A chamber's line whose replies come so many real seconds after the request, each in its own time."""
-
-    def __init__(self, port: SimulatedPort, delay_s: float) -> None:
-        self._port, self._delay_s = port, delay_s
-
-    def __call__(self, message: bytes) -> list[bytes]:
-        if message:
-            threading.Timer(self._delay_s, self._port.say, (message,)).start()
-        return []
-
-
-def port_of(device: Any) -> Transport:
-    return device._exchange.transport
-
-
-def test_a_reply_within_twice_the_time_out_counts_and_is_said_to_be_late() -> None:
-    with espec_bench(RealClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
-        port.faults = Slow(port, 0.45)
-        assert chamber._read("air")["air"] == "23.0"
-        late = port_of(chamber).late
-        assert f"ESPEC at {port.url} was sent 'TEMP?" in late
-        assert "s late: raise reply_timeout" in late
-        assert float(late.partition("answered ")[2].partition(" s late")[0]) == pytest.approx(0.15, abs=0.1)
-
-
-def test_a_later_reply_counts_for_no_other_question() -> None:
-    """The query fails, and what still comes is awaited before the next."""
-    with espec_bench(RealClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
-        port.faults = Slow(port, 1.4)
-        with pytest.raises(
-            ReplyTimeout, match=r"did not answer in 0\.3 s.*ESPEC answered up to .*: raise reply_timeout"
-        ):
-            chamber._read("air")
-        port.faults = None
-        assert chamber.identify().firmware == "P3S1.10"
-
-
-def test_an_acknowledgement_that_comes_too_late_is_said() -> None:
-    with espec_bench(RealClock(), config=espec_config(after="0 s")) as (chamber, _, port):
-        slow = Slow(port, 0.5)
-        port.faults = lambda message: slow(message) if message.startswith(b"OK:TEMP") else [message]
-        chamber.hold(40.0)
-        time.sleep(0.5)
-        chamber._read("air")
-        assert "was sent 'TEMP, S40.0" in port_of(chamber).late
-
-
-def test_replies_in_time_are_not_called_late_though_some_are_lost() -> None:
-    with espec_bench(RealClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
-        port.faults = Faults(probability={"drop": 0.3}, seed=3)
-        for _ in range(20):
-            chamber._read("air")
-        assert port_of(chamber).late == ""
-
-
-def test_a_late_reply_is_not_taken_for_the_answer_to_the_next_question() -> None:
-    """To "TYPE?" it comes in the second try; the second try's own reply arrives while "ROM?" is waited for, whose
-    answer may be any text."""
-    with espec_bench(RealClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
-        port.faults = Slow(port, 0.45)
-        assert chamber.identify().firmware == "P3S1.10"
+def late(delay_s: float, begins: bytes = b"") -> Spoils:
+    """Messages that begin so come so many seconds after they were sent."""
+    return lambda message: [(delay_s if message.startswith(begins) else 0.0, message)]
 
 
 def test_late_replies_are_said_by_check_and_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -336,21 +172,17 @@ def test_late_replies_are_said_by_check_and_run(tmp_path: Path, capsys: pytest.C
         tables = rig.rig.model_dump(mode="json", exclude_unset=True)
         tables["chamber"]["options"]["reply_timeout"] = "0.2 s"
         write_toml(rig_of(tables), tmp_path / "rig.toml")
-        rig.ports[0].faults = Slow(rig.ports[0], 0.3)
+        rig.ports[0].faults = late(0.3)
         assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 0
         assert "s late: raise reply_timeout" in " ".join(capsys.readouterr().out.split())
-        changes = {"rig.table.axis[0].max_acceleration": "300 deg/s^2"}
-        run = new_folder(tmp_path / "run", short_recipe(1.0, changes=changes), rig_of(tables), simulated={})
-
-        def look(progress: RunProgress) -> None:
-            if progress.remarks:
-                seen.append(progress_text(progress, False))
-                runners[0].request("abort")
-
-        runners: list[Runner] = []
-        result = run_session(run, rig_of(tables), RealClock(), on_progress=look, with_runner=runners.append)
-        assert seen, result.reason
+    with running(tmp_path / "run", short_track()) as (rig, runner):
+        rig.ports[0].faults = late(3.4)
+        remarked = lambda progress: bool(progress.remarks)  # noqa: E731
+        acting(runner, (remarked, lambda: runner.request("abort")))
+        look = runner.on_progress
+        runner.on_progress = lambda progress: (seen.extend(progress.remarks), look(progress))
+        runner.run()
     assert "ESPEC at" in seen[0]
     assert "late: raise reply_timeout" in seen[0]
-    (event,) = (one for one in read_journal(run.journal_path).events if one.name == "late reply")
+    (event,) = events(tmp_path / "run", "late reply")
     assert event.data["device"] == "chamber"

@@ -13,8 +13,8 @@ import pytest
 from hardware_bench import perfect, sensor_on_table, short_recipe
 from journal_log import angles_of_rests, log_of
 from simulated_devices.frames import SimulatedFrames
-from simulated_devices.line_clock import LineClock
 
+from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents
 from gradcal_jax.hardware.simulate.plants import AxisPlant
 from gradcal_jax.records.log import Log
@@ -93,7 +93,7 @@ def session(
 ) -> list[Event | Chunk]:
     """What the journal holds of it."""
     start_s = told.start_s
-    clock = LineClock(start_s)
+    clock = VirtualClock(start_s)
     plant = AxisPlant(None, start_s)
     truth = perfect(clock_error=told.clock_error)
     sensor = sensor_on_table(clock, truth, axis=plant, sample_rate_hz=125.0)

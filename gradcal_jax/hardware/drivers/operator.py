@@ -16,14 +16,13 @@ end of a line, and no echo by the program.
 """
 
 import math
-import threading
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Literal
 
 from gradcal_jax import units
-from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.clock import Clock, in_thread
 from gradcal_jax.hardware.drivers.base import DriverOptions
 from gradcal_jax.hardware.errors import Disconnected, HardwareError, LimitExceeded, Rejected
 from gradcal_jax.hardware.roles import (
@@ -102,16 +101,16 @@ class Console:
         self._typed = b""
         self._answers: deque[tuple[str, float]] = deque()
         self._problem = ""
-        self._listener: threading.Thread | None = None
+        self._listens = False
         self._open = False
 
     def ask(self, question: str) -> None:
         self._answers.clear()
         self._line.write(f"{_BELL}{question} ".encode())
         self._open = True
-        if self._listener is None:
-            self._listener = threading.Thread(target=self._listen, daemon=True, name="listening to the operator")
-            self._listener.start()
+        if not self._listens:
+            self._listens = True
+            in_thread(self._listen, self._clock, lambda problem: None)
 
     def ring(self) -> None:
         self._line.write(_BELL.encode())

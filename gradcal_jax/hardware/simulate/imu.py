@@ -18,7 +18,6 @@ interval, with the sensors' own errors (IEEE 1431, 1293):
 Units are SI here (rad/s, m/s², °C), unlike in the rest of this package.
 """
 
-import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,15 +27,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gradcal_jax.formulas import lag_filter
-from gradcal_jax.hardware.simulate.plants import AxisPlant, ChamberPlant, UncontrolledRoom
+from gradcal_jax.hardware.simulate.plants import AxisPlant
 
 Vectors = NDArray[np.float64]
 Functions = Callable[[Vectors], Vectors]
 """Functions of a temperature (°C) or a rate (rad/s), `(n,) -> (n, k)`."""
-
-
+Kind = Literal["gyro", "accelerometer"]
 Loop = Callable[[Vectors, float], Vectors]
 """The errors `(n, 3)` of a hysteresis loop at consecutive temperatures `(n,)`, with their period (s)."""
+
+EARTH_RATE = 7.292115e-5
+_STANDARD_GRAVITY = 9.80665  # m/s² in the g of SensorSamples
+# Parts of a sample: the attitude is that at the middle of each, and rates are exact means.
+_PARTS = 3
+
+FACTORS: Final[Mapping[str, Callable[[Vectors, Vectors], Vectors]]] = {
+    "one": lambda own, force: np.ones((len(own), 1, 1)),
+    "own": lambda own, force: own[..., None],
+    "own squared": lambda own, force: own[..., None] ** 2,
+    "inputs": lambda own, force: own[:, None],
+    "force": lambda own, force: force[:, None],
+}
+"""The factors `(n, 3 or 1, k)` of an error, for each sensor axis or the same for all, as functions of the inputs of
+three sensors and of the specific force, `(n, 3)` each."""
 
 
 class HysteresisLoop(Protocol):
@@ -76,6 +89,13 @@ class PlayTruth:
         return lambda temperatures_c, period_s: (follow(temperatures_c) - temperatures_c)[:, None] * slopes
 
 
+def _filtered(numerator: Any, denominator: Any, values: Vectors, state: Vectors) -> Vectors:
+    """A recursive filter along the first axis. SciPy's signals take their time to load."""
+    from scipy import signal
+
+    return signal.lfilter(numerator, denominator, values, axis=0, zi=state)[0]  # pyright: ignore
+
+
 class Mass:
     """A thermal mass that follows a temperature with a time constant, and has been long at a first one."""
 
@@ -92,117 +112,15 @@ class Mass:
         return result
 
 
-def _filtered(numerator: Any, denominator: Any, values: Vectors, state: Vectors) -> Vectors:
-    """A recursive filter along the first axis. SciPy's signals take their time to load."""
-    signal: Any = importlib.import_module("scipy.signal")
-    return signal.lfilter(numerator, denominator, values, axis=0, zi=state)[0]
-
-
 @dataclass(frozen=True)
 class Process:
-    """A Gauss–Markov process of each axis; it adds `bias_gain` times itself to the rate (deg/s) and `rate_gain` times
-    itself to the scale factor. An infinite `tau_s` is one draw."""
+    """A Gauss–Markov process of each axis; it adds `bias_gain` times itself to the output and `rate_gain` times itself
+    to the scale factor. An infinite `tau_s` is one draw."""
 
     sigma: float
     tau_s: float
     bias_gain: float = 0.0
     rate_gain: float = 0.0
-
-
-class Drifts:
-    """Gauss–Markov processes of three axes, advanced from sample to sample."""
-
-    def __init__(self, processes: Sequence[Process], random: np.random.Generator) -> None:
-        self._sigmas = np.array([process.sigma for process in processes])
-        self._taus_s = np.array([process.tau_s for process in processes])
-        self._gains = np.array([(process.bias_gain, process.rate_gain) for process in processes]).reshape(-1, 2)
-        self._states = self._sigmas * random.standard_normal((3, len(processes)))
-
-    def take(self, draws: Vectors, period_s: float) -> tuple[Vectors, Vectors]:
-        """`(n, 3, k)` standard normals -> what the `k` processes add to the output and to the scale factor at the next
-        samples, `(n, 3)` each."""
-        values = np.zeros_like(draws)
-        for number, decay in enumerate(np.exp(-period_s / self._taus_s) if len(draws) else ()):
-            size = self._sigmas[number] * np.sqrt(1.0 - decay**2)
-            state = decay * self._states[None, :, number]
-            values[..., number] = _filtered([size], [1.0, -decay], draws[..., number], state)
-            self._states[:, number] = values[-1, :, number]
-        return values @ self._gains[:, 0], values @ self._gains[:, 1]
-
-
-@dataclass(frozen=True)
-class SensorSamples:
-    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends, and
-    the second thermometer's temperature (None: as the first's)."""
-
-    time_s: NDArray[np.float64]
-    rate_dps: NDArray[np.float64]
-    acceleration_g: NDArray[np.float64]
-    temperature_c: NDArray[np.float64]
-    second_c: NDArray[np.float64] | None = None
-
-
-class SampledSensor(ABC):
-    """Consecutive samples by the unit's own clock; the same seed gives the same samples in blocks of any size. A
-    subclass gives their values in `take`."""
-
-    clock_error: float
-    taken: int
-    """Samples since the last restart."""
-
-    def restart(self, now_s: float, sample_rate_hz: float) -> None:
-        """Sample at this rate of the unit's clock from now on, which runs fast by the clock error."""
-        self._start_s, self.taken = now_s, 0
-        self.true_period_s = 1.0 / sample_rate_hz / (1.0 + self.clock_error)
-
-    def next_time_s(self, ahead: int = 1) -> float:
-        """True time at which the sample `ahead` from now is complete."""
-        return self._start_s + (self.taken + ahead) * self.true_period_s
-
-    def due(self, now_s: float) -> int:
-        """The number of complete samples not yet taken."""
-        return max(0, int((now_s - self._start_s) / self.true_period_s + 1e-6) - self.taken)
-
-    def ends_of(self, count: int) -> NDArray[np.float64]:
-        """`(count + 1,)`: the true times at the ends of the next samples, which count as taken."""
-        ends = self._start_s + (self.taken + np.arange(count + 1.0)) * self.true_period_s
-        self.taken += count
-        return ends
-
-    @abstractmethod
-    def take(self, count: int) -> SensorSamples:
-        """The next samples."""
-
-
-def turn_about(axis: Sequence[float] | Vectors, angle: float | Vectors) -> Vectors:
-    """`(…, 3, 3)`, the matrices of turns by angles `(…)` (rad) about a unit vector (Rodrigues)."""
-    x, y, z = axis
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angle = np.asarray(angle)[..., None, None]
-    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
-
-
-def turn_by(vector: Sequence[float] | Vectors) -> Vectors:
-    """`(3, 3)`, the matrix of a turn by a rotation vector (rad)."""
-    size = float(np.linalg.norm(vector))
-    return turn_about(np.array(vector) / size, size) if size > 0.0 else np.eye(3)
-
-
-EARTH_RATE = 7.292115e-5
-_STANDARD_GRAVITY = 9.80665  # m/s² in the g of SensorSamples
-# Parts of a sample: the attitude is that at the middle of each, and rates are exact means.
-_PARTS = 3
-Kind = Literal["gyro", "accelerometer"]
-
-FACTORS: Final[Mapping[str, Callable[[Vectors, Vectors], NDArray[np.float64]]]] = {
-    "one": lambda own, force: np.ones((len(own), 1, 1)),
-    "own": lambda own, force: own[..., None],
-    "own squared": lambda own, force: own[..., None] ** 2,
-    "inputs": lambda own, force: own[:, None],
-    "force": lambda own, force: force[:, None],
-}
-"""The factors `(n, 3 or 1, k)` of an error, for each sensor axis or the same for all, as functions of the inputs of
-three sensors and of the specific force, `(n, 3)` each."""
 
 
 @dataclass(frozen=True)
@@ -211,24 +129,21 @@ class ErrorTerm:
     `factors`: a name of `FACTORS`, or the functions of the rate of M(T, ω). `lag_s`: of the mass whose
     temperature it follows; `differs`: by how much that is warmer than the sensor."""
 
-    values: NDArray[np.float64]
+    values: Vectors
     basis: Functions
     factors: str | Functions
     lag_s: float = 0.0
     differs: bool = False
 
-    @property
-    def misaligns(self) -> bool:
-        """Whether it changes what the sensors sense, before their other errors."""
-        return self.factors == "inputs"
-
-    def __call__(self, own: Vectors, force: Vectors, temperature_c: NDArray[np.float64]) -> Vectors:
-        coefficients = np.einsum("nt,akt->nak", self.basis(temperature_c), self.values)
+    def __call__(self, own: Vectors, force: Vectors, temperature_c: Vectors) -> Vectors:
+        count = self.values.shape[1]
+        coefficients = self.basis(temperature_c) @ self.values.reshape(3 * count, -1).T
         if isinstance(self.factors, str):
-            factors = np.broadcast_to(FACTORS[self.factors](own, force), coefficients.shape)
+            factors = FACTORS[self.factors](own, force)
         else:
             factors = self.factors(own.ravel()).reshape(*own.shape, -1) * own[..., None]
-        return np.einsum("nak,nak->na", coefficients, factors)
+        terms = coefficients.reshape(-1, 3, count) * factors
+        return terms[..., 0] if count == 1 else np.add.reduce(terms, axis=2)
 
 
 @dataclass(frozen=True)
@@ -275,6 +190,78 @@ class ImuTruth:
     thermometer_offset: float = 0.0
 
 
+@dataclass(frozen=True)
+class SensorSamples:
+    """`n` samples: mean rate as measured (deg/s), specific force (g), temperature (°C), true time of their ends, and
+    the second thermometer's temperature (None: as the first's)."""
+
+    time_s: Vectors
+    rate_dps: Vectors
+    acceleration_g: Vectors
+    temperature_c: Vectors
+    second_c: Vectors | None = None
+
+
+class SampledSensor(ABC):
+    """Consecutive samples by the unit's own clock; the same seed gives the same samples in blocks of any size. A
+    subclass gives their values in `take`."""
+
+    clock_error: float
+    taken: int
+    """Samples since the last restart."""
+
+    def restart(self, now_s: float, sample_rate_hz: float) -> None:
+        """Sample at this rate of the unit's clock from now on, which runs fast by the clock error."""
+        self._start_s, self.taken = now_s, 0
+        self.true_period_s = 1.0 / sample_rate_hz / (1.0 + self.clock_error)
+
+    def next_time_s(self, ahead: int = 1) -> float:
+        """True time at which the sample `ahead` from now is complete."""
+        return self._start_s + (self.taken + ahead) * self.true_period_s
+
+    def due(self, now_s: float) -> int:
+        """The number of complete samples not yet taken."""
+        return max(0, int((now_s - self._start_s) / self.true_period_s + 1e-6) - self.taken)
+
+    def ends_of(self, count: int) -> Vectors:
+        """`(count + 1,)`: the true times at the ends of the next samples, which count as taken."""
+        ends = self._start_s + (self.taken + np.arange(count + 1.0)) * self.true_period_s
+        self.taken += count
+        return ends
+
+    @abstractmethod
+    def take(self, count: int) -> SensorSamples:
+        """The next samples."""
+
+
+class Climate(Protocol):
+    """A chamber, or a room: the temperature of the load at times `(n,)`, s."""
+
+    def load_at(self, times_s: Vectors) -> Vectors: ...
+
+
+def _skew(vector: Any) -> Vectors:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def turn_about(axis: Sequence[float] | Vectors, angle: float | Vectors) -> Vectors:
+    """`(…, 3, 3)`, the matrices of turns by angles `(…)` (rad) about a unit vector (Rodrigues)."""
+    k, angle = _skew(axis), np.asarray(angle)[..., None, None]
+    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
+
+
+def turn_by(vector: Sequence[float] | Vectors) -> Vectors:
+    """`(3, 3)`, the matrix of a turn by a rotation vector (rad)."""
+    size = float(np.linalg.norm(vector))
+    return turn_about(np.array(vector) / size, size) if size > 0.0 else np.eye(3)
+
+
+def _means(parts: Vectors) -> Vectors:
+    """Means of the parts of samples, `(n · parts, …) -> (n, …)`."""
+    return np.add.reduce(parts.reshape(-1, _PARTS, *parts.shape[1:]), axis=1) / _PARTS
+
+
 class SimulatedImu(SampledSensor):
     """One unit on a table that others may share. `mounting`: the present one, from 0; the operator changes it."""
 
@@ -282,7 +269,7 @@ class SimulatedImu(SampledSensor):
         self,
         truth: ImuTruth,
         table: TableTruth,
-        chamber: ChamberPlant | UncontrolledRoom,
+        chamber: Climate,
         axes: Sequence[AxisPlant],
         *,
         sample_rate_hz: float,
@@ -297,77 +284,83 @@ class SimulatedImu(SampledSensor):
         self._chamber, self._axes = chamber, tuple(axes)
         self._random = np.random.default_rng([seed, 20263])
         self._walked: dict[Kind, Vectors] = {"gyro": np.zeros(3), "accelerometer": np.zeros(3)}
-        self._drifts = {kind: Drifts(triad.drifts, self._random) for kind, triad in truth.triads.items()}
-        self._loops: dict[Kind, list[tuple[HysteresisLoop, Loop]]] = {}
-        self._lags_s = {error.lag_s for triad in truth.triads.values() for error in triad.errors}
-        self._lags_s = (self._lags_s | {truth.second_lag_s}) - {0.0}
-        self._masses: dict[float, Mass] = {}
-        self._die: Mass | None = None
+        self._drifts = {
+            kind: [process.sigma * draw for process, draw in zip(triad.drifts, drawn.T, strict=True)]
+            for kind, triad in truth.triads.items()
+            for drawn in [self._random.standard_normal((3, len(triad.drifts)))]
+        }
+        self._loops: dict[Kind, list[tuple[bool, Loop]]] = {}
+        lags_s = {error.lag_s for triad in truth.triads.values() for error in triad.errors} | {truth.second_lag_s}
+        self._lags_s = sorted(lags_s - {0.0})
+        self._masses: dict[float | str, Mass] = {}
         self.restart(start_s, sample_rate_hz)
 
     def take(self, count: int) -> SensorSamples:
         ends = self.ends_of(count)
-        nan = np.full((count, 3), np.nan)
+        output: dict[Kind, Vectors] = dict.fromkeys(("gyro", "accelerometer"), np.full((count, 3), np.nan))
         if not count:
-            return SensorSamples(ends[1:], nan, nan, np.zeros(0))
-        shares = np.arange(count * _PARTS + 1) / _PARTS
-        edges = np.interp(shares, np.arange(count + 1.0), ends)
+            return SensorSamples(ends[1:], output["gyro"], output["accelerometer"], np.zeros(0))
+        edges = np.interp(np.arange(count * _PARTS + 1) / _PARTS, np.arange(count + 1.0), ends)
         rate, force = self._motion(edges)
+        acceleration = _slopes(rate, self.true_period_s / _PARTS)
         temperature = self._chamber.load_at((edges[1:] + edges[:-1]) / 2.0)
         middles = shown = self._chamber.load_at((ends[1:] + ends[:-1]) / 2.0)
         change = np.diff(self._chamber.load_at(ends)) / self.true_period_s
         if lag_s := self.truth.die_lag_s:
-            self._die = self._die or Mass(float(temperature[0]), lag_s)
-            temperature = self._die.take(temperature, self.true_period_s / _PARTS)
-            middles = temperature.reshape(count, _PARTS).mean(axis=1)
+            temperature = self._behind("die", lag_s, temperature)
+            middles = _means(temperature)
             change = (shown - middles) / lag_s
-        late = {0.0: temperature} | {lag: self._mass(lag, temperature) for lag in sorted(self._lags_s)}
-        output: dict[Kind, Vectors] = {"gyro": nan, "accelerometer": nan}
+        late = {0.0: temperature} | {lag_s: self._behind(lag_s, lag_s, temperature) for lag_s in self._lags_s}
         for kind, triad in self.truth.triads.items():
-            lever = self.truth.gyro_lever if kind == "gyro" else self.truth.lever
-            felt = force + _at_lever(np.array(lever), rate, edges)
-            noise, own = self._noise(kind, triad, count), rate if kind == "gyro" else felt
-            along = own + sum(e(own, felt, late[e.lag_s]) for e in triad.errors if e.misaligns)
+            lever = np.array(self.truth.gyro_lever if kind == "gyro" else self.truth.lever)
+            felt = force + _at_lever(lever, rate, acceleration)
+            own = along = rate if kind == "gyro" else felt
+            # Misalignments change what the sensors sense, before their other errors.
+            for error in triad.errors:
+                if error.factors == "inputs":
+                    along = along + error(own, felt, late[error.lag_s])
             said = along
             for error in triad.errors:
-                if not error.misaligns:
+                if error.factors != "inputs":
                     followed = late[error.lag_s] - temperature if error.differs else late[error.lag_s]
                     said = said + error(along, felt, followed)
-            mean = along.reshape(count, _PARTS, 3).mean(axis=1)
-            output[kind] = said.reshape(count, _PARTS, 3).mean(axis=1) + noise[0] + noise[1] * mean
+            mean = _means(along)
+            added, scaled = self._noise(kind, triad, count)
+            said = _means(said) + added + scaled * mean
             if any(triad.gradient):
-                output[kind] = output[kind] + change[:, None] * np.array(triad.gradient)
-            output[kind] = output[kind] + self._of_path(kind, triad, middles, mean)
-        lag_s = self.truth.second_lag_s
-        second = late[lag_s].reshape(count, _PARTS).mean(axis=1) if lag_s else None
+                said = said + change[:, None] * np.array(triad.gradient)
+            if kind not in self._loops:
+                first_c = float(middles[0])
+                self._loops[kind] = [(loop.of_input, loop.begin(first_c)) for loop in triad.loops]
+            for of_input, loop in self._loops[kind]:
+                said = said + loop(middles, self.true_period_s) * (mean if of_input else 1.0)
+            output[kind] = said
+        second = _means(late[self.truth.second_lag_s]) if self.truth.second_lag_s else None
         outputs = np.degrees(output["gyro"]), output["accelerometer"] / _STANDARD_GRAVITY
         return SensorSamples(ends[1:], *outputs, shown + self.truth.thermometer_offset, second)
 
-    def _mass(self, lag_s: float, temperature_c: Vectors) -> Vectors:
+    def _behind(self, name: float | str, lag_s: float, temperature_c: Vectors) -> Vectors:
         """The temperatures of a mass at all parts of the samples."""
-        if lag_s not in self._masses:
-            self._masses[lag_s] = Mass(float(temperature_c[0]), lag_s)
-        return self._masses[lag_s].take(temperature_c, self.true_period_s / _PARTS)
+        mass = self._masses.setdefault(name, Mass(float(temperature_c[0]), lag_s))
+        return mass.take(temperature_c, self.true_period_s / _PARTS)
 
-    def _of_path(self, kind: Kind, triad: TriadTruth, temperature_c: Vectors, mean: Vectors) -> Vectors:
-        """What depends on the path of temperature, `(n, 3)`."""
-        if kind not in self._loops:
-            self._loops[kind] = [(loop, loop.begin(float(temperature_c[0]))) for loop in triad.loops]
-        total = np.zeros_like(mean)
-        for truth, loop in self._loops[kind]:
-            total = total + loop(temperature_c, self.true_period_s) * (mean if truth.of_input else 1.0)
-        return total
-
-    def _noise(self, kind: Kind, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors]:
+    def _noise(self, kind: Kind, triad: TriadTruth, count: int) -> tuple[Vectors, Vectors | float]:
         """The additive error and the scale-factor error of every sample: `(count, 3)` each."""
-        dt = self.true_period_s
+        dt, states = self.true_period_s, self._drifts[kind]
         draws = self._random.standard_normal((count, 3, 2 + len(triad.drifts)))
-        drift, unsteady = self._drifts[kind].take(draws[..., 2:], dt)
         walk = self._walked[kind] + np.cumsum(triad.walk * dt**0.5 * draws[..., 1], axis=0)
         self._walked[kind] = walk[-1]
-        return triad.white / dt**0.5 * draws[..., 0] + walk + drift, unsteady
+        added, scaled = triad.white / dt**0.5 * draws[..., 0] + walk, 0.0
+        for number, process in enumerate(triad.drifts):
+            decay = float(np.exp(-dt / process.tau_s))
+            size = process.sigma * np.sqrt(1.0 - decay**2)
+            values = _filtered([size], [1.0, -decay], draws[..., 2 + number], decay * states[number][None])
+            states[number] = values[-1]
+            added = added + process.bias_gain * values
+            scaled = scaled + process.rate_gain * values
+        return added, scaled
 
-    def _motion(self, edges: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
+    def _motion(self, edges: Vectors) -> tuple[Vectors, Vectors]:
         """Rate against inertial space (rad/s) and specific force (m/s²) in the body, `(n, 3)` between `n + 1` times."""
         table = self.table
         middles, lasting = (edges[1:] + edges[:-1]) / 2.0, np.diff(edges)
@@ -386,7 +379,14 @@ class SimulatedImu(SampledSensor):
         return np.einsum("nij,ni->nj", attitude, turning + earth), table.gravity * attitude[:, 2]
 
 
-def _at_lever(lever: Vectors, rate: Vectors, edges: NDArray[np.float64]) -> Vectors:
+def _slopes(values: Vectors, step_s: float) -> Vectors:
+    """Derivatives of values a step apart, by both neighbours."""
+    steps = np.diff(values, axis=0)
+    within = 0.5 * (steps[1:] + steps[:-1])
+    return np.concatenate([steps[:1], within, steps[-1:]]) / step_s
+
+
+def _at_lever(lever: Vectors, rate: Vectors, acceleration: Vectors) -> Vectors:
     """The acceleration by rotation in the specific force: ω × (ω × r) + ω̇ × r."""
-    middles = (edges[1:] + edges[:-1]) / 2.0
-    return np.cross(rate, np.cross(rate, lever)) + np.cross(np.gradient(rate, middles, axis=0), lever)
+    turned = rate * (rate @ lever)[:, None] - lever * np.sum(rate * rate, axis=1)[:, None]
+    return turned + acceleration @ _skew(lever)

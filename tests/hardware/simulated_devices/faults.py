@@ -1,19 +1,20 @@
 """What can go wrong on a simulated line, one way: a port takes such a switchboard for replies and one for commands.
 
-Two ways to ask for it: a probability for every message, or `once(...)` for the very next ones. Delays are real seconds,
-because the time-outs they provoke are real. What goes wrong *in* a device (alarm, reboot, a stalled axis) is a method
-of that device; `unplug` is one of its port.
+Two ways to ask for it: a probability for every message, or `once(...)` for the very next ones. What goes wrong *in* a
+device (alarm, reboot, a stalled axis) is a method of that device; `unplug` is one of its port.
 """
 
 import threading
-import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 Fault = Literal["drop", "flip", "noise", "duplicate", "truncate", "delay", "split"]
+Spoils = Callable[[bytes], list[tuple[float, bytes]]]
+"""The bytes that arrive in place of a message, each with how much later (s) than it was sent."""
 FAULTS: tuple[Fault, ...] = ("drop", "flip", "noise", "duplicate", "truncate", "delay", "split")
 
 
@@ -26,8 +27,8 @@ class Faults:
     noise      random bytes come before it
     duplicate  it comes twice
     truncate   its end is missing
-    delay      it comes `delay_s` real seconds late
-    split      it comes in two parts, a hundredth of a second apart
+    delay      it comes `delay_s` late
+    split      it comes in two parts
     """
 
     seed: int = 0
@@ -48,28 +49,26 @@ class Faults:
         with self._lock:
             self._next.extend(faults)
 
-    def __call__(self, message: bytes) -> list[bytes]:
-        """The chunks that arrive instead of `message`; sleeps where a fault is one of time."""
+    def __call__(self, message: bytes) -> list[tuple[float, bytes]]:
         with self._lock:
+            fault = None if self.mute or not message else self._choose()
             if self.mute or not message:
                 return []
-            fault = self._choose()
             if fault is None:
-                return [message]
+                return [(0.0, message)]
             self.count[fault] += 1
             place = int(self._random.integers(len(message)))
             bit = int(self._random.integers(8))
             noise = self._random.bytes(int(self._random.integers(1, 20)))
-        if fault == "delay":
-            time.sleep(self.delay_s)
-        arrives: dict[Fault, list[bytes]] = {
+        flipped = message[:place] + bytes([message[place] ^ 1 << bit]) + message[place + 1 :]
+        arrives: dict[Fault, list[tuple[float, bytes]]] = {
             "drop": [],
-            "flip": [message[:place] + bytes([message[place] ^ 1 << bit]) + message[place + 1 :]],
-            "noise": [noise + message],
-            "duplicate": [message + message],
-            "truncate": [message[:place]],
-            "delay": [message],
-            "split": [message[:place], message[place:]],
+            "flip": [(0.0, flipped)],
+            "noise": [(0.0, noise + message)],
+            "duplicate": [(0.0, message + message)],
+            "truncate": [(0.0, message[:place])],
+            "delay": [(self.delay_s, message)],
+            "split": [(0.0, message[:place]), (0.0, message[place:])],
         }
         return arrives[fault]
 
@@ -84,3 +83,7 @@ class Faults:
             if draw < 0.0:
                 return fault
         return None
+
+
+def arrivals(spoils: Spoils | None, message: bytes) -> list[tuple[float, bytes]]:
+    return [(0.0, message)] if spoils is None else spoils(message)

@@ -6,12 +6,12 @@ from typing import Any, Self
 import numpy as np
 from simulated_devices.espec import EspecOptions, SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
-from simulated_devices.line_clock import FastClock
 from simulated_devices.line_tables import SimulatedGrbl
 from simulated_devices.operator import SimulatedOperator
-from simulated_devices.port import SimulatedPort
+from simulated_devices.port import FastClock, SimulatedPort
+from simulated_devices.wire import Wire
 
-from gradcal_jax.hardware.clock import Clock
+from gradcal_jax.hardware.clock import Clock, VirtualClock
 from gradcal_jax.hardware.simulate import lab
 from gradcal_jax.hardware.simulate.lab import unit_options
 from gradcal_jax.hardware.simulate.plants import AxisPlant
@@ -41,7 +41,8 @@ class SimulatedLab(lab.SimulatedLab):
         turners = [operator] if by_hand else boards
         hangs = hang is not None and not by_hand
         devices = [self.chamber, *turners, *self.imus.values(), *([operator] if hangs else [])]
-        self.ports = [SimulatedPort(device, clock) for device in devices]
+        line: Any = Wire if isinstance(clock, VirtualClock) else SimulatedPort
+        self.ports = [line(device, clock) for device in devices]
         at_chamber, *others = (port.url for port in self.ports)
         at_axes = [others.pop(0) for _ in turners] * (len(axes) if by_hand else 1)
         units: list[dict[str, Any]] = [
@@ -56,7 +57,9 @@ class SimulatedLab(lab.SimulatedLab):
             "imu": units,
         }
         if isinstance(clock, FastClock):
-            # A unit is listened to for as long, by the computer's clock, as at the speed of a clock.
+            # As long by the computer's clock as at the speed of a clock.
+            for device in (tables["chamber"], *tables["axis"]):
+                device["options"]["reply_timeout"] = f"{0.5 * clock.speed:g} s"
             for unit in units:
                 unit["options"]["changes"]["timeout"] = f"{3.0 * clock.speed:g} s"
         self.rig = rig_of(tables | ({"operator": {"port": others[-1]}} if len(others) > len(units) else {}))
@@ -68,7 +71,7 @@ class SimulatedLab(lab.SimulatedLab):
 
     def __exit__(self, *_: object) -> None:
         for port in self.ports:
-            port.close()
+            port.__exit__()
 
 
 def board_of(plant: AxisPlant, clock: Clock) -> SimulatedGrbl:

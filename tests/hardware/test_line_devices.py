@@ -1,0 +1,633 @@
+"""Chambers and axes by their descriptions, against simulated peers: behaviour, refusals, spoilt lines, late replies.
+
+minimalmodbus and pymodbus, which share nothing with this package, check the simulated registers and their driver.
+"""
+
+import asyncio
+import socket
+import struct
+import threading
+from typing import Any
+
+import minimalmodbus
+import pytest
+import serial
+from hardware_bench import (
+    aerosmith_bench,
+    cts_bench,
+    espec_bench,
+    espec_config,
+    f4_bench,
+    f4_config,
+    f4t_bench,
+    f4t_config,
+    grbl_bench,
+    thermotron_bench,
+)
+from simulated_devices.espec import EspecOptions
+from simulated_devices.faults import Faults, Spoils
+from simulated_devices.port import SimulatedPort
+from simulated_devices.watlow_f4 import SimulatedWatlowF4, WatlowF4Options
+from simulated_devices.watlow_f4t import WatlowF4TOptions
+
+from gradcal_jax.hardware.clock import RealClock, VirtualClock
+from gradcal_jax.hardware.drivers.lines import LinesConfig
+from gradcal_jax.hardware.errors import (
+    DeviceFault,
+    Disconnected,
+    FramingError,
+    HardwareError,
+    LimitExceeded,
+    NotVerified,
+    Rejected,
+    ReplyTimeout,
+)
+from gradcal_jax.hardware.roles import MotionAxis, TemperatureChamber
+from gradcal_jax.hardware.setup import DRIVERS
+from gradcal_jax.hardware.simulate.plants import ChamberPlant, ChamberTruth
+from gradcal_jax.hardware.transport import Transport
+
+CHAMBERS = {
+    "espec": espec_bench,
+    "watlow_f4": f4_bench,
+    "watlow_f4t": f4t_bench,
+    "thermotron": thermotron_bench,
+    "cts": cts_bench,
+}
+AXES = {"grbl": grbl_bench, "aerosmith": aerosmith_bench}
+RAMPING = pytest.mark.parametrize("bench", [thermotron_bench, cts_bench, f4t_bench])
+of_chambers = pytest.mark.parametrize("bench", CHAMBERS.values(), ids=CHAMBERS)
+of_axes = pytest.mark.parametrize("bench", AXES.values(), ids=AXES)
+
+
+def set_point(device: Any, clock: Any) -> float:
+    return device.plant.set_point_c(clock.now())
+
+
+def rate_dps(device: Any, clock: Any) -> float:
+    return device.plant.state(clock.now())[1]
+
+
+def come_to_rest(axis: MotionAxis, clock: Any) -> float:
+    began = clock.now()
+    while axis.read().moving:
+        clock.sleep(0.05)
+    return clock.now() - began
+
+
+# ----------------------------------------------------------------------------------------------------------- chambers
+
+
+@of_chambers
+def test_every_chamber_holds_settles_and_goes_safe(bench: Any) -> None:
+    clock = VirtualClock()
+    with bench(clock) as (chamber, device, port):
+        assert isinstance(chamber, TemperatureChamber)
+        assert chamber.identify().driver in DRIVERS
+        limits = chamber.limits()
+        assert not chamber.read().conditioning
+        chamber.hold(-30.0)
+        moving = chamber.read()
+        assert (moving.setpoint_c, moving.conditioning) == (-30.0, True)
+        assert moving.air_c > 20.0
+        clock.sleep(5400.0)
+        settled = chamber.read()
+        assert settled.air_c == pytest.approx(-30.0, abs=0.05)
+        assert settled.alarms == ()
+        for wrong in (limits.highest_c + 1.0, limits.lowest_c - 1.0):
+            with pytest.raises(LimitExceeded, match="accepts"):
+                chamber.hold(wrong)
+        assert chamber.read().setpoint_c == -30.0
+        for policy, air in (("hold", -30.0), ("ambient", 23.0)):
+            assert chamber.safe(policy, 23.0).verified
+            clock.sleep(7200.0)
+            assert chamber.read().air_c == pytest.approx(air, abs=0.1)
+        # Of a room that the chamber's limits leave out, as near as they allow.
+        assert chamber.safe("ambient", 500.0).verified
+        assert chamber.read().setpoint_c == limits.highest_c
+        assert chamber.safe("standby").verified
+        assert not chamber.read().conditioning
+        chamber.hold(50.0)
+        device.reboot()
+        assert not chamber.read().conditioning
+        assert port.lost_bytes == 0
+
+
+@of_chambers
+def test_a_silent_chamber_and_a_pulled_cable_are_told_apart(bench: Any) -> None:
+    with bench(VirtualClock()) as (chamber, _, port):
+        port.faults = Faults(mute=True)
+        with pytest.raises(ReplyTimeout, match=f"{port.url} was sent .*did not answer"):
+            chamber.read()
+        port.faults = None
+        chamber.read()
+        port.unplug()
+        with pytest.raises(Disconnected, match="cable"):
+            chamber.read()
+
+
+@RAMPING
+def test_ramps_in_the_controller_have_the_rate_that_was_asked_for(bench: Any) -> None:
+    clock = VirtualClock()
+    with bench(clock) as (chamber, device, _):
+        chamber.hold(-20.0)
+        clock.sleep(5400.0)
+        assert chamber.ramp(40.0, 1.0) == pytest.approx(1.0, abs=0.01)
+        clock.sleep(600.0)
+        first, first_c = chamber.read(), set_point(device, clock)
+        clock.sleep(1200.0)
+        second, second_c = chamber.read(), set_point(device, clock)
+        lasted_min = (second.time_s - first.time_s) / 60.0
+        assert (second_c - first_c) / lasted_min == pytest.approx(1.0, abs=0.02)
+        assert (second.air_c - first.air_c) / lasted_min == pytest.approx(1.0, abs=0.02)
+        # A new ramp from within the old one, downwards; then a hold must not inherit the gradient.
+        assert chamber.ramp(-10.0, 0.5) == pytest.approx(0.5, abs=0.01)
+        clock.sleep(900.0)
+        assert chamber.read().setpoint_c < second.setpoint_c
+        chamber.hold(-40.0)
+        assert chamber.read().setpoint_c == -40.0
+        chamber.ramp(60.0, 1.0)
+        assert chamber.safe("standby").verified
+        # Of a ramp nothing stays in the controller.
+        assert getattr(device, "ramp_k_per_min", 0.0) == 0.0
+        assert getattr(device, "up", 999.9) == getattr(device, "down", 999.9) == 999.9
+
+
+def test_a_ramp_that_is_acknowledged_and_not_taken_is_noticed() -> None:
+    clock = VirtualClock()
+    with cts_bench(clock) as (chamber, device, _):
+        chamber.hold(20.0)
+        clock.sleep(3600.0)
+        answer = device._answer
+        device._answer = lambda text: text[0] if text[:2] in ("u1", "d1") else answer(text)
+        with pytest.raises(NotVerified, match="ramp"):
+            chamber.ramp(60.0, 1.0)
+        assert device.target_c == 20.0
+
+
+@pytest.mark.parametrize("bench", [thermotron_bench, cts_bench])
+def test_an_alarm_is_in_the_reading(bench: Any) -> None:
+    with bench(VirtualClock()) as (chamber, device, _):
+        chamber.hold(30.0)
+        assert chamber.read().alarms == ()
+        device.raise_alarm()
+        reading = chamber.read()
+        assert (len(reading.alarms), reading.conditioning) == (1, False)
+
+
+@pytest.mark.parametrize(("decimals", "blanks"), [(0, True), (2, False)])
+def test_an_espec_with_address_alarms_and_an_old_controller(decimals: int, blanks: bool) -> None:
+    clock = VirtualClock()
+    config = espec_config(line={"prefix": "3,"}, ask={"mode": {"send": "MODE?"}})
+    options = EspecOptions(address=3, knows_detail=False, decimals=decimals, blanks=blanks)
+    with espec_bench(clock, options, config) as (chamber, device, _):
+        assert chamber.identify().model == "ESPEC P300"
+        chamber.hold(30.0)
+        clock.sleep(3600.0)
+        assert chamber.read().air_c == pytest.approx(30.0, abs=0.6 * 10.0**-decimals)
+        # Somebody starts a program at the panel: a set point ends it.
+        device.run_program(60.0)
+        assert (chamber.read().mode, chamber.read().conditioning) == ("RUN", True)
+        chamber.hold(40.0)
+        assert (chamber.read().mode, set_point(device, clock)) == ("CONSTANT", 40.0)
+        with pytest.raises(Rejected, match="steps of the set point"):
+            chamber.ramp(50.0, 1.0)
+        device.raise_alarm(18)
+        reading = chamber.read()
+        assert (reading.alarms, reading.conditioning) == (("18",), False)
+
+
+def test_what_an_espec_refuses_or_only_acknowledges_is_said() -> None:
+    bench = espec_bench(VirtualClock(), EspecOptions(echo_off=True))
+    with bench as (chamber, _, _), pytest.raises(ReplyTimeout, match="echo back"):
+        chamber.identify()
+    with espec_bench(VirtualClock()) as (chamber, device, port):
+        device._enter = lambda mode: None  # local mode at the panel: it says OK and stays as it is
+        with pytest.raises(NotVerified, match="read-back"):
+            chamber.hold(30.0)
+        device._command = lambda text: "PROTECT ON"
+        with pytest.raises(Rejected, match=f"ESPEC at {port.url} was sent 'TEMP, S40.0.*PROTECT ON"):
+            chamber.hold(40.0)
+
+
+def test_a_lost_acknowledgement_repeats_no_command() -> None:
+    faults = Faults()
+    with espec_bench(VirtualClock(), faults=faults) as (chamber, device, _):
+        chamber.hold(20.0)
+        device.commands.clear()
+        # Questions before the command: limits, mode; the third message is the acknowledgement.
+        faults.once("split", "split", "drop")
+        chamber.hold(31.0)
+        assert [text for text in device.commands if text.startswith("TEMP, S")] == ["TEMP, S31.0"]
+
+
+def test_a_set_point_counts_only_once_the_thermotron_was_told_to_run() -> None:
+    clock = VirtualClock()
+    with thermotron_bench(clock) as (chamber, device, _):
+        chamber.hold(40.0)
+        device._obeys, obeys = (lambda text, now: text != "RUNM" and obeys(text, now)), device._obeys
+        with pytest.raises(NotVerified, match="setpoint 60"):
+            chamber.hold(60.0)
+        assert set_point(device, clock) == 40.0
+
+
+@pytest.mark.parametrize("long", [False, True])
+def test_a_cts_chamber_may_acknowledge_either_way(long: bool) -> None:
+    with cts_bench(VirtualClock()) as (chamber, device, _):
+        answer, forms = device._answer, {"a": "a0", "u": "u1", "d": "d1"} if long else {}
+        device._answer = lambda text: forms.get(reply := answer(text), reply)
+        chamber.hold(40.0)
+        assert chamber.ramp(30.0, 1.5) == pytest.approx(1.5)
+        assert device.target_c == 30.0
+
+
+# ---------------------------------------------------------------------------------------------------------- registers
+
+
+def test_the_simulated_registers_satisfy_an_independent_modbus_client() -> None:
+    clock = RealClock()
+    plant = ChamberPlant(ChamberTruth(start_c=25.0, ambient_c=25.0), clock.now())
+    device = SimulatedWatlowF4(plant, clock)
+    with SimulatedPort(device, clock) as port:
+        client = minimalmodbus.Instrument(serial.Serial(port.url, 9600, timeout=0.5), 1)
+        assert client.read_register(100, 1, signed=True) == 25.0
+        client.write_register(300, -40.0, 1, functioncode=6, signed=True)
+        assert device.words[300] == -400
+        assert client.read_registers(602, 2) == [65536 - 700, 1800]
+        client.write_registers(300, [123])
+        assert client.read_register(300, 1) == 12.3
+        with pytest.raises(minimalmodbus.IllegalRequestError):
+            client.read_register(9999)
+        client.serial.close()
+
+
+@pytest.mark.parametrize("decimals", [0, 2])
+def test_f4_scales_by_its_own_decimals_and_has_no_standby_without_its_event(decimals: int) -> None:
+    clock = VirtualClock()
+    with f4_bench(clock, WatlowF4Options(decimals=decimals)) as (chamber, device, _):
+        chamber.hold(-40.0)
+        clock.sleep(7200.0)
+        assert chamber.read().air_c == pytest.approx(-40.0, abs=0.6 * 10.0**-decimals)
+        device.trip_limit()
+        assert chamber.read().alarms == ("limit input 1",)
+    wrong_unit = f4_bench(clock, WatlowF4Options(fahrenheit=True))
+    with wrong_unit as (chamber, _, _), pytest.raises(Rejected, match="Fahrenheit"):
+        chamber.identify()
+    changes = {"tell": {"on": False, "off": False}, "state": {"conditioning": False}}
+    with f4_bench(clock, WatlowF4Options(conditioning_event=0), f4_config(changes=changes)) as (chamber, _, _):
+        with pytest.raises(Rejected, match="no \\[tell\\] off"):
+            chamber.safe("standby")
+        with pytest.raises(Rejected, match="steps"):
+            chamber.ramp(50.0, 1.0)
+
+
+def float_words(value: float) -> tuple[int, int]:
+    """A float as two registers, the low word first."""
+    high, low = struct.unpack(">HH", struct.pack(">f", value))
+    return low, high
+
+
+def test_the_driver_of_registers_speaks_with_an_independent_server() -> None:
+    server_room = pytest.importorskip("pymodbus.server")
+    simulator = pytest.importorskip("pymodbus.simulator")
+    registers = {2730: [10], 2774: [*float_words(-70.0), *float_words(180.0)]}
+    registers |= {2782: [0, 0], 2794: [62], 2810: [*float_words(-12.5)], 2814: [10], 6730: [15]}
+    registers |= {2820: [*float_words(21.25)], 16568: [251], 12: [0xE240, 1], 4: [4]}
+    registers |= {16: [ord(letter) for letter in "F4T1L1EAA1D1AAA"]}
+    kind = simulator.DataType.REGISTERS
+    data = [simulator.SimData(place, values=values, datatype=kind) for place, values in sorted(registers.items())]
+    loop = asyncio.new_event_loop()
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        number = probe.getsockname()[1]
+
+    async def serve() -> Any:
+        server = server_room.ModbusTcpServer(simulator.SimDevice(1, simdata=data), address=("127.0.0.1", number))
+        await server.serve_forever(background=True)
+        return server
+
+    server = loop.run_until_complete(serve())
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+    clock = RealClock()
+    transport = Transport(f"socket://127.0.0.1:{number}", clock=clock)
+    try:
+        config = f4t_config(changes={"alarm": False})
+        chamber = config.device(config.link(transport, clock), clock)
+        identity = chamber.identify()
+        assert (identity.model, identity.serial_number) == ("Watlow F4T F4T1L1EAA1D1AAA", "123456")
+        assert (chamber.limits().lowest_c, chamber.limits().highest_c) == (-70.0, 180.0)
+        reading = chamber.read()
+        assert (reading.air_c, reading.setpoint_c, reading.mode, reading.conditioning) == (21.25, -12.5, "AUTO", True)
+        # This server keeps what it is told and does nothing: what is in force stays, and that is noticed.
+        with pytest.raises(NotVerified, match=r"setpoint \(target = 40\)"):
+            chamber.hold(40.0)
+        with pytest.raises(Rejected, match="exception 2"):
+            chamber._words("alarm1", 1)
+    finally:
+        transport.close()
+        asyncio.run_coroutine_threadsafe(server.shutdown(), loop).result(5.0)
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
+        loop.close()
+
+
+def test_f4t_whose_loop_stays_off_is_noticed_and_one_that_was_off_is_switched_on_first() -> None:
+    clock = VirtualClock()
+    with f4t_bench(clock) as (chamber, device, _):
+        # Somebody wrote a set point beforehand, to a loop that is off.
+        device.memory.put(2782, -30.0)
+        assert (chamber.read().conditioning, chamber.read().setpoint_c) == (False, 23.0)
+        chamber.hold(-30.0)
+        assert set_point(device, clock) == -30.0
+        device.memory.words[16568] = 149
+        assert chamber.read().mode == "PROFILE"
+        chamber.hold(-20.0)
+        assert chamber.read().mode == "AUTO"
+        device.memory.words |= {1556: 12, 1456: 10}
+        assert chamber.read().alarms == ("alarm 2",)
+    with f4t_bench(clock, WatlowF4TOptions(locked=True)) as (chamber, device, _):
+        with pytest.raises(NotVerified, match=r"Watlow F4T: on \(loop = 10\)"):
+            chamber.hold(30.0)
+        assert not device.plant.conditioning
+
+
+# --------------------------------------------------------------------------------------------------------------- axes
+
+
+@of_axes
+def test_every_axis_homes_moves_spins_and_stops(bench: Any) -> None:
+    clock = VirtualClock()
+    with bench(clock) as (axis, device, _):
+        assert isinstance(axis, MotionAxis)
+        assert axis.identify().driver in DRIVERS
+        axis.home()
+        assert axis.read().referenced
+        for rate, acceleration in ((1000.0, 100.0), (100.0, 1000.0), (100.0, 0.0)):
+            with pytest.raises(LimitExceeded, match="accepts"):
+                axis.spin(rate, acceleration)
+            with pytest.raises(LimitExceeded):
+                axis.move_to(10.0, rate, acceleration)
+        assert rate_dps(device, clock) == 0.0
+        near = 2.0 * axis.limits().resolution_deg
+        axis.move_to(720.0, 150.0, 300.0)
+        assert come_to_rest(axis, clock) == pytest.approx(720 / 150 + 0.5, abs=0.3)
+        assert axis.read().position_deg == pytest.approx(720.0, abs=near)
+        assert device.plant.state(clock.now())[0] == pytest.approx(720.0, abs=near)
+        axis.move_to(-90.0, 300.0, 300.0)
+        come_to_rest(axis, clock)
+        assert axis.read().position_deg == pytest.approx(-90.0, abs=near)
+        # After a move to an angle: the controller's mode must have been changed back for a spin to work.
+        axis.spin(-200.0, 250.0)
+        clock.sleep(3.0)
+        axis.read()
+        clock.sleep(5.0)
+        reading = axis.read()
+        assert reading.moving
+        assert reading.rate_dps == pytest.approx(-200.0, rel=1e-3)
+        # One that moves takes another command.
+        axis.spin(30.0, 200.0)
+        clock.sleep(3.0)
+        assert rate_dps(device, clock) == pytest.approx(30.0, rel=1e-3)
+        axis.move_to(45.0, 60.0, 200.0)
+        come_to_rest(axis, clock)
+        assert axis.read().position_deg == pytest.approx(45.0, abs=0.01)
+        axis.spin(-20.0, 200.0)
+        axis.stop()
+        assert not axis.read().moving
+        assert axis.safe("hold").verified
+        assert rate_dps(device, clock) == 0.0
+
+
+@of_axes
+def test_a_reply_that_the_host_reads_late_makes_no_rate_too_large(bench: Any, monkeypatch: Any) -> None:
+    """Of a device whose position comes with its state, and of one that is asked for it."""
+    clock, late = VirtualClock(), [0.3]
+    with bench(clock) as (drive, _, _):
+        drive.home()
+        drive.spin(100.0, 200.0)
+        clock.sleep(2.0)
+        ask = drive._ask
+
+        def read_late(question: Any) -> Any:
+            reply = ask(question)
+            clock.sleep(late[0])
+            return reply
+
+        monkeypatch.setattr(drive, "_ask", read_late)
+        drive.read()
+        late[0] = 0.0
+        clock.sleep(0.5)
+        assert 50.0 < drive.read().rate_dps < 101.0
+
+
+def test_grbl_that_restarted_has_no_reference_and_does_not_move() -> None:
+    clock = VirtualClock()
+    with grbl_bench(clock) as (axis, device, _):
+        with pytest.raises(DeviceFault, match="Alarm"):
+            axis.move_to(10.0, 50.0, 100.0)
+        axis.home()
+        axis.move_to(10.0, 50.0, 100.0)
+        clock.sleep(5.0)
+        device.reboot()
+        assert axis.read().faults == ("Alarm",)
+        # Unlocked at the board it counts from nought again: it is not referenced for that.
+        device.receive(b"$X\n")
+        with pytest.raises(DeviceFault, match="no reference"):
+            axis.move_to(20.0, 50.0, 100.0)
+        device.settings[22] = 0.0
+        with pytest.raises(Rejected, match="lost its reference"):
+            axis.identify()
+
+
+def test_grbl_that_finds_no_switch_or_hits_a_limit() -> None:
+    clock = VirtualClock()
+    with grbl_bench(clock) as (axis, device, port):
+        device.finds_switch = False
+        with pytest.raises((DeviceFault, FramingError)):
+            axis.home()
+        device.finds_switch = True
+        axis.home()
+        axis.spin(30.0, 100.0)
+        clock.sleep(3.0)
+        for message in device.hard_limit():
+            port.say(message)
+        with pytest.raises(ReplyTimeout):
+            axis.read()
+
+
+def test_grbl_stops_where_it_stands_and_its_settings_are_put_back() -> None:
+    """A feed hold where nothing moves would lock the board; a cancelled jog does not."""
+    clock = VirtualClock()
+    with grbl_bench(clock) as (axis, device, port):
+        axis.home()
+        assert axis.safe("hold").verified
+        assert axis.read().faults == ()
+        before = dict(device.settings)
+        axis.spin(60.0, 120.0)
+        assert device.settings[120] == 120.0
+        clock.sleep(2.0)
+        axis.stop()
+        axis.settings.put_back()
+        assert device.settings == before
+        device._jog_line = lambda _: b"error:15\r\n"
+        with pytest.raises(Rejected, match=f"GRBL at {port.url} was sent .*error:15"):
+            axis.spin(10.0, 100.0)
+
+
+@pytest.mark.parametrize(("require", "refused"), [(None, True), (False, False)])
+def test_a_grbl_board_that_reports_inches_is_refused_unless_that_is_left_out(require: Any, refused: bool) -> None:
+    more = {} if require is None else {"require": require}
+    with grbl_bench(VirtualClock(), config=LinesConfig(protocol="grbl", reply_timeout="0.2 s", **more)) as (
+        axis,
+        device,
+        _,
+    ):
+        device.settings[13] = 1.0
+        if not refused:
+            axis.identify()
+            return
+        with pytest.raises(Rejected, match=r"with \$13=1 the board reports inches"):
+            axis.identify()
+
+
+def test_a_board_that_restarts_when_its_port_is_opened_is_given_its_time() -> None:
+    clock = VirtualClock()
+    with grbl_bench(clock) as (axis, device, _):
+        receive, heard = device.receive, list[float]()
+
+        def deaf_at_first(data: bytes) -> list[bytes]:
+            heard.append(clock.now())
+            return receive(data) if clock.now() >= 2.0 else []
+
+        device.receive = deaf_at_first
+        axis.identify()
+    assert heard[0] >= 2.5
+
+
+def test_a_rate_that_was_lost_lets_no_table_go() -> None:
+    clock = VirtualClock()
+    with aerosmith_bench(clock) as (axis, device, _):
+        axis.home()
+        receive = device.receive
+        device.receive = lambda data: [b"\r\n>"] if data.startswith((b"VEL0", b"VEL5")) else receive(data)
+        with pytest.raises(NotVerified, match="rate 50"):
+            axis.move_to(90.0, 50.0, 100.0)
+        assert not device.plant.moving(clock.now())
+        device.receive = receive
+        axis.move_to(90.0, 50.0, 100.0)
+        assert axis.safe("unpower").verified
+        assert not device.servo
+
+
+# ------------------------------------------------------------------------------------------------------- spoilt lines
+
+
+def use_chamber(chamber: Any, device: Any, clock: Any, number: int) -> None:
+    """What returns without an exception has taken effect."""
+    target = 20.0 + number
+    chamber.hold(target)
+    assert set_point(device, clock) == pytest.approx(target, abs=1e-3)
+    assert device.plant.conditioning
+    if chamber.limits().hardware_ramp:
+        clock.sleep(1800.0)
+        chamber.ramp(target + 20.0, 1.0)
+        began_s, began_c = clock.now(), set_point(device, clock)
+        clock.sleep(300.0)
+        rate = (set_point(device, clock) - began_c) / (clock.now() - began_s) * 60.0
+        assert rate == pytest.approx(1.0, abs=0.25)
+    chamber.standby()
+    assert not device.plant.conditioning
+
+
+def use_axis(axis: Any, device: Any, clock: Any, number: int) -> None:
+    axis.identify()
+    axis.home()
+    axis.move_to(40.0 + number, 100.0, 200.0)
+    come_to_rest(axis, clock)
+    assert device.plant.state(clock.now())[0] == pytest.approx(40.0 + number, abs=0.01)
+    axis.spin(-50.0, 200.0)
+    clock.sleep(3.0)
+    assert rate_dps(device, clock) == pytest.approx(-50.0, rel=1e-3)
+    axis.stop()
+    assert rate_dps(device, clock) == 0.0
+
+
+def made_safe(driver: Any, how: Any) -> bool:
+    try:
+        return driver.safe(how).verified
+    except HardwareError:
+        return False
+
+
+@pytest.mark.parametrize("way", ["commands", "faults"])
+@pytest.mark.parametrize("fault", ["drop", "duplicate", "flip", "delay", "always"])
+@pytest.mark.parametrize("bench", [*CHAMBERS.values(), *AXES.values()], ids=[*CHAMBERS, *AXES])
+def test_lines_lost_doubled_damaged_and_late_once_and_always(bench: Any, fault: Any, way: str) -> None:
+    """Commands, or replies, of a session: each in its turn suffers the fault, or all of them one of several."""
+    often = dict.fromkeys(("drop", "truncate", "duplicate", "noise"), 0.04) if fault == "always" else {}
+    clock, faults = VirtualClock(), Faults(seed=5, delay_s=0.15, probability=often)
+    use, safe = (use_axis, "hold") if bench in AXES.values() else (use_chamber, "standby")
+    refused = 0
+    with bench(clock, **{way: faults}) as (driver, device, _):
+        for number in range(12):
+            # The other lines of the session pass: a line that is split is whole again.
+            faults._next.clear()
+            if not often:
+                faults.once(*["split"] * (number if use is use_chamber else 5 * number), fault)
+            try:
+                use(driver, device, clock, number)
+            except HardwareError:
+                refused += 1  # said to whoever asked, and the run ends
+                clock.sleep(20.0)
+        faults.probability.clear()
+        faults._next.clear()
+        assert any(made_safe(driver, safe) for _ in range(5))
+    # What a device itself refuses of a damaged line is said, too.
+    assert refused <= (12 if fault in ("flip", "always") and way == "commands" else 4 if not often else 9), refused
+
+
+# ------------------------------------------------------------------------------------------------------- late answers
+
+
+def late(delay_s: float, begins: bytes = b"") -> Spoils:
+    """Messages that begin so come so many seconds after they were sent."""
+    return lambda message: [(delay_s if message.startswith(begins) else 0.0, message)]
+
+
+def test_a_reply_within_twice_the_time_out_counts_and_is_said_to_be_late() -> None:
+    with espec_bench(VirtualClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
+        port.faults = late(0.45)
+        assert chamber._read("air")["air"] == "23.0"
+        assert f"ESPEC at {port.url} was sent 'TEMP?" in port.late
+        assert "s late: raise reply_timeout" in port.late
+        # To "TYPE?" it comes in time for no other question, though the answer to "ROM?" may be any text.
+        assert chamber.identify().firmware == "P3S1.10"
+
+
+def test_a_later_reply_counts_for_no_other_question() -> None:
+    """The query fails, and what still comes is awaited before the next."""
+    with espec_bench(VirtualClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
+        port.faults = late(1.4)
+        with pytest.raises(ReplyTimeout, match=r"did not answer in 0\.3 s.*ESPEC answered up to .*: raise"):
+            chamber._read("air")
+        port.faults = None
+        assert chamber.identify().firmware == "P3S1.10"
+
+
+def test_an_acknowledgement_that_comes_too_late_is_said() -> None:
+    clock = VirtualClock()
+    with espec_bench(clock, config=espec_config(after="0 s")) as (chamber, _, port):
+        port.faults = late(0.5, b"OK:TEMP")
+        chamber.hold(40.0)
+        clock.sleep(0.5)
+        chamber._read("air")
+        assert "was sent 'TEMP, S40.0" in port.late
+
+
+def test_replies_in_time_are_not_called_late_though_some_are_lost() -> None:
+    with espec_bench(VirtualClock(), config=espec_config(pause="0 s")) as (chamber, _, port):
+        port.faults = Faults(probability={"drop": 0.3}, seed=3)
+        for _ in range(20):
+            chamber._read("air")
+        assert port.late == ""

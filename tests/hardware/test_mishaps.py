@@ -1,0 +1,664 @@
+"""What goes wrong in a run: limits hold in every state, and what was not executed as written is made again or said.
+
+The plants do what the faults do (a heater that is welded on, a table that is jammed); the devices keep the state that
+their firmware has.
+"""
+
+import collections
+import errno
+import math
+import os
+import re
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hardware_bench import Rig, acting, at, events, in_step, paused, running, short_recipe, short_track
+from hardware_evidence import record
+from simulated_devices.faults import Faults
+from simulated_devices.wire import Wire
+
+from gradcal_jax.cli import main
+from gradcal_jax.hardware import journal, supervision
+from gradcal_jax.hardware.clock import RealClock
+from gradcal_jax.hardware.drivers.listening import TextUnitConfig
+from gradcal_jax.hardware.execute import limits_of
+from gradcal_jax.hardware.interlocks import (
+    RULES,
+    ExecutedStep,
+    InterlockLimits,
+    InterlockRule,
+    Interlocks,
+    SampleLosses,
+    Situation,
+)
+from gradcal_jax.hardware.journal import Event, Journal, read_journal
+from gradcal_jax.hardware.roles import ChamberReading
+from gradcal_jax.hardware.runner import Runner, RunProgress
+from gradcal_jax.hardware.supervision import RunResult, StatusFile, read_status
+from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
+from gradcal_jax.records.sessions import sessions_of
+from gradcal_jax.spec.rig import rig_of
+from gradcal_jax.tables.problems import SpecError
+from gradcal_jax.tables.writing import write_toml
+
+READY = Stable(0.5, 20.0, 7200.0)
+HOT = Track((TrackStep("hot", 300.0, 40.0, READY),))
+WARMS = Track((TrackStep("ramp", 500.0, 26.0, READY, (Course(0.0, 36.0, 1.5),)),))
+STANDS = Track((TrackStep("stand", 600.0),))
+TURNS = AxisCommand(0.0, "table", "turn", 3600.0, 150.0, 300.0)
+ATTENDED: dict[str, Any] = {"with_unit": False, "wait_when_paused": True}
+UNATTENDED: dict[str, Any] = {"wait_when_paused": False}
+
+
+def nothing_ended_it(runner: Runner, after_s: float = 3600.0) -> Any:
+    return at(runner, after_s), lambda: runner.request("abort", "nothing ended it")
+
+
+def air_when_safe_c(folder: Path, rig: Rig) -> float:
+    """Temperature of the air when the run had made the chamber safe: the clock, and a welded heater, run on after."""
+    (safe,) = [event for event in events(folder, "made safe") if event.data["device"] == "chamber"]
+    assert safe.time_s >= events(folder, "ending")[-1].time_s > 0.0
+    return float(rig.chamber.plant.load_at(np.array([safe.time_s]))[0])
+
+
+def pause_by_rule(runner: Runner, amiss: Callable[[Situation], bool]) -> None:
+    """A further rule of the run pauses it once."""
+    tripped: list[float] = []
+
+    def wrong(bounds: InterlockLimits, now: Situation) -> str:
+        if tripped or not amiss(now):
+            return ""
+        tripped.append(now.time_s)
+        return "something is amiss"
+
+    runner.interlocks.rules = (*RULES, InterlockRule("amiss", "pause", 0.0, wrong))
+
+
+def weld_on(rig: Rig, k_per_min: float = 6.0) -> None:
+    """The heater's contactor is welded: the air warms whatever the controller says."""
+    plant = rig.chamber.plant
+
+    def heats(step_s: float) -> None:
+        plant._air_c += k_per_min / 60.0 * step_s
+        plant._load_c = plant._air_c
+
+    plant._step = heats
+
+
+def left(progress: RunProgress, seconds: float) -> bool:
+    return progress.step_left_s is not None and progress.step_left_s < seconds
+
+
+# -------------------------------------------------------------------------------------------------------- temperatures
+
+
+@pytest.mark.parametrize("state", ["homing", "stabilising", "running", "paused by a request", "paused by a rule"])
+def test_air_that_leaves_the_limits_of_the_rig_ends_a_run_in_every_state(tmp_path: Path, state: str) -> None:
+    # The other rules of temperature are off: this one holds alone.
+    limits = InterlockLimits(temperature_band_k=math.inf, never_above_c=60.0)
+    turns = TrackStep("turn", 10.0, moves=(AxisCommand(0.0, "table", "turn", 10.0, 60.0, 60.0),))
+    track = {"homing": Track((turns,)), "stabilising": HOT}.get(state, STANDS)
+    with running(tmp_path, track, limits=limits, **ATTENDED) as (rig, runner):
+        when = {
+            "homing": lambda progress: True,
+            "stabilising": lambda progress: progress.step_left_s is None,
+            "running": in_step(0),
+        }.get(state, paused)
+        rig.table.homing_s = 100.0
+        rate, beyond = (60.0, 10.0) if state == "homing" else (6.0, 3.0)
+        if state == "paused by a rule":
+            pause_by_rule(runner, lambda now: now.time_s > 30.0)
+        pause = (at(runner, 30.0), lambda: runner.request("pause"))
+        acts = [(when, lambda: weld_on(rig, rate)), nothing_ended_it(runner)]
+        acting(runner, *acts, *([pause] if state == "paused by a request" else []))
+        result = runner.run()
+        assert result.exit_status == "aborted"
+        assert "Interlock 'temperature limit'" in result.reason
+        assert result.verified_safe
+        assert not rig.chamber.plant.conditioning
+        assert air_when_safe_c(tmp_path, rig) < 60.0 + beyond
+
+
+def test_without_limits_in_the_rig_file_the_chambers_own_hold(tmp_path: Path) -> None:
+    with running(tmp_path, STANDS, limits=InterlockLimits(longest_pause_s=1e9), **ATTENDED) as (rig, runner):
+        rig.chamber.options.high_c = 70.0
+        pause = (at(runner, 30.0), lambda: runner.request("pause"))
+        acting(runner, pause, (paused, lambda: weld_on(rig)), nothing_ended_it(runner, 7200.0))
+        assert "its limits are -53 to 73 degC" in runner.run().reason
+        assert air_when_safe_c(tmp_path, rig) < 75.0
+    rules = Interlocks(InterlockLimits(never_below_c=-40.0))
+    reading = ChamberReading(0.0, -30.0, -41.0, -30.0, "RUN", True, ())
+    tripped = rules.check(Situation(0.0, reading, {}, {}, 1 << 40, None, {}))
+    assert tripped is not None
+    assert "the load is at -41.0 degC" in tripped[1]
+
+
+@pytest.mark.parametrize("when", ["while it waits", "in the last seconds"])
+def test_a_heater_welded_on_is_no_success(tmp_path: Path, when: str) -> None:
+    with running(tmp_path, HOT, with_unit=False, **UNATTENDED) as (rig, runner):
+        warm = lambda progress: progress.chamber is not None and progress.chamber.air_c > 35.0  # noqa: E731
+        last = lambda progress: left(progress, 25.0)  # noqa: E731
+        is_so, rate = (warm, 6.0) if when == "while it waits" else (last, 30.0)
+        acting(runner, (is_so, lambda: weld_on(rig, rate)), nothing_ended_it(runner))
+        result = runner.run()
+        assert (result.exit_status, result.verified_safe) == ("aborted", True)
+        assert "Interlock 'temperature course': the air is at" in result.reason
+        # Ten per cent of the way and the band above the goal, and half a minute.
+        assert when != "while it waits" or air_when_safe_c(tmp_path, rig) < 40.0 + 1.6 + 3.0 + 3.0 + 1.0
+
+
+def test_a_heater_welded_on_in_an_attended_pause_ends_the_run(tmp_path: Path) -> None:
+    alarms: list[str] = []
+    with running(tmp_path, HOT, **ATTENDED) as (rig, runner):
+        runner.on_alarm = alarms.append
+        acting(runner, (lambda now: left(now, 250.0), lambda: weld_on(rig)), nothing_ended_it(runner, 7200.0))
+        result = runner.run()
+        assert "Interlock 'temperature in a pause': the air is at" in result.reason
+        assert result.verified_safe
+        assert air_when_safe_c(tmp_path, rig) < 55.0
+    assert len(alarms) == 2
+    rules = [event.data["rule"] for event in events(tmp_path, "interlock")]
+    assert rules == ["temperature course", "temperature in a pause"]
+
+
+def test_a_door_that_is_opened_in_a_pause_ends_nothing(tmp_path: Path) -> None:
+    with running(tmp_path, HOT, **ATTENDED) as (rig, runner):
+        plant, step, closes_s = rig.chamber.plant, rig.chamber.plant._step, [math.inf]
+
+        def open_door() -> None:
+            runner.request("pause", "something rattles")
+            plant._step = lambda step_s: setattr(plant, "_air_c", 22.0)
+            closes_s[0] = runner.clock.now() + 900.0
+
+        def close() -> None:
+            plant._step = step
+            runner.request("resume")
+
+        closes = lambda _: runner.clock.now() > closes_s[0]  # noqa: E731
+        acting(runner, (lambda now: left(now, 250.0), open_door), (closes, close))
+        assert runner.run().exit_status == "success"
+    assert events(tmp_path, "interlock") == []
+
+
+@pytest.mark.parametrize("fate", ["no power", "STANDBY at the panel"])
+@pytest.mark.parametrize("when", ["stabilising", "running"])
+def test_a_chamber_that_was_commanded_to_condition_and_does_not_pauses_the_run(
+    tmp_path: Path, fate: str, when: str
+) -> None:
+    # A wide band: the temperature says nothing for long.
+    track, limits = HOT if when == "stabilising" else WARMS, InterlockLimits(temperature_band_k=30.0)
+    with running(tmp_path, track, limits=limits, **ATTENDED) as (rig, runner):
+        why: list[str] = []
+        resumes_s = [math.inf]
+
+        def fail() -> None:
+            rig.chamber.commands.clear()
+            rig.chamber.reboot() if fate == "no power" else rig.chamber._enter("STANDBY")
+
+        def is_so(progress: RunProgress) -> bool:
+            waits = progress.step_left_s is None
+            return progress.chamber is not None and progress.chamber.air_c > 30.0 and waits == (when == "stabilising")
+
+        def note() -> None:
+            why.append(runner._why)
+            resumes_s[0] = runner.clock.now() + 60.0
+
+        def resume() -> None:
+            # Nobody but the operator starts it again.
+            assert not [command for command in rig.chamber.commands if "CONSTANT" in command]
+            runner.request("resume")
+
+        # It is commanded again when the run goes on, though its set point is the one of before.
+        acting(runner, (is_so, fail), (paused, note), (lambda _: runner.clock.now() > resumes_s[0], resume))
+        assert runner.run().exit_status == "success"
+    (tripped,) = events(tmp_path, "interlock")
+    assert tripped.data["rule"] == "idle chamber"
+    assert "the chamber is off, and this run did not switch it off: mode" in why[0]
+
+
+def test_a_pause_that_nobody_ends_ends_the_run(tmp_path: Path) -> None:
+    alarms: list[tuple[float, str]] = []
+    with running(tmp_path, STANDS, **ATTENDED) as (_, runner):
+        runner.on_alarm = lambda text: alarms.append((runner.clock.now(), text))
+        pause_by_rule(runner, lambda now: now.time_s > 30.0)
+        acting(runner, nothing_ended_it(runner, 3 * 3600.0))
+        result = runner.run()
+        assert "paused for 30 min and nobody has resumed it" in result.reason
+        assert result.verified_safe
+    (began, *_) = (event for event in events(tmp_path, "state") if event.data["state"] == "paused")
+    (ended,) = events(tmp_path, "ending")
+    assert ended.time_s - began.time_s == pytest.approx(1800.0, abs=2.0)
+    # One when it paused, and one every five minutes; at half an hour the last of these may come before the end's own.
+    assert len([at_s for at_s, _ in alarms if at_s < ended.time_s - 60.0]) == 6
+    assert len(alarms) in (7, 8)
+    assert "still paused. Interlock 'amiss': something is amiss" in alarms[1][1]
+
+
+def test_limits_of_the_rig_file_reach_the_run_and_its_dry_run(tmp_path: Path, capsys) -> None:
+    chamber = {"driver": "lines", "options": {"protocol": "espec"}, "port": "COM1", "safe": "standby"}
+    chamber |= {"never_above": "80 degC", "never_below": "-45 degC"}
+    rig = rig_of({"format": "gradcal-rig/1", "longest_pause": "10 min", "chamber": chamber | {"ambient": "21 degC"}})
+    found = limits_of(rig)
+    assert (found.never_above_c, found.never_below_c, found.room_c) == pytest.approx((80.0, -45.0, 21.0))
+    assert found.longest_pause_s == 600.0
+    with pytest.raises(SpecError, match="never_above"):
+        rig_of({"format": "gradcal-rig/1", "chamber": chamber | {"never_above": "10 degC"}})
+    with Rig(RealClock()) as lab:
+        tables = lab.rig.model_dump(mode="json", exclude_unset=True)
+        tables["chamber"]["never_above"] = "26 degC"
+        write_toml(rig_of(tables), tmp_path / "rig.toml")
+        recipe = short_recipe(changes={"rig.table.axis[0].max_acceleration": "300 deg/s^2"})
+        write_toml(recipe, tmp_path / "recipe.toml")
+        assert main(["run", str(tmp_path / "recipe.toml"), "--rig", str(tmp_path / "rig.toml"), "--dry-run"]) != 0
+        assert "sets 28 degC; the chamber accepts -50 to 26" in capsys.readouterr().out
+
+
+UNSWITCHED = 'options = { protocol = "watlow-f4", changes = { tell = { on = false, off = false } } }'
+WITHOUT = {
+    "an F4 whose plant is not switched": (
+        f'[chamber]\ndriver = "registers"\nport = "COM1"\nsafe = "standby"\n{UNSWITCHED}\n',
+        "no [tell] on and off",
+    ),
+    "an axis in lines without off": (
+        '[[axis]]\nname = "a"\ndriver = "lines"\nport = "COM1"\nsafe = "unpower"\ngravity_loaded = false\n'
+        'options = { protocol = "grbl" }\n',
+        "lacks [tell.off]",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", WITHOUT)
+def test_a_safe_state_that_a_device_cannot_take_is_refused_before_anything(what: str, tmp_path: Path, capsys) -> None:
+    text, words = WITHOUT[what]
+    rig, recipe = tmp_path / "rig.toml", tmp_path / "recipe.toml"
+    rig.write_text('format = "gradcal-rig/1"\n' + text)
+    # Not that nobody answers: nobody is asked.
+    assert main(["rig", "check", str(rig)]) == 2
+    said = capsys.readouterr().err
+    assert "this device does not support this safe state" in said
+    assert words in said
+    write_toml(short_recipe(), recipe)
+    assert main(["run", str(recipe), "--rig", str(rig), "-o", str(tmp_path / "run"), "--yes"]) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+# ---------------------------------------------------------------------------------------------------------------- axes
+
+
+def test_a_jammed_axis_is_said_to_stand_and_is_not_pushed_for_long(tmp_path: Path) -> None:
+    """The table is held at 81.9 deg in mid-turn: the controller goes on pushing, its loop of position not closed."""
+    with running(tmp_path, Track((TrackStep("turn", 60.0, moves=(TURNS,)),)), with_unit=False) as (rig, runner):
+        jammed: list[float] = []
+
+        def jam() -> None:
+            jammed.append(runner.clock.now())
+            rig.axis.set_zero(runner.clock.now(), 81.9)
+            rig.axis.move_to = lambda *_: None
+            # It pushes until it is stopped.
+            rig.axis.moving = lambda _: True
+            rig.axis.spin = lambda *_: setattr(rig.axis, "moving", lambda _: False)
+
+        turning = lambda now: in_step(0)(now) and abs(rig.axis.state(runner.clock.now())[1]) > 100.0  # noqa: E731
+        acting(runner, (turning, jam))
+        result = runner.run()
+        assert (result.exit_status, result.verified_safe) == ("aborted", True)
+        assert "axis table has been at 81.9 deg" in result.reason
+        assert "deg now: it is blocked" in result.reason
+    (ended,) = events(tmp_path, "ending")
+    # Long before the planned end of the turn.
+    assert 4.0 <= ended.time_s - jammed[0] < 7.0
+
+
+def test_a_pause_in_a_turn_is_no_overspeed(tmp_path: Path) -> None:
+    with running(tmp_path, Track((TrackStep("turn", 60.0, moves=(TURNS,)),)), **ATTENDED) as (_, runner):
+        pause_by_rule(runner, lambda now: "table" in now.axes and abs(now.axes["table"].rate_dps) > 100.0)
+        acting(runner, (paused, lambda: runner.request("resume")))
+        result = runner.run()
+        assert result.exit_status == "success", result.reason
+    assert [event.data["rule"] for event in events(tmp_path, "interlock")] == ["amiss"]
+
+
+def test_an_endless_axis_goes_on_at_the_nearest_equal_angle(tmp_path: Path) -> None:
+    """Rates of the standard method turn an axis many times round; a pause unwinds nothing."""
+    spin = AxisCommand(0.0, "table", "spin", rate_dps=150.0, acceleration_dps2=300.0)
+    track = Track((TrackStep("rate 1", 300.0, moves=(spin,), start_deg={"table": 0.0}),))
+    with running(tmp_path, track, **ATTENDED) as (rig, runner):
+        turned: list[float] = []
+
+        def resume() -> None:
+            turned.append(rig.axis.state(runner.clock.now())[0])
+            runner.request("resume")
+
+        acting(runner, (at(runner, 250.0), lambda: runner.request("pause")), (paused, resume))
+        result = runner.run()
+        assert result.exit_status == "success", result.reason
+    (goes,) = (event.data for event in events(tmp_path, "move") if event.data["kind"] == "go")
+    assert turned[0] > 30000.0
+    assert abs(goes["position_deg"] - turned[0]) <= 180.0
+    assert goes["position_deg"] % 360.0 == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("turning", [True, False], ids=["in a turn", "at rest"])
+def test_an_axis_that_turns_faster_than_it_was_told_is_stopped_and_safe(tmp_path: Path, turning: bool) -> None:
+    with running(tmp_path, short_track()) as (rig, runner):
+        ran: list[float] = []
+
+        def run_away() -> None:
+            ran.append(runner.clock.now())
+            rig.axis.spin(runner.clock.now(), 700.0, 1e5)
+
+        def is_so(progress: RunProgress) -> bool:
+            # At rest in its first seconds: the next turn's command would stop it, too.
+            early = progress.steps_done >= 2 and progress.step_left_s is not None and progress.step_left_s > 12.0
+            return once_turning(rig, runner)(progress) if turning else early and not rig.axis.moving(runner.clock.now())
+
+        acting(runner, (is_so, run_away))
+        result = runner.run()
+        assert (result.exit_status, result.verified_safe) == ("aborted", True)
+        assert "Interlock 'over-speed': axis table turns at" in result.reason
+        assert "the rig allows 300" in result.reason
+        assert rig.axis.state(runner.clock.now())[1] == 0.0
+    (tripped,) = events(tmp_path, "interlock")
+    assert tripped.time_s - ran[0] < 6.0
+
+
+@pytest.mark.parametrize("angle_deg", [3600.0, -10.0, 90.0])
+def test_where_a_turn_is_planned_to_be_at_an_instant(angle_deg: float) -> None:
+    """The integral of the trapezoid of its rate."""
+    turn = AxisCommand(0.0, "table", "turn", rate_dps=150.0, acceleration_dps2=300.0, angle_deg=angle_deg)
+    step_s = turn.duration_s / 100_000
+    ends_s = (np.arange(100_000) + 0.5) * step_s
+    rates = np.minimum(np.minimum(300.0 * ends_s, 150.0), 300.0 * (turn.duration_s - ends_s))
+    for share in (0.1, 0.4, 0.9, 1.0):
+        integral_deg = float(np.sum(rates[: round(share * 100_000)])) * step_s * np.sign(angle_deg)
+        assert turn.turned_deg(share * turn.duration_s) == pytest.approx(integral_deg, abs=1e-4 * abs(angle_deg))
+
+
+# --------------------------------------------------------------------------------------------- steps that are not done
+
+
+def once_turning(rig: Rig, runner: Runner, *, last: bool = False) -> Callable[[RunProgress], bool]:
+    """In a step with data, or in the last, while the table turns."""
+
+    def turns(progress: RunProgress) -> bool:
+        under_way = progress.step_left_s is not None and progress.steps_done >= (progress.steps - 1 if last else 1)
+        return under_way and abs(rig.axis.state(runner.clock.now())[1]) > 10.0
+
+    return turns
+
+
+def was_executed(folder: Path) -> None:
+    """The last attempt at every step has all its commands, on time."""
+    found = read_journal(folder / "journal").events
+    done = {event.data["number"] for event in found if event.name == "step done"}
+    begins = {event.data["number"]: event for event in found if event.name == "step begins"}
+    assert done == set(begins)
+    for begin in begins.values():
+        later = found[found.index(begin) + 1 :]
+        end = next((k for k, event in enumerate(later) if event.name in ("step", "ending")), len(later))
+        for move in (event.data for event in later[:end] if event.name == "move"):
+            assert move["began_s"] - begin.data["begins_s"] == pytest.approx(move["start_s"], abs=1.0)
+
+
+def lossy(rig: Rig) -> None:
+    rig.ports[2].faults = faults = Faults()
+    faults.once(*["drop"] * 200)
+
+
+@pytest.mark.parametrize("last", [False, True], ids=["in a turn", "in the last step"])
+@pytest.mark.parametrize(
+    ("mishap", "why"), [(lambda rig, clock: clock.sleep(25.0), "late"), (lambda rig, clock: lossy(rig), "samples")]
+)
+def test_a_host_that_slept_and_samples_that_were_lost_make_the_step_again(
+    tmp_path: Path, mishap: Any, why: str, last: bool
+) -> None:
+    with running(tmp_path, short_track(), **UNATTENDED) as (rig, runner):
+        acting(runner, (once_turning(rig, runner, last=last), lambda: mishap(rig, runner.clock)))
+        result = runner.run()
+        assert result.exit_status == "success", result.reason
+        steps = len(runner.track.steps)
+    (amiss,) = events(tmp_path, "not done")
+    assert why in amiss.data["why"]
+    assert (amiss.data["number"] == steps - 1) == last
+    assert amiss.data["step"] in [event.data["step"] for event in events(tmp_path, "seam")]
+    was_executed(tmp_path)
+
+
+def freezes(rig: Rig) -> None:
+    """The unit repeats the rates and forces of one sample: a sensor that hangs behind its interface."""
+    take, held = rig.sensor.take, []
+
+    def one(count: int) -> Any:
+        samples = take(count)
+        held[:] = held or [samples.rate_dps[0].copy()]
+        samples.rate_dps[:] = held[0]
+        return samples
+
+    rig.sensor.take = one
+
+
+@pytest.mark.parametrize(
+    ("mishap", "last", "words"),
+    [
+        (lambda rig, clock: clock.sleep(8.0), False, "late"),
+        (lambda rig, clock: freezes(rig), False, "the IMU's gyros measured"),
+        (lambda rig, clock: freezes(rig), True, "the IMU's gyros measured"),
+    ],
+)
+def test_what_is_never_executed_ends_the_run_with_a_sentence(tmp_path: Path, mishap: Any, last: bool, words) -> None:
+    with running(tmp_path, short_track(), **UNATTENDED) as (rig, runner):
+        turning = once_turning(rig, runner, last=last)
+        runner.chamber_every_s = 1.0
+        runner.on_progress = lambda now: mishap(rig, runner.clock) if turning(now) else None
+        result = runner.run()
+        assert (result.exit_status, result.verified_safe) == ("aborted", True)
+        assert re.match(r"In 3 attempts, step .* was not executed as the recipe states\.", result.reason)
+        assert words in result.reason
+        assert last or result.steps_done < len(runner.track.steps)
+    numbers = [event.data["number"] for event in events(tmp_path, "not done")]
+    assert numbers == [numbers[0]] * 3
+    assert numbers[0] not in [event.data["number"] for event in events(tmp_path, "step done")]
+
+
+@pytest.mark.parametrize(
+    "spoils",
+    [lambda message: [], lambda message: [(0.0, message[:-3] + bytes([message[-3] ^ 1]) + message[-2:])]],
+    ids=["no bytes", "bytes and no usable sample"],
+)
+def test_a_unit_without_samples_in_the_last_step_ends_the_run(tmp_path: Path, spoils: Any) -> None:
+    with running(tmp_path, short_track(), **UNATTENDED) as (rig, runner):
+        acting(runner, (once_turning(rig, runner, last=True), lambda: setattr(rig.ports[2], "faults", spoils)))
+        result = runner.run()
+    assert (result.exit_status, result.verified_safe) == ("aborted", True)
+    assert "no sample from unit1" in result.reason
+
+
+def test_a_unit_that_restarts_is_configured_again(tmp_path: Path) -> None:
+    with running(tmp_path, short_track(), **UNATTENDED) as (rig, runner):
+        acting(runner, (in_step(2), lambda: rig.imu.reboot()))
+        result = runner.run()
+        assert result.exit_status == "success", result.reason
+    assert len(events(tmp_path, "configuration")) == 2
+    (amiss, *_) = events(tmp_path, "not done")
+    assert "unit1" in amiss.data["why"]
+    assert amiss.data["number"] in [event.data["number"] for event in events(tmp_path, "step done")]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_lost_lines_of_a_unit_that_does_not_count_are_noticed_by_their_rate(share: float) -> None:
+    described = {"format": "gradcal-text/1", "line": "{gyro_x} {gyro_y} {gyro_z}", "rate": "50 Hz"}
+    losses, random = (
+        SampleLosses(TextUnitConfig(protocol=described).decoder(), 50.0, None, 0.0),
+        np.random.default_rng(1),
+    )
+    for k in range(50 * 40):
+        if random.random() >= share:
+            losses.push(b"0.001 0.002 0.003\r\n", k / 50.0)
+    said = losses.between(ExecutedStep(0, 1.0, 40.0), 0.02, 1.0, None)
+    assert bool(said) is (share > 0.0)
+    assert not said or re.search(r"45\.\d* samples/s, but its setting is 50", said)
+
+
+def test_a_turn_that_a_stage_swallowed_is_not_done(tmp_path: Path) -> None:
+    with running(tmp_path, short_track(), **UNATTENDED) as (rig, runner):
+        jog, looks, swallowed = rig.table._jog, rig.table._now, []
+
+        def once_lame(at_s: float, goal: float, rate_dps: float) -> None:
+            if not swallowed and len(events(tmp_path, "step begins")) > 1:
+                # The board says that it moves, and soon that it does not.
+                swallowed.append(at_s)
+                rig.table._state = "Jog"
+                return
+            jog(at_s, goal, rate_dps)
+
+        def says_that_it_moves() -> float:
+            now = runner.clock.now()
+            return now if swallowed and now < swallowed[0] + 0.3 else looks()
+
+        rig.table._jog, rig.table._now = once_lame, says_that_it_moves
+        result = runner.run()
+        assert (result.exit_status, len(swallowed)) == ("success", 1), result.reason
+    (amiss,) = events(tmp_path, "not done")
+    assert "and its target is" in amiss.data["why"]
+    was_executed(tmp_path)
+
+
+def test_a_chamber_that_agrees_with_itself_and_stays_where_it_is_does_not_pass(tmp_path: Path) -> None:
+    limits = InterlockLimits(temperature_band_k=0.5, temperature_lag_s=10.0)
+    with running(tmp_path, short_track(), limits=limits, **UNATTENDED) as (rig, runner):
+
+        def ignore() -> None:
+            """It takes every command, reports a set point where the air is, and does nothing."""
+            rig.chamber.plant._gradient_k_per_s = None
+            rig.chamber.plant.command = lambda *_, **__: None
+
+        acting(runner, (lambda progress: progress.steps_done >= 1, ignore), every_s=5.0)
+        result = runner.run()
+    assert (result.exit_status, result.verified_safe) == ("aborted", True)
+    assert "from the temperature profile" in result.reason
+
+
+def test_attempts_that_the_run_refused_are_no_data() -> None:
+    """The step 1 is refused while step 2 is under way, twice; the second time the run ends with that."""
+
+    def step(number: int, time_s: float) -> list[Event]:
+        begins = {"number": number, "begins_s": time_s, "data": True}
+        return [Event(time_s, "step", {"number": number}), Event(time_s, "step begins", begins)]
+
+    def refused(time_s: float) -> list[Event]:
+        return [*step(1, time_s), *step(2, time_s + 10.0), Event(time_s + 10.4, "not done", {"number": 1, "why": ""})]
+
+    first = [Event(0.0, "session", {"number": 0, "simulated": False, "wall_clock_s": 0.0}), *step(0, 10.0)]
+    (ended,) = sessions_of([*first, *refused(20.0), *refused(40.0), Event(51.0, "ending", {})])
+    assert ended.stretches() == [(10.0, 20.0)]
+    assert ended.refused() == 2
+    done = [*step(1, 40.0), *step(2, 50.0), Event(60.0, "ending", {})]
+    (repeated,) = sessions_of([*first, *refused(20.0), *done])
+    assert repeated.stretches() == [(10.0, 20.0), (40.0, 60.0)]
+
+
+# ---------------------------------------------------------------------------------------------------------------- disks
+
+
+@pytest.mark.parametrize("call", ["write", "fsync"])
+def test_a_disk_that_hangs_is_noticed_without_a_further_event(tmp_path: Path, monkeypatch: Any, call: str) -> None:
+    hangs, real = threading.Event(), getattr(os, call)
+
+    def stuck(*args: Any) -> Any:
+        hangs.wait(20.0)
+        return real(*args)
+
+    monkeypatch.setattr(journal, "_LONGEST_WAIT_S", 0.3)
+    with Journal(tmp_path / "journal") as written:
+        written.event(0.0, "before")
+        monkeypatch.setattr(os, call, stuck)
+        written.bytes_of("unit1", 1.0, b"a", received=True)
+        end = time.monotonic() + 5.0
+        while not written.problem and time.monotonic() < end:
+            time.sleep(0.05)
+        hangs.set()
+        assert "the disk has not answered" in written.problem
+
+
+def test_a_disk_that_fills_ends_the_run_and_leaves_the_status_of_the_end(tmp_path: Path, monkeypatch: Any) -> None:
+    with running(tmp_path, STANDS, limits=InterlockLimits(free_bytes=1 << 60), **UNATTENDED) as (_, runner):
+        result = runner.run()
+        assert result.exit_status == "aborted"
+        assert "MB are free" in result.reason
+    # The status file is written over, which needs no space.
+    supervision.end_status(tmp_path, "x", [])
+    with StatusFile(tmp_path, simulated=False) as status:
+        status._status = {"state": "running", "step": "a step with a longer name than the end has" * 9}
+        time.sleep(0.5)
+        assert read_status(tmp_path)["state"] == "running"
+
+        def full(*_: Any) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        monkeypatch.setattr(supervision, "write_whole", full)
+        status._status = {}
+        status.end(RunResult("aborted", "the disk is full", (), 1))
+    assert (read_status(tmp_path)["state"], read_status(tmp_path)["reason"]) == ("safe", "the disk is full")
+
+
+def counted(port: Wire, lost: int = -1) -> list[bytes]:
+    """What a port's device is told from now on; of it the command of the number `lost` never arrives."""
+    heard: list[bytes] = []
+
+    def apply(message: bytes) -> list[tuple[float, bytes]]:
+        heard.append(message)
+        return [] if len(heard) - 1 == lost else [(0.0, message)]
+
+    port.commands = apply
+    return heard
+
+
+@pytest.mark.evidence
+def test_nothing_ends_done_that_was_not_done(tmp_path: Path) -> None:
+    """Whole runs with one mishap each: commands that are lost wherever they come, hosts that sleep, axes that run away.
+
+    A run that ends "success" was executed as written; of every other one all devices are safe, and it says why.
+    """
+    random = np.random.default_rng(0)
+    with running(tmp_path / "whole", short_track(), **UNATTENDED) as (rig, runner):
+        # The unit takes no commands.
+        told = [counted(port) for port in rig.ports[:2]]
+        assert runner.run().exit_status == "success"
+    sizes = dict(zip(("chamber", "table"), map(len, told), strict=True))
+    mishaps = [(name, int(random.integers(size))) for name, size in sizes.items() for _ in range(8)]
+    mishaps += [("host", seconds) for seconds in random.uniform(1.0, 90.0, 6)] + [("over-speed", 0)] * 2
+    ended: collections.Counter[tuple[str, str]] = collections.Counter()
+    for number, (what, size) in enumerate(mishaps):
+        folder = tmp_path / f"run{number}"
+        with running(folder, short_track(), **UNATTENDED) as (rig, runner):
+            if what in sizes:
+                counted(rig.ports[list(sizes).index(what)], int(size))
+            else:
+                sleeps = lambda runner=runner, size=size: runner.clock.sleep(size)  # noqa: E731
+                away = lambda rig=rig, runner=runner: rig.axis.spin(runner.clock.now(), 700.0, 1e5)  # noqa: E731
+                acting(runner, (once_turning(rig, runner), sleeps if what == "host" else away))
+            result = runner.run()
+            assert result.verified_safe, (what, size, result)
+            assert rig.axis.state(runner.clock.now())[1] == 0.0
+            assert not rig.chamber.plant.conditioning
+        if result.exit_status == "success":
+            was_executed(folder)
+        else:
+            assert result.reason, (what, size)
+        ended[what, result.exit_status] += 1
+    assert ended["over-speed", "aborted"] == 2
+    assert sum(count for (what, how), count in ended.items() if how == "success") > 0.5 * len(mishaps)
+    said = [f"{what}: {ended[what, 'success']} done, {ended[what, 'aborted']} ended" for what, _ in dict(ended)]
+    record(
+        "whole runs with one mishap each",
+        f"a command lost (of {', '.join(f'{size} to the {name}' for name, size in sizes.items())}), a host that sleeps "
+        f"1 to 90 s in a turn, an axis that runs away; {len(mishaps)} runs: {'; '.join(said)}. Every run that ended "
+        "done was executed as written; every other one says why, all safe, verified",
+        "tests/hardware/test_mishaps.py",
+    )

@@ -6,7 +6,6 @@ channels' terms are evaluated at the resulting signals.
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import zip_longest
 from typing import NamedTuple
 
@@ -407,10 +406,10 @@ def _beyond_gravity(readings: ImuReadings, felt: np.ndarray, parameters: np.ndar
 def _variances_of_force(model: ImuModel, nodes: BodyNodes, known: Posterior) -> np.ndarray:
     """`(P, 3)`: of the integral of the specific force over every piece, (m/s)², corrected by parameters of which so
     much is known; infinite where they are not observable."""
-    read = tuple(replace(c, read_below=np.inf) for c in model.channels if c.kind == "accelerometer")
     result = np.zeros((len(nodes.kind), 3))
-    for c, columns in zip(read, ImuModel(read, (), model.encoder).own_columns(nodes) if read else (), strict=True):
-        own = model.where(c.kind, c.axis)
+    for c in (c for c in model.channels if c.kind == "accelerometer"):
+        own, view = model.where(c.kind, c.axis), nodes.channel(c.kind, c.axis)
+        columns = np.concatenate([term.columns(view) for term in c.terms], axis=1)
         result[:, c.axis] = Posterior(known.spread[own], known.hidden[own]).deviations(columns) ** 2
     return result
 

@@ -1,7 +1,7 @@
 """The rows of a whole unit on a table, and the one joint noise system behind them.
 
 A *segment* is a rest or one move of one axis. At its end every gyro has one row, its integral over the segment less
-the turned angle; every accelerometer has one where the table stood or turned slowly enough. A table that holds its
+the turned angle; every accelerometer has one where the table stood. A table that holds its
 position does not turn, so the encoder enters a rest only through the direction of the axes.
 
 State `x = [C integrals, the processes of every channel, the encoders' errors now, and before the last move]`. All
@@ -49,8 +49,6 @@ from gradcal_jax.motion import TableMotion
 _ROUNDING = 1e-11
 # rad: in a move with a smaller net angle, the encoder's error cannot be interpolated by angle.
 _RETURNS = 1e-3
-# Points of a piece at which its largest rate is evaluated.
-_PLACES = 9
 
 
 class Segments(NamedTuple):
@@ -79,24 +77,14 @@ def segments_of(motion: TableMotion, model: ImuModel) -> Segments:
     first = np.flatnonzero(begins)
     last = np.append(first[1:], len(number)) - 1
     axis = np.maximum.reduceat(np.asarray(motion.axis), first)
-    read, slow = ~gap[first], _fastest(motion, first, model)
+    read = ~gap[first]
     if between_readings:
         read &= np.asarray(line.read)[last]
-    rows = np.stack([read & (slow <= (np.inf if c.kind == "gyro" else c.read_below)) for c in model.channels], axis=1)
+    rows = np.stack([read & ((axis < 0) | (c.kind == "gyro")) for c in model.channels], axis=1)
     kept = np.array(rows)
     kept[:, 0] |= ~np.any(rows, axis=1)
     segment, channel = np.nonzero(kept)
     return Segments(first, last, axis, segment, channel, rows[segment, channel])
-
-
-def _fastest(motion: TableMotion, first: np.ndarray, model: ImuModel) -> np.ndarray:
-    """The largest rate of every segment (rad/s); infinite for moves if no accelerometer is read on moves."""
-    fastest = np.where(np.asarray(motion.axis) < 0, 0.0, np.inf)
-    if any(c.read_below for c in model.channels):
-        moves = np.flatnonzero(fastest)
-        places = np.broadcast_to(np.linspace(0.0, 1.0, _PLACES), (len(moves), _PLACES))
-        fastest[moves] = np.max(np.abs(np.asarray(motion.line.rate(places, moves))), axis=1)
-    return np.maximum.reduceat(fastest, first)
 
 
 def imu_information(

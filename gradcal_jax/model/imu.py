@@ -46,7 +46,7 @@ class Channel(PytreeModule):
     """A gyro or an accelerometer along the body's axis `axis`: a sum of `terms` in the order of its parameters, white
     noise (`angle_random_walk`, rad/√s; of an accelerometer m/s/√s), and slow noise.
 
-    A gyro is always read, an accelerometer at rest and on moves no faster than `read_below` rad/s.
+    A gyro is always read, an accelerometer at rest.
     """
 
     terms: tuple[Term, ...]
@@ -54,7 +54,6 @@ class Channel(PytreeModule):
     processes: Processes
     kind: ChannelKind = eqx.field(static=True)
     axis: int = eqx.field(static=True)
-    read_below: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self):
         if not any(isinstance(term, Map) for term in self.terms):
@@ -237,14 +236,14 @@ class ImuModel(PytreeModule):
         alike: list[dict[tuple[Basis, OtherTemperature | None], list[tuple[np.ndarray, AnyArray]]]]
         alike = [{} for _ in nodes.groups]
         for c in self.channels:
-            view, moves = nodes.channel(c.kind, c.axis), c.kind == "gyro" or c.read_below > 0.0
+            view = nodes.channel(c.kind, c.axis)
             for term in c.terms:
                 end = begin + term.size
                 if isinstance(term, Map):
                     basis = term.temperature
                     places = np.arange(begin, end).reshape(basis.size, -1)
                     for group, own, known in zip(nodes.groups, view.groups, alike, strict=True):
-                        if moves or not group.moving:
+                        if c.kind == "gyro" or not group.moving:
                             known.setdefault((basis, term.late), []).append((places, term.drive(own)))
                 else:
                     parts.append(((slice(None), slice(begin, end)), term.columns(view)))

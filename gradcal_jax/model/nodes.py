@@ -53,19 +53,9 @@ class SharedNodes(NamedTuple):
 
     def signal(self, name: str) -> Float[AnyArray, "U q"]:
         """A signal by its name: "rate x" (rad/s), "force x" (m/s²), "earth x" (rad/s), "up x" and "north x" (components
-        of directions); "|rate x|" its magnitude. "size ik": contribution of the coordinate
-        k (m) of an accelerometer along i to its reading over a whole move (over which ∫ω̇ dt is zero),
-
-            [(ω + 2ω_earth) × (ω × e_k)]_i = ω_i (ω + 2ω_earth)_k − δ_ik (ω + 2ω_earth)·ω        ω: against the Earth
-        """
-        kind, _, axes = name.strip("|").partition(" ")
-        if kind != "size":
-            signal = self.signals[name.strip("|")]
-            return abs(signal) if name.startswith("|") else signal
-        rate, earth = ([self.signals[f"{of} {a}"] for a in AXIS_NAMES] for of in ("rate", "earth"))
-        i, k = (AXIS_NAMES.index(a) for a in axes)
-        product = (rate[i] - earth[i]) * (rate[k] + earth[k])
-        return product if i != k else product - sum(w * w - e * e for w, e in zip(rate, earth, strict=True))
+        of directions); "|rate x|" its magnitude."""
+        signal = self.signals[name.strip("|")]
+        return abs(signal) if name.startswith("|") else signal
 
     def product(self, names: tuple[str, ...]) -> Float[AnyArray, "U q 1"]:
         """The product of signals; none: 1."""

@@ -203,10 +203,9 @@ def accelerometer(
     drift=(),
     std: dict[str, float] | None = None,
     basis=CONSTANT,
-    read_below: float = 0.0,
 ) -> Channel:
-    """An accelerometer with the given `terms`: `b`, `s`, `m`, `k2`, `r`."""
-    prior = dict.fromkeys(("b", "s", "m", "k2", "r"), np.inf) | (std or {})
+    """An accelerometer with the given `terms`: `b`, `s`, `m`, `k2`."""
+    prior = dict.fromkeys(("b", "s", "m", "k2"), np.inf) | (std or {})
     own, along = terms.split(), f"force {AXES[axis]}"
     chosen: list[model.Term] = []
     if "b" in own:
@@ -219,9 +218,7 @@ def accelerometer(
         ]
     if "k2" in own:
         chosen.append(_signal("k2", (along, along), "1/(m/s^2)", prior["k2"]))
-    if "r" in own:
-        chosen += [_signal(f"r_{o}", (f"size {AXES[axis]}{o}",), "m", prior["r"]) for o in AXES]
-    return Channel(tuple(chosen), np.asarray(white), _drifts(drift), "accelerometer", axis, read_below)
+    return Channel(tuple(chosen), np.asarray(white), _drifts(drift), "accelerometer", axis)
 
 
 def encoder(count: int, offset: float = 0.0, reading: float = 0.0, every: float = 1.0) -> EncoderNoise:

@@ -22,7 +22,6 @@ PRIORS = {
     "force s": 5e-3,
     "force m": 1e-2,
     "force k2": 1e-3 / G,
-    "force r_": 0.05,
     "tilt": 1e-4,
     "azimuth": 5e-3,
     "orthogonality": 1e-4,
@@ -115,11 +114,10 @@ def unit_of(scene: Scene) -> ImuModel:
     forces = [
         accelerometer(
             i,
-            "b s m k2" + (" r" if scene.slow else ""),
+            "b s m k2",
             white=scene.force_white,
             drift=scene.force_drift,
-            std={k: prior[f"force {k}"] for k in ("b", "s", "m", "k2")} | {"r": prior["force r_"]},
-            read_below=scene.slow,
+            std={k: prior[f"force {k}"] for k in ("b", "s", "m", "k2")},
             basis=basis,
         )
         for i in scene.accelerometers

@@ -25,7 +25,7 @@ class Scene:
     """Everything that a unit's covariance depends on, SI and °C. `axes` outermost first; `mountings` body to the
     innermost axis. `drift`, `instability`: (σ, τ) of gyros, `force_drift` of accelerometers. `priors`: standard
     deviation by parameter family; `temperature`: at the beginning, and slope. `powers`: of temperature and rate.
-    `held`: whether a table that stands is known not to turn. `slow`: rate up to which accelerometers are read on moves.
+    `held`: whether a table that stands is known not to turn.
     """
 
     axes: tuple[np.ndarray, ...]
@@ -50,7 +50,6 @@ class Scene:
     priors: dict[str, float]
     powers: tuple[int, int] = (1, 2)
     held: bool = True
-    slow: float = 0.0
 
     @property
     def centre_and_scale(self) -> tuple[float, float, float]:
@@ -155,32 +154,6 @@ class Simulator:
             inner = rotated(scene.axes[l], angle) @ inner
         return small(errors.tau) @ scene.base @ inner, omega
 
-    def size_effect(self, k: int, t: np.ndarray) -> np.ndarray:
-        """`(n, 3, 3)`: what the j-th coordinate of where an accelerometer sits adds to the force along i: its second
-        derivative in time on the turning Earth, by finite differences of its place in the angle that turns.
-        """
-        l, step, h = self.scene.steps[k].axis, self.scene.steps[k], 1e-2
-        if l < 0:
-            return np.zeros((len(t), 3, 3))
-
-        def attitude(x: float) -> np.ndarray:
-            errors = self.none
-            errors.angle = (l, lambda *_: x, lambda *_: 0.0)
-            return self.stages(k, t, errors)[0]
-
-        at = {m: attitude(m * h) for m in (-3, -2, -1, 0, 1, 2, 3)}
-        first = (45 * (at[1] - at[-1]) - 9 * (at[2] - at[-2]) + at[3] - at[-3]) / (60 * h)
-        second = (270 * (at[1] + at[-1]) - 27 * (at[2] + at[-2]) + 2 * (at[3] + at[-3]) - 490 * at[0]) / (180 * h * h)
-        top, ramp, whole = cosine_ramps(step.angle, step.peak, step.acceleration)
-        rate = self.travel(k, t)[1]
-        inside = np.where(t < ramp, t, np.where(t > whole - ramp, -(whole - t), 0.0))
-        faster = np.sign(step.angle) * 0.5 * top * np.pi / ramp * np.sin(np.pi * inside / ramp)
-        velocity = first * rate[:, None, None]
-        earth = OMEGA * np.array([0.0, np.cos(self.scene.latitude), np.sin(self.scene.latitude)])
-        turned = np.stack([np.cross(2.0 * earth, velocity[..., j]) for j in range(3)], axis=-1)
-        acceleration = second * (rate**2)[:, None, None] + first * faster[:, None, None] + turned
-        return np.swapaxes(at[0], 1, 2) @ acceleration
-
     def seen(self, k: int, t: np.ndarray, errors: Errors) -> tuple[np.ndarray, np.ndarray]:
         """Rate and specific force in the body, `(n, 3)` each."""
         scene = self.scene
@@ -280,12 +253,12 @@ class Simulator:
     # --- the rows -----------------------------------------------------------------------------------------------------
 
     def rows(self) -> list[tuple[int, int]]:
-        """(segment, channel) in order; channels 0–2 are gyros, 3–5 accelerometers, read at rest and on slow moves."""
+        """(segment, channel) in order; channels 0–2 are gyros, 3–5 accelerometers, read at rest."""
         scene = self.scene
         channels = [*scene.gyros, *(3 + i for i in scene.accelerometers)]
 
         def read(s: Step, c: int) -> bool:
-            return c < 3 or s.axis < 0 or cosine_ramps(s.angle, s.peak, s.acceleration)[0] <= scene.slow
+            return c < 3 or s.axis < 0
 
         return [(k, c) for k, s in enumerate(scene.steps) for c in channels if read(s, c)]
 
@@ -322,10 +295,6 @@ class Simulator:
             if c >= 3:
                 name = f"accelerometer_{AXES[i]}"
                 add(f"{name}.k2", k, row, w @ force[:, i] ** 2)
-                if scene.slow:
-                    sizes = w @ self.size_effect(k, t)[:, i]
-                    for j, axis in enumerate(AXES):
-                        add(f"{name}.r_{axis}", k, row, sizes[j])
         return found
 
     def columns(self) -> dict[str, np.ndarray]:

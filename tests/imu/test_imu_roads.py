@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import augmented_kalman, dense_of
-from imu_helpers import DEG, shipped
+from imu_helpers import shipped
 from random_imus import motion, nodes_of, random_scene, system_of, unit_of
 from reference_imu import Scene, Simulator
 
@@ -37,10 +37,10 @@ def test_the_joint_filter_is_dense_least_squares(seed, axes, mountings):
     agree(by_the_program(scene), Simulator(scene).dense())
 
 
-@pytest.mark.parametrize("change", [{}, {"held": False}, {"slow": 180.0 * DEG}], ids=str)
+@pytest.mark.parametrize("change", [{}, {"held": False}], ids=str)
 @pytest.mark.parametrize(("seed", "axes", "mountings"), SCENES)
 def test_every_column_and_the_covariance_of_the_rows(seed, axes, mountings, change):
-    """The regressors one by one to 1e-11 (where an accelerometer sits, 1e-9: by finite differences), and the covariance
+    """The regressors one by one to 1e-11, and the covariance
     that the filter's steps stand for."""
     scene = replace(random_scene(seed + 100, axes, mountings, length=16), **change)
     simulator = Simulator(scene)
@@ -51,7 +51,7 @@ def test_every_column_and_the_covariance_of_the_rows(seed, axes, mountings, chan
     assert set(ours) == set(theirs)
     rounding = 1e-15 * scene.gravity * 40.0
     for name, column in theirs.items():
-        tolerance = (1e-9 if ".r_" in name else 1e-11) * np.max(np.abs(column)) + rounding
+        tolerance = 1e-11 * np.max(np.abs(column)) + rounding
         np.testing.assert_allclose(ours[name], column, rtol=0, atol=tolerance, err_msg=name)
     wanted = simulator.covariance()
     size = np.sqrt(np.diagonal(wanted))
@@ -82,7 +82,6 @@ def test_the_augmented_filter_says_the_same(seed, axes, mountings, held):
         {"held": False},
         {"held": False, "instability": ()},
         {"held": False, "accelerometers": (), "drift": ()},
-        {"slow": 150.0 * DEG, "instability": ()},
     ],
     ids=str,
 )

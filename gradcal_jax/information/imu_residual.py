@@ -145,12 +145,9 @@ UNITS_OF_TERMS = {
     "m/s^2/K": ("ug/K", 1e6 / G),
     "m/s/K": ("ug/(K/min)", 1e6 / G / 60.0),
     "rad": ("urad", 1e6),
-    "m": ("mm", 1e3),
     "m/s^2": ("ug", 1e6 / G),
     "rad/s/(m/s^2)": ("deg/h/g", DEG_PER_H * G),
-    "rad/s/(m/s^2)^2": ("deg/h/g^2", DEG_PER_H * G**2),
     "1/(m/s^2)": ("ug/g^2", 1e6 * G),
-    "1/(m/s^2)^2": ("ug/g^3", 1e6 * G**2),
 }
 """For each SI unit of a coefficient: the reported unit, and the number of these units in one SI unit."""
 

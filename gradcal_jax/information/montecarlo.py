@@ -4,23 +4,14 @@ The noise is drawn step by step from the timeline's own linear system in NumPy; 
 readings together with the regressors and solves the least squares, with the same code as for a real log.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from gradcal_jax.information.noise_steps import NoiseSteps
-from gradcal_jax.information.posterior import LeastSquares, Posterior, posterior, square_root
+from gradcal_jax.information.posterior import LeastSquares
 from gradcal_jax.information.whitening import whiten
 
-
-class Twin(NamedTuple):
-    """`errors` `(runs, p)`: estimate minus truth, in the engine's parameters; `predicted`: their predicted posterior.
-    `left`: errors of the calibration, which carries no discrepancy.
-    """
-
-    errors: np.ndarray
-    predicted: Posterior
-    left: np.ndarray
+# Runs that are simulated together.
+_TILE = 256
 
 
 def simulated_errors(
@@ -30,33 +21,24 @@ def simulated_errors(
     carried: np.ndarray,
     runs: int,
     seed: int = 0,
-    tile: int = 256,
-    *,
-    plain: tuple[LeastSquares, Posterior] | None = None,
-) -> Twin:
-    """Simulate `runs` calibrations by a linear system with the rows `prior` `(m, p)` of its priors. Parameters with a
-    prior are drawn from it; those without are zero, without loss of generality.
+    plain: LeastSquares | None = None,
+) -> np.ndarray:
+    """Errors `(runs, p)` of simulated calibrations, estimate minus truth, in the engine's parameters, by a linear
+    system with the rows `prior` `(m, p)` of its priors. Parameters with a prior are drawn from it; those without are
+    zero, without loss of generality. All must be observable.
 
-    `carried` `(p,)`: whether a calibration has a parameter. `plain`: an unweighted estimator and its posterior; it
-    leaves the last parameters, which are noise to it, at zero. Errors: `ValueError` where the plan leaves something
-    unobservable, since its estimate would be arbitrary.
+    `carried` `(p,)`: whether a calibration has a parameter. `plain`: an unweighted estimator, which leaves the last
+    parameters, noise to it, at zero.
     """
-    rng = np.random.default_rng(seed)
-    known = posterior(square_root(np.concatenate([whiten(steps, columns), prior]))) if plain is None else plain[1]
-    if known.hidden.shape[1]:
-        raise ValueError(
-            "this plan cannot observe some parameters, so their estimates cannot be compared with the truth: give "
-            "these parameters a prior"
-        )
-    p = columns.shape[1]
+    rng, p = np.random.default_rng(seed), columns.shape[1]
     drawn = np.linalg.pinv(prior) if len(prior) else np.zeros((p, 0))
-    errors, left = [], []
-    for begin in range(0, runs, tile):
-        size = min(tile, runs - begin)
+    left: list[np.ndarray] = []
+    for begin in range(0, runs, _TILE):
+        size = min(_TILE, runs - begin)
         truth = drawn @ rng.standard_normal((len(prior), size))
         readings = simulate_noise(steps, size, rng) + columns @ truth
         if plain is not None:
-            own = plain[0].back @ (plain[0].weights.T @ readings)
+            own = plain.back @ (plain.weights.T @ readings)
             estimate = np.concatenate([own, truth[len(own) :]])
         else:
             both = whiten(steps, np.concatenate([columns, readings], axis=1))
@@ -64,9 +46,8 @@ def simulated_errors(
             data = np.concatenate([both[:, p:], np.zeros((len(prior), size))])
             scale = np.linalg.norm(design, axis=0)
             estimate = np.linalg.lstsq(design / scale, data, rcond=None)[0] / scale[:, None]
-        errors.append((estimate - truth).T)
         left.append((carried[:, None] * estimate - truth).T)
-    return Twin(np.concatenate(errors), known, np.concatenate(left))
+    return np.concatenate(left)
 
 
 def simulate_noise(steps: NoiseSteps, runs: int, rng: np.random.Generator) -> np.ndarray:

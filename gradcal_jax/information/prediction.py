@@ -313,11 +313,15 @@ def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> list[TwinRow]:
     steps, columns = imu_system(motion, model, nodes, common=common)
     beside, prior = len(named), block_diagonal([np.eye(len(named)), model.prior_rows()])
     carried = np.pad(_carried(model), (beside, model.size - model.calibrated), constant_values=True)
-    known, plain = imu_posterior(built), None
-    if unweighted_estimator(spec):
-        plain = estimator_of_means(motion, model, steps, columns), known
-    twin = simulated_errors(steps, np.asarray(columns), prior, carried, runs, seed, plain=plain)
-    found = Posterior(twin.left.T[beside:] / np.sqrt(len(twin.left)), np.zeros((model.size, 0)))
+    known = imu_posterior(built)
+    if known.hidden.shape[1]:
+        raise ValueError(
+            "this plan cannot observe some parameters, so their estimates cannot be compared with the truth: give "
+            "these parameters a prior"
+        )
+    plain = estimator_of_means(motion, model, steps, columns) if unweighted_estimator(spec) else None
+    left = simulated_errors(steps, np.asarray(columns), prior, carried, runs, seed, plain)
+    found = Posterior(left.T[beside:] / np.sqrt(runs), np.zeros((model.size, 0)))
     rows: list[TwinRow] = []
     for requirement in spec.requirement:
         quantity = quantity_of(built, requirement)

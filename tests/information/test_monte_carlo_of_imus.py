@@ -25,3 +25,10 @@ def test_simulated_calibrations_of_an_imu_are_as_predicted(name: str) -> None:
 def test_too_few_runs_are_refused() -> None:
     with pytest.raises(ValueError, match="runs cannot test a covariance of 4 parameters: ask for 8 or more"):
         monte_carlo(parse_spec(presets.text("paper-static-standard")), 7)
+
+
+def test_what_cannot_be_observed_is_refused() -> None:
+    flat = {f"sensor.accelerometer.{name}.prior": None for name in ("bias", "scale_factor", "misalignment")}
+    spec = parse_spec(presets.text("accelerometer-six-positions"))
+    with pytest.raises(ValueError, match="give these parameters a prior"):
+        monte_carlo(changed(spec, flat | {"plan.cycle.moves": [{"rest": "60 s"}]}), 400)

@@ -1,4 +1,11 @@
-"""From a timeline and an error model to square-root information, the residual map and its Monte Carlo twin."""
+"""What the readings of a motion tell: `ImuModel` and `TableMotion` in, `Posterior`, residuals and predictions out.
+
+* `noise_steps`, `imu_rows`: rows, columns and the noise system; `gears`: errors of a drive in them.
+* `whitening`: generalised least squares; `posterior`: square-root information; `by_reading`: reading by reading.
+* `residual`, `imu_residual`, `missions`: what a requirement asks for, as a function of the covariance; `verdicts`.
+* `unseen`: what no residual shows; `error_budget`: the share of every source; `plan_sentences`: what a plan lacks.
+* `prediction`, `differentiable`, `sensitivity`, `montecarlo`: the functions that people call.
+"""
 
 from gradcal_jax.information.by_reading import filter_readings, filtered_states
 from gradcal_jax.information.imu_rows import (

@@ -1,4 +1,10 @@
-"""Models of a sensor: bases, terms with priors, noise processes, and the installation; `build`: of a spec."""
+"""What a sensor gets wrong, linear in parameters with priors: `Spec` in, `ImuModel` out (`build.build_imu`).
+
+* `bases`: functions of temperature or rate. `nodes`: where the terms are evaluated, in plans and in logs.
+* `terms`: maps, discrepancies, sensitivities to dT/dt, and one general error term; `path`: hysteresis.
+* `noise`: slow noise processes. `imu`: channels of terms and noise. `installation`: errors of table, site and clock.
+* `build`: all of these from a spec, with the motion of its plan.
+"""
 
 from gradcal_jax.model.bases import Basis, Bins, BSpline, HigherPolynomials, Polynomial
 from gradcal_jax.model.imu import KINDS, Channel, ChannelKind, EncoderNoise, ImuModel

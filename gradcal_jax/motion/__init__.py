@@ -1,4 +1,10 @@
-"""From moves and temperature programmes to a schedule, its trajectory, and the nodes on which a model is integrated."""
+"""How table and temperature move: moves and a programme of the chamber in, a `TableMotion` and its nodes out.
+
+* `motion`: moves by their smooth pieces. `programme`: soaks, ramps, and the temperature of a lagging sensor.
+* `schedule`: a plan as arrays. `trajectory`: its pieces in time, rate and temperature.
+* `gauss`: how pieces are integrated, and where functions of temperature are not smooth.
+* `table_motion`: the axis that each piece turns, the geometry, and the nodes of the body.
+"""
 
 from gradcal_jax.motion.gauss import moving_nodes
 from gradcal_jax.motion.motion import Move, rest, turn

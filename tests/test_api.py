@@ -95,7 +95,7 @@ def test_a_prediction_compiles_nothing(name):
 
 
 def test_what_a_plan_cannot_observe_is_null_with_a_sentence():
-    """Four parameters in rate from two rates: the prediction is JSON without nan, and names the combinations."""
+    """Four parameters in rate from two rates: the prediction is JSON without nan, and names the parameters."""
     text = presets.text("paper-dynamic-standard")
     start = text.index("rates", text.index("[plan]"))
     line = text[start : text.index("\n", start)]
@@ -103,8 +103,11 @@ def test_what_a_plan_cannot_observe_is_null_with_a_sentence():
     prediction = predictions.predict(spec_file.parse_spec(text))
     assert all(row.mean_of_max is None and row.verdict == "unobservable" for row in prediction.requirements)
     sentences = [w for w in prediction.warnings if "cannot observe" in w]
-    assert len(sentences) == 8  # Two of four powers of rate, at each of four powers of temperature.
-    assert any("b20" in s for s in sentences)
+    (sentence,) = sentences
+    assert sentence.endswith("turn about the gyro, at more rates and temperatures, or state a prior")
+    assert {f"gyro_x.b{j}{i}" for i in range(4) for j in range(4)} == set(
+        sentence.split(": ")[0].split("observe ")[1].split(", ")
+    )
     plain = json.loads(prediction.model_dump_json(), parse_constant=pytest.fail)
     assert any(row["std"] is None for row in plain["parameters"])
     flat = [x for row in plain["covariance"] for x in row if x is not None]

@@ -30,7 +30,6 @@ from gradcal_jax.information.posterior import (
     SquareRootInformation,
     posterior,
     square_root,
-    unobservable_combinations,
 )
 from gradcal_jax.information.residual import STATISTICS, contrasts, statistic
 from gradcal_jax.information.whitening import gram, whiten, whitened_factor

@@ -6,7 +6,7 @@ named, with what a plan needs to observe it; one of the installation, with the u
 
 import numpy as np
 
-from gradcal_jax.information import Posterior, posterior, square_root, unobservable_combinations
+from gradcal_jax.information import Posterior, posterior, square_root
 from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.model import AXIS_NAMES, Discrepancy, Hysteresis, OwnTerm
 from gradcal_jax.model.build import HYSTERESIS, SCALE_FACTOR_HYSTERESIS, BuiltImu, build_imu, imu_posterior
@@ -20,8 +20,6 @@ from gradcal_jax.spec.spec_sections import Spec
 NOT_OBSERVED = 0.9
 # Share of the prior of a hysteresis beyond which a course hardly observes it.
 _HARDLY_SEEN = 0.7
-# Number of unobservable combinations that are named each; of more, the parameters are listed.
-_FEW_COMBINATIONS = 4
 # Relative difference of rates that rounding to a controller's steps explains.
 _NEARLY = 1e-3
 # Points of a piece at which its largest rate is evaluated.
@@ -57,7 +55,7 @@ def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
 
 
 def check(spec: Spec) -> list[str]:
-    """Warnings on a spec's prediction, in sentences: parameter combinations that the plan cannot observe, and
+    """Warnings on a spec's prediction, in sentences: parameters that the plan cannot observe, and
     requirements beyond the temperatures (°C) and rates (deg/s) that the plan visits.
 
     Errors: none; `read_spec` has validated the spec.
@@ -92,31 +90,17 @@ def _stays(built: BuiltImu, known: Posterior) -> np.ndarray:
 
 
 def _unobserved(built: BuiltImu, known: Posterior) -> list[str]:
-    """Sentences on combinations that nothing observes, and on parameters that keep their priors."""
-    few = len(built.model.channels) == 1 or known.hidden.shape[1] <= _FEW_COMBINATIONS
-    combinations = unobservable_combinations(known, built.model) if few else []
-    remedies = _remedies(built)
-    sentences: list[str] = []
-    for combination in combinations:
-        own = dict.fromkeys(remedy for name, remedy in remedies.items() if name in combination)
-        sentences.append(f"the plan cannot observe {combination}: {'; '.join(own)}; or state a prior")
+    """Sentences on parameters that nothing observes, or that keep their priors, each with what a plan needs."""
     groups: dict[str, list[str]] = {}
-    for name in unobserved_parameters(built, known):
-        # A hysteresis has its own sentence.
-        if "hysteresis_" not in name and not any(name in combination for combination in combinations):
-            groups.setdefault(remedies[name], []).append(name)
-    return sentences + [f"not observable: {', '.join(names)}: {remedy}" for remedy, names in groups.items()]
-
-
-def _remedies(built: BuiltImu) -> dict[str, str]:
-    """What a plan needs to observe each of the unit's own parameters, by its name."""
-    remedies: dict[str, str] = {}
+    unobserved = {name for name in unobserved_parameters(built, known) if "hysteresis_" not in name}
     for c in built.model.channels:
         for term in c.terms:
             fits = [of for (kind, head), of in _REMEDIES.items() if kind == c.kind and term.name.startswith(head)]
-            remedy = fits[0] if fits else "change the plan"
-            remedies |= {f"{c.name}.{name}": remedy for name in term.names()}
-    return remedies
+            names = [f"{c.name}.{name}" for name in term.names()]
+            groups.setdefault(fits[0] if fits else "change the plan", []).extend(n for n in names if n in unobserved)
+    return [
+        f"the plan cannot observe {', '.join(names)}: {of}, or state a prior" for of, names in groups.items() if names
+    ]
 
 
 def _limited_by_priors(built: BuiltImu, known: Posterior) -> list[str]:

@@ -221,11 +221,20 @@ class ImuReadings(NamedTuple):
         steps, columns = self._system(self._nodes(table.geometry, table.error_of, about))
         here, begin = self.expected(about), model.calibrated
         self._multiply(columns, about, here)
+        at = segments_of(motion, model)
+        hung = motion.mounting[at.first][at.row_segment]
         for term in model.installation:
             if isinstance(term, BaseTilt | NonOrthogonality | MountingError):
-                for k in range(begin, begin + term.size):
-                    there = about + _SMALL_TURN * np.eye(model.size)[k]
-                    columns[:, k] = self.by_steps((self.expected(there) - here) / _SMALL_TURN)
+                # Each row is of one mounting, so that all are turned at a time.
+                together = 3 if isinstance(term, MountingError) else term.size
+                for k in range(together):
+                    own = np.arange(begin + k, begin + term.size, together)
+                    there = about.copy()
+                    there[own] += _SMALL_TURN
+                    changed = (self.expected(there) - here) / _SMALL_TURN
+                    for number, place in enumerate(own):
+                        only = (len(own) == 1) | (hung == number)
+                        columns[:, place] = self.by_steps(np.where(only, changed, 0.0))
             begin += term.size
         return self._with_own_angles(steps, about, here), columns
 

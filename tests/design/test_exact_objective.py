@@ -141,11 +141,13 @@ def test_the_objective_of_many_cycles_of_an_imu_is_its_prediction(name, monkeypa
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", gj.presets.names())
 def test_the_objective_of_every_preset_is_its_prediction(name, monkeypatch):
+    """About where a lag begins with a ramp, or drifts go on between two parts of a plan."""
     spec = preset(name)
     if spec.turns_one_gyro or spec.rig.table.drive == "hand":
         pytest.skip("searched in visits (test_visits.py), or not at all")
-    # Its plan observes no second order of the accelerometers.
-    check(spec, monkeypatch, 1e-7, derivative=name == "gradient-three-axes")
+    exactly = not spec.sensor.lag and len(spec.plain_schedule.stretches) == 1
+    # One plan observes no second order of the accelerometers.
+    check(spec, monkeypatch, 1e-7 if exactly else 0.03, derivative=name == "gradient-three-axes")
 
 
 BOTH_WAYS = {

@@ -256,7 +256,7 @@ def running(
     """A rig and the runner of a track on it, in virtual time; its journal lies in the folder."""
     clock = VirtualClock()
     folder.mkdir(exist_ok=True)
-    with Rig(clock, truth) as rig, Journal(folder / "journal") as journal:
+    with Rig(clock, truth, burst_s=0.256) as rig, Journal(folder / "journal") as journal:
         devices = rig.rig if with_unit else only_of(rig.rig, {"chamber", "table"})
         rules = Interlocks(limits or InterlockLimits())
         with open_rig(devices, clock) as bench:

@@ -169,6 +169,32 @@ def test_where_nobody_controls_the_temperature_it_does_not_wait_for_the_units_to
         assert first - begins["soak 1"] == pytest.approx(130.0 + starts, abs=1.0)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("kind", "offset", "seeds"), [("gyro", "0.05 deg", (2,)), ("accelerometer", "0.1 deg", (2, 3))]
+)
+def test_sensors_see_the_errors_of_an_axis_angle_by_their_misalignments(
+    tmp_path: Path, kind: str, offset: str, seeds: tuple[int, ...]
+) -> None:
+    """Gyros across an axis and accelerometers along it, on a table read by a coarse encoder: neglected, or with the
+    noise of the first estimate alone, which is far off, the squared errors are too large."""
+    coarse = {"reading_noise": "0.02 deg", "standstill_offset": offset}
+    plan = short(2 if kind == "gyro" else 4)
+    axes = [of.model_dump(exclude_unset=True) for of in plan.rig.table.axis]
+    changes = {"rig.table.axis": [of | {"angle": coarse} for of in axes]}
+    changes |= {"sensor.gyro.misalignment.prior": "10 mrad", f"sensor.{kind}.misalignment.prior": "60 mrad"}
+    spec, found = changed(plan, changes), list[tuple[float, int, float, int]]()
+    for seed in seeds:
+        run = tmp_path / str(seed)
+        assert execute.run(made(spec), run, simulate=True, seed=seed).exit_status == "success"
+        hidden = json.loads((run / "hidden_truth.json").read_text(encoding="utf-8"))
+        truth = hidden["units"]["unit1"] | hidden["installation"]
+        found.append(estimated(run_log.log(run), spec, truth))
+    squares, degrees, nees, count = np.sum(found, axis=0)
+    assert chi2.ppf(1e-4, degrees) < squares < chi2.ppf(1.0 - 1e-4, degrees)
+    assert chi2.ppf(1e-4, count) < nees < chi2.ppf(1.0 - 1e-4, count)
+
+
 @pytest.mark.parametrize("measured", [True, False], ids=["accelerometers", "gyros alone"])
 def test_gyros_feel_rotation_by_their_g_sensitivity(tmp_path: Path, measured: bool) -> None:
     """The simulated gyros lie 3 mm beside the accelerometers, and 3 cm off the axes: a spec that does not say so is

@@ -93,6 +93,7 @@ def moved(steps: NoiseSteps, columns: np.ndarray, size) -> tuple[NoiseSteps, jax
     return at, columns + size * rng.standard_normal(columns.shape)
 
 
+@pytest.mark.long
 def test_forward_and_reverse_mode_and_second_derivatives_are_differences():
     steps, columns = random_system(3, 4, 37)
     weights = np.random.default_rng(3).standard_normal((4, 4))

@@ -332,8 +332,9 @@ def _parts(block: MotionBlock, total: float, names: dict[str, str], *, ends: boo
             TrackStep(
                 f"{block.name}, {number} of {len(cuts)}" if len(cuts) > 1 else block.name,
                 end - begin,
-                moves=tuple(replace(move, start_s=max(move.start_s - begin, 0.0)) for move in inside),
-                read_at_s=tuple(time_s - begin for time_s in reads[first : bisect(reads, end + _HAIR_S)]),
+                # A reading at the end of a turn comes before the turn that begins then: both are the same number.
+                moves=tuple(replace(move, start_s=max(round(move.start_s - begin, 9), 0.0)) for move in inside),
+                read_at_s=tuple(round(time_s - begin, 9) for time_s in reads[first : bisect(reads, end + _HAIR_S)]),
                 slack_s=after if number == len(cuts) else max(0.0, period - busy),
             ),
         )

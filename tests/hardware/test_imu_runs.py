@@ -38,6 +38,16 @@ def ran(imu_run: Path) -> tuple[Path, Log]:
     return imu_run / "run", run_log.log(imu_run / "run", "unit2")
 
 
+def test_in_every_cycle_a_turn_is_read_before_the_next_one_begins() -> None:
+    """By the very number, of turns without a rest between them: else the reading is one on the move."""
+    keys = {"plan.temperature": ["10 degC", "40 degC"], "plan.gradient": "1.5 K/min", "plan.soak": "5 min"}
+    track = track_of(made(changed(parse_spec(presets.text("paper-dynamic-gradient")), keys)), ["x"])
+    for step in track.steps:
+        for before, turn in itertools.pairwise(step.moves):
+            if turn.start_s - before.start_s < 45.0:
+                assert turn.start_s in step.read_at_s
+
+
 def moves_of(folder: Path) -> list[tuple[str, float, float]]:
     """Axis, when it was told to turn, and when it stood again, on the run's clock."""
     found: list[tuple[str, float, float]] = []

@@ -23,26 +23,26 @@ class CrcOfRows:
     ) -> None:
         if reflect:
             poly, init = (int(f"{value:0{width}b}"[::-1], 2) for value in (poly, init))
-        self._init, self._xorout, self._reflect, self._zeros = init, np.uint64(xorout), reflect, zeros
-        self._mask, self._top = np.uint64(2**width - 1), np.uint64(width - 8)
-        one, high = np.uint64(1), np.uint64(1 if reflect else 2 ** (width - 1))
-        register = np.arange(256, dtype=np.uint64)
+        self._init, self._xorout, self._reflect, self._zeros = init, np.int64(xorout), reflect, zeros
+        self._mask, self._top = np.int64(2**width - 1), np.int64(width - 8)
+        one, high = np.int64(1), np.int64(1 if reflect else 2 ** (width - 1))
+        register = np.arange(256, dtype=np.int64)
         if not reflect:
             register <<= self._top
         for _ in range(8):
             carry = (register & high) != 0
             register = register >> one if reflect else register << one & self._mask
-            register = np.where(carry, register ^ np.uint64(poly), register)
+            register = np.where(carry, register ^ np.int64(poly), register)
         # The register after one byte, from zero.
         self._after = register
 
-    def __call__(self, rows: NDArray[np.uint8]) -> NDArray[np.uint64]:
+    def __call__(self, rows: NDArray[np.uint8]) -> NDArray[np.int64]:
         """`(n, length) -> (n,)`."""
-        register = np.full(len(rows), self._init, np.uint64)
-        eight = np.uint64(8)
-        for column in (*rows.T, *np.zeros((self._zeros, 1), np.uint8)):
+        register = np.full(len(rows), self._init, np.int64)
+        eight = np.int64(8)
+        for column in (*rows.T.astype(np.int64), *np.zeros((self._zeros, 1), np.int64)):
             if self._reflect:
-                register = register >> eight ^ self._after[(register & np.uint64(255)) ^ column]
+                register = register >> eight ^ self._after[(register & np.int64(255)) ^ column]
             else:
                 register = (register << eight & self._mask) ^ self._after[register >> self._top ^ column]
         return register ^ self._xorout

@@ -93,6 +93,11 @@ def test_a_lagging_sensor_follows_its_differential_equation():
     ends = np.asarray(line.temperature(jnp.ones((line.piece_count, 1))))[:, 0]
     wanted = [at[round(float(t) / step)] for t in np.asarray(line.start + line.duration)]
     np.testing.assert_allclose(ends, wanted, atol=1e-6)
+    # And its slope, in the middle of each piece.
+    after, before = (np.asarray(line.temperature(np.full((line.piece_count, 1), v))) for v in (0.5001, 0.4999))
+    lasting = np.asarray(line.duration)[:, None]
+    slope = np.asarray(line.temperature_slope(0.5 * lasting))
+    np.testing.assert_allclose(slope, (after - before) / (2e-4 * lasting), atol=1e-7)
 
 
 def test_a_standard_plan_soaks_then_holds_each_rate():

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from random_plans import plan_of
 
+from gradcal_jax.design.noise_floor import least_noise_density
 from gradcal_jax.design.plan_limit import limit
 from gradcal_jax.information.prediction import predict
+from gradcal_jax.model.noise import gauss_markov
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.tables.problems import SpecError
 
@@ -76,6 +78,18 @@ def check(seed: int) -> tuple[str, float]:
                     assert value >= one.certified * (1.0 - SLACK), (seed, name, axis, value, one)
                     least = min(least, value / one.certified)
     return "held", least
+
+
+def test_the_floor_of_the_noise_is_its_formula():
+    """max_ε min_λ N² + 2σ²τ/(1 + λ²τ²) + R λ²/(1/Δ + ε/2 + λ²/(2ε)), on other grids."""
+    walk, sigma, tau, reading, spacing = 2e-5, 5e-6, 120.0, 1e-3, 4.0
+    rates, epsilons = np.geomspace(1e-6, 1e2, 3000), np.geomspace(1e-5, 1e3, 400)[:, None]
+    noise = walk**2 + 2.0 * sigma**2 * tau / (1.0 + (rates * tau) ** 2)
+    window = 1.0 / spacing + epsilons / 2.0 + rates**2 / (2.0 * epsilons)
+    wanted = np.max(np.min(noise + reading**2 * rates**2 / window, axis=1))
+    found = least_noise_density(walk, gauss_markov(sigma, tau), reading, spacing)
+    assert wanted > 1.5 * walk**2
+    assert found == pytest.approx(wanted, rel=2e-2)
 
 
 @pytest.mark.parametrize("seed", sorted(ALWAYS))

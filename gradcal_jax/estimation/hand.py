@@ -340,7 +340,7 @@ def _fit(rows: _Rows, priors: np.ndarray, tested: int) -> Fitted:
         """The optimum with the weights at `start`."""
         covariance = rows(start)[2] + added * beyond**2
         jacobian: Any = lambda p: white(p, covariance)[:, 1:]  # noqa: E731
-        exact = {"xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-12}
+        exact: Any = {"xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-12}
         return least_squares(lambda p: white(p, covariance)[:, 0], start, jac=jacobian, x_scale=priors, **exact)
 
     def known_of(fit: OptimizeResult) -> tuple[np.ndarray, np.ndarray]:

@@ -148,9 +148,11 @@ def _unit(log: Log, unit: str, axes: Sequence[str], sources: dict[str, str]) -> 
         "on temperature. Cool the vehicle down again in the same record to see them",
     ]
     if forces:
+        basis = forces[0].calibrated.term[0].temperature
+        assert isinstance(basis, TemperaturePolynomial)
         messages.append(
             "accelerometers at rest: a bias and a tilt cannot be separated, so the biases are changes from "
-            f"{forces[0].calibrated.term[0].temperature.centre}, where they are zero. Calibrate the accelerometers in "
+            f"{basis.centre}, where they are zero. Calibrate the accelerometers in "
             "six positions at one temperature afterwards"
         )
     names, unseen, tests = list[str](), list[UnseenError](), dict[str, Test]()
@@ -158,7 +160,9 @@ def _unit(log: Log, unit: str, axes: Sequence[str], sources: dict[str, str]) -> 
         own = [f"{of.calibrated.name}.{name}" for name in of.calibrated.term[0].coefficients]
         names += own[-len(of.covariance) :]
         for name, change in of.unseen:
-            unseen.append(UnseenError(name=name, coefficients=dict(zip(own, change.tolist(), strict=True))))
+            unseen.append(
+                UnseenError(name=name, coefficients=dict(zip(own, np.asarray(change, float).tolist(), strict=True)))
+            )
         tests[f"{of.calibrated.name}: chi-squared"] = of.test
         messages += of.words
     noise: dict[str, Any] = {}

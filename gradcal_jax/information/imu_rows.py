@@ -121,7 +121,7 @@ def rows_of_terms(
     model: ImuModel, nodes: BodyNodes, at: Segments, terms: Sequence[tuple[int, Term]]
 ) -> Float[AnyArray, "R k"]:
     """Columns of terms of one parameter, as if the channels of these numbers had them."""
-    columns = [((slice(None), slice(0, 0)), np.zeros((len(at.row_segment), 0)))]
+    columns: list[Any] = [((slice(None), slice(0, 0)), np.zeros((len(at.row_segment), 0)))]
     for k, (number, term) in enumerate(terms):
         channel, rows = model.channels[number], np.flatnonzero(at.row_channel == number)
         of_pieces = term.columns(nodes.channel(channel.kind, channel.axis))

@@ -114,7 +114,9 @@ def drifting_terms(built: BuiltImu) -> list[tuple[int, Term]]:
         if unknown or (getattr(sensor, c.kind).gradient_std and c.term(TEMPERATURE_GRADIENT) is None):
             terms.append((number, GradientOfBias(std=np.ones(()), has_prior=False)))
         if unknown:
-            terms.append((number, ProductTerm(np.ones(()), SCALE_FACTOR, "s/K", (own,), slopes=1)))
+            terms.append(
+                (number, ProductTerm(std=np.ones(()), name=SCALE_FACTOR, si_unit="s/K", signals=(own,), slopes=1))
+            )
     return terms
 
 

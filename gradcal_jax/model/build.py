@@ -292,7 +292,8 @@ def _terms(sensor: Sensor, triad: GyroTriad | AccelerometerTriad, kind: ChannelK
     plays += [(play, SCALE_FACTOR_HYSTERESIS, "1/K", (own,)) for play in triad.scale_factor_hysteresis]
     for play, name, si_unit, signals in plays:
         prior, width = np.asarray(float(play.prior)), np.asarray(float(play.width))
-        yield Hysteresis(prior, name.format(f"{float(width):g}"), si_unit, signals, width=width)
+        called = name.format(f"{float(width):g}")
+        yield Hysteresis(std=prior, name=called, si_unit=si_unit, signals=signals, width=width)
     for one in triad.term:
         yield _general_term(sensor, one, unit, own)
     yield from (m.beyond for m in maps if m.beyond is not None)
@@ -331,7 +332,8 @@ def _rotation_terms(gyro: GyroTriad) -> Iterator[ProductTerm]:
     if gyro.g_sensitivity is None or not (std := gyro.g_sensitivity.of_rotation):
         return
     for of in combinations_with_replacement(AXIS_NAMES, 2):
-        yield ProductTerm(np.asarray(std), f"ww_{''.join(of)}", "s", tuple(f"rate {a}" for a in of))
+        signals = tuple(f"rate {a}" for a in of)
+        yield ProductTerm(std=np.asarray(std), name=f"ww_{''.join(of)}", si_unit="s", signals=signals)
 
 
 def _general_term(sensor: Sensor, one: GeneralTerm, of_bias: str, own: str) -> OwnTerm:
@@ -346,7 +348,8 @@ def _general_term(sensor: Sensor, one: GeneralTerm, of_bias: str, own: str) -> O
         assert sensor.second_thermometer is not None
         other = OtherTemperature(SECOND, float(sensor.second_thermometer.lag))
     every = ((own,) if of_scale else ()) + signals
-    return ProductTerm(std, one.name, unit, every, slopes=one.factors.count(SLOPE), other=other)
+    slopes = one.factors.count(SLOPE)
+    return ProductTerm(std=std, name=one.name, si_unit=unit, signals=every, slopes=slopes, other=other)
 
 
 def basis(section) -> Basis:

@@ -171,7 +171,7 @@ class ImuModel(PytreeModule):
         """The temperatures beside that of the sensor on which its terms depend."""
         late = {term.late for term in self.terms if isinstance(term, Map)}
         other = {term.other for term in self.terms if isinstance(term, ProductTerm)}
-        return tuple(sorted((late | other) - {None}))
+        return tuple(sorted(of for of in late | other if of is not None))
 
     def names(self) -> list[str]:
         """Names of the reported parameters in order: `gyro_x.b00`, `accelerometer_z.k2`, `azimuth`."""

@@ -285,9 +285,22 @@ def make_map(
             raise ValueError(
                 "the discrepancy's degrees must exceed the model's, otherwise the discrepancy adds nothing"
             )
-    finite = bool(np.all(np.isfinite(prior_std))), bool(np.isfinite(smoothness_std))
-    figures = scalar(prior_std), scalar(smoothness_std), scalar(common_std)
-    return Map(temperature, rate, *figures, beyond, name, symbol, unit, signals, numbered, *finite, late)
+    return Map(
+        temperature=temperature,
+        rate=rate,
+        prior_std=scalar(prior_std),
+        smoothness_std=scalar(smoothness_std),
+        common_std=scalar(common_std),
+        beyond=beyond,
+        name=name,
+        symbol=symbol,
+        si_unit=unit,
+        signals=signals,
+        numbered=numbered,
+        has_prior=bool(np.all(np.isfinite(prior_std))),
+        has_smoothness=bool(np.isfinite(smoothness_std)),
+        late=late,
+    )
 
 
 def _prior_with_common(reported: np.ndarray, constant: np.ndarray, std, common_std) -> Float[AnyArray, "size size"]:

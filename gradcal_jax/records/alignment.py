@@ -296,7 +296,7 @@ def _exactly(pairs: list[tuple[_Unit, AngleTrack]], middle_s: float, place: _Pla
         standing = np.abs(rates) <= _STANDS_DPS
         noise_deg = max(noise_deg * _grown(rest[standing], spared[standing]), 1e-7)
         jitter_s = max(jitter_s * _grown(rest[~standing], spared[~standing]), 1e-9)
-    inverse: Floats = np.linalg.inv(slopes.T @ slopes)
+    inverse = np.linalg.inv(slopes.T @ slopes)
     covariance = inverse * max(1.0, float(rest @ rest) / max(len(rest) - 2 * count - 2, 1))
     each = np.add.reduceat(slopes * rest[:, None], np.cumsum(sizes) - sizes)
     robust: Floats = inverse @ (each.T @ each) @ inverse * count / max(count - 2, 1)

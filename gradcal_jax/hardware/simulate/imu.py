@@ -91,7 +91,7 @@ class PlayTruth:
 
 def _filtered(numerator: Any, denominator: Any, values: Vectors, state: Vectors) -> Vectors:
     """A recursive filter along the first axis. SciPy's signals take their time to load."""
-    from scipy import signal
+    from scipy import signal  # pyright: ignore[reportMissingTypeStubs]
 
     return signal.lfilter(numerator, denominator, values, axis=0, zi=state)[0]  # pyright: ignore
 

@@ -160,9 +160,8 @@ def _unit(log: Log, unit: str, axes: Sequence[str], sources: dict[str, str]) -> 
         own = [f"{of.calibrated.name}.{name}" for name in of.calibrated.term[0].coefficients]
         names += own[-len(of.covariance) :]
         for name, change in of.unseen:
-            unseen.append(
-                UnseenError(name=name, coefficients=dict(zip(own, np.asarray(change, float).tolist(), strict=True)))
-            )
+            coefficients = {one: float(value) for one, value in zip(own, change, strict=True)}
+            unseen.append(UnseenError(name=name, coefficients=coefficients))
         tests[f"{of.calibrated.name}: chi-squared"] = of.test
         messages += of.words
     noise: dict[str, Any] = {}

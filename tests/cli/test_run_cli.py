@@ -78,6 +78,7 @@ def test_a_rehearsal_from_recipe_to_log(tmp_path, capsys):
     assert "is complete" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_rig_is_checked_and_what_does_not_answer_is_said(tmp_path, capsys):
     path = tmp_path / "rig.toml"
     path.write_text(presets.template("rig.toml"), encoding="utf-8")

@@ -25,7 +25,7 @@ SCENARIOS = [
     },
     {"rig": {"table": {"mounting[0]": {"accuracy": "0.1 deg"}, "rate_accuracy": "100 ppm"}}},
     {"rig": {"chamber": {"max_heating": "3 K/min"}}},
-    {"name": "north", "rig": {"site": {"latitude": "29.91 deg"}}},
+    {"rig": {"site": {"latitude": "29.91 deg"}}},
     {
         "sensor": {
             "gyro": {"angle_random_walk": "0.2 deg/sqrt(h)"},

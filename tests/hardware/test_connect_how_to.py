@@ -79,6 +79,7 @@ def test_errors_that_one_makes_are_said(
         assert words in TEXT
 
 
+@pytest.mark.long
 def test_a_mute_line_and_a_set_point_that_is_only_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     class Mute:
         def receive(self, data: bytes) -> list[bytes]:

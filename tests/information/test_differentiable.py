@@ -10,6 +10,7 @@ from search_problem import SPEC
 
 import gradcal_jax as gj
 from gradcal_jax.information.prediction import predict
+from gradcal_jax.model.build import build_imu, plan_information
 from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.spec.spec import parse_spec
 
@@ -72,15 +73,13 @@ def test_slopes_are_differences_of_predictions_of_changed_files(spec, residual, 
 
 def test_a_plan_is_moved_as_its_file_would(spec, residual, slopes):
     """The second move's rate; and the ramp, whose time the file derives from its gradient."""
-    moves = [
-        {"rest": "10 s", "read_every": "5 s"},
-        {"duration": "50 s", "peak_rate": "190 deg/s", "shape": "cosine ramps"},
-    ]
-    moves += [moves[0], {"duration": "50 s", "peak_rate": "-150 deg/s", "shape": "cosine ramps"}]
     slower = residual.quantities["peak rates"].copy()
     slower[1] *= 0.95
     ramp = residual({"peak rates": slower})["full range"]
-    made = changed(spec, {"plan.cycle.moves": moves})
+    angle = float(spec.plan.cycle.moves[1].turn) * 180.0 / np.pi
+    made = changed(
+        spec, {"plan.cycle.moves[1].turn": f"{0.95 * angle!r} deg", "plan.cycle.moves[1].peak_rate": "190 deg/s"}
+    )
     assert ramp == pytest.approx(said(made), rel=1e-3)
     direction = {n: np.random.default_rng(1).standard_normal(v.shape) * v for n, v in residual.quantities.items()}
     at = lambda h: residual({n: v + h * direction[n] for n, v in residual.quantities.items()})["full range"]  # noqa: E731
@@ -92,9 +91,12 @@ def test_a_plan_is_moved_as_its_file_would(spec, residual, slopes):
 def test_its_value_is_the_prediction_of_every_preset(preset):
     spec = parse_spec(gj.presets.text(preset))
     residual = gj.differentiable(spec)({})
+    factor = plan_information(build_imu(spec))[0].factor
+    # It multiplies (RᵀR)⁻¹ out, whose rounding grows with the square of R's condition number; 3000 without an encoder.
+    rounding = 4.0 * np.finfo(float).eps * np.linalg.cond(factor) ** 2
     for row in predict(spec).requirements:
         assert row.decisive is not None
-        assert float(residual[row.name]) == pytest.approx(row.decisive, rel=1e-9), row.name
+        assert float(residual[row.name]) == pytest.approx(row.decisive, rel=max(1e-9, rounding)), row.name
 
 
 def test_at_a_random_point_it_is_the_prediction_of_that_file():

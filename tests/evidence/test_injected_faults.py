@@ -72,6 +72,13 @@ class Outcome:
         return [line for line in self.sentences if ACCUSES.search(line)]
 
     @property
+    def rules(self) -> list[str]:
+        """The tests that contradict the model, whatever their channel."""
+        whole = re.search(r"not valid: (.*): the data contradict the model", self.printed)
+        tests = whole[1].split("; ") if whole else []
+        return sorted({re.sub(r"^(gyro|accelerometer)s?( [xyz])?: ", "", test) for test in tests})
+
+    @property
     def beyond(self) -> list[Judged]:
         return [one for one in self.judged if not one.within]
 
@@ -106,10 +113,23 @@ largest error for its U; U with k = 2.
 
 
 def _foot(rows: Rows) -> str:
-    return f"{sum(row[-1] == 'yes' for row in rows)} of {len(rows)} handled; {time.strftime('%Y-%m-%d')}."
+    """The tables by rule."""
+    done = f"{sum(row[-1] == 'yes' for row in rows)} of {len(rows)} handled; {time.strftime('%Y-%m-%d')}."
+    says, beyond, alone = Counter[str](), Counter[str](), Counter[str]()
+    for row in rows:
+        tests = row[_RULES].split("; ")
+        error, u = (float(cell.split()[0]) if cell != "–" else float("inf") for cell in (row[3], row[4]))
+        says.update(tests)
+        if error > u or row[3] == "–":
+            beyond.update(tests)
+            alone.update(tests if len(tests) == 1 else [])
+    lines = [f"| {rule} | {count} | {beyond[rule]} | {alone[rule]} |" for rule, count in says.most_common()]
+    head = "| rule | says so | of these beyond U | alone |\n|---|---|---|---|"
+    return "\n".join([done, "", "Which rule catches what, in numbers of cases:", "", head, *lines])
 
 
-_COLUMNS = ("fault", "spec", "requirement", "true error", "stated U", "verdict", "exit", "sentence", "handled")
+_COLUMNS = ("fault", "spec", "requirement", "true error", "stated U", "verdict", "exit", "rules", "sentence", "handled")
+_RULES = _COLUMNS.index("rules")
 REPORT = ReportTable("faults", _HEAD, _COLUMNS, 2, _foot)
 
 
@@ -121,7 +141,9 @@ def report(fault: Fault, found: Outcome, good: bool) -> None:
         figures = (worst.name, f"{worst.error:.3g} {worst.unit}", u, worst.verdict or "none")
     sentence = re.sub(r"\S*/(\S+\.(nc|toml))", r"\1", found.named(fault.words))
     said = sentence[:160] or "–"
-    REPORT.put((fault.name, fault.scene, *figures, str(found.status), said, "yes" if good else "**no**"))
+    silent = "a verdict with a note" if found.beyond else "within U"
+    rules = "; ".join(found.rules) or (silent if found.judged else "no calibration")
+    REPORT.put((fault.name, fault.scene, *figures, str(found.status), rules, said, "yes" if good else "**no**"))
 
 
 # --- the proofs -------------------------------------------------------------------------------------------------------

@@ -67,7 +67,7 @@ _LARGEST = 6.0 * math.pi
 # Temperatures at which cycles stand for all others of a slope, where bases are no polynomials.
 _SAMPLES = 5
 # ... and where a term depends on the path of temperature.
-_SAMPLES_ON_A_PATH = 12
+_SAMPLES_ON_A_PATH = 16
 # Cycles of a table that stands for the whole course at most, and their length in the longest correlation time.
 _STANDING, _OF_MEMORY = 48, 0.5
 # Readings that stand for all those of a cycle of a table that stands.

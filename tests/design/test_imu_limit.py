@@ -86,13 +86,14 @@ def test_maps_that_lag_have_their_own_limits(pytestconfig, thermal_lag):
     for lag in (float(thermal_lag.split()[0]), 200.0):
         course = followed(course, time, np.array([0]), lag) if lag else course
     used = np.any([(time >= s.start) & (time < s.start + s.duration) for s in schedule.stretches], axis=0)
-    gyro = built.model.channels[0].model
-    assert gyro.bias is not None
-    columns = gyro.bias.values(course[used], 0.0 * course[used]) * np.sqrt(time[1]) / float(gyro.angle_random_walk)
+    gyro = built.model.channels[0]
+    bias = gyro.map("bias")
+    assert bias is not None
+    columns = bias.values(course[used], 0.0 * course[used]) * np.sqrt(time[1]) / float(gyro.angle_random_walk)
     requirement = next(r for r in spec.requirement if r.name == "gyro bias")
     at = np.linspace(*map(float, requirement.temperature), requirement.grid[0])
-    triangle = np.linalg.qr(np.concatenate([columns, gyro.bias.prior_rows()]), mode="r")
-    std = np.linalg.norm(np.linalg.solve(triangle.T, gyro.bias.values(at, 0.0 * at).T), axis=0)
+    triangle = np.linalg.qr(np.concatenate([columns, bias.prior_rows()]), mode="r")
+    std = np.linalg.norm(np.linalg.solve(triangle.T, bias.values(at, 0.0 * at).T), axis=0)
     expected = {"max": np.max, "mean": np.mean, "rms": lambda x: np.sqrt(np.mean(x**2))}[requirement.statistic](std)
     assert found["gyro bias"].certified == pytest.approx(expected * DEG_PER_H, rel=1e-3)
 

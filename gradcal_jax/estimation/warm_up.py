@@ -178,7 +178,7 @@ def _unit(log: Log, unit: str, axes: Sequence[str], sources: dict[str, str]) -> 
             "the calibration states no noise, because it is not known whether the log's rows are single samples or "
             'means: state the sensor\'s own rate, as --sensor-rate "400 Hz", or --sensor-rate "means"'
         )
-    matrix = block_diag(*(of.covariance for of in channels))
+    matrix = np.asarray(block_diag(*(of.covariance for of in channels)))
     named = ", ".join(of.calibrated.axis for of in gyros)
     calibration = Calibration(
         format=FORMAT,

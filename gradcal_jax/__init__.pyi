@@ -23,7 +23,6 @@ from gradcal_jax.identify.limiting_function import limiting_function_of_mean as 
 from gradcal_jax.identify.thermal import fit_thermal_bias as fit_thermal_bias
 from gradcal_jax.information.differentiable import differentiable as differentiable
 from gradcal_jax.information.plan_sentences import check as check
-from gradcal_jax.information.prediction import monte_carlo as monte_carlo
 from gradcal_jax.information.prediction import predict as predict
 from gradcal_jax.information.sensitivity import sensitivity as sensitivity
 from gradcal_jax.pages.page import report as report

@@ -68,17 +68,6 @@ def test_the_static_gradient_plan(old, new, mean, largest):
     assert row.max == pytest.approx(largest, rel=0.01)
 
 
-def test_simulated_runs_are_estimated_as_the_spec_says():
-    """By least squares where it asks for that: the numbers predicted beside the simulated ones are the prediction's."""
-    text = presets.text("paper-dynamic-standard").replace('"best linear"', '"least squares"', 1)
-    spec = spec_file.parse_spec(text)
-    rows = predictions.monte_carlo(spec, 4000)
-    said = by_name(predictions.predict(spec))
-    for row in rows:
-        assert row.predicted == pytest.approx(said[row.name].mean_of_max, rel=1e-9)
-        assert row.simulated == pytest.approx(row.predicted, rel=0.05)
-
-
 @pytest.mark.parametrize("name", ["paper-dynamic-gradient", "paper-dynamic-standard"])
 def test_a_prediction_compiles_nothing(name):
     """Not with its shares of the error sources, either; the counter does count."""

@@ -32,7 +32,7 @@ from gradcal_jax.information.imu_residual import imu_residual, quantity_of
 from gradcal_jax.information.prediction import requirement_rows
 from gradcal_jax.information.residual import GridElement, statistic
 from gradcal_jax.information.unseen import floor_of_plan
-from gradcal_jax.information.verdicts import UNIT_OF, mission_weights
+from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Map, Polynomial, constant
 from gradcal_jax.model.build import BuiltImu, build_imu, chamber_programme
 from gradcal_jax.motion import EARTH_RATE, Programme
@@ -213,10 +213,8 @@ def _bounds(data: _PlanData, requirement: Requirement, element: GridElement) -> 
     heading = requirement.quantity == "mission_heading"
     if heading and not alone:
         return
-    weights = mission_weights(requirement, requirement.statistic)
     rows, grid = np.asarray(element.of.rows), quantity_of(data.built, requirement)
     shape = len(grid.temperatures), len(grid.rates)
-    rows = rows * np.broadcast_to(weights, shape).reshape(-1, 1)
     carried = ("the calibration contains the discrepancy as far as the data determine it",)
     more = carried if np.any(element.of.alone) else ()
     bias, scale = channel.map(BIAS), channel.map(SCALE_FACTOR)

@@ -4,7 +4,7 @@
 * `whitening`: generalised least squares; `posterior`: square-root information; `by_reading`: reading by reading.
 * `residual`, `imu_residual`, `missions`: what a requirement asks for, as a function of the covariance; `verdicts`.
 * `unseen`: what no residual shows; `error_budget`: the share of every source; `plan_sentences`: what a plan lacks.
-* `prediction`, `differentiable`, `sensitivity`, `montecarlo`: the functions that people call.
+* `prediction`, `differentiable`, `sensitivity`: the functions that people call.
 """
 
 from gradcal_jax.information.by_reading import filter_readings, filtered_states
@@ -19,10 +19,6 @@ from gradcal_jax.information.imu_rows import (
     row_of_steps,
     rows_of_angles,
     segments_of,
-)
-from gradcal_jax.information.montecarlo import (
-    simulate_noise,
-    simulated_errors,
 )
 from gradcal_jax.information.noise_steps import NoiseSteps
 from gradcal_jax.information.posterior import (

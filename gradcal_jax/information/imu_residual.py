@@ -1,5 +1,4 @@
-"""Residuals of an IMU's quantities after a plan: linear functions of its parameters, and statistics; and the part of
-the error of a mission that is the unit's own noise."""
+"""Residuals of an IMU's quantities after a plan: linear functions of its parameters, and statistics."""
 
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
@@ -7,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from gradcal_jax.information import Posterior, contrasts, statistic
-from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows, own_variance
+from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows
 from gradcal_jax.information.residual import Contrasts, GridElement, Residual, Statistic
-from gradcal_jax.information.verdicts import UNIT_OF, finite, mission_weights
+from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import (
     AXIS_NAMES,
     BIAS,
@@ -35,105 +34,7 @@ from gradcal_jax.spec.requirement import (
     MissionHeadingRequirement,
     Requirement,
 )
-from gradcal_jax.tables.contracts import MissionRow
 from gradcal_jax.units import DEG_PER_H, PPM, G
-
-# Number of points of a curve in a figure.
-_CURVE = 61
-# The sensor's clock is the same in the calibration and in the mission: the calibration's part counts it.
-_NOT_OWN = ("sample clock", "turn-on bias")
-
-
-def flights_of(requirement: MissionHeadingRequirement) -> list[tuple[Flight, float]]:
-    """The missions, and the time (s) in each at which the requirement applies."""
-    flights = []
-    for mission in requirement.mission:
-        time, rate, temperature, _ = (np.array(column) for column in mission.rows)
-        flights.append((Flight(time, rate, temperature), float(time[-1])))
-    return flights
-
-
-def own_noise(built: BuiltImu, channel: Channel, flight: Flight, time: float) -> dict[str, float]:
-    """Standard deviation of a gyro's integrated rate (rad) at `time` (s) in a mission, by source of its own noise.
-
-    Where a calibration estimates the bias, two turn-on biases count: that of its run, which is in the map, and that
-    of the mission. A rate random walk counts from the mission's beginning.
-    """
-    model, gyro = channel, built.spec.sensor.gyro
-    assert gyro is not None
-    deviations = {"angle random walk": float(model.angle_random_walk) * time**0.5}
-    for name, members in built.sources["gyro"].items():
-        if name not in _NOT_OWN:
-            deviations[name] = own_variance(flight, model.processes, members, time) ** 0.5
-    if gyro.turn_on_bias:
-        deviations["turn-on bias"] = float(gyro.turn_on_bias) * time * (1.0 if gyro.bias is None else 2.0**0.5)
-    return deviations
-
-
-class OwnNoise(NamedTuple):
-    """A gyro's own noise in a requirement (deg): in total, by source, and of each mission."""
-
-    total: float
-    sources: dict[str, float]
-    missions: tuple[float, ...]
-
-
-def own_noise_of(built: BuiltImu, requirement: Requirement) -> OwnNoise | None:
-    """The noise in a heading (deg) that no calibration removes, the same for every gyro; over several missions the
-    weighted root mean square, or the maximum. None for a requirement on anything else."""
-    gyro = next((c for c in built.model.channels if c.kind == "gyro"), None)
-    if gyro is None:
-        return None
-    if not isinstance(requirement, MissionHeadingRequirement):
-        return None
-    by_source = [own_noise(built, gyro, flight, time) for flight, time in flights_of(requirement)]
-    factor, share = float(np.degrees(1.0)), np.array([mission.weight for mission in requirement.mission])
-    table = factor * np.array([list(one.values()) for one in by_source])
-    each = np.sqrt(np.sum(table**2, axis=1))
-    share = np.eye(len(each))[np.argmax(each)] if requirement.statistic == "max" else share / share.sum()
-    together = np.sqrt(share @ table**2)
-    sources = dict(zip(by_source[0], map(float, together), strict=True))
-    return OwnNoise(float(np.sqrt(np.sum(together**2))), sources, tuple(map(float, each)))
-
-
-def mission_table(requirement: MissionHeadingRequirement, left: np.ndarray, own: OwnNoise) -> tuple[MissionRow, ...]:
-    """Every mission with the error that the calibration leaves, `left` `(n,)` (deg), and its own noise."""
-    rows = zip(requirement.mission, flights_of(requirement), left, own.missions, strict=True)
-    return tuple(
-        MissionRow(file=mission.file, weight=mission.weight, after_s=time, left=finite(value), own=noise)
-        for mission, (_, time), value, noise in rows
-    )
-
-
-class ErrorCurve(NamedTuple):
-    """The error of the integrated rate (deg, 1σ) at times (s) of a mission, `(n,)` each: `left` by the calibration, and
-    the unit's own noise."""
-
-    file: str
-    time: np.ndarray
-    left: np.ndarray
-    own: np.ndarray
-
-
-def error_curves(
-    built: BuiltImu, known: Posterior, requirement: MissionHeadingRequirement
-) -> list[tuple[str, ErrorCurve]]:
-    """The error of each mission over time for each required gyro, by the name of its axis."""
-    curves: list[tuple[str, ErrorCurve]] = []
-    for channel in built.model.channels:
-        axis = AXIS_NAMES[channel.axis]
-        if channel.kind != "gyro" or requirement.axis not in ("all", "worst", axis):
-            continue
-        where = built.model.where(channel.kind, channel.axis)
-        part = Posterior(known.spread[where], known.hidden[where])
-        for mission, (flight, end) in zip(requirement.mission, flights_of(requirement), strict=True):
-            at = np.linspace(0.0, end, _CURVE)[1:]
-            left = mission_contrasts(channel, mission_rows(channel, flight, at)).left(part)
-            own = [np.linalg.norm(list(own_noise(built, channel, flight, float(time)).values())) for time in at]
-            pair = (np.degrees(np.concatenate([[0.0], values])) for values in (left, own))
-            curves.append((axis, ErrorCurve(mission.file, np.concatenate([[0.0], at]), *pair)))
-    return curves
-
 
 UNITS_OF_TERMS = {
     "rad/s": ("deg/h", DEG_PER_H),
@@ -183,8 +84,7 @@ class ImuResidual(NamedTuple):
         return self.labels[int(np.argmax(self._each(self.requirement.statistic)))]
 
     def _each(self, name: Statistic) -> np.ndarray:
-        weighted = self.values * mission_weights(self.requirement, name)
-        return np.array([statistic(name, values) for values in weighted])
+        return np.array([statistic(name, values) for values in self.values])
 
 
 def together(requirement: Requirement, each: np.ndarray) -> np.ndarray:
@@ -210,8 +110,7 @@ class RequiredQuantity(NamedTuple):
             for e in self.elements
         )
         shape, requirement = (len(self.temperatures), len(self.rates)), self.requirement
-        weights = mission_weights(requirement, name)
-        return Residual(self.elements, added, shape, name, requirement.axis == "all", weights)
+        return Residual(self.elements, added, shape, name, requirement.axis == "all")
 
     def residual(self, known: Posterior, *, whole: bool = False) -> ImuResidual:
         """The residual of the quantity for a posterior; `whole` as of `GridElement.deviations`."""
@@ -386,7 +285,10 @@ def _plain(rows: np.ndarray) -> Contrasts:
 
 def heading_contrasts(channel: Channel, requirement: MissionHeadingRequirement) -> Contrasts:
     """The error of a gyro's heading at the end of every mission, rad."""
-    rows = [mission_rows(channel, flight, np.array([end]))[0] for flight, end in flights_of(requirement)]
+    rows = []
+    for mission in requirement.mission:
+        time, rate, temperature, _ = (np.array(column) for column in mission.rows)
+        rows.append(mission_rows(channel, Flight(time, rate, temperature), time[-1:])[0])
     return mission_contrasts(channel, np.stack(rows))
 
 

@@ -1,26 +1,18 @@
-"""The prediction of a spec, as the contract gradcal-prediction/1, and its Monte Carlo simulation."""
+"""The prediction of a spec, as the contract gradcal-prediction/1."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
 from gradcal_jax.information import (
     STATISTICS,
     Posterior,
-    estimator_of_means,
-    imu_system,
-    simulated_errors,
 )
 from gradcal_jax.information.error_budget import ErrorBudget, limited_by, shares_of_variance
-from gradcal_jax.information.gears import rows_of_gears
 from gradcal_jax.information.imu_residual import (
     ImuResidual,
     imu_residual,
-    mission_table,
-    own_noise_of,
-    quantity_of,
-    together,
 )
 from gradcal_jax.information.plan_sentences import plan_warnings
 from gradcal_jax.information.residual import Statistic
@@ -41,15 +33,12 @@ from gradcal_jax.model.build import (
     build_imu,
     hung_alike,
     imu_posterior,
-    unweighted_estimator,
 )
-from gradcal_jax.model.terms import block_diagonal
 from gradcal_jax.spec.absent import absent_terms, with_typical
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement, Requirement
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.contracts import AbsentRow, ParameterRow, PlaceRow, Prediction, RequirementRow
-from gradcal_jax.tables.display import summary
 
 
 def predict(spec: Spec, *, limits: bool = False, place: str | None = None) -> Prediction:
@@ -208,9 +197,9 @@ def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Req
     left = imu_residual(built, budget.own, requirement)
     judged, more = _judged(budget, requirement, left)
     by_rate = isinstance(requirement, GyroScaleFactorRequirement)
-    flown = requirement if isinstance(requirement, MissionHeadingRequirement) else None
-    worst, own = judged.worst_axis(), own_noise_of(built, requirement)
-    rates = left.rates if flown is None else np.array([float(rate) for rate in flown.rate])
+    worst, rates = judged.worst_axis(), left.rates
+    if isinstance(requirement, MissionHeadingRequirement):
+        rates = np.array([float(rate) for rate in requirement.rate])
     statistics = {name: left.statistic(name) for name in STATISTICS if name != "mean of max" or by_rate}
     return RequirementRow(
         **{name: getattr(requirement, name) for name in ("name", "quantity", "statistic")},
@@ -222,11 +211,6 @@ def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Req
         axis=requirement.axis,
         rate_dps=(float(np.degrees(rates[0])), float(np.degrees(rates[-1]))) if len(rates) > 1 else None,
         limited_by=None if worst is None else f"axis {worst}",
-        own=None if own is None else own.total,
-        own_sources=None if own is None else own.sources,
-        missions=None
-        if flown is None or own is None
-        else mission_table(flown, together(flown, left.values)[:, 0], own),
     )
 
 
@@ -285,55 +269,3 @@ def _shares(
     for name, share in unseen.items():
         shares[name] = shares.get(name, 0.0) + share
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
-
-
-class TwinRow(NamedTuple):
-    """One requirement: its statistic as predicted and over the simulated runs, in `unit`."""
-
-    name: str
-    axis: str
-    unit: str
-    predicted: float
-    simulated: float
-
-    __repr__ = summary
-
-
-def monte_carlo(spec: Spec, runs: int, seed: int = 0) -> list[TwinRow]:
-    """Simulate `runs` calibrations of a spec's plan. Returns a row for each requirement (ppm, deg/h; in its own unit).
-
-    Errors: `ValueError` for fewer runs than parameters, and where the plan leaves something unobservable.
-    """
-    spec = expect_spec(spec)
-    built = build_imu(spec)
-    model, motion, nodes = built.model, built.motion, built.body_nodes()
-    _enough(runs, model.size)
-    # The errors of the table's gears are drawn, too, and estimated beside the parameters.
-    named, common = rows_of_gears(motion, model, nodes, built.gears)
-    steps, columns = imu_system(motion, model, nodes, common=common)
-    beside, prior = len(named), block_diagonal([np.eye(len(named)), model.prior_rows()])
-    carried = np.pad(_carried(model), (beside, model.size - model.calibrated), constant_values=True)
-    known = imu_posterior(built)
-    if known.hidden.shape[1]:
-        raise ValueError(
-            "this plan cannot observe some parameters, so their estimates cannot be compared with the truth: give "
-            "these parameters a prior"
-        )
-    plain = estimator_of_means(motion, model, steps, columns) if unweighted_estimator(spec) else None
-    left = simulated_errors(steps, np.asarray(columns), prior, carried, runs, seed, plain)
-    found = Posterior(left.T[beside:] / np.sqrt(runs), np.zeros((model.size, 0)))
-    rows: list[TwinRow] = []
-    for requirement in spec.requirement:
-        quantity = quantity_of(built, requirement)
-        one, other = quantity.residual(known), quantity.residual(found, whole=True)
-        values = (of.finite_statistic() for of in (one, other))
-        rows.append(TwinRow(requirement.name, requirement.axis, one.unit, *values))
-    return rows
-
-
-def _enough(runs: int, parameters: int) -> None:
-    """Raise `ValueError` for too few runs."""
-    if runs < 2 * parameters:
-        raise ValueError(
-            f"{runs} runs cannot test a covariance of {parameters} parameters: ask for {2 * parameters} or more"
-        )

@@ -101,7 +101,7 @@ class GridElement(NamedTuple):
 
 class Residual(NamedTuple):
     """A requirement's statistic as a function of a root of the covariance of all parameters, in SI: of its elements on
-    a grid of `shape`, weighted with `weights`, with the variances `added` to each. `together`: of the elements the root
+    a grid of `shape`, with the variances `added` to each. `together`: of the elements the root
     mean square counts, not the worst."""
 
     elements: tuple[GridElement, ...]
@@ -109,7 +109,6 @@ class Residual(NamedTuple):
     shape: tuple[int, int]
     kind: Statistic
     together: bool
-    weights: Float[np.ndarray, "n_T 1"]
 
     def __call__(
         self, root: Float[AnyArray, "p r"], sharpness: Float[AnyArray, ""] | float = EXACT
@@ -117,7 +116,7 @@ class Residual(NamedTuple):
         """The statistic: exact for an infinite sharpness, from above otherwise."""
         xp, each = namespace(root), []
         for element, added in zip(self.elements, self.added, strict=True):
-            values = xp.reshape(xp.sqrt(element.variance(root) + added), self.shape) * self.weights
+            values = xp.reshape(xp.sqrt(element.variance(root) + added), self.shape)
             each.append(statistic(self.kind, values, sharpness))
         every = xp.stack(each)
         return xp.sqrt(xp.mean(every**2)) if self.together else largest(every[:, None], sharpness)[0]
@@ -127,7 +126,7 @@ class Residual(NamedTuple):
     ) -> tuple[float, Float[np.ndarray, "p p"], list[Float[np.ndarray, " g"]]]:
         """The statistic, and its derivatives in the covariance and in the variance that is added to each element."""
         values = [
-            np.sqrt(element.variance(root) + added).reshape(self.shape) * self.weights
+            np.sqrt(element.variance(root) + added).reshape(self.shape)
             for element, added in zip(self.elements, self.added, strict=True)
         ]
         each = np.array([statistic(self.kind, of) for of in values])
@@ -135,10 +134,10 @@ class Residual(NamedTuple):
         outer = each / (total * len(each)) if self.together else np.arange(len(each)) == np.argmax(each)
         of_covariance, of_added = np.zeros((len(root), len(root))), list[np.ndarray]()
         for element, own, of in zip(self.elements, outer, values, strict=True):
-            # d value = weight² · d variance / (2 value)
+            # d value = d variance / (2 value)
             of_value = own * _slope_of_statistic(self.kind, of)
             safe = np.where(of_value > 0.0, of, 1.0)
-            of_added.append((0.5 * of_value * self.weights**2 / safe).ravel())
+            of_added.append((0.5 * of_value / safe).ravel())
             of_covariance = of_covariance + element.slope(root, of_added[-1])
         return total, of_covariance, of_added
 

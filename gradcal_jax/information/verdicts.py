@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from gradcal_jax.information.residual import Statistic
-from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
+from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
 PrintedUnit = Literal["ppm", "deg/h", "urad", "deg/h/g", "ug", "ug/g^2", "deg"]
@@ -28,15 +28,6 @@ UNIT_OF: Final[dict[str, tuple[PrintedUnit, float]]] = {
     "second_order": ("ug/g^2", 1e6 * G),
 }
 """For each quantity: its unit in output, and the number of these units in one SI unit."""
-
-
-def mission_weights(requirement: Requirement, name: Statistic) -> np.ndarray:
-    """Factors `(n, 1)` of the residuals of missions that make a plain statistic the weighted one."""
-    if not isinstance(requirement, MissionHeadingRequirement) or name not in ("rms", "mean"):
-        return np.ones((1, 1))
-    share = np.array([[mission.weight] for mission in requirement.mission])
-    share = share / np.mean(share)
-    return np.sqrt(share) if name == "rms" else share
 
 
 def target_of(requirement: Requirement) -> float | None:

@@ -23,7 +23,6 @@ from gradcal_jax.plots.calibration_maps import (
 from gradcal_jax.plots.residual import boxes_of
 from gradcal_jax.plots.spec import draw_against_time
 from gradcal_jax.recipe.recipe import Recipe
-from gradcal_jax.spec.requirement import MissionHeadingRequirement
 from gradcal_jax.spec.spec_sections import Spec
 
 # Inches. A column is about 370 px wide on a telephone and 500 px on a desk: text of 10 points stays legible on both.
@@ -74,21 +73,11 @@ def residual_pictures(found: list[ResidualLeft], targets: dict[str, float]) -> I
             )
 
 
-def _mission_pictures(spec: Spec) -> Iterator[Picture]:
-    for requirement in spec.requirement:
-        if isinstance(requirement, MissionHeadingRequirement):
-            words = f"{requirement.name}: heading error after the calibration over time, one standard deviation."
-            name = requirement.name
-            yield picture(f"{name} curves", words, lambda ax, n=name: plots.draw_requirement(spec, n, ax=ax))
-
-
 def plan_pictures(spec: Spec | None, recipe: Recipe | None, history: RunHistory | None) -> Iterator[Picture]:
-    """Poses, missions, and the temperature as planned and as measured."""
+    """Poses, and the temperature as planned and as measured."""
     if spec is not None and not spec.is_one_axis:
         words = "Direction of the vertical in the device's frame at every rest; the colour shows the time of the rest."
         yield picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), projection="mollweide")
-    if spec is not None:
-        yield from _mission_pictures(spec)
     measured = history is not None and len(history.chamber_s) > 0
     if recipe is None and not measured:
         return

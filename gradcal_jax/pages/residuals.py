@@ -28,7 +28,7 @@ class ResidualLeft(NamedTuple):
 
 
 def residuals_of(sources: Sources) -> list[ResidualLeft]:
-    """The residuals of all requirements of a plan but those of missions, which are curves over time."""
+    """The residuals of all requirements of a plan but those of missions."""
     spec = sources.spec
     if spec is None:
         return []
@@ -68,14 +68,13 @@ def outcome_table(sources: Sources, found: list[ResidualLeft]) -> Table:
                 f"{row.statistic}, {row.axis}",
                 "" if prior is None else amount(prior.statistic(), row.unit),
                 amount(row.judged, row.unit),
-                "" if row.own is None else amount(row.own, row.unit),
                 "" if result is None else amount(result.value, row.unit),
                 "" if row.target is None else amount(row.target, row.unit),
                 (row.verdict if calibration is None else None if result is None else result.verdict) or "",
                 row.limited_by or "",
             )
         )
-    stages = ["before", "predicted", "own noise of the IMU, which remains", "achieved"]
+    stages = ["before", "predicted", "achieved"]
     heads = ["requirement", "within", "statistic", *stages, "target", "verdict", "limited by"]
     kept = [k for k, _ in enumerate(heads) if any(row[k] for row in rows)]
     return Table.of([heads[k] for k in kept], [[row[k] for k in kept] for row in rows])

@@ -11,7 +11,6 @@ from gradcal_jax.plots.identification import draw_allan
 from gradcal_jax.plots.residual import draw_curves, draw_map, draw_over_temperature, draw_worst_over_temperature
 from gradcal_jax.plots.spec import (
     draw_comparison,
-    draw_heading,
     draw_planned_temperature,
     draw_poses,
     draw_prediction,
@@ -29,7 +28,6 @@ __all__ = [
     "draw_curves",
     "draw_frontier",
     "draw_gravity_left",
-    "draw_heading",
     "draw_loop",
     "draw_map",
     "draw_over_temperature",

@@ -11,44 +11,19 @@ from matplotlib.lines import Line2D
 
 from gradcal_jax.estimation.calibrations import Box
 from gradcal_jax.information import Posterior
-from gradcal_jax.information.imu_residual import ErrorCurve, error_curves, imu_residual
+from gradcal_jax.information.imu_residual import imu_residual
 from gradcal_jax.information.verdicts import target_of
 from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior, rest_poses
 from gradcal_jax.plots.residual import boxes_of, draw_curves, draw_map
-from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, new_figure, new_panels, style_of
+from gradcal_jax.plots.style import COLOUR_MAP, new_axes, new_figure, new_panels, style_of
 from gradcal_jax.recipe.recipe import Recipe
-from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
+from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 
 _PANEL = (6.0, 4.0)
 _COLUMNS = 2
-
-
-def draw_heading(
-    curves: Sequence[tuple[str, ErrorCurve]], *, own: bool = True, ax: Axes | None = None
-) -> tuple[Axes, list[Line2D]]:
-    """The heading error over time (deg, 1σ) after each of several calibrations, with labels; with `own`, also the error
-    from the IMU's own noise, and the total of both."""
-    ax = new_axes(ax)
-    drawn: list[Line2D] = []
-
-    def line(curve: ErrorCurve, values: np.ndarray, label: str) -> None:
-        shown = np.where(np.isfinite(values), values, np.nan)
-        drawn.extend(ax.plot(curve.time / 60.0, shown, label=label, **style_of(len(drawn))))
-
-    for label, curve in curves:
-        line(curve, curve.left, label)
-    for curve in {c.file: c for _, c in curves}.values() if own else ():
-        of = f", {curve.file}" if len({c.file for _, c in curves}) > 1 else ""
-        line(curve, curve.own, f"own noise{of}")
-        if len(curves) == 1:
-            line(curve, np.hypot(curve.left, curve.own), "together")
-    ax.set(xlabel="time in the mission, min", ylabel="error of the heading (1σ), deg")
-    from_zero(ax)
-    ax.legend()
-    return ax, drawn
 
 
 def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> Figure:
@@ -62,10 +37,11 @@ def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> 
         raise ValueError("the spec has no [[requirement]], so there is no residual to draw: add a requirement")
     built = build_imu(spec)
     known = imu_posterior(built)
-    count, across = len(spec.requirement) + (not spec.is_one_axis), 1 if spec.is_one_axis else _COLUMNS
+    drawn = _with_map(spec)
+    count, across = len(drawn) + (not spec.is_one_axis), 1 if spec.is_one_axis else _COLUMNS
     rows = -(-count // across)
     figure = new_figure(figure, (_PANEL[0] * across, _PANEL[1] * rows))
-    for k, requirement in enumerate(spec.requirement):
+    for k, requirement in enumerate(drawn):
         _draw_requirement(built, known, requirement, figure.add_subplot(rows, across, k + 1))
     if not spec.is_one_axis:
         draw_poses(spec, ax=figure.add_subplot(rows, across, count, projection="mollweide"))
@@ -74,10 +50,15 @@ def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> 
     return figure.get_figure(root=True)
 
 
+def _with_map(spec: Spec) -> list[Requirement]:
+    """The requirements of which there is a curve or a map: all but those of missions."""
+    return [r for r in spec.requirement if r.quantity != "mission_heading"]
+
+
 def draw_requirement(spec: Spec, name: str = "", *, ax: Axes | None = None) -> Axes:
     """The residual of the requirement `name`; by default the first requirement. Errors: `ValueError` where there is
     none."""
-    named = [r for r in expect_spec(spec).requirement if name in ("", r.name)]
+    named = [r for r in _with_map(expect_spec(spec)) if name in ("", r.name)]
     if not named:
         raise ValueError(f"the spec has no [[requirement]]{f' named {name!r}' if name else ''}")
     built, ax = build_imu(spec), new_axes(ax)
@@ -87,11 +68,6 @@ def draw_requirement(spec: Spec, name: str = "", *, ax: Axes | None = None) -> A
 
 def _draw_requirement(built: BuiltImu, known: Posterior, requirement: Requirement, ax: Axes) -> None:
     """The residual of one requirement."""
-    if isinstance(requirement, MissionHeadingRequirement):
-        curves = error_curves(built, known, requirement)
-        draw_heading([(_label("calibration", curves, *of), of[1]) for of in curves], ax=ax)
-        ax.set_title(requirement.name)
-        return
     left = imu_residual(built, known, requirement)
     if len(left.labels) == 1 and len(left.rates) > 1:
         draw_map(left.temperatures, np.degrees(left.rates), left.values[0], left.unit, ax=ax)
@@ -101,33 +77,21 @@ def _draw_requirement(built: BuiltImu, known: Posterior, requirement: Requiremen
     ax.set_title(requirement.name)
 
 
-def _label(words: str, curves: Sequence[tuple[str, ErrorCurve]], axis: str, curve: ErrorCurve) -> str:
-    """A label with what several curves differ by."""
-    several_axes, several = len({a for a, _ in curves}) > 1, len({c.file for _, c in curves}) > 1
-    return words + (f", {axis}" if several_axes else "") + (f", {curve.file}" if several else "")
-
-
 def draw_comparison(specs: Sequence[tuple[str, Spec]], *, figure: Figure | SubFigure | None = None) -> Figure:
     """Plans side by side, on `figure` or a new one: a panel for each requirement, with a curve for each plan and each
     element (such as an axis). Errors:
     `ValueError` without requirements."""
     plans = [(label, build_imu(expect_spec(spec))) for label, spec in specs]
-    names = list(dict.fromkeys((r.name, r.quantity) for _, built in plans for r in built.spec.requirement))
+    names = list(dict.fromkeys((r.name, r.quantity) for _, built in plans for r in _with_map(built.spec)))
     if not names:
         raise ValueError("none of the specs has a [[requirement]], so there is no residual to draw: add a requirement")
     figure, all_axes = new_panels(len(names), 1, (6.8, 4.0), figure)
     known = [imu_posterior(built) for _, built in plans]
     for axes, of_name in zip(all_axes[:, 0], names, strict=True):
         drawn: list[tuple[str, Box]] = []
-        headings: list[tuple[str, ErrorCurve]] = []
         for (label, built), of in zip(plans, known, strict=True):
             for requirement in (r for r in built.spec.requirement if (r.name, r.quantity) == of_name):
-                if isinstance(requirement, MissionHeadingRequirement):
-                    headings += [(label, curve) for _, curve in error_curves(built, of, requirement)]
-                else:
-                    drawn += boxes_of(imu_residual(built, of, requirement), label)
-        if headings:
-            draw_heading(headings, own=False, ax=axes)
+                drawn += boxes_of(imu_residual(built, of, requirement), label)
         if drawn:
             draw_curves(drawn, ax=axes)
         axes.set_title(of_name[0])

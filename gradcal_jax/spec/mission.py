@@ -21,7 +21,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from gradcal_jax import units
 from gradcal_jax.tables.document import read_text
 from gradcal_jax.tables.problems import Problem, SpecError
-from gradcal_jax.tables.quantity import Number, Text
+from gradcal_jax.tables.quantity import Text
 from gradcal_jax.tables.section import Section
 
 # By column: its dimension, and the least and the largest allowed SI value (°C).
@@ -54,12 +54,10 @@ class MissionRows(NamedTuple):
 
 
 class Mission(Section):
-    """One mission: the `file` of its table, and its `weight`."""
+    """One mission: the `file` of its table."""
 
     file: Text
     """CSV table of time, rate and temperature, with units in its header; the path is relative to the spec's folder."""
-    weight: Annotated[Number, Field(gt=0.0, le=1e6)] = 1.0
-    """Weight of this mission relative to the other missions."""
     table: str = ""
     """Text of the table, filled in by the program."""
 

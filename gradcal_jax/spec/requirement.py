@@ -165,21 +165,16 @@ class SecondOrderRequirement(_OverTemperature):
 
 class MissionHeadingRequirement(_OfElements):
     """Error of the integrated rate of a gyro at the end of a `mission`. For
-    several missions, the weighted root mean square or the maximum counts. `target` limits only the contribution of the
+    several missions, the root mean square or the maximum counts. `target` limits only the contribution of the
     calibration, because no calibration removes the sensor's own noise."""
 
     quantity: Literal["mission_heading"]
     """Quantity that the requirement limits."""
     mission: Missions
-    """Tables of rate and temperature over time, with weights."""
+    """Tables of rate and temperature over time."""
     statistic: Literal["rms", "max"] = "rms"
     """Statistic over several missions."""
     target: q.PositiveAngle | None = None
-
-    def _problems(self) -> Iterator[Problem]:
-        for i, mission in enumerate(self.mission):
-            if self.statistic == "max" and "weight" in mission.model_fields_set:
-                yield Problem(("mission", i, "weight"), 'has no effect with statistic = "max"', mission.weight)
 
     @property
     def grid(self) -> tuple[int]:

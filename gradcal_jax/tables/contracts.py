@@ -22,21 +22,6 @@ ImuQuantity = Literal[
 ]  # fmt: skip
 
 
-class MissionRow(Section):
-    """One mission of a requirement on the heading."""
-
-    file: str
-    """File of the mission's table."""
-    weight: Size
-    """Weight of the mission relative to the other missions."""
-    after_s: Size
-    """Time in the mission at which the heading error is taken (s)."""
-    left: Size | None = None
-    """Heading error from the calibration at this time (deg, 1σ)."""
-    own: Size
-    """Heading error from the IMU's own noise at this time (deg, 1σ)."""
-
-
 class RequirementRow(Section):
     """The error that remains after the calibration in the quantity of a requirement (the residual; one standard
     deviation), in `unit`. A figure is null if this plan cannot observe it, or if it was not requested. The statistics
@@ -88,13 +73,6 @@ class RequirementRow(Section):
     the sensor has none)."""
     worst: Size | None = None
     """Largest standard deviation, over temperature and rate, of the quantity that the verdict judges."""
-    own: Size | None = None
-    """For a heading: the contribution of the IMU's own noise (root sum of squares); no calibration removes
-    it."""
-    own_sources: dict[str, Size] | None = None
-    """Contributions of single noise sources to `own`, by name."""
-    missions: tuple[MissionRow, ...] | None = None
-    """Figures of each mission alone."""
 
     @property
     def decisive(self) -> float | None:

@@ -90,14 +90,13 @@ def test_a_spec_holds_its_missions_once_read(folder, tmp_path_factory, monkeypat
     (folder / "flight.csv").unlink()
     again = gj.parse_spec(to_toml(spec))
     assert again.requirement[2].mission == spec.requirement[2].mission
-    assert changed(spec, {"requirement[2].mission[0].weight": 2.0}).requirement[2].mission[0].weight == 2.0
     assert spec_of(copy.deepcopy(tables_of(spec))).requirement[2].rate == spec.requirement[2].rate
     with pytest.raises(SpecError, match=r"flight\.csv.*does not exist"):
         read_spec(folder / "spec.toml")
 
 
 def test_the_form_of_one_and_of_several_missions(folder):
-    for written in ('["flight.csv", "flight.csv"]', '[{ file = "flight.csv", weight = 2 }, "flight.csv"]'):
+    for written in ('["flight.csv", "flight.csv"]', '[{ file = "flight.csv" }, "flight.csv"]'):
         (folder / "spec.toml").write_text(spec_text(written), encoding="utf-8")
         assert len(read_spec(folder / "spec.toml").requirement[2].mission) == 2
     assert "file" in str(schema("spec")["$defs"]["Mission"])
@@ -107,8 +106,6 @@ def test_the_form_of_one_and_of_several_missions(folder):
     ("mission", "more", "said"),
     [
         ('"fligth.csv"', "", 'does not exist; nearest: "flight.csv"'),
-        ('[{ file = "flight.csv", weight = 2 }]', '\nstatistic = "max"', 'no effect with statistic = "max"'),
-        ('[{ file = "flight.csv", weight = -1.0 }]', "", "must be above 0"),
         ("[]", "", "expected at least 1 entries"),
         ("3", "", "expected a list"),
         ('"flight.csv"', '\nstatistic = "mean of max"', 'expected "rms" or "max"'),

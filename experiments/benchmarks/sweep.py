@@ -48,7 +48,8 @@ def loop(points: list[dict]) -> None:
         variance, used, initial = (np.asarray(x) for x in (steps.reading_variance, steps.used, steps.initial))
         requirement = spec.requirement[0]
         (element,) = quantity_of(built, requirement).elements
-        rows = np.asarray(element.of.rows)
+        rows = np.zeros((len(element.beyond), columns.shape[1]))
+        rows[:, element.where] = element.rows[0]
         begin = time.perf_counter()
         n, p = seen.shape[1], columns.shape[1]
         kalman = KalmanFilter(dim_x=n + p, dim_z=1)

@@ -213,10 +213,13 @@ def _bounds(data: _PlanData, requirement: Requirement, element: GridElement) -> 
     heading = requirement.quantity == "mission_heading"
     if heading and not alone:
         return
-    rows, grid = np.asarray(element.of.rows), quantity_of(data.built, requirement)
+    grid, model = quantity_of(data.built, requirement), data.built.model
+    rows = np.zeros((len(element.beyond), model.size))
+    rows[:, element.where] = element.rows[0]
+    rows = rows[:, model.where(channel.kind, channel.axis)]
     shape = len(grid.temperatures), len(grid.rates)
     carried = ("the calibration contains the discrepancy as far as the data determine it",)
-    more = carried if np.any(element.of.alone) else ()
+    more = carried if np.any(element.alone) else ()
     bias, scale = channel.map(BIAS), channel.map(SCALE_FACTOR)
     if bias is not None and np.any(rows[:, channel.where(BIAS)]):
         of_bias = rows[:, channel.where(BIAS)]

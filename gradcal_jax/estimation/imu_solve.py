@@ -21,9 +21,8 @@ from gradcal_jax.estimation.solve import Estimate, Whitened, factored
 from gradcal_jax.information import (
     NoiseSteps,
     Posterior,
+    by_reading,
     estimator_of_means,
-    filter_readings,
-    filtered_states,
     imu_unweighted,
     row_of_steps,
     segments_of,
@@ -122,7 +121,7 @@ def absorbed(steps: NoiseSteps, states: slice) -> np.ndarray:
         scale[states] = factor
         both = scale[:, None] * scale
         of = steps._replace(covariance=steps.covariance * both, initial=steps.initial * both)
-        per_std.append(filter_readings(np.zeros((n, 0)), of.initial, of, np.zeros((len(of.used), 0))).per_std)
+        per_std.append(by_reading(of, np.zeros((len(of.used), 0)))[1])
     wide, narrow = per_std
     ratio = np.divide(wide, narrow, out=np.ones(len(wide)), where=narrow > 0.0)
     return np.clip(np.log(ratio) / np.log(_NARROWER), 0.0, 1.0)
@@ -135,7 +134,7 @@ def angle_errors(readings: ImuReadings, parameters: np.ndarray) -> np.ndarray:
     motion = readings.done.motion
     at, row = segments_of(motion, readings.model), row_of_steps(motion, readings.model)
     apart = readings.by_steps(np.where(at.used, readings.observed - readings.expected(parameters), 0.0))
-    states = filtered_states(steps, apart)[:, readings.angle_states]
+    states = by_reading(steps, apart[:, None])[0][:, readings.angle_states, 0]
     result = np.full((len(readings.log.time_s), motion.geometry.axis_count), np.nan)
     of_step = at.row_segment[np.maximum(row, 0)]
     for axis in range(motion.geometry.axis_count):

@@ -1,13 +1,12 @@
 """What the readings of a motion tell: `ImuModel` and `TableMotion` in, `Posterior`, residuals and predictions out.
 
 * `noise_steps`, `imu_rows`: rows, columns and the noise system; `gears`: errors of a drive in them.
-* `whitening`: generalised least squares; `posterior`: square-root information; `by_reading`: reading by reading.
+* `whitening`: generalised least squares; `posterior`: square-root information.
 * `residual`, `imu_residual`, `missions`: what a requirement asks for, as a function of the covariance; `verdicts`.
-* `unseen`: what no residual shows; `error_budget`: the share of every source; `plan_sentences`: what a plan lacks.
+* `unseen`: what no residual shows; `figures`, `error_budget`: shares of errors; `plan_sentences`: what a plan lacks.
 * `prediction`, `differentiable`, `sensitivity`: the functions that people call.
 """
 
-from gradcal_jax.information.by_reading import filter_readings, filtered_states
 from gradcal_jax.information.imu_rows import (
     encoder_rows,
     estimator_of_means,
@@ -27,5 +26,5 @@ from gradcal_jax.information.posterior import (
     posterior,
     square_root,
 )
-from gradcal_jax.information.residual import STATISTICS, contrasts, statistic
-from gradcal_jax.information.whitening import gram, whiten, whitened_factor
+from gradcal_jax.information.residual import STATISTICS, grid_element, map_rows, statistic
+from gradcal_jax.information.whitening import by_reading, gram, weights, whiten, whitened_factor

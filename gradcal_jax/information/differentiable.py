@@ -6,7 +6,7 @@ there are, which of them are read, where they are divided, and on how many nodes
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Final
 
 import equinox as eqx
 import jax
@@ -15,46 +15,37 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, namespace, put
-from gradcal_jax.information.error_budget import source_name
+from gradcal_jax.information.figures import correlation_times, noise_sizes, rescaled
 from gradcal_jax.information.imu_residual import RequiredQuantity, quantity_of
 from gradcal_jax.information.imu_rows import segments_of
 from gradcal_jax.information.unseen import answers_of, drifting_terms, unseen_columns
 from gradcal_jax.information.verdicts import UNIT_OF
-from gradcal_jax.model import ImuModel, Term
+from gradcal_jax.model import ImuModel, InstallationTerm, Term
 from gradcal_jax.model.build import BuiltImu, build_imu, plan_information, plan_schedule, unweighted_estimator
 from gradcal_jax.motion import Schedule, TableMotion
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
 
-_LAG = "thermal lag"
+LAG: Final = "thermal lag"
+READING_INTERVALS: Final = "intervals of readings"
+MOVE_DURATIONS: Final = "move durations"
+PEAK_RATES: Final = "peak rates"
+RAMPS: Final = "speed-up times"
+CHAMBER_DURATIONS: Final = "chamber durations"
+CHAMBER_SLOPES: Final = "chamber slopes"
 # Nodes of a motion at most for which every piece has nodes of its own; of more, pieces that are alike share theirs.
 _MOST_NODES = 100_000
-# Fields of the encoders' noise, by error source.
-_ENCODER: dict[str, Callable[[ImuModel], Any]] = {
-    "rate accuracy": lambda m: m.encoder.rate,
-    "reading noise": lambda m: m.encoder.reading,
-    "standstill offset": lambda m: m.encoder.offset,
-    "timing error": lambda m: m.encoder.timing,
-}
-_WHITE = {"gyro": "angle random walk", "accelerometer": "velocity random walk"}
 # Fields of the moves and of the programme's stretches, and whether a field belongs to the moves.
 _PLAN: dict[str, tuple[Callable[[Schedule], Any], bool]] = {
-    "move durations": (lambda s: s.duration, True),
-    "peak rates": (lambda s: s.peak_rate, True),
-    "speed-up times": (lambda s: s.ramp, True),
-    "chamber durations": (lambda s: s.programme.durations, False),
-    "chamber slopes": (lambda s: s.programme.slopes, False),
+    MOVE_DURATIONS: (lambda s: s.duration, True),
+    PEAK_RATES: (lambda s: s.peak_rate, True),
+    RAMPS: (lambda s: s.ramp, True),
+    CHAMBER_DURATIONS: (lambda s: s.programme.durations, False),
+    CHAMBER_SLOPES: (lambda s: s.programme.slopes, False),
     "chamber steps": (lambda s: s.programme.jumps, False),
     "first temperature": (lambda s: s.programme.start, False),
 }
-
-
-class _Drift(NamedTuple):
-    """The places of a source's processes among those of the channels of one kind."""
-
-    kind: str
-    members: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -62,14 +53,14 @@ class Differentiable:
     """Every requirement's residual as a pure function of `quantities`.
 
     `quantities`: the spec's own figures by name, SI (°C, K/s for the chamber): numbers of the sensor and the rig, `()`
-    or one for each such error or axis, `(k,)`; of each move of the plan's cycle, `(m,)`; of each stretch of the
-    chamber's programme, `(s,)`, with the step (K) at its beginning. Changed times must leave room for the moves; rests
-    that fill a stretch follow. In a plan of many long cycles, every cycle must begin at the same pose: there the turns
-    of each axis should sum to whole ones.
+    or one for each such error or axis, `(k,)`, where zero stays zero; of each move of the plan's cycle, `(m,)`; of each
+    stretch of the chamber's programme, `(s,)`, with the step (K) at its beginning. Changed times must leave room for
+    the moves; rests that fill a stretch follow. In a plan of many long cycles, every cycle must begin at the same pose:
+    there the turns of each axis should sum to whole ones.
     """
 
     quantities: dict[str, np.ndarray]
-    _built: BuiltImu
+    built: BuiltImu
     _schedule: Schedule
     _moves: np.ndarray
     _terms: list[tuple[int, Term]]
@@ -92,11 +83,11 @@ class Differentiable:
             # NumPy arrays cannot hold traced values; integer arrays (which pieces there are) stay concrete.
             traced = lambda x: jnp.asarray(x) if eqx.is_inexact_array(x) else x  # noqa: E731
             schedule = jax.tree.map(traced, schedule)
-        motion = self._moved(schedule, figures.get(_LAG))
-        at = segments_of(self._built.motion, self._built.model)
-        info, columns = plan_information(self._built._replace(motion=motion, model=model), self._terms, at)
+        motion = self._moved(schedule, figures.get(LAG))
+        at = segments_of(self.built.motion, self.built.model)
+        info, columns = plan_information(self.built._replace(motion=motion, model=model), self._terms, at)
         root, results = info.root(), dict[str, Any]()
-        unseen = unseen_columns(self._built, answers_of(self._built, self._terms, columns))
+        unseen = unseen_columns(self.built, answers_of(self.built, self._terms, columns))
         for name, of in self._required.items():
             value = of.statistic(of.requirement.statistic, unseen)(root)
             results[name] = xp.asarray(value * UNIT_OF[of.requirement.quantity][1])
@@ -104,7 +95,7 @@ class Differentiable:
 
     def _moved(self, schedule: Schedule, lag: Any) -> TableMotion:
         """The motion of a plan, with the divisions of the spec's own one."""
-        line, own = schedule.trajectory(lag), self._built.motion
+        line, own = schedule.trajectory(lag), self.built.motion
         for pieces, at in own.divisions:
             line, _ = line.divided(pieces, at)
         return replace(own, line=line)
@@ -117,25 +108,18 @@ class Differentiable:
         return schedule
 
     def _sensed(self, figures: Mapping[str, Any]) -> ImuModel:
-        model = self._built.model
-        for name, field in _ENCODER.items():
-            if name in figures:
-                model = eqx.tree_at(field, model, figures[name])
-        for name, number in _installed(model).items():
-            model = eqx.tree_at(lambda m, number=number: m.installation[number].stds, model, figures[name])
-        drifts = _drifts(self._built)
-        for k, channel in enumerate(model.channels):
-            own = channel
-            if (white := _WHITE[channel.kind]) in figures:
-                own = eqx.tree_at(lambda m: m.angle_random_walk, own, figures[white])
-            for name, (kind, members) in drifts.items():
-                if kind == channel.kind:
-                    initial, driving, at = own.processes.initial_std, own.processes.diffusion, np.array(members)
-                    share = figures[name] / self.quantities[name]
-                    changed = put(initial, at, initial[at] * share), put(driving, at, driving[at] * share)
-                    own = eqx.tree_at(lambda m: (m.processes.initial_std, m.processes.diffusion), own, changed)
-            model = eqx.tree_at(lambda m, k=k: m.channels[k], model, own)
-        return model
+        def factor(name: str) -> Any:
+            if name not in figures:
+                return 1.0
+            own = self.quantities[name]
+            return namespace(figures[name]).where(own != 0.0, figures[name] / np.where(own != 0.0, own, 1.0), 1.0)
+
+        model = rescaled(self.built, factor)
+        installation = [replace(t, stds=figures[name]) for name, t in _installed(model).items()]
+        every = model.encoder.every
+        if READING_INTERVALS in figures:
+            every = put(every, np.flatnonzero(np.isfinite(every)), figures[READING_INTERVALS])
+        return replace(model, installation=tuple(installation), encoder=replace(model.encoder, every=every))
 
 
 def differentiable(spec: Spec) -> Differentiable:
@@ -175,33 +159,19 @@ def _on_own_nodes(motion: TableMotion, schedule: Schedule) -> TableMotion:
     return replace(motion, kind=np.reshape(kind, -1), example=example, nodes=motion.nodes[motion.kind[example]])
 
 
-def _drifts(built: BuiltImu) -> dict[str, _Drift]:
-    """The processes of every kind of channels by the name of their error source."""
-    return {
-        source_name(kind, name): _Drift(kind, members)
-        for kind, sources in built.sources.items()
-        for name, members in sources.items()
-    }
-
-
-def _installed(model: ImuModel) -> dict[str, int]:
-    """The numbers of the installation's terms by the name of their first parameter."""
-    return {term.names()[0].replace("_", " "): number for number, term in enumerate(model.installation)}
+def _installed(model: ImuModel) -> dict[str, InstallationTerm]:
+    """The installation's terms by the name of their first parameter."""
+    return {term.names()[0].replace("_", " "): term for term in model.installation}
 
 
 def _figures(built: BuiltImu, schedule: Schedule, moves: np.ndarray) -> dict[str, np.ndarray]:
     """The spec's own quantities."""
-    model, figures = built.model, dict[str, Any]()
-    for channel in model.channels:
-        figures.setdefault(_WHITE[channel.kind], channel.angle_random_walk)
-    figures |= {name: field(model) for name, field in _ENCODER.items()}
-    figures = {name: value for name, value in figures.items() if np.any(value)}
-    figures |= {name: model.installation[number].stds for name, number in _installed(model).items()}
-    for name, (kind, members) in _drifts(built).items():
-        own = next(c.processes for c in model.channels if c.kind == kind)
-        initial, driving = (np.asarray(of)[list(members)] for of in (own.initial_std, own.diffusion))
-        figures[name] = np.where(initial == 0.0, driving, initial)
+    figures: dict[str, Any] = noise_sizes(built) | correlation_times(built)
+    figures |= {name: term.stds for name, term in _installed(built.model).items()}
+    every = np.asarray(built.model.encoder.every)
+    if np.any(np.isfinite(every)):
+        figures[READING_INTERVALS] = every[np.isfinite(every)]
     if built.spec.sensor.lag is not None:
-        figures[_LAG] = built.spec.sensor.lag
+        figures[LAG] = built.spec.sensor.lag
     figures |= {name: field(schedule)[moves] if own else field(schedule) for name, (field, own) in _PLAN.items()}
     return {name: np.array(value, dtype=float) for name, value in figures.items()}

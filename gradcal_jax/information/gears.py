@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from gradcal_jax.arrays import AnyArray, namespace, placed
-from gradcal_jax.information import encoder_rows, imu_system, rows_of_angles, segments_of, whiten
+from gradcal_jax.information import encoder_rows, rows_of_angles, segments_of
 from gradcal_jax.information.imu_rows import Segments
 from gradcal_jax.model import BodyNodes, ImuModel
 from gradcal_jax.model.terms import UNTOLD_BEGIN, sides
@@ -63,17 +63,3 @@ def rows_of_gears(
         return [], np.zeros((len(at.row_segment), 0))
     before, after = namespace(errors[0][1]).stack([error for _, error in errors], axis=-1)
     return [name for name, _ in errors], rows_of_angles(at, encoder_rows(motion, model, nodes, at), before, after)
-
-
-def apart_from_gears(
-    motion: TableMotion, model: ImuModel, nodes: BodyNodes, gears: Sequence[tuple[float, float]]
-) -> tuple[np.ndarray, list[tuple[str, np.ndarray]]]:
-    """What an estimate that knows of these errors sees of the parameters: the columns `(N, p)` of a plan's system
-    without what it takes for errors, and by name the row of each error in that, `(p,)`: by it they add to the variance.
-    """
-    named, common = rows_of_gears(motion, model, nodes, gears)
-    steps, both = imu_system(motion, model, nodes, common=common)
-    count, whitened = len(named), whiten(steps, both)
-    of_errors = whitened[:, :count].T @ whitened
-    by_errors = np.linalg.solve(np.eye(count) + of_errors[:, :count], of_errors[:, count:])
-    return both[:, count:] - both[:, :count] @ by_errors, list(zip(named, by_errors, strict=True))

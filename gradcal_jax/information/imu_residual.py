@@ -1,30 +1,16 @@
-"""Residuals of an IMU's quantities after a plan: linear functions of its parameters, and statistics."""
+"""Residuals of an IMU's quantities after a plan: linear functions of its parameters on a requirement's grid."""
 
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.information import Posterior, contrasts, statistic
-from gradcal_jax.information.missions import Flight, mission_contrasts, mission_rows
-from gradcal_jax.information.residual import Contrasts, GridElement, Residual, Statistic
+from gradcal_jax.information import Posterior
+from gradcal_jax.information.missions import mission_row
+from gradcal_jax.information.residual import GridElement, Residual, Statistic, grid_element, map_rows, statistic
 from gradcal_jax.information.verdicts import UNIT_OF
-from gradcal_jax.model import (
-    AXIS_NAMES,
-    BIAS,
-    SCALE_FACTOR,
-    Channel,
-    ChannelKind,
-    GradientOfBias,
-    ImuModel,
-    OwnTerm,
-)
-from gradcal_jax.model.build import (
-    G_SENSITIVITY,
-    MISALIGNMENT,
-    SECOND_ORDER,
-    BuiltImu,
-)
+from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, ChannelKind, GradientOfBias, ImuModel, OwnTerm
+from gradcal_jax.model.build import G_SENSITIVITY, MISALIGNMENT, SECOND_ORDER, BuiltImu
 from gradcal_jax.model.nodes import INPUTS
 from gradcal_jax.spec.requirement import (
     AccelerometerBiasRequirement,
@@ -51,6 +37,18 @@ UNITS_OF_TERMS = {
     "1/(m/s^2)": ("ug/g^2", 1e6 * G),
 }
 """For each SI unit of a coefficient: the reported unit, and the number of these units in one SI unit."""
+_MISALIGNMENTS = tuple(MISALIGNMENT.format(axis) for axis in AXIS_NAMES)
+# Names of terms by quantity: of the channel itself, or one for each axis (of another, of every one).
+_TERMS = {
+    "gyro_bias": ("gyro", (BIAS,), ""),
+    "gyro_scale_factor": ("gyro", (SCALE_FACTOR,), ""),
+    "gyro_misalignment": ("gyro", _MISALIGNMENTS, "others"),
+    "g_sensitivity": ("gyro", tuple(G_SENSITIVITY.format(axis) for axis in AXIS_NAMES), "all"),
+    "accelerometer_bias": ("accelerometer", (BIAS,), ""),
+    "accelerometer_scale_factor": ("accelerometer", (SCALE_FACTOR,), ""),
+    "accelerometer_misalignment": ("accelerometer", _MISALIGNMENTS, "others"),
+    "second_order": ("accelerometer", (SECOND_ORDER,), ""),
+}
 
 
 class ImuResidual(NamedTuple):
@@ -69,13 +67,13 @@ class ImuResidual(NamedTuple):
     def statistic(self, name: Statistic | None = None) -> float | None:
         """The requirement's statistic, or the one of that `name`; None: not observable. Each element has one over
         temperature (and rate); over several elements it is the worst or, for "all", the root mean square."""
-        value = together(self.requirement, self._each(name or self.requirement.statistic))
-        return float(value) if np.isfinite(value) else None
+        value = self.finite_statistic(name)
+        return value if np.isfinite(value) else None
 
     def finite_statistic(self, name: Statistic | None = None) -> float:
         """The same, infinite where it is not observable."""
-        value = self.statistic(name)
-        return np.inf if value is None else value
+        each = self._each(name or self.requirement.statistic)
+        return float(np.sqrt(np.mean(each**2)) if self.requirement.axis == "all" else np.max(each))
 
     def worst_axis(self) -> str | None:
         """The element with the largest statistic; None where all count together, or for a single one."""
@@ -87,14 +85,9 @@ class ImuResidual(NamedTuple):
         return np.array([statistic(name, values) for values in self.values])
 
 
-def together(requirement: Requirement, each: np.ndarray) -> np.ndarray:
-    """The statistics `(m, …)` of the elements of a requirement as one: the worst, or the root mean square."""
-    return np.asarray(np.sqrt(np.mean(each**2, axis=0)) if requirement.axis == "all" else np.max(each, axis=0))
-
-
 class RequiredQuantity(NamedTuple):
-    """A requirement's quantity on its grid, independent of the plan, for computing a `ImuResidual`. `beside`: an
-    independent error that no plan changes."""
+    """A requirement's quantity on its grid, independent of the plan. `beside`: an independent error that no plan
+    changes."""
 
     requirement: Requirement
     temperatures: np.ndarray
@@ -104,18 +97,14 @@ class RequiredQuantity(NamedTuple):
 
     def statistic(self, name: Statistic, unseen: Mapping[str, np.ndarray]) -> Residual:
         """A statistic as a function of the covariance, with the columns `(p, k)` of `unseen` errors added."""
-        added = tuple(
-            np.full(len(e.of.beyond), self.beside**2)
-            + sum(np.sum((e.of.rows @ columns[e.where]) ** 2, axis=1) for columns in unseen.values())
-            for e in self.elements
-        )
-        shape, requirement = (len(self.temperatures), len(self.rates)), self.requirement
-        return Residual(self.elements, added, shape, name, requirement.axis == "all")
+        shape = len(self.temperatures), len(self.rates)
+        together = self.requirement.axis == "all"
+        return Residual(self.elements, self.beside**2, shape, name, together, tuple(unseen.values()))
 
-    def residual(self, known: Posterior, *, whole: bool = False) -> ImuResidual:
-        """The residual of the quantity for a posterior; `whole` as of `GridElement.deviations`."""
+    def residual(self, known: Posterior) -> ImuResidual:
+        """The residual of the quantity for a posterior."""
         shape = len(self.elements), len(self.temperatures), len(self.rates)
-        deviations = np.stack([element.deviations(known, whole=whole) for element in self.elements]).reshape(shape)
+        deviations = np.stack([element.deviations(known) for element in self.elements]).reshape(shape)
         if self.beside:
             deviations = np.hypot(deviations, self.beside)
         unit, factor = UNIT_OF[self.requirement.quantity]
@@ -136,16 +125,15 @@ def box(requirement: Requirement) -> tuple[np.ndarray, np.ndarray]:
 
 
 def quantity_of(built: BuiltImu, requirement: Requirement) -> RequiredQuantity:
-    """A requirement's quantity on its grid. `beside`: the mounting's uncertainty,
-    added to a misalignment relative to the case, or that of a sensitivity to dT/dt, added to a bias on a slope."""
-    (temperatures, rates), beside = box(requirement), 0.0
-    if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "case":
-        frame = built.spec.sensor.frame
-        if frame != "case":
+    """A requirement's quantity on its grid. `beside`: the mounting's uncertainty, added to a misalignment relative to
+    the case, or that of a sensitivity to dT/dt, added to a bias on a slope."""
+    (temperatures, rates), beside, sensor = box(requirement), 0.0, built.spec.sensor
+    if isinstance(requirement, MisalignmentRequirement):
+        if requirement.relative_to == "case" and sensor.frame != "case":
             beside = float(built.spec.rig.table.mounting[0].accuracy)
     elif isinstance(requirement, GyroBiasRequirement | AccelerometerBiasRequirement):
         # A sensitivity to dT/dt that is a figure and no parameter.
-        triad = getattr(built.spec.sensor, "gyro" if isinstance(requirement, GyroBiasRequirement) else "accelerometer")
+        triad = getattr(sensor, "gyro" if isinstance(requirement, GyroBiasRequirement) else "accelerometer")
         if triad.gradient_sensitivity is None:
             beside = triad.gradient_std * max(abs(slope) for _, slope in requirement.service())
     elements = tuple(_elements(built, requirement, temperatures, rates))
@@ -161,93 +149,67 @@ def _elements(
     built: BuiltImu, requirement: Requirement, temperatures: np.ndarray, rates: np.ndarray
 ) -> Iterator[GridElement]:
     """Each element of a quantity, temperatures first."""
-    model = built.model
+    model, about, wanted = built.model, built.about, requirement.axis
     if isinstance(requirement, MisalignmentRequirement) and requirement.relative_to == "internal":
         own: ChannelKind = "gyro" if requirement.quantity == "gyro_misalignment" else "accelerometer"
-        for label, rows in internal_misalignments(model, own, temperatures, built.about):
-            if requirement.axis in ("all", "worst") or requirement.axis in label.split()[0]:
-                yield GridElement(label, slice(None), _plain(rows))
-    elif isinstance(requirement, MissionHeadingRequirement):
-        for c in model.channels:
-            axis = AXIS_NAMES[c.axis]
-            if c.kind == "gyro" and requirement.axis in ("all", "worst", axis):
-                yield GridElement(axis, model.where(c.kind, c.axis), heading_contrasts(c, requirement))
-    else:
-        kind, terms = _TERMS[requirement.quantity]
-        for c in model.channels:
-            axis = AXIS_NAMES[c.axis]
-            if c.kind == kind and requirement.axis in ("all", "worst", axis):
-                for term, label in terms(axis):
-                    element = _of_term(model, c, term, label, temperatures, rates, built.about)
-                    path = _states(c, requirement, np.repeat(temperatures, len(rates)))
-                    if path is not None and element.where == slice(None):
-                        path = np.pad(path, ((0, 0), (0, 0), _around(model, c)))
-                    yield element._replace(path=path)
+        for label, rows in internal_misalignments(model, own, temperatures, about):
+            if wanted in ("all", "worst") or wanted in label.split()[0]:
+                yield grid_element(model, label, rows)
+        return
+    heading = isinstance(requirement, MissionHeadingRequirement)
+    kind, names, over = ("gyro", (BIAS,), "") if heading else _TERMS[requirement.quantity]
+    grid = [of.ravel() for of in np.meshgrid(temperatures, rates, indexing="ij")]
+    for c in model.channels:
+        axis = AXIS_NAMES[c.axis]
+        if c.kind != kind or wanted not in ("all", "worst", axis):
+            continue
+        if isinstance(requirement, MissionHeadingRequirement):
+            rows = np.zeros((len(requirement.mission), model.size))
+            for row, mission in zip(rows, requirement.mission, strict=True):
+                time, rate, temperature, _ = (np.array(column) for column in mission.rows)
+                row[model.where(c.kind, c.axis)] = mission_row(c, time, rate, temperature)
+            yield grid_element(model, axis, rows)
+            continue
+        for k, name in enumerate(names):
+            if over == "others" and k == c.axis:
+                continue
+            rows = map_rows(model, c, name, *grid)
+            if about is not None and name in (SCALE_FACTOR, *_MISALIGNMENTS) and _corrected_by_matrix(c, name):
+                across = c.axis if name == SCALE_FACTOR else k
+                left = _left_by_correction(model, (c.kind, c.axis, across), temperatures, about)
+                left = left - _at_rest(model, c, name, temperatures)
+                rows = rows + np.repeat(left, len(rates), axis=0)
+            yield grid_element(model, axis + AXIS_NAMES[k] if over else axis, rows, _states(model, c, requirement))
 
 
-def _states(channel: Channel, requirement: Requirement, temperatures: np.ndarray) -> np.ndarray | None:
-    """The states of the service at every point of the grid `(s, g, channel's p)`: after a leg of more than twice its
-    width a play is behind the temperature by its width, between that and its opposite elsewhere, where the error is
-    smaller than at one of both ends. None without a path."""
+def _corrected_by_matrix(channel: Channel, name: str) -> bool:
+    """Whether a triad's whole matrix corrects a term: not that of a channel without misalignments."""
+    of = channel.map(name)
+    return of is None or not of.of_own_input or any(map(channel.term, _MISALIGNMENTS))
+
+
+def _states(model: ImuModel, channel: Channel, requirement: Requirement) -> np.ndarray | None:
+    """What the states of the service add at every point, `(s, 1, p)`: after a leg of more than twice its width a play
+    is behind the temperature by its width, between that and its opposite elsewhere, where the error is smaller than at
+    one of both ends. None without a path."""
     service = getattr(requirement, "service", None)
     states = ((0.0, 0.0),) if service is None else service()
     if states == ((0.0, 0.0),):
         return None
     own = (f"{INPUTS[channel.kind]} {AXIS_NAMES[channel.axis]}",) if "scale_factor" in requirement.quantity else ()
-    rows = np.zeros((len(states), len(temperatures), channel.size))
+    rows = np.zeros((len(states), 1, model.size))
     for term in channel.terms:
-        place = channel.where(term.name).start
+        place = model.where(channel.kind, channel.axis, term.name).start
         if isinstance(term, OwnTerm) and term.signals == own:
-            rows[:, :, place] = np.array([term.in_service(*state) for state in states])[:, None]
+            rows[:, 0, place] = [term.in_service(*state) for state in states]
         elif isinstance(term, GradientOfBias) and not own:
-            rows[:, :, place] = np.array([slope for _, slope in states])[:, None]
+            rows[:, 0, place] = [slope for _, slope in states]
     return rows
 
 
-_TERMS = {
-    "gyro_bias": ("gyro", lambda a: [("bias", a)]),
-    "gyro_scale_factor": ("gyro", lambda a: [(SCALE_FACTOR, a)]),
-    "gyro_misalignment": ("gyro", lambda a: [(MISALIGNMENT.format(b), a + b) for b in AXIS_NAMES if b != a]),
-    "g_sensitivity": ("gyro", lambda a: [(G_SENSITIVITY.format(b), a + b) for b in AXIS_NAMES]),
-    "accelerometer_bias": ("accelerometer", lambda a: [(BIAS, a)]),
-    "accelerometer_scale_factor": ("accelerometer", lambda a: [(SCALE_FACTOR, a)]),
-    "accelerometer_misalignment": (
-        "accelerometer",
-        lambda a: [(MISALIGNMENT.format(b), a + b) for b in AXIS_NAMES if b != a],
-    ),
-    "second_order": ("accelerometer", lambda a: [(SECOND_ORDER, a)]),
-}
-
-
-def _of_term(
-    model: ImuModel,
-    channel: Channel,
-    term: str,
-    label: str,
-    temperatures: np.ndarray,
-    rates: np.ndarray,
-    about: np.ndarray | None,
-) -> GridElement:
-    """The linear function of one term of a channel on the grid."""
-    of, own = channel.map(term), model.where(channel.kind, channel.axis)
-    if of is not None and of.of_own_input and not any(map(channel.term, _MISALIGNMENTS)):
-        about = None
-    grid = np.meshgrid(temperatures, rates, indexing="ij")
-    own_part = contrasts(channel, term, *(of.ravel() for of in grid))
-    if about is None:
-        return GridElement(label, own, own_part)
-    around = (0, 0), _around(model, channel)
-    left = _row(model, channel.kind, channel.axis, term, temperatures, about)
-    left[:, own] -= _signal_rows(channel, term, temperatures)
-    rows = np.pad(np.asarray(own_part.rows), around) + np.repeat(left, len(rates), axis=0)
-    alone = np.pad(np.asarray(own_part.alone), around)
-    return GridElement(label, slice(None), Contrasts(rows, alone, own_part.beyond))
-
-
-def _around(model: ImuModel, channel: Channel) -> tuple[int, int]:
-    """The number of the model's parameters before those of a channel, and after them."""
-    own = model.where(channel.kind, channel.axis)
-    return own.start, model.size - own.stop
+def _at_rest(model: ImuModel, channel: Channel, name: str, temperatures: np.ndarray) -> np.ndarray:
+    """The error of a map at rate zero without its discrepancy, `(n_T, p)`."""
+    return np.where(model.discrepancy_stds > 0.0, 0.0, map_rows(model, channel, name, temperatures))
 
 
 def _left_by_correction(
@@ -264,76 +226,33 @@ def _left_by_correction(
     scale, across = np.ones((len(temperatures), 3)), np.tile(np.eye(3), (len(temperatures), 1, 1))
     for k, of in enumerate(triad):
         if of is not None:
-            own = about[model.where(kind, k)]
-            scale[:, k] += _signal_rows(of, SCALE_FACTOR, temperatures) @ own
+            scale[:, k] += _at_rest(model, of, SCALE_FACTOR, temperatures) @ about
             for other, term in enumerate(_MISALIGNMENTS):
-                across[:, k, other] += _signal_rows(of, term, temperatures) @ own
+                across[:, k, other] += _at_rest(model, of, term, temperatures) @ about
     inverse = np.linalg.inv(scale[:, :, None] * across)[:, i]
     rows = np.zeros((len(temperatures), model.size))
     for k, of in enumerate(triad):
         if of is not None:
-            by_scale = across[:, k, j, None] * _signal_rows(of, SCALE_FACTOR, temperatures)
-            changed = by_scale + scale[:, k, None] * _signal_rows(of, _MISALIGNMENTS[j], temperatures)
-            rows[:, model.where(kind, k)] = inverse[:, k, None] * changed
+            by_scale = across[:, k, j, None] * _at_rest(model, of, SCALE_FACTOR, temperatures)
+            changed = by_scale + scale[:, k, None] * _at_rest(model, of, _MISALIGNMENTS[j], temperatures)
+            rows += inverse[:, k, None] * changed
     return rows
-
-
-def _plain(rows: np.ndarray) -> Contrasts:
-    """Contrasts without a part of a model's discrepancy."""
-    return Contrasts(rows, np.zeros_like(rows), np.zeros(len(rows)))
-
-
-def heading_contrasts(channel: Channel, requirement: MissionHeadingRequirement) -> Contrasts:
-    """The error of a gyro's heading at the end of every mission, rad."""
-    rows = []
-    for mission in requirement.mission:
-        time, rate, temperature, _ = (np.array(column) for column in mission.rows)
-        rows.append(mission_rows(channel, Flight(time, rate, temperature), time[-1:])[0])
-    return mission_contrasts(channel, np.stack(rows))
-
-
-def _signal_rows(channel: Channel, term: str, temperatures: np.ndarray) -> np.ndarray:
-    """Contrasts `(n_T, channel's p)` of a term at rate zero, without its discrepancy."""
-    of, rows = channel.map(term), np.zeros((len(temperatures), channel.size))
-    if of is not None:
-        rows[:, channel.where(term)] = of.values(temperatures, np.zeros(len(temperatures)))
-    return rows
-
-
-def _row(
-    model: ImuModel,
-    kind: ChannelKind,
-    axis: int,
-    term: str,
-    temperatures: np.ndarray,
-    about: np.ndarray | None = None,
-) -> np.ndarray:
-    """Contrasts `(n_T, p)` of a term at rate zero; zero where the model does not have it.
-
-    A misalignment or scale factor `about` the parameters of an estimate is what a correction leaves of it
-    (`_left_by_correction`).
-    """
-    rows = np.zeros((len(temperatures), model.size))
-    if (channel := model.channel(kind, axis)) is None:
-        return rows
-    if about is not None and term in (SCALE_FACTOR, *_MISALIGNMENTS):
-        across = axis if term == SCALE_FACTOR else _MISALIGNMENTS.index(term)
-        return _left_by_correction(model, (kind, axis, across), temperatures, about)
-    rows[:, model.where(kind, axis)] = _signal_rows(channel, term, temperatures)
-    return rows
-
-
-_MISALIGNMENTS = tuple(MISALIGNMENT.format(axis) for axis in AXIS_NAMES)
 
 
 def internal_misalignments(
     model: ImuModel, kind: ChannelKind, temperatures: np.ndarray, about: np.ndarray | None = None
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Misalignments that no rotation of the unit changes, by name, `(n_T, p)`: sums of opposite misalignments and, for
-    accelerometers, the rotation of their triad against the gyros'. `about` `(p,)`: see `_row`."""
+    accelerometers, the rotation of their triad against the gyros'. `about` `(p,)`: parameters of an estimate, whose
+    correction leaves them (`_left_by_correction`)."""
 
     def of(which: ChannelKind, i: int, j: int) -> np.ndarray:
-        return _row(model, which, i, MISALIGNMENT.format(AXIS_NAMES[j]), temperatures, about)
+        channel = model.channel(which, i)
+        if channel is None:
+            return np.zeros((len(temperatures), model.size))
+        if about is not None:
+            return _left_by_correction(model, (which, i, j), temperatures, about)
+        return _at_rest(model, channel, _MISALIGNMENTS[j], temperatures)
 
     for i, j in ((0, 1), (0, 2), (1, 2)):
         name = AXIS_NAMES[i] + AXIS_NAMES[j]

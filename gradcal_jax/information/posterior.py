@@ -9,6 +9,7 @@ The design differentiates `SquareRootInformation`; results are reported from `Po
 combinations are separate.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,8 @@ from gradcal_jax.tables.display import summary
 
 # Singular values of unit-length columns below this share of the largest are rounding, not information.
 OBSERVABLE = 1e-11
+# Number of steps whose responses are kept together.
+_TOGETHER = 1024
 
 
 class SquareRootInformation(NamedTuple):
@@ -137,15 +140,26 @@ def spread_of(estimator: LeastSquares, noise: Float[np.ndarray, "r r"]) -> Poste
     return Posterior(estimator.back @ (vectors * np.sqrt(np.maximum(values, 0.0))), estimator.hidden)
 
 
-def noise_of_sums(steps: NoiseSteps, weights: Float[np.ndarray, "N m"]) -> Float[np.ndarray, "m m"]:
-    """`weightsᵀ V weights`, the covariance of m weighted sums of all readings.
+def noise_of_sums(
+    steps: NoiseSteps, weights: Float[np.ndarray, "N m"], parts: Sequence[NoiseSteps]
+) -> list[Float[np.ndarray, "m m"]]:
+    """`weightsᵀ V weights`, the covariance of m weighted sums of all readings, for each part V of the noise of `steps`.
 
-    With the adjoint `ρ_k = F_kᵀ(ρ_{k+1} + H_k w_k)`, backwards, it is a sum over the steps' noises and the start.
+    With the adjoint `ρ_k = H_k w_k + F_k₊₁ᵀ ρ_k₊₁`, backwards, it is a sum over the steps' noises and the start.
     """
-    response = np.zeros((steps.observation.shape[1], weights.shape[1]))
-    total = (weights * np.asarray(steps.reading_variance)[:, None]).T @ weights
-    for k in reversed(range(len(weights))):
-        response = response + np.outer(steps.observation[k], weights[k])
-        total = total + response.T @ np.asarray(steps.covariance[k]) @ response
-        response = np.asarray(steps.transition[k]).T @ response
-    return total + response.T @ np.asarray(steps.initial) @ response
+    count, n = steps.observation.shape
+    totals = [(weights * np.asarray(part.reading_variance)[:, None]).T @ weights for part in parts]
+    later = np.zeros((n, weights.shape[1]))
+    for begin in reversed(range(0, count, _TOGETHER)):
+        at = slice(begin, begin + _TOGETHER)
+        transition, observation = np.asarray(steps.transition[at]), np.asarray(steps.observation[at])
+        responses = observation[:, :, None] * weights[at, None, :]
+        for k in reversed(range(len(responses))):
+            responses[k] += later
+            later = transition[k].T @ responses[k]
+        for total, part in zip(totals, parts, strict=True):
+            # A source acts on few of the states.
+            driven = np.flatnonzero(np.any(part.covariance[at], axis=(0, 1)))
+            own, noise = responses[:, driven], np.asarray(part.covariance[at])[:, driven[:, None], driven]
+            total += np.reshape(own, (-1, own.shape[2])).T @ np.reshape(noise @ own, (-1, own.shape[2]))
+    return [total + later.T @ np.asarray(part.initial) @ later for total, part in zip(totals, parts, strict=True)]

@@ -27,7 +27,6 @@ from gradcal_jax.information.verdicts import (
     target_of,
     verdict_of,
 )
-from gradcal_jax.model import Discrepancy, ImuModel
 from gradcal_jax.model.build import (
     BuiltImu,
     build_imu,
@@ -171,7 +170,7 @@ def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:
     """The part of a prediction that is common to all plans: title, times, the reported parameters and their
     covariance."""
     spec, model = built.spec, built.model
-    own = np.flatnonzero(_carried(model))
+    own = np.flatnonzero(model.discrepancy_stds[: model.calibrated] == 0.0)
     names, units = ([of[k] for k in own] for of in (model.names(), model.units()))
     reported = model.to_reported[own]
     deviations = known.deviations(reported)
@@ -185,11 +184,6 @@ def _of_plan(built: BuiltImu, known: Posterior) -> dict[str, Any]:
         "parameters": tuple(rows),
         "covariance": tuple(map(tuple, covariance.tolist())),
     }
-
-
-def _carried(model: ImuModel) -> np.ndarray:
-    """Which of the unit's own parameters a calibration has: all but those of discrepancies."""
-    return np.concatenate([np.full(term.size, not isinstance(term, Discrepancy)) for term in model.terms])
 
 
 def requirement_row(built: BuiltImu, budget: CountedPosteriors, requirement: Requirement) -> RequirementRow:

@@ -1,4 +1,4 @@
-"""The residual after calibration: its map and named statistics.
+"""The residual after calibration: errors on a grid, linear in the parameters, and named statistics of them.
 
     s(T, ω)² = ψ(T, ω)ᵀ C ψ(T, ω)
 
@@ -7,158 +7,122 @@ functions χ that the calibration does not carry, the error at a point is `ψᵀ
 error is uncorrelated with every function of the data, its variance is `ψᵀC_ββψ + 2ψᵀC_βγχ + χᵀΓχ`.
 """
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Inexact, Int
 
 from gradcal_jax.arrays import AnyArray, fixed, namespace
 from gradcal_jax.information.posterior import Posterior
-from gradcal_jax.model import Channel
+from gradcal_jax.model import Channel, ImuModel
 
 Statistic = Literal["mean of max", "max", "mean", "rms"]
 STATISTICS: tuple[Statistic, ...] = ("mean of max", "max", "mean", "rms")
 EXACT = np.asarray(np.inf)
 """Value of `sharpness` for which a smooth statistic equals the statistic."""
-
-
-class Contrasts(NamedTuple):
-    """`rows` c with `cᵀβ` an error; `alone`: the discrepancy's part of them; `beyond`: its prior variance there."""
-
-    rows: Float[AnyArray, "g p"]
-    alone: Float[AnyArray, "g p"]
-    beyond: Float[AnyArray, " g"]
-
-    def times(self, factor: Float[AnyArray, " g"] | float) -> "Contrasts":
-        """Contrasts of errors multiplied by a factor."""
-        by = np.broadcast_to(factor, self.beyond.shape)
-        return Contrasts(self.rows * by[:, None], self.alone * by[:, None], self.beyond * by**2)
-
-    def left(self, known: Posterior) -> Float[np.ndarray, " g"]:
-        """Standard deviation of each error after a calibration; `inf` where it is unobservable."""
-        deviation = known.deviations(np.asarray(self.rows))
-        if not np.any(self.alone):
-            return deviation
-        return np.sqrt(deviation**2 - known.deviations(np.asarray(self.alone)) ** 2 + self.beyond)
-
-
-def contrasts(
-    channel: Channel, name: str, temperature: Float[np.ndarray, " g"], rate: Float[np.ndarray, " g"]
-) -> Contrasts:
-    """Contrasts of the error of a channel's map at each point (°C, rad/s), of a term that it does not have zero.
-
-    The discrepancy is estimated with the other parameters, but a calibration does not carry it: its part of `cᵀCc` is
-    replaced by `χᵀΓχ`, which no plan changes.
-    """
-    of, shape = channel.map(name), (len(temperature), channel.size)
-    rows, alone, beyond = np.zeros(shape), np.zeros(shape), np.zeros(len(temperature))
-    if of is not None:
-        rows[:, channel.where(name)] = of.values(temperature, rate)
-    if of is not None and of.beyond is not None:
-        outside = of.beyond.values(temperature, rate)
-        alone[:, channel.where(of.beyond.name)] = outside
-        beyond = of.beyond.std**2 * np.sum(outside**2, axis=1)
-    return Contrasts(rows + alone, alone, beyond)
+# Imaginary step of a derivative, which is exact to rounding.
+_STEP = 1e-30
 
 
 class GridElement(NamedTuple):
-    """Errors of the points of a grid as linear functions `of` the parameters `where`. `path` `(s, g, k)`: what is added
-    to the rows in each state of the service, of which the worst counts at every point."""
+    """Errors of the `g` points of a grid as linear functions `rows` of the parameters `where`; of several states `s` of
+    the service the worst counts at every point. `alone`: the discrepancy's part of them, which the calibration does not
+    carry, and `beyond` its prior variance there, which takes the place of its part of `cᵀCc`."""
 
     label: str
-    where: slice
-    of: Contrasts
-    path: Float[np.ndarray, "s g k"] | None = None
-
-    def states(self) -> list[Contrasts]:
-        """The errors in each state of the service."""
-        if self.path is None:
-            return [self.of]
-        return [self.of._replace(rows=np.asarray(self.of.rows) + state) for state in self.path]
-
-    def deviations(self, known: Posterior, *, whole: bool = False) -> Float[np.ndarray, " g"]:
-        """Standard deviation on the points. `whole`: of errors that include what a calibration does not carry."""
-        part = Posterior(known.spread[self.where], known.hidden[self.where])
-        if whole:
-            return np.max([part.deviations(np.asarray(state.rows)) for state in self.states()], axis=0)
-        return np.max([state.left(part) for state in self.states()], axis=0)
+    where: Int[np.ndarray, " k"]
+    rows: Float[np.ndarray, "s g k"]
+    alone: Float[np.ndarray, "g k"]
+    beyond: Float[np.ndarray, " g"]
 
     def variance(self, root: Float[AnyArray, "p r"]) -> Float[AnyArray, " g"]:
         """The variance on the points, by a root of the covariance of all parameters."""
-        own, xp, alone = root[self.where], namespace(root), self.of.alone
-        left = [xp.sum((state.rows @ own) ** 2, axis=1) for state in self.states()]
-        whole = (left[0] if len(left) == 1 else xp.max(xp.stack(left), axis=0)) + self.of.beyond
-        return whole - xp.sum((alone @ own) ** 2, axis=1) if np.any(alone) else whole
+        own, xp = root[self.where], namespace(root)
+        left = xp.max(xp.sum((self.rows @ own) ** 2, axis=-1), axis=0) + self.beyond
+        return left - xp.sum((self.alone @ own) ** 2, axis=1) if np.any(self.alone) else left
 
-    def slope(self, root: Float[np.ndarray, "p r"], of_variance: Float[np.ndarray, " g"]) -> Float[np.ndarray, "p p"]:
-        """Derivative in the covariance, by that in the variance on the points."""
-        own, states = root[self.where], np.stack([state.rows for state in self.states()])
-        worst = np.argmax([np.sum((rows @ own) ** 2, axis=1) for rows in states], axis=0)
-        rows, alone, slope = states[worst, np.arange(len(worst))], self.of.alone, np.zeros((len(root), len(root)))
-        slope[self.where, self.where] = (rows.T * of_variance) @ rows - (alone.T * of_variance) @ alone
-        return slope
+    def deviations(self, known: Posterior) -> Float[np.ndarray, " g"]:
+        """Standard deviation on the points after a calibration; `inf` where it is unobservable."""
+        deviations = np.sqrt(self.variance(known.spread))
+        if known.hidden.shape[1]:
+            own = Posterior(known.spread[self.where], known.hidden[self.where])
+            unseen = np.isinf([own.deviations(rows) for rows in self.rows])
+            deviations = np.where(np.any(unseen, axis=0), np.inf, deviations)
+        return deviations
+
+    def part(self, covariance: Float[np.ndarray, "p p"], root: Float[np.ndarray, "p r"]) -> Float[np.ndarray, " g"]:
+        """What a part of the covariance adds to the variance, in the states that are the worst ones by `root`."""
+        worst = np.argmax(np.sum((self.rows @ root[self.where]) ** 2, axis=-1), axis=0)
+        rows, part = self.rows[worst, np.arange(len(worst))], covariance[np.ix_(self.where, self.where)]
+        return np.sum((rows @ part) * rows, axis=1) - np.sum((self.alone @ part) * self.alone, axis=1)
+
+
+def grid_element(
+    model: ImuModel, label: str, rows: Float[np.ndarray, "g p"], states: Float[np.ndarray, "s g p"] | None = None
+) -> GridElement:
+    """An element from functions of all parameters; `states`: what each state of the service adds to them."""
+    stds = model.discrepancy_stds
+    alone, beyond = np.where(stds > 0.0, rows, 0.0), rows**2 @ stds**2
+    every = rows[None] if states is None else rows + states
+    where = np.flatnonzero(np.any(every, axis=(0, 1)))
+    return GridElement(label, where, every[:, :, where], alone[:, where], beyond)
+
+
+def map_rows(
+    model: ImuModel,
+    channel: Channel,
+    name: str,
+    temperature: Float[np.ndarray, " g"],
+    rate: Float[np.ndarray, " g"] | None = None,
+) -> Float[np.ndarray, "g p"]:
+    """The error of a channel's map at points (°C, rad/s; without rates at rest), with its discrepancy, as a function of
+    all parameters; zero for a term that the channel does not have."""
+    rows, of = np.zeros((len(temperature), model.size)), channel.map(name)
+    if of is None:
+        return rows
+    at = temperature, np.zeros(len(temperature)) if rate is None else rate
+    rows[:, model.where(channel.kind, channel.axis, name)] = of.values(*at)
+    if of.beyond is not None:
+        rows[:, model.where(channel.kind, channel.axis, of.beyond.name)] = of.beyond.values(*at)
+    return rows
 
 
 class Residual(NamedTuple):
     """A requirement's statistic as a function of a root of the covariance of all parameters, in SI: of its elements on
-    a grid of `shape`, with the variances `added` to each. `together`: of the elements the root
-    mean square counts, not the worst."""
+    a grid of `shape`, with the variance `added` to each. `unseen` `(p, k)`: further columns of the root.
+    `together`: of the elements the root mean square counts, not the worst."""
 
     elements: tuple[GridElement, ...]
-    added: tuple[Float[np.ndarray, " g"], ...]
+    added: float
     shape: tuple[int, int]
     kind: Statistic
     together: bool
+    unseen: tuple[Float[AnyArray, "p k"], ...]
 
     def __call__(
         self, root: Float[AnyArray, "p r"], sharpness: Float[AnyArray, ""] | float = EXACT
     ) -> Float[AnyArray, ""] | float:
         """The statistic: exact for an infinite sharpness, from above otherwise."""
-        xp, each = namespace(root), []
-        for element, added in zip(self.elements, self.added, strict=True):
-            values = xp.reshape(xp.sqrt(element.variance(root) + added), self.shape)
-            each.append(statistic(self.kind, values, sharpness))
+        root = namespace(root, self.unseen).concatenate([root, *self.unseen], axis=1)
+        return self.of([element.variance(root) + self.added for element in self.elements], sharpness)
+
+    def of(self, variances: list[AnyArray], sharpness: Float[AnyArray, ""] | float = EXACT) -> Any:
+        """The statistic by the variances on each element's points."""
+        xp = namespace(*variances)
+        each = [statistic(self.kind, xp.reshape(xp.sqrt(of), self.shape), sharpness) for of in variances]
         every = xp.stack(each)
         return xp.sqrt(xp.mean(every**2)) if self.together else largest(every[:, None], sharpness)[0]
 
-    def slope(
-        self, root: Float[np.ndarray, "p r"]
-    ) -> tuple[float, Float[np.ndarray, "p p"], list[Float[np.ndarray, " g"]]]:
-        """The statistic, and its derivatives in the covariance and in the variance that is added to each element."""
-        values = [
-            np.sqrt(element.variance(root) + added).reshape(self.shape)
-            for element, added in zip(self.elements, self.added, strict=True)
-        ]
-        each = np.array([statistic(self.kind, of) for of in values])
-        total = float(np.sqrt(np.mean(each**2)) if self.together else np.max(each))
-        outer = each / (total * len(each)) if self.together else np.arange(len(each)) == np.argmax(each)
-        of_covariance, of_added = np.zeros((len(root), len(root))), list[np.ndarray]()
-        for element, own, of in zip(self.elements, outer, values, strict=True):
-            # d value = d variance / (2 value)
-            of_value = own * _slope_of_statistic(self.kind, of)
-            safe = np.where(of_value > 0.0, of, 1.0)
-            of_added.append((0.5 * of_value / safe).ravel())
-            of_covariance = of_covariance + element.slope(root, of_added[-1])
-        return total, of_covariance, of_added
-
-
-def _slope_of_statistic(name: Statistic, values: Float[np.ndarray, "n_T n_w"]) -> Float[np.ndarray, "n_T n_w"]:
-    """Derivative of a statistic with respect to each of its values."""
-    slopes = np.zeros_like(values)
-    if name == "mean of max":
-        slopes[np.argmax(values, axis=0), np.arange(values.shape[1])] = 1.0 / values.shape[1]
-    elif name == "max":
-        slopes.flat[np.argmax(values)] = 1.0
-    elif name == "mean":
-        slopes += 1.0 / values.size
-    else:
-        slopes += values / (values.size * np.sqrt(np.mean(values**2)))
-    return slopes
+    def slope(self, variances: list[np.ndarray], changes: list[np.ndarray]) -> float:
+        """The derivative of the statistic's logarithm along changes of the variances (Squire and Trapp, 1998)."""
+        moved = [of + 1j * _STEP * by for of, by in zip(variances, changes, strict=True)]
+        value = self.of(moved)
+        return float(value.imag / value.real) / _STEP
 
 
 def statistic(
-    name: Statistic, values: Float[AnyArray, "n_T n_w"], sharpness: Float[AnyArray, ""] | float = EXACT
-) -> Float[AnyArray, ""] | float:
+    name: Statistic, values: Inexact[AnyArray, "n_T n_w"], sharpness: Float[AnyArray, ""] | float = EXACT
+) -> Inexact[AnyArray, ""] | float | complex:
     """A named statistic of a residual map: exact for an infinite sharpness, from above otherwise.
 
     "mean of max": mean over rate of the maximum over temperature (the paper's figure); the others are of all points.
@@ -170,12 +134,10 @@ def statistic(
         return largest(xp.reshape(values, (-1, 1)), sharpness)[0]
     if name == "mean":
         return xp.mean(values)
-    if name == "rms":
-        return xp.sqrt(xp.mean(values**2))
-    raise ValueError(f"unknown statistic {name!r}; known: {', '.join(STATISTICS)}")
+    return xp.sqrt(xp.mean(values**2))
 
 
-def largest(values: Float[AnyArray, "n m"], sharpness: Float[AnyArray, ""] | float) -> Float[AnyArray, " m"]:
+def largest(values: Inexact[AnyArray, "n m"], sharpness: Float[AnyArray, ""] | float) -> Inexact[AnyArray, " m"]:
     """Maximum along the first axis, exact for an infinite sharpness k, otherwise `(Σ values^k)^(1/k)`, from above."""
     xp = namespace(values, sharpness)
     peak = xp.max(values, axis=0)

@@ -30,7 +30,6 @@ from gradcal_jax.model import (
     SCALE_FACTOR,
     TEMPERATURE_GRADIENT,
     Channel,
-    Discrepancy,
     GradientOfBias,
     Hysteresis,
     ImuModel,
@@ -155,8 +154,7 @@ def unseen_columns(
     scales["clocks that contradict each other"] = 0.0 if done is None else done.clock_doubt
     turns = turns_of(built.motion) if backlash else None
     # A calibration does not carry the functions that a discrepancy adds.
-    carried = np.concatenate([np.full(t.size, not isinstance(t, Discrepancy)) for t in model.terms])
-    carried = np.pad(carried, (0, model.size - model.calibrated), constant_values=True)
+    carried = model.discrepancy_stds == 0.0
     columns: dict[str, list[Any]] = {}
 
     def add(name: str, std: float, column: Any) -> None:

@@ -75,6 +75,23 @@ def whiten(steps: NoiseSteps, columns: Float[AnyArray, "N p"]) -> Float[AnyArray
     return _filter(blocks, data)[0][place]
 
 
+def weights(steps: NoiseSteps, columns: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N p"]:
+    """`V⁻¹ columns`."""
+    blocks, data, place = _in_blocks(steps, columns)
+    rows, filtered, _ = _filter(blocks, data)
+    return _smooth(blocks, rows, filtered)[0][place]
+
+
+def by_reading(
+    steps: NoiseSteps, columns: Float[np.ndarray, "N p"]
+) -> tuple[Float[np.ndarray, "N n p"], Float[np.ndarray, " N"]]:
+    """The state after each reading by all readings up to it, if each column is what was read, and the inverse of the
+    standard deviation of each innovation (0: the reading says nothing). NumPy."""
+    blocks, data = _lift(steps, columns, 1)
+    _, filtered, (last, _) = _filter(blocks, data)
+    return np.concatenate([filtered.state[1:], last[None]]), filtered.whitener[:, 0, 0]
+
+
 def passage(steps: NoiseSteps, columns: Float[AnyArray, "N p"], *, known: bool) -> Passage:
     """The passage of readings from the initial state, if that is `known` by its covariance, or from any state."""
     blocks, data, _ = _in_blocks(steps, jnp.asarray(columns))
@@ -224,9 +241,9 @@ def _smooth(blocks: Blocks, rows: Float[AnyArray, "B r p"], filtered: Filtered):
         before = f.T @ rho + h.T @ u
         return before, (u, rho, state + covariance @ before)
 
-    nothing = jnp.zeros((len(blocks.initial), rows.shape[-1]), rows.dtype)
+    nothing = namespace(rows).zeros((len(blocks.initial), rows.shape[-1]), rows.dtype)
     over = (blocks.transition, blocks.observation, rows, filtered)
-    first, (u, rho, z) = jax.lax.scan(step, nothing, over, reverse=True)
+    first, (u, rho, z) = _scan(step, nothing, over, reverse=True)
     return u, rho, z, first
 
 
@@ -255,15 +272,18 @@ def _with_inverse(factor: AnyArray, scale: AnyArray) -> tuple[AnyArray, AnyArray
     return factor, scale, safe + jnp.diag(jnp.where(dead, jnp.inf, 0.0)), safe
 
 
-def _scan(step, begin: Any, over: Any) -> Any:
+def _scan(step, begin: Any, over: Any, *, reverse: bool = False) -> Any:
     """The last carry and the stacked results of `step(carry, row) -> (carry, result)`: `jax.lax.scan`, or a loop of
     NumPy."""
     if namespace(begin, over) is jnp:
-        return jax.lax.scan(step, begin, over)
-    results = []
-    for row in zip(*over, strict=True):
-        begin, result = step(begin, row)
+        return jax.lax.scan(step, begin, over, reverse=reverse)
+    rows = list(zip(*jax.tree.leaves(over), strict=True))
+    structure, results = jax.tree.structure(over), []
+    for row in reversed(rows) if reverse else rows:
+        begin, result = step(begin, jax.tree.unflatten(structure, row))
         results.append(result)
+    if reverse:
+        results.reverse()
     return begin, jax.tree.map(lambda *of: np.stack(of), *results)
 
 

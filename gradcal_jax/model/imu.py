@@ -137,6 +137,13 @@ class ImuModel(PytreeModule):
         return [term for c in self.channels for term in c.terms]
 
     @property
+    def discrepancy_stds(self) -> Float[np.ndarray, " p"]:
+        """Prior standard deviation of each parameter that no calibration carries; zero for all others."""
+        stds = [t.std if isinstance(t, Discrepancy) else 0.0 for t in self.terms]
+        own = np.repeat(np.array(stds, dtype=float), [t.size for t in self.terms])
+        return np.pad(own, (0, self.size - self.calibrated))
+
+    @property
     def own_states(self) -> int:
         """Number of the noise states that are the unit's own: integrals and processes of its channels. Those of the
         encoders follow."""

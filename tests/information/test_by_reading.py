@@ -1,12 +1,11 @@
-"""The filter in blocks is the filter reading by reading, and its derivatives are differences."""
+"""The filter in blocks is dense least squares, and its derivatives are differences."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gradcal_jax.information import NoiseSteps, gram, whiten
-from gradcal_jax.information.by_reading import adjoint_parts, filter_readings
+from gradcal_jax.information import NoiseSteps, by_reading, gram, weights, whiten
 
 
 def random_system(n: int, p: int, count: int) -> tuple[NoiseSteps, np.ndarray]:
@@ -29,49 +28,40 @@ def assert_close(found, wanted, tolerance=1e-10):
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=tolerance * float(np.max(np.abs(wanted))))
 
 
-def quick(steps: NoiseSteps, columns: np.ndarray, *, traced: bool) -> np.ndarray:
-    """Whitened rows in blocks, by NumPy or JAX."""
-    if traced:
-        steps, columns = jax.tree.map(jnp.asarray, (steps, columns))
-    return np.asarray(whiten(steps, columns))
-
-
 @pytest.mark.parametrize("traced", [False, True])
 @pytest.mark.parametrize("sizes", [(1, 1, 3), (2, 16, 61), (4, 3, 40), (9, 11, 30)])
-def test_rows_in_blocks_have_the_product_of_rows_by_reading(sizes, traced):
-    n, p, count = sizes
+def test_the_filter_is_dense_least_squares_on_all_readings(sizes, traced):
+    """Rows, weights `V⁻¹Φ`, and states by the readings up to each, against the covariance written out."""
     steps, columns = random_system(*sizes)
-    expected = filter_readings(np.zeros((n, p)), steps.initial, steps, columns).rows
-    rows = quick(steps, columns, traced=traced)
-    assert_close(rows.T @ rows, expected.T @ expected)
-    assert not rows[~steps.used].any()
-    assert not rows[count // 2].any()
+    dense, seen = covariance_of(steps), steps.used & (np.arange(sizes[2]) != sizes[2] // 2)
+    known = np.flatnonzero(seen)
+    wanted = np.zeros(columns.shape)
+    wanted[known] = np.linalg.solve(dense[np.ix_(known, known)], columns[known])
+    rows = np.asarray(whiten(*jax.tree.map(jnp.asarray, (steps, columns))) if traced else whiten(steps, columns))
+    assert_close(rows.T @ rows, columns.T @ wanted)
+    assert not rows[~seen].any()
+    if traced:
+        return
+    assert_close(weights(steps, columns), wanted)
+    states, per_std = by_reading(steps, columns)
+    last = known[-1]
+    smoothed = columns[last] - steps.reading_variance[last] * wanted[last]
+    assert_close(steps.observation[last] @ states[last], smoothed)
+    assert_close((per_std > 0.0).astype(float), seen.astype(float))
 
 
-@pytest.mark.parametrize("sizes", [(1, 1, 3), (2, 16, 61), (4, 3, 40)])
-def test_adjoint_states_give_the_derivative_of_the_product(sizes):
-    n, p, _ = sizes
-    steps, columns = random_system(*sizes)
-    weights = np.random.default_rng(2).standard_normal((p, p))
-    known = jax.tree.map(jnp.asarray, steps)
-
-    def weighed(covariance, variance, initial):
-        now = known._replace(covariance=covariance, reading_variance=variance, initial=initial)
-        return jnp.sum(weights * gram(now, jnp.asarray(columns)))
-
-    wanted = jax.jit(jax.grad(weighed, (0, 1, 2)))(known.covariance, known.reading_variance, known.initial)
-    # ∂(weights · rowsᵀrows) by the adjoint states: −ρ W ρᵀ, −uᵀ W u. No step precedes a reading that stays.
-    inner = (weights + weights.T) / 2
-    found = filter_readings(np.zeros((n, p)), steps.initial, steps, columns)
-    parts = sorted(adjoint_parts(steps, found), key=lambda part: part[0].start)
-    us, rhos = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
-    first = steps.transition[0].T @ rhos[0]
-    of_covariance = -rhos @ inner @ rhos.swapaxes(1, 2)
-    of_covariance[steps.stays] = 0.0
-    # Only the symmetric part of a covariance's derivative has a meaning.
-    assert_close(of_covariance, (wanted[0] + wanted[0].swapaxes(1, 2)) / 2)
-    assert_close(-np.sum((us @ inner) * us, axis=1), wanted[1])
-    assert_close(-first @ inner @ first.T, wanted[2])
+def covariance_of(steps: NoiseSteps) -> np.ndarray:
+    """Covariance of all readings."""
+    covariance, response, rows = steps.initial, [], []
+    for f, q in zip(steps.transition, steps.covariance, strict=True):
+        covariance = f @ covariance @ f.T + q
+        response = [f @ earlier for earlier in response] + [covariance]
+        rows.append(list(response))
+    dense = np.zeros((len(rows),) * 2)
+    for k, row in enumerate(rows):
+        for j, cross in enumerate(row):
+            dense[k, j] = dense[j, k] = steps.observation[k] @ cross @ steps.observation[j]
+    return dense + np.diag(steps.reading_variance)
 
 
 def moved(steps: NoiseSteps, columns: np.ndarray, size) -> tuple[NoiseSteps, jax.Array]:

@@ -34,7 +34,7 @@ from helpers import (
 
 from gradcal_jax import model as models
 from gradcal_jax import motion as trajectory
-from gradcal_jax.information import contrasts, imu_unweighted, statistic, whiten
+from gradcal_jax.information import grid_element, imu_unweighted, map_rows, statistic, whiten
 from gradcal_jax.information.noise_steps import _chi, _phi1
 from gradcal_jax.model import BIAS, SCALE_FACTOR, make_map
 
@@ -43,8 +43,8 @@ LINEAR = Polynomial(1, 20.0, 50.0)
 
 def residual(made: Engine, name: str, temperatures, rates) -> np.ndarray:
     t, w = (g.ravel() for g in np.meshgrid(temperatures, rates, indexing="ij"))
-    of = contrasts(made.model.channels[0], name, t, w)
-    return of.left(made.posterior()).reshape(len(temperatures), len(rates))
+    of = grid_element(made.model, "x", map_rows(made.model, made.model.channels[0], name, t, w))
+    return of.deviations(made.posterior()).reshape(len(temperatures), len(rates))
 
 
 # --- three roads to one covariance ------------------------------------------------------------------------------------

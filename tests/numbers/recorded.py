@@ -39,7 +39,7 @@ def prediction(tables: Tables) -> Tables:
     return {"requirements": rows(answer), "parameters": {f"{p.name} / {p.axis}": p.std for p in answer.parameters}}
 
 
-JUDGED = ("verdict", "with_typical", "another_run", "worst", "specific_risk", "own")
+JUDGED = ("verdict", "with_typical", "another_run", "worst", "specific_risk")
 
 
 def judgement(tables: Tables) -> Tables:
@@ -50,8 +50,6 @@ def judgement(tables: Tables) -> Tables:
     found: Tables = {}
     for row in answer.requirements:
         one = {name: value for name in JUDGED if (value := getattr(row, name)) is not None}
-        if row.own_sources is not None:
-            one["own_sources"] = row.own_sources
         if row.name in shares:
             one["shares"] = {name: share for name, share in shares[row.name].items() if abs(share) > 1e-9}
         found[row.name] = one

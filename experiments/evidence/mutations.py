@@ -114,13 +114,13 @@ FAULTS = (
     Fault(
         "a map is extrapolated beyond the rates of its data",
         "calibration/correction.py",
-        "own = np.clip(sensed, *channel.valid_rate) if term.rate is not None else at",
-        "own = sensed if term.rate is not None else at",
+        "own = np.clip(sensed, *channel.valid_rate)",
+        "own = sensed",
         "tests/calibration/test_correction.py",
     ),
     Fault(
         "ArduPilot's cubic is exported without its factor of a million",
-        "calibration/exports.py",
+        "calibration/flight_controllers.py",
         '{kind}{k}_{letter}": 1e6 * b[k]',
         '{kind}{k}_{letter}": b[k]',
         "tests/calibration/test_exports.py",

@@ -25,7 +25,7 @@ from gradcal_jax.records.log import Floats
 from gradcal_jax.spec.bases import RateBasis, TemperatureBasis, increasing
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.display import amount, columns
-from gradcal_jax.tables.document import TitledFile, model_of, read_text, read_toml
+from gradcal_jax.tables.document import TitledFile, parsed, read_text
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import Section
 from gradcal_jax.tables.writing import write_toml
@@ -61,7 +61,7 @@ class CalibratedTerm(Section):
     """Basis over the channel's own rate; absent: the same at every rate."""
     lag: q.Time | None = None
     """First-order lag of this term behind the temperature of its channel; absent: no lag."""
-    coefficients: Annotated[dict[str, q.Number], Field(min_length=1, max_length=40_000)]
+    coefficients: dict[str, q.Number]
     """Coefficients by name, in SI: for each function of temperature, in order, those of all functions of rate."""
 
     def _problems(self) -> Iterator[Problem]:
@@ -69,27 +69,29 @@ class CalibratedTerm(Section):
             message = f"expected {self.size} coefficients, one for each function of the bases"
             yield Problem(("coefficients",), message, len(self.coefficients))
         elif self.name in ("bias", "scale_factor") and self.temperature is not None and self.size > 1:
-            sizes = (basis.size for basis in (self.temperature, self.rate) if basis is not None)
-            for name, function in zip(self.coefficients, itertools.product(*map(range, sizes)), strict=True):
-                if function_of(name) != list(function):
+            functions = itertools.product(*(range(basis.size) for basis in self._bases))
+            for name, function in zip(self.coefficients, functions, strict=True):
+                if function_of(name) != function:
                     place = " and ".join(map(str, function))
                     message = (
-                        f"expected at this position the coefficient that multiplies function {place} of temperature "
-                        "(and rate)"
+                        f"expected here the coefficient that multiplies function {place} of temperature and rate"
                     )
                     yield Problem(("coefficients", name), message)
                     break
 
     @property
+    def _bases(self) -> list[TemperatureBasis | RateBasis]:
+        return [basis for basis in (self.temperature, self.rate) if basis is not None]
+
+    @property
     def size(self) -> int:
         """Number of its functions."""
-        return math.prod(basis.size for basis in (self.temperature, self.rate) if basis is not None)
+        return math.prod(basis.size for basis in self._bases)
 
 
 class PathCoefficient(Section):
     """An error that depends on past temperatures (hysteresis, dT/dt), in addition to the maps, which are the mean
-    of heating and cooling. `apply` computes it from the temperatures of a log and subtracts it; exports cannot contain
-    it."""
+    of heating and cooling. `apply` subtracts what follows dT/dt; exports contain none of it."""
 
     channel: q.Text
     """Name of the channel, such as gyro_x."""
@@ -109,13 +111,18 @@ class PathCoefficient(Section):
     """Whether the coefficient belongs to an error class of your own; neither `apply` nor exports correct such
     errors."""
 
+    @property
+    def label(self) -> str:
+        """Its name for people, as in "gyro x hysteresis 20K"."""
+        return f"{self.channel} {self.name}".replace("_", " ")
+
 
 class Residuals(Section):
     """Whitened residuals of the fit, in standard deviations: independent and normal if the model is correct."""
 
     counts: Annotated[tuple[q.Whole, ...], Field(min_length=18, max_length=18)]
     """Histogram: number of residuals below -4, in bins of 0.5 from -4 to 4, and above 4."""
-    rms: Annotated[tuple[q.Number, ...], Field(max_length=10)] = ()
+    rms: tuple[q.Number, ...] = ()
     """Root mean square of the residuals in each tenth of the run, in the order of time."""
 
 
@@ -125,7 +132,7 @@ class CalibratedChannel(Section):
 
     kind: Literal["gyro", "accelerometer"]
     """Kind of sensor."""
-    axis: Annotated[q.Text, Field(max_length=100)]
+    axis: q.Text
     """Axis of the body along which the sensor measures."""
     valid_temperature: tuple[q.Temperature, q.Temperature]
     """Lowest and highest temperature in the data of the calibration."""
@@ -133,7 +140,7 @@ class CalibratedChannel(Section):
     """Lowest and highest rate in the data of the calibration."""
     thermal_lag: q.Time | None = None
     """Time constant of the maps' lag behind the measured temperature; absent: no lag."""
-    term: Annotated[tuple[CalibratedTerm, ...], Field(max_length=40)] = ()
+    term: tuple[CalibratedTerm, ...] = ()
     """Error terms of the channel; their sum is its error."""
     residuals: Residuals | None = None
     """Residuals of this channel's fit."""
@@ -176,7 +183,7 @@ def common_span(spans: Iterable[tuple[q.Quantity, q.Quantity]]) -> tuple[q.Quant
 class Covariance(Section):
     """Covariance of the observable coefficients."""
 
-    names: Annotated[tuple[q.Text, ...], Field(max_length=5000)]
+    names: tuple[q.Text, ...]
     """Names of the coefficients, such as gyro_x.b00."""
     matrix: tuple[tuple[q.Number, ...], ...]
     """Covariance of these coefficients, row by row, in the coefficients' units."""
@@ -194,7 +201,7 @@ class UnseenError(Section):
     class, from a term that the spec omits. The covariance with all these errors is `covariance` plus the sum of their
     outer products."""
 
-    name: Annotated[q.Text, Field(max_length=200)]
+    name: q.Text
     """Name of the error."""
     coefficients: dict[str, q.Number]
     """Change of each coefficient that one standard deviation of this error causes, in the coefficients' units."""
@@ -285,27 +292,27 @@ class Calibration(TitledFile):
     """Frame in which the axes are given."""
     order: q.Text
     """What the numbers mean, and in which order a correction uses them."""
-    channel: Annotated[tuple[CalibratedChannel, ...], Field(min_length=1, max_length=20)]
+    channel: Annotated[tuple[CalibratedChannel, ...], Field(min_length=1)]
     """Gyros and accelerometers, one table for each."""
     covariance: Covariance | None = None
     """Covariance of the observed coefficients from the fit; absent: it was not kept."""
-    path: Annotated[tuple[PathCoefficient, ...], Field(max_length=500)] = ()
+    path: tuple[PathCoefficient, ...] = ()
     """Errors that depend on past temperatures, in addition to the maps."""
-    unseen: Annotated[tuple[UnseenError, ...], Field(max_length=5000)] = ()
+    unseen: tuple[UnseenError, ...] = ()
     """Errors that the residuals of the fit cannot show; the results and every stated uncertainty include them."""
-    table: Annotated[tuple[TableError, ...], Field(max_length=500)] = ()
+    table: tuple[TableError, ...] = ()
     """Estimated errors of the table."""
-    fit: Annotated[tuple[FitTest, ...], Field(max_length=1000)] = ()
+    fit: tuple[FitTest, ...] = ()
     """Tests of the fit."""
-    contradicted: Annotated[tuple[q.Text, ...], Field(max_length=1000)] = ()
+    contradicted: tuple[q.Text, ...] = ()
     """Tests of the fit that fail: the data contradict the model, and the stated uncertainties are not valid."""
-    unobservable: Annotated[tuple[q.Text, ...], Field(max_length=5000)] = ()
+    unobservable: tuple[q.Text, ...] = ()
     """Coefficients and combinations of coefficients that the data do not determine."""
     noise: Noise | None = None
     """The noise that the estimate assumed."""
     lacks: q.Text | None = None
     """The part of the plan that is missing in the log, and the prediction for the executed part alone, in words."""
-    result: Annotated[tuple[Result, ...], Field(max_length=1000)] = ()
+    result: tuple[Result, ...] = ()
     """Results for the requirements of the spec."""
     provenance: dict[str, q.Text] = Field(default_factory=dict)
     """Texts by name: versions, sources, the log's hash."""
@@ -315,13 +322,13 @@ class Calibration(TitledFile):
         if len(set(names)) < len(names):
             yield Problem(("channel",), "two channels have the same kind and the same axis")
         axes = {"x", "y", "z", *(channel.axis for channel in self.channel)}
-        known = {TEMPERATURE_RATE, *(f"{kind} {axis}" for kind in ("rate", "force") for axis in axes)}
+        known = {f"{kind} {axis}" for kind in ("rate", "force") for axis in axes}
+        known |= {TEMPERATURE_RATE, *(f"|{name}|" for name in known)}
         for i, channel in enumerate(self.channel):
             for j, term in enumerate(channel.term):
-                for k, signal in enumerate(term.signals):
-                    if signal not in known and not (signal[:1] + signal[-1:] == "||" and signal[1:-1] in known):
-                        message = 'is not a signal; expected a text such as "rate x", "force z", "|force z|"'
-                        yield Problem(("channel", i, "term", j, "signals", k), message, signal)
+                for signal in set(term.signals) - known:
+                    message = 'is not a signal; expected a text such as "rate x", "force z", "|force z|"'
+                    yield Problem(("channel", i, "term", j, "signals"), message, signal)
         if self.covariance is not None and (strange := set(self.covariance.names) - self.values().keys()):
             text = f"names coefficients that no channel has: {', '.join(sorted(strange)[:5])}"
             yield Problem(("covariance", "names"), text)
@@ -330,9 +337,10 @@ class Calibration(TitledFile):
         """Every coefficient by its name, as in gyro_x.b00."""
         return {f"{c.name}.{name}": v for c in self.channel for t in c.term for name, v in t.coefficients.items()}
 
-    def channel_of(self, kind: str, axis: str) -> CalibratedChannel | None:
-        """The channel of that kind and axis, if it has one."""
-        return next((c for c in self.channel if (c.kind, c.axis) == (kind, axis)), None)
+    def deviations(self) -> dict[str, float]:
+        """One sigma by the fit of every coefficient that has one."""
+        known = self.covariance
+        return {} if known is None else {name: math.sqrt(known.matrix[k][k]) for k, name in enumerate(known.names)}
 
     @property
     def valid_temperature(self) -> tuple[q.Temperature, q.Temperature]:
@@ -350,34 +358,17 @@ class Calibration(TitledFile):
         low, high = self.valid_temperature
         return f"covers {low} … {high}, up to {math.degrees(float(self.valid_rate[1])):.4g} deg/s"
 
-    @property
-    def result_rows(self) -> list[tuple[str, ...]]:
-        """A row for each requirement: name, statistic, residual, target, verdict."""
-        return [
-            (
-                row.name if len(self.channel) == 1 else f"{row.name}, {row.axis}",
-                row.statistic,
-                amount(row.value, row.unit),
-                "" if row.target is None else amount(row.target, row.unit),
-                row.verdict or "",
-            )
-            for row in self.result
-        ]
-
     def _shown(self) -> list[str]:
-        channels = [
-            (channel.label, ", ".join(f"{term.name} ({len(term.coefficients)})" for term in channel.term))
-            for channel in self.channel
-        ]
         counts = {"contradicted": self.contradicted, "not observable": self.unobservable}
+        rows = [
+            (row.name, row.axis, row.statistic, amount(row.value, row.unit), row.verdict or "") for row in self.result
+        ]
         return [
-            f"Calibration of {self.serial_number}" + (", SIMULATED" if self.simulated else ""),
-            *([self.title] if self.title else []),
+            f"Calibration of {self.serial_number}" + ", SIMULATED" * self.simulated,
             self.valid_range,
             *(f"{name}: {', '.join(names)}" for name, names in counts.items() if names),
-            columns(self.result_rows, indent=""),
-            "terms, with the number of their coefficients:",
-            *columns(channels).split("\n"),
+            columns([(channel.label, ", ".join(term.name for term in channel.term)) for channel in self.channel]),
+            columns(rows, indent=""),
         ]
 
     def contradictions_of(self, channel: CalibratedChannel) -> tuple[str, ...]:
@@ -393,11 +384,7 @@ def is_calibration(document: Mapping[str, Any]) -> bool:
 
 def parse_calibration(text: str, source: str = "") -> Calibration:
     """The calibration in a TOML text; `source` names it in messages. Raises `SpecError` with every fault."""
-
-    def read(document: dict[str, Any], source: str) -> Calibration:
-        return model_of(Calibration, document, FORMAT, source)
-
-    return read(read_toml(text, source), source)
+    return parsed(Calibration, text, FORMAT, source)
 
 
 def read_calibration(path: str | Path) -> Calibration:
@@ -457,8 +444,8 @@ def at_rates(term: CalibratedTerm, of_temperature: Floats, rate: Floats) -> Floa
     return (of_temperature * term.rate.values(rate)).sum(axis=-1)
 
 
-def function_of(name: str) -> list[int]:
-    """The functions of temperature and of rate that a coefficient multiplies: [3] for a3, [2, 1] for b12, [11, 2] for
-    b2_11, [4, 0] for b_bin0_spline4."""
+def function_of(name: str) -> tuple[int, ...]:
+    """The functions of temperature and of rate that a coefficient multiplies: (3,) for a3, (2, 1) for b12, (11, 2) for
+    b2_11, (4, 0) for b_bin0_spline4."""
     digits = re.findall(r"\d" if re.fullmatch(r"b\d\d", name) else r"\d+", name)
-    return [int(digit) for digit in reversed(digits)]
+    return tuple(int(digit) for digit in reversed(digits))

@@ -2,27 +2,43 @@
 its range, and the largest difference from the true inputs is the loss, by channel.
 
 Three conditions: at rest over temperature, within the ranges of rates and of ±1 g, and while the temperature changes by
-1 K/min (dT/dt and lags). What a calibration has under [[path]] depends on the past, and is stated as notes.
+1 K/min (dT/dt and lags). What a calibration has under [[path]] depends on the past, and is named in a note.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from gradcal_jax.calibration.correction import channel_error
-from gradcal_jax.calibration.file import (
-    TEMPERATURE_RATE,
-    CalibratedChannel,
-    Calibration,
-    PathCoefficient,
-    at_temperatures,
-)
+from gradcal_jax.calibration.correction import SIGNALS, channel_error
+from gradcal_jax.calibration.file import TEMPERATURE_RATE, Calibration
 from gradcal_jax.records.log import Floats
 from gradcal_jax.units import DEG_PER_H, PPM, G
 
 Corrected = Callable[[Floats, Floats], Floats]
 """A target's function: readings `(n, inputs)` and temperatures `(n,)`, °C, to true inputs."""
+
+
+class Options(NamedTuple):
+    """What a target may need: one temperature (°C), the number of the sensor on the controller, PX4's device id, and
+    the text of a template."""
+
+    temperature_c: float | None
+    instance: int
+    device_id: int | None
+    template: str | None
+
+
+class Target(NamedTuple):
+    """A calibration for a target: its text, its function of readings of `inputs` (None: nothing that could be
+    evaluated), and notes for the user."""
+
+    text: str
+    corrected: Corrected | None
+    notes: tuple[str, ...]
+    inputs: Sequence[str] = SIGNALS
+
+
 _PER_MINUTE = 1.0 / 60.0  # K/s
 _TEMPERATURES, _POINTS = 1001, 400
 # Smaller losses are the rounding of numbers of 64 bits: rad/s or m/s².
@@ -41,38 +57,43 @@ class Loss(NamedTuple):
 
 def losses_of(calibration: Calibration, inputs: Sequence[str], corrected: Corrected) -> list[Loss]:
     """The largest differences that a target leaves, by channel and condition; `inputs`: the columns of its readings."""
-    low, high = (float(end) for end in calibration.valid_temperature)
-    warm = np.linspace(low, high, _TEMPERATURES)
-    rng = np.random.default_rng(0)
-    at, true = rng.uniform(low, high, _POINTS), rng.uniform(-1.0, 1.0, (_POINTS, len(inputs)))
-    spans = {c.input: c.valid_rate for c in calibration.channel if c.kind == "gyro"}
-    for k, name in enumerate(inputs):
-        slow, fast = (float(v) for v in spans.get(name, calibration.valid_rate)) if "rate" in name else (-G, G)
-        true[:, k] = 0.5 * (slow + fast) + 0.5 * (fast - slow) * true[:, k]
+    at, true = within_ranges(calibration, inputs, _POINTS)
+    warm = np.linspace(*calibration.valid_temperature, _TEMPERATURES)
+    still = np.zeros((_TEMPERATURES, len(inputs)))
 
     def left(temperature: Floats, true: Floats, slope: float = 0.0) -> Floats:
         return corrected(readings(calibration, inputs, temperature, true, slope), temperature) - true
 
-    nothing = np.zeros((_TEMPERATURES, len(inputs)))
-    resting = left(warm, nothing)
+    resting = left(warm, still)
     moving = left(at, true) - left(at, 0.0 * true)
-    warming = left(warm, nothing, _PER_MINUTE) - resting
+    warming = left(warm, still, _PER_MINUTE) - resting
     losses: list[Loss] = []
     for channel in calibration.channel:
-        k = inputs.index(channel.input)
-        unit, factor = _unit(channel)
-        largest = max(abs(float(v)) for v in channel.valid_rate) if channel.kind == "gyro" else G
-        of = f"{np.degrees(largest):.4g} deg/s" if channel.kind == "gyro" else "1 g"
-        for what, values, scale, words in (
-            ("at rest", resting, factor, unit),
-            ("within the ranges of rates and forces", moving, PPM / max(largest, _NOTHING), f"ppm of {of}"),
-            ("while the temperature changes", warming, factor, f"{unit} at 1 K/min"),
-        ):
-            size = float(np.max(np.abs(values[:, k])))
-            covered = largest > 0.0 or values is not moving  # data at rest cover no rates
-            if size > _NOTHING and covered:
+        largest, of, unit, factor = G, "1 g", "ug", 1e6 / G
+        if channel.kind == "gyro":
+            largest = max(map(abs, channel.valid_rate))
+            of, unit, factor = f"{np.degrees(largest):.4g} deg/s", "deg/h", DEG_PER_H
+        conditions = [("at rest", resting, factor, unit)]
+        if largest > 0.0:  # data at rest cover no rates
+            conditions.append(("within the ranges of rates and forces", moving, PPM / largest, f"ppm of {of}"))
+        conditions.append(("while the temperature changes", warming, factor, f"{unit} at 1 K/min"))
+        for what, values, scale, words in conditions:
+            size = float(np.max(np.abs(values[:, inputs.index(channel.input)])))
+            if size > _NOTHING:
                 losses.append(Loss(channel.label, what, size * scale, words))
     return losses
+
+
+def within_ranges(calibration: Calibration, inputs: Sequence[str], count: int) -> tuple[Floats, Floats]:
+    """Temperatures `(count,)` and true inputs `(count, inputs)` drawn within the ranges of the data, and ±1 g."""
+    rng = np.random.default_rng(0)
+    at = rng.uniform(*calibration.valid_temperature, count)
+    true = rng.uniform(-1.0, 1.0, (count, len(inputs)))
+    spans = {channel.input: channel.valid_rate for channel in calibration.channel if channel.kind == "gyro"}
+    for k, name in enumerate(inputs):
+        slow, fast = spans.get(name, calibration.valid_rate) if "rate" in name else (-G, G)
+        true[:, k] = 0.5 * (slow + fast) + 0.5 * (fast - slow) * true[:, k]
+    return at, true
 
 
 def readings(
@@ -82,37 +103,8 @@ def readings(
     raw = true.copy()
     signals = dict(zip(inputs, true.T, strict=True)) | {TEMPERATURE_RATE: np.full(len(true), slope)}
     for channel in calibration.channel:
-        lag = float(channel.thermal_lag or 0.0)
-        maps = [
-            at_temperatures(
-                term, np.clip(temperature_c - slope * (lag + float(term.lag or 0.0)), *channel.valid_temperature)
-            )
-            for term in channel.term
-        ]
-        raw[:, inputs.index(channel.input)] += channel_error(channel, temperature_c, signals, maps)
+        own = temperature_c - slope * float(channel.thermal_lag or 0.0)
+        lags = {0.0, *(float(term.lag or 0.0) for term in channel.term)}
+        error = channel_error(channel, {lag: own - slope * lag for lag in lags}, signals)
+        raw[:, inputs.index(channel.input)] += error
     return raw
-
-
-def path_notes(calibration: Calibration) -> Iterator[str]:
-    """What [[path]] of a calibration knows and no target carries."""
-    for one in calibration.path:
-        channel = one.channel.replace("_", " ")
-        if one.own:
-            yield f"{one.name} of {channel}, {one.value:.3g} {one.unit}, a term of your own, is lost"
-            continue
-        size, condition = _size(one)
-        unit, factor = ("ppm", PPM) if one.unit in ("1/K", "s/K") else _unit(one)
-        name = one.name.replace("_", " ")
-        yield f"{name} of {channel}, up to {abs(one.value) * size * factor:.3g} {unit}{condition}, is lost"
-
-
-def _size(one: PathCoefficient) -> tuple[float, str]:
-    """Of a coefficient of the path: what multiplies it at most, and under which condition."""
-    if one.width is not None:
-        return float(one.width), " on either branch of heating and cooling"
-    return (1.0, " for each K") if one.second_thermometer else (_PER_MINUTE, " at 1 K/min")
-
-
-def _unit(of: CalibratedChannel | PathCoefficient) -> tuple[str, float]:
-    name = of.name if isinstance(of, CalibratedChannel) else of.channel
-    return ("deg/h", DEG_PER_H) if name.startswith("gyro") else ("ug", 1e6 / G)

@@ -43,9 +43,8 @@ def apply(
 ) -> int:
     """Correct the rates and specific forces of a log with a calibration, and write the result as a log.
 
-    If the calibration has a hysteresis, its state is computed from the temperatures along the log. If rows are outside
-    the temperatures or rates of the calibration, the value of the calibration at the edge of the range is used for
-    these rows, and the exit status is 1.
+    A hysteresis stays in the data. If rows are outside the temperatures or rates of the calibration, the value of the
+    calibration at the edge of the range is used for these rows, and the exit status is 1.
 
     Parameters
     ----------
@@ -67,7 +66,7 @@ def apply(
     outside = {"temperatures": corrected.outside_temperature, "rates": corrected.outside_rate}
     if json:
         record = {"rows": corrected.log.counts(0), "outside": outside, "not_calibrated": list(corrected.left_alone)}
-        record |= {"unknown_branch": corrected.unknown_branch, "not_taken_off": list(corrected.left_in)}
+        record["not_taken_off"] = list(corrected.left_in)
         print(as_json({"log": str(output), "simulated": corrected.log.simulated, **record}))
     else:
         print(described(corrected.log, str(log)))
@@ -77,11 +76,6 @@ def apply(
                     f"note: {count} {what} are outside the range of the calibration: the value at the edge of the "
                     "range was used"
                 )
-        if corrected.unknown_branch:
-            print(
-                f"note: in {corrected.unknown_branch} rows the temperature has not changed enough to determine "
-                "the state of the hysteresis: the middle of its possible range was used"
-            )
         if corrected.left_alone:
             alone = ", ".join(corrected.left_alone)
             print(f"note: these channels are not in the calibration, and were left unchanged: {alone}")
@@ -149,8 +143,7 @@ def validate(
             print("\n" + _validation_text(row))
         for one in judged:
             print("\n" + _acceptance_text(one))
-    pairs = [pair for row in axes for pair in (row.scale_factor_ppm, row.bias_deg_per_h, row.gravity_ug) if pair]
-    worse = [pair for pair in pairs if pair[1] > pair[0]]
+    worse = any(after > before for row in axes for before, after in row.rms.values())
     return NOT_AS_WISHED if worse or any(row.verdict != "met" for row in judged) else DONE
 
 
@@ -164,7 +157,6 @@ def export(
     temperature: str | None = None,
     instance: int | None = None,
     device_id: int | None = None,
-    zero: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     force: ForceOutput = False,
     json: Json = False,
 ) -> int:
@@ -186,9 +178,6 @@ def export(
         Number of the sensor on the flight controller: 1 to 3 for ArduPilot, 0 to 3 for PX4.
     device_id
         PX4's device id of the sensor.
-    zero
-        A coefficient to write as zero because it did not pass validation, such as a3, x.a3 or gyro_x.a3; may be
-        repeated.
     json
         Print the text, the losses and the notes as JSON.
     """
@@ -205,7 +194,7 @@ def export(
     text = None if template is None else read_text(template)
     number = (0 if format == "px4" else 1) if instance is None else instance
     chosen = {"temperature_c": at, "instance": number, "device_id": device_id}
-    done = exports.export(content, format or "template", **chosen, zeroed=zero, template=text)
+    done = exports.export(content, format or "template", **chosen, template=text)
     if output is not None:
         write_whole(output, done.text)
     if json:
@@ -236,11 +225,10 @@ def _unit(log, serial_number: str, unit: str | None) -> str | int:
 
 def _acceptance_text(row: "Acceptance") -> str:
     """A verdict, with the measured error."""
-    risk = f"the target is exceeded with a probability of {100.0 * row.specific_risk:.2g} %"
     return (
         f"{row.name}, axis {row.axis}: {strong(row.verdict)}\n"
         f"  {row.error:.4g} ± {row.std:.2g} {row.unit} (1σ, from the scatter; errors that all moves have in common "
-        f"are not included); {risk}"
+        "are not included)"
     )
 
 
@@ -250,17 +238,14 @@ def _validation_text(row: "AxisValidation") -> str:
     lines = [
         strong(row.axis if together else f"axis {row.axis}") + f": {row.moves} moves, {row.rests} rests; rows: {used}"
     ]
-    if row.scale_factor_ppm is not None:
-        before, after = row.scale_factor_ppm
-        lines.append(f"error of the moves' angles: {before:.5g} ppm rms without, {after:.4g} ppm with the calibration")
-    if row.bias_deg_per_h is not None:
-        before, after = row.bias_deg_per_h
-        what = "norm of the rate at rest, minus the Earth's rate" if together else "rate at rest"
-        lines.append(f"{what}: {before:.5g} deg/h rms without, {after:.4g} deg/h with the calibration")
-    if row.gravity_ug is not None:
-        before, after = row.gravity_ug
-        what = "error of the norm of gravity at rest"
-        lines.append(f"{what}: {before:.5g} ug rms without, {after:.4g} ug with the calibration")
+    of = "the norm of " if together else ""
+    words = {
+        "ppm": "error of the moves' angles",
+        "deg/h": f"{of}rate at rest, less the Earth's rate",
+        "ug": "error of the norm of gravity at rest",
+    }
+    for unit, (before, after) in row.rms.items():
+        lines.append(f"{words[unit]}: {before:.5g} {unit} rms without, {after:.4g} {unit} with the calibration")
     cells: list[tuple[str | float | None, ...]] = []
     for cell in row.cells:
         warm = cell.temperature_c

@@ -180,10 +180,9 @@ def _by_hand(
 ) -> int:
     """The estimate of IMUs that were laid down in many positions, without a table."""
     from gradcal_jax.estimation.hand_estimate import estimate_by_hand, hand_estimate_rows
-    from gradcal_jax.estimation.log_rows import Options
 
-    options = Options(temperature_c=temperature_c)
-    reports = estimate_by_hand(recorded, gravity, units=units, options=options, sources={"log": path.name})
+    names = {"log": path.name}
+    reports = estimate_by_hand(recorded, gravity, units=units, temperature_c=temperature_c, sources=names)
     if json:
         print(as_json({"units": list(map(hand_estimate_rows, reports))}))
     else:

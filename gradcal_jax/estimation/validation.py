@@ -13,14 +13,14 @@ since they use neither the map nor the correlation of the noise, they check the 
 """
 
 import itertools
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from gradcal_jax import estimation, formulas
-from gradcal_jax.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, Result, correction
+from gradcal_jax.calibration import LOG_HASH, TEMPERATURE_RATE, Calibration, correction
 from gradcal_jax.estimation.log_rows import count_rows, table_axis_of, table_readings, usable_rows
-from gradcal_jax.information.verdicts import specific_risk
 from gradcal_jax.motion import EARTH_RATE
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.tables.display import summary
@@ -28,13 +28,10 @@ from gradcal_jax.units import DEG_PER_H, DEG_PER_S, PPM, G
 
 # A shorter rest (s) tells nothing; temperatures within this (K) are one range.
 _BRIEF_S, _SAME_K = 1.0, 1.0
-# A turn is of one table axis where the others turn by less, rad.
-_OTHER_AXIS = 1e-4
-# Least turn that shows a scale factor, rad.
-_LEAST_TURN = np.radians(1.0)
-_STRAIGHT = 0.98
-# Rates within this share of each other are one.
-_ALIKE = 0.2
+# A turn is of one table axis where the others turn by less, rad; least turn that shows a scale factor, rad.
+_OTHER_AXIS, _LEAST_TURN = 1e-4, np.radians(1.0)
+# Share of the way of a turn that is straight; rates within this share of each other are one.
+_STRAIGHT, _ALIKE = 0.98, 0.2
 
 
 class Cell(NamedTuple):
@@ -54,8 +51,8 @@ class Acceptance(NamedTuple):
     """The acceptance of a requirement of the calibration by measured errors (simple acceptance, JCGM 106, 8.2), in
     `unit`.
 
-    `error`, `std`: mean error of the cell with the largest risk, and its standard uncertainty by the scatter within the
-    cell; `specific_risk`: the chance that the error there is beyond the target; `verdict`: "met" or "missed".
+    `error`, `std`: mean error of the cell with the largest, and its standard uncertainty by the scatter within the
+    cell; `verdict`: "met" or "missed".
     """
 
     name: str
@@ -64,26 +61,33 @@ class Acceptance(NamedTuple):
     target: float
     error: float
     std: float
-    specific_risk: float
     verdict: str
-    rule: str
 
 
 class AxisValidation(NamedTuple):
-    """The validation of one axis, or of "gyros" or "accelerometers" together. `scale_factor_ppm`, `bias_deg_per_h`,
-    `gravity_ug`: rms before and after, of moves, and of rates and forces at rest (together: their norms' errors)."""
+    """The validation of one axis, or of "gyros" or "accelerometers" together. `rms` by unit: errors before and after,
+    of moves' angles (ppm), and of rates (deg/h) or forces (ug) at rest; together, of their norms."""
 
     axis: str
     moves: int
     rests: int
-    scale_factor_ppm: tuple[float, float] | None
-    bias_deg_per_h: tuple[float, float] | None
+    rms: dict[str, tuple[float, float]]
     cells: tuple[Cell, ...]
     rows: dict[str, int]
     messages: tuple[str, ...]
-    gravity_ug: tuple[float, float] | None = None
 
     __repr__ = summary
+
+
+class _Group(NamedTuple):
+    """Channels that are validated together: their outputs `(n, 3)` or `(n, 1)` before and after, what they show at rest
+    (rad/s or m/s²), and the axes of the table that are their reference."""
+
+    name: str
+    kind: str
+    truth: float
+    both: list[np.ndarray]
+    tables: list[int]
 
 
 def validate(
@@ -112,29 +116,47 @@ def validate(
             "the calibration was estimated from this log, so these residuals are those of the fit. Validate with "
             "another log"
         )
-    corrected = correction.apply(calibration, log, unit)
-    how = _Ranges(temperature_parts, neighbours_k)
-    groups: list[tuple[str, str, float, list[np.ndarray]]] = []
-    if _together(calibration):
-        for name, kind, truth in (("gyros", "gyro", EARTH_RATE), ("accelerometers", "accelerometer", gravity)):
-            both = [of.triads(k)[kind != "gyro"] for of, k in ((log, number), (corrected.log, 0))]
-            left_alone = any(label.startswith(kind) for label in corrected.left_alone)
-            if np.isfinite(both[0]).any(axis=0).all() and not left_alone:
-                groups.append((name, kind, truth, both))
-    for name in log.axes if not groups else ():
-        if f"gyro {name}" not in corrected.left_alone:
-            both = [of.channel(name, k)[:, None] for of, k in ((log, number), (corrected.log, 0))]
-            groups.append((name, "gyro", earth_rate, both))
-    result: list[AxisValidation] = []
-    for name, kind, truth, both in groups:
-        tables = list(range(len(log.table_axes)))
-        if both[0].shape[1] == 1:
-            place = table_axis_of(log, name)
-            tables = [] if place is None else [place]
-        result.append(_validated(log, number, name, kind, truth, both, tables, how))
+
+    def edges(temperature: np.ndarray) -> np.ndarray:
+        """The edges of the ranges (°C); one range where the temperature hardly changes or is not known."""
+        known = temperature[np.isfinite(temperature)]
+        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+        if neighbours_k is not None:
+            return low + neighbours_k * np.arange(int((high - low) / neighbours_k) + 2)
+        return np.linspace(low, high, temperature_parts + 1) if high - low > _SAME_K else np.array([low, high])
+
+    groups = _groups(calibration, log, number, earth_rate, gravity)
+    result = [_validated(log, number, group, edges) for group in groups]
     if not any(one.moves or one.rests for one in result):
         raise LogError("the log has neither a move with a table angle nor a rest, so there is no reference")
     return result
+
+
+def _groups(calibration: Calibration, log: Log, number: int, earth_rate: float, gravity: float) -> Iterator[_Group]:
+    """Both triads, where the correction of a channel depends on others; otherwise every calibrated gyro."""
+    corrected = correction.apply(calibration, log, number)
+    pairs = [log.channels(number), corrected.log.channels()]
+    known = {name for name in pairs[0] if name not in corrected.left_alone}
+
+    def both(names: list[str]) -> list[np.ndarray]:
+        return [np.stack([of[name] for name in names], axis=1) for of in pairs]
+
+    found = False
+    if any(
+        name.strip("|") not in (channel.input, TEMPERATURE_RATE)
+        for channel in calibration.channel
+        for term in channel.term
+        for name in term.signals
+    ):
+        for kind, truth in (("gyro", EARTH_RATE), ("accelerometer", gravity)):
+            names = [f"{kind} {axis}" for axis in "xyz"]
+            if known.issuperset(names):
+                found = True
+                yield _Group(f"{kind}s", kind, truth, both(names), list(range(len(log.table_axes))))
+    for axis in () if found else log.axes:
+        if f"gyro {axis}" in known:
+            place = table_axis_of(log, axis)
+            yield _Group(axis, "gyro", earth_rate, both([f"gyro {axis}"]), [] if place is None else [place])
 
 
 def acceptances(calibration: Calibration, validations: list[AxisValidation]) -> list[Acceptance]:
@@ -148,28 +170,13 @@ def acceptances(calibration: Calibration, validations: list[AxisValidation]) -> 
         if result.target is None or axis not in by_axis:
             continue
         cells = [c for c in by_axis[axis].cells if c.unit == result.unit and c.how_many > 1]
-        judged = [_judged(result, cell) for cell in cells]
-        if judged:
-            rows.append(max(judged, key=lambda row: (row.verdict == "missed", row.specific_risk, abs(row.error))))
+        if cells:
+            worst = max(cells, key=lambda cell: abs(cell.after))
+            # The scatter is the population's standard deviation about its own mean.
+            std = worst.scatter / float(np.sqrt(worst.how_many - 1))
+            verdict = "met" if abs(worst.after) <= result.target else "missed"
+            rows.append(Acceptance(result.name, result.axis, result.unit, result.target, worst.after, std, verdict))
     return rows
-
-
-def _judged(result: Result, cell: Cell) -> Acceptance:
-    target, error = float(result.target or 0.0), cell.after
-    # The scatter is the population's standard deviation about its own mean.
-    std = cell.scatter / float(np.sqrt(cell.how_many - 1))
-    rule = f"simple acceptance: the mean error within {target:g} {result.unit}"
-    verdict = "met" if abs(error) <= target else "missed"
-    risk = specific_risk(error, std, target)
-    return Acceptance(result.name, result.axis, result.unit, target, error, std, risk, verdict, rule)
-
-
-def _standstills(log: Log, unit: int) -> tuple[np.ndarray, list[str]]:
-    """The number of the standstill of every row (−1: none), and messages on how they were found."""
-    if log.standstill is not None:
-        return log.standstill, []
-    found = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
-    return found, ["the log marks no standstills: they were detected where the rates are steady"]
 
 
 class _Stop(NamedTuple):
@@ -182,8 +189,10 @@ class _Stop(NamedTuple):
 
 def _stops(log: Log, unit: int, tables: list[int], messages: list[str]) -> list[_Stop]:
     """The rests of these axes of the table that are longer than a moment."""
-    number, words = _standstills(log, unit)
-    messages += words
+    number = log.standstill
+    if number is None:
+        number = estimation.find_standstills(log.rate_rad_per_s[unit], log.sample_interval_s, valid=log.usable(unit))
+        messages.append("the log marks no standstills: they were detected where the rates are steady")
     standing = reading = number >= 0
     reads = []
     for table in tables:
@@ -204,101 +213,79 @@ def _stops(log: Log, unit: int, tables: list[int], messages: list[str]) -> list[
     return found
 
 
-def _validated(
-    log: Log, unit: int, name: str, kind: str, truth: float, both: list[np.ndarray], tables: list[int], how: "_Ranges"
-) -> AxisValidation:
-    """The validation of a triad by norms, or of one channel: `both` `(n, 3)` or `(n, 1)`, before and after; `truth`:
-    what they show at rest, rad/s or m/s²."""
-    messages, alone = list[str](), both[0].shape[1] == 1
-    stops = _stops(log, unit, tables, messages)
-    usable = usable_rows(log, unit) & np.isfinite(both[0]).all(axis=1)
+def _validated(log: Log, unit: int, group: _Group, edges: Callable[[np.ndarray], np.ndarray]) -> AxisValidation:
+    messages: list[str] = []
+    stops = _stops(log, unit, group.tables, messages)
+    usable = usable_rows(log, unit) & np.isfinite(group.both[0]).all(axis=1)
     step = np.where(usable, np.diff(log.time_s, prepend=log.time_s[0]), 0.0)
-    clock, broken = np.cumsum(step), np.cumsum(~usable)
+    group = group._replace(both=[np.where(usable[:, None], values, 0.0) for values in group.both])
     temperature = np.full(len(step), np.nan) if log.temperature_c is None else log.temperature_c[unit]
-    integrals = [np.cumsum(np.where(usable[:, None], values, 0.0) * step[:, None], axis=0) for values in both]
     spans = [(stop.first, stop.last) for stop in stops]
-    turns: list[tuple[float, ...]] = []
-    for one, other in itertools.pairwise(stops) if kind == "gyro" and tables else ():
-        begin, end, turned = one.last, other.first, other.angles - one.angles
-        k = int(np.argmax(np.abs(turned)))
-        beside = np.delete(np.abs(turned), k)
-        if broken[begin] != broken[end] or not abs(turned[k]) > _LEAST_TURN or np.any(beside > _OTHER_AXIS):
-            continue
-        lasting, errors = clock[end] - clock[begin], list[float]()
-        path = np.sum(np.linalg.norm(both[0][begin + 1 : end + 1], axis=1) * step[begin + 1 : end + 1])
-        for total in integrals:
-            whole = total[end] - total[begin]
-            # About one direction, the integrated rate of a triad is as long as its way.
-            along = np.sign(turned) if alone else whole / np.linalg.norm(whole)
-            if not alone and not errors and whole @ along < _STRAIGHT * path:
-                break
-            rests = [(total[of.last] - total[of.first]) / (clock[of.last] - clock[of.first]) for of in (one, other)]
-            moved = whole - np.mean(rests, axis=0) * lasting
-            errors.append(float(moved @ along / abs(turned[k]) - 1.0) * PPM)
-        if errors:
-            speed = float(turned[k] if alone else abs(turned[k])) / lasting * DEG_PER_S
-            turns.append(
-                (*errors, float(np.average(temperature[begin + 1 : end + 1], weights=step[begin + 1 : end + 1])), speed)
-            )
-            spans.append((begin, end))
-    cells, scale, pair = list[Cell](), None, None
+    cells: list[Cell] = []
+    rms: dict[str, tuple[float, float]] = {}
+    turns = []
+    for one, other in itertools.pairwise(stops) if group.kind == "gyro" and group.tables else ():
+        if usable[one.last + 1 : other.first + 1].all() and (turn := _turn(group, one, other, step, temperature)):
+            turns.append(turn)
+            spans.append((one.last, other.first))
     if turns:
         before, after, warm, speeds = np.array(turns).T
-        scale = _rms(before), _rms(after)
-        cells += _cells(warm, speeds, before, after, how.edges(warm), "ppm")
+        rms["ppm"] = _rms(before), _rms(after)
+        cells += _cells(warm, speeds, before, after, edges(warm), "ppm")
     if stops:
         # A rest in which the temperature changes is divided by its ranges.
         piece = np.full(len(step), -1)
         for k, stop in enumerate(stops):
             piece[stop.first + 1 : stop.last + 1] = k
         inside = usable & (piece >= 0)
-        edges = how.edges(temperature[inside])
-        part = (piece * (len(edges) - 1) + _ranges(temperature, edges))[inside]
+        ends = edges(temperature[inside])
+        part = (piece * (len(ends) - 1) + _ranges(temperature, ends))[inside]
         lasting = np.bincount(part, step[inside])
         kept = lasting > _BRIEF_S
 
         def mean(values: np.ndarray) -> np.ndarray:
             return np.bincount(part, (values * step)[inside])[kept] / lasting[kept]
 
-        factor, label = (DEG_PER_H, "deg/h") if kind == "gyro" else (1e6 / G, "ug")
-        means = [np.stack([mean(column) for column in values.T], axis=1) for values in both]
-        sizes = [of[:, 0] if alone else np.linalg.norm(of, axis=1) for of in means]
-        before, after = ((size - truth) * factor for size in sizes)
-        pair = _rms(before, lasting[kept]), _rms(after, lasting[kept])
-        cells += _cells(mean(temperature), None, before, after, edges, label)
+        factor, label = (DEG_PER_H, "deg/h") if group.kind == "gyro" else (1e6 / G, "ug")
+        sizes = []
+        for values in group.both:
+            means = np.stack([mean(column) for column in values.T])
+            sizes.append(means[0] if len(means) == 1 else np.linalg.norm(means, axis=0))
+        before, after = ((size - group.truth) * factor for size in sizes)
+        rms[label] = _rms(before, lasting[kept]), _rms(after, lasting[kept])
+        cells += _cells(mean(temperature), None, before, after, ends, label)
     used = estimation.within(np.array(spans, int).reshape(-1, 2), len(step))
-    rows, rates = count_rows(log, unit, used), kind == "gyro"
-    figures = scale, pair if rates else None, tuple(cells), rows, tuple(messages), None if rates else pair
-    return AxisValidation(name, len(turns), len(stops), *figures)
+    rows = count_rows(log, unit, used)
+    return AxisValidation(group.name, len(turns), len(stops), rms, tuple(cells), rows, tuple(messages))
 
 
-def _together(calibration: Calibration) -> bool:
-    """Whether the correction of a channel depends on other channels."""
-    return any(
-        name.strip("|") not in (channel.input, TEMPERATURE_RATE)
-        for channel in calibration.channel
-        for term in channel.term
-        for name in term.signals
-    )
+def _turn(
+    group: _Group, one: _Stop, other: _Stop, step: np.ndarray, temperature: np.ndarray
+) -> tuple[float, ...] | None:
+    """Of a turn about one axis: errors of its angle before and after (ppm), mean temperature and rate (deg/s); None
+    where several axes turn, or where it is no turn about one direction."""
+    turned = other.angles - one.angles
+    k = int(np.argmax(np.abs(turned)))
+    if not abs(turned[k]) > _LEAST_TURN or np.any(np.delete(np.abs(turned), k) > _OTHER_AXIS):
+        return None
+    move, alone = slice(one.last + 1, other.first + 1), group.both[0].shape[1] == 1
+    lasting, errors = np.sum(step[move]), list[float]()
+    for values in group.both:
+        whole = values[move].T @ step[move]
+        way = np.sum(np.linalg.norm(values[move], axis=1) * step[move])
+        if not alone and not errors and np.linalg.norm(whole) < _STRAIGHT * way:
+            return None
+        # About one direction, the integrated rate of a triad is as long as its way.
+        along = np.sign(turned) if alone else whole / np.linalg.norm(whole)
+        rests = [slice(stop.first + 1, stop.last + 1) for stop in (one, other)]
+        drift = np.mean([values[rest].T @ step[rest] / np.sum(step[rest]) for rest in rests], axis=0)
+        errors.append(float((whole - drift * lasting) @ along / abs(turned[k]) - 1.0) * PPM)
+    speed = float(turned[k] if alone else abs(turned[k])) / lasting * DEG_PER_S
+    return (*errors, float(np.average(temperature[move], weights=step[move])), speed)
 
 
 def _rms(values: np.ndarray, weights: np.ndarray | None = None) -> float:
     return float(np.sqrt(np.average(values**2, weights=weights)))
-
-
-class _Ranges(NamedTuple):
-    """How cells are made: equal `parts` of the temperatures or, of closest neighbours, ranges of their width (K)."""
-
-    parts: int
-    neighbours_k: float | None
-
-    def edges(self, temperature: np.ndarray) -> np.ndarray:
-        """The edges (°C); one range where the temperature hardly changes or is not known."""
-        known = temperature[np.isfinite(temperature)]
-        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
-        if self.neighbours_k is not None:
-            return low + self.neighbours_k * np.arange(int((high - low) / self.neighbours_k) + 2)
-        return np.linspace(low, high, self.parts + 1) if high - low > _SAME_K else np.array([low, high])
 
 
 def _ranges(temperature: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -307,28 +294,22 @@ def _ranges(temperature: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
 
 
-def _like_rates(rates: np.ndarray) -> np.ndarray:
-    """`(n,)`: numbers of the groups of `rates` `(n,)` whose neighbours are alike."""
-    order = np.argsort(rates)
-    ordered = rates[order]
-    apart = np.diff(ordered) > _ALIKE * np.maximum(np.abs(ordered[1:]), np.abs(ordered[:-1]))
-    like = np.empty(len(order), int)
-    like[order] = np.concatenate([[0], np.cumsum(apart)])
-    return like
-
-
 def _cells(temperature, speed, before, after, edges: np.ndarray, unit: str) -> list[Cell]:
     """Cells of ranges of temperature, and of like rates."""
-    known = np.isfinite(temperature)
-    warm = _ranges(temperature, edges)
-    fast = np.zeros(len(before), int) if speed is None else _like_rates(speed)
+    known = np.isfinite(temperature).any()
+    warm, fast = _ranges(temperature, edges), np.zeros(len(before), int)
+    if speed is not None:
+        order = np.argsort(speed)
+        size = np.abs(speed[order])
+        apart = np.diff(speed[order]) > _ALIKE * np.maximum(size[1:], size[:-1])
+        fast[order] = np.concatenate([[0], np.cumsum(apart)])
     rows: list[Cell] = []
     for i, j in itertools.product(range(len(edges) - 1), np.unique(fast)):
         inside = (warm == i) & (fast == j)
         if not inside.any():
             continue
         rates = None if speed is None else (float(speed[inside].min()), float(speed[inside].max()))
-        warmth = (float(edges[i]), float(edges[i + 1])) if known.any() else None
+        warmth = (float(edges[i]), float(edges[i + 1])) if known else None
         was, left = float(np.mean(before[inside])), float(np.mean(after[inside]))
         rows.append(Cell(warmth, rates, int(inside.sum()), was, left, float(np.std(after[inside])), unit))
     return rows

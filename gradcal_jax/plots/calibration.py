@@ -49,7 +49,7 @@ def draw_residuals_over_time(report: SensorEstimate, *, ax: Axes | None = None) 
 def draw_gravity_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
     """|f| − g of each position, µg."""
     ax = new_axes(ax)
-    left = report.solution.accelerometer.left / G * 1e6
+    left = report.solution.left[0] / G * 1e6
     drawn = ax.scatter(np.arange(1, len(left) + 1), left, s=14, color=PALETTE[0])
     ax.axhline(0.0, color="black", linewidth=0.7)
     title = f"error of the norm of gravity: {np.sqrt(np.mean(left**2)):.3g} µg rms"
@@ -60,7 +60,7 @@ def draw_gravity_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Ax
 def draw_turns_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
     """The error of gravity's direction after each turn, in the two directions perpendicular to gravity, mrad."""
     ax = new_axes(ax)
-    left = 1e3 * report.solution.gyro.left.reshape(-1, 2)
+    left = 1e3 * report.solution.left[1].reshape(-1, 2)
     number = np.arange(1, len(left) + 1)
     drawn = [ax.scatter(number, left[:, k], s=14, marker="o^"[k], color=PALETTE[k + 1]) for k in range(2)]
     ax.axhline(0.0, color="black", linewidth=0.7)

@@ -32,8 +32,8 @@ def test_a_file_comes_back_as_it_was(text, tmp_path):
     [
         ("gradcal-calibration/3", "gradcal-calibration/9", "this version of the program reads"),
         ('kind = "gyro"', 'kind = "gyros"', "kind"),
-        ("a0 = ", "a9 = ", "expected at this position the coefficient that multiplies function"),
-        ("b33 = ", "b44 = ", "expected at this position the coefficient that multiplies function"),
+        ("a0 = ", "a9 = ", "expected here the coefficient that multiplies function"),
+        ("b33 = ", "b44 = ", "function 3 and 3"),
         ('axis = "y"', 'axis = "x"', "two channels have the same kind and the same axis"),
         ('["-30 degC", "70 degC"]', '["70 degC", "-30 degC"]', "must be larger than"),
         ("simulated = true", "simulated = 1", "simulated"),

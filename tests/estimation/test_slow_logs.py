@@ -76,7 +76,7 @@ def test_a_long_rest_is_validated_by_ranges_of_temperature():
         pytest.approx((22.0 + 38.0 / 3.0 * k, 22.0 + 38.0 / 3.0 * (k + 1)), abs=0.02) for k in range(3)
     ]
     assert [cell.before for cell in cells] == pytest.approx([-200.0, 0.0, 200.0], abs=1.0)
-    assert of.bias_deg_per_h[0] == pytest.approx(np.sqrt(2.0 / 3.0) * 200.0, rel=0.01)
+    assert of.rms["deg/h"][0] == pytest.approx(np.sqrt(2.0 / 3.0) * 200.0, rel=0.01)
 
 
 def test_an_axis_without_a_usable_row_of_rest_makes_no_empty_mean(spec):

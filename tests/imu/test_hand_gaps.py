@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_hand_estimate import AT, G, drawn, held, squared
 
-from gradcal_jax.estimation.hand_estimate import HandReport, estimate_by_hand, fill_short_gaps
+from gradcal_jax.estimation.hand_estimate import HandReport, estimate_by_hand
 from gradcal_jax.records.log import Log
 
 
@@ -44,7 +44,7 @@ def test_lost_rows_in_turns_are_filled(sound):
     thin = lost(log, np.random.default_rng(2), 150)
     (report,) = estimate_by_hand(thin, G, **AT)
     assert report.solution.turns >= before.solution.turns - 2
-    assert any("rows in gaps of one or two rows are filled" in words for words in report.messages)
+    assert any("gaps of one or two rows are bridged" in words for words in report.messages)
     distance, count = squared(report, truth)
     assert distance < 2.0 * count
 
@@ -71,26 +71,4 @@ def test_rare_wrong_rows_are_left_out(sound, kind: str):
 
 
 def test_a_sound_record_is_left_as_it_is(sound):
-    _, log, report = sound
-    assert not any("filled" in words or "neighbours" in words for words in report.messages)
-    values = np.concatenate([log.rate_rad_per_s[0], log.specific_force_m_per_s2[0]], axis=1)
-    usable = np.ones(len(values), bool)
-    filled = fill_short_gaps(log.time_s, values, usable, log.standstill, log.stretch_starts, log.sample_interval_s)
-    assert filled.number == 0
-    assert np.array_equal(filled.values, values)
-    assert np.array_equal(filled.time, log.time_s)
-    assert np.array_equal(filled.standing, log.standstill)
-    assert filled.usable.tolist() == [False, *[True] * (len(values) - 1)]
-
-
-def test_a_cubic_is_filled_exactly_and_long_gaps_are_not():
-    t = np.arange(60) * 0.01
-    values = np.stack([t**3 - t, 2.0 - t**2], axis=1)
-    kept = ~np.isin(np.arange(60), [10, 20, 21, 40, 41, 42])
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1])
-    usable = np.ones(np.count_nonzero(kept), bool)
-    filled = fill_short_gaps(t[kept], values[kept], usable, None, starts, 0.01)
-    assert filled.number == 3
-    assert filled.values[:40] == pytest.approx(values[:40], abs=1e-12)
-    assert len(filled.time) == 57
-    assert np.flatnonzero(~filled.usable).tolist() == [0, 40]
+    assert not any("bridged" in words or "neighbours" in words for words in sound[2].messages)

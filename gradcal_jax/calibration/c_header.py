@@ -30,7 +30,7 @@ class _Term(NamedTuple):
     of: int
     channel: CalibratedChannel
     term: CalibratedTerm
-    sides: tuple[float, float, float, float]
+    sides: list[float]
     table: NDArray[Any]
 
 
@@ -56,7 +56,7 @@ class Header:
                 sides += [0.0, 1.0] if basis is None else [float(basis.centre), 1.0 / float(basis.scale)]
             size = 1 if term.temperature is None else term.temperature.size
             table = np.array(list(term.coefficients.values())).reshape(size, -1)
-            self.terms.append(_Term(self.inputs.index(channel.input), channel, term, tuple(sides), table))
+            self.terms.append(_Term(self.inputs.index(channel.input), channel, term, sides, table))
         low, high = calibration.valid_temperature
         self.matrix, self.bias = linear_part(calibration.channel, 0.5 * (low + high), self.inputs)
         self.inverse = np.linalg.inv(self.matrix)
@@ -69,8 +69,9 @@ class Header:
         while True:
             along, error = out.copy(), np.zeros_like(out)
             for place, channel, term, (t0, t1, w0, w1), table in self.terms:
-                x = (np.clip(temperature, *map(f, channel.valid_temperature)) - f(t0)) * f(t1)
-                w = (np.clip(along[:, place], *map(f, channel.valid_rate)) - f(w0)) * f(w1)
+                low, high, slow, fast = map(f, (*channel.valid_temperature, *channel.valid_rate))
+                x = (np.clip(temperature, low, high) - f(t0)) * f(t1)
+                w = (np.clip(along[:, place], slow, fast) - f(w0)) * f(w1)
                 value = _evaluated(table, x, w)
                 for name in term.signals:
                     number = self.inputs.index(name.strip("|"))

@@ -10,6 +10,7 @@ Each export reports in numbers what its target cannot carry (see `losses`).
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -116,7 +117,7 @@ def _template(calibration: Calibration, options: Options) -> Target:
         "coefficients": calibration.values(),
         "rows": _rows(calibration),
         "noise": {name: float(value) for name, value in noise.items() if value is not None},
-        "at": lambda temperature_c: linear_at(calibration, temperature_c),
+        "at": partial(linear_at, calibration),
     }
     if at is None:
         return Target(rendered(template, values), None, ("what the template does not use is lost, and not listed",))

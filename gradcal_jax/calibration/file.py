@@ -73,9 +73,7 @@ class CalibratedTerm(Section):
             for name, function in zip(self.coefficients, functions, strict=True):
                 if function_of(name) != function:
                     place = " and ".join(map(str, function))
-                    message = (
-                        f"expected here the coefficient that multiplies function {place} of temperature and rate"
-                    )
+                    message = f"expected here the coefficient that multiplies function {place} of temperature and rate"
                     yield Problem(("coefficients", name), message)
                     break
 

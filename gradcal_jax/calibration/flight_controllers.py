@@ -5,7 +5,7 @@ sources; not run on a controller.
     PX4         TC_G*, TC_A*: cubics, in steps of 1 °C; no scale factor
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -54,7 +54,7 @@ def _notes(calibration: Calibration, low: float, high: float, *more: str) -> tup
     return (*(f"{label}: {words}" for label in wider), *more)
 
 
-def _cubic(c: Sequence[float], temperature_c: Any, low: float, high: float, about: float) -> Any:
+def _cubic(c: Iterable[float], temperature_c: Any, low: float, high: float, about: float) -> Any:
     """c0 + c1 d + c2 d² + c3 d³ of d = T − `about` within the range, in float32."""
     c0, c1, c2, c3 = map(np.float32, c)
     d = np.clip(np.float32(temperature_c), np.float32(low), np.float32(high)) - np.float32(about)

@@ -1,7 +1,7 @@
 """Execution of a recipe, on a rig or on simulated devices (`gradcal run`): sessions of a run, from opening the ports to
 closing them.
 
-Ctrl-C pauses after the step; a second Ctrl-C makes safe and ends. SIGTERM and SIGHUP make safe and end.
+Ctrl-C pauses after the step; a second Ctrl-C, or the first without a terminal, makes safe and ends. SIGTERM and SIGHUP make safe and end.
 """
 
 import itertools
@@ -256,7 +256,7 @@ def _beat(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> Non
 @contextmanager
 def signals_to(runner: Runner) -> Generator[None, None, None]:
     """Ctrl-C once: pause after this step; again, or while it is paused: make safe and end, as SIGTERM and SIGHUP do.
-    Before the first step it ends the run.
+    Before the first step, and where no operator could resume it, it ends the run.
 
     Only in the main thread (Python's rule for signals).
     """
@@ -266,6 +266,7 @@ def signals_to(runner: Runner) -> Generator[None, None, None]:
         # Two signals at once count as two, even before the first has been handled.
         twice = time.monotonic() - paused_s[0] < 2.0
         again = twice or runner.state in (RunState.IDLE, RunState.PAUSING, RunState.PAUSED)
+        again = again or not runner.wait_when_paused
         paused_s[0] = time.monotonic()
         runner.request("abort" if again else "soft pause", "Ctrl-C")
 

@@ -296,6 +296,7 @@ class Runner:
         axes.settle_all(self._duties)
         self._require_executed()
         axes.late_s = end - self._step_ends_s
+        self._event("step ends", at_once=False, step=step.name, number=number)
         return ExecutedStep(number, begin, self.clock.now())
 
     def _move(self, step: TrackStep, begin: float, courses: list[Course]) -> float:

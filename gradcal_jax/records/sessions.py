@@ -50,7 +50,7 @@ class Session:
         latest, under_way = 0.0, False
         for event in self.events:
             latest = max(latest, event.time_s)
-            if under_way and (event.name == "step" or breaks_off(event)):
+            if under_way and (event.name in ("step", "step ends") or breaks_off(event)):
                 attempts[-1].end_s = event.time_s
                 under_way = False
             if event.name == "not done":

@@ -24,7 +24,6 @@ from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.hardware.setup import DeviceReport
-    from gradcal_jax.spec.rig import RigFile
 
 _SILENT_S = 60.0
 _LOOKS_S = 1.0
@@ -77,16 +76,17 @@ def watch(run: RunPath, /, *, once: Flag = False, json: Json = False) -> int:
 def status_text(status: dict[str, Any]) -> str:
     """A status in one line."""
     steps, done = status["steps"], status["steps_done"]
-    why = status.get("why")
-    parts = ["simulated" if status["simulated"] else "", status["state"] + (f": {why}" if why else "")]
+    parts = ["simulated" if status["simulated"] else "", status["state"]]
     parts.append(f"step {min(done + 1, steps)} of {steps}, {status['step']}")
+    if status.get("step_left_s", 0.0) is None and status["state"] == "running":
+        parts.append("waiting")
     if (chamber := status.get("chamber")) is not None:
         text = f"air {chamber['air_c']:.1f} degC"
         if (course := status.get("course_c")) is not None:
             text += f" (course {course[0]:.1f}" + (f" to {course[1]:.1f})" if course[0] != course[1] else ")")
         parts += [text, *(f"ALARM {alarm}" for alarm in chamber["alarms"])]
     for name, axis in status["axes"].items():
-        angle = "?" if axis["position_deg"] is None else f"{axis['position_deg']:.3f} deg"
+        angle = "turned by hand" if axis["position_deg"] is None else f"{axis['position_deg']:.3f} deg"
         parts.append(f"{name} {angle}" + (" moving" if axis["moving"] else ""))
         parts += [f"FAULT {fault}" for fault in axis["faults"]]
     for name, (received, missing) in status["samples"].items():
@@ -94,7 +94,7 @@ def status_text(status: dict[str, Any]) -> str:
     if "exit_status" in status:
         parts.append(f"ended: {status['exit_status']}" + (f", {status['reason']}" if status["reason"] else ""))
     else:
-        parts.append(f"{time_text(float(round(status['track_left_s'])))} left")
+        parts += [f"{time_text(float(round(status['track_left_s'])))} left", *status.get("remarks", ())]
     return "; ".join(part for part in parts if part)
 
 
@@ -108,18 +108,16 @@ rig_app.command(watch)
 
 
 @rig_app.command
-def check(rig: Path, /, *, recipe: Path | None = None, json: Json = False) -> int:
+def check(rig: Path, /, *, json: Json = False) -> int:
     """Read the identity and the limits of every device of a rig. Nothing moves.
 
-    With --recipe, also compare the recipe with the limits of the devices and measure the sample rate of each IMU. The
-    exit status is 3 if a device does not answer correctly.
+    `gradcal run RECIPE --rig RIG --dry-run` compares a recipe with these limits. The exit status is 3 if a device does
+    not answer correctly.
 
     Parameters
     ----------
     rig
         The rig file.
-    recipe
-        Test everything that a run of this recipe needs.
     json
         Print the devices' answers as JSON.
     """
@@ -131,11 +129,8 @@ def check(rig: Path, /, *, recipe: Path | None = None, json: Json = False) -> in
     description = read_rig(rig)
     reports = check_each(description, RealClock())
     good = all(report.good for report in reports)
-    tried, problems = _tried(description, recipe, reports) if recipe is not None and good else ([], ())
-    good = good and not problems
     if json:
-        rows = [json_of(asdict(report)) for report in reports]
-        print(as_json(rows if recipe is None else {"devices": rows, "tried": tried, "problems": problems}))
+        print(as_json([json_of(asdict(report)) for report in reports]))
     else:
         print(strong(description.title or str(rig)))
         print(columns([row for report in reports for row in _rows(report)]))
@@ -143,27 +138,8 @@ def check(rig: Path, /, *, recipe: Path | None = None, json: Json = False) -> in
             print(f'  safe state of axis {entry.name} at the end of a run: "{entry.safe}"')
         if description.chamber is not None:
             print(f'  safe state of the chamber at the end of a run: "{description.chamber.safe}"')
-        print("".join(f"  {text}\n" for text in (*tried, *problems)), end="")
         print("every device answers as the rig file states" if good else "the rig is not ready")
     return DONE if good else FAILED
-
-
-def _tried(rig: "RigFile", recipe: Path, reports: "list[DeviceReport]") -> tuple[list[str], tuple[str, ...]]:
-    """The measured rate of each IMU, and everything that is not as the recipe needs it."""
-    from gradcal_jax.hardware.clock import RealClock
-    from gradcal_jax.hardware.dry_run import MEASURED_S, dry_run_on, what_lacks
-    from gradcal_jax.hardware.setup import only_of, open_rig
-    from gradcal_jax.hardware.track import track_of
-    from gradcal_jax.recipe.recipe import read_recipe
-
-    track, clock = track_of(read_recipe(recipe), [axis.name for axis in rig.axis]), RealClock()
-    tried, problems = list[str](), dry_run_on(track, reports).problems
-    with open_rig(only_of(rig, {unit.name for unit in rig.imu}), clock) as bench:
-        for name, unit in bench.imus.items():
-            lacks = what_lacks(unit, clock)
-            tried.append(f"{name}: {lacks or f'every sample came in {MEASURED_S:g} s'}")
-            problems += (f"{name}: NOT AS IT SHOULD BE",) if lacks else ()
-    return tried, problems
 
 
 def _limit(name: str, value: object) -> str:
@@ -186,5 +162,4 @@ def _rows(report: "DeviceReport") -> list[tuple[str, ...]]:
     limits = {} if report.limits is None else asdict(report.limits)
     limits.pop("registers", None)
     rows = [words for name, value in limits.items() if (words := _limit(name, value))]
-    rows += [report.remark] if report.remark else []
     return [(*head, described), *(("", "", "", row) for row in rows)]

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from gradcal_jax.cli.output import DONE, FAILED, INTERRUPTED, Flag, Json, OptionalOutput, as_json, complain
 from gradcal_jax.cli.progress import MovingLine
+from gradcal_jax.cli.rig import status_text
 from gradcal_jax.units import parse, time_text
 
 if TYPE_CHECKING:
     from gradcal_jax.hardware.execute import Attended
-    from gradcal_jax.hardware.runner import Runner
     from gradcal_jax.hardware.supervision import RunProgress, RunResult
     from gradcal_jax.recipe.recipe import Recipe
     from gradcal_jax.spec.rig import RigFile
@@ -29,7 +29,6 @@ def run(
     output: OptionalOutput = None,
     resume: Path | None = None,
     simulate: Flag = False,
-    speed: float | None = None,
     seed: int = 0,
     sample_rate: str = "125 Hz",
     dry_run: Flag = False,
@@ -41,9 +40,9 @@ def run(
     """Execute a recipe on a rig, or rehearse it on simulated devices. However the run ends, the rig is left in a safe
     state.
 
-    Ctrl-C pauses the run after the current step; a second Ctrl-C makes all devices safe and ends the run. --resume
-    continues a run that was ended or killed. With --simulate the run uses simulated devices, and all its results are
-    marked as simulated. The exit status is 3 if a device or the run failed.
+    Ctrl-C makes all devices safe and ends the run. --resume continues a run that was ended or killed: the interrupted
+    step is repeated. With --simulate the run uses simulated devices, and all its results are marked as simulated. The
+    exit status is 3 if a device or the run failed.
 
     Parameters
     ----------
@@ -54,11 +53,9 @@ def run(
     output
         The folder for the files of the run; it is created.
     resume
-        Continue the run in this folder. Name a rig file only to compare it with the rig file of the run.
+        Continue the run in this folder, with its own recipe and rig.
     simulate
         Use simulated devices instead of a rig.
-    speed
-        For a simulated run: its speed, relative to real time; by default as fast as possible.
     seed
         For a simulated run: the seed of the devices' errors; the estimate does not know these errors.
     sample_rate
@@ -75,9 +72,9 @@ def run(
         Print only the result of the run, as JSON.
     """
     if resume is not None:
-        if recipe is not None or output is not None or simulate:
+        if recipe is not None or output is not None or simulate or rig is not None:
             raise ValueError("--resume needs only the folder: the run continues with its own rig, or in simulation")
-        return _resume(resume, rig, json)
+        return _resume(resume, json)
     if recipe is not None and dry_run:
         if rig is None:
             raise ValueError("name the rig file with --rig RIG")
@@ -103,7 +100,7 @@ def run(
         complain("the run did not begin; nothing was moved")
         return INTERRUPTED
     with _Watcher(simulate, quiet=json) as watcher:
-        simulation = {"simulate": simulate, "seed": seed, "speed": speed, "sample_rate_hz": rate, "units": units}
+        simulation = {"simulate": simulate, "seed": seed, "sample_rate_hz": rate, "units": units}
         result = execute(executable, output, rig=bench, about=about, **simulation, **watcher.attends())
     return _say(output, result, json)
 
@@ -124,8 +121,6 @@ def _dry_run(recipe: Path, rig: Path, json: bool) -> int:
     else:
         print("\n".join(f"{name}: {what}" for name, what in plan.devices.items()))
         print(f"{len(track.steps)} steps, {time_text(plan.duration_s)} plus waiting times")
-        for text in plan.rounded:
-            print(f"rounded: {text}")
         problems = "\n".join(plan.problems)
         print(problems or "every device accepts the recipe; nothing was moved")
     return FAILED if plan.problems else DONE
@@ -154,19 +149,17 @@ def _confirmed(recipe: "Recipe", rig: "RigFile", about: dict[str, str]) -> bool:
     return sys.stdin.readline() == "\n"
 
 
-def _resume(path: Path, rig: Path | None, json: bool) -> int:
+def _resume(path: Path, json: bool) -> int:
     from gradcal_jax.hardware.execute import resume
     from gradcal_jax.hardware.run_folder import RunFolder, prepare_resume
-    from gradcal_jax.spec.rig import read_rig
 
     folder = RunFolder(path)
-    bench = None if rig is None else read_rig(rig)
-    first, notes = prepare_resume(folder, bench), folder.notes()
+    first, notes = prepare_resume(folder), folder.notes()
     simulated = bool(notes["simulated"])
     if not json:
         print(f"continuing with step {first + 1}" + (f"\n{_REHEARSAL}" if simulated else ""))
     with _Watcher(simulated, quiet=json) as watcher:
-        result = resume(path, rig=bench, **watcher.attends())
+        result = resume(path, **watcher.attends())
     return _say(path, result, json)
 
 
@@ -191,7 +184,9 @@ def _say(folder: Path, result: "RunResult", json: bool) -> int:
             f"the run did not begin, and no command was sent: {result.reason}\n"
             f"Correct this, then run: gradcal run --resume {folder}"
         )
-    by_operator = result.reason in ("Ctrl-C", "interrupted from the keyboard")
+    from gradcal_jax.hardware.execute import CTRL_C
+
+    by_operator = result.reason in (CTRL_C, "interrupted from the keyboard")
     return INTERRUPTED if by_operator and result.verified_safe else FAILED
 
 
@@ -211,8 +206,6 @@ class _Watcher:
         self._terminal = Terminal(keyboard=sys.stdin.fileno(), screen=sys.stdout) if seen else None
         self._line = MovingLine(sys.stdout)
         self._last: tuple[str, str] = ("", "")
-        self._runner: Runner | None = None
-        self._asked = False
         self._news: SimpleQueue[RunProgress | None] = SimpleQueue()
         self._shows = threading.Thread(target=self._show_all, daemon=True, name="showing the run")
 
@@ -227,73 +220,14 @@ class _Watcher:
 
     def attends(self) -> "Attended":
         """Arguments of the run that is shown."""
-        attends: Attended = {
-            "on_progress": self._news.put,
-            "with_runner": self._attend,
-            "wait_when_paused": sys.stdin.isatty(),
-            "handle_signals": threading.current_thread() is threading.main_thread(),
-            "terminal": self._terminal,
-        }
-        return attends
-
-    def _attend(self, runner: "Runner") -> None:
-        self._runner = runner
+        return {"on_progress": self._news.put, "terminal": self._terminal}
 
     def _show_all(self) -> None:
         for progress in iter(self._news.get, None):
-            self._show(progress)
-
-    def _show(self, progress: "RunProgress") -> None:
-        now = (progress.state.value, progress.step)
-        if self._terminal is not None and self._terminal.asking:
-            # The operator types on this line.
-            if now[0] == "pausing" != self._last[0]:
-                self._terminal.remark("pausing after this step; Ctrl-C again makes all devices safe and ends the run")
+            now = (progress.state.value, progress.step)
+            # While the operator is asked, this line is typed on.
+            asked = self._terminal is not None and self._terminal.asking
+            if not (self._quiet or asked) and (now != self._last or not self._line.plain):
+                text = status_text({"simulated": self._simulated, **progress.as_status()})
+                self._line.show(text, number=progress.state)
                 self._last = now
-            return
-        if not self._quiet and (now != self._last or not self._line.plain):
-            self._line.show(progress_text(progress, self._simulated), number=progress.state)
-        self._last = now
-        if progress.state.value == "paused" and not self._asked:
-            self._asked = True
-            self._ask(progress.why)
-        elif progress.state.value == "running":
-            self._asked = False
-
-    def _ask(self, why: str) -> None:
-        if not sys.stdin.isatty():
-            complain(
-                f"paused: {why}; another Ctrl-C makes all devices safe and ends the run, which gradcal run --resume "
-                "can continue"
-            )
-            return
-        if self._terminal is not None and self._terminal.heard:
-            self._terminal.next_line_goes_to(self._go_on)
-        else:
-            threading.Thread(target=lambda: sys.stdin.readline() and self._go_on(), daemon=True).start()
-        print(
-            f"\npaused: {why}; press Enter to continue, or Ctrl-C to make all devices safe and end the run", flush=True
-        )
-
-    def _go_on(self) -> None:
-        if self._runner is not None:
-            self._runner.request("resume", "Enter")
-
-
-def progress_text(progress: "RunProgress", simulated: bool) -> str:
-    """State, step, temperatures, angles and time left, in one line."""
-    parts = ["simulated" if simulated else "", progress.state.value + (f": {progress.why}" if progress.why else "")]
-    parts.append(f"step {min(progress.steps_done + 1, progress.steps)} of {progress.steps}, {progress.step}")
-    if progress.step_left_s is None and progress.state.value == "running":
-        parts.append("waiting")
-    if (chamber := progress.chamber) is not None:
-        load = "" if chamber.product_c is None else f", load {chamber.product_c:.1f}"
-        parts.append(f"air {chamber.air_c:.1f}{load} (set {chamber.setpoint_c:.1f}) degC")
-        parts += [f"ALARM {alarm}" for alarm in chamber.alarms]
-    for name, axis in progress.axes.items():
-        known = axis.position_deg == axis.position_deg
-        angle = f"{axis.position_deg:.3f} deg" if known else "turned by hand"
-        parts.append(f"{name} {angle}" + (" moving" if known and axis.moving else ""))
-        parts += [f"FAULT {fault}" for fault in axis.faults]
-    parts += [f"{time_text(progress.track_left_s)} left", *progress.remarks]
-    return "; ".join(part for part in parts if part)

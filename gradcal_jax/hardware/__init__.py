@@ -4,7 +4,8 @@ A recipe and a rig file come in; a run's folder with its journal goes out, and e
 
     track, dry_run                what a recipe asks of each device, and what these do not accept
     execute, runner, supervision  sessions of a run, its steps, its states and its status file
-    axis_control, chamber_control, interlocks    commands and readings, and the rules that hold in every state
+    axis_control, chamber_control, unit_control    commands and readings, and what is wrong with them
+    interlocks                    the rules that hold in every state
     journal, run_folder, guard    what is recorded, resumed, and made safe by another process
     setup, roles, drivers         from the rig file to devices: `roles` is what the rest of the program sees
     line_protocol, register_protocol, frames, text_unit    devices that are described without code

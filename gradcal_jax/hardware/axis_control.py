@@ -1,17 +1,17 @@
-"""The axes in a run: their commands, readings and state of motion.
+"""The axes in a run: their commands, readings and state of motion, and what is wrong with them.
 
 A motor does a turn in the track's time; it is read from its planned end on until it stands. An operator's turn may take
 longer: while an axis is turned by hand nothing else of the track begins, and everything after it is delayed by as much
 as the turn was late (`late_s`), so that every rest keeps its length; early turns make up for late ones.
 
 Deviations from the track are `amiss`: a late command, a turn that ended late or at another angle, a spin at another
-rate. The allowed rate of an axis (`allowed`) follows from its commands, and `interlocks` compares the readings with it.
+rate. The allowed rate of an axis follows from its commands; its place from the turn under way, at every instant.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import cached_property
 
 from gradcal_jax.hardware.chamber_control import Tell
 from gradcal_jax.hardware.clock import Clock, beside
@@ -19,6 +19,9 @@ from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import event_fields
 from gradcal_jax.hardware.roles import AxisLimits, AxisReading, MotionAxis
 from gradcal_jax.hardware.track import AxisCommand
+
+Duties = Callable[[], None]
+"""What the run does while it waits for an axis."""
 
 _POLL_S, _POLL_BY_HAND_S = 0.05, 0.25
 _LONGEST_MOVE_S = 120.0
@@ -37,44 +40,41 @@ _SEARCH_TOLD_S = 10.0
 _START_DPS = 60.0
 
 
-@dataclass
-class AxisMotion:
+class Axis:
     """One axis in a run: what it was commanded to do, and what its readings showed. Times are of the run's clock."""
 
-    name: str
-    axis: MotionAxis
-    homed: bool = False
-    """Whether the run moves it. What another axis reports at its first reading is no fault of the run, such as the
-    alarm of a board that waits for its reference."""
-    by_hand: bool = False
-    homing_since_s: float = -math.inf
-    searching: bool = False
-    """It is left to its search for the reference: nothing else is asked of it."""
-    reported_before: frozenset[str] | None = None
-    newest: AxisReading | None = None
-    command: AxisCommand | None = None
-    """What is under way: a turn until it stands, a spin until it is stopped."""
-    began_s: float = 0.0
-    from_deg: float = 0.0
-    goal_deg: float = 0.0
-    """Where the last turn was to end."""
-    looks_s: float = math.inf
-    """The time of the next reading, of a move that ends by itself."""
-    off_rate: int = 0
-    """How many readings one after the other showed another rate."""
-    awaited: bool = False
-    """Whether the recipe takes a reading as soon as it stands."""
-    asked_dps: float = 0.0
-    asked_s: float = -math.inf
-    eased: tuple[float, float] = (0.0, -math.inf)
-    """The rate before the last command, and until when it is allowed."""
-    stands: tuple[float, float] = (math.inf, math.inf)
-    """Where it has stood, nearly, and since when."""
+    def __init__(self, name: str, device: MotionAxis, clock: Clock, event: Tell) -> None:
+        self.name, self.device = name, device
+        self._clock, self._event = clock, event
+        self.newest: AxisReading | None = None
+        # What is under way: a turn until it stands, a spin until it is stopped.
+        self.command: AxisCommand | None = None
+        self.began_s = self.from_deg = 0.0
+        # Where the last turn was to end.
+        self.goal_deg = 0.0
+        # The time of the next reading, of a move that ends by itself.
+        self.looks_s = math.inf
+        # Whether the recipe takes a reading as soon as it stands.
+        self.awaited = False
+        # It is left to its search for the reference: nothing else is asked of it.
+        self.searching = False
+        self.searches_since_s = -math.inf
+        # Only an axis that the run moves must be free of the faults of its first reading: a board may wait for its
+        # reference.
+        self.moved_by_run = self.by_hand = False
+        self._first_faults: frozenset[str] | None = None
+        self._told_dps, self._told_s = 0.0, -math.inf
+        # The rate before the last command, and until when it is allowed.
+        self._eased_dps, self._eased_until_s = 0.0, -math.inf
+        # Where it has stood, nearly, and since when.
+        self._stands_deg = self._stands_since_s = math.inf
+        # How many readings one after the other showed another rate than that of its spin.
+        self._off_rate = 0
 
     @cached_property
     def limits(self) -> AxisLimits:
         """Those at the beginning of the run."""
-        return self.axis.limits()
+        return self.device.limits()
 
     @property
     def poll_s(self) -> float:
@@ -85,10 +85,8 @@ class AxisMotion:
         return self.command is not None and self.command.kind == "spin"
 
     @property
-    def ends_s(self) -> float:
-        """When what is under way is planned to end."""
-        command = self.command
-        return -math.inf if command is None else self.began_s + command.duration_s + command.answer_s
+    def turned_by_hand(self) -> bool:
+        return self.by_hand and self.command is not None
 
     @property
     def at_deg(self) -> float:
@@ -97,47 +95,118 @@ class AxisMotion:
             return self.goal_deg
         return self.newest.position_deg
 
+    @property
+    def ends_s(self) -> float:
+        """When what is under way is planned to end."""
+        command = self.command
+        return -math.inf if command is None else self.began_s + command.duration_s + command.answer_s
+
+    def search(self, duties: Duties) -> None:
+        """Find the reference, at a rate that the device chooses."""
+        self._event("homing", axis=self.name)
+        # Asked for before it searches, when a device may answer nothing.
+        self.by_hand = self.limits.by_hand
+        self._told_dps = math.inf
+
+        def home() -> None:
+            self.searches_since_s = self._clock.now()
+            try:
+                self.device.home()
+            finally:
+                self.searches_since_s = -math.inf
+
+        beside(home, self._clock, duties)
+        self.searching = False
+
+    def tell(self, step: str, move: AxisCommand) -> None:
+        device, now_s = self.device, self._clock.now()
+        before_dps = 0.0 if self.newest is None else self.newest.rate_dps
+        self.awaited = False
+        self._allow(abs(move.rate_dps), move.acceleration_dps2)
+        self._stands_deg = self._stands_since_s = math.inf
+        self.command, self.looks_s = None, math.inf
+        self.began_s, self.from_deg = now_s, self.at_deg if move.kind == "go" else self.goal_deg
+        if move.kind == "spin":
+            device.spin(move.rate_dps, move.acceleration_dps2)
+            # Another sign takes longer than a slower rate does.
+            changes_s = abs(move.rate_dps - before_dps) / move.acceleration_dps2
+            self._eased_until_s = max(self._eased_until_s, now_s + changes_s + _EASING_S)
+            self.command = move
+        elif move.kind == "stop":
+            device.stop()
+            self.looks_s = now_s
+        else:
+            goal_deg = self.from_deg + move.angle_deg
+            device.move_to(goal_deg, move.rate_dps, move.acceleration_dps2)
+            self.goal_deg, self.command = goal_deg, move
+            self.looks_s = now_s if self.by_hand or move.kind == "go" else now_s + move.duration_s
+        fields = event_fields(move)
+        self._event("move", at_once=False, step=step, began_s=now_s, position_deg=self.goal_deg, **fields)
+
+    def stop(self) -> None:
+        self.device.stop()
+        self._allow(0.0)
+        self._event("stopped", at_once=False, axis=self.name)
+        self.command, self.looks_s = None, math.inf
+
     def read(self) -> AxisReading:
-        """A reading; of an axis that the run does not move only the faults that it did not report at first."""
-        reading = self.axis.read()
-        if not self.homed:
-            before = frozenset(reading.faults) if self.reported_before is None else self.reported_before
-            # A fault that has cleared is a new one when it comes again.
-            self.reported_before = before & set(reading.faults)
-            reading = replace(reading, faults=tuple(fault for fault in reading.faults if fault not in before))
+        """A reading without an event."""
+        reading = self.device.read()
+        if not self.moved_by_run:
+            self._first_faults = frozenset(reading.faults) if self._first_faults is None else self._first_faults
+            new = tuple(fault for fault in reading.faults if fault not in self._first_faults)
+            reading = replace(reading, faults=new)
         self.newest = reading
-        if abs(reading.position_deg - self.stands[0]) > _stands_within_deg(self.asked_dps):
-            self.stands = reading.position_deg, reading.time_s
+        if abs(reading.position_deg - self._stands_deg) > _stands_within_deg(self._told_dps):
+            self._stands_deg, self._stands_since_s = reading.position_deg, reading.time_s
         return reading
 
-    def allowed_dps(self, now_s: float) -> float:
-        before_dps, until_s = self.eased
-        return max(self.asked_dps, before_dps if now_s <= until_s else 0.0)
+    def ended(self) -> AxisCommand | None:
+        """What has ended, of an axis that stands."""
+        if self._told_dps:
+            self._allow(0.0)
+        command, self.command = self.command, None
+        return command
 
-    def asks(self, now_s: float, rate_dps: float, acceleration_dps2: float = math.inf) -> None:
-        """Set the commanded rate; the rate before stays allowed until the axis has slowed down."""
-        before_dps = self.allowed_dps(now_s)
-        slows_s = (before_dps - rate_dps) / acceleration_dps2 if acceleration_dps2 > 0.0 else 0.0
-        slows_s = min(max(slows_s, 0.0), _LONGEST_MOVE_S) if math.isfinite(before_dps) else 0.0
-        self.eased = before_dps, now_s + slows_s + _EASING_S
-        self.asked_dps, self.asked_s = rate_dps, now_s
-
-    def stands_at(self, goal_deg: float, *, watched: bool) -> bool:
-        """Whether it is at a goal: a motor that was told to go there, one by hand within a tolerance."""
+    def stands_at(self, goal_deg: float) -> bool:
+        """Whether it is at a goal: a motor that was told to go there, one by hand within a tolerance. Its standstill
+        goes on: a motor that is told to go where it is may move a little."""
         newest, told = self.newest, abs(self.goal_deg - goal_deg) <= 1e-9
         if newest is None:
             return told and not self.by_hand
         within_deg = _NEAR_BY_HAND_DEG if self.by_hand else _OFF_GOAL_DEG
         near = not newest.moving and abs(newest.position_deg - goal_deg) <= within_deg
-        # Its standstill goes on: a motor that is told to go where it is may move a little.
-        return near and (self.by_hand or (watched and told))
+        return near and (self.by_hand or told)
+
+    def spins_otherwise(self, reading: AxisReading) -> str:
+        """A sentence where it spins at another rate, at the third reading: one wrong one may come from a busy host."""
+        command = self.command
+        if command is None or not self.spins or reading.time_s <= self._eased_until_s:
+            self._off_rate = 0
+            return ""
+        off = abs(reading.rate_dps - command.rate_dps) > _tolerance_dps(command.rate_dps)
+        self._off_rate = self._off_rate + 1 if off else 0
+        if self._off_rate != _OFF_READINGS:
+            return ""
+        return f"axis {self.name} spins at {reading.rate_dps:.2f} deg/s instead of {command.rate_dps:g}"
+
+    def too_fast(self) -> str:
+        """A sentence where it turns faster than by its commands, or than the rig allows."""
+        newest = self.newest
+        if newest is None or self.limits.by_hand or newest.time_s <= self._told_s:
+            return ""
+        bounds = self._allowed_dps(), self.limits.max_rate_dps
+        if abs(newest.rate_dps) <= min(bound + _tolerance_dps(bound) for bound in bounds):
+            return ""
+        turns = f"axis {self.name} turns at {newest.rate_dps:.1f} deg/s"
+        return f"{turns}; the command was {bounds[0]:g}, and the rig allows {bounds[1]:g}"
 
     def stalled(self) -> str:
         """A sentence where it pushes, does not move, and is not where the plan has it at this instant."""
         command, newest = self.command, self.newest
         if command is None or newest is None or self.spins or self.by_hand:
             return ""
-        stood_s, after_s = newest.time_s - self.stands[1], newest.time_s - self.began_s
+        stood_s, after_s = newest.time_s - self._stands_since_s, newest.time_s - self.began_s
         if not newest.moving or stood_s < _STALL_S:
             return ""
         planned_deg = self.from_deg + command.turned_deg(after_s)
@@ -149,240 +218,192 @@ class AxisMotion:
             f"{planned_deg:.1f} deg now: it is blocked, or its motor has no power"
         )
 
+    def _allowed_dps(self) -> float:
+        return max(self._told_dps, self._eased_dps if self._clock.now() <= self._eased_until_s else 0.0)
 
-@dataclass
+    def _allow(self, rate_dps: float, acceleration_dps2: float = math.inf) -> None:
+        """The rate before stays allowed until the axis has slowed down."""
+        before_dps, slows_s = self._allowed_dps(), 0.0
+        if acceleration_dps2 > 0.0 and math.isfinite(before_dps):
+            slows_s = min(max((before_dps - rate_dps) / acceleration_dps2, 0.0), _LONGEST_MOVE_S)
+        self._told_dps, self._told_s = rate_dps, self._clock.now()
+        self._eased_dps, self._eased_until_s = before_dps, self._told_s + slows_s + _EASING_S
+
+
 class AxisControl:
     """Commands the axes and keeps their readings. One thread, the run's own."""
 
-    devices: Mapping[str, MotionAxis]
-    clock: Clock
-    event: Tell
-    latest_s: float = 1.0
-    keep_track: bool = False
-    late_s: float = 0.0
-    amiss: list[str] = field(default_factory=list[str])
-
-    def __post_init__(self) -> None:
-        self._motions = {name: AxisMotion(name, axis) for name, axis in self.devices.items()}
+    def __init__(
+        self,
+        devices: Mapping[str, MotionAxis],
+        clock: Clock,
+        event: Tell,
+        latest_s: float = 1.0,
+        *,
+        keep_track: bool = False,
+    ) -> None:
+        """`keep_track`: every reading is an event, which aligns another logger's recording."""
+        self._clock, self._event, self._latest_s, self._keep_track = clock, event, latest_s, keep_track
+        self._axes = {name: Axis(name, device, clock, event) for name, device in devices.items()}
+        self.late_s = 0.0
+        self.amiss: list[str] = []
 
     @property
     def newest(self) -> dict[str, AxisReading]:
-        return {name: motion.newest for name, motion in self._motions.items() if motion.newest is not None}
+        return {name: axis.newest for name, axis in self._axes.items() if axis.newest is not None}
 
     @property
     def turned_by_hand(self) -> bool:
-        return any(motion.by_hand and motion.command is not None for motion in self._motions.values())
+        return any(axis.turned_by_hand for axis in self._axes.values())
 
     @property
     def by_hand(self) -> bool:
-        return any(motion.by_hand for motion in self._motions.values())
+        return any(axis.by_hand for axis in self._axes.values())
 
     @property
     def look_s(self) -> float:
         """When an axis is to be read again."""
-        return min((motion.looks_s for motion in self._motions.values()), default=math.inf)
+        return min((axis.looks_s for axis in self._axes.values()), default=math.inf)
 
-    def _turning(self) -> list[AxisMotion]:
+    def _turning(self) -> list[Axis]:
         """The axes whose move ends by itself, by name."""
-        return [motion for _, motion in sorted(self._motions.items()) if motion.looks_s < math.inf]
+        return [axis for _, axis in sorted(self._axes.items()) if axis.looks_s < math.inf]
 
-    def home(self, names: list[str], meanwhile: Callable[[], None]) -> None:
-        motions = [self._motions[name] for name in names]
-        for motion in motions:
-            motion.searching = motion.homed = True
-        for motion in motions:
-            self.event("homing", axis=motion.name)
-            # Asked for before it searches, when a device may answer nothing.
-            motion.by_hand = motion.limits.by_hand
-            # The device chooses the rate of its search for the reference.
-            motion.asked_dps = math.inf
-            beside(partial(self._home, motion), self.clock, meanwhile)
-            motion.searching = False
-            self._settle(motion, meanwhile)
-
-    def _home(self, motion: AxisMotion) -> None:
-        motion.homing_since_s = self.clock.now()
-        try:
-            motion.axis.home()
-        finally:
-            motion.homing_since_s = -math.inf
+    def home(self, names: list[str], duties: Duties) -> None:
+        axes = [self._axes[name] for name in names]
+        for axis in axes:
+            axis.searching = axis.moved_by_run = True
+        for axis in axes:
+            axis.search(duties)
+            self._settle(axis, duties)
 
     def is_homing(self, name: str) -> bool:
         """Whether an axis may still be told to find its reference, also after a run has been ended."""
-        return self.clock.now() < self._motions[name].homing_since_s + _SEARCH_TOLD_S
+        return self._clock.now() < self._axes[name].searches_since_s + _SEARCH_TOLD_S
 
-    def go_to_start(
-        self, step: str, start_deg: Mapping[str, float], meanwhile: Callable[[], None], *, watched: bool = False
-    ) -> None:
-        """Bring axes to the starting angles of a step that does not follow another at once. `watched`: the run was not
-        interrupted since their last moves, so that an axis that stands there is not told to go there."""
+    def go_to_start(self, step: str, start_deg: Mapping[str, float], duties: Duties) -> None:
+        """Bring axes to the starting angles of a step that does not follow another at once."""
         for name, goal in start_deg.items():
-            motion = self._motions[name]
-            limits = motion.limits
+            axis, limits = self._axes[name], self._axes[name].limits
             if limits.travel_deg == (-math.inf, math.inf):
                 # An endless axis has no cable to unwind: it goes to the nearest equal angle.
-                goal += 360.0 * round((motion.at_deg - goal) / 360.0)
-            if not motion.stands_at(goal, watched=watched):
+                goal += 360.0 * round((axis.at_deg - goal) / 360.0)
+            if not axis.stands_at(goal):
                 rate, acceleration = min(limits.max_rate_dps, _START_DPS), min(limits.max_acceleration_dps2, _START_DPS)
-                self._command(step, AxisCommand(0.0, name, "go", goal - motion.at_deg, rate, acceleration))
-                self._settle(motion, meanwhile)
+                axis.tell(step, AxisCommand(0.0, name, "go", goal - axis.at_deg, rate, acceleration))
+                self._settle(axis, duties)
 
-    def move(self, step: str, move: AxisCommand, due_s: float, meanwhile: Callable[[], None]) -> None:
+    def move(self, step: str, move: AxisCommand, due_s: float, duties: Duties) -> None:
         """A turn waits until the turn before it has ended, of any axis: one axis turns at a time, the others hold. The
         delay is in the journal."""
-        motion = self._motions[move.axis]
-        if (late_s := self.clock.now() - due_s) > self.latest_s:
+        axis = self._axes[move.axis]
+        if (late_s := self._clock.now() - due_s) > self._latest_s:
             self.amiss.append(f"a {move.kind} of axis {move.axis} began {late_s:.1f} s late")
-        if move.kind == "turn" and motion.spins:
-            motion.axis.stop()
-            motion.command = None
-            self._settle(motion, meanwhile)
+        if move.kind == "turn" and axis.spins:
+            axis.device.stop()
+            axis.command = None
+            self._settle(axis, duties)
         for other in self._turning():
-            if other is not motion or move.kind == "turn":
-                self._settle(other, meanwhile)
-        self._command(step, move)
+            if other is not axis or move.kind == "turn":
+                self._settle(other, duties)
+        axis.tell(step, move)
 
     def look(self) -> None:
         """Read an axis from the planned end of its move until it stands: its standstill begins there."""
-        for motion in self._turning():
-            now = self.clock.now()
-            if motion.looks_s <= now:
-                motion.looks_s = now + motion.poll_s
-                self._read(motion)
+        for axis in self._turning():
+            now = self._clock.now()
+            if axis.looks_s <= now:
+                axis.looks_s = now + axis.poll_s
+                self._read(axis)
 
     def read(self, *, planned: bool = False) -> None:
         """Read all axes; `planned`: the recipe takes a reading, of an axis that still moves as soon as it stands."""
-        for motion in self._motions.values():
-            motion.awaited = motion.awaited or planned
-        for motion in self._motions.values():
-            self._read(motion)
+        for axis in self._axes.values():
+            axis.awaited = axis.awaited or planned
+        for axis in self._axes.values():
+            self._read(axis)
 
     def watch(self) -> None:
-        """Read the rates of axes that have a motor, more often where they move.
-
-        These readings are events only where the track is recorded, which aligns another logger's recording.
-        """
-        now = self.clock.now()
-        for name, motion in self._motions.items():
-            every_s = _WATCH_STANDING_S if motion.command is None else _WATCH_MOVING_S
-            if motion.searching or motion.limits.by_hand:
+        """Read the rates of axes that have a motor, more often where they move."""
+        now = self._clock.now()
+        for name, axis in self._axes.items():
+            every_s = _WATCH_STANDING_S if axis.command is None else _WATCH_MOVING_S
+            if axis.searching or axis.limits.by_hand:
                 continue
-            if motion.newest is not None and now - motion.newest.time_s < every_s:
+            if axis.newest is not None and now - axis.newest.time_s < every_s:
                 continue
-            reading = motion.read()
-            if self.keep_track:
+            reading = axis.read()
+            if self._keep_track:
                 place = {"time_s": reading.time_s, "position_deg": reading.position_deg}
-                self.event("track", at_once=False, axis=name, **place)
-            if motion.command is None or not motion.spins or reading.time_s <= motion.eased[1]:
-                motion.off_rate = 0
-                continue
-            asked_dps = motion.command.rate_dps
-            motion.off_rate = motion.off_rate + 1 if abs(reading.rate_dps - asked_dps) > _off(asked_dps) else 0
-            # One wrong reading may come from a busy host.
-            if motion.off_rate == _OFF_READINGS:
-                self.amiss.append(f"axis {name} spins at {reading.rate_dps:.2f} deg/s instead of {asked_dps:g}")
+                self._event("track", at_once=False, axis=name, **place)
+            if text := axis.spins_otherwise(reading):
+                self.amiss.append(text)
 
-    def allowed(self) -> dict[str, tuple[float, float]]:
-        """The rates allowed to axes with a motor now, deg/s: by the last commands, and by the rig. An axis that has not
-        been read since its last command is absent."""
-        now, rates = self.clock.now(), dict[str, tuple[float, float]]()
-        for name, motion in self._motions.items():
-            newest = motion.newest
-            if newest is not None and not motion.limits.by_hand and newest.time_s > motion.asked_s:
-                rates[name] = (motion.allowed_dps(now), motion.limits.max_rate_dps)
-        return rates
+    def violated(self) -> dict[str, str]:
+        """What is wrong with the newest readings, by the rules of `interlocks`."""
+        axes = self._axes.values()
+        faults = [
+            f"axis {axis.name}: {', '.join(axis.newest.faults)}" for axis in axes if axis.newest and axis.newest.faults
+        ]
+        return {
+            "axis fault": "; ".join(faults),
+            "over-speed": "; ".join(filter(None, [axis.too_fast() for axis in axes])),
+            "stalled axis": "; ".join(filter(None, [axis.stalled() for axis in axes])),
+        }
 
-    def stalled(self) -> tuple[str, ...]:
-        return tuple(sentence for motion in self._motions.values() if (sentence := motion.stalled()))
+    def settle_all(self, duties: Duties) -> None:
+        for axis in self._turning():
+            self._settle(axis, duties)
 
-    def settle_all(self, meanwhile: Callable[[], None]) -> None:
-        for motion in self._turning():
-            self._settle(motion, meanwhile)
-
-    def _settle(self, motion: AxisMotion, meanwhile: Callable[[], None]) -> None:
+    def _settle(self, axis: Axis, duties: Duties) -> None:
         """Wait until an axis stands; it is stopped at the time-out. A turn by hand has no time-out."""
-        end_s = math.inf if motion.by_hand else max(self.clock.now(), motion.ends_s) + _LONGEST_MOVE_S
-        while self._read(motion).moving:
-            if self.clock.now() > end_s:
-                motion.axis.stop()
+        end_s = math.inf if axis.by_hand else max(self._clock.now(), axis.ends_s) + _LONGEST_MOVE_S
+        while self._read(axis).moving:
+            if self._clock.now() > end_s:
+                axis.device.stop()
                 raise HardwareError(
-                    f"Axis {motion.name!r} is still moving {_LONGEST_MOVE_S:g} s after its step. It was stopped."
+                    f"Axis {axis.name!r} is still moving {_LONGEST_MOVE_S:g} s after its step. It was stopped."
                 )
-            meanwhile()
-            self.clock.sleep(motion.poll_s)
+            duties()
+            self._clock.sleep(axis.poll_s)
 
     def end_spins(self, step: str, at_s: float) -> None:
-        for name, motion in sorted(self._motions.items()):
-            if motion.spins:
-                self._command(step, AxisCommand(at_s, name, "stop"))
+        for name, axis in sorted(self._axes.items()):
+            if axis.spins:
+                axis.tell(step, AxisCommand(at_s, name, "stop"))
 
     def stop(self) -> None:
-        for name, motion in self._motions.items():
-            motion.axis.stop()
-            motion.asks(self.clock.now(), 0.0)
-            self.event("stopped", at_once=False, axis=name)
-        for motion in self._motions.values():
-            motion.command, motion.looks_s = None, math.inf
+        for axis in self._axes.values():
+            axis.stop()
         self.amiss.clear()
 
-    def _command(self, step: str, move: AxisCommand) -> None:
-        motion, began_s = self._motions[move.axis], self.clock.now()
-        before_dps = 0.0 if motion.newest is None else motion.newest.rate_dps
-        motion.awaited = False
-        motion.asks(began_s, abs(move.rate_dps), move.acceleration_dps2)
-        motion.stands = math.inf, math.inf
-        motion.command, motion.looks_s = None, math.inf
-        motion.began_s, motion.from_deg = began_s, motion.at_deg if move.kind == "go" else motion.goal_deg
-        if move.kind == "spin":
-            motion.axis.spin(move.rate_dps, move.acceleration_dps2)
-            # Another sign takes longer than a slower rate does.
-            changes_s = abs(move.rate_dps - before_dps) / move.acceleration_dps2
-            motion.eased = motion.eased[0], max(motion.eased[1], began_s + changes_s + _EASING_S)
-            motion.command = move
-        elif move.kind == "stop":
-            motion.axis.stop()
-            motion.looks_s = began_s
-        else:
-            goal_deg = motion.from_deg + move.angle_deg
-            motion.axis.move_to(goal_deg, move.rate_dps, move.acceleration_dps2)
-            motion.goal_deg, motion.command = goal_deg, move
-            motion.looks_s = began_s if motion.by_hand or move.kind == "go" else began_s + move.duration_s
-        self.event(
-            "move", at_once=False, step=step, began_s=began_s, position_deg=motion.goal_deg, **event_fields(move)
-        )
-
-    def _read(self, motion: AxisMotion) -> AxisReading:
-        before, reading = motion.newest, motion.read()
+    def _read(self, axis: Axis) -> AxisReading:
+        before, reading = axis.newest, axis.read()
         # An unknown angle is no reading, and a typed angle is one reading however often it is read.
         if not math.isnan(reading.position_deg) and before != reading:
-            planned = not reading.moving and (motion.awaited or motion.by_hand)
-            self.event("angle", at_once=False, axis=motion.name, planned=planned, **event_fields(reading))
+            planned = not reading.moving and (axis.awaited or axis.by_hand)
+            self._event("angle", at_once=False, axis=axis.name, planned=planned, **event_fields(reading))
         if not reading.moving:
-            motion.awaited = False
-            motion.looks_s = math.inf
-            if not motion.spins:
-                self._stood(motion, reading)
+            axis.awaited, axis.looks_s = False, math.inf
+            if not axis.spins:
+                self._stood(axis, reading)
         return reading
 
-    def _stood(self, motion: AxisMotion, reading: AxisReading) -> None:
-        if motion.asked_dps:
-            motion.asks(self.clock.now(), 0.0)
-        command, late_s = motion.command, reading.time_s - motion.ends_s
-        motion.command = None
+    def _stood(self, axis: Axis, reading: AxisReading) -> None:
+        late_s, command = reading.time_s - axis.ends_s, axis.ended()
         if command is None or command.kind == "go":
             return
-        if motion.by_hand:
+        if axis.by_hand:
             # An early turn makes up for late ones before it.
             self.late_s = max(0.0, self.late_s + late_s)
             return
-        if late_s > self.latest_s:
+        name, goal_deg = axis.name, axis.goal_deg
+        if late_s > self._latest_s:
             self.amiss.append(
-                f"a turn of axis {motion.name} ended {late_s:.1f} s late, and the rest after it is shorter by this time"
+                f"a turn of axis {name} ended {late_s:.1f} s late, and the rest after it is shorter by this time"
             )
-        if abs(reading.position_deg - motion.goal_deg) > _OFF_GOAL_DEG:
-            self.amiss.append(
-                f"axis {motion.name} is at {reading.position_deg:.3f} deg, and its target is {motion.goal_deg:.3f}"
-            )
+        if abs(reading.position_deg - goal_deg) > _OFF_GOAL_DEG:
+            self.amiss.append(f"axis {name} is at {reading.position_deg:.3f} deg, and its target is {goal_deg:.3f}")
 
 
 def _stands_within_deg(rate_dps: float) -> float:
@@ -390,9 +411,5 @@ def _stands_within_deg(rate_dps: float) -> float:
     return _STALL_SHARE * _STALL_S * rate_dps
 
 
-def _off(asked_dps: float) -> float:
-    return _OFF_RATE * abs(asked_dps) + _OFF_RATE_DPS
-
-
-def too_fast(rate_dps: float, allowed: tuple[float, float]) -> bool:
-    return abs(rate_dps) > min(bound + _off(bound) for bound in allowed)
+def _tolerance_dps(rate_dps: float) -> float:
+    return _OFF_RATE * abs(rate_dps) + _OFF_RATE_DPS

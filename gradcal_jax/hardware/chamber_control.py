@@ -1,7 +1,7 @@
-"""The chamber in a run: its commands, its readings, and when its temperature counts as stable.
+"""The chamber in a run: its commands, its readings, when its temperature counts as stable, and what is wrong with it.
 
-Only the first command of a run starts the chamber, and the first after an operator has resumed the run: a chamber that
-is off otherwise was switched off by a person (or lost its power), and stays off.
+Only the first command of a run starts the chamber: one that is off later was switched off by a person (or lost its
+power), and stays off.
 
 The readings are compared with the recipe's own course of the air (`expected`), because a chamber that accepts every
 command and does nothing would agree with its own set point.
@@ -18,6 +18,7 @@ import numpy as np
 
 from gradcal_jax.hardware.clock import Clock, holding, in_thread
 from gradcal_jax.hardware.errors import Disconnected
+from gradcal_jax.hardware.interlocks import InterlockLimits
 from gradcal_jax.hardware.journal import event_fields
 from gradcal_jax.hardware.roles import ChamberLimits, ChamberReading, TemperatureChamber
 from gradcal_jax.hardware.track import Course, Stable
@@ -35,14 +36,10 @@ Tell = Callable[..., None]
 """Writes an event: its name and its data."""
 
 
-def rate_as_made(limits: ChamberLimits, rate_k_per_min: float) -> float:
-    step = limits.ramp_step_k_per_min
-    return step * max(1, round(rate_k_per_min / step)) if step else rate_k_per_min
-
-
 def ramps_alone(limits: ChamberLimits, rate_k_per_min: float) -> bool:
     """Whether the controller makes a ramp as planned: what it rounds changes all slopes."""
-    made = rate_as_made(limits, rate_k_per_min)
+    step = limits.ramp_step_k_per_min
+    made = step * max(1, round(rate_k_per_min / step)) if step else rate_k_per_min
     return limits.hardware_ramp and abs(made - rate_k_per_min) <= _ROUNDED * rate_k_per_min
 
 
@@ -90,12 +87,18 @@ class AirCourse:
 
 
 class ChamberControl:
-    """Commands the chamber and keeps its readings, from any thread: one command after the other."""
+    """Commands the chamber and keeps its readings, from any thread: one command after the other. `failed` gets the
+    sentence that ends the run."""
 
-    def __init__(self, chamber: TemperatureChamber, clock: Clock, event: Tell) -> None:
+    def __init__(
+        self,
+        chamber: TemperatureChamber,
+        clock: Clock,
+        event: Tell,
+        failed: Callable[[str], None] = lambda sentence: None,
+    ) -> None:
         self.chamber = chamber
-        self._clock = clock
-        self._event = event
+        self._clock, self._event, self._failed = clock, event, failed
         self._telling = threading.RLock()
         self._ended = self._started = False
         self._history: deque[tuple[float, float]] = deque(maxlen=_REMEMBERED)
@@ -104,18 +107,22 @@ class ChamberControl:
         self._next_soft_s = 0.0
         self._held_c: float | None = None
         self._conditions_since_s = math.inf
+        # The temperatures that the chamber reports as its limits, and that of its air at the start.
+        self._range_c = (-math.inf, math.inf)
         self.expected = AirCourse()
         self.newest: ChamberReading | None = None
+
+    def begin(self) -> None:
+        """The first reading of a run."""
+        reading, limits = self.chamber.read(), self.chamber.limits()
+        self._range_c = min(limits.lowest_c, reading.air_c), max(limits.highest_c, reading.air_c)
+        self.heard(reading)
 
     def heard(self, reading: ChamberReading) -> None:
         self.newest = reading
         if not reading.conditioning:
             self._held_c = None
         self._history.append((reading.time_s, reading.air_c if reading.product_c is None else reading.product_c))
-
-    @property
-    def conditions(self) -> bool:
-        return self.newest is not None and self.newest.time_s > self._conditions_since_s
 
     def end(self, longest_s: float) -> bool:
         """Send no further command; returns when the current one has ended, or after `longest_s`; whether it has."""
@@ -142,19 +149,9 @@ class ChamberControl:
                 self._event("chamber told", hold_c=temperature_c)
             self._soft = None
 
-    def expect(self, course: Course, now_s: float) -> None:
-        if course.ramp_k_per_min is not None:
-            self.expected.ramps(now_s, course.temperature_c, course.ramp_k_per_min)
-        elif self.expected.of_late(now_s, 0.0) != (course.temperature_c, course.temperature_c):
-            self.approach(course.temperature_c)
-
     def approach(self, temperature_c: float) -> None:
         if self.newest is not None:
             self.expected.approaches(self.newest.air_c, temperature_c)
-
-    def may_start(self) -> None:
-        """The next command may start the chamber again: an operator has resumed the run."""
-        self._started = False
 
     def _set(self, temperature_c: float) -> None:
         if self._started:
@@ -167,6 +164,19 @@ class ChamberControl:
     def _conditioned(self) -> None:
         self._started = True
         self._conditions_since_s = min(self._conditions_since_s, self._clock.now())
+
+    def tell(self, course: Course, due_s: float) -> None:
+        """Runs in a separate thread: a chamber that takes seconds to acknowledge delays no move and no reading."""
+        at_c, rate = course.temperature_c, course.ramp_k_per_min
+        if rate is not None:
+            self.expected.ramps(due_s, at_c, rate)
+        elif self.expected.of_late(due_s, 0.0) != (at_c, at_c):
+            self.approach(at_c)
+
+        def failed(problem: Exception) -> None:
+            self._failed(f"The temperature profile could not be sent to the chamber: {problem}")
+
+        in_thread(lambda: self.follow(course), self._clock, failed)
 
     def follow(self, course: Course) -> None:
         """Follow a course: by the controller's own ramp where it has the planned one, else by `step_soft_ramp`."""
@@ -207,7 +217,7 @@ class ChamberControl:
             self._soft = None if self._held_c == target_c else self._soft
             self._next_soft_s = now + _SOFT_STEP_S
 
-    def watch(self, every_s: float, watching: threading.Event, failed: Callable[[str], None]) -> None:
+    def watch(self, every_s: float, watching: threading.Event) -> None:
         failures = 0
         while watching.is_set():
             self._clock.sleep(every_s)
@@ -223,14 +233,8 @@ class ChamberControl:
                 failures += 1
                 self._event("chamber not read", problem=str(problem))
                 if failures == 3 or isinstance(problem, Disconnected):
-                    failed(f"The chamber cannot be read: {problem}")
+                    self._failed(f"The chamber cannot be read: {problem}")
                     return
-
-    def tell(self, course: Course, due_s: float, failed: Callable[[str], None]) -> None:
-        """Runs in a separate thread: a chamber that takes seconds to acknowledge delays no move and no reading."""
-        self.expect(course, due_s)
-        why = "The temperature profile could not be sent to the chamber"
-        in_thread(lambda: self.follow(course), self._clock, lambda problem: failed(f"{why}: {problem}"))
 
     def stable_at(self, temperature_c: float, wanted: Stable) -> float | None:
         """The newest temperature, if it has been stable for the required time; else None."""
@@ -243,3 +247,45 @@ class ChamberControl:
             if readings[-1][0] - time_s >= wanted.for_s:
                 return readings[-1][1]
         return None
+
+    def violated(self, limits: InterlockLimits) -> dict[str, str]:
+        """What is wrong with the newest reading, by the rules of `interlocks`."""
+        if (reading := self.newest) is None:
+            return {}
+        alarms = f"the chamber reports alarm {', '.join(reading.alarms)}: see its manual" if reading.alarms else ""
+        return {
+            "chamber alarm": alarms,
+            "temperature limit": self._beyond(reading, limits),
+            "temperature course": self._off_course(reading, limits),
+            "idle chamber": self._idle(reading),
+        }
+
+    def _beyond(self, reading: ChamberReading, limits: InterlockLimits) -> str:
+        band_k = limits.temperature_band_k if math.isfinite(limits.temperature_band_k) else 0.0
+        lowest = max(limits.never_below_c, self._range_c[0] - band_k)
+        highest = min(limits.never_above_c, self._range_c[1] + band_k)
+        for what, value in (("air", reading.air_c), ("load", reading.product_c)):
+            if value is not None and not lowest <= value <= highest:
+                return f"the {what} is at {value:.1f} degC; its limits are {lowest:g} to {highest:g} degC"
+        return ""
+
+    def _off_course(self, reading: ChamberReading, limits: InterlockLimits) -> str:
+        course_c = self.expected.of_late(self._clock.now(), limits.temperature_lag_s)
+        if course_c is None:
+            return ""
+        low, high = course_c
+        away = min(reading.air_c - low, 0.0) or max(reading.air_c - high, 0.0)
+        if abs(away) <= limits.temperature_band_k:
+            return ""
+        return (
+            f"the air is at {reading.air_c:.1f} degC, {away:+.1f} K from the temperature profile of the last "
+            f"{limits.temperature_lag_s:g} s; the rig allows {limits.temperature_band_k:g} K"
+        )
+
+    def _idle(self, reading: ChamberReading) -> str:
+        if reading.conditioning or reading.time_s <= self._conditions_since_s:
+            return ""
+        return (
+            f"the chamber is off, and this run did not switch it off: mode {reading.mode}, air at "
+            f"{reading.air_c:.1f} degC. Check its power, and whether a person used its panel"
+        )

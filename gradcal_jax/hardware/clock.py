@@ -59,18 +59,11 @@ class RealClock:
 
 class VirtualClock:
     """Time of simulated devices. Sleepers that are due at one time wake in the order in which they went to sleep, the
-    next one when the one before waits again.
+    next one when the one before waits again."""
 
-    `speed` limits the rate to that many virtual seconds per real second; without it time runs as fast as possible.
-    """
-
-    def __init__(self, start_s: float = 0.0, *, speed: float | None = None) -> None:
-        if speed is not None and not speed > 0.0:
-            raise ValueError(f"The speed of the virtual clock is {speed}; give a number above zero.")
+    def __init__(self, start_s: float = 0.0) -> None:
         self._lock = threading.Lock()
         self._now = start_s
-        self._speed = speed
-        self._origin = (start_s, time.monotonic())
         self._order = itertools.count()
         self._sleepers: list[tuple[float, int, threading.Lock]] = []
         self._working = 0
@@ -95,10 +88,6 @@ class VirtualClock:
             with self._lock:
                 self._working -= 1
                 self._wake_next()
-        if self._speed is not None:
-            virtual_origin, real_origin = self._origin
-            due = real_origin + (self._now - virtual_origin) / self._speed
-            time.sleep(max(due - time.monotonic(), 0.0))
 
     @contextmanager
     def party(self) -> Generator[None, None, None]:

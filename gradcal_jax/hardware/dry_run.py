@@ -4,16 +4,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from gradcal_jax.hardware.chamber_control import ramps_alone, rate_as_made
-from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.interlocks import ExecutedStep, SampleLosses
-from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits, ImuStream
+from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits
 from gradcal_jax.hardware.setup import DeviceReport
 from gradcal_jax.hardware.track import AxisCommand, Course, Track
 
-# In so long a tenth of the rate is seen.
-MEASURED_S = 12.0
-_LATE_S = 0.5
 # Relative error of an acceleration that changes nothing of a turn.
 _LIKE_ACCELERATION = 0.05
 # How a spec says it.
@@ -23,18 +17,16 @@ _ONE_READING = 'rests with read = "none", or rig.table.axis[].angle.read_every =
 @dataclass(frozen=True)
 class DryRun:
     """The dry run of a recipe, whose steps take `duration_s` without waiting. `devices`: what each is asked to do;
-    `rounded`: slopes that the chamber would round; `problems`: why the run would not start."""
+    `problems`: why the run would not start."""
 
     duration_s: float
     devices: dict[str, str]
-    rounded: tuple[str, ...]
     problems: tuple[str, ...]
 
 
 def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, AxisLimits]) -> DryRun:
     """What a track asks of devices with these limits, and what these do not accept."""
     devices: dict[str, str] = {}
-    rounded: list[str] = []
     problems = [
         f"The recipe reads axis {name!r} several times in a rest, but the operator types its angle only once: add "
         "an [axis.encoder] to the rig file, or use a recipe whose plan has one reading in each rest "
@@ -49,7 +41,6 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
             beyond = ["sets a temperature, but the rig has no chamber."]
             if chamber is not None:
                 beyond = chamber.beyond(course.temperature_c, course.ramp_k_per_min)
-                rounded += _rounded(course, chamber)
             problems += [f"Step {step.name!r} {text}" for text in beyond]
             courses.append(course)
     if courses:
@@ -58,7 +49,7 @@ def dry_run_of(track: Track, chamber: ChamberLimits | None, axes: Mapping[str, A
         devices["chamber"] = f"{min(temperatures):g} to {max(temperatures):g} degC, ramps up to {steepest:.3g} K/min"
     for name in track.moved:
         devices[name] = _axis(track, name, axes, problems)
-    return DryRun(track.duration_s, devices, tuple(dict.fromkeys(rounded)), tuple(dict.fromkeys(problems)))
+    return DryRun(track.duration_s, devices, tuple(dict.fromkeys(problems)))
 
 
 def dry_run_on(track: Track, reports: Sequence[DeviceReport]) -> DryRun:
@@ -68,14 +59,6 @@ def dry_run_on(track: Track, reports: Sequence[DeviceReport]) -> DryRun:
     run = dry_run_of(track, chamber, axes)
     silent = [f"{report.name}: {report.problem}" for report in reports if report.problem]
     return replace(run, problems=(*silent, *run.problems))
-
-
-def _rounded(course: Course, limits: ChamberLimits) -> list[str]:
-    rate = course.ramp_k_per_min
-    if rate is None or not limits.hardware_ramp or ramps_alone(limits, rate):
-        return []
-    made = f"the chamber would round {rate:.3g} K/min to {rate_as_made(limits, rate):.3g} K/min"
-    return [f"{made}: the run steps the set point instead"]
 
 
 def _axis(track: Track, name: str, axes: Mapping[str, AxisLimits], problems: list[str]) -> str:
@@ -116,17 +99,3 @@ def _beyond_axis(move: AxisCommand, goal: float, limits: AxisLimits) -> list[str
     elif move.kind == "spin" and limits.travel_deg != (-math.inf, math.inf):
         problems.append("turns continuously, but its travel is limited.")
     return problems
-
-
-def what_lacks(unit: ImuStream, clock: Clock) -> str:
-    """A sentence where samples are lost, or come at another rate than the unit's settings say; empty: all is well."""
-    settings = unit.configure()
-    losses = SampleLosses(unit.decoder(), settings.sample_rate_hz, None, clock.now())
-    unit.start()
-    began_s = clock.now()
-    while clock.now() < began_s + MEASURED_S:
-        data, time_s = unit.read_bytes(0.5)
-        if data:
-            losses.push(data, time_s)
-    unit.stop()
-    return losses.between(ExecutedStep(0, began_s, clock.now()), 0.0, _LATE_S, None)

@@ -1,18 +1,17 @@
 """Execution of a recipe, on a rig or on simulated devices (`gradcal run`): sessions of a run, from opening the ports to
 closing them.
 
-Ctrl-C pauses after the step; a second Ctrl-C, or the first without a terminal, makes safe and ends. SIGTERM and SIGHUP make safe and end.
+Ctrl-C, SIGTERM and SIGHUP make safe and end; a run is continued by `resume`.
 """
 
 import itertools
 import json
-import math
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -21,7 +20,7 @@ from typing import Any, Final, TypedDict, Unpack
 from gradcal_jax.hardware.clock import Clock, RealClock, VirtualClock, repeating
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.guard import BEAT_S, Guard
-from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
+from gradcal_jax.hardware.interlocks import InterlockLimits
 from gradcal_jax.hardware.journal import Journal, JournalContents, Recorder
 from gradcal_jax.hardware.run_folder import (
     RunFolder,
@@ -35,7 +34,7 @@ from gradcal_jax.hardware.run_folder import (
 from gradcal_jax.hardware.runner import Runner
 from gradcal_jax.hardware.setup import Bench, configs_of, open_rig
 from gradcal_jax.hardware.simulate.lab import RATES_HZ, SimulatedLab
-from gradcal_jax.hardware.supervision import RunProgress, RunResult, RunState, StatusFile, sound_alarm
+from gradcal_jax.hardware.supervision import RunProgress, RunResult, StatusFile, sound_alarm
 from gradcal_jax.hardware.track import track_of
 from gradcal_jax.hardware.transport import Terminal
 from gradcal_jax.recipe.recipe import Recipe
@@ -47,13 +46,15 @@ _LATER_S: Final = 60.0
 _MOST_UNITS: Final = 8
 # Longer than the run's own thread ever waits for one device: homing takes minutes.
 _HANGS_S: Final = 300.0
+CTRL_C: Final = "Ctrl-C"
 
 
 class Attended(TypedDict, total=False):
+    """The operator's interface: `on_progress` is called beside the status file, `with_runner` before the run starts.
+    `terminal`: of the operator who turns axes by hand."""
+
     on_progress: Callable[[RunProgress], None]
     with_runner: Callable[[Runner], None]
-    wait_when_paused: bool
-    handle_signals: bool
     terminal: Terminal | None
 
 
@@ -64,7 +65,6 @@ def run(
     rig: RigFile | None = None,
     simulate: bool = False,
     seed: int = 0,
-    speed: float | None = None,
     sample_rate_hz: float = 125.0,
     about: Mapping[str, str] | None = None,
     units: int = 1,
@@ -72,53 +72,52 @@ def run(
 ) -> RunResult:
     """Execute a recipe and leave everything safe; `folder` becomes the run's, with all bytes sent and received.
 
-    Give either the `rig`, or `simulate`: then the devices are simulated, in virtual time or `speed` times faster than
-    the clock, with hidden errors drawn by `seed`, the sensor sampled at `sample_rate_hz` (125, 250, … 2000 Hz), and
-    `units` devices on the table; log, calibration and page say so. `attended`: the operator's interface
-    (`on_progress`, `with_runner`, `wait_when_paused`, `handle_signals`), and the `terminal` of the operator who turns
-    axes by hand. `about`: texts by name, such as operator, unit and note, kept with the run and in its log.
+    Give either the `rig`, or `simulate`: then the devices are simulated, in virtual time, with hidden errors drawn by
+    `seed`, the sensor sampled at `sample_rate_hz` (125, 250, … 2000 Hz), and `units` devices on the table; log,
+    calibration and page say so. `attended`: see `Attended`. `about`: texts by name, such as operator, unit and note,
+    kept with the run and in its log.
 
-    Returns how it ended: `exit_status` "success", "stopped" or "aborted", `reason`, `steps_done`, `verified_safe`.
-    Errors: `ValueError` for a folder that is not empty, for neither or both of rig and simulation, and for another
-    sample rate; `HardwareError` where a device keeps the run from starting.
+    Returns how it ended: `exit_status` "success" or "aborted", `reason`, `steps_done`, `verified_safe`. Errors:
+    `ValueError` for a folder that is not empty, for neither or both of rig and simulation, and for another sample rate;
+    `HardwareError` where a device keeps the run from starting.
     """
     if simulate == (rig is not None):
         raise ValueError("on what? Give either a rig, or simulate=True")
     if rig is not None:
         configs_of(rig)
         _require_operator(rig, recipe, attended)
-        return _on_rig(new_folder(Path(folder), recipe, rig, about=about), 0, attended)
+        made = new_folder(Path(folder), recipe, rig, about=about)
+        return run_session(made, rig, RealClock(), guard=True, **attended)
     if sample_rate_hz not in RATES_HZ:
         known = ", ".join(f"{rate:g}" for rate in RATES_HZ)
         raise ValueError(f"the simulated sensor does not sample at {sample_rate_hz:g} Hz; possible are {known} Hz")
     if not 1 <= units <= _MOST_UNITS:
         raise ValueError(f"the simulated table holds 1 to {_MOST_UNITS} IMUs, not {units}")
-    simulation = {"seed": seed, "speed": speed, "sample_rate_hz": sample_rate_hz, "units": units}
-    lab, clock = _laboratory(recipe, simulation)
+    simulation = {"seed": seed, "sample_rate_hz": sample_rate_hz, "units": units}
+    clock = VirtualClock()
+    lab = _laboratory(recipe, simulation, clock)
     made = new_folder(Path(folder), recipe, lab.rig, simulated=simulation, about=about)
     write_whole(made.path / "hidden_truth.json", json.dumps(lab.truths(), indent=2) + "\n")
     return run_session(made, lab.rig, clock, simulated=True, bench=lab.bench, **attended)
 
 
-def resume(folder: str | Path, *, rig: RigFile | None = None, **attended: Unpack[Attended]) -> RunResult:
+def resume(folder: str | Path, **attended: Unpack[Attended]) -> RunResult:
     """Resume a run that was ended or lost, with the recipe and the rig (or the simulation) in its folder.
 
-    A `rig` argument must be the one that the run began with. The interrupted step is repeated; a simulated run
-    continues 60 s after its last record. `attended` and the result are as for `run`. Errors: `ValueError` where the
-    folder holds no run, a complete one, or one of another recipe or version; `HardwareError` where other devices answer
-    than at the beginning.
+    The interrupted step is repeated; a simulated run continues 60 s after its last record. `attended` and the result
+    are as for `run`. Errors: `ValueError` where the folder holds no run, a complete one, or one of another recipe or
+    version; `HardwareError` where other devices answer than at the beginning.
     """
     existing = RunFolder(Path(folder))
-    first, notes = prepare_resume(existing, rig), existing.notes()
+    first, notes = prepare_resume(existing), existing.notes()
     if notes["simulated"]:
-        lab, clock = _laboratory(existing.recipe(), notes["simulation"], existing.events())
+        before = existing.events()
+        clock = VirtualClock(before.latest_s + _LATER_S)
+        mounting = max(mounting_of(before) - 1, 0)
+        lab = _laboratory(existing.recipe(), notes["simulation"], clock, mounting)
         return run_session(existing, lab.rig, clock, first_step=first, simulated=True, bench=lab.bench, **attended)
     _require_operator(existing.rig(), existing.recipe(), attended)
-    return _on_rig(existing, first, attended)
-
-
-def _on_rig(folder: RunFolder, first_step: int, attended: Attended) -> RunResult:
-    return run_session(folder, folder.rig(), RealClock(), first_step=first_step, guard=True, **attended)
+    return run_session(existing, existing.rig(), RealClock(), first_step=first, guard=True, **attended)
 
 
 def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
@@ -134,14 +133,15 @@ def _require_operator(rig: RigFile, recipe: Recipe, attended: Attended) -> None:
         raise ValueError(f"axis {', '.join(names)} is turned by the operator, who is asked {start}")
 
 
-def _laboratory(
-    recipe: Recipe, simulation: Mapping[str, Any], before: JournalContents | None = None
-) -> tuple[SimulatedLab, VirtualClock]:
-    """The simulated laboratory of a run and its clock, which goes on after the records `before`."""
-    clock = VirtualClock(0.0 if before is None else before.latest_s + _LATER_S, speed=simulation["speed"])
-    settings: Any = {"seed": int(simulation["seed"]), "sample_rate_hz": float(simulation["sample_rate_hz"])}
-    mounting = 0 if before is None else max(mounting_of(before) - 1, 0)
-    return SimulatedLab(recipe.spec, clock, **settings, units=int(simulation["units"]), mounting=mounting), clock
+def _laboratory(recipe: Recipe, simulation: Mapping[str, Any], clock: Clock, mounting: int = 0) -> SimulatedLab:
+    return SimulatedLab(
+        recipe.spec,
+        clock,
+        seed=int(simulation["seed"]),
+        sample_rate_hz=float(simulation["sample_rate_hz"]),
+        units=int(simulation["units"]),
+        mounting=mounting,
+    )
 
 
 def run_session(
@@ -153,16 +153,15 @@ def run_session(
     simulated: bool = False,
     bench: Bench | None = None,
     guard: bool = False,
-    interlocks: Interlocks | None = None,
+    limits: InterlockLimits | None = None,
     safe_deadline_s: float = 60.0,
     **attended: Unpack[Attended],
 ) -> RunResult:
-    """Execute a run's recipe from `first_step` on, and leave everything safe.
+    """Execute a run's recipe from `first_step` on, and leave everything safe. In the main thread it handles signals.
 
     `bench`: the open devices, where they are not at the ports of the rig file. `guard`: a process beside this one makes
-    the rig safe where this one does not. `with_runner` is called with the runner before it starts. Without
-    `wait_when_paused`, which needs an operator, a reason to pause ends the run. Raises `HardwareError` where the run
-    cannot start; later problems are in the result.
+    the rig safe where this one does not. Raises `HardwareError` where the run cannot start; later problems are in the
+    result.
     """
     track = track_of(folder.recipe(), [axis.name for axis in rig.axis])
     resumed = folder.events() if folder.journal_path.exists() else JournalContents()
@@ -207,18 +206,17 @@ def run_session(
             bench,
             journal,
             clock,
-            interlocks or Interlocks(limits_of(rig)),
+            limits or limits_of(rig),
             show,
             partial(sound_alarm, rig),
             safe_deadline_s=safe_deadline_s,
-            wait_when_paused=attended.get("wait_when_paused", False),
             first_step=first_step,
             mounting=mounting_of(resumed),
             on_new_session=new_session,
         )
         if (with_runner := attended.get("with_runner")) is not None:
             with_runner(runner)
-        if attended.get("handle_signals"):
+        if threading.current_thread() is threading.main_thread():
             stack.enter_context(signals_to(runner))
         if watched is not None:
             runner.on_begin = watched.begun
@@ -232,12 +230,15 @@ def run_session(
 
 
 def limits_of(rig: RigFile) -> InterlockLimits:
-    pause, chamber = InterlockLimits(longest_pause_s=float(rig.longest_pause)), rig.chamber
-    if chamber is None:
-        return pause
-    air = {"temperature_band_k": chamber.band, "temperature_lag_s": chamber.lag, "room_c": chamber.ambient}
-    ends = {"never_above_c": chamber.never_above, "never_below_c": chamber.never_below}
-    return replace(pause, **{name: float(limit) for name, limit in (air | ends).items() if limit is not None})
+    if (chamber := rig.chamber) is None:
+        return InterlockLimits()
+    limits = {
+        "temperature_band_k": chamber.band,
+        "temperature_lag_s": chamber.lag,
+        "never_above_c": chamber.never_above,
+        "never_below_c": chamber.never_below,
+    }
+    return InterlockLimits(**{name: float(limit) for name, limit in limits.items() if limit is not None})
 
 
 def _beat(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> None:
@@ -255,27 +256,13 @@ def _beat(watched: Guard, runner: Runner, journal: Journal, clock: Clock) -> Non
 
 @contextmanager
 def signals_to(runner: Runner) -> Generator[None, None, None]:
-    """Ctrl-C once: pause after this step; again, or while it is paused: make safe and end, as SIGTERM and SIGHUP do.
-    Before the first step, and where no operator could resume it, it ends the run.
+    """Ctrl-C, SIGTERM and SIGHUP make safe and end. Only in the main thread (Python's rule for signals)."""
 
-    Only in the main thread (Python's rule for signals).
-    """
-    paused_s = [-math.inf]
+    def end(number: int, frame: FrameType | None) -> None:
+        runner.abort(CTRL_C if number == signal.SIGINT else signal.Signals(number).name)
 
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        # Two signals at once count as two, even before the first has been handled.
-        twice = time.monotonic() - paused_s[0] < 2.0
-        again = twice or runner.state in (RunState.IDLE, RunState.PAUSING, RunState.PAUSED)
-        again = again or not runner.wait_when_paused
-        paused_s[0] = time.monotonic()
-        runner.request("abort" if again else "soft pause", "Ctrl-C")
-
-    def terminate(number: int, frame: FrameType | None) -> None:
-        runner.request("abort", signal.Signals(number).name)
-
-    ends = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    handlers = {signal.SIGINT: interrupt, **dict.fromkeys(ends, terminate)}
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {getattr(signal, name): signal.signal(getattr(signal, name), end) for name in names}
     try:
         yield
     finally:

@@ -18,7 +18,6 @@ Writing raises nothing, because the caller may be about to stop an axis: a journ
 
 import errno
 import json
-import logging
 import math
 import os
 import shutil
@@ -27,14 +26,13 @@ import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, cast
 
 from gradcal_jax.hardware.errors import HardwareError
 
-_LOG = logging.getLogger(__name__)
 _SYNC = b"\xa7\x4a"
 _HEAD = struct.Struct("<BBId")
 _EVENT, _RECEIVED, _SENT = 1, 2, 3
@@ -142,8 +140,7 @@ class Journal(AbstractContextManager["Journal"]):
         return shutil.disk_usage(self.path.parent).free
 
     def event(self, time_s: float, name: str, /, *, at_once: bool = True, **data: Any) -> None:
-        """Write an event; with `at_once` wait until the disk has it, or until there is a `problem`, and log it: a
-        handler of the user's may wait, too."""
+        """Write an event; with `at_once` wait until the disk has it, or until there is a `problem`."""
         payload = json.dumps({"event": name, **data}, separators=(",", ":"), allow_nan=False).encode()
         on_disk = threading.Event()
         with self._lock:
@@ -152,9 +149,6 @@ class Journal(AbstractContextManager["Journal"]):
                 self._waiters.append(on_disk)
         while waits and not (on_disk.wait(_LOOKS_S) or self.problem):
             pass
-        if at_once:
-            with suppress(Exception):  # whatever a filter or handler raises
-                _LOG.info("run at %.3f s: %s %s", time_s, name, data)
 
     def bytes_of(self, line: str, time_s: float, data: bytes, *, received: bool) -> None:
         """Write bytes of a line; they are on the disk within a second."""

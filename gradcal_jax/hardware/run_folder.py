@@ -18,9 +18,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from gradcal_jax.hardware.errors import HardwareError, WrongIdentity
+from gradcal_jax.hardware.errors import WrongIdentity
 from gradcal_jax.hardware.journal import Event, Journal, JournalContents, read_journal
-from gradcal_jax.hardware.setup import Bench, check_rig
+from gradcal_jax.hardware.setup import Bench
 from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.recipe.recipe import Recipe, read_recipe
 from gradcal_jax.spec.changes import differences
@@ -30,7 +30,6 @@ from gradcal_jax.tables.writing import write_toml, write_whole
 
 FORMAT: Final = "gradcal-run/1"
 SESSION: Final = "session"
-_FILES: Final = frozenset({"journal", "recipe.toml", "rig.toml", "run.json", "hidden_truth.json", "status.json"})
 
 
 class RunFolderError(ValueError):
@@ -82,23 +81,17 @@ def new_folder(
     simulated: dict[str, Any] | None = None,
     about: Mapping[str, str] | None = None,
 ) -> RunFolder:
-    """Make the folder of a new run, or reuse that of a run that never began. `about`: operator, unit and notes to keep.
+    """Make the folder of a new run. `about`: operator, unit and notes to keep.
 
     Raises `RunFolderError` where the folder holds a run or other files; `HardwareError`, before it is made, where the
     rig lacks an axis that the recipe turns.
     """
     track_of(recipe, [axis.name for axis in rig.axis])
-    there = path / "journal"
-    if there.exists() and sessions(read_journal(there, chunks=False)):
+    if (path / "journal").exists():
         raise RunFolderError(
             f"{path} already has a run: continue it with `gradcal run --resume {path}`, or name another folder."
         )
-    names = {entry.name for entry in path.iterdir()} if path.exists() else set[str]()
-    # A folder with other files, or with a foreign journal, is left unchanged.
-    if {"journal", "run.json"} <= names <= _FILES:
-        for name in names:
-            (path / name).unlink()
-    elif names:
+    if path.exists() and any(path.iterdir()):
         raise RunFolderError(f"{path} is not empty; name a new folder for the run.")
     path.mkdir(parents=True, exist_ok=True)
     write_toml(recipe, path / "recipe.toml")
@@ -157,13 +150,13 @@ def mounting_of(contents: JournalContents) -> int:
 
 
 def exit_status(contents: JournalContents) -> str:
-    """The last session's exit status: "success", "stopped", "aborted", or "lost" where the journal has no end."""
+    """The last session's exit status: "success", "aborted", or "lost" where the journal has no end."""
     ends = [event for event in contents.events if event.name in (SESSION, "end")]
     return str(ends[-1].data.get("exit_status", "lost")) if ends and ends[-1].name == "end" else "lost"
 
 
-def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
-    """Check that the run can be resumed, and return the first step. `rig`: the rig to resume with.
+def prepare_resume(folder: RunFolder) -> int:
+    """Check that the run can be resumed, and return the first step.
 
     Raises `RunFolderError`: the recipe or the rig differs from the beginning, another version wrote the run, or
     everything is done.
@@ -172,10 +165,9 @@ def prepare_resume(folder: RunFolder, rig: RigFile | None = None) -> int:
     restore = f"the one that the run in {folder.path} began with"
     if notes.get("recipe") != folder.recipe().fingerprint:
         raise RunFolderError(f"The recipe is not {restore}: restore it, or begin a new run.")
-    for now in (folder.rig(), rig):
-        changed = () if now is None else differences(notes.get("rig"), rig_tables(now), ())
-        if texts := [f"{dotted(key)} is {after!r} and was {before!r}" for key, before, after in changed]:
-            raise RunFolderError(f"The rig is not {restore}: {'; '.join(texts)}. Restore it, or begin a new run.")
+    changed = differences(notes.get("rig"), rig_tables(folder.rig()), ())
+    if texts := [f"{dotted(key)} is {after!r} and was {before!r}" for key, before, after in changed]:
+        raise RunFolderError(f"The rig is not {restore}: {'; '.join(texts)}. Restore it, or begin a new run.")
     if notes.get("version") != here:
         raise RunFolderError(
             f"The run was begun by gradcal {notes.get('version')}, but this is {here}: resume the run with the "
@@ -192,20 +184,16 @@ def require_same_devices(bench: Bench, contents: JournalContents) -> None:
     # Of several sessions the first counts.
     known = {str(event.data["device"]): event.data for event in reversed(contents.events) if event.name == "identity"}
     names = ("driver", "model", "serial_number", "firmware")
-    for report in check_rig(bench):
-        if report.problem:
-            raise HardwareError(report.problem)
-        now, then = vars(report.identity), known.get(report.name, {})
+    for device_name, entry, device in bench.devices():
+        now, then = vars(device.identify()), known.get(device_name, {})
         if changed := [name for name in names if now[name] != then.get(name, now[name])]:
             words = [" ".join(str(of[name]) for name in changed) for of in (now, then)]
             raise WrongIdentity(
-                f"{report.name} at {report.port} is {words[0]}, but the run began with {words[1]}. Connect "
+                f"{device_name} at {entry.port} is {words[0]}, but the run began with {words[1]}. Connect "
                 "the device that the run began with, or begin a new run."
             )
 
 
 def breaks_off(event: Event) -> bool:
-    """Whether a run is interrupted or ends here: from now on a person may be at the rig."""
-    return event.name in ("interlock", "ending", "not done") or (
-        event.name == "state" and event.data["state"] == "paused"
-    )
+    """Whether a step is interrupted or the run ends here: from now on a person may be at the rig."""
+    return event.name in ("interlock", "ending", "not done")

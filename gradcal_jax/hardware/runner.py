@@ -1,11 +1,11 @@
 """Executes a track on a bench: one clock, everything journalled, safe at every kind of end.
 
-Each change of state is an event of the journal. Requests (pause, stop, abort) may come from any thread or signal
-handler and take effect within a quarter of a second of the run's clock, or when the device that has the current command
-has answered. Nothing turns while a run is paused; interlocks hold in every state, also while an axis searches its
-reference or the chamber acknowledges. A step that was interrupted, by a pause or by the end of the process, is repeated
-from its beginning: the chamber goes to the step's first temperature and is stable there, the axes go to their angles,
-and the journal marks the interruption.
+Each change of state is an event of the journal. A run never waits for a person to resume it: an interlock, an operator
+or a failure ends it, within a quarter of a second of the run's clock or when the device that has the current command
+has answered, and it can be resumed. Interlocks hold in every state, also while an axis searches its reference or the
+chamber acknowledges. A step that was interrupted, or that lacks something of what the recipe states, is repeated from
+its beginning: the chamber goes to the step's first temperature and is stable there, the axes go to their angles, and
+the journal marks the seam.
 
 Beside the executing thread, one thread reads the chamber, and one for each unit writes its bytes to the disk: no slow
 device delays a move. A runner with `first_step` resumes after a crash (see `run_folder`); `guard` makes a rig safe when
@@ -17,7 +17,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
@@ -28,34 +27,28 @@ from gradcal_jax.hardware.clock import Clock, beside, in_thread
 from gradcal_jax.hardware.dry_run import dry_run_of
 from gradcal_jax.hardware.errors import HardwareError, LimitExceeded, sentence_of
 from gradcal_jax.hardware.guard import make_safe, put_back
-from gradcal_jax.hardware.interlocks import ExecutedStep, Interlocks, SampleLosses, Situation, StepNotDone
+from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
 from gradcal_jax.hardware.journal import Journal, event_fields
-from gradcal_jax.hardware.roles import ImuSettings
 from gradcal_jax.hardware.setup import Bench, require_identity
 from gradcal_jax.hardware.supervision import RunProgress, RunResult, RunState, SafeOutcome
-from gradcal_jax.hardware.track import Ask, Course, Stable, Track, TrackStep
+from gradcal_jax.hardware.track import Ask, Stable, Track, TrackStep
+from gradcal_jax.hardware.unit_control import ExecutedStep, SampleLosses, UnitControl
 from gradcal_jax.spec.rig import ImuDevice
 
-Request = Literal["soft pause", "pause", "resume", "stop", "abort"]
 _HELPERS_END_S, _HELPERS_LOOK_S = 5.0, 0.02
 _SLICE_S = 0.25
 _ARRIVAL_S, _PIECES_S, _LONGEST_ARRIVAL_S = 0.1, 0.2, 60.0
 _TRIES = 3
-_ALARM_AGAIN_S = 300.0
 # The chamber's temperature while the operator reaches into it.
 _FOR_HANDS_C = 23.0
 
 
-class _Interrupted(Exception):
-    """A pause within a step."""
+class StepNotDone(Exception):
+    """A step was not executed as written; `unit`: the one whose samples it lacks."""
 
-
-class _Ended(Exception):
-    """Stop or abort."""
-
-    def __init__(self, status: Literal["stopped", "aborted"], reason: str) -> None:
-        Exception.__init__(self, reason)
-        self.status: Literal["stopped", "aborted"] = status
+    def __init__(self, number: int, why: str, unit: str = "") -> None:
+        Exception.__init__(self, why)
+        self.number, self.unit = number, unit
 
 
 @dataclass
@@ -66,12 +59,11 @@ class Runner:
     bench: Bench
     journal: Journal
     clock: Clock
-    interlocks: Interlocks = field(default_factory=Interlocks)
+    limits: InterlockLimits = field(default_factory=InterlockLimits)
     on_progress: Callable[[RunProgress], None] | None = None
     on_alarm: Callable[[str], None] = lambda sentence: None
     chamber_every_s: float = 5.0
     safe_deadline_s: float = 60.0
-    wait_when_paused: bool = True
     first_step: int = 0
     mounting: int = 0
     """The mounting of the IMUs when the run begins, as `Ask.mounting`; 0: unknown."""
@@ -86,23 +78,15 @@ class Runner:
         """Whether anything was commanded."""
         self.ticked_s = time.monotonic()
         """Real time of the last sign of life of the run's own thread."""
-        self._requests: deque[tuple[Request, str]] = deque()
-        self._pause_first = False
-        # Why the run is paused, by a rule or by a request, and since when.
-        self._why, self._by_rule = "", False
-        self._paused_s: float | None = None
+        self._interlocks = Interlocks()
         self._problem = ""
         self._working, self._watching = threading.Event(), threading.Event()
-        self._range_c = (-math.inf, math.inf)
-        chamber, latest_s = self.bench.chamber, self.interlocks.limits.latest_s
-        self._chamber = None if chamber is None else ChamberControl(chamber, self.clock, self._event)
-        self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, not self.bench.imus)
-        self._losses: dict[str, SampleLosses] = {}
-        # Units whose samples are awaited; they send none while the axes search for their references.
-        self._streaming: set[str] = set()
-        self._settings: dict[str, ImuSettings] = {}
+        chamber, latest_s = self.bench.chamber, self.limits.latest_s
+        self._chamber = None if chamber is None else ChamberControl(chamber, self.clock, self._event, self.abort)
+        track_kept = not self.bench.imus
+        self._axes = AxisControl(self.bench.axes, self.clock, self._event, latest_s, keep_track=track_kept)
+        self._units: dict[str, UnitControl] = {}
         self._unconfirmed: deque[ExecutedStep] = deque()
-        self._confirmed: set[int] = set()
         self._tries: dict[int, int] = {}
         self._shortfall: StepNotDone | None = None
         self._heard_end_s = math.inf
@@ -111,27 +95,22 @@ class Runner:
         self._steps_done = self.first_step
         self._step_ends_s = 0.0
 
-    def request(self, what: Request, reason: str = "asked for") -> None:
-        """Request a change of state; safe in a signal handler."""
-        self._requests.append((what, reason))
+    def abort(self, why: str) -> None:
+        """Make safe and end; from any thread, and in a signal handler."""
+        self._problem = self._problem or why
 
     def run(self) -> RunResult:
         helpers: list[threading.Event] = []
-        status: Literal["success", "stopped", "aborted"] = "success"
+        status: Literal["success", "aborted"] = "success"
         reason = ""
         with self.clock.party():
             try:
                 self._working.set()
                 self._watching.set()
                 self._prepare(helpers)
-                self._obey_requests()
+                self._duties()
                 self._enter(RunState.RUNNING)
-                if self._pause_first:
-                    self._enter(RunState.PAUSING)
-                    self._wait_paused()
                 self._execute()
-            except _Ended as end:
-                status, reason = end.status, str(end)
             except KeyboardInterrupt:
                 status, reason = "aborted", "interrupted from the keyboard"
             except Exception as problem:
@@ -158,51 +137,34 @@ class Runner:
             require_identity(name, entry, identity)
             self._event("identity", device=name, **event_fields(identity))
             if isinstance(entry, ImuDevice):
-                self._settings[name] = self.bench.imus[name].configure()
-                self._event("configuration", device=name, **event_fields(self._settings[name]))
+                self._units[name] = UnitControl(name, self.bench.imus[name], self.clock)
+                self._tell_settings(self._units[name])
         axes = {name: axis.limits() for name, axis in self.bench.axes.items()}
         if problems := dry_run_of(self.track, self.bench.chamber_limits(), axes).problems:
             raise LimitExceeded("The run was not started. " + " ".join(problems))
 
         def start(failed: str, work: Callable[[], None]) -> None:
             """Work in a thread of its own; a sentence that begins with `failed` ends the run where it cannot go on."""
+            helpers.append(in_thread(work, self.clock, lambda problem: self.abort(f"{failed}: {problem}")))
 
-            def fail(problem: Exception) -> None:
-                self._fail(f"{failed}: {problem}")
-
-            helpers.append(in_thread(work, self.clock, fail))
-
-        if self._chamber is not None:
-            reading, limits = self._chamber.chamber.read(), self._chamber.chamber.limits()
-            self._range_c = min(limits.lowest_c, reading.air_c), max(limits.highest_c, reading.air_c)
-            self._chamber.heard(reading)
-            watch = partial(self._chamber.watch, self.chamber_every_s, self._watching, self._fail)
-            start("The chamber is not monitored", watch)
+        if (chamber := self._chamber) is not None:
+            chamber.begin()
+            start("The chamber is not monitored", partial(chamber.watch, self.chamber_every_s, self._watching))
         self.begun = True
         self.on_begin()
         # The units' data begin after the search for references.
         self._axes.home(self.track.moved, self._duties)
-        for name, unit in self.bench.imus.items():
-            unit.start()
-            self._listen_to(name)
-            start(name, partial(self._carry_bytes, name))
+        for name, unit in self._units.items():
+            unit.stream.start()
+            unit.listen(self.track.gyros)
+            start(name, partial(self._carry_bytes, unit))
 
-    def _fail(self, problem: str) -> None:
-        self._problem = problem
+    def _tell_settings(self, unit: UnitControl) -> None:
+        self._event("configuration", device=unit.name, **event_fields(unit.settings))
 
-    def _listen_to(self, name: str) -> None:
-        """Count a unit's samples from here on."""
-        decoder, rate_hz = self.bench.imus[name].decoder(), self._settings[name].sample_rate_hz
-        self._losses[name] = SampleLosses(decoder, rate_hz, self.track.gyros, self.clock.now())
-        self._streaming.add(name)
-
-    def _carry_bytes(self, name: str) -> None:
-        """Write raw bytes to the journal first, then count the missing samples."""
+    def _carry_bytes(self, unit: UnitControl) -> None:
         while self._working.is_set():
-            data, time_s = self.bench.imus[name].read_bytes(0.2)
-            if data:
-                self.journal.bytes_of(name, time_s, data, received=True)
-                self._losses[name].push(data, time_s)
+            unit.carry_bytes(self.journal)
 
     # ---------------------------------------------------------------------------------------------------- the steps
 
@@ -212,7 +174,7 @@ class Runner:
         again = 0 < self.first_step < len(steps)
         if again:
             self._seam("the run was resumed; the step begins again")
-        while (number := self._steps_done) < len(steps) or self._unconfirmed or self.interlocks.pending:
+        while (number := self._steps_done) < len(steps) or self._unconfirmed or self._interlocks.pending:
             try:
                 if number == len(steps):
                     self._await_confirmation()
@@ -221,25 +183,9 @@ class Runner:
                 again = isinstance(steps[number], Ask)
                 self._steps_done += 1
                 self._confirm_steps()
-                if self.state is RunState.PAUSING and self._steps_done < len(steps):
-                    self._pause_between(steps[number])
-                    if again := steps[self._steps_done].stable is None:
-                        self._seam("the run was paused before this step")
-            except _Interrupted:
-                violated = self._why if self._by_rule else ""
-                self._wait_paused()
-                if number < len(steps):
-                    self._seam("the step begins again after a pause")
-                    again = True
-                elif violated:
-                    self._take_back(StepNotDone(number - 1, violated))
-                    again = True
             except StepNotDone as shortfall:
                 self._take_back(shortfall)
                 again = True
-        if left := set(range(self.first_step, len(steps))) - self._confirmed:
-            names = ", ".join(repr(steps[number].name) for number in sorted(left))
-            raise HardwareError(f"The run ended before these steps were confirmed: {names}.")
 
     def _seam(self, why: str) -> None:
         self._event("seam", step=self.track.steps[self._steps_done].name, why=why)
@@ -250,31 +196,20 @@ class Runner:
         self._say_not_done(shortfall)
         self._shortfall = None
         self._unconfirmed = deque(executed for executed in self._unconfirmed if executed.number < number)
-        self._confirmed = {done for done in self._confirmed if done < number}
         self._tries[number] = self._tries.get(number, 0) + 1
         if self._tries[number] == _TRIES:
-            what = (
-                f"In {_TRIES} attempts, step {self.track.steps[number].name!r} was not executed as the recipe states."
-            )
+            name = self.track.steps[number].name
+            what = f"In {_TRIES} attempts, step {name!r} was not executed as the recipe states."
             raise HardwareError(f"{what} The last attempt: {shortfall}.")
         self._axes.stop()
         self._steps_done = number
         if shortfall.unit:
             # Its samples count anew from here, as in a run that is resumed.
             self.on_new_session(number)
-            for device, settings in self._settings.items():
-                self._event("configuration", device=device, **event_fields(settings))
-            self._listen_to(shortfall.unit)
+            for unit in self._units.values():
+                self._tell_settings(unit)
+            self._units[shortfall.unit].listen(self.track.gyros)
         self._seam("the step is repeated: it was not executed as the recipe states")
-
-    def _pause_between(self, step: TrackStep) -> None:
-        """Stop every axis: nothing turns while a run is paused, not even a spin that the next step continues."""
-        # Interrupted: every axis was stopped.
-        with suppress(_Interrupted):
-            self._axes.end_spins(step.name, step.duration_s)
-            self._axes.settle_all(self._duties)
-        if self.state is RunState.PAUSING:
-            self._wait_paused()
 
     def _run_step(self, step: TrackStep, again: bool) -> ExecutedStep:
         number, axes = self._steps_done, self._axes
@@ -285,11 +220,10 @@ class Runner:
         begin = self.clock.now() if anew else self._step_ends_s
         if isinstance(step, Ask):
             self._ask(step)
-        courses = self.track.courses_from(number) if anew else list(step.courses)
         axes.late_s = 0.0 if anew else axes.late_s
         self._step_ends_s = begin + step.duration_s
         self._event("step begins", step=step.name, number=number, begins_s=begin, data=step.data)
-        end = self._move(step, begin, courses)
+        end = self._move(step, begin, anew)
         after = self.track.steps[number + 1 :][:1]
         if not after or after[0].stable is not None or isinstance(after[0], Ask):
             axes.end_spins(step.name, step.duration_s)
@@ -297,11 +231,12 @@ class Runner:
         self._require_executed()
         axes.late_s = end - self._step_ends_s
         self._event("step ends", at_once=False, step=step.name, number=number)
-        return ExecutedStep(number, begin, self.clock.now())
+        return ExecutedStep(number, begin, self.clock.now(), step.turned_deg)
 
-    def _move(self, step: TrackStep, begin: float, courses: list[Course]) -> float:
+    def _move(self, step: TrackStep, begin: float, anew: bool) -> float:
         """Everything in a step's own time; returns its end."""
-        axes, latest_s, planned = self._axes, self.interlocks.limits.latest_s, bool(step.read_at_s)
+        axes, planned = self._axes, bool(step.read_at_s)
+        courses = deque(self.track.courses_from(self._steps_done) if anew else step.courses)
         moves = deque(step.moves)
         reads = deque(step.read_at_s)
         if not planned:
@@ -312,20 +247,13 @@ class Runner:
             while reads and motion + reads[-1] > end + 1e-6:
                 reads.pop()
             if reads and motion + reads[0] <= now and not axes.turned_by_hand:
-                late_s = now - motion - reads[0]
-                while reads and motion + reads[0] <= now:
-                    # While an axis is turned by hand nothing is read: of what fell due meanwhile the last counts.
-                    late_s = now - motion - reads[0] if axes.by_hand else late_s
-                    reads.popleft()
-                if planned and late_s > latest_s:
-                    axes.amiss.append(f"a reading was {late_s:.1f} s late")
-                axes.read(planned=planned)
+                self._read(reads, motion, planned)
             while courses and begin + courses[0].start_s <= self.clock.now():
-                course = courses.pop(0)
-                if (late_s := self.clock.now() - begin - course.start_s) > latest_s:
-                    axes.amiss.append(f"the temperature profile was sent to the chamber {late_s:.1f} s late")
+                course = courses.popleft()
+                due_s = begin + course.start_s
+                self._note_late("the temperature profile was sent to the chamber {:.1f} s late", due_s)
                 if self._chamber is not None:
-                    self._chamber.tell(course, begin + course.start_s, self._fail)
+                    self._chamber.tell(course, due_s)
             while moves and motion + moves[0].start_s <= self.clock.now() and not axes.turned_by_hand:
                 axes.move(step.name, moves[0], motion + moves[0].start_s, self._duties)
                 moves.popleft()
@@ -336,15 +264,31 @@ class Runner:
                 return end
             dues = [self.clock.now() + _SLICE_S, axes.look_s]
             dues += [end] if end > now else []
-            dues += [begin + course.start_s for course in courses[:1]]
+            dues += [begin + courses[0].start_s] if courses else []
             if not axes.turned_by_hand:
                 dues += [motion + reads[0]] if reads else []
                 dues += [motion + moves[0].start_s] if moves else []
             self.clock.sleep_until(min(dues))
 
+    def _read(self, reads: deque[float], motion: float, planned: bool) -> None:
+        """Take the readings that are due, as one. While an axis is turned by hand nothing is read: of what fell due
+        meanwhile the last counts."""
+        now = self.clock.now()
+        due_s = motion + reads[0]
+        while reads and motion + reads[0] <= now:
+            due_s = motion + reads[0] if self._axes.by_hand else due_s
+            reads.popleft()
+        if planned:
+            self._note_late("a reading was {:.1f} s late", due_s)
+        self._axes.read(planned=planned)
+
+    def _note_late(self, what: str, due_s: float) -> None:
+        if (late_s := self.clock.now() - due_s) > self.limits.latest_s:
+            self._axes.amiss.append(what.format(late_s))
+
     def _place(self, step: TrackStep, again: bool) -> None:
         """Bring axes and chamber to the step's start, and wait for its condition."""
-        self._axes.go_to_start(step.name, step.start_deg, self._duties, watched=not again)
+        self._axes.go_to_start(step.name, step.start_deg, self._duties)
         stable = step.stable or (self.track.again if again else None)
         if step.start_c is not None and stable is not None:
             self._stabilise(step, step.start_c, stable)
@@ -390,6 +334,11 @@ class Runner:
 
     # ----------------------------------------------------------------------------------------- each step done or said
 
+    @property
+    def _losses(self) -> dict[str, SampleLosses]:
+        """Of the units whose samples are awaited."""
+        return {name: unit.losses for name, unit in self._units.items() if unit.losses is not None}
+
     def _require_executed(self) -> None:
         """Interrupt the step where axes or readings deviate from the track: it is to be repeated."""
         if self._shortfall is not None:
@@ -414,21 +363,19 @@ class Runner:
         return executed.ended_s + _ARRIVAL_S <= latest_s
 
     def _shortfall_of(self, executed: ExecutedStep) -> StepNotDone | None:
-        step, limits = self.track.steps[executed.number], self.interlocks.limits
-        for name, losses in self._losses.items() if step.data else ():
-            if lost := losses.between(executed, limits.lost_share, limits.latest_s, step.turned_deg):
+        for name, losses in self._losses.items() if self.track.steps[executed.number].data else ():
+            if lost := losses.between(executed, self.limits):
                 return StepNotDone(executed.number, f"{name}: {lost}", name)
         return None
 
     def _confirm(self, executed: ExecutedStep) -> None:
-        self._confirmed.add(executed.number)
         self._event("step done", step=self.track.steps[executed.number].name, number=executed.number)
 
     def _await_confirmation(self) -> None:
         """Wait for the samples of the last steps, and until no rule is violated: one that is violated in the last
-        seconds clears or trips before the run is done. If it trips, the last step is executed again."""
+        seconds clears or trips before the run is done."""
         until = self.clock.now() + _LONGEST_ARRIVAL_S
-        while self._unconfirmed or self.interlocks.pending:
+        while self._unconfirmed or self._interlocks.pending:
             self._require_executed()
             self._duties()
             if self.clock.now() > until:
@@ -455,89 +402,27 @@ class Runner:
 
     def _duties(self, end_s: float | None = None) -> None:
         self.ticked_s = time.monotonic()
-        self._obey_requests()
         self._confirm_steps()
         self._show(end_s)
         self._watch()
 
     def _watch(self) -> None:
-        """Interlocks pause or end the run; a run that is paused or has not begun can only be ended."""
+        """Interlocks and problems of other threads end the run."""
         if problem := self._problem or self.journal.problem:
             raise HardwareError(problem)
         self._axes.watch()
-        now, chamber, limits = self.clock.now(), self._chamber, self.interlocks.limits
-        paused_s = None if self._paused_s is None else now - self._paused_s
-        situation = Situation(
-            time_s=now,
-            chamber=None if chamber is None else chamber.newest,
-            axes=self._axes.newest,
-            imu_age_s={name: now - self._losses[name].newest.time_s for name in self._streaming},
-            free_bytes=self.journal.free_bytes,
-            course_c=None if chamber is None else chamber.expected.of_late(now, limits.temperature_lag_s),
-            allowed_dps=self._axes.allowed(),
-            range_c=self._range_c,
-            conditions=chamber is not None and chamber.conditions,
-            stalled=self._axes.stalled(),
-            paused_s=paused_s,
-            by_itself=self._by_rule,
-        )
-        tripped = self.interlocks.check(situation)
-        if tripped is None or (paused_s is not None and tripped[0].action != "abort"):
-            return
-        rule, text = tripped
-        sentence = f"Interlock '{rule.name}': {text}."
-        self._event("interlock", at_once=False, rule=rule.name, action=rule.action, text=text)
-        if rule.action == "abort" or not self.wait_when_paused or self.state is RunState.IDLE:
-            raise _Ended("aborted", sentence)
-        self.on_alarm(f"The run is paused. {sentence}")
-        self._stop_and_pause(sentence, by_rule=True)
-
-    def _stop_and_pause(self, why: str, *, by_rule: bool = False) -> None:
-        self._why, self._by_rule = why, by_rule
-        self.interlocks.forget()
-        self._axes.stop()
-        if self.state is RunState.RUNNING:
-            self._enter(RunState.PAUSING)
-        raise _Interrupted
-
-    def _obey_requests(self) -> None:
-        while self._requests:
-            what, reason = self._requests.popleft()
-            self._event("request", at_once=False, what=what, reason=reason)
-            if what in ("stop", "abort"):
-                raise _Ended("stopped" if what == "stop" else "aborted", reason)
-            if self.state is RunState.IDLE:
-                # Homing comes first.
-                self._pause_first = what != "resume"
-            elif what == "resume" and self.state in (RunState.PAUSING, RunState.PAUSED):
-                self._why, self._by_rule = "", False
-                self._enter(RunState.RUNNING)
-            elif what == "soft pause" and self.state is RunState.RUNNING:
-                self._why = reason
-                self._enter(RunState.PAUSING)
-            elif what == "pause" and self.state is not RunState.PAUSED:
-                self._stop_and_pause(reason)
-
-    def _wait_paused(self) -> None:
-        self._enter(RunState.PAUSED)
-        self._paused_s = self.clock.now()
-        alarm_s = self._paused_s + _ALARM_AGAIN_S
-        while True:
-            self._show(None)
-            self.ticked_s = time.monotonic()
-            self._obey_requests()
-            if self.state is not RunState.PAUSED:
-                break
-            self._confirm_steps()
-            self._watch()
-            if self._by_rule and self.clock.now() >= alarm_s:
-                alarm_s += _ALARM_AGAIN_S
-                self.on_alarm(f"The run is still paused. {self._why}")
-            self.clock.sleep(_SLICE_S)
-        self._paused_s = None
-        self.interlocks.forget()
+        now, limits, violated = self.clock.now(), self.limits, self._axes.violated()
         if self._chamber is not None:
-            self._chamber.may_start()
+            violated |= self._chamber.violated(limits)
+        ages_s = {name: now - losses.newest.time_s for name, losses in self._losses.items()}
+        if old := [f"{name} for {age_s:.1f} s" for name, age_s in ages_s.items() if age_s > limits.imu_stale_s]:
+            violated["stale unit"] = f"no sample from {', '.join(old)}"
+        if (free := self.journal.free_bytes) < limits.free_bytes:
+            violated["disk space"] = f"only {free / 1e6:.0f} MB are free on the disk"
+        if tripped := self._interlocks.check(now, violated):
+            rule, text = tripped
+            self._event("interlock", at_once=False, rule=rule, text=text)
+            raise HardwareError(f"Interlock '{rule}': {text}.")
 
     def _late_replies(self) -> tuple[str, ...]:
         """A sentence for each line on which replies come after their time-out; an event for each device at first."""
@@ -564,9 +449,8 @@ class Runner:
             track_left_s=ahead_s + (left or 0.0),
             chamber=None if chamber is None else chamber.newest,
             axes=self._axes.newest,
-            course_c=chamber and chamber.expected.of_late(now, self.interlocks.limits.temperature_lag_s),
+            course_c=chamber and chamber.expected.of_late(now, self.limits.temperature_lag_s),
             samples={name: (losses.newest.received, losses.newest.missing) for name, losses in self._losses.items()},
-            why=self._why,
             remarks=late,
         )
         self.on_progress(progress)

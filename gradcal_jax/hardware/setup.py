@@ -241,8 +241,6 @@ class DeviceReport:
     identity: roles.Identity | None = None
     limits: roles.ChamberLimits | roles.AxisLimits | roles.ImuSettings | None = None
     problem: str = ""
-    remark: str = ""
-    """A fault of a device that answers, such as late answers; the operator should correct it."""
 
     @property
     def good(self) -> bool:
@@ -259,23 +257,16 @@ def lines_of(rig: RigFile) -> dict[str, tuple[str, str]]:
     return {name: (device.port, getattr(device, "safe", LEFT)) for _, _, name, device in _entries(rig)}
 
 
-def check_rig(bench: Bench) -> list[DeviceReport]:
-    """Ask every device for identity, limits and a reading; compare serial numbers with the rig file. Nothing moves."""
-    # The chamber first, as in the rig file.
-    devices = sorted(bench.devices(), key=lambda device: device[0] != "chamber")
-    reports = [_report(bench, *device) for device in devices]
-    late = {name: line.late for name, line in bench.lines.items()}
-    return [dataclasses.replace(report, remark=late.get(report.name, "")) for report in reports]
-
-
 def check_each(rig: RigFile, clock: Clock) -> list[DeviceReport]:
-    """Open and ask one device after the other; a refused port becomes a report. Raises `SpecError`."""
+    """Open one device after the other, and ask it for identity, limits and a reading; compare its serial number with
+    the rig file. Nothing moves; a refused port becomes a report. Raises `SpecError`."""
     configs_of(rig)
     reports: list[DeviceReport] = []
+    # The chamber first, as in the rig file.
     for _, _, name, device in sorted(_entries(rig), key=lambda entry: entry[0] != "chamber"):
         try:
             with open_rig(only_of(rig, {name}), clock) as bench:
-                reports += check_rig(bench)
+                reports += [_report(bench, *device) for device in bench.devices()]
         except HardwareError as problem:
             reports.append(DeviceReport(name, device.driver, device.port, problem=str(problem)))
     return reports

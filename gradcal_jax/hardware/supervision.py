@@ -21,6 +21,13 @@ from gradcal_jax.spec.rig import RigFile
 from gradcal_jax.tables.display import printable, summary
 from gradcal_jax.tables.writing import write_whole
 
+STATUS: Final = "status.json"
+FORMAT: Final = "gradcal-status/1"
+_ALARM_S: Final = 60.0
+_LONGEST_STATUS: Final = 1_000_000
+# No more often, because a rehearsal goes through hours in a minute.
+_WRITE_S: Final = 0.2
+
 
 @dataclass
 class SafeOutcome:
@@ -42,8 +49,6 @@ class SafeOutcome:
 class RunState(Enum):
     IDLE = "idle"
     RUNNING = "running"
-    PAUSING = "pausing"
-    PAUSED = "paused"
     STOPPING = "stopping"
     ABORTING = "aborting"
     SAFE = "safe"
@@ -52,9 +57,9 @@ class RunState(Enum):
 
 @dataclass(frozen=True)
 class RunResult:
-    """How a run ended: "success", "stopped" (on request) or "aborted", why, and the final state of every device."""
+    """How a run ended: "success" or "aborted", why, and the final state of every device."""
 
-    exit_status: Literal["success", "stopped", "aborted"]
+    exit_status: Literal["success", "aborted"]
     reason: str
     outcomes: tuple[SafeOutcome, ...]
     steps_done: int
@@ -85,18 +90,12 @@ class RunProgress:
     """The lowest and the highest air temperature that the recipe allows now, without the band."""
     samples: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])
     """Samples of each IMU: received, and missing between them."""
-    why: str = ""
-    """Why the run is paused, or will be."""
     remarks: tuple[str, ...] = ()
     """What the operator should correct after the run, such as devices that answer late."""
 
-
-STATUS: Final = "status.json"
-FORMAT: Final = "gradcal-status/1"
-_ALARM_S: Final = 60.0
-_LONGEST_STATUS: Final = 1_000_000
-# No more often, because a rehearsal goes through hours in a minute.
-_WRITE_S: Final = 0.2
+    def as_status(self) -> dict[str, Any]:
+        """As the status file has it."""
+        return json_of({"at_s": time.time(), **asdict(self), "state": self.state.value})
 
 
 class StatusFile(ExitStack):
@@ -113,7 +112,7 @@ class StatusFile(ExitStack):
         return self
 
     def show(self, progress: RunProgress) -> None:
-        self._status = {"at_s": time.time(), **asdict(progress), "state": progress.state.value}
+        self._status = progress.as_status()
 
     def end(self, result: RunResult) -> None:
         done = {"steps_done": result.steps_done}
@@ -132,7 +131,7 @@ def _ended(exit_status: str, reason: str, safe: bool) -> dict[str, Any]:
 
 def _write_status(path: Path, status: Mapping[str, Any]) -> None:
     """Replace the file; on a full disk write over it, which needs no space. The journal reports what fails."""
-    text = json.dumps(json_of(status), indent=1) + "\n"
+    text = json.dumps(status, indent=1) + "\n"
     try:
         write_whole(path, text)
     except OSError:

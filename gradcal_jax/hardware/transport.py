@@ -15,7 +15,6 @@ import select
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -238,8 +237,7 @@ _CLEAR = "\r\x1b[2K"
 
 class Terminal:
     """Line `terminal`. Without a keyboard there is no operator, and a question, a line without an end, raises
-    `HardwareError`. `asking`: one is shown, and no other text may be drawn on the terminal. `heard`: the keyboard is
-    read here; two readers would get every other line each."""
+    `HardwareError`. `asking`: one is shown, and no other text may be drawn on the terminal."""
 
     url = "terminal"
 
@@ -248,36 +246,22 @@ class Terminal:
         self.clock: Clock = RealClock()
         self.recorder: Recorder | None = None
         self.asking = False
-        self.heard = False
-        self._question = ""
-        self._diverted: Callable[[], None] | None = None
-
-    def next_line_goes_to(self, whom: Callable[[], None]) -> None:
-        """Take the next typed line away from the driver's question: it answers another one (a pause)."""
-        self._diverted = whom
 
     def write(self, data: bytes) -> None:
         if self._keyboard is None or self._screen is None:
             raise HardwareError("An axis is turned by hand, and there is no terminal at which to ask the operator.")
         self._record(">", data)
         text = data.decode("utf-8", "replace")
-        words = text.strip("\a")
-        if words:
+        if text.strip("\a"):
             cleared = "" if self.asking or not self._screen.isatty() else _CLEAR
-            self.asking, self._question = not text.endswith("\n"), words
+            self.asking = not text.endswith("\n")
             text = cleared + text
         self._screen.write(text)
-        self._screen.flush()
-
-    def remark(self, text: str) -> None:
-        """Show a text above a question that is waiting for its answer."""
-        self._screen.write(f"\r\n{text}\r\n{self._question}")
         self._screen.flush()
 
     def read_stamped(self, timeout_s: float) -> tuple[bytes, float]:
         """Typed text, as soon as a line is complete. Raises `Disconnected` at the end of all input (Ctrl-D)."""
         assert self._keyboard is not None
-        self.heard = True
         # Windows cannot wait for a console with a time-out; the reading thread is abandoned at the end.
         if sys.platform != "win32" and not select.select([self._keyboard], [], [], timeout_s)[0]:
             return b"", self.clock.now()
@@ -290,10 +274,6 @@ class Terminal:
                 "The terminal has no more input (Ctrl-D, or it was closed): the operator cannot be asked."
             )
         now = self.clock.now()
-        if (whom := self._diverted) is not None:
-            self._diverted = None
-            whom()
-            return b"", now
         self._record("<", data)
         if data.endswith(b"\n"):
             self.asking = False

@@ -200,8 +200,6 @@ class RigFile(TitledFile):
     """Axes of the table."""
     imu: Annotated[tuple[ImuDevice, ...], Field(max_length=64)] = ()
     """IMUs under calibration."""
-    longest_pause: Time = Quantity(1800.0, "30 min", "time")
-    """If a run that paused by itself is not resumed within this time, the run makes everything safe and ends."""
     alarm: Alarm | None = None
     """Command that calls the operator."""
     operator: OperatorPlace | None = None

@@ -47,7 +47,7 @@ predict good.toml --plot no/where.png | check | check --json | check good.toml -
 start nothing -o x.toml | start tactical-mems | start tactical-mems -o good.toml | start tactical-mems -o no/where.toml
 optimise good.toml | optimise whole.toml -o out.toml --steps 1 | optimise whole.toml -o good.toml | limit good.toml
 optimise good.toml --motion 10min..5min | rig | rig check | rig check good.toml | run | run good.toml -o run
-run missing.toml --simulate -o run | run --resume nowhere | run good.toml --simulate -o run --speed 0 | log nowhere
+run missing.toml --simulate -o run | run --resume nowhere | log nowhere
 noise data.csv | noise data.csv --columns good.toml | noise missing.csv | noise empty.nc | noise data.csv --axis q
 noise data.csv --rows 5 | noise data.csv --rows 9..1 | estimate | estimate data.csv | estimate empty.nc --spec good.toml
 estimate missing.nc --spec good.toml | apply good.toml data.csv -o x.nc | apply missing.toml data.csv -o x.nc

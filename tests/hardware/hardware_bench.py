@@ -18,10 +18,10 @@ from simulated_devices.wire import Wire, line_to
 
 from gradcal_jax.hardware.clock import Clock, VirtualClock
 from gradcal_jax.hardware.drivers import lines, listening, registers
-from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
+from gradcal_jax.hardware.interlocks import InterlockLimits
 from gradcal_jax.hardware.journal import Chunk, Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import STANDARD_GRAVITY
-from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
+from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import only_of, open_rig
 from gradcal_jax.hardware.simulate.imu import EARTH_RATE, ErrorTerm, ImuTruth, SimulatedImu, TableTruth, TriadTruth
 from gradcal_jax.hardware.simulate.lab import unit_options
@@ -258,9 +258,11 @@ def running(
     folder.mkdir(exist_ok=True)
     with Rig(clock, truth, burst_s=0.256) as rig, Journal(folder / "journal") as journal:
         devices = rig.rig if with_unit else only_of(rig.rig, {"chamber", "table"})
-        rules = Interlocks(limits or InterlockLimits())
         with open_rig(devices, clock) as bench:
-            yield rig, Runner(track, bench, journal, clock, rules, **{"safe_deadline_s": 10.0} | more)
+            yield (
+                rig,
+                Runner(track, bench, journal, clock, limits or InterlockLimits(), **{"safe_deadline_s": 10.0} | more),
+            )
 
 
 def short_track() -> Track:
@@ -290,10 +292,6 @@ def acting(runner: Runner, *acts: Act, every_s: float = 1.0) -> None:
 def in_step(number: int) -> Callable[[RunProgress], bool]:
     """Once the step of this number has begun."""
     return lambda progress: progress.steps_done == number and progress.step_left_s is not None
-
-
-def paused(progress: RunProgress) -> bool:
-    return progress.state is RunState.PAUSED
 
 
 def at(runner: Runner, time_s: float) -> Callable[[RunProgress], bool]:

@@ -20,7 +20,7 @@ from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.hardware import guard as watching
 from gradcal_jax.hardware.execute import run_session
-from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
+from gradcal_jax.hardware.interlocks import InterlockLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder, prepare_resume
 from gradcal_jax.hardware.runner import RunProgress
 from gradcal_jax.recipe.recipe import read_recipe
@@ -50,7 +50,7 @@ def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
         made, first = new_folder(path, read_recipe(folder / "recipe.toml"), read_rig(folder / "rig.toml")), 0
     write_whole(path / "pid", str(os.getpid()))
     watching._SILENT_S = float(os.environ.get("SILENT_S", watching._SILENT_S))
-    rules = Interlocks(InterlockLimits(imu_stale_s=2.0 * speed, temperature_band_k=math.inf, latest_s=1.0 * speed))
+    limits = InterlockLimits(imu_stale_s=2.0 * speed, temperature_band_k=math.inf, latest_s=1.0 * speed)
     began_s, memory_mb = clock.now(), list[float]()
 
     def look(progress: RunProgress) -> None:
@@ -58,8 +58,8 @@ def run(folder: Path, path: Path, speed: float, guard: bool) -> int:
         memory_mb.append(pages * os.sysconf("SC_PAGESIZE") / 1e6)
 
     result = run_session(
-        made, made.rig(), clock, first_step=first, guard=guard, interlocks=rules, safe_deadline_s=20.0 * speed,
-        handle_signals=True, on_progress=look,
+        made, made.rig(), clock, first_step=first, guard=guard, limits=limits, safe_deadline_s=20.0 * speed,
+        on_progress=look,
     )  # fmt: skip
     used, took_s = os.times(), clock.now() - began_s
     started_s = next((e.time_s for e in made.contents().events if e.name == "step"), began_s)

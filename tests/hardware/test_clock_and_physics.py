@@ -40,16 +40,6 @@ def test_virtual_sleep_takes_no_time_and_wakes_in_order() -> None:
     assert [moment for moment, _ in order] == sorted([1.0, 100.0, 5000.0, 2.0, 99.0, 10000.0, 0.5, 1.5, 7200.0])
 
 
-def test_virtual_clock_keeps_the_pace_that_was_asked_for() -> None:
-    clock = VirtualClock(speed=100.0)
-    started = time.monotonic()
-    for _ in range(5):
-        clock.sleep(4.0)
-    assert 0.18 < time.monotonic() - started < 1.0
-    with pytest.raises(ValueError, match="above zero"):
-        VirtualClock(speed=0.0)
-
-
 def test_real_clock_follows_the_monotonic_clock_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = RealClock()
     monkeypatch.setattr(time, "time", lambda: 0.0)

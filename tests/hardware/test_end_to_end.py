@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +20,10 @@ from gradcal_jax.calibration import Calibration, read_calibration
 from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
-from gradcal_jax.hardware.simulate import lab
-from gradcal_jax.hardware.simulate.draws import draw_table, draw_truth
-from gradcal_jax.hardware.simulate.imu import ImuTruth, TableTruth
-from gradcal_jax.hardware.simulate.plants import AxisTruth
 from gradcal_jax.recipe.recipe import Recipe, read_recipe
 from gradcal_jax.records.log import Log
 from gradcal_jax.records.log_file import write_log
 from gradcal_jax.spec import presets
-from gradcal_jax.spec.spec_sections import Spec
 
 SMALL = {
     "sensor.gyro.scale_factor.temperature.degree": 1,
@@ -184,45 +179,6 @@ def test_hidden_truth_of_the_headline_recipe_lies_within_the_covariance(tmp_path
     record(
         "headline recipe end to end, STIM300 at 125 samples/s",
         f"recipe by `gradcal optimise`, {predicted.mean_of_max:.2f} ppm predicted; {chains.words()}",
-        "tests/hardware/test_end_to_end.py",
-    )
-
-
-@pytest.mark.evidence
-def test_with_hardly_any_noise_the_standard_method_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Chamber, table, ports, clock and integration add nothing of their own to what the noise leaves.
-
-    A sensor without any noise repeats its value, as one that hangs: a three-hundredth of its noise is one step.
-    """
-
-    def still(spec: Spec, seed: int, number: int) -> ImuTruth:
-        drawn = draw_truth(spec, seed, number)
-        quiet = {kind: replace(t, white=t.white / 300.0, drifts=()) for kind, t in drawn.triads.items()}
-        return replace(drawn, triads=quiet)
-
-    def exact(spec: Spec, seed: int) -> tuple[TableTruth, list[AxisTruth], dict[str, float]]:
-        table, encoders, named = draw_table(spec, seed)
-        return table, [replace(encoder, rate_accuracy=0.0) for encoder in encoders], named
-
-    monkeypatch.setattr(lab, "draw_truth", still)
-    monkeypatch.setattr(lab, "draw_table", exact)
-    spec, recipe = tmp_path / "spec.toml", tmp_path / "recipe.toml"
-    spec.write_text(presets.text("paper-dynamic-standard"), encoding="utf-8")
-    assert gradcal("optimise", spec, "--steps", "0", "-o", recipe).returncode in (0, 1)
-    made = read_recipe(recipe)
-    log, truth = rehearsed(made, tmp_path / "run", seed=2)
-    write_log(log, tmp_path / "log.nc")
-    said = gradcal("estimate", tmp_path / "log.nc", "--recipe", recipe, "-o", tmp_path / "found.toml")
-    assert said.returncode in (0, 1), said.stderr
-    calibration = read_calibration(tmp_path / "found.toml")
-    fit, (errors, degrees) = calibration.fit[0], distance(calibration, truth)
-    assert fit.statistic < 0.01
-    assert errors < 0.01
-    record(
-        "preset paper-dynamic-standard end to end, with a 300th of its noise",
-        f"χ² of the data {fit.statistic:.4f} of {fit.degrees}, of the hidden truth {errors:.4f} of {degrees}",
         "tests/hardware/test_end_to_end.py",
     )
 

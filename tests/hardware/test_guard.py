@@ -26,9 +26,9 @@ from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.hardware import execute, guard, runner
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.errors import HardwareError, PortRefused
+from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.execute import run_session
-from gradcal_jax.hardware.interlocks import InterlockLimits, Interlocks
+from gradcal_jax.hardware.interlocks import InterlockLimits
 from gradcal_jax.hardware.journal import Event, Journal, read_journal
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.runner import RunProgress, RunResult
@@ -57,26 +57,6 @@ def by_guard(path: Path) -> list[Event]:
 
 
 # ------------------------------------------------------------------------------------------------- safe, then written
-
-
-def test_the_rig_is_safe_before_the_journal_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = RealClock()
-    found: list[tuple[str, float]] = []
-    with Rig(clock, on_terminals=True) as rig:
-        left_turning(rig, tmp_path, clock)
-
-        def opened(path: Path) -> Journal:
-            found.append((rig.chamber.mode, rig.axis.state(clock.now())[1]))
-            return Journal(path)
-
-        monkeypatch.setattr(guard, "Journal", opened)
-        outcomes = guard.make_folder_safe(tmp_path, deadline_s=10.0)
-    assert found == [("STANDBY", 0.0)]
-    assert all(outcome.verified for outcome in outcomes)
-    events = by_guard(tmp_path / "journal")
-    assert [event.data.get("device") for event in events] == [None, "table", "chamber", "unit1"]
-    # It took time to make all of it safe, and that is when it was.
-    assert events[0].time_s < events[1].time_s
 
 
 def test_a_full_disk_keeps_no_device_from_being_made_safe(
@@ -227,7 +207,7 @@ def test_a_guard_that_died_is_announced_and_replaced(
     monkeypatch.setattr(runner, "make_safe", hindered)
     with SimulatedLab(made.spec, clock) as lab:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
-        result = run_of(lab, folder, clock, on_progress=look, interlocks=Interlocks(InterlockLimits(latest_s=20.0)))
+        result = run_of(lab, folder, clock, on_progress=look, limits=InterlockLimits(latest_s=20.0))
         assert not result.verified_safe
         end = time.monotonic() + 60.0
         # Until all is verified, if need be at a later try: a guard whose devices vanish tries them for an hour.
@@ -318,21 +298,6 @@ def test_what_the_run_leaves_unsafe_is_made_safe(how: str, tmp_path: Path, monke
             time.sleep(0.1)
         assert lab.chamber.mode == "STANDBY"
     assert [event.data.get("verified") for event in by_guard(folder.journal_path)] == [None, True, True, True]
-
-
-def test_a_run_that_ends_safe_or_does_not_begin_leaves_nothing_to_the_guard(tmp_path: Path) -> None:
-    clock, made = FastClock(SPEED), short_recipe(1.0)
-    with SimulatedLab(made.spec, clock) as lab:
-        folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
-        result = run_of(lab, folder, clock, with_runner=lambda runner: runner.request("abort", "now"))
-        assert result.verified_safe
-        refused = new_folder(tmp_path / "refused", made, lab.rig, simulated={})
-        with open_rig(lab.rig, clock), pytest.raises(PortRefused, match="in use"):
-            run_of(lab, refused, clock)
-        # Both guards are gone: nobody holds the ports.
-        open_rig(lab.rig, clock).close()
-    assert by_guard(folder.journal_path) == []
-    assert by_guard(refused.journal_path) == []
 
 
 # --------------------------------------------------------------------------------- whatever an opener or a line raises

@@ -80,30 +80,26 @@ def test_a_run_reads_an_axis_that_stands_while_others_move_as_often_as_is_predic
     assert whole >= 4
 
 
-def test_an_axis_goes_to_its_start_unless_it_was_watched_and_stands_there() -> None:
+def test_an_axis_goes_to_its_start_unless_it_stands_there() -> None:
     clock = VirtualClock()
     stage: Any = Stage(clock)
-
-    def wait() -> None:
-        clock.sleep(0.1)
 
     with clock.party():
         axes = AxisControl({"tilt": stage}, clock, lambda name, **data: None)
 
-        def started(angle: float, *, watched: bool) -> list[float]:
+        def started(angle: float) -> list[float]:
             stage.told.clear()
-            axes.go_to_start("a step", {"tilt": angle}, wait, watched=watched)
+            axes.go_to_start("a step", {"tilt": angle}, lambda: clock.sleep(0.1))
             return list(stage.told)
 
-        assert started(30.0, watched=True) == [30.0]
-        assert started(30.0, watched=True) == []
-        # Somebody may have been at it, and whoever moved it by more than a motor holds is seen.
-        assert started(30.0, watched=False) == [30.0]
-        assert started(40.0, watched=True) == [40.0]
+        assert started(30.0) == [30.0]
+        assert started(30.0) == []
+        assert started(40.0) == [40.0]
+        # Whoever moved it by more than a motor holds is seen.
         stage.plant.move_to(clock.now(), 55.0, 60.0, 60.0)
         clock.sleep(3.0)
         axes.read()
-        assert started(40.0, watched=True) == [40.0]
+        assert started(40.0) == [40.0]
 
 
 def test_an_estimate_counts_as_many_readings_as_are_predicted(ran) -> None:

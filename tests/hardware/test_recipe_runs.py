@@ -141,33 +141,6 @@ def test_the_chamber_hears_every_segment_of_the_recipe_when_it_begins(name: str)
     assert heard == ([] if spec.rig.chamber.control == "none" else wanted)
 
 
-def test_steps_carry_where_they_begin_by_themselves() -> None:
-    spec = changed(
-        parse_spec(presets.text("paper-dynamic-gradient")),
-        {
-            "plan.cycle.moves[1]": {"turn": "450 deg", "peak_rate": "10 deg/s", "shape": "linear ramps"},
-            "plan.cycle.moves[5]": {"rest": "1 s", "read_every": "none"},
-        },
-    )
-    track = track_of(unpredicted(spec), ["table"])
-    cycles = [step for step in track.steps if step.moves]
-    net = sum(move.angle_deg for move in cycles[0].moves)
-    assert net == pytest.approx(450.0)
-    for number, step in enumerate(cycles):
-        assert (step.stable is None) == (number > 0)
-        assert step.start_deg == {"table": pytest.approx(number * net)}
-        # The ramp is 1 K/min.
-        assert step.start_c == pytest.approx(-30.0 + number * cycles[0].duration_s / 60.0)
-
-
-def test_every_part_of_a_long_rest_is_data_also_where_it_is_read_at_its_end() -> None:
-    track = track_of(unpredicted(parse_spec(presets.text("paper-static-standard"))), ["table"])
-    parts = [step for step in track.steps if step.data]
-    assert sum(step.duration_s for step in parts) == pytest.approx(6 * 1800.0)
-    assert len(parts) > 6
-    assert sum(bool(step.read_at_s) for step in parts) < len(parts)
-
-
 def test_gyros_may_differ_from_the_table_by_what_the_spec_says_of_them() -> None:
     usual = track_of(unpredicted(parse_spec(presets.text("paper-dynamic-gradient"))), ["table"]).gyros
     poor = track_of(unpredicted(parse_spec(presets.text("consumer-mems"))), ["table"]).gyros
@@ -194,7 +167,7 @@ def executed(folder: RunFolder, seed: int, *, stop_at_step: int | None = None, b
     def look(progress: RunProgress) -> None:
         left = progress.step_left_s
         if progress.steps_done == stop_at_step and left is not None and left < 8.0:
-            runners[0].request("stop", "enough")
+            runners[0].abort("enough")
 
     with SimulatedLab(made.spec, clock, seed=seed) as lab:
         return run_session(
@@ -209,7 +182,7 @@ def test_a_resumed_run_gives_the_same_data_with_a_seam(tmp_path: Path) -> None:
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
         whole = new_folder(tmp_path / "whole", made, lab.rig, simulated={})
     assert executed(whole, 4).exit_status == "success"
-    assert executed(folder, 4, stop_at_step=3).exit_status == "stopped"
+    assert executed(folder, 4, stop_at_step=3).reason == "enough"
     before = folder.journal_path.read_bytes()
     latest = max(entry.time_s for entry in folder.contents().records)
     assert executed(folder, 4, begins_s=latest + 100.0).exit_status == "success"
@@ -241,7 +214,7 @@ def test_resuming_refuses_another_recipe_another_version_and_another_device(tmp_
         folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
         with pytest.raises(RunFolderError, match="name a new folder"):
             new_folder(tmp_path / "run", made, lab.rig)
-    assert executed(folder, 4, stop_at_step=1).exit_status == "stopped"
+    assert executed(folder, 4, stop_at_step=1).reason == "enough"
     with pytest.raises(RunFolderError, match="gradcal run --resume"):
         new_folder(tmp_path / "run", made, folder.rig())
     clock = VirtualClock(1e4)
@@ -279,7 +252,7 @@ def aborted(folder: Path, after_s: float, *, mute: int | None) -> RunResult:
                 clock.sleep_until(after_s)
                 if mute is not None:
                     lab.ports[mute].faults = Faults(mute=True)
-                runner.request("abort", "now")
+                runner.abort("now")
 
             threads.append(threading.Thread(target=abort, daemon=True))
             threads[0].start()

@@ -1,4 +1,4 @@
-"""Whole runs of a track on the simulated rig, in virtual time: states, requests, pauses, ends."""
+"""Whole runs of a track on the simulated rig, in virtual time: states, limits, ends."""
 
 import dataclasses
 import os
@@ -15,7 +15,6 @@ from hardware_bench import (
     events,
     fit_clock,
     in_step,
-    paused,
     perfect,
     running,
 )
@@ -23,37 +22,10 @@ from simulated_devices.faults import Faults
 
 from gradcal_jax.hardware.dry_run import dry_run_of
 from gradcal_jax.hardware.execute import signals_to
-from gradcal_jax.hardware.interlocks import InterlockLimits, InterlockRule, Interlocks, Situation
 from gradcal_jax.hardware.journal import Event, read_journal
 from gradcal_jax.hardware.roles import AxisLimits, ChamberLimits, join
-from gradcal_jax.hardware.runner import Runner, RunProgress, RunState
+from gradcal_jax.hardware.runner import RunProgress
 from gradcal_jax.hardware.track import AxisCommand, Course, Stable, Track, TrackStep
-
-WAYS = {
-    RunState.IDLE: {RunState.RUNNING, RunState.STOPPING, RunState.ABORTING},
-    RunState.RUNNING: {RunState.PAUSING, RunState.STOPPING, RunState.ABORTING},
-    RunState.PAUSING: {RunState.RUNNING, RunState.PAUSED, RunState.STOPPING, RunState.ABORTING},
-    RunState.PAUSED: {RunState.RUNNING, RunState.STOPPING, RunState.ABORTING},
-    RunState.STOPPING: {RunState.SAFE, RunState.FAILED},
-    RunState.ABORTING: {RunState.SAFE, RunState.FAILED},
-}
-"""The states of a run, and those that may follow each."""
-
-
-@pytest.fixture(autouse=True)
-def only_these_ways(monkeypatch: pytest.MonkeyPatch):
-    """Every change of state in these tests is one of the table."""
-    enter, others = Runner._enter, []
-
-    def checked(runner: Runner, state: RunState, **more) -> None:
-        if state not in WAYS[runner.state]:
-            others.append((runner.state, state))
-        enter(runner, state, **more)
-
-    monkeypatch.setattr(Runner, "_enter", checked)
-    yield
-    assert others == []
-
 
 TURN = AxisCommand(2.0, "table", "turn", 360.0, rate_dps=120.0, acceleration_dps2=240.0)
 BACK = AxisCommand(12.0, "table", "turn", -360.0, rate_dps=60.0, acceleration_dps2=240.0)
@@ -154,109 +126,18 @@ def test_impossible_tracks_are_refused(step: TrackStep, words: str) -> None:
         Track((step,))
 
 
-# -------------------------------------------------------------------------------------------------------------- pauses
-
-
-@pytest.mark.parametrize(
-    ("what", "number", "steps", "seams"),
-    [("soft pause", 0, ["soak", "ramp"], 1), ("pause", 1, ["soak", "ramp", "ramp"], 1)],
-)
-def test_a_pause_waits_for_the_end_of_the_step_or_does_it_again(
-    tmp_path: Path, what: Any, number: int, steps: list[str], seams: int
-) -> None:
-    with running(tmp_path, TRACK) as (rig, runner):
-        rates: list[float] = []
-
-        def resume() -> None:
-            rates.append(rig.axis.state(runner.clock.now())[1])
-            runner.request("resume")
-
-        acting(runner, (in_step(number), lambda: runner.request(what)), (paused, resume), every_s=5.0)
-        result = runner.run()
-        assert (result.exit_status, result.steps_done, rates) == ("success", 2, [0.0])
-    assert states(tmp_path) == ["running", "pausing", "paused", "running", "stopping", "safe"]
-    assert [event.data["step"] for event in events(tmp_path, "step")] == steps
-    assert len(events(tmp_path, "seam")) == seams
-
-
-def test_nothing_turns_while_a_run_is_paused_between_two_rates(tmp_path: Path) -> None:
-    there, back = ((dataclasses.replace(SPIN, start_s=0.0, rate_dps=rate),) for rate in (90.0, -90.0))
-    track = Track((TrackStep("rate 1", 8.0, moves=there), TrackStep("rate 2", 8.0, moves=back)))
-    with running(tmp_path, track) as (rig, runner):
-        rates: list[float] = []
-
-        def resume() -> None:
-            rates.append(rig.axis.state(runner.clock.now())[1])
-            runner.request("resume")
-
-        acting(runner, (in_step(0), lambda: runner.request("soft pause")), (paused, resume))
-        assert runner.run().exit_status == "success"
-        assert rates == [0.0]
-    assert len(events(tmp_path, "seam")) == 1
-
-
-def test_an_interlock_pauses_a_run_that_was_to_pause_anyway(tmp_path: Path) -> None:
-    with running(tmp_path, Track((TrackStep("stand", 20.0),))) as (_, runner):
-        begun: list[float] = []
-
-        def wrong(bounds: InterlockLimits, now: Situation) -> str:
-            return "something is amiss" if begun and begun[0] < now.time_s < begun[0] + 5.0 else ""
-
-        def pause() -> None:
-            begun.append(runner.clock.now())
-            runner.request("soft pause")
-
-        runner.interlocks = Interlocks(rules=(InterlockRule("amiss", "pause", 2.0, wrong),))
-        later = lambda progress: paused(progress) and runner.clock.now() > begun[0] + 6.0  # noqa: E731
-        acting(runner, (in_step(0), pause), (later, lambda: runner.request("resume")))
-        assert runner.run().exit_status == "success"
-    assert [event.data["rule"] for event in events(tmp_path, "interlock")] == ["amiss"]
-
-
-def test_a_pause_asked_for_while_the_references_are_found_comes_before_the_first_step(tmp_path: Path) -> None:
-    track = Track((TrackStep("stand", 2.0, moves=(AxisCommand(0.0, "table", "turn", 0.0, 60.0, 60.0),)),))
-    with running(tmp_path, track) as (_, runner):
-        runner.request("soft pause")
-        runner.request("pause")
-        acting(runner, (paused, lambda: runner.request("resume")))
-        assert runner.run().exit_status == "success"
-    told = [event.data.get("state", event.name) for event in read_journal(tmp_path / "journal").events]
-    assert "paused" in told[: told.index("step begins")]
-
-
-def test_a_silent_unit_pauses_the_run_until_it_is_resumed(tmp_path: Path) -> None:
-    with running(tmp_path, TRACK) as (rig, runner):
-        mended: list[float] = []
-
-        def spoil(faults: Faults | None) -> None:
-            rig.ports[2].faults = faults
-            mended[:] = [] if faults else [runner.clock.now()]
-
-        later = lambda _: bool(mended) and runner.clock.now() > mended[0] + 5.0  # noqa: E731
-        acting(
-            runner,
-            (in_step(1), lambda: spoil(Faults(mute=True))),
-            (paused, lambda: spoil(None)),
-            (later, lambda: runner.request("resume")),
-        )
-        result = runner.run()
-        assert (result.exit_status, result.steps_done) == ("success", 2)
-    (tripped,) = events(tmp_path, "interlock")
-    assert tripped.data["rule"] == "stale unit"
-    assert "unit1" in tripped.data["text"]
-
-
 # ---------------------------------------------------------------------------------------------------------------- ends
 
 
-@pytest.mark.parametrize(("what", "ended"), [("stop", "stopped"), ("abort", "aborted")])
-def test_stop_and_abort_end_safe(tmp_path: Path, what: Any, ended: str) -> None:
+def test_an_abort_ends_safe(tmp_path: Path) -> None:
     with running(tmp_path, TRACK) as (rig, runner):
-        acting(runner, (in_step(1), lambda: runner.request(what, "the operator said so")), every_s=5.0)
+        acting(runner, (in_step(1), lambda: runner.abort("the operator said so")), every_s=5.0)
         result = runner.run()
-        assert (result.exit_status, result.reason, result.verified_safe) == (ended, "the operator said so", True)
+        assert (result.exit_status, result.reason) == ("aborted", "the operator said so")
+        assert result.verified_safe
         assert rig.axis.state(runner.clock.now())[1] == 0.0
         assert rig.chamber.mode == "STANDBY"
+    assert states(tmp_path) == ["running", "aborting", "safe"]
     assert read_journal(tmp_path / "journal").events[-1].data["verified_safe"] is True
 
 
@@ -267,19 +148,16 @@ def test_stop_and_abort_end_safe(tmp_path: Path, what: Any, ended: str) -> None:
         (lambda rig: setattr(rig.table, "_state", "Alarm"), "axis table: Alarm", set()),
         (lambda rig: rig.table.hard_limit(), "did not answer", {"table"}),
         (lambda rig: rig.ports[2].unplug(), "unit1: The port", set()),
+        (lambda rig: setattr(rig.ports[2], "faults", Faults(mute=True)), "no sample from unit1", set()),
         (lambda rig: rig.ports[0].unplug(), "The chamber cannot be read", {"chamber"}),
     ],
-    ids=["alarm", "fault", "mute board", "unit", "chamber"],
+    ids=["alarm", "fault", "mute board", "unit", "silent unit", "chamber"],
 )
-@pytest.mark.parametrize("when", ["running", "paused"])
 def test_alarms_faults_and_pulled_cables_abort_and_the_rest_is_made_safe(
-    tmp_path: Path, harm: Any, words: str, unsafe: set[str], when: str
+    tmp_path: Path, harm: Any, words: str, unsafe: set[str]
 ) -> None:
     with running(tmp_path, TRACK, safe_deadline_s=5.0) as (rig, runner):
-        # Before the first turn: a motor that was powered and is stopped by its emergency stop cannot be held.
-        pause = (in_step(1), lambda: runner.request("pause"))
-        acts = [pause, (paused, lambda: harm(rig))] if when == "paused" else [(in_step(1), lambda: harm(rig))]
-        acting(runner, *acts, every_s=0.5)
+        acting(runner, (in_step(1), lambda: harm(rig)), every_s=0.5)
         result = runner.run()
         assert result.exit_status == "aborted"
         assert words in result.reason
@@ -296,30 +174,25 @@ def test_temperature_that_never_settles_ends_the_run_with_a_sentence(tmp_path: P
     assert "not stable within 0.2 K of 120 degC after 300 s" in result.reason
 
 
-def test_signals_pause_first_and_abort_second(tmp_path: Path) -> None:
-    def interrupt_twice() -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        os.kill(os.getpid(), signal.SIGINT)
-
+@pytest.mark.parametrize(("sent", "reason"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM")])
+def test_signals_end_a_run_safely(tmp_path: Path, sent: signal.Signals, reason: str) -> None:
     with running(tmp_path, TRACK) as (_, runner), signals_to(runner):
-        acting(runner, (in_step(0), interrupt_twice), every_s=5.0)
+        acting(runner, (in_step(0), lambda: os.kill(os.getpid(), sent)), every_s=5.0)
         result = runner.run()
-        assert (result.exit_status, result.reason, result.verified_safe) == ("aborted", "Ctrl-C", True)
-    assert [event.data["what"] for event in events(tmp_path, "request")] == ["soft pause", "abort"]
-    with running(tmp_path / "other", TRACK) as (_, runner), signals_to(runner):
-        acting(runner, (in_step(1), lambda: os.kill(os.getpid(), signal.SIGTERM)), every_s=5.0)
-        assert runner.run().reason == "SIGTERM"
+        assert (result.exit_status, result.reason, result.verified_safe) == ("aborted", reason, True)
 
 
-def test_an_axis_that_a_run_does_not_move_may_keep_its_alarm_and_get_no_new_one(tmp_path: Path) -> None:
-    for begins, ends in (("Alarm", "success"), ("Idle", "aborted")):
-        with running(tmp_path / begins, Track((TrackStep("stand", 60.0),))) as (rig, runner):
-            rig.table._state = begins
-            acting(runner, (in_step(0), lambda rig=rig: setattr(rig.table, "_state", "Alarm")))
-            result = runner.run()
-        assert result.exit_status == ends, result.reason
-        assert ("Interlock 'axis fault': axis table: Alarm" in result.reason) == (ends == "aborted")
-        assert "$H" not in rig.table.lines
+@pytest.mark.parametrize(("begins", "ends"), [("Alarm", "success"), ("Idle", "aborted")])
+def test_an_axis_that_a_run_does_not_move_may_keep_its_alarm_and_get_no_new_one(
+    tmp_path: Path, begins: str, ends: str
+) -> None:
+    with running(tmp_path, Track((TrackStep("stand", 60.0),))) as (rig, runner):
+        rig.table._state = begins
+        acting(runner, (in_step(0), lambda: setattr(rig.table, "_state", "Alarm")))
+        result = runner.run()
+    assert result.exit_status == ends, result.reason
+    assert ("Interlock 'axis fault': axis table: Alarm" in result.reason) == (ends == "aborted")
+    assert "$H" not in rig.table.lines
 
 
 # ------------------------------------------------------------------------------------------------------------- chamber
@@ -336,13 +209,12 @@ def test_a_step_that_follows_tells_the_chamber_its_course(tmp_path: Path) -> Non
     assert told[1].time_s - begins[1].data["begins_s"] < 10.0
 
 
-@pytest.mark.parametrize("seconds", [0.1, 0.2, 0.3])
-def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path: Path, seconds: float) -> None:
+def test_a_chamber_that_was_made_safe_is_told_nothing_more(tmp_path: Path) -> None:
     """The end comes while the chamber is being told its ramp, which takes it seconds."""
     track = Track((TrackStep("ramp", 60.0, courses=(Course(0.0, 25.0), Course(10.0, 40.0, 1.0))),))
     with running(tmp_path, track) as (rig, runner):
-        begun = lambda now: now.step_left_s is not None and now.step_left_s <= 50.0 - seconds  # noqa: E731
-        acting(runner, (begun, lambda: runner.request("abort")), every_s=0.1)
+        begun = lambda now: now.step_left_s is not None and now.step_left_s <= 49.8  # noqa: E731
+        acting(runner, (begun, lambda: runner.abort("now")), every_s=0.1)
         assert runner.run().verified_safe
         runner.clock.sleep(30.0)
         assert rig.chamber.mode == "STANDBY"

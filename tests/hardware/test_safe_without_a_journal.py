@@ -86,7 +86,7 @@ def test_a_disk_that_hangs_keeps_no_stop_off_the_wire(tmp_path: Path, monkeypatc
 
         def harm() -> None:
             hangs.set()
-            runner.request("abort", "SIGTERM")
+            runner.abort("SIGTERM")
             threading.Timer(8.0, awake.set).start()
 
         monkeypatch.setattr(os, "write", stuck)

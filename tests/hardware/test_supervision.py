@@ -14,12 +14,9 @@ from hardware_bench import Rig, short_recipe
 
 from gradcal_jax.cli import main
 from gradcal_jax.hardware.clock import RealClock, VirtualClock
-from gradcal_jax.hardware.dry_run import dry_run_of, rate_as_made
 from gradcal_jax.hardware.execute import run_session
-from gradcal_jax.hardware.roles import ChamberLimits
 from gradcal_jax.hardware.run_folder import RunFolder, new_folder
 from gradcal_jax.hardware.supervision import read_status
-from gradcal_jax.hardware.track import track_of
 from gradcal_jax.records.run_log import log
 from gradcal_jax.spec.rig import RigFile, rig_of
 from gradcal_jax.tables.writing import write_toml
@@ -61,39 +58,6 @@ def test_a_dry_run_says_what_every_device_is_told_and_tells_them_nothing(made: P
         assert "sets 28 degC; the chamber accepts -50 to 26" in capsys.readouterr().out
     assert main(asked) != 0  # nobody answers any more
     assert "cannot be opened" in capsys.readouterr().out
-
-
-def test_slopes_are_said_as_the_chamber_makes_them() -> None:
-    tenths = ChamberLimits(-50.0, 150.0, 0.1, True, ramp_step_k_per_min=0.1)
-    assert rate_as_made(tenths, 0.26) == pytest.approx(0.3)
-    track = track_of(short_recipe(ramp_k=1.0, changes=SLOWER), ["x"])
-    coarse = ChamberLimits(-50.0, 150.0, 0.1, True, ramp_step_k_per_min=1.5)
-    assert "the chamber would round 2 K/min to 1.5 K/min" in dry_run_of(track, coarse, {}).rounded[0]
-    assert dry_run_of(track, tenths, {}).rounded == ()
-
-
-@pytest.mark.long
-def test_a_rig_is_tried_for_a_recipe_and_nothing_moves(made: Path, tmp_path: Path, capsys) -> None:
-    clock = RealClock()
-    with Rig(clock) as lab:
-        write_toml(lab.rig, tmp_path / "rig.toml")
-        asked = ["rig", "check", str(tmp_path / "rig.toml"), "--recipe", str(made)]
-        assert main(asked) == 0
-        assert "unit1: every sample came in 12 s" in capsys.readouterr().out
-        assert lab.axis.state(clock.now()) == (0.0, 0.0)
-        assert commands(lab) == []
-        # A unit that says a tenth less than it was set to is not good.
-        lab.sensor.clock_error = -0.1
-        lab.imu.reboot()
-        assert main(asked) != 0
-        said = capsys.readouterr().out
-        assert "samples/s, but its setting is 125" in said
-        assert "NOT AS IT SHOULD BE" in said
-        lab.sensor.clock_error = 0.0
-        lab.imu.reboot()
-        lab.chamber.raise_alarm(18)
-        assert main(asked) != 0
-        assert "ALARM 18" in capsys.readouterr().out
 
 
 class Keyboard(io.StringIO):

@@ -22,7 +22,6 @@ from gradcal_jax.hardware.run_folder import new_folder
 from gradcal_jax.hardware.setup import check_each, open_rig
 from gradcal_jax.hardware.supervision import read_status
 from gradcal_jax.spec.rig import rig_of
-from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.writing import write_toml
 
 FORMAT = {"format": "gradcal-rig/1"}
@@ -113,19 +112,6 @@ def test_a_device_that_is_asked_nothing_by_its_limits_has_to_answer_all_the_same
     assert "did not answer" in report.problem
 
 
-def test_two_names_of_one_adapter_are_one_port(tmp_path: Path) -> None:
-    with Rig(RealClock(), on_terminals=True) as rig:
-        by_id = tmp_path / "by-id"
-        by_id.symlink_to(rig.ports[1].url)
-        axis = {"driver": "lines", "safe": "hold", "gravity_loaded": False, "options": {"protocol": "grbl"}}
-        one, two = (axis | {"name": name, "port": str(port)} for name, port in (("a", rig.ports[1].url), ("b", by_id)))
-        with open_rig(rig_of({**FORMAT, "axis": [one, two]}), RealClock()) as bench:
-            assert bench.axes["a"].read().position_deg == bench.axes["b"].read().position_deg == 0.0
-        chamber = {"driver": "lines", "port": str(by_id), "safe": "standby", "options": {"protocol": "espec"}}
-        with pytest.raises(SpecError, match="two devices use this port"):
-            rig_of({**FORMAT, "chamber": chamber, "axis": [one]})
-
-
 # ---------------------------------------------------------------------------------------------------------- messages
 
 
@@ -166,23 +152,15 @@ def late(delay_s: float, begins: bytes = b"") -> Spoils:
     return lambda message: [(delay_s if message.startswith(begins) else 0.0, message)]
 
 
-def test_late_replies_are_said_by_check_and_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_late_replies_are_said(tmp_path: Path) -> None:
     seen: list[str] = []
-    with Rig(RealClock()) as rig:
-        tables = rig.rig.model_dump(mode="json", exclude_unset=True)
-        tables["chamber"]["options"]["reply_timeout"] = "0.2 s"
-        write_toml(rig_of(tables), tmp_path / "rig.toml")
-        rig.ports[0].faults = late(0.3)
-        assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 0
-        assert "s late: raise reply_timeout" in " ".join(capsys.readouterr().out.split())
-    with running(tmp_path / "run", short_track()) as (rig, runner):
+    with running(tmp_path, short_track()) as (rig, runner):
         rig.ports[0].faults = late(3.4)
-        remarked = lambda progress: bool(progress.remarks)  # noqa: E731
-        acting(runner, (remarked, lambda: runner.request("abort")))
+        acting(runner, (lambda progress: bool(progress.remarks), lambda: runner.abort("enough")))
         look = runner.on_progress
         runner.on_progress = lambda progress: (seen.extend(progress.remarks), look(progress))
         runner.run()
     assert "ESPEC at" in seen[0]
     assert "late: raise reply_timeout" in seen[0]
-    (event,) = events(tmp_path / "run", "late reply")
+    (event,) = events(tmp_path, "late reply")
     assert event.data["device"] == "chamber"

@@ -39,7 +39,7 @@ class InterlockLimits:
     latest_s: float = 1.0
     lost_share: float = 0.02
     imu_stale_s: float = 2.0
-    free_bytes: int = 200_000_000
+    free_bytes: float = 200e6
 
 
 class Interlocks:

@@ -63,7 +63,9 @@ def history_of(folder: RunFolder) -> RunHistory:
         else "NOT every device was verified to be safe at the end.",
     ]
     if seams or sessions(contents) > 1:
-        sentences.append(f"The run was paused or resumed {count_text(max(seams, sessions(contents) - 1), 'time')}.")
+        sentences.append(
+            f"The run was interrupted and continued {count_text(max(seams, sessions(contents) - 1), 'time')}."
+        )
     if contents.damaged_bytes:
         sentences.append(f"{contents.damaged_bytes} bytes of the journal belong to no valid record.")
     track = np.array(chamber, dtype=np.float64).reshape(-1, 2)

@@ -1,6 +1,7 @@
 """The guard acts when the run could not end by itself, before it writes anything, and in no other case."""
 
 import errno
+import json
 import os
 import select
 import shutil
@@ -103,13 +104,18 @@ def test_files_in_the_working_folder_are_not_imported(tmp_path: Path, monkeypatc
 )
 def test_it_acts_on_a_run_that_had_begun_and_was_not_done(said: bytes, acts: bool, tmp_path: Path) -> None:
     # A rig whose ports are not there: whoever wants to open them says so.
-    (tmp_path / "rig.toml").write_text(TEMPLATE.replace("/dev/ttyUSB", "/nowhere/port"))
+    heard = tmp_path / "heard"
+    alarm = [sys.executable, "-c", "import sys; open(sys.argv[1], 'w').write(sys.argv[2])", str(heard)]
+    text = TEMPLATE.replace("/dev/ttyUSB", "/nowhere/port")
+    (tmp_path / "rig.toml").write_text(f"{text}\n[alarm]\ncommand = {json.dumps(alarm)}\n")
     Journal(tmp_path / "journal").close()
     words = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(tmp_path), "20", "0"]
     done = subprocess.run(words, input=said, capture_output=True)
     assert (done.returncode, done.stdout) == (0, b"ready\n")
     devices = {event.data.get("device"): event.data.get("verified") for event in by_guard(tmp_path / "journal")}
     assert devices == ({None: None, "table": False, "chamber": False, "unit1": False} if acts else {})
+    assert heard.exists() == acts
+    assert not acts or "the guard makes the rig safe" in heard.read_text()
 
 
 def test_a_guard_that_could_not_work_keeps_the_run_from_beginning(tmp_path: Path) -> None:

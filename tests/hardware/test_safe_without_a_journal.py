@@ -16,7 +16,6 @@ from gradcal_jax.hardware.journal import Journal
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 from gradcal_jax.hardware.setup import open_rig
 from gradcal_jax.hardware.track import AxisCommand, Course, Track, TrackStep
-from gradcal_jax.hardware.transport import Transport
 
 SPIN = AxisCommand(0.0, "table", "spin", rate_dps=150.0, acceleration_dps2=300.0)
 SPINS = Track((TrackStep("spin", 60.0, courses=(Course(0.0, 40.0),), moves=(SPIN,)),))
@@ -93,16 +92,3 @@ def test_a_disk_that_hangs_keeps_no_stop_off_the_wire(tmp_path: Path, monkeypatc
         result, took_s = run_with(rig, runner, harm)
         assert (result.reason, result.verified_safe) == ("SIGTERM", True)
         assert took_s < 5.0
-
-
-@pytest.mark.parametrize("problem", [OSError(28, "full"), ValueError("closed"), RuntimeError("any"), MemoryError()])
-def test_bytes_are_sent_and_received_whatever_a_recorder_raises(problem: Exception) -> None:
-    clock = RealClock()
-    with Rig(clock, on_terminals=True) as rig:
-
-        def fails(*_: object) -> None:
-            raise problem
-
-        with Transport(rig.ports[1].url, clock=clock, recorder=fails) as line:
-            line.write(b"?")
-            assert line.read(2.0).startswith(b"<Alarm|MPos:")

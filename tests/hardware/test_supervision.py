@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -131,25 +130,6 @@ def test_an_alarm_of_the_chamber_calls_the_command_of_the_rig_file(tmp_path: Pat
     assert "aborted" in heard
     assert "18" in heard
     assert read_status(run.path)["exit_status"] == "aborted"
-
-
-def test_the_guard_of_a_run_that_was_killed_calls_it_too(tmp_path: Path) -> None:
-    chamber = {"driver": "lines", "port": "COM199", "safe": "standby", "options": {"protocol": "espec"}}
-    rig = rig_of({"format": "gradcal-rig/1", "chamber": chamber})
-    write_toml(with_alarm(rig, tmp_path / "heard"), tmp_path / "rig.toml")
-    command = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(tmp_path)]
-    guard = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    try:
-        assert guard.stdin is not None
-        assert guard.stdout is not None
-        assert guard.stdout.readline() == b"ready\n"
-        guard.stdin.write(b"begun\n")
-        guard.stdin.close()
-        assert "the guard makes the rig safe" in wait_for(tmp_path / "heard")
-    finally:
-        guard.kill()
-        guard.wait()
-        guard.stdout.close()
 
 
 def wait_for(path: Path) -> str:

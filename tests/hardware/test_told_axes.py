@@ -14,23 +14,6 @@ from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth
 TOLD = AxisLimits(300.0, 400.0, None, None, 0.01, told=True)
 
 
-def test_a_person_without_a_dial_says_that_it_stands():
-    clock = VirtualClock()
-    with gimbal(clock, angle="none") as (axis, person, plant):
-        assert not axis.limits().typed
-        assert axis.limits().told
-        axis.move_to(90.0, 72.0, 14.4)
-        end = clock.now() + 600.0
-        while (reading := axis.read()).moving:
-            assert clock.now() < end
-            clock.sleep(0.25)
-        # The reading is where it was to go; where it is nobody knows.
-        assert reading.position_deg == 90.0
-        assert plant.state(clock.now())[0] != 90.0
-        assert "press Enter" in person.heard[0]
-        assert "no angle" in axis.identify().model
-
-
 def test_what_is_typed_without_a_dial_is_asked_again():
     clock = VirtualClock()
     with gimbal(clock, angle="none") as (axis, person, _):

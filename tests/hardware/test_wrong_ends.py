@@ -2,8 +2,6 @@
 
 import json
 import socket
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -15,7 +13,7 @@ from simulated_devices.faults import Spoils
 from gradcal_jax.cli import main
 from gradcal_jax.hardware import guard
 from gradcal_jax.hardware.clock import RealClock
-from gradcal_jax.hardware.errors import Disconnected, PortTaken
+from gradcal_jax.hardware.errors import Disconnected
 from gradcal_jax.hardware.execute import run_session
 from gradcal_jax.hardware.guard import Guard, make_safe
 from gradcal_jax.hardware.run_folder import new_folder
@@ -70,33 +68,6 @@ def test_a_start_that_commanded_nothing_leaves_the_ports_to_the_next_one(
         assert (result.begun, result.verified_safe) == (False, False)
         assert told == ["done"]
         open_rig(rig.rig, clock).close()
-
-
-def test_a_taken_port_names_the_guard_that_holds_it(tmp_path: Path) -> None:
-    clock = RealClock()
-    with Rig(clock, on_terminals=True) as rig:
-        write_toml(rig.rig, tmp_path / "rig.toml")
-        rig.ports[0].faults = lambda message: []
-        words = [sys.executable, "-m", "gradcal_jax.hardware.guard", str(tmp_path)]
-        process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-        assert process.stdin is not None
-        assert process.stdout is not None
-        try:
-            assert process.stdout.readline() == b"ready\n"
-            process.stdin.write(b"begun\n")
-            process.stdin.close()
-            said, end = "", time.monotonic() + 20.0
-            while "guard" not in said and time.monotonic() < end:
-                time.sleep(0.1)
-                try:
-                    open_rig(rig.rig, clock).close()
-                except PortTaken as problem:
-                    said = str(problem)
-            assert f"the guard of the run {tmp_path}" in said
-        finally:
-            process.kill()
-            process.wait()
-            process.stdout.close()
 
 
 # -------------------------------------------------------------------------------------------------- what a check says

@@ -244,14 +244,13 @@ def test_a_unit_that_begins_anew_in_mid_run_splits_the_log_and_is_said() -> None
 # ------------------------------------------------------------------------------------------ pauses, axes and sessions
 
 
-def paused(start_s: float, end_s: float, *, stopped: bool = False) -> list[Event]:
-    """What the journal holds of a pause behind a step's end, or of one that stopped every axis at once."""
+def repeated(start_s: float, end_s: float) -> list[Event]:
+    """What the journal holds of a step that was refused at its begin, which stops every axis, and made again later."""
     begin, end = START_S + start_s, START_S + end_s
     return [
-        *([Event(begin, "stopped", {"axis": "table"})] if stopped else []),
-        Event(begin, "state", {"state": "paused"}),
-        Event(end, "state", {"state": "running"}),
-        Event(end, "seam", {"step": "turns", "why": "the run was paused before this step"}),
+        Event(begin, "not done", {"step": "turns", "number": 1, "why": "late"}),
+        Event(begin, "stopped", {"axis": "table"}),
+        Event(end, "seam", {"step": "turns", "why": "the step is repeated"}),
         Event(end, "step begins", {"step": "turns", "number": 1, "begins_s": end, "data": True}),
     ]
 
@@ -261,11 +260,9 @@ def angles_at_rest(log: Log) -> list[float]:
     return np.degrees(angles_of_rests(log)).tolist()
 
 
-@pytest.mark.parametrize("stopped", [False, True])
-def test_a_pause_ends_stretch_and_standstill_and_what_stood_stands_behind_it(stopped: bool) -> None:
-    # Nothing is read again behind the pause: of a table that is turned by hand the angle was typed before it.
-    pause = paused(45.0, 55.0, stopped=stopped)
-    log = recorded(THERE_AND_BACK, 70.0, happened=pause)
+def test_a_repeated_step_ends_stretch_and_standstill_and_what_stood_stands_behind_it() -> None:
+    # Nothing is read again behind it: of a table that is turned by hand the angle was typed before.
+    log = recorded(THERE_AND_BACK, 70.0, happened=repeated(45.0, 55.0))
     assert log.host_time_s is not None
     assert log.standstill is not None
     (start,) = log.stretch_starts.tolist()[1:]
@@ -275,15 +272,6 @@ def test_a_pause_ends_stretch_and_standstill_and_what_stood_stands_behind_it(sto
     assert (before, behind) == (2, 3)
     assert angles_at_rest(log) == pytest.approx([0.0, 360.0, 0.0, 0.0])
     assert np.count_nonzero(log.standstill == behind) > 14.0 * 125.0
-
-
-def test_an_interlock_ends_stretch_and_standstill() -> None:
-    told = [Event(START_S + 44.0, "interlock", {"rule": "stale unit", "action": "pause", "text": "no bytes"})]
-    pause = [*told, *paused(45.0, 55.0, stopped=True)]
-    log = recorded(THERE_AND_BACK, 70.0, happened=pause)
-    assert log.host_time_s is not None
-    (start,) = log.stretch_starts.tolist()[1:]
-    assert log.host_time_s[start - 1] == pytest.approx(START_S + 44.0, abs=0.01)
 
 
 @pytest.mark.parametrize("place", ["before", "behind"])

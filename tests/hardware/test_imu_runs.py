@@ -43,6 +43,15 @@ def test_in_every_cycle_a_turn_is_read_before_the_next_one_begins() -> None:
                 assert turn.start_s in step.read_at_s
 
 
+def test_a_rehearsal_with_one_seed_is_the_same_byte_for_byte(ran: tuple[Path, Log], tmp_path: Path) -> None:
+    """One thread of a run works at a time, whatever else the computer does."""
+    again = tmp_path / "run"
+    assert execute.run(made(short()), again, simulate=True, seed=3, units=2).exit_status == "success"
+    first, second = (RunFolder(folder).contents().records for folder in (ran[0], again))
+    # The first record has the wall clock's time.
+    assert first[1:] == second[1:]
+
+
 def moves_of(folder: Path) -> list[tuple[str, float, float]]:
     """Axis, when it was told to turn, and when it stood again, on the run's clock."""
     found: list[tuple[str, float, float]] = []

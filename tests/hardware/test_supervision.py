@@ -52,7 +52,9 @@ def test_a_dry_run_says_what_every_device_is_told_and_tells_them_nothing(made: P
         found = json.loads(capsys.readouterr().out)
         assert found["problems"] == []
         assert (commands(lab), lab.axis.state(0.0)) == ([], (0.0, 0.0))
-        lab.chamber.options.high_c = 26.0
+        tables = lab.rig.model_dump(mode="json", exclude_unset=True)
+        tables["chamber"]["never_above"] = "26 degC"
+        write_toml(rig_of(tables), tmp_path / "rig.toml")
         assert main(asked) != 0
         assert "sets 28 degC; the chamber accepts -50 to 26" in capsys.readouterr().out
     assert main(asked) != 0  # nobody answers any more

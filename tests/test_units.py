@@ -1,9 +1,7 @@
 """The strict grammar of quantities: datasheet idioms, refusals, round trips, and pint where pint is right."""
 
 import math
-import pickle
 import string
-from fractions import Fraction
 
 import pint
 import pytest
@@ -34,12 +32,7 @@ IDIOMS = [
     ("2 deg/h/sqrt(h)", "rate random walk", 2 * DEG / 3600 / 60),
     ("30 arcsec", "angle", DEG / 120),
     ('30 "', "angle", DEG / 120),
-    ("1° 30′ 36″", "angle", 1.51 * DEG),
-    ("-1 deg 30 arcmin", "angle", -1.5 * DEG),
     ("50 \N{GREEK SMALL LETTER MU}rad", "angle", 50e-6),
-    ("2 h 40 min", "time", 9600.0),
-    ("2h40min", "time", 9600.0),
-    ("1 min 1.5 s", "time", 61.5),
     ("−30 °C", "temperature", -30.0),
     ("86 degF", "temperature", 30.0),
     ("50 K", "temperature difference", 50.0),
@@ -54,9 +47,7 @@ IDIOMS = [
     ("2 deg/h/(K/min)", "bias temperature-gradient sensitivity", 2 * DEG / 3600 * 60),
     ("100 µg/(K/min)", "acceleration temperature-gradient sensitivity", 100e-6 * 9.80665 * 60),
     ("10 °/h/g", "acceleration-sensitive drift", 10 * DEG / 3600 / 9.80665),
-    ("2 °/h/g²", "acceleration-squared-sensitive drift", 2 * DEG / 3600 / 9.80665**2),
-    ("50 µg/g²", "second order", 50e-6 / 9.80665),
-    ("5 ug/g^3", "third order", 5e-6 / 9.80665**2),
+    ("50 µg/g²", "second-order coefficient", 50e-6 / 9.80665),
     ("10 mg", "acceleration", 0.0980665),
     ("1 g", "acceleration", 9.80665),
     ("50 µg/√Hz", "velocity random walk", 50e-6 * 9.80665),
@@ -95,7 +86,6 @@ REFUSED = [
     ("3 deg/h·K", "bias slope", "parentheses"),
     ("9.8 m/s2", "acceleration", "not understood"),
     ("0.1 deg/h^1/2", ARW, "not understood"),
-    ("0.1 deg/√", ARW, "root"),
     ("0.1 deg/sqrt h", ARW, "unknown"),
     ("0.1 deg/√(√h)", ARW, "root of a root"),
     ("0.1 deg/sqrt(h", ARW, "closed"),
@@ -105,13 +95,9 @@ REFUSED = [
     ("0.1 dgps", "angular rate", "nearest: 'dps'"),
     ("1 deg^4/s", "angular rate", "power"),
     ("1 deg^(1/3)/s", "angular rate", "power"),
-    ("1 deg/1/s", "angular rate", "beginning"),
-    ("40 min 2 h", "time", "become smaller"),
-    ("1 h 90 min", "time", "below 60"),
-    ("1.5 h 10 min", "time", "decimals"),
     ("1 deg 30 min", "angle", "not understood"),
+    ("2 h 40 min", "time", "not understood"),
     ("5 deg" + " " * 200 + "/s", "angular rate", "too long"),
-    ("5 " + "(" * 30 + "s" + ")" * 30, "time", "nest"),
     ("٣ s", "time", "begin with a number"),
 ]
 
@@ -183,16 +169,6 @@ def test_short_numbers_stay_short(pair, number):
     digits = format_quantity(value, unit).split(" ")[0]
     assert float(digits) == float(number)
     assert len(digits) <= len(str(number))
-
-
-@settings(deadline=None)
-@given(st.integers(0, 300), st.integers(0, 59), st.integers(0, 59), st.integers(0, 99))
-def test_sexagesimal_angles_and_durations_are_exact(whole, sixtieths, seconds, hundredths):
-    exact = Fraction(whole * 3600 + sixtieths * 60 + seconds) + Fraction(hundredths, 100)
-    text = f"{whole} h {sixtieths} min {seconds}.{hundredths:02d} s"
-    assert parse(text, "time") == float(exact)
-    angle = parse(f"{whole}° {sixtieths}′ {seconds}.{hundredths:02d}″", "angle")
-    assert angle == pytest.approx(float(exact) / 3600 * DEG, rel=4e-16)
 
 
 def outcome(call, *arguments):
@@ -269,9 +245,3 @@ def test_conversion_keeps_the_dimension():
     ):
         with pytest.raises(UnitError, match="finite"):
             call()
-
-
-def test_the_error_is_a_value_error_that_survives_pickling():
-    error = UnitError("a sentence")
-    assert isinstance(error, ValueError)
-    assert str(pickle.loads(pickle.dumps(error))) == "a sentence"

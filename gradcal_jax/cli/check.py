@@ -85,14 +85,8 @@ def numbers(spec: "Spec") -> dict[str, Any]:
 
 def omitted_lines(spec: "Spec") -> list[str]:
     """Error terms that are absent from the file, with the typical figures that count for them."""
-    from gradcal_jax.spec.absent import (
-        absent_terms,
-        attitude_sentences,
-        branch_sentences,
-        class_terms,
-        sensor_grade,
-        table_grade,
-    )
+    from gradcal_jax.spec.absent import absent_terms, attitude_sentences, branch_sentences, class_terms
+    from gradcal_jax.spec.typical import sensor_grade, table_grade
 
     absent, supplied = absent_terms(spec), class_terms(spec)
     others = [*branch_sentences(spec), *attitude_sentences(spec)]

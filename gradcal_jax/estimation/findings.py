@@ -16,10 +16,11 @@ from gradcal_jax.estimation.consistency import Test
 from gradcal_jax.model import AXIS_NAMES, KINDS, Channel, ImuModel
 from gradcal_jax.records.log import Log, LogError
 from gradcal_jax.records.signal_checks import without_faults
-from gradcal_jax.spec.absent import EARTH, EARTH_IS_UNKNOWN, absent_terms
+from gradcal_jax.spec.absent import EARTH_IS_UNKNOWN, absent_terms
 from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.spec.typical import EARTH
 
 # Level at which by chance any of the tests of a fit fails once in a hundred.
 _RARE: Final = 0.01

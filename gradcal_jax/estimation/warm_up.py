@@ -45,8 +45,8 @@ from gradcal_jax.identify.instability import (
     too_noisy,
 )
 from gradcal_jax.records.log import Log, LogError
-from gradcal_jax.spec.absent import grade_of_noise, terms_of
 from gradcal_jax.spec.bases import TemperaturePolynomial
+from gradcal_jax.spec.typical import grade_of_noise, terms_of
 from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.units import DEG_PER_SQRT_H
 

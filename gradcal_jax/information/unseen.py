@@ -40,9 +40,10 @@ from gradcal_jax.model import (
 from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior, plan_information, unweighted_estimator
 from gradcal_jax.model.nodes import INPUTS
 from gradcal_jax.motion import EARTH_RATE, Turns, turns_of
-from gradcal_jax.spec.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.spec.absent import absent_terms, with_typical
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.spec_sections import Spec
+from gradcal_jax.spec.typical import slopes_of
 
 TURN_ON: Final = "turn-on bias"
 BESIDE_THE_AXIS: Final = "misalignment of the input axis from the table's axis"

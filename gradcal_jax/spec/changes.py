@@ -6,32 +6,14 @@ A value is what the file would hold: a quantity has its unit, and a plain number
 """
 
 import copy
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Final, cast
+from typing import Any, cast
 
 from gradcal_jax.spec.moves import AXES, Axis
 from gradcal_jax.spec.spec import spec_of
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.problems import ABSENT, Key, Problem, SpecError, dotted
+from gradcal_jax.tables.problems import ABSENT, Key, Problem, SpecError, split_key
 from gradcal_jax.tables.section import Section
-
-_PART: Final = re.compile(r"(?:^|\.)([A-Za-z_][A-Za-z0-9_-]*)|\[([0-9]{1,9})\]")
-
-
-def split_key(text: str) -> Key:
-    """``"plan.cycle.moves[2].rest"`` -> ``("plan", "cycle", "moves", 2, "rest")``. Raises `ValueError`."""
-    parts: list[str | int] = []
-    at = 0
-    while at < len(text):
-        match = _PART.match(text, at)
-        if match is None:
-            raise ValueError(f"'{text}' is not a key; expected one such as 'plan.cycle.moves[0].rest'")
-        parts.append(match.group(1) if match.group(1) is not None else int(match.group(2)))
-        at = match.end()
-    if not parts or not isinstance(parts[0], str) or dotted(tuple(parts)) != text:
-        raise ValueError(f"'{text}' is not a key; expected one such as 'plan.gradient'")
-    return tuple(parts)
 
 
 def tables_of(spec: Section) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.requirement import Requirements
 from gradcal_jax.spec.schedule import StandardSchedule, standard_schedule
 from gradcal_jax.spec.sensor import Sensor
-from gradcal_jax.spec.typical import of_classes
+from gradcal_jax.spec.typical import with_classes
 from gradcal_jax.tables.document import TitledFile
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Text
@@ -46,8 +46,8 @@ class Spec(TitledFile):
 
     @model_validator(mode="after")
     def _with_figures_of_classes(self) -> "Spec":
-        sensor, rig = of_classes(self)
-        vars(self).update(sensor=sensor, rig=rig)
+        whole = with_classes(self)
+        vars(self).update(sensor=whole.sensor, rig=whole.rig)
         return self
 
     def _problems(self) -> Iterator[Problem]:

@@ -4,15 +4,18 @@ The figures and their sources are data, `typical.toml`. With `[sensor] grade` (o
 file does not name has the figure of this class, as if the file stated it; the file itself stays short.
 """
 
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar, cast
 
-from gradcal_jax.spec.bench import Rig, RigTable, TableAxis
+from gradcal_jax import units
 from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.sensor import Sensor
+from gradcal_jax.tables.problems import Key, split_key
+from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.section import Section
 
 if TYPE_CHECKING:
@@ -20,7 +23,6 @@ if TYPE_CHECKING:
 
 Part = TypeVar("Part", bound=Section)
 EARTH: Final = "rig.site.latitude"
-_ANGLE: Final = "angle."
 
 
 class Grade(NamedTuple):
@@ -44,19 +46,17 @@ class TypicalTerm(NamedTuple):
         return "up to 15.04 deg/h" if self.key == EARTH else _words(self.value)
 
 
-def grades() -> tuple[str, ...]:
-    """Names of the classes of gyros."""
-    return tuple(row["grade"] for row in class_table()["sensor"])
-
-
-def terms_of(kind: str, grade: str) -> list[TypicalTerm]:
-    """Every term of a class's typical error budget, its key within `kind`: "sensor", "accelerometer" or "table"."""
-    return [TypicalTerm(term["key"], term["value"], term["source"]) for term in class_row(kind, grade)["term"]]
-
-
-def typical_g_sensitivity(grade: str) -> str:
-    """A typical sensitivity of a class's gyros to acceleration, 1σ."""
-    return class_row("sensor", grade)["g_sensitivity"]["value"]
+# Of normal gravity at sea level: 3.09 um/s^2 a metre of height, and 0.3 mm/s^2 of anomaly.
+_NORMAL_GRAVITY: Final = TypicalTerm(
+    "gravity_accuracy",
+    "250 ug",
+    "gravity is not stated; this figure is the error of normal gravity at sea level, for heights of up to 1000 m",
+)
+_UNKNOWN_LATITUDE: Final = TypicalTerm(
+    "latitude",
+    "unknown",
+    "the Earth turns at 15.04 deg/h, and the angle between its axis and the table's is not stated",
+)
 
 
 def _words(value: Any) -> str:
@@ -74,85 +74,164 @@ def class_table() -> dict[str, Any]:
     return tomllib.loads(text)
 
 
+def grades() -> tuple[str, ...]:
+    """Names of the classes of gyros."""
+    return tuple(row["grade"] for row in class_table()["sensor"])
+
+
 def class_row(kind: str, grade: str) -> dict[str, Any]:
-    """The data of one class."""
+    """The data of one class of a kind: "sensor" (gyros), "accelerometer" or "table"."""
     return next(row for row in class_table()[kind] if row["grade"] == grade)
 
 
-def of_classes(spec: "Spec") -> tuple[Sensor, Rig]:
-    """Sensor and rig of a spec, with the figures of the classes that it states for terms that it does not name.
+def terms_of(kind: str, grade: str, part: str = "term") -> list[TypicalTerm]:
+    """Every term of a class's typical error budget, its key within `kind`; of the `part` "path", those that depend on
+    the path of temperature."""
+    return [TypicalTerm(term["key"], term["value"], term["source"]) for term in class_row(kind, grade)[part]]
 
-    A key so filled is not among the keys that were set, and is not written into a file.
-    """
-    sensor, rig = spec.sensor, spec.rig
+
+def typical_g_sensitivity(grade: str) -> str:
+    """A typical sensitivity of a class's gyros to acceleration, 1σ."""
+    return class_row("sensor", grade)["g_sensitivity"]["value"]
+
+
+# A prediction asks for the class a dozen times, of the same few texts.
+@cache
+def si_of(text: str) -> float:
+    """The SI value of a figure of the data."""
+    return units.parse(text, units.dimension_of(units.unit_of(text)))
+
+
+def sensor_grade(sensor: Sensor, kind: str = "sensor") -> Grade:
+    """The class of the gyros ("sensor") or of the accelerometers ("accelerometer"), or of those that there are:
+    `sensor.grade`, or else by their drift, or else by their random walk."""
+    if sensor.gyro is None:
+        kind = "accelerometer"
+    elif sensor.accelerometer is None:
+        kind = "sensor"
     if sensor.grade is not None:
-        sensor = _sensor(sensor, sensor.grade)
-    if rig.table.grade is not None:
-        figures = {term.key: term.value for term in terms_of("table", rig.table.grade)}
-        table = _table(spec, figures)
-        site = rig.site
-        if sensor.accelerometer is not None and site.gravity is not None:
-            site = _filled(site, _some(figures, "gravity_accuracy"))
-        if spec.is_one_axis:
-            site = _filled(site, {"latitude": "unknown"})
-        rig = _replaced(rig, table=table, site=site)
-    return sensor, rig
+        return Grade(sensor.grade, class_row(kind, sensor.grade)["like"], "sensor.grade")
+    triad: Any = sensor.gyro if kind == "sensor" else sensor.accelerometer
+    if size := max((float(drift.standard_deviation) for drift in triad.drift), default=0.0):
+        return _grade(kind, "drift", size, "its drift")
+    return grade_of_noise(kind, triad.angle_random_walk if kind == "sensor" else triad.velocity_random_walk)
 
 
-def _sensor(sensor: Sensor, grade: str) -> Sensor:
-    figures = {term.key: term.value for term in terms_of("sensor", grade)}
-    gyro, force = sensor.gyro, sensor.accelerometer
-    sensor = _filled(sensor, {key: value for key, value in figures.items() if key in Sensor.model_fields})
-    if gyro is not None:
+def grade_of_noise(kind: str, random_walk: Quantity) -> Grade:
+    """The class of gyros ("sensor") or of an "accelerometer" of which only the white noise is known."""
+    return _grade(kind, "walk", float(random_walk), f"its {random_walk.dimension}")
+
+
+def table_grade(spec: "Spec") -> Grade:
+    """The class of a rate table, by its named angle errors; the worst class without any."""
+    if (stated := spec.rig.table.grade) is not None:
+        return Grade(stated, class_row("table", stated)["like"], "rig.table.grade")
+    angles = [axis.angle for axis in spec.rig.table.axis]
+    size = max(max(float(a.reading_noise), float(a.standstill_offset)) for a in angles)
+    if size == 0.0:
+        return _grade("table", "angle", math.inf, "the worst class, because the spec names no angle error")
+    return _grade("table", "angle", size, "its angle errors")
+
+
+def _grade(kind: str, key: str, size: float, reason: str) -> Grade:
+    """The first class, beginning with the worst, whose lower limit is at or below a size; the last limit is zero."""
+    row = next(row for row in class_table()[kind] if size >= si_of(row[key]))
+    return Grade(row["grade"], row["like"], reason)
+
+
+def slopes_of(sensor: Sensor, kind: str = "gyro") -> tuple[float, float]:
+    """Typical slopes over temperature of a channel's bias (rad/s/K or m/s^2/K) and of its scale factor (1/K): the
+    spec's own, where it states them, or those of the class."""
+    if kind == "accelerometer":
+        row = class_row(kind, sensor_grade(sensor, kind).name)
+        return si_of(row["bias_slope"]), si_of(row["scale_factor_slope"])
+    terms = terms_of("sensor", sensor_grade(sensor).name)
+    typical = next(term.value for term in terms if term.key == "temperature_error")
+    own = None if sensor.gyro is None else sensor.gyro.temperature_error
+    slopes: list[float] = []
+    for key in ("bias_slope", "scale_factor_slope"):
+        stated = getattr(own, key, None)
+        slopes.append(si_of(typical[key]) if stated is None else abs(float(stated)))
+    return slopes[0], slopes[1]
+
+
+def is_of_class(spec: "Spec", key: str) -> bool:
+    """Whether a term that the file does not name has the figure of a class that the file states."""
+    return (spec.sensor.grade if key.startswith("sensor.") else spec.rig.table.grade) is not None
+
+
+def unnamed_terms(spec: "Spec") -> Iterator[TypicalTerm]:
+    """Every term of the classes that a file does not name, with its whole key, whatever the plan."""
+    sensor, table, site, alone = spec.sensor, spec.rig.table, spec.rig.site, spec.is_one_axis
+    of_sensor = terms_of("sensor", sensor_grade(sensor).name)
+    of_table = {term.key: term for term in terms_of("table", table_grade(spec).name)}
+    yield from _unnamed(sensor, "sensor", [term for term in of_sensor if term.key in Sensor.model_fields])
+    if (gyro := sensor.gyro) is not None:
         # A temperature error acts through the slopes of the estimated maps.
         fixed = {f"{name}_slope" for name in ("bias", "scale_factor") if getattr(gyro, name) is None}
-        error = figures["temperature_error"]
-        figures["temperature_error"] = {key: value for key, value in error.items() if key not in fixed}
-        gyro = _filled(gyro, {key: value for key, value in figures.items() if key not in Sensor.model_fields})
-    if force is not None:
-        force = _filled(force, {term.key: term.value for term in terms_of("accelerometer", grade)})
-    return _replaced(sensor, gyro=gyro, accelerometer=force)
-
-
-def _table(spec: "Spec", figures: Mapping[str, Any]) -> RigTable:
-    table, alone = spec.rig.table, spec.is_one_axis
-    keys = [] if alone else ["tilt", "azimuth"]
+        for term in _unnamed(gyro, "sensor.gyro", [term for term in of_sensor if term.key not in Sensor.model_fields]):
+            if term.key.endswith("temperature_error"):
+                term = term._replace(value={key: value for key, value in term.value.items() if key not in fixed})
+            yield term
+    if (force := sensor.accelerometer) is not None:
+        of_force = terms_of("accelerometer", sensor_grade(sensor, "accelerometer").name)
+        yield from _unnamed(force, "sensor.accelerometer", of_force)
+        yield from _unnamed(site, "rig.site", [of_table["gravity_accuracy"] if site.gravity else _NORMAL_GRAVITY])
     if isinstance(spec.plan, StandardPlan):
-        keys.append("rate_accuracy")
-    axes = tuple(
-        _axis(axis, figures, inner=k == len(table.axis) - 1, alone=alone, by_gravity=table.by_gravity)
-        for k, axis in enumerate(table.axis)
-    )
-    mounting = table.mounting
+        yield from _unnamed(table, "rig.table", [of_table["rate_accuracy"]])
     if alone:
-        mounting = tuple(_filled(one, {"accuracy": figures["mounting_accuracy"]}) for one in mounting)
-    return _replaced(_filled(table, _some(figures, *keys)), axis=axes, mounting=mounting)
+        accuracy = of_table["mounting_accuracy"]._replace(key="accuracy")
+        yield from _unnamed(table.mounting[0], "rig.table.mounting[0]", [accuracy])
+        yield from _unnamed(site, "rig.site", [_UNKNOWN_LATITUDE])
+    else:
+        yield from _unnamed(table, "rig.table", [of_table["tilt"], of_table["azimuth"]])
+    prefix = "angle."
+    of_angle = [t._replace(key=t.key.removeprefix(prefix)) for t in of_table.values() if t.key.startswith(prefix)]
+    for k, axis in enumerate(table.axis):
+        if k < len(table.axis) - 1:
+            yield from _unnamed(axis, f"rig.table.axis[{k}]", [of_table["orthogonality"]])
+        if not table.by_gravity:
+            terms = [term for term in of_angle if alone or term.key != "backlash"]
+            yield from _unnamed(axis.angle, f"rig.table.axis[{k}].angle", terms)
 
 
-def _axis(axis: TableAxis, figures: Mapping[str, Any], *, inner: bool, alone: bool, by_gravity: bool) -> TableAxis:
-    of_angle = {key.removeprefix(_ANGLE): value for key, value in figures.items() if key.startswith(_ANGLE)}
-    if not alone:
-        del of_angle["backlash"]
-    angle = axis.angle if by_gravity else _filled(axis.angle, of_angle)
-    return _replaced(axis if inner else _filled(axis, _some(figures, "orthogonality")), angle=angle)
+def _unnamed(section: Section, prefix: str, terms: Iterable[TypicalTerm]) -> Iterator[TypicalTerm]:
+    """The terms that a table of the file does not name, with their whole keys."""
+    for term in terms:
+        if term.key not in section.model_fields_set:
+            yield term._replace(key=f"{prefix}.{term.key}")
 
 
-def _some(figures: Mapping[str, Any], *keys: str) -> dict[str, Any]:
-    return {key: figures[key] for key in keys}
+def with_classes(spec: "Spec") -> "Spec":
+    """The spec with the figures of the classes that it states for terms that it does not name. A key so filled is not
+    among the keys that were set, and is not written into a file."""
+    if spec.sensor.grade is None and spec.rig.table.grade is None:
+        return spec
+    return filled(spec, [term for term in unnamed_terms(spec) if is_of_class(spec, term.key)], named=False)
 
 
-def _filled(section: Part, figures: Mapping[str, Any]) -> Part:
-    """The table with figures for keys that the file does not name."""
-    stated = section.model_fields_set
-    missing = {key: value for key, value in figures.items() if key not in stated}
-    if not missing:
-        return section
-    whole = type(section).model_validate(section.model_dump(mode="json", exclude_unset=True) | missing)
-    return _replaced(section, **{key: getattr(whole, key) for key in missing})
+def filled(part: Part, terms: Iterable[TypicalTerm], *, named: bool) -> Part:
+    """A spec with terms that it does not name; `named`: as if the file named them. Errors: `SpecError`."""
+    figures: dict[Key, dict[str, Any]] = {}
+    for term in terms:
+        *table, last = split_key(term.key)
+        figures.setdefault(tuple(table), {})[str(last)] = term.value
+    for table, values in figures.items():
+        part = _put(part, table, values, named)
+    return part
 
 
-def _replaced(section: Part, **values: Any) -> Part:
-    """The table with other values, which do not count as keys of the file."""
-    copy = section.model_copy()
-    vars(copy).update(values)
+def _put(part: Any, key: Key, values: Mapping[str, Any], named: bool) -> Any:
+    """A table, or a list of tables, with values in the table at `key` below it."""
+    if key and isinstance(key[0], int):
+        return tuple(_put(one, key[1:], values, named) if k == key[0] else one for k, one in enumerate(part))
+    if key:
+        changes = {key[0]: _put(getattr(part, key[0]), key[1:], values, named)}
+    else:
+        whole = type(part).model_validate(part.model_dump(mode="json", exclude_unset=True) | values)
+        changes = {name: getattr(whole, name) for name in values}
+    if named:
+        return part.model_copy(update=changes)
+    copy = part.model_copy()
+    vars(copy).update(changes)
     return copy

@@ -1,6 +1,6 @@
 """Problems of a file: all at once, each with its key, its value and the expected value."""
 
-import difflib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -8,12 +8,15 @@ from typing import Any, Final
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from gradcal_jax.units.spelling import nearest
+
 Key = tuple[str | int, ...]
 
 _SHOWN: Final = 60
 # Of the faults of one file, and of the letters of a key.
 _MOST: Final = 30
 _LONGEST: Final = 120
+_PART: Final = re.compile(r"(?:^|\.)([A-Za-z_][A-Za-z0-9_-]*)|\[([0-9]{1,9})\]")
 
 
 class _Absent:
@@ -80,6 +83,21 @@ def dotted(key: Key) -> str:
     return text
 
 
+def split_key(text: str) -> Key:
+    """``"plan.cycle.moves[2].rest"`` -> ``("plan", "cycle", "moves", 2, "rest")``. Raises `ValueError`."""
+    parts: list[str | int] = []
+    at = 0
+    while at < len(text):
+        match = _PART.match(text, at)
+        if match is None:
+            raise ValueError(f"'{text}' is not a key; expected one such as 'plan.gradient'")
+        parts.append(match.group(1) if match.group(1) is not None else int(match.group(2)))
+        at = match.end()
+    if not parts or not isinstance(parts[0], str) or dotted(tuple(parts)) != text:
+        raise ValueError(f"'{text}' is not a key; expected one such as 'plan.gradient'")
+    return tuple(parts)
+
+
 def shown(value: object) -> str:
     """A value of the file, short enough for a line."""
     if isinstance(value, Mapping):
@@ -91,17 +109,6 @@ def shown(value: object) -> str:
     else:
         text = str(value)
     return text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"
-
-
-def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The nearest right spelling, or None where nothing is near."""
-    names = list(known)
-    folded = {name.casefold().replace("-", "_").replace(" ", "_"): name for name in names}
-    exact = folded.get(word.casefold().replace("-", "_").replace(" ", "_"))
-    if exact is not None:
-        return exact
-    close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
-    return close[0] if close else None
 
 
 def hint(word: object, known: Iterable[str], otherwise: str = "") -> str:

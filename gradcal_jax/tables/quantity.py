@@ -177,7 +177,7 @@ PositiveScaleFactorGradient = Annotated[
 ]
 BiasSlope = Annotated[Quantity, Of("bias slope")]
 PositiveAccelerationSensitivity = Annotated[Quantity, Of("acceleration-sensitive drift", above="0 deg/h/g")]
-PositiveSecondOrder = Annotated[Quantity, Of("second order", above="0 ug/g^2")]
+PositiveSecondOrder = Annotated[Quantity, Of("second-order coefficient", above="0 ug/g^2")]
 PositiveSpecificForce = Annotated[Quantity, Of("acceleration", above="0 mg")]
 SizeOfSpecificForce = Annotated[Quantity, Of("acceleration", at_least="0 mg")]
 VelocityRandomWalk = Annotated[Quantity, Of("velocity random walk", above="0 m/s/sqrt(h)")]

@@ -3,10 +3,10 @@
 The grammar is strict: a text that does not follow it *exactly* is refused, with the nearest right spelling. (General
 unit libraries read ``0.1 °/√h`` as degrees per hour, ``10 mg`` as milligrams and ``30″`` as a pure number.)
 
-    quantity := number unit | duration | sexagesimal angle        "0.1 deg/sqrt(h)"   "2 h 40 min"   "1° 30′ 15″"
+    quantity := number unit                                       "0.1 deg/sqrt(h)"
     unit     := factor ("·" factor)* ("/" factor)*                a product after a division needs parentheses
     factor   := (name | "(" unit ")") power? | "√" name | "√(" unit ")" | "sqrt(" unit ")" | "rt-" name
-    power    := "^" k | "**" k | superscript                      k a multiple of one half between -3 and 3
+    power    := "^" k | superscript                               k a multiple of one half between -3 and 3
 
 Every quantity has a *dimension*, one of the names in `DIMENSIONS`; angle is a dimension of its own, so that ``Hz`` is
 no angular rate. SI means rad, s, m, K and °C for absolute temperatures; scale factors are plain ratios.
@@ -25,7 +25,6 @@ Arithmetic is decimal, with one rounding at the end: `parse` gives the float nea
 the shortest text that `parse` reads back as the same float.
 """
 
-from gradcal_jax.units.dimensions import DIMENSIONS, Dimension
 from gradcal_jax.units.quantities import (
     UnitError,
     convert,
@@ -47,6 +46,7 @@ from gradcal_jax.units.shown import (
     time_text,
     times_text,
 )
+from gradcal_jax.units.symbols import DIMENSIONS, Dimension
 
 __all__ = [
     "ARCSEC", "DEG_PER_H", "DEG_PER_S", "DEG_PER_SQRT_H", "DIMENSIONS", "PPM", "Dimension", "G", "UnitError",

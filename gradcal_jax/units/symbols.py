@@ -1,63 +1,99 @@
-"""Every unit's name with its SI value."""
+"""Every unit's name with its SI value, and the dimensions: kinds of quantities."""
 
+from collections.abc import Mapping
 from decimal import Context, Decimal, localcontext
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
-
-class Powers(NamedTuple):
-    """Exponents of rad, s, K and m, each *doubled* so that square roots stay whole numbers."""
-
-    angle: int = 0
-    time: int = 0
-    temperature: int = 0
-    length: int = 0
-
-
+Powers = tuple[int, int, int, int]
+"""Exponents of rad, s, K and m, each *doubled* so that square roots stay whole numbers."""
 PRECISE: Final = Context(prec=60)
 _PI: Final = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
-_G: Final = Decimal("9.80665")
 # What may stand before "m", "s" and so on: "mrad urad".
 _PREFIXES: Final = {"n": "1e-9", "u": "1e-6", "m": "1e-3", "c": "1e-2", "k": "1e3", "M": "1e6"}
+_RATIO, _ANGLE, _TIME = (0, 0, 0, 0), (2, 0, 0, 0), (0, 2, 0, 0)
+_KELVIN, _LENGTH = (0, 0, 2, 0), (0, 0, 0, 2)
+_RATE, _ACCELERATION, _FREQUENCY = (2, -2, 0, 0), (0, -4, 0, 2), (0, -2, 0, 0)
+# Names, the prefixes of the first one, its SI value as a ratio (of π, where it is an angle of a part of a turn), and
+# what it measures.
+_ROWS: Final[tuple[tuple[str, str, Decimal | int | str, Decimal | int, Powers], ...]] = (
+    ("rad", "mu", 1, 1, _ANGLE),
+    ("deg ° degree degrees", "m", _PI, 180, _ANGLE),
+    ("′ ' arcmin", "", _PI, 10800, _ANGLE),
+    ('″ " arcsec', "", _PI, 648000, _ANGLE),
+    ("mas", "", _PI, 648000000, _ANGLE),
+    ("rev turn turns", "", 2 * _PI, 1, _ANGLE),
+    ("s sec second seconds", "mun", 1, 1, _TIME),
+    ("min minute minutes", "", 60, 1, _TIME),
+    ("h hr hour hours", "", 3600, 1, _TIME),
+    ("d day days", "", 86400, 1, _TIME),
+    ("K degC °C", "m", 1, 1, _KELVIN),
+    ("degF °F", "", 5, 9, _KELVIN),
+    ("m", "cmu", 1, 1, _LENGTH),
+    ("dps", "m", _PI, 180, _RATE),
+    ("rpm", "", _PI, 30, _RATE),
+    ("g", "mu", "9.80665", 1, _ACCELERATION),
+    ("Hz", "mkM", 1, 1, _FREQUENCY),
+    ("ppm", "", 1, 1000000, _RATIO),
+    ("ppb", "", 1, 1000000000, _RATIO),
+    ("%", "", 1, 100, _RATIO),
+    ("‰", "", 1, 1000, _RATIO),
+    ("1", "", 1, 1, _RATIO),
+)
 
 
 def _symbols() -> dict[str, tuple[Decimal, Powers]]:
-    angle, time, temperature, length = Powers(2), Powers(0, 2), Powers(0, 0, 2), Powers(0, 0, 0, 2)
-    rate, acceleration, frequency, ratio = Powers(2, -2), Powers(0, -4, 0, 2), Powers(0, -2), Powers()
+    symbols: dict[str, tuple[Decimal, Powers]] = {}
+    prefixed: dict[str, tuple[Decimal, Powers]] = {}
     with localcontext(PRECISE):
-        degree = _PI / 180
-        # Names, the prefixes of the first one, its SI value, and what it measures.
-        rows: list[tuple[str, str, Decimal, Powers]] = [
-            ("rad", "mu", Decimal(1), angle),
-            ("deg ° degree degrees", "m", degree, angle),
-            ("′ ' arcmin", "", degree / 60, angle),
-            ('″ " arcsec', "", degree / 3600, angle),
-            ("mas", "", degree / 3600000, angle),
-            ("rev turn turns", "", 2 * _PI, angle),
-            ("s sec second seconds", "mun", Decimal(1), time),
-            ("min minute minutes", "", Decimal(60), time),
-            ("h hr hour hours", "", Decimal(3600), time),
-            ("d day days", "", Decimal(86400), time),
-            ("K degC °C", "m", Decimal(1), temperature),
-            ("degF °F", "", Decimal(5) / 9, temperature),
-            ("m", "cmu", Decimal(1), length),
-            ("dps", "m", degree, rate),
-            ("rpm", "", 2 * _PI / 60, rate),
-            ("g", "mu", _G, acceleration),
-            ("Hz", "mkM", Decimal(1), frequency),
-            ("ppm", "", Decimal("1e-6"), ratio),
-            ("ppb", "", Decimal("1e-9"), ratio),
-            ("%", "", Decimal("1e-2"), ratio),
-            ("‰", "", Decimal("1e-3"), ratio),
-            ("1", "", Decimal(1), ratio),
-        ]
-        symbols = {name: (factor, powers) for names, _, factor, powers in rows for name in names.split()}
-        for names, prefixes, factor, powers in rows:
-            for prefix in prefixes:
-                symbols[prefix + names.split()[0]] = factor * Decimal(_PREFIXES[prefix]), powers
-    return symbols
+        for names, prefixes, top, bottom, powers in _ROWS:
+            factor, first = Decimal(top) / bottom, names.split()[0]
+            symbols |= dict.fromkeys(names.split(), (factor, powers))
+            prefixed |= {prefix + first: (factor * Decimal(_PREFIXES[prefix]), powers) for prefix in prefixes}
+    return symbols | prefixed
 
 
 SYMBOLS: Final = _symbols()
 # Alone, these are points on a scale with an offset; inside a compound they are differences.
-CELSIUS: Final = frozenset({"degC", "°C"})
-FAHRENHEIT: Final = frozenset({"degF", "°F"})
+ZERO_OF_SCALE: Final = {"degC": 0, "°C": 0, "degF": 32, "°F": 32}
+
+
+class Dimension(NamedTuple):
+    """A kind of quantity: its name, its SI unit, its customary unit, and an example."""
+
+    name: str
+    si: str
+    usual: str
+    example: str
+
+    @property
+    def described(self) -> str:
+        """Its name with an article."""
+        return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
+
+
+_DIMENSIONS: Final = (
+    Dimension("angle", "rad", "deg", "30 arcsec"),
+    Dimension("angular rate", "rad/s", "deg/s", "10 deg/s"),
+    Dimension("angular acceleration", "rad/s^2", "deg/s^2", "300 deg/s^2"),
+    Dimension("time", "s", "s", "10 s"),
+    Dimension("temperature", "degC", "degC", "20 degC"),
+    Dimension("temperature difference", "K", "K", "50 K"),
+    Dimension("temperature slope", "K/s", "K/min", "1 K/min"),
+    Dimension("angle random walk", "rad/sqrt(s)", "deg/sqrt(h)", "0.1 deg/sqrt(h)"),
+    Dimension("rate random walk", "rad/s/sqrt(s)", "deg/h/sqrt(h)", "2 deg/h/sqrt(h)"),
+    Dimension("scale factor", "1", "ppm", "80 ppm"),
+    Dimension("scale factor slope", "1/K", "ppm/K", "10 ppm/K"),
+    Dimension("scale factor temperature-gradient sensitivity", "s/K", "ppm/(K/min)", "50 ppm/(K/min)"),
+    Dimension("bias slope", "rad/s/K", "deg/h/K", "5 deg/h/K"),
+    Dimension("bias temperature-gradient sensitivity", "rad/K", "deg/h/(K/min)", "5 deg/h/(K/min)"),
+    Dimension("acceleration slope", "m/s^2/K", "ug/K", "50 ug/K"),
+    Dimension("acceleration temperature-gradient sensitivity", "m/s/K", "ug/(K/min)", "100 ug/(K/min)"),
+    Dimension("acceleration-sensitive drift", "rad/s/(m/s^2)", "deg/h/g", "10 deg/h/g"),
+    Dimension("second-order coefficient", "1/(m/s^2)", "ug/g^2", "50 ug/g^2"),
+    Dimension("acceleration", "m/s^2", "mg", "5 mg"),
+    Dimension("velocity random walk", "m/s/sqrt(s)", "m/s/sqrt(h)", "0.1 m/s/sqrt(h)"),
+    Dimension("frequency", "Hz", "Hz", "100 Hz"),
+    Dimension("length", "m", "m", "0.1 m"),
+)
+DIMENSIONS: Final[Mapping[str, Dimension]] = MappingProxyType({dimension.name: dimension for dimension in _DIMENSIONS})

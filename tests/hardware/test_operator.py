@@ -54,7 +54,6 @@ ASKS = "let it come to rest and type the angle that its scale shows: "
     ("text", "unit", "deg"),
     [
         ("360.02 deg", "", 360.02),
-        (" 359° 58′ 30″ ", "", 359.975),
         ("-0.5 deg", "deg", -0.5),
         ("12.25", "deg", 12.25),
         ("30 arcsec", "deg", 30.0 / 3600.0),

@@ -21,9 +21,10 @@ from gradcal_jax.model.build import build_imu, imu_posterior
 from gradcal_jax.motion import turns_of
 from gradcal_jax.records.log import LogError
 from gradcal_jax.records.log_file import write_log
-from gradcal_jax.spec.absent import absent_terms, slopes_of, with_typical
+from gradcal_jax.spec.absent import absent_terms, with_typical
 from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.spec.spec import parse_spec
+from gradcal_jax.spec.typical import slopes_of
 
 SPEC = """
 format = "gradcal-spec/1"

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import gradcal_jax as gj
-from gradcal_jax.spec.absent import absent_terms, class_terms, sensor_grade, table_grade, with_typical
+from gradcal_jax.spec.absent import absent_terms, class_terms, with_typical
 from gradcal_jax.spec.begin import PRESETS, files_of
 from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.spec.spec import spec_of
-from gradcal_jax.spec.typical import EARTH, class_table, grades, terms_of
+from gradcal_jax.spec.typical import EARTH, class_table, grades, sensor_grade, table_grade, terms_of
 
 BARE = gj.presets.text("consumer-mems")
 

@@ -4,7 +4,7 @@ The program writes a question without a line end, with a bell, and waits for a l
 
     x: turn by +360 deg in 10 s, to 360 deg; let it come to rest and type the angle that its scale shows: 360.02 deg
 
-An angle has its unit, by the grammar of all files (`359° 58′ 30″` is valid, `360,02` is not), or `unit` is the unit of
+An angle has its unit, by the grammar of all files (`359.975 deg` is valid, `360,02` is not), or `unit` is the unit of
 bare numbers. The question is repeated for an invalid answer, and once for an angle further than `miss` from the goal. A
 dial of one turn suffices: of the angles that look alike the nearest to the goal counts. With an encoder, Enter alone
 means that it stands. So it does with `angle = "none"`, where nothing tells the angle, of a plan whose reference is

@@ -10,7 +10,7 @@ from gradcal_jax.spec.bases import increasing
 from gradcal_jax.spec.rig import Name
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem, repeated_names
-from gradcal_jax.tables.section import Section, one_or_more
+from gradcal_jax.tables.section import OneOrMore, Section
 
 NO_TIME: Final = q.Quantity(0.0, "0 s", "time")
 
@@ -223,10 +223,6 @@ class Place(Mounting):
     """Name of the place. The IMU of the same name in a run or log is mounted at this place."""
 
 
-_Axes = Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3)]
-_Mountings = Annotated[tuple[Mounting, ...], Field(min_length=1, max_length=12)]
-
-
 class RigTable(Section):
     """The table."""
 
@@ -247,9 +243,9 @@ class RigTable(Section):
     """Standard deviation of the base's azimuth."""
     rate_accuracy: q.SizeOfScaleFactor | None = None
     """Standard deviation, as a ratio, of the reference rate of the standard method; absent: the reference is exact."""
-    axis: Annotated[_Axes, one_or_more(TableAxis | _Axes)]
+    axis: Annotated[tuple[TableAxis, ...], Field(min_length=1, max_length=3), OneOrMore()]
     """Axes of the table, outermost first."""
-    mounting: Annotated[_Mountings, one_or_more(Mounting | _Mountings)] = (Mounting(),)
+    mounting: Annotated[tuple[Mounting, ...], Field(min_length=1, max_length=12), OneOrMore()] = (Mounting(),)
     """The mounting of the IMU, or several mountings that are used one after the other."""
     place: Annotated[tuple[Place, ...], Field(max_length=64)] = ()
     """Places of a fixture that holds several IMUs; absent: one IMU, in the mounting of the table."""

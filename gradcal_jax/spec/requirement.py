@@ -9,7 +9,7 @@ from gradcal_jax.spec.bases import increasing
 from gradcal_jax.spec.mission import Missions
 from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem, one_of
-from gradcal_jax.tables.section import Section, chosen_by, one_or_more
+from gradcal_jax.tables.section import OneOrMore, Section, chosen_by
 
 Coverage = Annotated[float, Strict(), Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 Points = Annotated[int, Field(strict=True, ge=2, le=5001)]
@@ -160,7 +160,7 @@ class SecondOrderRequirement(_OverTemperature):
     """K2 of the accelerometers: output in proportion to the square of the specific force."""
 
     quantity: Literal["second_order"]
-    target: q.PositiveSecondOrder | None = None
+    target: q.Positive[q.SecondOrder] | None = None
 
 
 class MissionHeadingRequirement(_OfElements):
@@ -206,5 +206,4 @@ Requirement = (
 )
 _CLASSES: Final = {name: of for of in get_args(Requirement) for name in get_args(of.__annotations__["quantity"])}
 _One = Annotated[Requirement, chosen_by("quantity", _CLASSES)]
-_Several = Annotated[tuple[_One, ...], Field(max_length=100)]
-Requirements = Annotated[_Several, one_or_more(_One | _Several)]
+Requirements = Annotated[tuple[_One, ...], Field(max_length=100), OneOrMore()]

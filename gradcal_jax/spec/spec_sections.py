@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from pydantic import model_validator
 
@@ -52,6 +52,10 @@ class Spec(TitledFile):
 
     def _problems(self) -> Iterator[Problem]:
         return problems_between(self)
+
+    def __reduce__(self) -> Any:
+        # Classes of generic tables cannot be pickled by name.
+        return Spec.model_validate, (self.model_dump(mode="json", exclude_unset=True),)
 
     @property
     def is_one_axis(self) -> bool:

@@ -1,7 +1,7 @@
 """Errors that depend on the path of temperature and not on its present value alone, and error terms of one's own."""
 
 from collections.abc import Iterable, Iterator
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Generic, Literal, TypeVar
 
 from pydantic import Field
 
@@ -10,28 +10,25 @@ from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import Section
 
+Value = TypeVar("Value")
+Slope = TypeVar("Slope")
+Gradient = TypeVar("Gradient")
 
-class PlayOfBias(Section):
+
+class Play(Section, Generic[Slope]):
     """An error that depends on past temperatures: a play follows the temperature with a backlash of ± `width`,
     and the error is proportional to the difference between play and temperature. If the temperature changes by more
     than twice the width, heating and cooling differ by 2 × coefficient × width."""
 
     width: q.PositiveTemperatureDifference
     """Half-width of the play."""
-    prior: q.PositiveBiasSlope
+    prior: q.Positive[Slope]
     """Standard deviation of the coefficient (error for each K between play and temperature) before the calibration."""
 
 
-class PlayOfForce(PlayOfBias):
-    """Hysteresis of an accelerometer's bias, modelled like that of a gyro's bias."""
-
-    prior: q.PositiveAccelerationSlope
-
-
-class PlayOfScaleFactor(PlayOfBias):
-    """Hysteresis of the scale factor, modelled like that of the bias."""
-
-    prior: q.PositiveScaleFactorSlope  # pyright: ignore[reportIncompatibleVariableOverride]
+PlayOfRate = Play[q.BiasSlope]
+PlayOfForce = Play[q.AccelerationSlope]
+PlayOfScaleFactor = Play[q.ScaleFactorSlope]
 
 
 class SecondThermometer(Section):
@@ -97,17 +94,13 @@ def problems_of_terms(terms: Iterable[GeneralTerm], of_bias: str) -> Iterator[Pr
             yield Problem(("term", number, "prior"), str(error), one.prior)
 
 
-Plays = Annotated[tuple[PlayOfBias, ...], Field(max_length=10)]
-ScaleFactorPlays = Annotated[tuple[PlayOfScaleFactor, ...], Field(max_length=10)]
-
-
-class TemperaturePath(Section):
+class TemperaturePath(Section, Generic[Slope]):
     """Errors that depend on past temperatures, and not only on the present one, and error terms of your own; all are
     estimated."""
 
-    hysteresis: Plays = ()
+    hysteresis: Annotated[tuple[Play[Slope], ...], Field(max_length=10)] = ()
     """Hysteresis of the bias, as a sum of plays."""
-    scale_factor_hysteresis: ScaleFactorPlays = ()
+    scale_factor_hysteresis: Annotated[tuple[PlayOfScaleFactor, ...], Field(max_length=10)] = ()
     """Hysteresis of the scale factor, as a sum of plays."""
     term: Annotated[tuple[GeneralTerm, ...], Field(max_length=20)] = ()
     """Error terms of your own."""

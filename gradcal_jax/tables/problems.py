@@ -170,7 +170,8 @@ _EXPECTED: Final[Mapping[str, str]] = {
 
 
 def _translate(details: ErrorDetails) -> list[Problem]:
-    key: Key = tuple(details["loc"])
+    # Of a key with several forms, pydantic names the form that it has tried ("<each>"), which is no key of the file.
+    key: Key = tuple(part for part in details["loc"] if not str(part).startswith("<"))
     value = details["input"]
     kind = details["type"]
     context: dict[str, Any] = details.get("ctx") or {}

@@ -7,15 +7,15 @@ writing a file back changes nothing. `Quantity.of` gives a computed number a uni
 import math
 import operator
 from dataclasses import dataclass
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Strict
+from pydantic import AfterValidator, Discriminator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, Strict, Tag
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
 from gradcal_jax import units
 from gradcal_jax.tables.display import printable
-from gradcal_jax.tables.problems import Problem, SpecError, one_of
+from gradcal_jax.tables.problems import one_of
 
 # SI sizes that no sensor, rig or plan has; inside them no product of a few quantities overflows.
 _SMALLEST, _LARGEST = 1e-30, 1e15
@@ -113,84 +113,66 @@ class Of:
         return quantity
 
 
-@dataclass(frozen=True)
-class OneOrList:
-    """Marks a field as one quantity or a list of them; `meaning` of the list: "one for each cycle"."""
+def _positive(value: Quantity) -> Quantity:
+    """The value, if it is above zero."""
+    if not value > 0.0:
+        raise ValueError(f"must be above 0 {units.DIMENSIONS[value.dimension].usual}")
+    return value
 
-    one: Of
-    each: Of
-    meaning: str
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        def text(value: Quantity | tuple[Quantity, ...]) -> str | list[str]:
-            return [str(one) for one in value] if isinstance(value, tuple) else str(value)
+def _not_negative(value: Quantity) -> Quantity:
+    """The value, if it is not below zero."""
+    if not value >= 0.0:
+        raise ValueError(f"must be at least 0 {units.DIMENSIONS[value.dimension].usual}")
+    return value
 
-        writing = core_schema.plain_serializer_function_ser_schema(text)
-        return core_schema.no_info_plain_validator_function(self.read, serialization=writing)
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        one = self.one.__get_pydantic_json_schema__(schema, handler)
-        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
-
-    def read(self, value: object) -> Quantity | tuple[Quantity, ...]:
-        """The quantities in a file's value. Raises `ValueError` that lists every wrong entry."""
-        if not isinstance(value, list | tuple):
-            return self.one.read(value)
-        quantities: list[Quantity] = []
-        problems: list[Problem] = []
-        for i, entry in enumerate(cast("list[object]", value)):
-            try:
-                quantities.append(self.each.read(entry))
-            except ValueError as error:
-                problems.append(Problem((i,), str(error), entry))
-        if problems:
-            raise SpecError(problems)
-        if not quantities:
-            described = units.DIMENSIONS[self.one.dimension].described
-            raise ValueError(f"expected {described}, or a list of them, {self.meaning}")
-        return tuple(quantities)
-
+_Of = TypeVar("_Of")
+Positive = Annotated[_Of, AfterValidator(_positive)]
+"""`Positive[Rate]`: above zero."""
+Size = Annotated[_Of, AfterValidator(_not_negative)]
+"""`Size[Rate]`: at least zero."""
+OneOrEach = Annotated[
+    Annotated[_Of, Tag("<one>")] | Annotated[tuple[_Of, ...], Field(min_length=1), Tag("<each>")],
+    Discriminator(lambda value: "<each>" if isinstance(value, list | tuple) else "<one>"),
+]
+"""`OneOrEach[Rate]`: one quantity, or a list of them."""
 
 Angle = Annotated[Quantity, Of("angle")]
-SizeOfAngle = Annotated[Quantity, Of("angle", at_least="0 deg")]
-Travel = Annotated[Quantity, Of("angle", above="0 deg", infinite="unlimited")]
 Rate = Annotated[Quantity, Of("angular rate")]
-PositiveRate = Annotated[Quantity, Of("angular rate", above="0 deg/s")]
-SizeOfRate = Annotated[Quantity, Of("angular rate", at_least="0 deg/s")]
-PositiveAcceleration = Annotated[Quantity, Of("angular acceleration", above="0 deg/s^2")]
-Time = Annotated[Quantity, Of("time", above="0 s")]
-SizeOfTime = Annotated[Quantity, Of("time", at_least="0 s")]
 Temperature = Annotated[Quantity, Of("temperature")]
-SizeOfTemperatureDifference = Annotated[Quantity, Of("temperature difference", at_least="0 K")]
-PositiveTemperatureDifference = Annotated[Quantity, Of("temperature difference", above="0 K")]
-PositiveTemperatureSlope = Annotated[Quantity, Of("temperature slope", above="0 K/min")]
+TemperatureDifference = Annotated[Quantity, Of("temperature difference")]
 TemperatureSlope = Annotated[Quantity, Of("temperature slope")]
-AngleRandomWalk = Annotated[Quantity, Of("angle random walk", above="0 deg/sqrt(h)")]
-RateRandomWalk = Annotated[Quantity, Of("rate random walk", at_least="0 deg/h/sqrt(h)")]
-PositiveScaleFactor = Annotated[Quantity, Of("scale factor", above="0 ppm")]
-SizeOfScaleFactor = Annotated[Quantity, Of("scale factor", at_least="0 ppm")]
-Probability = Annotated[Quantity, Of("scale factor", above="0 %", below="100 %", example="90 %")]
+Acceleration = Annotated[Quantity, Of("acceleration")]
+ScaleFactor = Annotated[Quantity, Of("scale factor")]
 ScaleFactorSlope = Annotated[Quantity, Of("scale factor slope")]
-PositiveScaleFactorSlope = Annotated[Quantity, Of("scale factor slope", above="0 ppm/K")]
-PositiveScaleFactorGradient = Annotated[
-    Quantity, Of("scale factor temperature-gradient sensitivity", above="0 ppm/(K/min)")
-]
 BiasSlope = Annotated[Quantity, Of("bias slope")]
-PositiveAccelerationSensitivity = Annotated[Quantity, Of("acceleration-sensitive drift", above="0 deg/h/g")]
-PositiveSecondOrder = Annotated[Quantity, Of("second-order coefficient", above="0 ug/g^2")]
-PositiveSpecificForce = Annotated[Quantity, Of("acceleration", above="0 mg")]
-SizeOfSpecificForce = Annotated[Quantity, Of("acceleration", at_least="0 mg")]
-VelocityRandomWalk = Annotated[Quantity, Of("velocity random walk", above="0 m/s/sqrt(h)")]
-PositiveAngle = Annotated[Quantity, Of("angle", above="0 deg")]
-PositiveLength = Annotated[Quantity, Of("length", above="0 m")]
+AccelerationSlope = Annotated[Quantity, Of("acceleration slope")]
+BiasByGradient = Annotated[Quantity, Of("bias temperature-gradient sensitivity")]
+AccelerationByGradient = Annotated[Quantity, Of("acceleration temperature-gradient sensitivity")]
+AnyTime = Annotated[Quantity, Of("time")]
+SizeOfAngle = Size[Angle]
+PositiveAngle = Positive[Angle]
+Travel = Positive[Annotated[Quantity, Of("angle", infinite="unlimited")]]
 Latitude = Annotated[Quantity, Of("angle", at_least="-90 deg", at_most="90 deg", infinite="unknown")]
-Frequency = Annotated[Quantity, Of("frequency", above="0 Hz")]
-PositiveBiasSlope = Annotated[Quantity, Of("bias slope", above="0 deg/h/K")]
-PositiveAccelerationSlope = Annotated[Quantity, Of("acceleration slope", above="0 ug/K")]
-ForceGradientSensitivity = Annotated[
-    Quantity, Of("acceleration temperature-gradient sensitivity", at_least="0 ug/(K/min)")
-]
-SizeOfGradientSensitivity = Annotated[Quantity, Of("bias temperature-gradient sensitivity", at_least="0 deg/h/(K/min)")]
+PositiveRate = Positive[Rate]
+PositiveAcceleration = Positive[Annotated[Quantity, Of("angular acceleration")]]
+Time = Positive[AnyTime]
+SizeOfTime = Size[AnyTime]
+SizeOfTemperatureDifference = Size[TemperatureDifference]
+PositiveTemperatureDifference = Positive[TemperatureDifference]
+PositiveTemperatureSlope = Positive[TemperatureSlope]
+AngleRandomWalk = Positive[Annotated[Quantity, Of("angle random walk")]]
+RateRandomWalk = Size[Annotated[Quantity, Of("rate random walk")]]
+VelocityRandomWalk = Positive[Annotated[Quantity, Of("velocity random walk")]]
+PositiveScaleFactor = Positive[ScaleFactor]
+SizeOfScaleFactor = Size[ScaleFactor]
+PositiveAccelerationSensitivity = Positive[Annotated[Quantity, Of("acceleration-sensitive drift")]]
+SecondOrder = Annotated[Quantity, Of("second-order coefficient")]
+PositiveSpecificForce = Positive[Acceleration]
+SizeOfSpecificForce = Size[Acceleration]
+PositiveLength = Positive[Annotated[Quantity, Of("length")]]
+Frequency = Positive[Annotated[Quantity, Of("frequency")]]
 
 Whole = Annotated[int, Strict(), Field(ge=0, le=10**9)]
 Count = Annotated[int, Strict(), Field(ge=1, le=10**6)]

@@ -7,9 +7,17 @@ from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    model_validator,
+)
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema
+from pydantic_core import CoreSchema, core_schema
 
 from gradcal_jax.tables.display import summary
 from gradcal_jax.tables.problems import Problem, SpecError, from_validation, hint, nearest, one_of
@@ -112,13 +120,18 @@ def with_spelling(problems: Sequence[Problem], model: type[BaseModel], value: ob
     return [p for p in spelt if not (p.kind == "missing" and len(p.key) == 1 and p.key[0] in meant)]
 
 
-def one_or_more(forms: Any) -> BeforeValidator:
-    """Marks a list of tables that may stand as one table, without the list; `forms`: the types of both."""
+class OneOrMore:
+    """Marks a list of tables that may stand as one table, without the list."""
 
-    def listed(value: object) -> object:
-        return (cast("object", value),) if isinstance(value, Mapping) else value
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def listed(value: object) -> object:
+            return (cast("object", value),) if isinstance(value, Mapping) else value
 
-    return BeforeValidator(listed, json_schema_input_type=forms)
+        return core_schema.no_info_before_validator_function(listed, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        body = handler(schema)
+        return {"anyOf": [body["items"], body]}
 
 
 def choose(

@@ -218,7 +218,8 @@ def _files(output: Path | None, units: Sequence[str], force: bool) -> dict[str, 
 
 def text_of_estimate(report: "SensorEstimate") -> str:
     """An estimate in words: requirements, coefficients, errors of the table, tests."""
-    from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path, outcomes, tests
+    from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path, tests
+    from gradcal_jax.tables.contracts import outcomes
 
     calibration = report.calibration
     lines = [*_head(report, f"{report.solution.used.sum()} readings")]

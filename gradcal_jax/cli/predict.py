@@ -73,7 +73,7 @@ def predict(
 
 def prediction_text(prediction: "Prediction", name: str) -> str:
     """A prediction in about ten lines: requirement, residual (1σ), target, verdict, and what limits it."""
-    from gradcal_jax.pages.tables import outcomes
+    from gradcal_jax.tables.contracts import outcomes
 
     lines = [strong(prediction.title or name)]
     lines += [times_text(prediction.duration_s, prediction.soak_s, prediction.motion_s), ""]

@@ -68,7 +68,7 @@ from gradcal_jax.spec.places import places_of, specs_at_places
 from gradcal_jax.spec.plan import StandardPlan
 from gradcal_jax.spec.spec import expect_spec
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.contracts import RequirementRow, narrow_table
+from gradcal_jax.tables.contracts import RequirementRow, outcomes
 from gradcal_jax.tables.display import summary
 from gradcal_jax.units import DEG_PER_S
 
@@ -116,7 +116,7 @@ class SensorEstimate(NamedTuple):
             *([f"contradicted: {', '.join(one.contradicted)}"] if one.contradicted else []),
             *([f"not observable: {', '.join(one.unobservable)}"] if one.unobservable else []),
             *(f"note: {message}" for message in self.messages[:2]),
-            narrow_table(rows),
+            outcomes(rows, limits=False).text(),
         ]
 
     @property

@@ -1,35 +1,16 @@
 """Tables of results, which terminal, page and certificate share."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from gradcal_jax.calibration import Calibration
 from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.tables.contracts import Prediction, RequirementRow
-from gradcal_jax.tables.display import amount
+from gradcal_jax.tables.contracts import Prediction
 from gradcal_jax.tables.table import Column, Table
 
 if TYPE_CHECKING:
     from gradcal_jax.recipe.recipe import Predicted
 
 _ONE_SIGMA = Column("1σ", "", 3)
-
-
-def outcomes(rows: Sequence[RequirementRow]) -> Table:
-    """A row for each requirement: the residual that its verdict judges (1σ), the target, and what limits it."""
-    several = len({row.axis for row in rows} & {"x", "y", "z"}) > 1
-    cells = [
-        (
-            f"{row.name}, axis {row.axis}" if several else row.name,
-            row.statistic,
-            amount(row.judged, row.unit),
-            "" if row.target is None else amount(row.target, row.unit),
-            row.verdict or "",
-            row.limited_by or "",
-        )
-        for row in rows
-    ]
-    return Table.of(["requirement", "statistic", "residual 1σ", "target", "verdict", "limited by"], cells)
 
 
 def coefficients(planned: "Predicted | Prediction | None", calibration: Calibration | None) -> Table:

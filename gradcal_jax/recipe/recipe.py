@@ -26,7 +26,7 @@ from gradcal_jax.tables.contracts import (
     Prediction,
     RequirementRow,
     Size,
-    narrow_table,
+    outcomes,
 )
 from gradcal_jax.tables.display import whole_text
 from gradcal_jax.tables.document import TitledFile, model_of, read_text, read_toml
@@ -131,7 +131,7 @@ class Recipe(TitledFile):
             units.times_text(self.prediction.duration_s, self.prediction.soak_s, self.prediction.motion_s),
             f"segments of the chamber: {len(self.chamber.programme)}; cycles of the table: "
             f"{sum(block.repeat for block in self.motion)}",
-            narrow_table(rows),
+            outcomes(rows, limits=False).text(),
         ]
 
     @property

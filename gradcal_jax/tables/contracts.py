@@ -9,8 +9,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from gradcal_jax.tables.display import WIDTH, amount, columns
+from gradcal_jax.tables.display import amount
 from gradcal_jax.tables.section import Section
+from gradcal_jax.tables.table import Table
 from gradcal_jax.units import times_text
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -157,37 +158,18 @@ class Prediction(Section):
             times_text(self.duration_s, self.soak_s, self.motion_s),
             ", ".join(numbers),
             *([f"not observable: {', '.join(hidden)}"] if hidden else []),
-            narrow_table(self.requirements),
+            outcomes(self.requirements, limits=False).text(),
         ]
 
 
-def requirement_table(rows: Sequence[RequirementRow], names: Sequence[str] | None = None) -> list[tuple[str, ...]]:
-    """A row for each requirement after a head; "as named", by the terms of the spec alone, only where it differs.
-
-    `names`: of the rows, instead of the requirement's name and, where there are several, its axis.
-    """
+def outcomes(rows: Sequence[RequirementRow], *, limits: bool = True) -> Table:
+    """A row for each requirement: the residual that its verdict judges (1σ), the target, and what `limits` it."""
     several = len({row.axis for row in rows} & {"x", "y", "z"}) > 1
-    head = ("requirement", "statistic", "residual 1σ", "as named", "at worst", "target", "verdict")
-    names = names or [f"{row.name}, axis {row.axis}" if several else row.name for row in rows]
-    shown = [head, *(_row(name, row) for name, row in zip(names, rows, strict=True))]
-    if all(row.judged == row.decisive for row in rows):
-        return [(*cells[:3], *cells[4:]) for cells in shown]
-    return shown
-
-
-def narrow_table(rows: Sequence[RequirementRow]) -> str:
-    """The table as text, without the columns that matter least if it is too wide otherwise."""
-    table = requirement_table(rows) if rows else [("no requirement",)]
-    for least in ("as named", "at worst", "statistic"):
-        text = columns(table, indent="")
-        if max(map(len, text.splitlines())) > WIDTH and least in table[0]:
-            at = table[0].index(least)
-            table = [(*cells[:at], *cells[at + 1 :]) for cells in table]
-    return columns(table, indent="")
-
-
-def _row(name: str, row: RequirementRow) -> tuple[str, ...]:
-    left = amount(row.judged, row.unit)
-    target = "" if row.target is None else amount(row.target, row.unit)
-    worst = "" if row.worst is None else amount(row.worst, row.unit)
-    return (name, row.statistic, left, amount(row.decisive, "").strip(), worst, target, row.verdict or "")
+    heads = ["requirement", "statistic", "residual 1σ", "target", "verdict"]
+    cells: list[tuple[str, ...]] = []
+    for row in rows:
+        name = f"{row.name}, axis {row.axis}" if several else row.name
+        target = "" if row.target is None else amount(row.target, row.unit)
+        cell = (name, row.statistic, amount(row.judged, row.unit), target, row.verdict or "")
+        cells.append((*cell, row.limited_by or "") if limits else cell)
+    return Table.of([*heads, "limited by"] if limits else heads, cells)

@@ -35,10 +35,6 @@ class _WithTexts(GenerateJsonSchema):
         return dft.text if isinstance(dft, Quantity) else super().encode_default(dft)
 
 
-def _version(plain: str) -> str:
-    return _VERSIONS.get(plain, "1")
-
-
 def schema_names() -> tuple[str, ...]:
     """The names that `schema` knows."""
     return tuple(_MODELS)
@@ -49,13 +45,10 @@ def schema(name: str) -> dict[str, Any]:
 
     Errors: `ValueError` for other names.
     """
-    plain, _, version = name.removeprefix("gradcal-").partition("/")
-    if plain in _MODELS and version in ("", _version(plain)):
-        module, model = _MODELS[plain]
-        section = cast("type[Section]", getattr(import_module(f"gradcal_jax.{module}"), model))
-        body = section.model_json_schema(mode="validation", schema_generator=_WithTexts)
-        return {"$schema": _DIALECT, "$id": f"gradcal-{plain}/{_version(plain)}", **body}
-    if plain in _MODELS:
-        raise ValueError(f'this version has no schema "{name}": it writes gradcal-{plain}/{_version(plain)}')
-    ending = hint(plain, _MODELS, f"; known: {', '.join(_MODELS)}")
-    raise ValueError(f'there is no file or contract named "{name}"{ending}')
+    if name not in _MODELS:
+        ending = hint(name, _MODELS, f"; known: {', '.join(_MODELS)}")
+        raise ValueError(f'there is no file or contract named "{name}"{ending}')
+    module, model = _MODELS[name]
+    section = cast("type[Section]", getattr(import_module(f"gradcal_jax.{module}"), model))
+    body = section.model_json_schema(mode="validation", schema_generator=_WithTexts)
+    return {"$schema": _DIALECT, "$id": f"gradcal-{name}/{_VERSIONS.get(name, '1')}", **body}

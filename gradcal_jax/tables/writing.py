@@ -20,11 +20,7 @@ _LISTED: Final = frozenset({"moves", "programme", "harmonics"})
 
 def to_toml(model: Section, *, header: str = "") -> str:
     """The model as TOML text, `header` above it as comment lines."""
-    return tables_to_toml(model.model_dump(mode="json", exclude_unset=True), header=header)
-
-
-def tables_to_toml(tables: Mapping[str, Any], *, header: str = "") -> str:
-    """As `to_toml`, of tables that are a part of a file."""
+    tables = model.model_dump(mode="json", exclude_unset=True)
     document = tomlkit.document()
     for line in header.splitlines():
         document.add(tomlkit.comment(line))

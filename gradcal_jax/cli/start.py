@@ -111,8 +111,6 @@ def _folder(output: Path, preset: str | None, force: bool) -> int:
 
 def _next(answers: dict[str, str], folder: str) -> list[str]:
     """The commands from here to the firmware's header."""
-    from gradcal_jax.spec.begin import NO_ENCODER
-
     if answers["table"] == "none":
         return [
             "let the IMU lie still in about twenty positions, in all directions, five seconds in each, and record this",
@@ -120,7 +118,7 @@ def _next(answers: dict[str, str], folder: str) -> list[str]:
             f'--temperature "23 degC" -o {folder}/calibration.toml',
         ]
     # A search makes turns of a motor, and a hand's are as they are.
-    as_it_is = " --steps 0" if answers["table"] == "hand" or answers["angle"] == NO_ENCODER else " --until-met"
+    as_it_is = " --steps 0" if answers["table"] == "hand" else " --until-met"
     own = f" --recording FILE --columns {folder}/columns.toml" if answers["stream"] == "own" else ""
     return [
         f"gradcal predict {folder}/spec.toml",

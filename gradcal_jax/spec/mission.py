@@ -44,13 +44,11 @@ def missions_from(folder: Path) -> Generator[None]:
 
 
 class MissionRows(NamedTuple):
-    """The rows of a mission's table: time since the first row (s), rate (rad/s), temperature (°C), and line in the
-    file."""
+    """The rows of a mission's table: time since the first row (s), rate (rad/s), temperature (°C)."""
 
     time: tuple[float, ...]
     rate: tuple[float, ...]
     temperature: tuple[float, ...]
-    line: tuple[int, ...]
 
 
 class Mission(Section):
@@ -107,7 +105,7 @@ def _parse(text: str) -> MissionRows:
             raise ValueError(f"line {number}: rows must be in order of time")
         rows.append(row)
     time, rate, temperature = zip(*rows, strict=True)
-    return MissionRows(tuple(t - time[0] for t in time), rate, temperature, tuple(k for k, _ in lines[1:]))
+    return MissionRows(tuple(t - time[0] for t in time), rate, temperature)
 
 
 def _columns(head: str) -> list[tuple[int, float, float]]:

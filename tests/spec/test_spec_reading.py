@@ -201,36 +201,6 @@ def test_sensor_full_scale_less_margin_limits_the_motion():
     assert keys_of(document) == {"plan.rates[0]", "plan.rates[5]"}
 
 
-def test_full_scale_limits_what_each_gyro_sees_of_a_move():
-    """A gyro across the axis that turns sees nothing; an inner axis turns it towards the outer one, or away."""
-    document = tables()
-    document["sensor"]["gyro"] |= {"axes": ["y"], "full_scale": "1 deg/s"}
-    document["requirement"] = []
-    spec_file.spec_of(document)
-    document["rig"]["table"]["mounting"][0]["rotation"] = ["0 deg", "0 deg", "1 deg"]
-    assert keys_of(document) == {
-        "plan.cycle.moves[2]",
-        "plan.cycle.moves[3]",
-        "plan.cycle.moves[6]",
-        "plan.cycle.moves[7]",
-    }
-    inner = {"name": "inner", "direction": [1.0, 0.0, 0.0], "max_rate": "300 deg/s", "max_acceleration": "1500 deg/s^2"}
-    document = tables()
-    document["rig"]["table"] |= {"standing": "held", "axis": [axis_of(document), inner], "mounting": {}}
-    for axis in document["rig"]["table"]["axis"]:
-        axis["angle"] = {"reading_noise": "1 arcsec"}
-    document["rig"]["site"]["latitude"] = "50 deg"
-    document["requirement"] = []
-    document["sensor"]["gyro"] |= {"axes": ["z"], "full_scale": "105.3 deg/s"}
-    outer = {"turn": "360 deg", "axis": "x", "peak_rate": "120 deg/s"}
-    document["plan"]["cycle"] = {
-        "moves": [{"rest": "1 min"}, outer, {"pose": {"inner": "60 deg"}}, outer, {"pose": {"inner": "0 deg"}}]
-    }
-    assert keys_of(document) == {"plan.cycle.moves[1]"}
-    document["sensor"]["gyro"]["axes"] = ["y"]
-    assert keys_of(document) == {"plan.cycle.moves[3]"}
-
-
 def test_a_cycle_fits_into_its_ramp():
     document = tables()
     document["plan"]["temperature"] = ["-30 degC", "-29 degC"]

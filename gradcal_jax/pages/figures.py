@@ -21,7 +21,6 @@ from gradcal_jax.plots.calibration_maps import (
     panels_of,
 )
 from gradcal_jax.plots.residual import boxes_of
-from gradcal_jax.plots.spec import draw_against_time
 from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.spec.spec_sections import Spec
 
@@ -79,15 +78,13 @@ def plan_pictures(spec: Spec | None, recipe: Recipe | None, history: RunHistory 
         words = "Direction of the vertical in the device's frame at every rest; the colour shows the time of the rest."
         yield picture("poses", words, lambda ax: plots.draw_poses(spec, ax=ax), projection="mollweide")
     measured = history is not None and len(history.chamber_s) > 0
-    if recipe is None and not measured:
+    if spec is None or (recipe is None and not measured):
         return
 
     def temperatures(ax: Axes) -> None:
-        if recipe is not None:
-            plots.draw_planned_temperature(recipe, ax=ax)
-        if measured:
-            assert history is not None
-            draw_against_time(history.chamber_s, history.chamber_c, "chamber, °C", "measured", 1, ax)
+        plots.draw_temperature(spec, label="planned", ax=ax)
+        if history is not None and measured:
+            ax.plot(history.chamber_s / 3600.0, history.chamber_c, label="measured", **plots.style_of(1))
         ax.legend()
 
     yield picture("temperature", "Temperature of the chamber on the plan's clock, which stops while a step waits.",

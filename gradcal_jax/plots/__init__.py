@@ -8,13 +8,11 @@ from gradcal_jax.plots.calibration_maps import (
     draw_calibrated_term,
 )
 from gradcal_jax.plots.identification import draw_allan
-from gradcal_jax.plots.residual import draw_curves, draw_map, draw_over_temperature, draw_worst_over_temperature
+from gradcal_jax.plots.residual import draw_curves, draw_map
 from gradcal_jax.plots.spec import (
     draw_comparison,
-    draw_planned_temperature,
     draw_poses,
     draw_prediction,
-    draw_requirement,
     draw_temperature,
 )
 from gradcal_jax.plots.style import save, style_of
@@ -30,17 +28,13 @@ __all__ = [
     "draw_gravity_left",
     "draw_loop",
     "draw_map",
-    "draw_over_temperature",
-    "draw_planned_temperature",
     "draw_poses",
     "draw_prediction",
-    "draw_requirement",
     "draw_residuals_over_time",
     "draw_sensitivities",
     "draw_sweep",
     "draw_temperature",
     "draw_turns_left",
-    "draw_worst_over_temperature",
     "save",
     "style_of",
 ]

@@ -1,31 +1,21 @@
 """Residual maps over temperature and rate, and the curves drawn from them."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
-from matplotlib.contour import QuadContourSet
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from gradcal_jax.estimation.calibrations import Box
 from gradcal_jax.information.imu_residual import ImuResidual
-from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_axes, style_of
+from gradcal_jax.plots.style import COLOUR_MAP, new_axes, style_of
 
 # Residuals that differ by more than this are shown on logarithmic scales.
 LOGARITHMIC = 4.0
 # Curves for each column of a legend.
 _LONG_LEGEND = 5
-
-
-class MapArtists(NamedTuple):
-    """What `draw_map` drew."""
-
-    axes: Axes
-    mesh: QuadMesh
-    contours: QuadContourSet | None
 
 
 def draw_map(
@@ -36,69 +26,37 @@ def draw_map(
     *,
     title: str = "",
     ax: Axes | None = None,
-) -> MapArtists:
+) -> tuple[Axes, QuadMesh]:
     """Residual `(n_T, n_ω)` as colour with contour lines; points that the plan cannot observe stay blank."""
     ax = new_axes(ax)
     shown = np.ma.masked_invalid(residual)
     mesh = ax.pcolormesh(rate_dps, temperature_c, shown, cmap=COLOUR_MAP, shading="nearest", rasterized=True)
-    contours = None
     if shown.count() > 3 and float(shown.max()) > float(shown.min()):
         contours = ax.contour(rate_dps, temperature_c, shown, levels=4, colors="white", linewidths=0.7)
         ax.clabel(contours, fmt="%.3g", fontsize=8)
     ax.figure.colorbar(mesh, ax=ax, label=f"residual (1σ), {unit}")
     ax.set(xlabel="rate, deg/s", ylabel="temperature, °C", title=title)
-    return MapArtists(ax, mesh, contours)
-
-
-def draw_worst_over_temperature(
-    rate_dps: np.ndarray, residual: np.ndarray, unit: str, *, label: str = "", index: int = 0, ax: Axes | None = None
-) -> tuple[Axes, Line2D]:
-    """The maximum over temperature against rate: the curve whose mean is the paper's figure."""
-    ax = new_axes(ax)
-    worst = np.max(residual, axis=0)
-    (line,) = ax.plot(rate_dps, np.where(np.isfinite(worst), worst, np.nan), label=label, **style_of(index))
-    ax.set(xlabel="rate, deg/s", ylabel=f"largest residual over temperature (1σ), {unit}")
-    from_zero(ax)
-    return ax, line
-
-
-def draw_over_temperature(
-    temperature_c: np.ndarray,
-    residual: np.ndarray,
-    unit: str,
-    *,
-    label: str = "",
-    index: int = 0,
-    ax: Axes | None = None,
-) -> tuple[Axes, Line2D]:
-    """A residual `(n_T, 1)` against temperature."""
-    ax = new_axes(ax)
-    values = residual[:, 0]
-    (line,) = ax.plot(temperature_c, np.where(np.isfinite(values), values, np.nan), label=label, **style_of(index))
-    ax.set(xlabel="temperature, °C", ylabel=f"residual (1σ), {unit}")
-    from_zero(ax)
-    return ax, line
+    return ax, mesh
 
 
 def draw_curves(
     boxes: Sequence[tuple[str, Box]], target: float | None = None, *, ax: Axes | None = None
 ) -> tuple[Axes, list[Line2D]]:
     """Residuals of one quantity over temperature, each with a label; for maps over temperature and rate, the maximum
-    over temperature against the rate. `target` is the largest allowed standard deviation, drawn as a line.
-    If the residuals differ much in size, the axis is logarithmic."""
+    over temperature against the rate: the curve whose mean is the paper's figure. `target` is the largest allowed
+    standard deviation, drawn as a line. If the residuals differ much in size, the axis is logarithmic."""
     ax = new_axes(ax)
     lines: list[Line2D] = []
-    values: list[np.ndarray] = []
     for index, (label, box) in enumerate(boxes):
         by_rate = len(box.rate_dps) > 1
-        draw = draw_worst_over_temperature if by_rate else draw_over_temperature
-        over = box.rate_dps if by_rate else box.temperature_c
-        lines.append(draw(over, box.values, box.unit, label=label, index=index, ax=ax)[1])
-        values.append(np.max(box.values, axis=0 if by_rate else 1))
+        over, name = (box.rate_dps, "rate, deg/s") if by_rate else (box.temperature_c, "temperature, °C")
+        values = np.max(box.values, axis=0 if by_rate else 1)
+        lines += ax.plot(over, np.where(np.isfinite(values), values, np.nan), label=label, **style_of(index))
+        most = "largest residual over temperature" if by_rate else "residual"
+        ax.set(xlabel=name, ylabel=f"{most} (1σ), {box.unit}")
     if target is not None:
-        ax.axhline(target, color="#555555", linewidth=1.0, linestyle=(0, (6, 3)), label="target (1σ)")
-        values.append(np.array([target]))
-    seen = np.concatenate(values)
+        lines.append(ax.axhline(target, color="#555555", linewidth=1.0, linestyle=(0, (6, 3)), label="target (1σ)"))
+    seen = np.concatenate([np.asarray(line.get_ydata()) for line in lines])
     seen = seen[np.isfinite(seen) & (seen > 0.0)]
     if len(seen) and seen.max() > LOGARITHMIC * seen.min():
         ax.set(yscale="log", ylim=(0.8 * seen.min(), 1.25 * seen.max()))

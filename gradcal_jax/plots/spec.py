@@ -1,7 +1,6 @@
 """Figures of a spec: the residuals of its plan, its tracks, the poses at rest, and comparisons of plans."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,7 +15,6 @@ from gradcal_jax.information.verdicts import target_of
 from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior, rest_poses
 from gradcal_jax.plots.residual import boxes_of, draw_curves, draw_map
 from gradcal_jax.plots.style import COLOUR_MAP, new_axes, new_figure, new_panels, style_of
-from gradcal_jax.recipe.recipe import Recipe
 from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.schedule import StandardSchedule
 from gradcal_jax.spec.spec import expect_spec
@@ -53,17 +51,6 @@ def draw_prediction(spec: Spec, *, figure: Figure | SubFigure | None = None) -> 
 def _with_map(spec: Spec) -> list[Requirement]:
     """The requirements of which there is a curve or a map: all but those of missions."""
     return [r for r in spec.requirement if r.quantity != "mission_heading"]
-
-
-def draw_requirement(spec: Spec, name: str = "", *, ax: Axes | None = None) -> Axes:
-    """The residual of the requirement `name`; by default the first requirement. Errors: `ValueError` where there is
-    none."""
-    named = [r for r in _with_map(expect_spec(spec)) if name in ("", r.name)]
-    if not named:
-        raise ValueError(f"the spec has no [[requirement]]{f' named {name!r}' if name else ''}")
-    built, ax = build_imu(spec), new_axes(ax)
-    _draw_requirement(built, imu_posterior(built), named[0], ax)
-    return ax
 
 
 def _draw_requirement(built: BuiltImu, known: Posterior, requirement: Requirement, ax: Axes) -> None:
@@ -131,8 +118,8 @@ def draw_poses(spec: Spec, *, ax: Axes | None = None) -> tuple[Axes, PathCollect
     return ax, dots
 
 
-def draw_temperature(spec: Spec, *, ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """The chamber's temperature against time, from a spec's schedule."""
+def draw_temperature(spec: Spec, *, label: str = "", ax: Axes | None = None) -> tuple[Axes, Line2D]:
+    """The chamber's temperature against time, from a spec's schedule, without waits for stable temperatures."""
     schedule = spec.schedule
     if isinstance(schedule, StandardSchedule):
         each = schedule.duration / len(schedule.temperatures)
@@ -141,24 +128,7 @@ def draw_temperature(spec: Spec, *, ax: Axes | None = None) -> tuple[Axes, Line2
         ends = [((s.start, s.temperature_start), (s.end, s.temperature_end)) for s in schedule.segments]
         points = [at for pair in ends for at in pair]
     time, temperature = np.array(points).T
-    return draw_against_time(time, temperature, "chamber, °C", "", 0, ax)
-
-
-def draw_planned_temperature(recipe: Recipe, *, label: str = "planned", ax: Axes | None = None) -> tuple[Axes, Line2D]:
-    """The planned temperature of the chamber over the plan's time, without waits for stable temperatures."""
-    time: list[float] = []
-    temperature: list[float] = []
-    for segment in recipe.chamber.programme:
-        time += [float(segment.start), float(segment.start) + float(segment.duration)]
-        temperature += [float(segment.temperature_start), float(segment.temperature_end)]
-    return draw_against_time(np.array(time), np.array(temperature), "chamber, °C", label, 0, ax)
-
-
-def draw_against_time(
-    time_s: np.ndarray, values: np.ndarray, what: str, label: str, index: int, ax: Axes | None, **more: Any
-) -> tuple[Axes, Line2D]:
-    """The index-th curve of values over time in h."""
     ax = new_axes(ax, (6.4, 3.2))
-    (line,) = ax.plot(time_s / 3600.0, values, label=label, **style_of(index), **more)
-    ax.set(xlabel="time, h", ylabel=what)
+    (line,) = ax.plot(time / 3600.0, temperature, label=label, **style_of(0))
+    ax.set(xlabel="time, h", ylabel="chamber, °C")
     return ax, line

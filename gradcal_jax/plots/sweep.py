@@ -10,117 +10,76 @@ from matplotlib.ticker import LogLocator, StrMethodFormatter
 
 from gradcal_jax.design.optimise import FrontierPoint
 from gradcal_jax.information.sensitivity import Sensitivities
-from gradcal_jax.plots.style import COLOUR_MAP, from_zero, new_figure, style_of
+from gradcal_jax.plots.style import from_zero, new_figure, style_of
 
 if TYPE_CHECKING:
     import xarray
 
-_MOST_CURVES, _MOST_PANELS = 8, 12
+_MOST_CURVES, _FEW_POINTS = 8, 30
 
 
 def draw_sweep(
     results: "xarray.Dataset", variable: str | None = None, *, figure: Figure | SubFigure | None = None
 ) -> Figure:
-    """A sweep's residuals: one row of panels for each requirement, or for the one `variable`; on `figure` or a new one.
+    """A sweep's residuals: a row for each requirement, or for the one `variable`; on `figure` or a new one.
 
-    For a grid, the axis with most values is the abscissa, the next has a curve for each value, a third a panel; further
-    ones are at their middle value, which is in the title. Random points are plotted against each axis in turn.
+    For a grid, the axis with most values is the abscissa, and the next has a curve for each of (at most eight) values;
+    further ones are at their middle value, which is in the title. Random points are plotted against each axis in turn.
     Errors: `ValueError` where there is nothing to draw.
     """
-    names = (
-        [variable] if variable else [str(n) for n, v in results.data_vars.items() if v.attrs.get("decisive") == "yes"]
-    )
+    decisive = [str(name) for name, of in results.data_vars.items() if of.attrs.get("decisive") == "yes"]
+    names = [variable] if variable else decisive
     unknown = [name for name in names if name not in results.data_vars]
     if unknown or not names:
         raise ValueError(f"the results have no variable {unknown[0]!r}" if unknown else "the results have no residuals")
-    rows = [_drawn(results, name) if "point" in results.dims else _grid(results, name) for name in names]
-    width = max(len(row) for row in rows)
-    figure = new_figure(figure, (max(6.4, 3.4 * width), 3.9 * len(rows)))
-    all_axes = figure.subplots(len(rows), width, squeeze=False)
-    for axes, row in zip(all_axes, rows, strict=True):
-        highest = 0.0
-        for ax, panel in zip(axes, row, strict=False):
-            panel(ax)
-            highest = max(highest, ax.get_ylim()[1])
-        for k, ax in enumerate(axes):
-            if k >= len(row):
-                ax.set_visible(False)
-                continue
-            ax.set_ylim(0.0, highest)
-            if k:
-                ax.set_ylabel("")
-        if axes[0].get_legend_handles_labels()[0]:
-            axes[0].legend(fontsize="small")
+    random = "point" in results.dims
+    panels = [str(c) for c in results.coords if results[c].dims == ("point",)] if random else [""]
+    figure = new_figure(figure, (max(6.4, 3.4 * len(panels)), 3.9 * len(names)))
+    for row, name in zip(figure.subplots(len(names), len(panels), squeeze=False, sharey="row"), names, strict=True):
+        for ax, across in zip(row, panels, strict=True):
+            if random:
+                _draw_points(ax, results, name, across)
+            else:
+                _draw_grid(ax, results, name)
     if title := results.attrs.get("title"):
         figure.suptitle(title)
     return figure.get_figure(root=True)
 
 
-def _grid(results: "xarray.Dataset", name: str) -> list[Any]:
-    """A panel for each value of the third axis."""
+def _draw_grid(ax: Any, results: "xarray.Dataset", name: str) -> None:
     values = results[name]
-    order = sorted(values.dims, key=lambda d: (results[d].dtype.kind != "f", -results.sizes[d]))
-    fixed = order[3:] + ([order[1]] if len(order) > 1 and results.sizes[order[1]] > _MOST_CURVES else [])
-    fixed_values = []
+    order = sorted(map(str, values.dims), key=lambda d: (results[d].dtype.kind != "f", -results.sizes[d]))
+    across, curves, fixed = order[0], order[1:2], order[2:]
+    titles = [results[name].attrs["requirement"]]
     for dim in fixed:
         middle = results.sizes[dim] // 2
-        fixed_values.append(_named(results, str(dim), middle))
+        titles.append(_named(results, dim, middle))
         values = values.isel({dim: middle})
-    order = [dim for dim in order if dim not in fixed]
-    across = str(order[0])
-    curves = str(order[1]) if len(order) > 1 else None
-    panels = str(order[2]) if len(order) > 2 else None
-    count = min(results.sizes[panels], _MOST_PANELS) if panels else 1
-    chosen = np.unique(np.linspace(0, results.sizes[panels] - 1, count).round().astype(int)) if panels else [0]
-
-    def panel(which: int) -> Any:
-        here = values.isel({panels: which}) if panels else values
-
-        def draw(ax: Any) -> None:
-            for index in range(results.sizes[curves] if curves else 1):
-                curve = here.isel({curves: index}) if curves else here
-                label = _named(results, curves, index) if curves else None
-                x = results[across].values
-                marks = "o" if len(x) < 30 else ""
-                y = curve.values
-                if x.dtype.kind == "f":
-                    ax.plot(x, y, label=label, marker=marks, markersize=3, **style_of(index))
-                else:
-                    ax.plot(range(len(x)), y, label=label, marker="o", **style_of(index))
-                    ax.set_xticks(range(len(x)), x, rotation=30, ha="right")
-            title = [_named(results, panels, which)] if panels else [results[name].attrs["requirement"]]
-            ax.set_title(", ".join([*title, *fixed_values]), fontsize="medium")
-            _label(ax, results, across, name)
-            from_zero(ax)
-
-        return draw
-
-    return [panel(int(which)) for which in chosen]
+    count = results.sizes[curves[0]] if curves else 1
+    chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_CURVES)).round().astype(int))
+    x = results[across].values
+    places = x if x.dtype.kind == "f" else np.arange(len(x))
+    for index, k in enumerate(map(int, chosen)):
+        curve = values.isel({curves[0]: k}) if curves else values
+        label = _named(results, curves[0], k) if curves else None
+        marks = "o" if len(x) < _FEW_POINTS else ""
+        ax.plot(places, curve.values, label=label, marker=marks, markersize=3, **style_of(index))
+    if places is not x:
+        ax.set_xticks(places, x, rotation=30, ha="right")
+    if curves:
+        ax.legend(fontsize="small")
+    ax.set_title(", ".join(titles), fontsize="medium")
+    _label(ax, results, across, name)
 
 
-def _drawn(results: "xarray.Dataset", name: str) -> list[Any]:
-    """A panel for each axis."""
-    axes = [str(c) for c in results.coords if results[c].dims == ("point",)]
-    second = next((a for a in axes if results[a].dtype.kind == "f"), None)
-
-    def panel(across: str) -> Any:
-        def draw(ax: Any) -> None:
-            x, y = results[across].values, results[name].values
-            other = next((a for a in axes if a != across and results[a].dtype.kind == "f"), second)
-            shade = results[other].values if other is not None and other != across else None
-            if x.dtype.kind != "f":
-                words, x = np.unique(x, return_inverse=True)
-                ax.set_xticks(range(len(words)), words, rotation=30, ha="right")
-            drawn = ax.scatter(x, y, c=shade, cmap=COLOUR_MAP, s=6, rasterized=True)
-            if shade is not None and other is not None:
-                ax.figure.colorbar(drawn, ax=ax, label=_with_unit(results, other))
-            ax.set_title(results[name].attrs["requirement"], fontsize="medium")
-            _label(ax, results, across, name)
-            from_zero(ax)
-
-        return draw
-
-    return [panel(across) for across in axes]
+def _draw_points(ax: Any, results: "xarray.Dataset", name: str, across: str) -> None:
+    x = results[across].values
+    if x.dtype.kind != "f":
+        words, x = np.unique(x, return_inverse=True)
+        ax.set_xticks(range(len(words)), words, rotation=30, ha="right")
+    ax.scatter(x, results[name].values, s=6, color=style_of(0)["color"], rasterized=True)
+    ax.set_title(results[name].attrs["requirement"], fontsize="medium")
+    _label(ax, results, across, name)
 
 
 def _label(ax: Any, results: "xarray.Dataset", across: str, name: str) -> None:
@@ -129,6 +88,7 @@ def _label(ax: Any, results: "xarray.Dataset", across: str, name: str) -> None:
     ax.set_ylabel(f"{attributes['requirement']}: {attributes['statistic']} (1σ), {attributes['units']}")
     if results[across].attrs.get("spacing") == "logarithmic":
         ax.set_xscale("log")
+    from_zero(ax)
 
 
 def _with_unit(results: "xarray.Dataset", name: str) -> str:

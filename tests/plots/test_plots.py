@@ -9,10 +9,12 @@ from matplotlib.figure import Figure
 
 import gradcal_jax as gj
 from gradcal_jax import plots
+from gradcal_jax.estimation.calibrations import Box
 
 TEMPERATURE = np.linspace(-30.0, 70.0, 21)
 RATE = np.linspace(-300.0, 300.0, 31)
 BOWL = 20.0 + (TEMPERATURE[:, None] / 50.0) ** 2 + (RATE[None, :] / 100.0) ** 2
+MAP = Box(TEMPERATURE, RATE, BOWL, "ppm")
 
 
 @pytest.fixture
@@ -33,20 +35,19 @@ def ink(figure):
 
 
 def test_a_map_shows_its_values_on_the_axes_given(axes):
-    drawn = plots.draw_map(TEMPERATURE, RATE, BOWL, "ppm", title="full range", ax=axes)
-    assert drawn.axes is axes
-    np.testing.assert_array_equal(np.ma.getdata(drawn.mesh.get_array()).reshape(BOWL.shape), BOWL)
-    assert drawn.contours is not None
+    ax, mesh = plots.draw_map(TEMPERATURE, RATE, BOWL, "ppm", title="full range", ax=axes)
+    assert ax is axes
+    np.testing.assert_array_equal(np.ma.getdata(mesh.get_array()).reshape(BOWL.shape), BOWL)
+    assert len(axes.collections) == 2
     assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_title()) == ("rate, deg/s", "temperature, °C", "full range")
-    assert drawn.mesh.colorbar.ax.get_ylabel() == "residual (1σ), ppm"
+    assert mesh.colorbar.ax.get_ylabel() == "residual (1σ), ppm"
     assert len(np.unique(ink(axes.figure).reshape(-1, 4), axis=0)) > 50
 
 
 def test_without_axes_every_function_makes_a_figure_of_its_own(bias_spec):
     drawn = [
-        plots.draw_map(TEMPERATURE, RATE, BOWL, "ppm").axes,
-        plots.draw_worst_over_temperature(RATE, BOWL, "ppm")[0],
-        plots.draw_over_temperature(TEMPERATURE, BOWL[:, :1], "deg/h")[0],
+        plots.draw_map(TEMPERATURE, RATE, BOWL, "ppm")[0],
+        plots.draw_curves([("a plan", MAP)])[0],
         plots.draw_temperature(bias_spec)[0],
     ]
     assert len({id(ax.figure) for ax in drawn}) == len(drawn)
@@ -59,40 +60,36 @@ def test_without_axes_every_function_makes_a_figure_of_its_own(bias_spec):
 def test_what_cannot_be_observed_stays_blank(axes):
     half = BOWL.copy()
     half[:, RATE > 100.0] = np.inf
-    drawn = plots.draw_map(TEMPERATURE, RATE, half, "ppm", ax=axes)
-    hidden = np.ma.getmaskarray(drawn.mesh.get_array()).reshape(half.shape)
+    _, mesh = plots.draw_map(TEMPERATURE, RATE, half, "ppm", ax=axes)
+    hidden = np.ma.getmaskarray(mesh.get_array()).reshape(half.shape)
     np.testing.assert_array_equal(hidden, np.isinf(half))
-    assert drawn.mesh.get_clim()[1] == BOWL[:, RATE <= 100.0].max()
+    assert mesh.get_clim()[1] == BOWL[:, RATE <= 100.0].max()
     ink(axes.figure)
 
 
-def test_a_map_of_which_nothing_is_observed_draws_without_a_warning(axes):
-    drawn = plots.draw_map(TEMPERATURE, RATE, np.full_like(BOWL, np.inf), "ppm", ax=axes)
-    assert drawn.contours is None
+@pytest.mark.parametrize("value", [np.inf, 3.0])
+def test_a_map_of_one_value_or_of_none_has_no_contours_and_no_warning(axes, value):
+    plots.draw_map(TEMPERATURE, RATE, np.full_like(BOWL, value), "ppm", ax=axes)
+    assert len(axes.collections) == 1
     ink(axes.figure)
 
 
-def test_a_flat_map_has_no_contours(axes):
-    assert plots.draw_map(TEMPERATURE, RATE, np.full_like(BOWL, 3.0), "ppm", ax=axes).contours is None
-    ink(axes.figure)
-
-
-def test_the_worst_over_temperature_is_the_maximum_and_begins_at_zero(axes):
-    _, line = plots.draw_worst_over_temperature(RATE, BOWL, "ppm", label="a plan", ax=axes)
+def test_the_worst_over_temperature_is_the_maximum_and_what_cannot_be_observed_is_a_gap(axes):
+    broken = BOWL.copy()
+    broken[3, 5] = np.inf
+    _, (line, second) = plots.draw_curves([("a plan", MAP), ("another", MAP._replace(values=broken))], ax=axes)
     np.testing.assert_array_equal(line.get_ydata(), BOWL.max(axis=0))
     assert axes.get_ylim()[0] == 0.0
     assert axes.get_ylabel().endswith("ppm")
     assert line.get_label() == "a plan"
-    broken = BOWL.copy()
-    broken[3, 5] = np.inf
-    _, second = plots.draw_worst_over_temperature(RATE, broken, "ppm", index=1, ax=axes)
     assert np.flatnonzero(np.isnan(second.get_ydata())).tolist() == [5]
     assert (second.get_color(), second.get_linestyle()) != (line.get_color(), line.get_linestyle())
     ink(axes.figure)
 
 
 def test_curves_of_nothing_observed_draw_without_a_warning(axes):
-    _, line = plots.draw_over_temperature(TEMPERATURE, np.full((len(TEMPERATURE), 1), np.inf), "deg/h", ax=axes)
+    nothing = Box(TEMPERATURE, np.zeros(1), np.full((len(TEMPERATURE), 1), np.inf), "deg/h")
+    _, (line,) = plots.draw_curves([("a plan", nothing)], ax=axes)
     assert np.isnan(line.get_ydata()).all()
     ink(axes.figure)
 

@@ -6,20 +6,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from gradcal_jax.cli.output import DONE, NOT_AS_WISHED, Flag, Json, as_json, strong
 from gradcal_jax.cli.precision import use_float64
-from gradcal_jax.tables.display import columns
+from gradcal_jax.tables.table import Cell, Table
 from gradcal_jax.units import time_text, times_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Sequence
 
     from gradcal_jax.spec.motion_plan import PlanSchedule
     from gradcal_jax.spec.moves import ResolvedMove
-    from gradcal_jax.spec.requirement import Requirement
-    from gradcal_jax.spec.schedule import StandardSchedule
     from gradcal_jax.spec.spec_sections import Spec
 
-_MOST_ROWS: Final = 24
-_MOST_MOVES: Final = 60
+_MOST_ROWS: Final = 60
 
 
 def check(file: Path, /, *, files_only: Flag = False, json: Json = False) -> int:
@@ -88,78 +85,44 @@ def omitted_lines(spec: "Spec") -> list[str]:
     from gradcal_jax.spec.absent import absent_terms, attitude_sentences, branch_sentences, class_terms
     from gradcal_jax.spec.typical import sensor_grade, table_grade
 
-    absent, supplied = absent_terms(spec), class_terms(spec)
-    others = [*branch_sentences(spec), *attitude_sentences(spec)]
     lines: list[str] = []
-    if supplied:
-        rows = [(term.key, term.typical, term.source) for term in supplied]
-        lines += ["these terms have typical figures of the stated class; state your own in the file if you can:"]
-        lines.append(columns(rows, width=120))
-    if not absent:
-        return [*lines, *others]
-    sensor, table = sensor_grade(spec.sensor), table_grade(spec)
-    return [
-        *lines,
-        "these terms are not in the file, so figures typical of the class count:",
-        columns([(term.key, term.typical) for term in absent]),
-        f"  class of the sensor: {sensor.name} grade ({sensor.like}), from {sensor.reason}",
-        f"  class of the table: {table.name} ({table.like}), from {table.reason}",
-        "enter your own figures in the file; 0 (or an empty list) means that there is no such error",
-        *others,
-    ]
+    for words, terms in (
+        ("these terms have typical figures of the stated class; state your own if you can", class_terms(spec)),
+        ("these terms are not in the file, so figures typical of the class count", absent_terms(spec)),
+    ):
+        if terms:
+            rows = [(term.key, term.typical, term.source) for term in terms]
+            lines += ["", f"{words}; 0 (or an empty list) means that there is no such error:"]
+            lines.append(Table.of(["term", "typical figure", "source"], rows).text(width=120))
+    if lines:
+        for name, grade in (("sensor", sensor_grade(spec.sensor)), ("table", table_grade(spec))):
+            lines.append(f"class of the {name}: {grade.name} ({grade.like}), from {grade.reason}")
+    return [*lines, *branch_sentences(spec), *attitude_sentences(spec)]
 
 
 def summary(spec: "Spec") -> str:
     """A summary of the plan as plain text, from the file alone."""
     from gradcal_jax.spec.schedule import StandardSchedule
 
-    schedule, table = spec.schedule, spec.rig.table
-    lines = [*_sensors(spec), *map(_required, spec.requirement)]
-    words = f"table: {', '.join(axis.name for axis in table.axis)}"
-    words += " (outermost first)" if len(table.axis) > 1 else ""
-    words += f"; {len(table.mounting)} mountings" if len(table.mounting) > 1 else ""
-    lines.append(words)
-    lines += _standard(schedule) if isinstance(schedule, StandardSchedule) else _gradient(spec, schedule)
+    required: list[tuple[str, ...]] = []
+    for requirement in spec.requirement:
+        r: Any = requirement
+        over = f"{r.temperature[0]} to {r.temperature[1]}"
+        if isinstance(getattr(r, "rate", None), tuple):
+            over += f", {r.rate[0]} to {r.rate[1]}"
+        target = "" if r.target is None else str(r.target)
+        required.append((r.name, r.quantity.replace("_", " "), r.axis, r.statistic, over, target))
+    heads = ["requirement", "quantity", "axis", "statistic", "within", "target"]
+    lines = [Table.of(heads, required).text()] if required else []
+    schedule = spec.schedule
+    if isinstance(schedule, StandardSchedule):
+        total = times_text(schedule.duration, schedule.soak, schedule.motion, "integration")
+        rates = ", ".join(f"{math.degrees(rate):g}" for rate in schedule.rates)
+        lines += ["", f"plan: standard method, {total}; {schedule.readings} points", f"at {rates} deg/s each, at"]
+        lines.append(", ".join(f"{temperature:g}" for temperature in schedule.temperatures) + " degC")
+    else:
+        lines += ["", *_gradient(spec, schedule)]
     return "\n".join([*lines, *(f"note: {note}" for note in notes(spec))])
-
-
-def _sensors(spec: "Spec") -> "Iterator[str]":
-    from gradcal_jax.tables.section import Section
-
-    skipped = {"axes", "drift", "scale_factor_instability", "temperature_error"}
-    for name, triad in (("gyro", spec.sensor.gyro), ("accelerometer", spec.sensor.accelerometer)):
-        if triad is None:
-            continue
-        own: list[str] = []
-        for key, part in triad:
-            first = part[0] if isinstance(part, tuple) and part else part
-            if isinstance(first, Section) and key not in skipped:
-                size = getattr(part, "size", None)
-                own.append(key.replace("_", " ") + (f" ({size})" if size is not None else ""))
-        yield f"to estimate: {name} {', '.join(triad.axes)}: {', '.join(own)}"
-
-
-def _required(requirement: "Requirement") -> str:
-    r: Any = requirement
-    over = f"{r.temperature[0]} to {r.temperature[1]}"
-    if hasattr(r, "mission"):
-        missions = (f"{m.file} ({time_text(m.rows.time[-1])})" for m in r.mission)
-        over = f"{', '.join(missions)}, {over}"
-    if isinstance(getattr(r, "rate", None), tuple):
-        over += f", {r.rate[0]} to {r.rate[1]}"
-    target = f", target {r.target}" if r.target is not None else ""
-    return f'required: "{r.name}": {r.quantity.replace("_", " ")}, {r.axis}, {r.statistic}, {over}{target}'
-
-
-def _standard(schedule: "StandardSchedule") -> list[str]:
-    temperatures = ", ".join(f"{temperature:g}" for temperature in schedule.temperatures)
-    rates = ", ".join(f"{math.degrees(rate):g}" for rate in schedule.rates)
-    at = f"at {rates} deg/s" if any(schedule.rates) else "standing still"
-    return [
-        "plan: standard method, " + times_text(schedule.duration, schedule.soak, schedule.motion, "integration"),
-        f"  at {temperatures} degC: soak {time_text(schedule.soak_each)}",
-        f"  {at}: {time_text(schedule.integration)} each; {schedule.readings} points",
-    ]
 
 
 def _gradient(spec: "Spec", schedule: "PlanSchedule") -> list[str]:
@@ -168,78 +131,63 @@ def _gradient(spec: "Spec", schedule: "PlanSchedule") -> list[str]:
     total = times_text(schedule.duration, schedule.soak, schedule.motion, "temperature motion")
     table = spec.rig.table
     every = time_text(float(table.axis[0].angle.read_every)) if table.standing == "read" else ""
-    readings = f"readings: {row_count(schedule, spec.rig.table)}"
-    lines = [f"plan: gradient method, {total}; {len(schedule.segments)} segments"]
-    rows: list[tuple[str, ...]] = []
+    rows: list[tuple[Cell, ...]] = []
     for segment in schedule.segments[:_MOST_ROWS]:
-        soaks = segment.kind == "soak"
-        where = f"{segment.temperature_start:.5g}" + ("" if soaks else f" -> {segment.temperature_end:.5g}")
-        slope = "" if soaks else f"{60.0 * segment.slope:+.4g} K/min"
-        used = "" if segment.used else "not used"
-        begins = f"at {time_text(segment.start)}"
-        rows.append((begins, segment.kind, time_text(segment.duration), f"{where} degC", slope, used))
-    lines += _first(rows, len(schedule.segments))
-    if not schedule.steps:
-        return [*lines, "  the table stands" + (f" and is read every {every}" if every else ""), readings]
-    parts = [f"moves {time_text(duration_of(schedule.steps))}"]
-    parts += [f"other axes {time_text(s.move.duration)} ({_read(s.move, every)})" for s in schedule.after]
-    cycles = sum(stretch.cycles for stretch in schedule.stretches)
-    lines.append(f"cycle: {time_text(schedule.period)}, made {cycles} times: {', '.join(parts)}")
-    moves: list[tuple[str, ...]] = []
-    for step in schedule.steps[:_MOST_MOVES]:
-        axis = table.axis[step.axis].name if step.axis >= 0 else ""
-        moves.append((*_turn(step.move, axis), _read(step.move, every)))
-    return [*lines, *_first(moves, len(schedule.steps), right=(0,)), readings]
+        slope = None if segment.kind == "soak" else f"{60.0 * segment.slope:+.4g} K/min"
+        times = time_text(segment.start), time_text(segment.duration)
+        used = "yes" if segment.used else "no"
+        rows.append((times[0], segment.kind, times[1], f"{segment.temperature_end:.5g} degC", slope, used))
+    heads = ["at", "chamber", "for", "to", "slope", "used"]
+    lines = [
+        f"plan: gradient method, {total}; {len(schedule.segments)} segments",
+        *_first(heads, rows, schedule.segments),
+    ]
+    if schedule.steps:
+        parts = [f"moves {time_text(duration_of(schedule.steps))}"]
+        parts += [f"other axes {time_text(s.move.duration)} ({_read(s.move, every)})" for s in schedule.after]
+        cycles = sum(stretch.cycles for stretch in schedule.stretches)
+        lines += ["", f"cycle: {time_text(schedule.period)}, made {cycles} times: {', '.join(parts)}"]
+        moves: list[tuple[Cell, ...]] = []
+        for step in schedule.steps[:_MOST_ROWS]:
+            move, turn = step.move, ("", "", "")
+            if not move.is_rest:
+                turn = (
+                    f"{math.degrees(move.angle):+.6g} deg",
+                    f"{math.degrees(move.fastest):.4g} deg/s",
+                    f"{math.degrees(move.peak_acceleration):.4g} deg/s^2",
+                )
+            axis = table.axis[step.axis].name if step.axis >= 0 else ""
+            moves.append((move.repeat, axis, move.shape, time_text(move.duration), *turn, _read(move, every)))
+        heads = ["times", "axis", "move", "duration", "angle", "up to", "acceleration", "readings"]
+        lines += _first(heads, moves, schedule.steps)
+    else:
+        lines.append("the table stands" + (f" and is read every {every}" if every else ""))
+    return [*lines, f"readings: {row_count(schedule, table)}"]
 
 
 def _read(move: "ResolvedMove", every: str) -> str:
     """How a move or a rest is read; `every`: of a table that is read as it stands."""
     if move.read_every is not None:
-        return "read at the end" if math.isinf(move.read_every) else f"read every {time_text(move.read_every)}"
+        return "at the end" if math.isinf(move.read_every) else f"every {time_text(move.read_every)}"
     if move.reads_as_table:
-        return f"read every {every}" if every else ""
-    return "read at the end" if move.read_end else "not read"
+        return f"every {every}" if every else ""
+    return "at the end" if move.read_end else "none"
 
 
-def _first(rows: list[tuple[str, ...]], count: int, right: tuple[int, ...] = ()) -> list[str]:
-    """The first rows of `count`, and the number of further ones."""
-    return [columns(rows, right=right), *([f"  … and {count - len(rows)} more"] if count > len(rows) else [])]
-
-
-def _turn(move: "ResolvedMove", axis: str) -> tuple[str, ...]:
-    """Number of repetitions, axis, shape, duration, angle, peak rate and acceleration of a move."""
-    count = f"{move.repeat} ×" if move.repeat > 1 else ""
-    turn = ("", "", "")
-    if not move.is_rest:
-        turn = (
-            f"{math.degrees(move.angle):+.6g} deg",
-            f"up to {math.degrees(move.fastest):.4g} deg/s",
-            f"{math.degrees(move.peak_acceleration):.4g} deg/s^2",
-        )
-    return (count, axis, move.shape, time_text(move.duration), *turn)
+def _first(heads: list[str], rows: list[tuple[Cell, ...]], whole: "Sequence[object]") -> list[str]:
+    """The first rows of a whole, and the number of further ones."""
+    more = len(whole) - len(rows)
+    return [Table.of(heads, rows).text(indent="  "), *([f"  … and {more} more"] if more > 0 else [])]
 
 
 def notes(spec: "Spec") -> list[str]:
-    """Notes on a sound spec: unused time, and requirements beyond the temperatures of the plan."""
+    """Notes on a sound spec: unused time, and a reference that counts as exact."""
     from gradcal_jax.spec.schedule import StandardSchedule
 
-    sentences: list[str] = []
     schedule = spec.schedule
     if isinstance(schedule, StandardSchedule):
-        visited = list(schedule.temperatures)
-        if any(schedule.rates) and spec.rig.table.rate_accuracy is None:
-            sentences.append("state rig.table.rate_accuracy: the reference rate counts as exact")
-    else:
-        used = [segment for segment in schedule.segments if segment.used]
-        visited = [t for segment in used for t in (segment.temperature_start, segment.temperature_end)]
-        left = sum(stretch.leftover for stretch in schedule.stretches)
-        if schedule.steps and left > 0.0:
-            sentences.append(f"after the moves of the last cycle, the table stays at rest for {time_text(left)}")
-    low, high = min(visited), max(visited)
-    for requirement in spec.requirement:
-        if requirement.temperature[0] < low - 1e-6 or requirement.temperature[1] > high + 1e-6:
-            sentences.append(
-                f'requirement "{requirement.name}" includes temperatures outside the plan\'s range, '
-                f"{low:.5g} to {high:.5g} degC"
-            )
-    return sentences
+        exact = any(schedule.rates) and spec.rig.table.rate_accuracy is None
+        return ["state rig.table.rate_accuracy: the reference rate counts as exact"] if exact else []
+    left = sum(stretch.leftover for stretch in schedule.stretches)
+    rests = schedule.steps and left > 0.0
+    return [f"after the moves of the last cycle, the table stays at rest for {time_text(left)}"] if rests else []

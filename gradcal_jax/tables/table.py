@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, Final, NamedTuple
 
+from gradcal_jax.tables.display import WIDTH
 from gradcal_jax.tables.display import columns as aligned
 
 Cell = str | float | None
@@ -40,10 +41,10 @@ class Table:
         """Every row in words."""
         return [tuple(shown(cell, at.digits) for at, cell in zip(self.columns, row, strict=True)) for row in self.rows]
 
-    def text(self, *, indent: str = "") -> str:
+    def text(self, *, indent: str = "", width: int = WIDTH) -> str:
         """For a terminal: aligned columns, with numbers at the right."""
         heads = tuple(column.head for column in self.columns)
-        return aligned([heads, *self.cells()], indent=indent, right=self._numeric())
+        return aligned([heads, *self.cells()], indent=indent, right=self._numeric(), width=width)
 
     def html(self) -> str:
         """For a page; on a narrow screen, each cell has the name of its column before it."""

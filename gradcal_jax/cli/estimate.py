@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from gradcal_jax.estimation.estimate import SensorEstimate
     from gradcal_jax.estimation.hand_estimate import HandReport
     from gradcal_jax.records.log import Log
-    from gradcal_jax.spec.spec_sections import Spec
+    from gradcal_jax.tables.table import Table
 
 Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
 SpecFile = Annotated[Path | None, Parameter(name=["--spec", "--recipe"])]
@@ -91,6 +91,8 @@ def estimate(
     plot
         Draw the fit into this file (.png, .svg, .pdf).
     """
+    from gradcal_jax.recipe.recipe import spec_in
+
     drawable(plot)
     lag_s = lag if lag in ("auto", "fit") else 0.0 if lag == "none" else quantity(lag, "time", "--lag")
     if not isinstance(lag_s, str) and lag_s < 0.0:
@@ -105,7 +107,7 @@ def estimate(
         files = _files(output, recorded.units, force)
         g = quantity(gravity, "acceleration", "--gravity")
         return _by_hand(log, recorded, g, recorded.units, at, files, plot, json)
-    model = None if spec is None else _spec_in(spec)
+    model = None if spec is None else spec_in(spec)
     if len(axis) > 1 and model is not None:
         raise ValueError("a table with one axis turns only one axis of an IMU: give --axis only once")
     if model is None:
@@ -143,12 +145,6 @@ def estimate(
     _write(report.calibrations, files, json)
     save_figure(lambda plots: plots.calibration.draw_estimate(report), plot, quiet=json)
     return DONE if report.as_wished else NOT_AS_WISHED
-
-
-def _spec_in(path: Path) -> "Spec":
-    from gradcal_jax.recipe.recipe import spec_in
-
-    return spec_in(path)
 
 
 def _warm_up(
@@ -218,54 +214,49 @@ def _files(output: Path | None, units: Sequence[str], force: bool) -> dict[str, 
 
 def text_of_estimate(report: "SensorEstimate") -> str:
     """An estimate in words: requirements, coefficients, errors of the table, tests."""
-    from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path, tests
+    from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path
     from gradcal_jax.tables.contracts import outcomes
 
-    calibration = report.calibration
-    lines = [*_head(report, f"{report.solution.used.sum()} readings")]
-    lines.append("rows: " + ", ".join(f"{count} {reason}" for reason, count in report.counts.items()))
-    if report.requirements:
-        lines += ["", outcomes(report.requirements).text()]
-    if len(calibration.values()) <= _MOST_COEFFICIENTS:
-        lines += ["", coefficients(None, calibration).text()]
-    for table in (of_path(calibration), errors_of_table(calibration)):
-        lines += ["", table.text()] if table.rows else []
-    lines += ["", tests(calibration).text()]
-    tested = report.consistency
-    lines.append(
+    calibration, tested = report.calibration, report.consistency
+    counts = ", ".join(f"{count} {reason}" for reason, count in report.counts.items())
+    few = len(calibration.values()) <= _MOST_COEFFICIENTS
+    tables = [outcomes(report.requirements), *([coefficients(None, calibration)] if few else [])]
+    tables += [of_path(calibration), errors_of_table(calibration)]
+    fits = (
         f"the residuals are {tested.noise_scale:.3f} times the noise of the spec; {tested.beyond_three:.2%} of them "
         f"exceed 3σ, and the largest is {tested.largest:.1f}σ"
     )
-    return "\n".join([*lines, *(f"note: {message}" for message in report.messages)])
+    return _text(calibration, f"{report.solution.used.sum()} readings; rows: {counts}", tables, [fits], report.messages)
 
 
 def text_of_warm_up(calibration: "Calibration", messages: Sequence[str]) -> str:
     """The biases of a warm-up at rest, in words."""
-    from gradcal_jax.pages.tables import coefficients, tests
+    from gradcal_jax.pages.tables import coefficients
 
-    lines = ["", strong(f"IMU {calibration.serial_number}" + (", SIMULATED" if calibration.simulated else ""))]
-    lines += [calibration.valid_range, f"frame: {calibration.frame}"]
-    lines += ["", coefficients(None, calibration).text(), "", tests(calibration).text()]
-    return "\n".join([*lines, *(f"note: {message}" for message in messages)])
+    return _text(calibration, "", [coefficients(None, calibration)], [], messages)
 
 
 def text_of_held(report: "HandReport") -> str:
     """The estimate of an IMU that was turned by hand, in words."""
-    from gradcal_jax.pages.tables import coefficients, tests
+    from gradcal_jax.pages.tables import coefficients
     from gradcal_jax.units import G
 
-    lines = _head(report, f"{len(report.solution.positions.duration)} positions, {report.solution.turns} turns")
-    lines += ["", coefficients(None, report.calibration).text(), "", tests(report.calibration).text()]
-    lines.append(f"residual of |f| - g over the positions: {report.gravity_left / G * 1e6:.4g} µg rms")
-    lines.append(f"residual of gravity's direction after the turns: {report.turns_left * 1e6:.4g} µrad rms")
-    return "\n".join([*lines, *(f"note: {message}" for message in report.messages)])
-
-
-def _head(report: "SensorEstimate | HandReport", counted: str) -> list[str]:
-    calibration = report.calibration
-    return [
-        "",
-        strong(f"IMU {report.unit}" + (", SIMULATED" if calibration.simulated else "")),
-        f"{counted}; {calibration.valid_range}",
-        f"frame: {calibration.frame}",
+    left = [
+        f"residual of |f| - g over the positions: {report.gravity_left / G * 1e6:.4g} µg rms",
+        f"residual of gravity's direction after the turns: {report.turns_left * 1e6:.4g} µrad rms",
     ]
+    counted = f"{len(report.solution.positions.duration)} positions, {report.solution.turns} turns"
+    return _text(report.calibration, counted, [coefficients(None, report.calibration)], left, report.messages)
+
+
+def _text(
+    calibration: "Calibration", counted: str, tables: "Sequence[Table]", left: Sequence[str], messages: Sequence[str]
+) -> str:
+    """A calibration in words: what was counted, tables, tests of the fit, sentences on what is left, and notes."""
+    from gradcal_jax.pages.tables import tests
+
+    lines = ["", strong(f"IMU {calibration.serial_number}" + (", SIMULATED" if calibration.simulated else ""))]
+    lines += [*filter(None, (counted, calibration.valid_range)), f"frame: {calibration.frame}"]
+    for table in (*tables, tests(calibration)):
+        lines += ["", table.text()] if table.rows else []
+    return "\n".join([*lines, *left, *(f"note: {message}" for message in messages)])

@@ -7,7 +7,7 @@ from typing import Annotated, Final
 from cyclopts import Parameter
 
 from gradcal_jax.cli.output import DONE, Force, writable
-from gradcal_jax.tables.display import columns
+from gradcal_jax.tables.table import Table
 
 _COLUMN_MAP: Final = "column-map"
 _SWEEP: Final = "sweep"
@@ -51,7 +51,7 @@ def start(
         rows = [(name, presets.title(name)) for name in presets.names()]
         rows += [(_COLUMN_MAP, "Column map of a recording, for --columns"), *_TEMPLATES.items()]
         rows.append((_SWEEP, "A sweep: many plans at once, for gradcal sweep"))
-        print(columns(rows, indent=""))
+        print(Table.of(["example", "what it is"], rows).text())
         return DONE
     if output is None:
         raise ValueError("name the folder (or, for an example, the file) to write, such as -o mine")

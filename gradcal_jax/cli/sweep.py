@@ -20,7 +20,8 @@ from gradcal_jax.cli.output import (
     strong,
 )
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.tables.display import amount, columns
+from gradcal_jax.tables.display import amount
+from gradcal_jax.tables.table import Table
 
 if TYPE_CHECKING:
     import xarray
@@ -131,12 +132,12 @@ def sweep_text(summary: dict[str, Any]) -> str:
     lines = [f"{summary['points']} points, {summary['failed']} of them failed"]
     if summary["failed"]:
         lines.append(f"the most frequent reason: {summary['commonest_reason']}")
-    table: list[tuple[str, ...]] = [("residual (1σ)", "least", "median", "most", " / ".join(_VERDICTS), "least at")]
+    rows: list[tuple[str, ...]] = []
     for row in summary["requirements"]:
-        if "least" not in row:
-            continue
-        verdicts = " / ".join(str(row[word]) for word in _VERDICTS)
-        values = [amount(row[key], row["unit"]) for key in ("least", "median", "most")]
-        where = [f"{a} {v:.6g}" if isinstance(v, float) else f"{a} {v}" for a, v in row["least_at"].items()]
-        table.append((f"{row['name']}, {row['statistic']}", *values, verdicts, ", ".join(where)))
-    return "\n".join([*lines, "", columns(table, indent="")])
+        if "least" in row:
+            verdicts = " / ".join(str(row[word]) for word in _VERDICTS)
+            values = [amount(row[key], row["unit"]) for key in ("least", "median", "most")]
+            where = [f"{a} {v:.6g}" if isinstance(v, float) else f"{a} {v}" for a, v in row["least_at"].items()]
+            rows.append((f"{row['name']}, {row['statistic']}", *values, verdicts, ", ".join(where)))
+    heads = ["residual (1σ)", "least", "median", "most", " / ".join(_VERDICTS), "least at"]
+    return "\n".join([*lines, "", Table.of(heads, rows).text()])

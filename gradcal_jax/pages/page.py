@@ -107,7 +107,7 @@ def _sections(sources: Sources, history: RunHistory | None) -> list[PageSection]
     if history is not None:
         sections.append(PageSection("Run", history.sentences, [history.waited, history.devices]))
     sections += _calibrated(sources)
-    stated = Table.of(["term", "figure"], assumptions(sources.spec, sources.calibration))
+    stated = Table.of(["term", "figure", "source"], assumptions(sources.spec, sources.calibration))
     sections.append(PageSection("Assumptions", [], [stated]))
     made = [*provenance_rows(sources), ("page made", _time_and_version())]
     sections.append(PageSection("Provenance", [], [Table.of(["what", "value"], made)]))

@@ -77,7 +77,7 @@ def course_of(spec: Spec, rng: np.random.Generator, spoilt: float):
             knots[k][0].extend((now - 0.5 * _HANGS_S, now))
             knots[k][1].extend((knots[k][1][-1], meant[k] + miss[k]))
         while True:
-            steps = schedule.every_step
+            steps = schedule.steps
             lasts = [s.move.duration * (1.0 if s.axis < 0 else 1.0 + 0.05 * rng.standard_normal()) for s in steps]
             if now + sum(lasts) > end + 1e-6:
                 break

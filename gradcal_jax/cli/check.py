@@ -157,8 +157,8 @@ def _gradient(spec: "Spec", schedule: "PlanSchedule") -> list[str]:
                     f"{math.degrees(move.peak_acceleration):.4g} deg/s^2",
                 )
             axis = table.axis[step.axis].name if step.axis >= 0 else ""
-            moves.append((move.repeat, axis, move.shape, time_text(move.duration), *turn, _read(move, every)))
-        heads = ["times", "axis", "move", "duration", "angle", "up to", "acceleration", "readings"]
+            moves.append((axis, move.shape, time_text(move.duration), *turn, _read(move, every)))
+        heads = ["axis", "move", "duration", "angle", "up to", "acceleration", "readings"]
         lines += _first(heads, moves, schedule.steps)
     else:
         lines.append("the table stands" + (f" and is read every {every}" if every else ""))

@@ -451,13 +451,12 @@ def _cycle_of(spec: Spec) -> Cycle:
     turns: list[PoseTurn] = []
     begins = 0.0
     for s in spec.plain_schedule.steps:
-        for _ in range(s.move.repeat):
-            if s.axis >= 0:
-                turns.append(PoseTurn(s.axis, s.move.angle, s.move.fastest, 0.0))
-            elif turns:
-                turns[-1] = turns[-1]._replace(rest=turns[-1].rest + s.move.duration)
-            else:
-                begins += s.move.duration
+        if s.axis >= 0:
+            turns.append(PoseTurn(s.axis, s.move.angle, s.move.fastest, 0.0))
+        elif turns:
+            turns[-1] = turns[-1]._replace(rest=turns[-1].rest + s.move.duration)
+        else:
+            begins += s.move.duration
     if begins and turns and max(x.cycles for x in spec.plain_schedule.stretches) > 1:
         turns[-1] = turns[-1]._replace(rest=turns[-1].rest + begins)
     elif begins:

@@ -138,8 +138,8 @@ class _PlanData:
         time = self.turning = sum(end - begin for begin, end in spans)
         self.visits, self.tied, same = spans, True, ""
         if spec.turns_one_gyro and schedule.steps:
-            others = sum(s.move.repeat * s.move.duration for s in schedule.steps if s.move.other_axes)
-            own = sum(s.move.repeat * s.move.duration for s in schedule.steps) - others
+            others = sum(s.move.duration for s in schedule.steps if s.move.other_axes)
+            own = sum(s.move.duration for s in schedule.steps) - others
             # An axis that no other axis waits for has the table all the time, whatever the cycles leave.
             if own < schedule.period * (1.0 - 1e-9):
                 visits = [visit for stretch in schedule.stretches for visit in _visits(schedule, stretch)]
@@ -325,7 +325,7 @@ def _visits(schedule: PlanSchedule, stretch: Stretch) -> Windows:
     for number in range(stretch.cycles):
         begin = here = stretch.start + number * schedule.period
         for step in schedule.steps:
-            there = here + step.move.repeat * step.move.duration
+            there = here + step.move.duration
             if step.move.other_axes:
                 visits.append((begin, here))
                 begin = there

@@ -71,7 +71,7 @@ def with_motion(spec: Spec, time: float) -> Spec:
 def moves_of_visits(spec: Spec) -> list[list[ResolvedMove]]:
     """The moves of each visit of a cycle."""
     visits: list[list[ResolvedMove]] = [[]]
-    for step in spec.gradient_schedule.every_step:
+    for step in spec.gradient_schedule.steps:
         if step.move.other_axes:
             visits.append([])
         else:
@@ -82,7 +82,7 @@ def moves_of_visits(spec: Spec) -> list[list[ResolvedMove]]:
 def visit_times(spec: Spec) -> tuple[float, float]:
     """The duration (s) of one visit, and the time after it for other axes."""
     schedule, visits = spec.gradient_schedule, moves_of_visits(spec)
-    others = [step.move.duration for step in schedule.every_step if step.move.other_axes]
+    others = [step.move.duration for step in schedule.steps if step.move.other_axes]
     own = math.fsum(move.duration for visit in visits for move in visit)
     return own / len(visits), others[0] if others else duration_of(schedule.after)
 
@@ -143,7 +143,7 @@ def shortest_rest(spec: Spec, design: Design) -> float:
 def rest_spacing(spec: Spec) -> float:
     """How often a table of one axis is read at rest, s: as its first rest that is read so, or else the table."""
     table = reading_spacing(spec)
-    rests = (step.move for step in spec.gradient_schedule.every_step if step.move.is_rest)
+    rests = (step.move for step in spec.gradient_schedule.steps if step.move.is_rest)
     spacings = (table if rest.reads_as_table else rest.read_every for rest in rests)
     return next((float(every) for every in spacings if every and math.isfinite(every)), table)
 

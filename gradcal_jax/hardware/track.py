@@ -301,21 +301,20 @@ def _parts(block: MotionBlock, total: float, names: dict[str, str], *, ends: boo
     rests = block.repeat == 1 and len(block.moves) == 1 and block.moves[0].do in ("rest", "wait")
     spins = any(move.do == "spin" for move in block.moves)
     own = [move for move in block.moves if move.do != "wait"]
-    busy = math.fsum(move.repeat * float(move.duration) for move in own)
+    busy = math.fsum(float(move.duration) for move in own)
     moves: list[AxisCommand] = []
     reads = [0.0]
     for number in range(block.repeat):
         last = number == block.repeat - 1
         for move in own if last and not rests else block.moves:
             lasts_s = float(move.duration)
-            for repetition in range(move.repeat):
-                start = number * period + float(move.start) + repetition * lasts_s
-                moves += _commands(move, start, names, spins=spins)
-                every = 1.0 if spins else None if move.read_every is None else float(move.read_every)
-                reads += _reads(start, lasts_s, every, ends=ends or spins)
-                at_end = move.read == "end" if every is None else ends and move.do == "rest"
-                if at_end and not (rests or spins or math.isclose(reads[-1], start + lasts_s, abs_tol=1e-9)):
-                    reads.append(start + lasts_s)
+            start = number * period + float(move.start)
+            moves += _commands(move, start, names, spins=spins)
+            every = 1.0 if spins else None if move.read_every is None else float(move.read_every)
+            reads += _reads(start, lasts_s, every, ends=ends or spins)
+            at_end = move.read == "end" if every is None else ends and move.do == "rest"
+            if at_end and not (rests or spins or math.isclose(reads[-1], start + lasts_s, abs_tol=1e-9)):
+                reads.append(start + lasts_s)
         if last and after > 0.0 and block.read_every_after is not None:
             reads += _reads(total - after, after, float(block.read_every_after), ends=ends)
     count = max(1, math.ceil(total / _LONGEST_STAND_S - 1e-9))

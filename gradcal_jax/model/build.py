@@ -448,7 +448,7 @@ def _schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[Schedu
     schedule = table_schedule(plan, spec)
     if isinstance(plan, StandardSchedule):
         return schedule, [-1] + [0] * len(plan.rates), np.zeros(len(spec.rig.table.axis))
-    return schedule, [s.axis for s in (*plan.every_step, *plan.after)], np.array(plan.start)
+    return schedule, [s.axis for s in (*plan.steps, *plan.after)], np.array(plan.start)
 
 
 def _divisions_by_decay(line: trajectory.Trajectory, decay: float) -> tuple[np.ndarray, np.ndarray]:
@@ -522,7 +522,7 @@ def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> Schedul
         return move_of(replace(of, read_every=spacing), longest)
 
     # (Steps behind the cycle are made once.)
-    moves, after = (tuple(move(s.move) for s in part) for part in (plan.every_step, plan.after))
+    moves, after = (tuple(move(s.move) for s in part) for part in (plan.steps, plan.after))
     # What no cycle fills is read once at its end, but by an operator, who types angles after turns only.
     left = None if every is None or (np.isinf(every) and not table.typed) else every
     return trajectory.gradient_plan(course, moves, after, used=used, read_every=left)

@@ -76,14 +76,13 @@ def move_rows(block: MotionBlock) -> list[tuple[str, ...]]:
     for move in block.moves:
         where, standing = "", move.do in ("rest", "wait") and bool(at)
         if move.axis in at and move.angle is not None:
-            at[move.axis] += move.repeat * math.degrees(move.angle)
+            at[move.axis] += math.degrees(move.angle)
             where = f", to {round(at[move.axis], 6) + 0.0:g} deg"
-        times = f"{move.repeat} × " if move.repeat > 1 else ""
         rows.append(
             (
                 clock_text(move.start),
                 "" if standing else move.axis,
-                f"{times}{move.do}",
+                move.do,
                 str(move.duration),
                 _signed(move.angle) + where,
                 _signed(move.rate),

@@ -213,28 +213,26 @@ def _cycle(spec: Spec, schedule: PlanSchedule, cycle: Table, rounder: _Rounder) 
         move, k = step.move, step.axis
         if k < 0:
             read = _reading_of(moves_of_file[step.source], rounder)
-            again = {"repeat": move.repeat} if move.repeat > 1 else {}
-            moves.append({"rest": rounder.to("time", move.duration) if move.duration else "0 s"} | again | read)
+            moves.append({"rest": rounder.to("time", move.duration) if move.duration else "0 s"} | read)
             continue
-        before[k] += move.repeat * move.angle
-        kept = {"axis": axes[k].name} | ({"repeat": move.repeat} if move.repeat > 1 else {})
-        kept |= _reading_of(moves_of_file[step.source], rounder)
+        before[k] += move.angle
+        kept = {"axis": axes[k].name} | _reading_of(moves_of_file[step.source], rounder)
         fastest = min(float(axes[k].max_rate), usable)
         steepest = float(axes[k].max_acceleration)
         if move.shape == "hand":
             turn = dict(moves_of_file[step.source])
             rounder.entries(turn, duration="time")
             moves.append(turn)
-            at[k] += move.repeat * move.angle
+            at[k] += move.angle
             continue
         rounder.note_shape(move)
-        angle = rounder.on_grid(before[k]) - at[k] if move.repeat == 1 else move.angle
+        angle = rounder.on_grid(before[k]) - at[k]
         if angle == 0.0:
             # Less than a step of the controller: no turn.
             moves.append({"rest": rounder.to("time", move.duration, ROUND_CEILING)})
             continue
         moves.append(_turn(angle, move, steepest, fastest, rounder) | kept)
-        at[k] += move.repeat * units.parse(moves[-1]["turn"], "angle")
+        at[k] += units.parse(moves[-1]["turn"], "angle")
     cycle["moves"] = moves
     answer_s = float(spec.rig.table.answer_time)
     rounder.entries(cycle.get("other_axes", {}), duration="time", read_every="time")
@@ -249,8 +247,8 @@ def _reading_of(move: Table, rounder: _Rounder) -> Table:
 
 
 def _duration(move: Table) -> float:
-    """Duration of a rest or turn with its repetitions, s."""
-    return int(move.get("repeat", 1)) * units.parse(move["rest" if "rest" in move else "duration"], "time")
+    """Duration of a rest or turn, s."""
+    return units.parse(move["rest" if "rest" in move else "duration"], "time")
 
 
 def _keep_period(
@@ -265,7 +263,7 @@ def _keep_period(
     make it longer by the time that it took off the turns. `own`, `period`: of the planned cycle, the duration of
     its moves and of all of it, s; `answer_s`: the operator's time for each turn by hand."""
     rests = [(units.parse(move["rest"], "time"), move, "rest") for move in cycle["moves"] if "rest" in move]
-    answers = answer_s * sum(int(m.get("repeat", 1)) for m in cycle["moves"] if m.get("shape") == "hand")
+    answers = answer_s * sum(move.get("shape") == "hand" for move in cycle["moves"])
     moving, others = math.fsum([answers, *(_duration(move) for move in cycle["moves"])]), 0.0
     if "other_axes" in cycle:
         other = cycle["other_axes"]
@@ -276,10 +274,9 @@ def _keep_period(
         # The moves themselves no longer fit at the end: the time of the other axes does not help.
         rests = [entry for entry in rests if entry[2] == "rest"]
         over = max(over, moving - own)
-    alone = [entry for entry in rests if entry[1].get("repeat", 1) == 1]
-    if not alone:
+    if not rests:
         return
-    longest, table, key = max(alone, key=lambda entry: entry[0])
+    longest, table, key = max(rests, key=lambda entry: entry[0])
     if abs(over) > 1e-9 * period and longest - over >= 2.0 * float(rounder.steps.time):
         table[key] = rounder.to("time", longest - over, ROUND_FLOOR)
 

@@ -90,8 +90,6 @@ class TrackMove(Section):
     """Acceleration of the trapezoid with the same angle, peak rate and duration."""
     shape: q.Text | None = None
     """Shape of the planned rate over time."""
-    repeat: q.Count = 1
-    """Number of times that the move is made."""
     read: Literal["end", "none"] | None = None
     """"end": one reading at the end of the move; "none": no reading."""
     read_every: q.Time | None = None
@@ -216,15 +214,13 @@ def _blocks(schedule: PlanSchedule, rig: Rig, segments: list[ChamberSegment]) ->
         own: dict[str, Any] = {"do": "rest"} if step.axis < 0 else {"axis": axes[step.axis].name, **_motion(move)}
         if step.source < 0:
             own["do"] = "wait"
-        if move.repeat > 1:
-            own["repeat"] = move.repeat
         every, ends = spacing if held or move.reads_as_table else move.read_every, move.read_end
         moves.append(
             _line(
                 clock, move.duration, **own, **_readings(every, at_end=ends and not (held and typed and step.axis < 0))
             )
         )
-        clock += move.repeat * move.duration
+        clock += move.duration
     blocks: list[MotionBlock] = []
     for number, stretch in enumerate(schedule.stretches):
         where = min(number, len(hung) - 1)

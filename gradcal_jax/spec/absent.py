@@ -64,7 +64,7 @@ def _fourth_power_of_rates(spec: Spec) -> float:
     if isinstance(schedule := spec.schedule, StandardSchedule):
         return len(schedule.temperatures) * schedule.integration * sum(rate**4 for rate in schedule.rates)
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
-    turns = [s.move for s in schedule.every_step if not s.move.is_rest and s.move.duration]
+    turns = [s.move for s in schedule.steps if not s.move.is_rest and s.move.duration]
     return cycles * sum(abs(move.angle) ** 4 / move.duration**3 for move in turns)
 
 

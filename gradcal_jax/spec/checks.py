@@ -271,7 +271,7 @@ def _references(spec: "Spec") -> Iterator[Problem]:
     turned: set[int] = set()
     # The cycle begins anew where it ends.
     for step in steps * 2 if by_gravity else ():
-        if step.axis in turned or (step.axis >= 0 and step.move.repeat > 1):
+        if step.axis in turned:
             message = (
                 "there is no rest between this turn and another turn of the same axis: without an encoder the "
                 "angle in between is not known; add { rest = … }"

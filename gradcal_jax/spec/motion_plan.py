@@ -84,11 +84,6 @@ class PlanSchedule(CourseTimes):
         return duration_of((*self.steps, *self.after))
 
     @property
-    def every_step(self) -> tuple[PlanStep, ...]:
-        """The steps one by one, repeated ones as often as they are made."""
-        return tuple(step for step in self.steps for _ in range(step.move.repeat))
-
-    @property
     def is_plain(self) -> bool:
         """Whether there is a cycle, all of whose rests and moves are read as the table is."""
         own = (not s.move.read_end or s.move.read_every is not None for s in self.steps)
@@ -101,7 +96,7 @@ def row_count(schedule: PlanSchedule, table: RigTable) -> int:
     spacing = min(float(axis.angle.read_every) for axis in table.axis)
 
     def rows(steps: Iterable[PlanStep]) -> int:
-        return sum(step.move.repeat * _rows(step.move, spacing, table) for step in steps)
+        return sum(_rows(step.move, spacing, table) for step in steps)
 
     cycle, after = rows(schedule.steps), rows(schedule.after)
     total = 0
@@ -123,7 +118,7 @@ def _rows(move: ResolvedMove, spacing: float, table: RigTable) -> int:
 
 def duration_of(steps: Iterable[PlanStep]) -> float:
     """Duration of steps (s)."""
-    return math.fsum(step.move.repeat * step.move.duration for step in steps)
+    return math.fsum(step.move.duration for step in steps)
 
 
 def plan_schedule(plan: MotionPlan, rig: Rig) -> PlanSchedule:
@@ -157,7 +152,7 @@ def plan_schedule(plan: MotionPlan, rig: Rig) -> PlanSchedule:
     schedule = PlanSchedule(segments, stretches, steps, start, after)
     problems = [*_travel(schedule, rig)]
     if len(stretches) > 1 and (mountings > 1 or len(rig.table.axis) > 1):
-        turned = ([s.move.repeat * s.move.angle for s in steps if s.axis == k] for k in range(len(start)))
+        turned = ([s.move.angle for s in steps if s.axis == k] for k in range(len(start)))
         ends = [math.fsum([angle, *turns]) for angle, turns in zip(start, turned, strict=True)]
         names = [axis.name for axis in rig.table.axis]
         problems += _unclosed(ends, start, names, "the cycle starts again in every part with used data")
@@ -249,7 +244,7 @@ def resolve_steps(cycle: MotionCycle, rig: Rig) -> tuple[tuple[PlanStep, ...], t
             continue
         problems += [p.under(*key) for p in _limits(move, axis)]
         steps.append(PlanStep(axes[name], move, i))
-        here[axes[name]] += move.repeat * move.angle
+        here[axes[name]] += move.angle
     if poses:
         problems += _unclosed(here, start, axes, "the angles of poses count from zero")
     return tuple(steps), tuple(start), problems
@@ -305,20 +300,17 @@ def _travel(schedule: PlanSchedule, rig: Rig) -> Iterator[Problem]:
         if math.isinf(highest):
             continue
         steps = [step for step in schedule.steps if step.axis == k]
-        net = math.fsum(step.move.repeat * step.move.angle for step in steps)
+        net = math.fsum(step.move.angle for step in steps)
         farthest: dict[int, tuple[float, float, int]] = {}
         for cycle in sorted({0, cycles - 1}):
             at = schedule.start[k] + cycle * net
             for step in steps:
-                turned = (step.move.repeat - 1) * step.move.angle
-                # Where it begins is where the move before it ends.
-                for far in (at + begin + step.move.angle for begin in (0.0, turned)):
-                    beyond = max(far - highest, lowest - far)
-                    if beyond > farthest.get(step.source, (_SLACK * (highest - lowest),))[0] and (
-                        cycle == 0 or step.source not in farthest
-                    ):
-                        farthest[step.source] = beyond, far, cycle
-                at += step.move.repeat * step.move.angle
+                at += step.move.angle
+                beyond = max(at - highest, lowest - at)
+                if beyond > farthest.get(step.source, (_SLACK * (highest - lowest),))[0] and (
+                    cycle == 0 or step.source not in farthest
+                ):
+                    farthest[step.source] = beyond, at, cycle
         free = f"the travel of this axis is {axis.travel} in each direction"
         if axis.keep_out is not None:
             low, high = map(math.degrees, axis.reach)

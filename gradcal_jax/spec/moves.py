@@ -23,7 +23,7 @@ from pydantic import Field
 from gradcal_jax import formulas
 from gradcal_jax.spec.bench import TableAxis
 from gradcal_jax.tables.problems import Problem
-from gradcal_jax.tables.quantity import Angle, Count, Flag, Number, Of, PositiveRate, Quantity, Text, Time
+from gradcal_jax.tables.quantity import Angle, Flag, Number, Of, PositiveRate, Quantity, Text, Time
 from gradcal_jax.tables.section import Section, choose, read_by, refuse, refuse_misspelt
 
 Axis = Literal["x", "y", "z"]
@@ -43,7 +43,6 @@ class ResolvedMove:
     `gradcal_jax.formulas.shape_pieces`.
     `fastest` and `peak_acceleration` are true maxima of the magnitude.
     `ramp` of a turn by hand is how long it stands before and after turning.
-    The move is made `repeat` times.
     Readings are taken at the end (`read_end`), or every `read_every` seconds from the start, or both: of a rest that is
     read as its table is. `other_axes`: a rest during which the table is other axes'.
     """
@@ -56,7 +55,6 @@ class ResolvedMove:
     peak_acceleration: float = 0.0
     fastest: float = 0.0
     unevenness: float = 0.0
-    repeat: int = 1
     read_end: bool = True
     read_every: float | None = None
     other_axes: bool = False
@@ -87,8 +85,6 @@ class ResolvedMove:
 
 
 class _Move(Section):
-    repeat: Count = 1
-    """Number of times that the move is made."""
     read_every: Annotated[Quantity, Of("time", above="0 s", infinite="rest", zero="none")] | None = None
     """Time between readings during the move, counted from its start; "rest": one reading at its end; "none": no
     reading. Absent: a rest is read as the table is, a turn at its end."""
@@ -113,7 +109,7 @@ class Rest(_Move):
     def resolve(self) -> ResolvedMove:
         """The rest in SI."""
         duration = float(self.rest)
-        return ResolvedMove("rest", duration, other_axes=self.other_axes, repeat=self.repeat, **self.reading)
+        return ResolvedMove("rest", duration, other_axes=self.other_axes, **self.reading)
 
 
 class _Turn(_Move):
@@ -185,7 +181,6 @@ class Turn(_Turn):
             ramp=ramp,
             peak_acceleration=_STEEPNESS[shape] * peak / ramp,
             fastest=peak,
-            repeat=self.repeat,
             **self.reading,
         )
 
@@ -220,7 +215,6 @@ class HandTurn(_Turn):
             peak_acceleration=abs(peak) / duration * steepest,
             fastest=abs(peak) * fastest,
             unevenness=self.unevenness,
-            repeat=self.repeat,
             **self.reading,
         )
 

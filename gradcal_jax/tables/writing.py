@@ -14,7 +14,7 @@ from gradcal_jax.tables.section import Section
 
 # Tables short enough for one line, and lists whose tables are best read one a line.
 _INLINE: Final = frozenset({"temperature", "rate", "other_axes", "discrepancy"})
-_TRAILING: Final = frozenset({"axis", "repeat", "read_every", "used"})
+_TRAILING: Final = frozenset({"axis", "read_every", "used"})
 _LISTED: Final = frozenset({"moves", "programme", "harmonics"})
 
 

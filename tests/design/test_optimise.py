@@ -74,7 +74,7 @@ def test_the_recipe_of_limited_travel_is_better_and_stays_within_it(spec):
     *_, best = run_search(given, steps=600)
     assert isinstance(best, Optimised)
     assert best.now < 0.5 * best.before
-    places = np.cumsum([s.move.angle for s in best.spec.gradient_schedule.every_step])
+    places = np.cumsum([s.move.angle for s in best.spec.gradient_schedule.steps])
     assert np.max(np.abs(places)) <= math.radians(360.0) * (1 + 1e-9)
 
 

@@ -125,7 +125,7 @@ def test_any_plan_is_written_as_it_is_executed(spec, kind):
         assert rounded(made).changes == ()
         assert sum(s.cycles for s in made.gradient_schedule.stretches) == plan.start.cycles
         assert made.gradient_schedule.motion == pytest.approx(given.gradient_schedule.motion, rel=1e-9)
-        made_moves = [step.move for step in made.gradient_schedule.every_step]
+        made_moves = [step.move for step in made.gradient_schedule.steps]
         places = np.cumsum([m.angle for m in made_moves]) / DEG
         assert np.max(np.abs(places)) <= float(given.rig.table.axis[0].travel) / DEG * (1 + 1e-9)
         others = [m.duration for m in made_moves if m.other_axes]

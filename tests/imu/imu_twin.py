@@ -305,7 +305,7 @@ def legs_of(steps, cycles: int) -> list[Leg]:
         move = step.move
         ramp, stands = (0.0, move.ramp) if move.shape == "hand" else (move.ramp, 0.0)
         turns = Leg(step.axis, move.duration, move.angle, move.peak_rate or 0.0, ramp or 0.0, stands)
-        once += [turns if step.axis >= 0 else Leg(-1, move.duration)] * move.repeat
+        once += [turns if step.axis >= 0 else Leg(-1, move.duration)]
     return once * cycles
 
 

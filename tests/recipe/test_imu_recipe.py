@@ -30,7 +30,7 @@ def ends(spec: Spec) -> list[float]:
     at = list(spec.schedule.start)
     for step in spec.schedule.steps:
         if step.axis >= 0:
-            at[step.axis] += step.move.repeat * step.move.angle
+            at[step.axis] += step.move.angle
     return at
 
 

@@ -74,7 +74,7 @@ def test_the_tracks_say_when_everything_begins_and_what_it_waits_for():
     assert (float(ramp.start), float(ramp.duration), ramp.slope.text) == (3600.0, 6600.0, "1 K/min")
     assert (block.begins_with, block.repeat) == ("ramp 1", 18)
     assert float(block.period) == pytest.approx(rounded(MEMS).spec.schedule.period, abs=1e-9)
-    ends = [float(m.start + m.repeat * m.duration) for m in block.moves]
+    ends = [float(m.start + m.duration) for m in block.moves]
     assert [float(m.start) for m in block.moves[1:]] == pytest.approx(ends[:-1], abs=1e-9)
     assert ends[-1] == pytest.approx(float(block.period), abs=1e-9)
     assert block.moves[-1].do == "wait"
@@ -137,7 +137,6 @@ MOVES = st.fixed_dictionaries(
         "turn": st.floats(2.0, 4000.0).map(lambda v: f"{v!r} deg"),
         "peak_rate": st.floats(5.0, 300.0).map(lambda v: f"{v!r} deg/s"),
         "shape": st.sampled_from(["cosine ramps", "linear ramps"]),
-        "repeat": st.integers(1, 3),
     }
 )
 
@@ -159,13 +158,11 @@ def test_rounded_plans_stay_within_the_rig_and_on_the_grid(moves, gradient, rest
     # A cycle may only be lost where a step of the slope is worth more than the room that is left.
     room = before.stretches[0].leftover + before.period
     assert cycles(result) >= cycles(spec) - 1 or room < float(steps.slope) / (gradient / 60.0) * before.duration
-    planned = made = off = 0.0
+    planned = made = 0.0
     for old, new in zip(moves_of(spec), moves_of(result), strict=True):
         assert on_grid(new.duration, steps.time)
-        # The angle after a turn is rounded, or of turns that repeat the angle of each.
-        off = 0.51 if new.repeat == 1 else off + 0.51 * new.repeat
-        planned, made = planned + old.repeat * old.angle, made + new.repeat * new.angle
-        assert made == pytest.approx(planned, abs=float(steps.angle) * off)
+        planned, made = planned + old.angle, made + new.angle
+        assert made == pytest.approx(planned, abs=0.51 * float(steps.angle))
         if not new.is_rest:
             assert new.peak_acceleration <= float(spec.rig.table.axis[0].max_acceleration) * (1 + 1e-6)
 

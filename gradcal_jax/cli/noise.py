@@ -7,15 +7,12 @@ from cyclopts import Parameter
 from gradcal_jax.cli.output import (
     DONE,
     NOT_AS_WISHED,
-    ForceOutput,
     JsonNumbers,
-    OptionalOutput,
     Plot,
     as_json,
     drawable,
     save_figure,
     strong,
-    writable,
 )
 from gradcal_jax.cli.precision import use_float64
 from gradcal_jax.cli.recordings import Columns, LogFile, Rows, Unit, described, load, quantity, span
@@ -41,8 +38,6 @@ def noise(
     columns: Columns = None,
     rows: Rows = None,
     sensor_rate: str | None = None,
-    output: OptionalOutput = None,
-    force: ForceOutput = False,
     json: JsonNumbers = False,
     plot: Plot = None,
 ) -> int:
@@ -62,16 +57,12 @@ def noise(
     sensor_rate
         If each row is a single sample, but not every sample has a row: the sample rate of the sensor, such as "400 Hz".
         If each row is the mean of several samples: "means".
-    output
-        Also write the noise of all gyros and accelerometers to this file, for kalibr (imu.yaml).
     plot
         Draw the Allan deviation, its fit and the curve of the Direct Bound into this file (.png, .svg, .pdf).
     """
     drawable(plot)
     lag_s = lag if lag in ("auto", "fit", "none") else quantity(lag, "time", "--lag")
     left_out = [span(text, "--without") for text in without]
-    if output is not None:
-        writable(output, force)
     recorded = load(log, columns, rows, unit=unit)
     if sensor_rate is not None:
         recorded = _at_rate(recorded, sensor_rate)
@@ -97,14 +88,6 @@ def noise(
         print(described(recorded, str(log)))
         for bound, fit in found:
             print("\n" + _text(bound, fit))
-    if output is not None:
-        from gradcal_jax.tables.writing import write_whole
-
-        channels = work.noise_of_imu(recorded, of_unit, lag=lag_s)
-        name = f"{log.name}{' (simulated)' * recorded.simulated}"
-        write_whole(output, work.noise_file(channels, 1.0 / recorded.sample_interval_s, name))
-        if not json:
-            print(f"wrote {output}")
     bounds = [bound for bound, _ in found]
     save_figure(lambda plots: plots.identification.draw_allan_and_bound(drawn, bounds), plot, quiet=json)
     wished = [bound.bound.drift_shows and work.plausible(work.of_sensor(bound.rest, fit)) for bound, fit in found]

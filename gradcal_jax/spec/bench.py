@@ -90,7 +90,7 @@ _DIRECTIONS: Final = {
 _TURN: Final = 2.0 * math.pi
 Direction = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Vector = tuple[q.Number, q.Number, q.Number]
-Spacing = Annotated[q.Quantity, q.Of("time", above="0 s", infinite="rest")]
+Spacing = q.Positive[Annotated[q.Quantity, q.Of("time", infinite="rest")]]
 
 
 class Site(Section):

@@ -18,12 +18,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from gradcal_jax import formulas
-from gradcal_jax.spec.bench import TableAxis
+from gradcal_jax.spec.bench import Spacing, TableAxis
 from gradcal_jax.tables.problems import Problem
-from gradcal_jax.tables.quantity import Angle, Flag, Number, Of, PositiveRate, Quantity, Text, Time
+from gradcal_jax.tables.quantity import Angle, Flag, Number, PositiveRate, Quantity, Text, Time
 from gradcal_jax.tables.section import Section, choose, read_by, refuse, refuse_misspelt
 
 Axis = Literal["x", "y", "z"]
@@ -85,7 +85,13 @@ class ResolvedMove:
 
 
 class _Move(Section):
-    read_every: Annotated[Quantity, Of("time", above="0 s", infinite="rest", zero="none")] | None = None
+    read_every: (
+        Annotated[
+            Annotated[Literal["none"], Tag("<none>")] | Annotated[Spacing, Tag("<time>")],
+            Discriminator(lambda value: "<none>" if value == "none" else "<time>"),
+        ]
+        | None
+    ) = None
     """Time between readings during the move, counted from its start; "rest": one reading at its end; "none": no
     reading. Absent: a rest is read as the table is, a turn at its end."""
 
@@ -93,7 +99,7 @@ class _Move(Section):
     def reading(self) -> dict[str, Any]:
         """The readings, as fields of a `ResolvedMove`."""
         every = self.read_every
-        if not every:
+        if not isinstance(every, Quantity):
             return {"read_end": every is None}
         return {"read_end": math.isinf(every), "read_every": float(every)}
 
@@ -197,7 +203,7 @@ class HandTurn(_Turn):
     """Unevenness of the turn, as a fraction of the rate."""
 
     def _problems(self) -> Iterator[Problem]:
-        if self.read_every and math.isfinite(self.read_every):
+        if isinstance(self.read_every, Quantity) and math.isfinite(self.read_every):
             message = "the angle of a turn by hand is known only at its start and its end: leave this key out"
             yield Problem(("read_every",), message, self.read_every.text)
 

@@ -3,9 +3,7 @@ computes nothing."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from enum import Enum
 from importlib import import_module
-from pathlib import PurePath
 from textwrap import wrap
 from typing import Any, Final
 from unicodedata import category
@@ -101,17 +99,12 @@ def _brief(value: Any) -> str:
     """A value in less than a line."""
     if isinstance(value, float):
         return getattr(value, "text", None) or f"{float(value):.6g}"
-    if isinstance(value, Enum):
-        return value.name
-    if value is None or isinstance(value, bool | int | complex | bytes | str):
-        return _cut(repr(value))
     if hasattr(value, "shape") and hasattr(value, "dtype"):
         return f"{value.dtype}[{', '.join(map(str, value.shape))}]"
-    if isinstance(value, PurePath):
-        return str(value)
-    if not isinstance(value, Mapping | Sequence):
-        return getattr(value, "__qualname__", None) or type(value).__name__
-    if len(value) > _FEW:
-        return f"{len(value)} entries"
-    listed = value.items() if isinstance(value, Mapping) else value
-    return _cut(f"({', '.join(_brief(entry) for entry in listed)})")
+    if isinstance(value, Mapping | Sequence) and not isinstance(value, str | bytes):
+        if len(value) > _FEW:
+            return f"{len(value)} entries"
+        return _cut(f"({', '.join(_brief(entry) for entry in value)})")
+    if value is None or isinstance(value, bool | int | complex | bytes | str):
+        return _cut(repr(value))
+    return getattr(value, "name", None) or getattr(value, "__qualname__", None) or type(value).__name__

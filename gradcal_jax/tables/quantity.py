@@ -5,7 +5,6 @@ writing a file back changes nothing. `Quantity.of` gives a computed number a uni
 """
 
 import math
-import operator
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
@@ -15,11 +14,9 @@ from pydantic_core import CoreSchema, core_schema
 
 from gradcal_jax import units
 from gradcal_jax.tables.display import printable
-from gradcal_jax.tables.problems import one_of
 
 # SI sizes that no sensor, rig or plan has; inside them no product of a few quantities overflows.
 _SMALLEST, _LARGEST = 1e-30, 1e15
-_BOUNDS = {"above": operator.gt, "at_least": operator.ge, "below": operator.lt, "at_most": operator.le}
 
 
 class Quantity(float):
@@ -57,17 +54,10 @@ class Quantity(float):
 
 @dataclass(frozen=True)
 class Of:
-    """Marks a field as a quantity of a dimension, with bounds (as texts); `infinite` is the word for no limit, `zero`
-    that for none. `example`: a usual value of the field, if that of the dimension is none."""
+    """Marks a field as a quantity of a dimension; `infinite` is the word for no limit."""
 
     dimension: str
-    above: str | None = None
-    at_least: str | None = None
-    below: str | None = None
-    at_most: str | None = None
     infinite: str | None = None
-    zero: str | None = None
-    example: str | None = None
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(
@@ -77,39 +67,26 @@ class Of:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         dimension = units.DIMENSIONS[self.dimension]
-        example = self.example or dimension.example
-        words = f"{dimension.described}, such as '{example}'"
-        return {
-            "type": "string",
-            "description": words + "".join(f", or '{word}'" for word in self._words),
-            "examples": [example],
-        }
-
-    @property
-    def _words(self) -> list[str]:
-        return [word for word in (self.infinite, self.zero) if word is not None]
+        words = f"{dimension.described}, such as '{dimension.example}'"
+        word = "" if self.infinite is None else f", or '{self.infinite}'"
+        return {"type": "string", "description": words + word, "examples": [dimension.example]}
 
     def read(self, value: object) -> Quantity:
         """The quantity in a file's value. Raises `ValueError` with the expected value."""
         if self.infinite is not None and value in (self.infinite, math.inf):
             return Quantity(math.inf, self.infinite, self.dimension)
-        if self.zero is not None and value in (self.zero, 0.0):
-            return Quantity(0.0, self.zero, self.dimension)
         if isinstance(value, Quantity) and value.dimension == self.dimension:
             quantity = value
         elif isinstance(value, str):
             quantity = Quantity.read(value, self.dimension)
         else:
             dimension = units.DIMENSIONS[self.dimension]
-            example = self.example or dimension.example
-            named = f" or {one_of(self._words)}" if self._words else ""
-            raise ValueError(f'expected {dimension.described} as text with a unit, such as "{example}"{named}')
+            named = f' or "{self.infinite}"' if self.infinite else ""
+            raise ValueError(
+                f'expected {dimension.described} as text with a unit, such as "{dimension.example}"{named}'
+            )
         if quantity != 0.0 and not _SMALLEST <= abs(quantity) <= _LARGEST:
             raise ValueError("is outside the range of this program")
-        for name, holds in _BOUNDS.items():
-            bound: str | None = getattr(self, name)
-            if bound is not None and not holds(float(quantity), units.parse(bound, self.dimension)):
-                raise ValueError(f"must be {name.replace('_', ' ')} {bound}")
         return quantity
 
 
@@ -124,6 +101,12 @@ def _not_negative(value: Quantity) -> Quantity:
     """The value, if it is not below zero."""
     if not value >= 0.0:
         raise ValueError(f"must be at least 0 {units.DIMENSIONS[value.dimension].usual}")
+    return value
+
+
+def _latitude(value: Quantity) -> Quantity:
+    if math.isfinite(value) and abs(value) > 0.5 * math.pi:
+        raise ValueError("must be from -90 deg to 90 deg")
     return value
 
 
@@ -154,7 +137,7 @@ AnyTime = Annotated[Quantity, Of("time")]
 SizeOfAngle = Size[Angle]
 PositiveAngle = Positive[Angle]
 Travel = Positive[Annotated[Quantity, Of("angle", infinite="unlimited")]]
-Latitude = Annotated[Quantity, Of("angle", at_least="-90 deg", at_most="90 deg", infinite="unknown")]
+Latitude = Annotated[Quantity, Of("angle", infinite="unknown"), AfterValidator(_latitude)]
 PositiveRate = Positive[Rate]
 PositiveAcceleration = Positive[Annotated[Quantity, Of("angular acceleration")]]
 Time = Positive[AnyTime]

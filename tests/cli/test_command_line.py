@@ -49,7 +49,6 @@ HEAVY = ("jax", "jaxlib", "equinox", "xarray", "matplotlib", "scipy", "h5netcdf"
         "import gradcal_jax.cli.app; gradcal_jax.cli.app.build()",
         "from gradcal_jax.cli import main; main(['--help'])",
         "from gradcal_jax.cli import main; main(['start', '--list'])",
-        "from gradcal_jax.cli import main; main(['schema', 'spec'])",
         "from gradcal_jax.cli import main; main(['check', '--files-only', SPEC])",
     ],
 )
@@ -68,36 +67,13 @@ def test_the_help_of_all_commands_needs_neither_arrays_nor_files():
     assert done.stdout.splitlines()[-1] == "set()"
 
 
-def test_new_writes_a_spec_that_checks_and_refuses_to_overwrite(tmp_path, capsys):
+def test_start_writes_a_spec_that_checks(tmp_path):
     goal = tmp_path / "my.toml"
     assert main(["start", "rig-hand", "-o", str(goal)]) == 0
     assert goal.read_text(encoding="utf-8") == presets.text("rig-hand")
     assert main(["check", "--files-only", str(goal)]) == 0
-    assert main(["start", "tactical-mems", "-o", str(goal)]) == 2
-    assert goal.read_text(encoding="utf-8") == presets.text("rig-hand")
-    assert "--force" in capsys.readouterr().err
     assert main(["start", "tactical-mems", "-o", str(goal), "--force"]) == 0
     assert goal.read_text(encoding="utf-8") == presets.text("tactical-mems")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["start"], "-o mine"),
-        (["start", "rig-hnd", "-o", "-"], 'nearest: "rig-hand"'),
-        (["start", "rig-hand", "-o", "DIR"], "directory"),
-        (["check"], "FILE"),
-        (["check", "a.toml", "b.toml"], "b.toml"),
-        (["check", "a.toml", "--files-onl"], "--files-only"),
-        (["--nonsense"], "--nonsense"),
-    ],
-)
-def test_slips_get_a_sentence_and_status_2(arguments, words, tmp_path, capsys):
-    assert main([argument.replace("DIR", str(tmp_path)) for argument in arguments]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert words in err
-    assert "Traceback" not in err
 
 
 def test_check_says_what_the_plan_does(spec, capsys):
@@ -127,11 +103,10 @@ def test_check_says_what_cannot_be_observed(spec, capsys):
     assert "cannot be observed: " in capsys.readouterr().out
 
 
-def test_output_is_plain_away_from_a_terminal_and_where_colour_is_unwanted(spec):
-    for environment in ({}, {"NO_COLOR": "1"}, {"TERM": "dumb"}):
-        for arguments in (["--help"], ["check", "--files-only", str(spec)], ["check", "none.toml"], ["chek"]):
-            done = gradcal(*arguments, env={**os.environ, **environment})
-            assert "\x1b" not in done.stdout + done.stderr
+def test_output_is_plain_away_from_a_terminal(spec):
+    for arguments in (["--help"], ["check", "--files-only", str(spec)], ["check", "none.toml"]):
+        done = gradcal(*arguments)
+        assert "\x1b" not in done.stdout + done.stderr
 
 
 def test_a_terminal_of_few_letters_gets_no_traceback(spec):
@@ -139,14 +114,6 @@ def test_a_terminal_of_few_letters_gets_no_traceback(spec):
     done = gradcal("check", "--files-only", str(spec), env={**os.environ, "PYTHONIOENCODING": "ascii"})
     assert (done.returncode, done.stderr) == (0, "")
     assert "B?rman" in done.stdout
-
-
-def test_a_reader_that_leaves_early_is_no_success_and_no_complaint():
-    command = [*GRADCAL, "start", "rig-hand", "-o", "-"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        process.stdout.close()
-        complaint = process.stderr.read()
-    assert (process.returncode, complaint) == (141, b"")
 
 
 def test_an_interrupt_ends_with_130(monkeypatch, capsys):

@@ -37,10 +37,3 @@ def outcome(setup: str, interrupt: str, wait: float) -> tuple[int, str]:
 @pytest.mark.parametrize("interrupt", [IN_COLLECTION, "signal.raise_signal(signal.SIGINT)"])
 def test_an_interrupt_arrives(interrupt):
     assert outcome("precision.use_float64()", interrupt, 30.0) == (130, "")
-
-
-def test_without_the_handler_it_is_lost():
-    """Where Python mends this, the handler can go."""
-    status, said = outcome("", IN_COLLECTION, 0.2)
-    assert status == 0
-    assert "KeyboardInterrupt" in said

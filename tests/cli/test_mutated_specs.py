@@ -3,15 +3,13 @@
 import copy
 import tomllib
 
-import pytest
 import tomlkit
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gradcal_jax.cli import main
 from gradcal_jax.spec import presets
-from gradcal_jax.spec.spec import spec_of
-from gradcal_jax.tables.problems import SpecError, dotted
+from gradcal_jax.tables.problems import dotted
 
 GOOD = {name: tomllib.loads(presets.text(name)) for name in presets.names()}
 
@@ -86,29 +84,3 @@ def test_slips_are_named_or_harmless_and_never_a_traceback(tmp_path, capsys, nam
     if certain is not None:
         assert status == 2
         assert dotted(certain) in err
-
-
-# A table that is not read has no use for the plan's readings, and gyros across its axis need a latitude.
-NEEDED_BY = {("rig", "table", "standing"): "plan", ("sensor", "gyro", "axes"): "rig"}
-
-
-@pytest.mark.parametrize("name", ["paper-dynamic-gradient", "paper-dynamic-standard", "tactical-mems", "consumer-mems"])
-def test_every_key_of_a_preset_is_optional_or_missed(name):
-    """Deleting one key after another: either the plan still stands, or the message names the key or what needs it."""
-    refused = 0
-    for key in KEYS[name]:
-        document = copy.deepcopy(GOOD[name])
-        del at(document, key[:-1])[key[-1]]
-        tops = tops_of_problems(document)
-        assert not tops or tops & {key[0], "requirement", NEEDED_BY.get(key)}
-        refused += bool(tops)
-    assert refused >= 10
-
-
-def tops_of_problems(document):
-    """The sections in which a document has problems."""
-    try:
-        spec_of(document)
-    except SpecError as error:
-        return {problem.key[0] for problem in error.problems}
-    return set()

@@ -29,7 +29,9 @@ def folder(tmp_path, monkeypatch):
     Path("empty.toml").write_bytes(b"")
     Path("empty.nc").write_bytes(b"")
     Path("data.csv").write_text("t,gx\n0,1\n1,2\n", encoding="utf-8")
-    Path("folder.toml").mkdir()
+    for name in ("folder.toml", "folder.nc", "begun"):
+        Path(name).mkdir()
+    Path("begun/run.json").write_text("{}", encoding="utf-8")
     return tmp_path
 
 
@@ -90,6 +92,7 @@ def test_bytes_of_a_file(name, folder, capsys):
     Path("given.toml").write_bytes(BYTES[name])
     status = main(["check", "--files-only", "given.toml"])
     judged(status, capsys.readouterr().err)
+    assert (status == 0) == (name in ("a byte order mark", "carriage returns"))
 
 
 MAP = """
@@ -134,6 +137,12 @@ WRONG = {
     "a folder that does not exist": (SPEC, GOOD, "start tactical-mems -o no/where.toml", "make it first"),
     "a file for a folder": (SPEC, GOOD, "start --preset drone-gyro -o given.toml", "name a directory"),
     "a command": (SPEC, GOOD, "chek given.toml", 'Did you mean "check"?'),
+    "an option": (SPEC, GOOD, "check given.toml --files-onl", "--files-only"),
+    "no name": (SPEC, GOOD, "check", "FILE"),
+    "an example": (SPEC, GOOD, "start rig-hnd -o -", 'nearest: "rig-hand"'),
+    "a file for a run": (SPEC, GOOD, "log given.toml", "given.toml is not the folder of a run"),
+    "a folder for a recording": (SPEC, GOOD, "noise folder.nc", "folder.nc is a folder: name a recording"),
+    "a run for a recording": (SPEC, GOOD, "noise begun", "begun is the folder of a run: name its log, begun/log.nc"),
 }
 
 
@@ -269,34 +278,3 @@ def test_memory_that_ends_in_the_work_is_a_sentence(folder, capsys, monkeypatch)
     monkeypatch.setattr("gradcal_jax.information.prediction.build_imu", nothing_left)
     assert main(["predict", "good.toml"]) == 2
     assert capsys.readouterr().err.startswith("gradcal: out of memory (Unable to allocate 7.45 TiB for an array): ")
-
-
-@pytest.mark.parametrize("name", ["missing", "good.toml", "folder.toml"])
-def test_log_asks_for_the_folder_of_a_run(name, folder, capsys):
-    assert main(["log", name]) == 2
-    assert capsys.readouterr().err == (
-        f"gradcal: {name} is not the folder of a run: there is no run.json that can be read.\n"
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("missing", "missing does not exist"),
-        ("folder.toml", "folder.toml is a folder: name a recording"),
-        ("folder.nc", "folder.nc is a folder: name a recording"),
-    ],
-)
-def test_a_recording_is_a_file(name, said, folder, capsys):
-    Path("folder.nc").mkdir()
-    assert main(["noise", name]) == 2
-    assert capsys.readouterr().err.startswith(f"gradcal: {said}")
-
-
-def test_of_the_folder_of_a_run_the_log_is_asked_for(folder, capsys):
-    Path("run").mkdir()
-    Path("run/run.json").write_text("{}", encoding="utf-8")
-    assert main(["noise", "run"]) == 2
-    assert capsys.readouterr().err == (
-        "gradcal: run is the folder of a run: name its log, run/log.nc (gradcal log run writes it)\n"
-    )

@@ -6,13 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from gradcal_jax.cli import main
-from gradcal_jax.identify.instability import allan_of, at_rest, instability, noise_file, noise_of_imu, of_sensor
+from gradcal_jax.identify.instability import allan_of, at_rest, instability, of_sensor
 from gradcal_jax.records.flight_logs import read_vehicle_log
-from gradcal_jax.records.log import Log, LogError
-from gradcal_jax.records.log_file import write_log
+from gradcal_jax.records.log import LogError
 from gradcal_jax.units import DEG_PER_SQRT_H
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "records"))
@@ -66,33 +64,3 @@ def test_a_calibration_of_rows_far_apart_states_no_noise_but_that_of_the_sensor(
         assert words in capsys.readouterr().out
         text = (folder / "c.toml").read_text(encoding="utf-8")
         assert ("[noise]" in text) == (hz is not None)
-
-
-def imu_at_rest(rows: int = 60_000, hz: float = 100.0) -> Log:
-    rng = np.random.default_rng(3)
-    rate = np.radians(rng.standard_normal((1, rows, 3)) * 0.005 * np.sqrt(hz))
-    force = rng.standard_normal((1, rows, 3)) * 1e-3 * np.sqrt(hz) + np.array([0.0, 0.0, 9.8])
-    steps = rng.standard_normal(rows) * 1e-3 / np.sqrt(hz)
-    force[0, :, 1] += np.cumsum(steps)  # K = 1e-3 m/s^3/sqrt(Hz)
-    return Log(np.arange(rows) / hz, rate, ("A",), tuple("xyz"), specific_force_m_per_s2=force, force_axes=tuple("xyz"))
-
-
-def test_the_noise_of_an_imu_for_kalibr():
-    log = imu_at_rest()
-    alone = Log(log.time_s, log.rate_rad_per_s, log.units, log.axes)
-    assert "# accelerometer: not in the record" in noise_file(noise_of_imu(alone), 100.0, "a")
-    text = noise_file(noise_of_imu(log), 100.0, "imu.csv")
-    held = yaml.safe_load(text)
-    assert held["gyroscope_noise_density"] == pytest.approx(np.radians(0.005), rel=0.02)
-    assert held["accelerometer_noise_density"] == pytest.approx(1e-3, rel=0.02)
-    assert held["accelerometer_random_walk"] == pytest.approx(1e-3, rel=0.2)
-    assert 0.0 < held["gyroscope_random_walk"] < 1e-5
-    assert "an upper limit" in text
-    assert "rostopic" in held
-    assert " ± " in text
-
-
-def test_the_noise_file_on_the_command_line(tmp_path):
-    write_log(imu_at_rest(20_000), tmp_path / "rest.nc")
-    assert main(["noise", str(tmp_path / "rest.nc"), "--output", str(tmp_path / "imu.yaml")]) in (0, 1)
-    assert "gyroscope_noise_density" in yaml.safe_load((tmp_path / "imu.yaml").read_text(encoding="utf-8"))

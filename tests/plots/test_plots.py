@@ -94,11 +94,6 @@ def test_curves_of_nothing_observed_draw_without_a_warning(axes):
     ink(axes.figure)
 
 
-def test_styles_repeat_only_after_both_colour_and_dash_have(axes):
-    styles = [tuple(plots.style_of(index).values()) for index in range(28)]
-    assert len(set(styles)) == 28
-
-
 def test_the_temperature_track_goes_as_the_plan_does(axes, bias_spec):
     ax, line = plots.draw_temperature(bias_spec, ax=axes)
     assert ax is axes

@@ -10,7 +10,7 @@ from gradcal_jax.spec.absent import absent_terms, class_terms, with_typical
 from gradcal_jax.spec.begin import PRESETS, files_of
 from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.spec.spec import spec_of
-from gradcal_jax.spec.typical import EARTH, class_table, grades, sensor_grade, table_grade, terms_of
+from gradcal_jax.spec.typical import EARTH, sensor_grade, table_grade, terms_of
 
 BARE = gj.presets.text("consumer-mems")
 
@@ -111,15 +111,6 @@ def test_the_grade_is_said_or_follows_the_drift_then_the_random_walk():
         "rig.table.axis[0].angle.standstill_offset": "20 arcsec",
     }
     assert (table_grade(spec).name, table_grade(gj.changed(spec, arcsec)).name) == ("coarse", "middle")
-
-
-def test_the_data_say_of_every_class_the_same_terms_and_where_each_figure_comes_from():
-    table = class_table()
-    assert set(grades()) == {row["grade"] for row in table["sensor"]}
-    for kind in ("sensor", "accelerometer", "table"):
-        named = [[term["key"] for term in row["term"]] for row in table[kind]]
-        assert all(row == named[0] for row in named)
-        assert all(term["source"].strip() for row in table[kind] for term in row["term"])
 
 
 def test_no_verdict_rests_on_what_a_spec_leaves_out():

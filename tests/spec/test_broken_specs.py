@@ -53,6 +53,7 @@ WHY = {
     "move_contradictory": "3.6 s",
     "rig_travel_wound_up": "in cycle",
     "section_unknown": 'nearest: "sensor"',
+    "syntax_bare_value": "line",
     "format_from_the_future": "gradcal-spec/1",
 }
 

@@ -26,11 +26,6 @@ def sound(tmp_path_factory):
     return path
 
 
-def test_a_sound_file_is_read_as_it_is(sound):
-    with xarray.open_dataset(sound, engine="h5netcdf", decode_times=False) as expected:
-        xarray.testing.assert_identical(load_netcdf(sound), expected.load())
-
-
 def test_a_block_of_the_user_before_the_data_is_none_of_our_business(sound, tmp_path):
     (tmp_path / "block.nc").write_bytes(bytes(1024) + sound.read_bytes())
     xarray.testing.assert_identical(load_netcdf(tmp_path / "block.nc"), load_netcdf(sound))

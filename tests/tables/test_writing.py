@@ -5,14 +5,12 @@ import pickle
 import tomllib
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from gradcal_jax.spec import presets
 from gradcal_jax.spec import spec as spec_file
-from gradcal_jax.spec.changes import changed, split_key, tables_of
+from gradcal_jax.spec.changes import changed, tables_of
 from gradcal_jax.tables import writing
-from gradcal_jax.tables.problems import SpecError, dotted
+from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.writing import write_whole
 
@@ -108,17 +106,6 @@ def test_impossible_changes_are_refused_by_key(changes, key):
     with pytest.raises(SpecError) as caught:
         changed(PAPER, changes)
     assert key in {problem.dotted for problem in caught.value.problems}
-
-
-@settings(deadline=None)
-@given(st.text(max_size=20))
-def test_split_key_takes_keys_and_refuses_the_rest(text):
-    try:
-        parts = split_key(text)
-    except ValueError:
-        return
-    assert isinstance(parts[0], str)
-    assert dotted(parts) == text
 
 
 def test_quantities_pickle_and_print_as_their_text():

@@ -95,5 +95,5 @@ print(json.dumps([name for name in gj.__all__ if name != "presets" and not calla
 def test_no_two_public_classes_have_one_name():
     trees = [ast.parse(path.read_text(encoding="utf-8")) for path in Path(gj.__file__).parent.rglob("*.py")]
     names = Counter(node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
-    assert len(names) > 500
+    assert len(names) > 300
     assert [name for name, count in names.items() if count > 1 and not name.startswith("_")] == []

@@ -28,7 +28,7 @@ BodyAxis = Literal["x", "y", "z"]
 BodyAxes = Annotated[tuple[BodyAxis, ...], Field(min_length=1, max_length=3)]
 
 
-class Process(Section, Generic[Value]):
+class DriftProcess(Section, Generic[Value]):
     """An in-run instability: a first-order Gauss–Markov process. That of a scale factor is multiplied by the rate or
     the force."""
 
@@ -38,9 +38,9 @@ class Process(Section, Generic[Value]):
     """Time constant of the autocorrelation."""
 
 
-Drift = Process[q.Rate]
-ScaleFactorInstability = Process[q.ScaleFactor]
-SpecificForceDrift = Process[q.Acceleration]
+Drift = DriftProcess[q.Rate]
+ScaleFactorInstability = DriftProcess[q.ScaleFactor]
+SpecificForceDrift = DriftProcess[q.Acceleration]
 
 
 class TemperatureError(Section):
@@ -75,7 +75,7 @@ GradientOfRate = BiasTemperatureGradient[q.BiasByGradient]
 GradientOfForce = BiasTemperatureGradient[q.AccelerationByGradient]
 
 
-class Term(Section, Generic[Value]):
+class EstimatedTerm(Section, Generic[Value]):
     """An estimated error: a function of `temperature` and `rate`, as far as its table has these bases."""
 
     prior: q.OneOrEach[q.Positive[Value]] | None = None
@@ -97,20 +97,20 @@ class Term(Section, Generic[Value]):
             yield Problem(("prior",), message)
 
 
-class ConstantTerm(Term[Value], Generic[Value]):
+class ConstantTerm(EstimatedTerm[Value], Generic[Value]):
     """An error that does not depend on temperature."""
 
     temperature: ClassVar[None] = None
 
 
-class TemperatureTerm(Term[Value], Generic[Value]):
+class TemperatureTerm(EstimatedTerm[Value], Generic[Value]):
     """An error over temperature."""
 
     temperature: TemperaturePolynomial | None = None
     """Basis over temperature; absent: constant."""
 
 
-class Discrepancy(Section, Generic[Value]):
+class HiddenStructure(Section, Generic[Value]):
     """Structure of a map that the model lacks: the next orthogonal polynomials up to these degrees, with a prior for
     their coefficients."""
 
@@ -120,14 +120,14 @@ class Discrepancy(Section, Generic[Value]):
     """Highest degree in temperature of the hidden polynomials."""
 
 
-class ScaleFactorDiscrepancy(Discrepancy[q.ScaleFactor]):
+class ScaleFactorDiscrepancy(HiddenStructure[q.ScaleFactor]):
     """Structure of M(T, ω) that the model lacks."""
 
     rate_degree: Degree
     """Highest degree in rate of the hidden polynomials."""
 
 
-class GyroMap(Term[Value], Generic[Value]):
+class GyroMap(EstimatedTerm[Value], Generic[Value]):
     """A map of a gyro."""
 
     lag: q.Time | None = None
@@ -137,7 +137,7 @@ class GyroMap(Term[Value], Generic[Value]):
     """Basis over temperature."""
     smoothness: q.Positive[Value] | None = None
     """Standard deviation of the difference of neighbouring coefficients; only for splines and bins."""
-    discrepancy: Discrepancy[Value] | None = None
+    discrepancy: HiddenStructure[Value] | None = None
     """Possible structure of the map beyond its basis."""
 
     def _problems(self) -> Iterator[Problem]:
@@ -206,7 +206,7 @@ class Triad(path_terms.TemperaturePath[Slope], Generic[Value, Slope, Gradient]):
     turn_on_bias: q.Size[Value] | None = None
     """Standard deviation of the part of the bias that takes a new value at every power-on and is not part of the
     map."""
-    drift: Annotated[tuple[Process[Value], ...], Field(max_length=20), OneOrMore()] = ()
+    drift: Annotated[tuple[DriftProcess[Value], ...], Field(max_length=20), OneOrMore()] = ()
     """In-run bias instabilities; their sum is the error."""
     bias_temperature_gradient: (
         Annotated[

@@ -23,7 +23,7 @@ def values(text):
         (GRADIENT + "count = 4", ("0.5 K/min", "1 K/min", "1.5 K/min", "2 K/min")),
         (GRADIENT + 'count = 3\nspacing = "logarithmic"', ("0.5 K/min", "1 K/min", "2 K/min")),
         (RESTS + 'values = ["5 s", "1 min"]', ("5 s", "1 min")),
-        ('[[axis]]\nkey = "plan.cycle.moves[0].n"\nstart = 1\nstop = 3\ncount = 3', (1, 2, 3)),
+        ('[[axis]]\nkey = "sensor.gyro.scale_factor.rate.degree"\nstart = 1\nstop = 3\ncount = 3', (1, 2, 3)),
         ('[[axis]]\nkey = "sensor.gyro.scale_factor.temperature.centre"\nstart = "0 degC"\nstop = "20 degC"\ncount = 3',
          ("0 degC", "10 degC", "20 degC")),
     ],

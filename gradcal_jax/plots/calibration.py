@@ -46,36 +46,19 @@ def draw_residuals_over_time(report: SensorEstimate, *, ax: Axes | None = None) 
     return ax, drawn
 
 
-def draw_gravity_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, PathCollection]:
-    """|f| − g of each position, µg."""
-    ax = new_axes(ax)
-    left = report.solution.left[0] / G * 1e6
-    drawn = ax.scatter(np.arange(1, len(left) + 1), left, s=14, color=PALETTE[0])
-    ax.axhline(0.0, color="black", linewidth=0.7)
-    title = f"error of the norm of gravity: {np.sqrt(np.mean(left**2)):.3g} µg rms"
-    ax.set(xlabel="position", ylabel="|f| - g, µg", title=title)
-    return ax, drawn
-
-
-def draw_turns_left(report: HandReport, *, ax: Axes | None = None) -> tuple[Axes, list[PathCollection]]:
-    """The error of gravity's direction after each turn, in the two directions perpendicular to gravity, mrad."""
-    ax = new_axes(ax)
-    left = 1e3 * report.solution.left[1].reshape(-1, 2)
-    number = np.arange(1, len(left) + 1)
-    drawn = [ax.scatter(number, left[:, k], s=14, marker="o^"[k], color=PALETTE[k + 1]) for k in range(2)]
-    ax.axhline(0.0, color="black", linewidth=0.7)
-    rms = np.sqrt(np.mean(left**2))
-    title = f"error of gravity's direction after turns: {rms:.3g} mrad rms"
-    ax.set(xlabel="turn", ylabel="error of direction, mrad", title=title)
-    return ax, drawn
-
-
 def draw_by_hand(report: HandReport) -> Figure:
-    """The residuals of gravity's norm, and of its direction after turns."""
+    """|f| − g of each position, and the error of gravity's direction after each turn, in the two directions
+    perpendicular to gravity."""
     figure = Figure(figsize=(9.0, 3.4), layout="constrained")
-    first, second = figure.subplots(1, 2)
-    draw_gravity_left(report, ax=first)
-    draw_turns_left(report, ax=second)
+    sizes = report.solution.left[0][:, None] / G * 1e6
+    turns = 1e3 * report.solution.left[1].reshape(-1, 2)
+    panels = (("position", "|f| - g", "µg", sizes), ("turn", "direction of gravity", "mrad", turns))
+    for ax, (each, what, unit, left) in zip(figure.subplots(1, 2), panels, strict=True):
+        for k in range(left.shape[1]):
+            ax.scatter(np.arange(1, len(left) + 1), left[:, k], s=14, marker="o^"[k], color=PALETTE[k])
+        ax.axhline(0.0, color="black", linewidth=0.7)
+        rms = np.sqrt(np.mean(left**2))
+        ax.set(xlabel=each, ylabel=f"error, {unit}", title=f"{what}: {rms:.3g} {unit} rms")
     figure.suptitle(f"unit {report.unit}" + (", SIMULATED" if report.calibration.simulated else ""))
     return figure
 

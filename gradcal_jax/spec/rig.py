@@ -163,8 +163,6 @@ class Laboratory(Section):
     """Name of the laboratory."""
     address: Text | None = None
     """Address of the laboratory."""
-    country: Annotated[str, Field(strict=True, pattern=r"^[A-Z]{2}$")] | None = None
-    """Country of the laboratory: two letters of ISO 3166, such as "DE"; a digital certificate needs it."""
     operator: Text | None = None
     """Person who makes the calibration."""
 

@@ -38,9 +38,7 @@ class DriftProcess(Section, Generic[Value]):
     """Time constant of the autocorrelation."""
 
 
-Drift = DriftProcess[q.Rate]
 ScaleFactorInstability = DriftProcess[q.ScaleFactor]
-SpecificForceDrift = DriftProcess[q.Acceleration]
 
 
 class TemperatureError(Section):
@@ -69,10 +67,6 @@ class BiasTemperatureGradient(Section, Generic[Gradient]):
     prior: q.Size[Gradient] | None = None
     """Standard deviation of the sensitivity before the calibration; absent: unknown; 0: there is no such
     sensitivity."""
-
-
-GradientOfRate = BiasTemperatureGradient[q.BiasByGradient]
-GradientOfForce = BiasTemperatureGradient[q.AccelerationByGradient]
 
 
 class EstimatedTerm(Section, Generic[Value]):

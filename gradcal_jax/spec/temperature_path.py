@@ -26,8 +26,6 @@ class Play(Section, Generic[Slope]):
     """Standard deviation of the coefficient (error for each K between play and temperature) before the calibration."""
 
 
-PlayOfRate = Play[q.BiasSlope]
-PlayOfForce = Play[q.AccelerationSlope]
 PlayOfScaleFactor = Play[q.ScaleFactorSlope]
 
 

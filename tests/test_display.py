@@ -100,7 +100,7 @@ def test_all_results_of_functions_are_among_the_classes():
     expected = """
         AllanDeviation AllanFit AxisValidation Calibration Corrected Differentiable EstimateReport
         Export FrontierPoint HandReport Instability Log Optimised PlanLimit Prediction Recipe
-        RigFile RunResult Sensitivities Spec Sweep ThermalBias TwinRow
+        RigFile RunResult Sensitivities Spec Sweep ThermalBias
     """
     assert names == set(expected.split())
 

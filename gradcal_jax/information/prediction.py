@@ -54,7 +54,7 @@ def predict(spec: Spec, *, limits: bool = False, place: str | None = None) -> Pr
     Prediction: Berman: gyro bias by the gradient method, one ramp
     2 h 40 min in all: soak 1 h, motion 1 h 40 min
     ...
-    full range   mean       0.4016 deg/h  0.7751 deg/h
+    full range   mean       0.4016 deg/h
     """
     spec = expect_spec(spec)
     if spec.rig.table.place:

@@ -1,6 +1,5 @@
 """What the numbers of a page rest on: stated and typical figures, fingerprints, versions and names of files."""
 
-from collections.abc import Iterator
 from typing import Any
 
 from gradcal_jax.calibration import Calibration
@@ -9,7 +8,7 @@ from gradcal_jax.pages.sources import Sources
 from gradcal_jax.spec.absent import absent_terms, class_terms
 from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.spec.spec_sections import Spec
-from gradcal_jax.tables.problems import Key, dotted
+from gradcal_jax.tables.problems import dotted, leaves
 
 
 def assumptions(spec: Spec | None, calibration: Calibration | None) -> list[tuple[str, str, str]]:
@@ -17,22 +16,19 @@ def assumptions(spec: Spec | None, calibration: Calibration | None) -> list[tupl
     and typical ones of the class, or the noise of a calibration."""
     if spec is None:
         noise = None if calibration is None or calibration.noise is None else calibration.noise
-        return [] if noise is None else [(key, text, "calibration") for key, text in _figures(tables_of(noise), ())]
+        return [] if noise is None else [(key, text, "calibration") for key, text in _figures(tables_of(noise))]
     tables = tables_of(spec)
-    stated = _figures({"sensor": tables["sensor"], "rig": tables["rig"]}, ())
+    stated = _figures({"sensor": tables["sensor"], "rig": tables["rig"]})
     typical = [
         (term.key, term.typical, f"typical: {term.source}") for term in (*class_terms(spec), *absent_terms(spec))
     ]
     return [*((key, text, "spec") for key, text in stated), *typical]
 
 
-def _figures(value: Any, key: Key) -> Iterator[tuple[str, str]]:
+def _figures(tables: dict[str, Any]) -> list[tuple[str, str]]:
     """The quantities in the tables of a file, with their keys."""
-    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for name, entry in entries:
-        yield from _figures(entry, (*key, name))
-    if isinstance(value, str) and any(letter.isdigit() for letter in value):
-        yield dotted(key), value
+    texts = ((dotted(key), text) for key, text in leaves(tables) if isinstance(text, str))
+    return [(key, text) for key, text in texts if any(letter.isdigit() for letter in text)]
 
 
 def provenance_rows(sources: Sources) -> list[tuple[str, str]]:

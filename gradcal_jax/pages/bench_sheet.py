@@ -1,7 +1,6 @@
 """A recipe as plain text, for the operator at the bench."""
 
 from collections.abc import Callable
-from typing import Any
 
 from gradcal_jax.recipe.bench_tables import (
     CHAMBER_HEAD,
@@ -12,7 +11,9 @@ from gradcal_jax.recipe.bench_tables import (
     move_rows,
 )
 from gradcal_jax.recipe.recipe import Recipe
-from gradcal_jax.tables.display import amount, columns
+from gradcal_jax.tables.contracts import outcomes
+from gradcal_jax.tables.problems import dotted, leaves
+from gradcal_jax.tables.table import Column, Table
 
 
 def show(recipe: Recipe, *, heading: Callable[[str], str] = str) -> str:
@@ -27,41 +28,23 @@ def show(recipe: Recipe, *, heading: Callable[[str], str] = str) -> str:
     lines = [heading(recipe.title or "recipe")]
     lines += [f"{recipe.made.by}; {recipe.status}", f"recipe {recipe.fingerprint[:12]}"]
     lines += [f"note: {note}" for note in recipe.notes]
-    lines += ["", heading("Chamber"), columns([CHAMBER_HEAD, *chamber_rows(recipe)])]
+    lines += ["", heading("Chamber"), Table.of(CHAMBER_HEAD, chamber_rows(recipe)).text(indent="  ")]
     lines += [*(f"  {line}" for line in chamber_words(recipe)), ""]
     for block in recipe.motion:
         lines += [] if block.hang is None else [f"mount the IMU as follows: {block.hang}"]
-        lines += [heading("Table, " + block_heading(block)), columns([MOVES_HEAD, *move_rows(block)]), ""]
-    left: list[tuple[str, ...]] = []
-    for row in recipe.prediction.requirements:
-        target = "" if row.target is None else f"target {amount(row.target, row.unit)}: {row.verdict}"
-        value = amount(row.judged, row.unit)
-        left.append((row.name, f"axis {row.axis}", row.statistic, value, target, row.limited_by or ""))
-    lines += [heading("What it leaves (1σ)"), columns(left)]
+        lines += [
+            heading("Table, " + block_heading(block)),
+            Table.of(MOVES_HEAD, move_rows(block)).text(indent="  "),
+            "",
+        ]
+    lines += [heading("What it leaves (1σ)"), outcomes(recipe.prediction.requirements).text(indent="  ")]
     lines += [f"note: {warning}" for warning in recipe.prediction.warnings]
     if recipe.optimisation is not None:
-        lines += ["", heading("Optimisation"), *_free(recipe.optimisation, "  ")]
+        figures = [
+            (dotted(key), value if isinstance(value, float) else str(value))
+            for key, value in leaves(recipe.optimisation)
+        ]
+        lines += ["", heading("Optimisation"), Table.of(["figure", Column("value", "", 6)], figures).text(indent="  ")]
     if recipe.rounded:
         lines += ["", heading("Rounded to the controllers' steps"), *(f"  {change}" for change in recipe.rounded)]
     return "\n".join(lines)
-
-
-def _free(table: dict[str, Any], indent: str) -> list[str]:
-    lines: list[str] = []
-    for name, entry in table.items():
-        if isinstance(entry, dict):
-            lines += [f"{indent}{name}:", *_free(entry, indent + "  ")]
-        elif isinstance(entry, list) and entry and isinstance(entry[0], dict):
-            rows = [tuple(f"{key} {_short(value)}" for key, value in row.items()) for row in entry]
-            lines += [f"{indent}{name}:", columns(rows, indent=indent + "  ")]
-        else:
-            lines.append(f"{indent}{name}: {_short(entry)}")
-    return lines
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list):
-        return ", ".join(_short(entry) for entry in value)
-    return str(value)

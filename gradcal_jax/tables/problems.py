@@ -1,7 +1,7 @@
 """Problems of a file: all at once, each with its key, its value and the expected value."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -81,6 +81,19 @@ def dotted(key: Key) -> str:
     for part in key:
         text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else part)
     return text
+
+
+def leaves(value: object, key: Key = ()) -> Iterator[tuple[Key, object]]:
+    """Every value in tables and lists that is neither, with its key."""
+    if isinstance(value, Mapping):
+        entries: Iterable[tuple[Any, object]] = value.items()
+    elif isinstance(value, list):
+        entries = enumerate(value)
+    else:
+        yield key, value
+        return
+    for name, entry in entries:
+        yield from leaves(entry, (*key, name))
 
 
 def split_key(text: str) -> Key:

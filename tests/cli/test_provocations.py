@@ -223,7 +223,9 @@ assert open("log.nc", "rb").read() == before
     done = subprocess.run([sys.executable, "-c", script], cwd=folder, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "log.nc cannot be written" in done.stdout
-    assert [path.name for path in folder.iterdir() if path.suffix == ".nc" and path.name.startswith("log")] == ["log.nc"]
+    assert [path.name for path in folder.iterdir() if path.suffix == ".nc" and path.name.startswith("log")] == [
+        "log.nc"
+    ]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is full")

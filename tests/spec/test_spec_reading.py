@@ -216,28 +216,6 @@ def test_requirements_must_be_estimated_unique_and_inside_the_basis():
     assert keys_of(document) == {"requirement[0].temperature[1]", "requirement[0].rate[0]", "requirement[1].rate[0]"}
 
 
-def test_design_is_validated_with_known_keys():
-    document = tables()
-    document["design"] = {"minimise": "full range", "free": ["cycle"], "max_motion": "100 min"}
-    assert spec_file.spec_of(document).design.starts == 16
-    document["design"] |= {"minimise": "ful range", "free": ["cycel"], "seeds": 3}
-    with pytest.raises(SpecError) as caught:
-        spec_file.spec_of(document)
-    assert {problem.dotted for problem in caught.value.problems} == {"design.free[0]", "design.seeds"}
-    document["design"] = {"minimise": "ful range", "free": ["cycle"]}
-    with pytest.raises(SpecError, match='nearest: "full range"'):
-        spec_file.spec_of(document)
-
-
-def test_sizes_of_bases():
-    document = tables("consumer-mems")
-    sensor = spec_file.spec_of(document).sensor.gyro
-    assert (sensor.bias.size, sensor.scale_factor.size) == (6, 9)
-    assert sensor.usable_rate == pytest.approx(475 * DEG)
-    document["sensor"]["gyro"]["bias"]["temperature"] = {"degree": 0, "knots": ["-20 degC", "0 degC", "60 degC"]}
-    assert spec_file.spec_of(document).sensor.gyro.bias.size == 2
-
-
 def test_a_discrepancy_goes_beyond_polynomials():
     document = tables()
     scale = document["sensor"]["gyro"]["scale_factor"]

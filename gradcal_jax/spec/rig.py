@@ -47,13 +47,24 @@ def _adapter(port: str) -> str:
     return os.path.realpath(port) if port.startswith("/") else port
 
 
-class ChamberDevice(Section):
+class _Device(Section):
+    driver: Text
+    """Name of the driver: of a chamber "registers" or "lines", of an axis "lines" or "operator", of an IMU "frames" or
+    "text_unit"."""
+    port: Port
+    """Port of the device: a device path, COM3, or a socket:// or rfc2217:// address; "terminal" for an operator."""
+    options: Options = Field(default_factory=dict)
+    """Options of the driver, such as its protocol; see its documentation."""
+
+
+class _KnownDevice(_Device):
+    serial_number: Text | None = None
+    """Serial number of the device; a different device at the port is refused."""
+
+
+class ChamberDevice(_KnownDevice):
     """`[chamber]`: the device that controls the temperature."""
 
-    driver: Text
-    """Name of the driver: "registers" or "lines", with a protocol."""
-    port: Port
-    """Port of the device: a device path, COM3, or a socket:// or rfc2217:// address."""
     safe: Literal["standby", "hold", "ambient"]
     """State in which every run leaves the chamber."""
     ambient: Temperature = Quantity(23.0, "23 degC", "temperature")
@@ -68,10 +79,6 @@ class ChamberDevice(Section):
     never_below: Temperature | None = None
     """If air or load is colder than this, the run ends, whatever it is doing; absent: the chamber's own limit minus
     `band`."""
-    serial_number: Text | None = None
-    """Serial number of the device; a different device at the port is refused."""
-    options: Options = Field(default_factory=dict)
-    """Options of the driver; see its documentation."""
 
     def _problems(self) -> Iterator[Problem]:
         above, below = self.never_above, self.never_below
@@ -81,36 +88,21 @@ class ChamberDevice(Section):
             yield Problem(("never_below",), "must not be above `ambient`", below.text)
 
 
-class EncoderDevice(Section):
+class EncoderDevice(_Device):
     """`[axis.encoder]` of an axis turned by hand: a device with an axis driver; only its angle is read."""
 
-    driver: Text
-    """Name of the driver."""
-    port: Port
-    """Port of the device."""
-    options: Options = Field(default_factory=dict)
-    """Options of the driver; see its documentation."""
 
-
-class AxisDevice(Section):
+class AxisDevice(_KnownDevice):
     """`[[axis]]`: the device that turns one axis of the table; the axes are listed from the outermost inwards. The
     driver "operator" asks a person to
     turn the axis and to type its angle; if there is an `encoder`, the angle is read from it instead."""
 
     name: Name
     """Name of the device in runs and logs."""
-    driver: Text
-    """Name of the driver: "lines" with a protocol, or operator."""
-    port: Port
-    """Port of the device; "terminal" for an operator."""
     safe: Literal["hold", "controlled stop", "unpower"]
     """State in which every run leaves the axis."""
     gravity_loaded: Flag
     """Whether gravity moves the axis if its motor has no power."""
-    serial_number: Text | None = None
-    """Serial number of the device; a different device at the port is refused."""
-    options: Options = Field(default_factory=dict)
-    """Options of the driver; see its documentation."""
     encoder: EncoderDevice | None = None
     """Encoder of an axis that is turned by hand."""
 
@@ -134,19 +126,11 @@ class AxisDevice(Section):
             yield Problem(("safe",), message, self.safe)
 
 
-class ImuDevice(Section):
+class ImuDevice(_KnownDevice):
     """`[[imu]]`: an IMU under calibration."""
 
     name: Name
     """Name of the device in runs and logs."""
-    driver: Text
-    """Name of the driver: frames or text_unit, with a protocol."""
-    port: Port
-    """Port of the IMU."""
-    serial_number: Text | None = None
-    """Serial number of the IMU; a different IMU at the port is refused."""
-    options: Options = Field(default_factory=dict)
-    """Options of the driver; see its documentation."""
 
 
 class OperatorPlace(Section):

@@ -239,8 +239,8 @@ FAULTS = (
     ),
     Fault(
         "a certificate's uncertainties are not expanded",
-        "pages/certificate.py",
-        "k = row.coverage or _COVERAGE",
+        "pages/tables.py",
+        "k = row.coverage or COVERAGE",
         "k = 1.0",
         "tests/pages/test_page.py",
     ),

@@ -18,14 +18,12 @@ from gradcal_jax.estimation.calibrations import calibration_map
 from gradcal_jax.information.prediction import counted_shares
 from gradcal_jax.pages.section import PagePart, PageSection
 from gradcal_jax.pages.sources import Sources
-from gradcal_jax.pages.tables import tests
+from gradcal_jax.pages.tables import COVERAGE, results, tests
 from gradcal_jax.records.log import SERIAL_NUMBER
 from gradcal_jax.spec.rig import RigFile
-from gradcal_jax.tables.display import amount
-from gradcal_jax.tables.table import Cell, Column, Table
+from gradcal_jax.tables.table import Column, Table
 
 NOT_STATED: Final = "not stated"
-_COVERAGE: Final = 2.0
 _TEMPERATURES: Final = 5
 # Of the variance; below it an input is left out of a budget.
 _SMALLEST_SHARE: Final = 5e-4
@@ -52,7 +50,7 @@ def certificate_part(sources: Sources, rig: RigFile | None, words: Mapping[str, 
         PageSection("Traceability", none, [standards]),
         PageSection("Conditions", [], [Table.of(["what", "value"], _conditions(calibration))]),
         PageSection("Results", ["Error that remains after correction; U = k·u is the expanded uncertainty."],
-                [_results(calibration)]),
+                [results(calibration)]),
         PageSection("Uncertainty budget", ["Type B: each input is a figure of the spec, or typical of the class."],
                 list(_budgets(sources, calibration))),
         PageSection("Tests", [], [tests(calibration)]),
@@ -113,18 +111,6 @@ def _conditions(calibration: Calibration) -> list[tuple[str, str]]:
     return rows
 
 
-def _results(calibration: Calibration) -> Table:
-    rows: list[tuple[Cell, ...]] = []
-    for row in calibration.result:
-        k = row.coverage or _COVERAGE
-        # Nothing is certified of a unit whose data contradict the model.
-        value = None if row.verdict == "not valid" else row.value
-        expanded = None if value is None else k * value
-        limit = "" if row.target is None else amount(row.target, row.unit)
-        rows.append((row.name, row.axis, row.statistic, value, k, expanded, row.unit, limit, row.verdict or ""))
-    return Table.of(["quantity", "axis", "statistic", "u", "k", "U", "unit", "limit", "decision"], rows)
-
-
 def _budgets(sources: Sources, calibration: Calibration) -> Iterator[Table]:
     """The budget of each requirement of the plan, scaled to the uncertainty of the estimate."""
     if sources.spec is None:
@@ -151,7 +137,7 @@ def _corrections(calibration: Calibration) -> Table:
             for k, rate in enumerate(rates):
                 at = f" at {rate:.4g} deg/s" if term.rate is not None else ""
                 pairs = zip(value.values[:, k], deviation.values[:, k], strict=True)
-                cells = [_with_uncertainty(float(v), _COVERAGE * float(u), valid) for v, u in pairs]
+                cells = [_with_uncertainty(float(v), COVERAGE * float(u), valid) for v, u in pairs]
                 rows.append((channel.label, term.name.replace("_", " ") + at, *cells, value.unit))
     return Table.of(["channel", "term", *(f"{t:.4g} °C" for t in temperatures), "unit"], rows)
 

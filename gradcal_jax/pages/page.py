@@ -1,7 +1,6 @@
 """The HTML page of a plan, a run or a calibration: sections of sentences, tables and figures, without external
 resources."""
 
-import os
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import resources
@@ -109,7 +108,8 @@ def _sections(sources: Sources, history: RunHistory | None) -> list[PageSection]
     sections += _calibrated(sources)
     stated = Table.of(["term", "figure", "source"], assumptions(sources.spec, sources.calibration))
     sections.append(PageSection("Assumptions", [], [stated]))
-    made = [*provenance_rows(sources), ("page made", _time_and_version())]
+    now = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC by gradcal {gradcal_jax.__version__}"
+    made = [*provenance_rows(sources), ("page made", now)]
     sections.append(PageSection("Provenance", [], [Table.of(["what", "value"], made)]))
     return [section for section in sections if not section.is_empty]
 
@@ -176,12 +176,6 @@ def _calibrated(sources: Sources) -> list[PageSection]:
         PageSection("Coefficients", [], [coefficients(planned, calibration)]),
         PageSection("How to apply it", [f"{calibration.order}."], commands=commands),
     ]
-
-
-def _time_and_version() -> str:
-    epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    now = datetime.fromtimestamp(int(epoch), UTC) if epoch and epoch.isdigit() else datetime.now(UTC)
-    return f"{now:%Y-%m-%d %H:%M} UTC by gradcal {gradcal_jax.__version__}"
 
 
 def _text(name: str) -> str:

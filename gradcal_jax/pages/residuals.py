@@ -14,6 +14,7 @@ from gradcal_jax.information.unseen import TURN_ON, CountedPosteriors, widened
 from gradcal_jax.information.verdicts import run_of
 from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior
 from gradcal_jax.pages.sources import Sources
+from gradcal_jax.pages.tables import results as results_of
 from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
 from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import amount
@@ -54,7 +55,7 @@ def outcome_table(sources: Sources, found: list[ResidualLeft]) -> Table:
     calibration = sources.calibration
     if sources.spec is None:
         assert calibration is not None
-        return result_table(calibration)
+        return results_of(calibration)
     results = {} if calibration is None else {row.name: row for row in calibration.result}
     before = {left.requirement.name: left.stages.get("before") for left in found}
     rows = []
@@ -78,22 +79,6 @@ def outcome_table(sources: Sources, found: list[ResidualLeft]) -> Table:
     heads = ["requirement", "within", "statistic", *stages, "target", "verdict", "limited by"]
     kept = [k for k, _ in enumerate(heads) if any(row[k] for row in rows)]
     return Table.of([heads[k] for k in kept], [[row[k] for k in kept] for row in rows])
-
-
-def result_table(calibration: Calibration) -> Table:
-    """The results in a calibration file."""
-    rows = [
-        (
-            row.name,
-            row.axis,
-            row.statistic,
-            amount(row.value, row.unit),
-            "" if row.target is None else amount(row.target, row.unit),
-            row.verdict or "",
-        )
-        for row in calibration.result
-    ]
-    return Table.of(["requirement", "axis", "statistic", "achieved 1σ", "target", "verdict"], rows)
 
 
 def _box(temperature_c: tuple[float, float], rate_dps: tuple[float, float] | None) -> str:

@@ -1,16 +1,19 @@
 """Tables of results, which terminal, page and certificate share."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from gradcal_jax.calibration import Calibration
 from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
 from gradcal_jax.tables.contracts import Prediction
-from gradcal_jax.tables.table import Column, Table
+from gradcal_jax.tables.display import amount
+from gradcal_jax.tables.table import Cell, Column, Table
 
 if TYPE_CHECKING:
     from gradcal_jax.recipe.recipe import Predicted
 
 _ONE_SIGMA = Column("1σ", "", 3)
+COVERAGE: Final = 2.0
+"""Of an expanded uncertainty whose requirement states none."""
 
 
 def coefficients(planned: "Predicted | Prediction | None", calibration: Calibration | None) -> Table:
@@ -38,6 +41,19 @@ def coefficients(planned: "Predicted | Prediction | None", calibration: Calibrat
         return Table.of(["coefficient", Column("value", "", 6), _ONE_SIGMA, "unit"], cells)
     heads = ["coefficient", Column("value", "", 6), _ONE_SIGMA, Column("1σ predicted", "", 3), "unit"]
     return Table.of(heads, cells)
+
+
+def results(calibration: Calibration) -> Table:
+    """The results in a calibration file, with their expanded uncertainties."""
+    rows: list[tuple[Cell, ...]] = []
+    for row in calibration.result:
+        k = row.coverage or COVERAGE
+        # Nothing is certified of a unit whose data contradict the model.
+        value = None if row.verdict == "not valid" else row.value
+        expanded = None if value is None else k * value
+        limit = "" if row.target is None else amount(row.target, row.unit)
+        rows.append((row.name, row.axis, row.statistic, value, k, expanded, row.unit, limit, row.verdict or ""))
+    return Table.of(["quantity", "axis", "statistic", "u", "k", "U", "unit", "limit", "decision"], rows)
 
 
 def terms(calibration: Calibration) -> Table:

@@ -24,7 +24,7 @@ from gradcal_jax import formulas
 from gradcal_jax.spec.bench import Spacing, TableAxis
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.quantity import Angle, Flag, Number, PositiveRate, Quantity, Text, Time
-from gradcal_jax.tables.section import Section, choose, read_by, refuse, refuse_misspelt
+from gradcal_jax.tables.section import Section, read_by, refuse, refuse_misspelt
 
 Axis = Literal["x", "y", "z"]
 AXES: Final[tuple[Axis, ...]] = ("x", "y", "z")
@@ -118,40 +118,54 @@ class Rest(_Move):
         return ResolvedMove("rest", duration, other_axes=self.other_axes, **self.reading)
 
 
-class _Turn(_Move):
+class Turn(_Move):
+    """A turn of one axis: at a constant rate between two ramps, or by hand, slow and uneven. The rate of a hand is
+    A·½(1 − cos 2πu)·(1 + unevenness·sin 6πu) at the fraction u of the duration; only its ends are known."""
+
     turn: Angle
     """Angle of the turn; its sign is the direction."""
     axis: Text | None = None
     """Name of the table axis; may be absent if the table has only one."""
+    shape: Literal["cosine ramps", "linear ramps", "hand"] | None = None
+    """Shape of the rate over time; absent: cosine ramps, and a short turn need not reach its `peak_rate`."""
+    peak_rate: PositiveRate | None = None
+    """Largest rate; absent: the maximum rate of the axis."""
+    duration: Time | None = None
+    """Duration of the turn, ramps included; absent: the ramps are as short as the axis allows."""
+    unevenness: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.3
+    """Unevenness of a turn by hand, as a fraction of the rate."""
 
     def _problems(self) -> Iterator[Problem]:
-        if self.turn == 0.0:
-            yield Problem(("turn",), "must not be zero; write a rest as { rest = … }", "0")
-        elif abs(self.turn) > 1e6 * FULL_TURN:
-            yield Problem(("turn",), "must be at most a million turns", str(self.turn))
+        by_hand, every = self.shape == "hand", self.read_every
+        spaced = isinstance(every, Quantity) and math.isfinite(every)
+        timed, alone = self.duration is not None, self.peak_rate is None
+        rules = (
+            (self.turn == 0.0, "turn", "must not be zero; write a rest as { rest = … }"),
+            (abs(self.turn) > 1e6 * FULL_TURN, "turn", "must be at most a million turns"),
+            (by_hand and not timed, "duration", "this key is missing: how long does a hand take?"),
+            (by_hand and not alone, "peak_rate", "has no effect on a turn by hand: leave this key out"),
+            (by_hand and spaced, "read_every", "a turn by hand is known only at its ends: leave this key out"),
+            (
+                not by_hand and timed and alone,
+                "peak_rate",
+                "is missing: a duration alone does not determine the motion",
+            ),
+            (not by_hand and "unevenness" in self.model_fields_set, "unevenness", "is only for a turn by hand"),
+        )
+        for holds, key, message in rules:
+            if holds:
+                yield Problem((key,), message)
 
     @property
     def reading(self) -> dict[str, Any]:
         own = super().reading
         return own if math.isfinite(own.get("read_every", 0.0)) else {}
 
-
-class Turn(_Turn):
-    """A turn of one axis at a constant rate between two ramps."""
-
-    shape: Literal["cosine ramps", "linear ramps"] | None = None
-    """Shape of the rate over time; absent: cosine ramps, and a short turn need not reach its `peak_rate`."""
-    peak_rate: PositiveRate | None = None
-    """Largest rate; absent: the maximum rate of the axis."""
-    duration: Time | None = None
-    """Duration of the turn, ramps included; absent: the ramps are as short as the axis allows."""
-
-    def _problems(self) -> Iterator[Problem]:
-        if self.duration is not None and self.peak_rate is None:
-            yield Problem(("peak_rate",), "this key is missing: a duration alone does not determine the motion")
-
     def resolve(self, axis: TableAxis, answer_time: float) -> ResolvedMove:
-        """The turn in SI. Raises `SpecError`, keys relative to the move."""
+        """The turn in SI; by hand with the operator's time (s) to read the request and to answer. Raises `SpecError`,
+        keys relative to the move."""
+        if self.shape == "hand":
+            return self._by_hand(answer_time)
         shape = self.shape or "cosine ramps"
         size, least = abs(float(self.turn)), _STEEPNESS[shape] / float(axis.max_acceleration)
         peak = axis.max_rate if self.peak_rate is None else self.peak_rate
@@ -190,26 +204,8 @@ class Turn(_Turn):
             **self.reading,
         )
 
-
-class HandTurn(_Turn):
-    """A turn by hand, slow and uneven: the rate is A·½(1 − cos 2πu)·(1 + unevenness·sin 6πu) at the fraction u of the
-    duration. Only its ends are known."""
-
-    shape: Literal["hand"]
-    """Shape of the rate over time."""
-    duration: Time
-    """Duration of the turn."""
-    unevenness: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.3
-    """Unevenness of the turn, as a fraction of the rate."""
-
-    def _problems(self) -> Iterator[Problem]:
-        if isinstance(self.read_every, Quantity) and math.isfinite(self.read_every):
-            message = "the angle of a turn by hand is known only at its start and its end: leave this key out"
-            yield Problem(("read_every",), message, self.read_every.text)
-
-    def resolve(self, axis: TableAxis, answer_time: float) -> ResolvedMove:
-        """The turn in SI, with the operator's time (s) to read the request and to answer."""
-        angle, duration = float(self.turn), float(self.duration)
+    def _by_hand(self, answer_time: float) -> ResolvedMove:
+        angle, duration = float(self.turn), float(self.duration or 0.0)
         peak = 2.0 * angle / duration
         fastest, steepest = _uneven_maxima(self.unevenness)
         return ResolvedMove(
@@ -236,23 +232,18 @@ class Pose(Section):
     """Duration of the rest after the moves."""
 
 
-_SHAPES: Final[dict[str, type[Section]]] = {"cosine ramps": Turn, "linear ramps": Turn, "hand": HandTurn}
-
-
 def _choose(table: Mapping[str, object]) -> object:
     """The rest, turn or pose of a table. Raises for one that is none of them."""
     for key, kind in (("pose", Pose), ("rest", Rest)):
         if key in table:
             return kind.model_validate(table)
-    if "shape" in table:
-        return choose(table, "shape", _SHAPES)
     if "turn" not in table:
         refuse_misspelt(table, ["rest", "turn", "pose"])
         raise ValueError('expected a rest ("rest"), a turn ("turn", "axis") or a pose ("pose")')
     return Turn.model_validate(table)
 
 
-Move = Annotated[Rest | Turn | HandTurn | Pose, read_by(_choose)]
+Move = Annotated[Rest | Turn | Pose, read_by(_choose)]
 
 
 def _uneven_maxima(unevenness: float) -> tuple[float, float]:

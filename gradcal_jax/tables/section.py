@@ -134,24 +134,19 @@ class OneOrMore:
         return {"anyOf": [body["items"], body]}
 
 
-def choose(
-    table: Mapping[str, object], key: str, classes: Mapping[str, type[Section]], default: str | None = None
-) -> object:
-    """The table read by the class that its `key` names, or by the default."""
-    if key not in table and default is not None:
-        return classes[default].model_validate(table)
-    if key not in table:
-        refuse_misspelt(table, [key])
-        raise SpecError([Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing")])
-    name = table[key]
-    if not isinstance(name, str) or name not in classes:
-        raise SpecError([Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name)])
-    return classes[name].model_validate(table)
-
-
 def chosen_by(key: str, classes: Mapping[str, type[Section]], default: str | None = None) -> BeforeValidator:
-    """Marks a field that holds one of several tables: see `choose`."""
-    return read_by(lambda table: choose(table, key, classes, default))
+    """Marks a field that holds one of several tables: that which its `key` names, or the default."""
+
+    def choose(table: Mapping[str, object]) -> object:
+        if key not in table and default is None:
+            refuse_misspelt(table, [key])
+            raise SpecError([Problem((key,), f"this key is missing; expected {one_of(classes)}", kind="missing")])
+        name = table.get(key, default)
+        if not isinstance(name, str) or name not in classes:
+            raise SpecError([Problem((key,), f"expected {one_of(classes)}{hint(name, classes)}", name)])
+        return classes[name].model_validate(table)
+
+    return read_by(choose)
 
 
 def read_by(read: Callable[[Mapping[str, object]], object]) -> BeforeValidator:

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from gradcal_jax import formulas
 from gradcal_jax.formulas import reading_count
 from gradcal_jax.spec.bench import TableAxis
-from gradcal_jax.spec.moves import HandTurn, Rest, Turn
+from gradcal_jax.spec.moves import Rest, Turn
 from gradcal_jax.tables.problems import SpecError, from_validation
 
 DEG = math.pi / 180.0
@@ -20,8 +20,7 @@ AXIS = TableAxis.model_validate({"name": "x", "max_rate": "1000 deg/s", "max_acc
 
 
 def resolve(**keys):
-    kind = HandTurn if keys.get("shape") == "hand" else Turn
-    return kind.model_validate(keys).resolve(AXIS, 0.0)
+    return Turn.model_validate(keys).resolve(AXIS, 0.0)
 
 
 def profile(found, points=20_001):

@@ -87,7 +87,7 @@ COSINES = {"shape": "cosine ramps", "turn": "360 deg"}
 REFUSED = [
     (COSINES | {"peak_rate": "10 deg/s", "duration": "30 s"}, "duration", "36 s"),
     (COSINES | {"peak_rate": "10 deg/s", "duration": "80 s"}, "duration", "72 s"),
-    (COSINES | {"duration": "30 s"}, "peak_rate", "does not determine the motion"),
+    (COSINES | {"duration": "30 s"}, "peak_rate", "not determine the motion"),
     (COSINES | {"turn": "1 deg", "peak_rate": "300 deg/s"}, "peak_rate", "30.9 deg/s"),
     ({"turn": "1 deg", "peak_rate": "1001 deg/s"}, "peak_rate", "max_rate"),
     ({"turn": "0 deg"}, "turn", "must not be zero"),

@@ -75,30 +75,17 @@ def patched(spec: Spec, changes: Mapping[str, object], source: str = "") -> dict
 
 def _put(tables: dict[str, Any], key: Key, value: object) -> None:
     here: Any = tables
-    for depth, part in enumerate(key[:-1]):
-        if isinstance(part, str) and isinstance(here, dict) and part not in here:
-            cast("dict[str, Any]", here)[part] = {}
-        here = _inside(here, part, key[: depth + 1])
-    last = key[-1]
-    if not (isinstance(here, dict) and isinstance(last, str)):
-        _inside(here, last, key)
-    if value is None and isinstance(here, dict):
-        cast("dict[str, Any]", here).pop(cast("str", last), None)
-    else:
-        here[last] = copy.deepcopy(value)
-
-
-def _inside(here: Any, part: str | int, key: Key) -> Any:
-    if isinstance(part, int):
-        if not isinstance(here, list):
-            raise SpecError([Problem(key, "the key above this entry is not a list")])
-        entries = cast("list[Any]", here)
-        if part >= len(entries):
-            raise SpecError([Problem(key, f"the list has {len(entries)} entries, numbered from 0")])
-        return entries[part]
-    if not isinstance(here, dict):
-        raise SpecError([Problem(key, "the key above this one is not a table")])
-    return cast("dict[str, Any]", here)[part]
+    for depth, part in enumerate(key):
+        fits = isinstance(here, dict) if isinstance(part, str) else isinstance(here, list) and part < len(here)
+        if not fits:
+            message = "there is no such place: the key above is no table, or its list is shorter (entries count from 0)"
+            raise SpecError([Problem(key[: depth + 1], message)])
+        if depth < len(key) - 1:
+            here = here.setdefault(part, {}) if isinstance(here, dict) else here[part]
+        elif value is None and isinstance(here, dict):
+            here.pop(part, None)
+        else:
+            here[part] = copy.deepcopy(value)
 
 
 def differences(before: Any, after: Any, key: Key) -> Iterator[tuple[Key, Any, Any]]:

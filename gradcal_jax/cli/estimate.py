@@ -1,10 +1,9 @@
 """`gradcal estimate`: a calibration from a log, with covariance, tests and verdicts."""
 
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from cyclopts import Parameter
 
@@ -26,10 +25,15 @@ from gradcal_jax.cli.progress import MovingLine
 from gradcal_jax.cli.recordings import Columns, LogFile, described, load, load_all, quantity
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matplotlib.figure import Figure
+
     from gradcal_jax.calibration import Calibration
     from gradcal_jax.estimation.estimate import SensorEstimate
     from gradcal_jax.estimation.hand_estimate import HandReport
     from gradcal_jax.records.log import Log
+    from gradcal_jax.spec.spec_sections import Spec
     from gradcal_jax.tables.table import Table
 
 Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
@@ -91,6 +95,7 @@ def estimate(
     plot
         Draw the fit into this file (.png, .svg, .pdf).
     """
+    from gradcal_jax.calibration import write_calibration
     from gradcal_jax.recipe.recipe import spec_in
 
     drawable(plot)
@@ -100,103 +105,91 @@ def estimate(
     if clock not in (None, "sensor", "host"):
         raise ValueError(f'--clock {clock!r}: expected "sensor" or "host"')
     at = None if temperature is None else quantity(temperature, "temperature", "--temperature")
-    if gravity is not None:
-        if spec is not None or axis or more:
-            raise ValueError("--gravity: an IMU that was turned by hand needs no --spec, --axis or second log")
-        recorded = load(log, columns)
-        files = _files(output, recorded.units, force)
-        g = quantity(gravity, "acceleration", "--gravity")
-        return _by_hand(log, recorded, g, recorded.units, at, files, plot, json)
     model = None if spec is None else spec_in(spec)
+    if gravity is not None and (model is not None or axis or more):
+        raise ValueError("--gravity: an IMU that was turned by hand needs no --spec, --axis or second log")
+    if model is None and (lag != "auto" or clock is not None):
+        raise ValueError("--lag and --clock need --spec")
     if len(axis) > 1 and model is not None:
         raise ValueError("a table with one axis turns only one axis of an IMU: give --axis only once")
-    if model is None:
+    g = None if gravity is None else quantity(gravity, "acceleration", "--gravity")
+    if model is None and g is None:
         logs = load_all(log, columns)
         if more or any(one.table_axes for one in logs):
             raise ValueError("name the spec, or the recipe that was run, with --spec")
-        names: Sequence[str] = [name for one in logs for name in one.units]
     else:
         logs = [load(path, columns) for path in (log, *more)]
-        of_all = dict.fromkeys(name for one in logs for name in one.units)
-        names = tuple(of_all) if model.rig.table.place else logs[0].units
-    files = _files(output, names, force)
-    if model is None:
-        if lag != "auto" or clock is not None:
-            raise ValueError("--lag and --clock need --spec")
-        return _warm_up(log, logs, axis, files, plot, json)
-    use_float64()
-    from gradcal_jax.estimation.estimate import estimate_log, estimate_rows
-    from gradcal_jax.estimation.log_rows import Options
-
+    several = model is None or model.rig.table.place
+    of_all = dict.fromkeys(name for one in logs for name in one.units)
+    files = _files(output, tuple(of_all) if several else logs[0].units, force)
     sources = {"log": ", ".join(path.name for path in (log, *more)), "spec": "" if spec is None else spec.name}
-    with MovingLine(sys.stderr) as line:
-        options = Options(temperature_c=at, lag=lag_s, clock=clock)
-        if not line.plain:
-            options = replace(options, progress=line.show)
-        only = axis[0] if axis else None
-        report = estimate_log(model, logs, axis=only, options=options, sources=sources)
+    if model is not None:
+        options = {"temperature_c": at, "lag": lag_s, "clock": clock}
+        done = _with_model(model, logs, axis[0] if axis else None, options, sources)
+    elif g is not None:
+        done = _by_hand(logs[0], g, at, sources)
+    else:
+        done = _warm_up(logs, axis, sources)
     if json:
-        print(as_json(estimate_rows(report)))
+        print(as_json(done.rows))
     else:
         for one, path in zip(logs, (log, *more), strict=False):
             print(described(one, str(path)))
-        for sensor in report.sensors:
-            print(text_of_estimate(sensor))
-    _write(report.calibrations, files, json)
-    save_figure(lambda plots: plots.calibration.draw_estimate(report), plot, quiet=json)
-    return DONE if report.as_wished else NOT_AS_WISHED
-
-
-def _warm_up(
-    path: Path, logs: "Sequence[Log]", axes: Sequence[str], files: Mapping[str, Path], plot: Path | None, json: bool
-) -> int:
-    """The biases over temperature of IMUs that warm up at rest, without a spec."""
-    from gradcal_jax.estimation.warm_up import estimate_warm_up, warm_up_rows
-
-    report = estimate_warm_up(logs, axes=axes, sources={"log": path.name})
-    if json:
-        print(as_json(warm_up_rows(report)))
-    else:
-        print("\n".join(described(one, str(path)) for one in logs))
-        print("\n".join(text_of_warm_up(one, report.messages[one.serial_number]) for one in report.calibrations))
-    _write(report.calibrations, files, json)
-    save_figure(lambda plots: plots.calibration.draw_warm_up(report.calibrations[0]), plot, quiet=json)
-    return DONE if report.as_wished else NOT_AS_WISHED
-
-
-def _by_hand(
-    path: Path,
-    recorded: "Log",
-    gravity: float,
-    units: Sequence[str],
-    temperature_c: float | None,
-    files: Mapping[str, Path],
-    plot: Path | None,
-    json: bool,
-) -> int:
-    """The estimate of IMUs that were laid down in many positions, without a table."""
-    from gradcal_jax.estimation.hand_estimate import estimate_by_hand, hand_estimate_rows
-
-    names = {"log": path.name}
-    reports = estimate_by_hand(recorded, gravity, units=units, temperature_c=temperature_c, sources=names)
-    if json:
-        print(as_json({"units": list(map(hand_estimate_rows, reports))}))
-    else:
-        print("\n".join([described(recorded, str(path)), *map(text_of_held, reports)]))
-    _write([report.calibration for report in reports], files, json)
-    save_figure(lambda plots: plots.calibration.draw_by_hand(reports[0]), plot, quiet=json)
-    return DONE if all(report.as_wished for report in reports) else NOT_AS_WISHED
-
-
-def _write(calibrations: "Sequence[Calibration]", files: Mapping[str, Path], json: bool) -> None:
-    """Write the calibrations of those sensors that have a file."""
-    from gradcal_jax.calibration import write_calibration
-
-    for one in calibrations:
+        print("\n".join(done.texts))
+    for one in done.calibrations:
         if (path := files.get(one.serial_number)) is not None:
             write_calibration(one, path)
             if not json:
                 print(f"wrote {path}")
+    save_figure(done.draw, plot, quiet=json)
+    return DONE if done.as_wished else NOT_AS_WISHED
+
+
+class _Done(NamedTuple):
+    """An estimate of either kind: its numbers, words, calibrations and picture."""
+
+    rows: Any
+    texts: list[str]
+    calibrations: "Sequence[Calibration]"
+    draw: "Callable[[Any], Figure]"
+    as_wished: bool
+
+
+def _with_model(
+    model: "Spec", logs: "Sequence[Log]", axis: str | None, options: dict[str, Any], sources: dict[str, str]
+) -> _Done:
+    use_float64()
+    from gradcal_jax.estimation.estimate import estimate_log, estimate_rows
+    from gradcal_jax.estimation.log_rows import Options
+
+    with MovingLine(sys.stderr) as line:
+        shown = {} if line.plain else {"progress": line.show}
+        report = estimate_log(model, logs, axis=axis, options=Options(**options, **shown), sources=sources)
+    texts = [text_of_estimate(sensor) for sensor in report.sensors]
+    draw = lambda plots: plots.calibration.draw_estimate(report)  # noqa: E731
+    return _Done(estimate_rows(report), texts, report.calibrations, draw, report.as_wished)
+
+
+def _warm_up(logs: "Sequence[Log]", axes: Sequence[str], sources: dict[str, str]) -> _Done:
+    """The biases over temperature of IMUs that warm up at rest, without a spec."""
+    from gradcal_jax.estimation.warm_up import estimate_warm_up, warm_up_rows
+
+    report = estimate_warm_up(logs, axes=axes, sources={"log": sources["log"]})
+    texts = [text_of_warm_up(one, report.messages[one.serial_number]) for one in report.calibrations]
+    draw = lambda plots: plots.calibration.draw_warm_up(report.calibrations[0])  # noqa: E731
+    return _Done(warm_up_rows(report), texts, report.calibrations, draw, report.as_wished)
+
+
+def _by_hand(log: "Log", gravity: float, temperature_c: float | None, sources: dict[str, str]) -> _Done:
+    """The estimate of IMUs that were laid down in many positions, without a table."""
+    from gradcal_jax.estimation.hand_estimate import estimate_by_hand, hand_estimate_rows
+
+    names = {"log": sources["log"]}
+    reports = estimate_by_hand(log, gravity, units=log.units, temperature_c=temperature_c, sources=names)
+    rows = {"units": list(map(hand_estimate_rows, reports))}
+    draw = lambda plots: plots.calibration.draw_by_hand(reports[0])  # noqa: E731
+    wished = all(report.as_wished for report in reports)
+    return _Done(rows, list(map(text_of_held, reports)), [report.calibration for report in reports], draw, wished)
 
 
 def _files(output: Path | None, units: Sequence[str], force: bool) -> dict[str, Path]:

@@ -24,10 +24,11 @@ from pydantic import Field
 from gradcal_jax.records.log import Floats
 from gradcal_jax.spec.bases import RateBasis, TemperatureBasis, increasing
 from gradcal_jax.tables import quantity as q
-from gradcal_jax.tables.display import amount, columns
+from gradcal_jax.tables.display import amount
 from gradcal_jax.tables.document import TitledFile, parsed, read_text
 from gradcal_jax.tables.problems import Problem
 from gradcal_jax.tables.section import Section
+from gradcal_jax.tables.table import Table
 from gradcal_jax.tables.writing import write_toml
 
 ORDER: Final = (
@@ -365,8 +366,8 @@ class Calibration(TitledFile):
             f"Calibration of {self.serial_number}" + ", SIMULATED" * self.simulated,
             self.valid_range,
             *(f"{name}: {', '.join(names)}" for name, names in counts.items() if names),
-            columns([(channel.label, ", ".join(term.name for term in channel.term)) for channel in self.channel]),
-            columns(rows, indent=""),
+            *(f"  {channel.label}: {', '.join(term.name for term in channel.term)}" for channel in self.channel),
+            Table.of(["requirement", "axis", "statistic", "residual 1σ", "verdict"], rows).text(),
         ]
 
     def contradictions_of(self, channel: CalibratedChannel) -> tuple[str, ...]:

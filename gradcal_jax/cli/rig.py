@@ -19,7 +19,8 @@ from gradcal_jax.cli.output import (
     strong,
 )
 from gradcal_jax.cli.progress import MovingLine
-from gradcal_jax.tables.display import columns, printable
+from gradcal_jax.tables.display import printable
+from gradcal_jax.tables.table import Table
 from gradcal_jax.units import time_text
 
 if TYPE_CHECKING:
@@ -133,7 +134,8 @@ def check(rig: Path, /, *, json: Json = False) -> int:
         print(as_json([json_of(asdict(report)) for report in reports]))
     else:
         print(strong(description.title or str(rig)))
-        print(columns([row for report in reports for row in _rows(report)]))
+        answers = [row for report in reports for row in _rows(report)]
+        print(Table.of(["device", "driver", "port", "what it says"], answers).text(width=120))
         for entry in description.axis:
             print(f'  safe state of axis {entry.name} at the end of a run: "{entry.safe}"')
         if description.chamber is not None:

@@ -27,9 +27,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gradcal_jax.tables.display import columns as text_columns
 from gradcal_jax.tables.display import summary
 from gradcal_jax.tables.problems import instead
+from gradcal_jax.tables.table import Table
 
 FORMAT: Final = "gradcal-log/1"
 SERIAL_NUMBER: Final = "serial_number"
@@ -293,7 +293,8 @@ class Log:
             f"  with {', '.join(also) or 'neither temperature nor angles'}, in {len(self.stretch_starts)} stretches",
             f"  of {self.rows_read} rows: {counts}",
         ]
-        return lines + ([text_columns([(f.done, f.message) for f in self.findings])] if self.findings else [])
+        findings = Table.of(["done", "what was found"], [(f.done, f.message) for f in self.findings])
+        return lines + ([findings.text(indent="  ")] if self.findings else [])
 
     _shown = summary_lines
 

@@ -3,13 +3,15 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
+from textwrap import wrap
 from typing import Any, Final, NamedTuple
 
 from gradcal_jax.tables.display import WIDTH
-from gradcal_jax.tables.display import columns as aligned
 
 Cell = str | float | None
 _ABSENT: Final = "–"
+# Columns of fewer letters are not wrapped.
+_NARROWEST: Final = 20
 
 
 class Column(NamedTuple):
@@ -42,9 +44,22 @@ class Table:
         return [tuple(shown(cell, at.digits) for at, cell in zip(self.columns, row, strict=True)) for row in self.rows]
 
     def text(self, *, indent: str = "", width: int = WIDTH) -> str:
-        """For a terminal: aligned columns, with numbers at the right."""
-        heads = tuple(column.head for column in self.columns)
-        return aligned([heads, *self.cells()], indent=indent, right=self._numeric(), width=width)
+        """For a terminal: aligned columns, with numbers at the right; a last column of several words that is too wide
+        is wrapped into further lines."""
+        cells = [tuple(column.head for column in self.columns), *self.cells()]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        room = width - len(indent) - sum(widths[:-1]) - 2 * (len(widths) - 1)
+        numeric, lines = self._numeric(), list[str]()
+        for row in cells:
+            last = [row[-1]]
+            if len(row[-1]) > room >= _NARROWEST:
+                last = wrap(row[-1], room, break_long_words=False, break_on_hyphens=False)
+            for k, part in enumerate(last):
+                texts = [*(row[:-1] if k == 0 else [""] * (len(row) - 1)), part]
+                sized = zip(texts, widths, strict=True)
+                shown = [text.rjust(w) if i in numeric else text.ljust(w) for i, (text, w) in enumerate(sized)]
+                lines.append((indent + "  ".join(shown)).rstrip())
+        return "\n".join(lines)
 
     def html(self) -> str:
         """For a page; on a narrow screen, each cell has the name of its column before it."""

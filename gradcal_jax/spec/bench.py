@@ -24,30 +24,6 @@ class Harmonic(Section):
     """Standard deviation of the cosine part and of the sine part."""
 
 
-class AngleReference(Section):
-    """Errors of the table's angle: white noise of each reading, an error common to a standstill, errors periodic in the
-    angle, a scale error, and an error of time during moves."""
-
-    reading_noise: q.SizeOfAngle = q.Quantity(0.0, "0 deg", "angle")
-    """Standard deviation of each reading, independent of all others."""
-    standstill_offset: q.SizeOfAngle = q.Quantity(0.0, "0 deg", "angle")
-    """Standard deviation of an error that all readings of one standstill share; it is independent in the next
-    standstill."""
-    timing_error: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
-    """Standard deviation of the time of a reading during a move; multiplied by the rate, it is an angle error."""
-    scale_error: q.SizeOfScaleFactor | None = None
-    """Standard deviation of the relative scale error of the angle (gear ratio, counts per revolution)."""
-    backlash: q.SizeOfAngle | None = None
-    """Standard deviation of the backlash of a drive whose angle is read at the motor: by so much the axis stands apart
-    after turns in the two directions. 0 for an encoder on the axis."""
-    harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
-    """Errors that are periodic in the angle."""
-
-    def _problems(self) -> Iterable[Problem]:
-        message = "this order appears twice: give one amplitude for each order"
-        return repeated_names("harmonics", "order", [str(harmonic.order) for harmonic in self.harmonics], message)
-
-
 class Chamber(Section):
     """The climatic chamber: its range and its rates."""
 
@@ -124,8 +100,9 @@ class Site(Section):
         return 9.7803253359 * (1.0 + 0.00193185265241 * sine) / math.sqrt(1.0 - 0.00669437999013 * sine)
 
 
-class AxisEncoder(AngleReference):
-    """Errors of the angle of one table axis, and how often this angle is read."""
+class AxisEncoder(Section):
+    """Errors of the angle of one table axis: white noise of each reading, an error common to a standstill, errors
+    periodic in the angle, a scale error, and an error of time during moves; and how often this angle is read."""
 
     reference: Literal["encoder", "gravity"] = "encoder"
     """"gravity": no axis has an encoder. The IMU's accelerometers measure the angle of every standstill, and its gyros
@@ -133,6 +110,24 @@ class AxisEncoder(AngleReference):
     except `read_every`."""
     read_every: Spacing = q.Quantity(1.0, "1 s", "time")
     """Time between readings at rest; "rest": one reading, at the end of each rest."""
+    reading_noise: q.SizeOfAngle = q.Quantity(0.0, "0 deg", "angle")
+    """Standard deviation of each reading, independent of all others."""
+    standstill_offset: q.SizeOfAngle = q.Quantity(0.0, "0 deg", "angle")
+    """Standard deviation of an error that all readings of one standstill share; it is independent in the next
+    standstill."""
+    timing_error: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
+    """Standard deviation of the time of a reading during a move; multiplied by the rate, it is an angle error."""
+    scale_error: q.SizeOfScaleFactor | None = None
+    """Standard deviation of the relative scale error of the angle (gear ratio, counts per revolution)."""
+    backlash: q.SizeOfAngle | None = None
+    """Standard deviation of the backlash of a drive whose angle is read at the motor: by so much the axis stands apart
+    after turns in the two directions. 0 for an encoder on the axis."""
+    harmonics: Annotated[tuple[Harmonic, ...], Field(max_length=50)] = ()
+    """Errors that are periodic in the angle."""
+
+    def _problems(self) -> Iterable[Problem]:
+        message = "this order appears twice: give one amplitude for each order"
+        return repeated_names("harmonics", "order", [str(harmonic.order) for harmonic in self.harmonics], message)
 
 
 class TableAxis(Section):

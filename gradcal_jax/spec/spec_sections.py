@@ -18,7 +18,6 @@ from gradcal_jax.spec.sensor import Sensor
 from gradcal_jax.spec.typical import with_classes
 from gradcal_jax.tables.document import TitledFile
 from gradcal_jax.tables.problems import Problem
-from gradcal_jax.tables.quantity import Text
 
 FORMAT: Final = "gradcal-spec/1"
 
@@ -31,8 +30,6 @@ class Spec(TitledFile):
     """
 
     format: Literal["gradcal-spec/1"]
-    title: Text | None = None
-    """A title for tables and pages."""
     sensor: Sensor
     """The device that is calibrated."""
     rig: Rig

@@ -122,12 +122,9 @@ def test_questions_are_asked_enter_takes_what_is_usual_and_back_goes_back(tmp_pa
     ("given", "said"),
     [
         ("", "the answers ended at question 1"),
-        ("x\nimuu\n", "nearest: 'imu'"),
         ("x\n\nconsummer\n", "nearest: 'consumer'"),
-        ("x\n\n\nfast\n", "angle random walk"),
         ("x\n\n\n\n", "expected an answer such as '0.1 deg/sqrt(h)'"),
         (SENSOR.format("x", "imu") + "\n", "expected 3 answers, separated by commas, such as '0.1 m/s/sqrt(h), "),
-        (SENSOR.format("x", "gyro") + "\n" * 7 + "-25 degC, 70 degC\n", "expected 3 answers"),
         (SENSOR.format("x", "gyro").replace("500", "-5"), "more than zero"),
         ('a"b\n', "without quotes"),
         (SENSOR.format("x", "gyro") + "\n" * 7 + "20 degC, 25 degC, 1 K/min\n\n", "at least 10 K"),
@@ -151,12 +148,11 @@ def test_the_plan_of_an_imu_fits_any_travel(preset, travel):
 
 
 @pytest.mark.parametrize("rate", ["30 deg/s", "2000 deg/s"])
-@pytest.mark.parametrize("travel", ["unlimited", "90 deg", "1800 deg"])
-@pytest.mark.parametrize("chamber", ["-40 degC, 85 degC, 5 K/min", "10 degC, 40 degC, 0.2 K/min"])
-def test_files_are_sound_for_any_bench(rate, travel, chamber):
+@pytest.mark.parametrize("travel", ["unlimited", "90 deg"])
+def test_files_are_sound_for_any_bench(rate, travel):
     """The file's own checks hold travel, acceleration, rates and the chamber against the plan."""
     grade = "navigation" if travel == "unlimited" else "consumer"
-    spec = sound(files_of(USUAL | {"rate": rate, "travel": travel, "chamber": chamber, "grade": grade}))
+    spec = sound(files_of(USUAL | {"rate": rate, "travel": travel, "grade": grade}))
     assert spec.gradient_schedule.steps
 
 
@@ -177,17 +173,3 @@ def test_files_that_would_be_overwritten_are_named_before_the_first_question(tmp
     asked, said = capsys.readouterr()
     assert asked == ""
     assert "spec.toml exists" in said
-
-
-def test_a_message_begins_a_line_after_an_open_question(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sys.stdin", io.StringIO("x\n"))
-    assert main(["start", "-o", str(tmp_path / "mine")]) == 2
-    assert capsys.readouterr().out.endswith("? [imu] \n")
-
-    class Interrupted(io.StringIO):
-        def readline(self, *_):
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr("sys.stdin", Interrupted())
-    assert main(["start", "-o", str(tmp_path / "mine")]) == 130
-    assert capsys.readouterr().out.endswith("? \n")

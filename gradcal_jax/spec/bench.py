@@ -63,7 +63,6 @@ _DIRECTIONS: Final = {
     for i, axis in enumerate("xyz")
     for sign in "+-"
 }
-_TURN: Final = 2.0 * math.pi
 Direction = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Vector = tuple[q.Number, q.Number, q.Number]
 Spacing = q.Positive[Annotated[q.Quantity, q.Of("time", infinite="rest")]]
@@ -144,8 +143,6 @@ class TableAxis(Section):
     """Largest acceleration."""
     travel: q.Travel = q.Quantity(float("inf"), "unlimited", "angle")
     """Largest angle from zero in each direction; "unlimited" if no cable winds up."""
-    keep_out: tuple[q.Angle, q.Angle] | None = None
-    """Range of angles that the axis must never enter, such as ["120 deg", "150 deg"]; it must not contain zero."""
     orthogonality: q.SizeOfAngle = NO_ANGLE
     """Standard deviation of the error of the angle between this axis and the next inner axis."""
     angle: AxisEncoder = AxisEncoder()
@@ -155,20 +152,11 @@ class TableAxis(Section):
         if not math.hypot(*self.direction) > 0.0:
             message = "is not a direction; expected a vector such as [0.0, 0.0, 1.0]"
             yield Problem(("direction",), message, list(self.direction))
-        if self.keep_out is not None:
-            low, high = self.keep_out
-            if not (0.0 < low < high < _TURN or -_TURN < low < high < 0.0):
-                message = "expected two angles of the same sign within one turn, the smaller one first"
-                yield Problem(("keep_out",), message, [str(low), str(high)])
 
     @property
     def reach(self) -> tuple[float, float]:
-        """The allowed range of angles (rad): its travel, limited on either side by the forbidden angles."""
-        if self.keep_out is None:
-            return -float(self.travel), float(self.travel)
-        # The same forbidden angles one turn further: zero lies between.
-        low, high = sorted(float(a) % _TURN for a in self.keep_out)
-        return max(high - _TURN, -float(self.travel)), min(low, float(self.travel))
+        """The allowed range of angles (rad)."""
+        return -float(self.travel), float(self.travel)
 
     @property
     def unit_vector(self) -> tuple[float, ...]:

@@ -292,32 +292,25 @@ def _limits(move: ResolvedMove, axis: TableAxis) -> Iterator[Problem]:
 
 
 def _travel(schedule: PlanSchedule, rig: Rig) -> Iterator[Problem]:
-    """Every axis must stay within its travel either way of zero, and outside forbidden angles, in every cycle: the
-    first and the last are the farthest. Each move that does not, at its farthest."""
+    """Every axis must stay within its travel either way of zero, in every cycle: the first and the last are the farthest. Each move
+    that does not, at its farthest."""
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     for k, axis in enumerate(rig.table.axis):
-        lowest, highest = axis.reach
-        if math.isinf(highest):
-            continue
         steps = [step for step in schedule.steps if step.axis == k]
         net = math.fsum(step.move.angle for step in steps)
-        farthest: dict[int, tuple[float, float, int]] = {}
+        farthest: dict[int, tuple[float, int]] = {}
         for cycle in sorted({0, cycles - 1}):
             at = schedule.start[k] + cycle * net
             for step in steps:
                 at += step.move.angle
-                beyond = max(at - highest, lowest - at)
-                if beyond > farthest.get(step.source, (_SLACK * (highest - lowest),))[0] and (
-                    cycle == 0 or step.source not in farthest
-                ):
-                    farthest[step.source] = beyond, at, cycle
-        free = f"the travel of this axis is {axis.travel} in each direction"
-        if axis.keep_out is not None:
-            low, high = map(math.degrees, axis.reach)
-            free = f"this axis must stay between {low:.6g} and {high:.6g} deg"
-        for source, (_, reach, cycle) in sorted(farthest.items()):
+                most, when = farthest.get(step.source, (axis.travel * (1.0 + 2.0 * _SLACK), cycle))
+                if abs(at) > most and when == cycle:
+                    farthest[step.source] = abs(at), cycle
+        for source, (reach, cycle) in sorted(farthest.items()):
             later = f" in cycle {cycle + 1} (each cycle ends {math.degrees(net):.6g} deg further)" if cycle else ""
-            message = f'takes axis "{axis.name}" {math.degrees(abs(reach)):.6g} deg from zero{later}; {free}'
+            message = (
+                f'takes axis "{axis.name}" {math.degrees(reach):.6g} deg from zero{later}; its travel is {axis.travel}'
+            )
             yield Problem(("cycle", "moves", source), message)
 
 

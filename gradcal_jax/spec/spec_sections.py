@@ -75,7 +75,7 @@ class Spec(TitledFile):
             return False
         lags = (getattr(of, "lag", None) for of in (gyro.bias, gyro.scale_factor))
         simple = not gyro.on_path and not any(lags)
-        level = not table.tilt and not table.azimuth and table.axis[0].keep_out is None
+        level = not table.tilt and not table.azimuth
         begins = 0.0
         if isinstance(self.plan, MotionPlan) and self.plan.cycle is not None:
             begins = next(iter(map(float, self.plan.cycle.start.values())), 0.0)

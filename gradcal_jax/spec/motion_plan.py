@@ -292,8 +292,8 @@ def _limits(move: ResolvedMove, axis: TableAxis) -> Iterator[Problem]:
 
 
 def _travel(schedule: PlanSchedule, rig: Rig) -> Iterator[Problem]:
-    """Every axis must stay within its travel either way of zero, in every cycle: the first and the last are the farthest. Each move
-    that does not, at its farthest."""
+    """Every axis must stay within its travel either way of zero, in every cycle: the first and the last are the
+    farthest. Each move that does not, at its farthest."""
     cycles = sum(stretch.cycles for stretch in schedule.stretches)
     for k, axis in enumerate(rig.table.axis):
         steps = [step for step in schedule.steps if step.axis == k]

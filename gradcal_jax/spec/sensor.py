@@ -336,13 +336,6 @@ class Sensor(Section):
         """Standard deviation of the clock in use, a ratio."""
         return HOST_CLOCK if self.takes_host_clock else float(self.sample_clock_error or 0.0)
 
-    @property
-    def clock_text(self) -> str | None:
-        """The same for people; None where the file names none."""
-        if self.takes_host_clock:
-            return f"{HOST_CLOCK * 1e6:g} ppm, the computer's"
-        return None if self.sample_clock_error is None else str(self.sample_clock_error)
-
     def _problems(self) -> Iterator[Problem]:
         for name, triad in (("gyro", self.gyro), ("accelerometer", self.accelerometer)):
             if triad is not None and len(set(triad.axes)) < len(triad.axes):

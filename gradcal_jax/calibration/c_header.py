@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gradcal_jax.calibration.correction import SIGNALS, linear_part
 from gradcal_jax.calibration.file import TEMPERATURE_RATE, CalibratedChannel, CalibratedTerm, Calibration
-from gradcal_jax.calibration.losses import Options, Target, within_ranges
+from gradcal_jax.calibration.losses import ExportOptions, Target, within_ranges
 from gradcal_jax.records.log import Floats
 from gradcal_jax.spec import presets
 from gradcal_jax.spec.bases import SplineKeys
@@ -101,7 +101,7 @@ def _evaluated(table: NDArray[Any], x: Any, w: Any) -> Any:
     return total
 
 
-def c_header(calibration: Calibration, options: Options) -> Target:
+def c_header(calibration: Calibration, options: ExportOptions) -> Target:
     """The header's text and function. Raises `ValueError` for bases other than polynomials."""
     header = Header(calibration)
     temperature, true = within_ranges(calibration, header.inputs, _POINTS)

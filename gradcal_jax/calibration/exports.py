@@ -19,7 +19,7 @@ from gradcal_jax.calibration.c_header import c_header
 from gradcal_jax.calibration.correction import linear_part
 from gradcal_jax.calibration.file import Calibration
 from gradcal_jax.calibration.flight_controllers import ardupilot, px4
-from gradcal_jax.calibration.losses import Loss, Options, Target, losses_of
+from gradcal_jax.calibration.losses import ExportOptions, Loss, Target, losses_of
 from gradcal_jax.calibration.text_template import rendered
 from gradcal_jax.records.log import Floats
 from gradcal_jax.spec import presets
@@ -54,7 +54,7 @@ def export(
     if target not in FORMATS:
         raise ValueError(f'there is no export format "{target}": known are {", ".join(FORMATS)}')
     named = calibration if target in ("c-header", "csv", "template") else _in_triad(calibration)
-    done = FORMATS[target](named, Options(temperature_c, instance, device_id, template))
+    done = FORMATS[target](named, ExportOptions(temperature_c, instance, device_id, template))
     losses = [] if done.corrected is None else losses_of(named, done.inputs, done.corrected)
     notes = [*done.notes, *(f"{one.label}, {one.value:.3g} {one.unit}, is lost" for one in calibration.path)]
     if calibration.unobservable and target != "csv":
@@ -100,7 +100,7 @@ def _triangular(matrix: Floats) -> tuple[Floats, Floats]:
     return (r * signs[:, None]).T, (q * signs).T
 
 
-def _template(calibration: Calibration, options: Options) -> Target:
+def _template(calibration: Calibration, options: ExportOptions) -> Target:
     template, at = options.template, options.temperature_c
     if template is None:
         raise ValueError(
@@ -155,10 +155,10 @@ def _rows(calibration: Calibration) -> list[dict[str, str]]:
     return rows
 
 
-def _shipped(name: str, *, at_one_temperature: bool = True) -> Callable[[Calibration, Options], Target]:
+def _shipped(name: str, *, at_one_temperature: bool = True) -> Callable[[Calibration, ExportOptions], Target]:
     """The target of a template that comes with the program."""
 
-    def filled(calibration: Calibration, options: Options) -> Target:
+    def filled(calibration: Calibration, options: ExportOptions) -> Target:
         template = presets.template(f"export-{name}.j2")
         if not at_one_temperature:
             return _template(calibration, options._replace(template=template, temperature_c=None))._replace(notes=())
@@ -169,7 +169,7 @@ def _shipped(name: str, *, at_one_temperature: bool = True) -> Callable[[Calibra
     return filled
 
 
-FORMATS: Final[Mapping[str, Callable[[Calibration, Options], Target]]] = {
+FORMATS: Final[Mapping[str, Callable[[Calibration, ExportOptions], Target]]] = {
     "ardupilot": ardupilot,
     "px4": px4,
     "c-header": c_header,

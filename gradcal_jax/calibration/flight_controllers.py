@@ -13,7 +13,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 
 from gradcal_jax.calibration.correction import SIGNALS, linear_part
 from gradcal_jax.calibration.file import CalibratedChannel, Calibration, term_values
-from gradcal_jax.calibration.losses import Options, Target
+from gradcal_jax.calibration.losses import ExportOptions, Target
 from gradcal_jax.records.log import Floats
 from gradcal_jax.spec.bases import PolynomialKeys
 
@@ -66,7 +66,7 @@ def _single(value: float) -> str:
     return f"{np.float32(value):.9g}"
 
 
-def ardupilot(calibration: Calibration, options: Options) -> Target:
+def ardupilot(calibration: Calibration, options: ExportOptions) -> Target:
     """INS_TCAL* of sensor 1 to 3. Raises `ValueError` for another, without a bias, and for less than 10 K."""
     number = options.instance
     if not 1 <= number <= 3:
@@ -105,7 +105,7 @@ def ardupilot(calibration: Calibration, options: Options) -> Target:
     return Target(text, corrected, _notes(calibration, low, high, words))
 
 
-def px4(calibration: Calibration, options: Options) -> Target:
+def px4(calibration: Calibration, options: ExportOptions) -> Target:
     """TC_* of sensor 0 to 3. Raises `ValueError` for another, without a bias, and where channels have no range in
     common."""
     number, identity = options.instance, options.device_id

@@ -19,7 +19,7 @@ Corrected = Callable[[Floats, Floats], Floats]
 """A target's function: readings `(n, inputs)` and temperatures `(n,)`, °C, to true inputs."""
 
 
-class Options(NamedTuple):
+class ExportOptions(NamedTuple):
     """What a target may need: one temperature (°C), the number of the sensor on the controller, PX4's device id, and
     the text of a template."""
 

@@ -30,7 +30,7 @@ _DIGITS: Final = Context(prec=12)
 End = str | float | int
 
 
-class Axis(Section):
+class SweptAxis(Section):
     """`[[axis]]`: keys of the spec that vary together, and their values."""
 
     name: Text | None = None
@@ -53,7 +53,7 @@ class Axis(Section):
     """Spacing: linear, or logarithmic."""
 
     @model_validator(mode="after")
-    def _whole(self) -> "Axis":
+    def _whole(self) -> "SweptAxis":
         problems: list[Problem] = []
         if sum(of is not None for of in (self.key, self.keys, self.section)) != 1:
             problems.append(Problem(("key",), 'give exactly one of "key", "keys" and "section"', kind="missing"))
@@ -201,7 +201,7 @@ class SweepFile(TitledFile):
     """Command that is carried out for each point."""
     change: dict[str, Any] = Field(default_factory=dict)
     """Keys of the base spec to change at every point, with their new values."""
-    axis: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=20)]
+    axis: Annotated[tuple[SweptAxis, ...], Field(min_length=1, max_length=20)]
     """What is varied."""
     samples: Samples | None = None
     """Random points over all axes together; absent: the grid of all combinations."""
@@ -290,7 +290,7 @@ def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str
     raise SpecError([Problem((), f'"{name}" is neither a preset nor a file; see gradcal start --list')], source)
 
 
-def _known(axis: Axis, base: Spec) -> None:
+def _known(axis: SweptAxis, base: Spec) -> None:
     """A key that no spec has is a slip, and is said at once, not a thousand times."""
     trial = {key: axis.at(0.0) for key in axis.changes}
     try:

@@ -1,13 +1,11 @@
 """Killing runs (SIGKILL) wherever they are, and going on with them, for the tests of what that does to a run's data.
 
-When to kill is drawn by what the journal shows: while a run starts, while it waits for its temperature, in any part of
-a step with data, while it makes the rig safe. In which of these a kill fell is read from the journal afterwards.
+A kill comes at any time of a run with the same chance. What the run did then is read from the journal afterwards.
 """
 
 import collections
 import signal
 import subprocess
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,50 +19,9 @@ from gradcal_jax.hardware.run_folder import exit_status
 from gradcal_jax.hardware.track import Track
 
 STARTING, WAITING, TURNING, STANDING, SAFE = "starting", "waiting for its temperature", "turning", "standing", "safe"
-AIMS = (STARTING, WAITING, STANDING, TURNING, SAFE)
-SHARES = (0.08, 0.08, 0.38, 0.38, 0.08)
-
-
-class Watched:
-    """A run as a process, and the part of the journal that it has written so far."""
-
-    def __init__(self, folder: Path, run: Path, speed: float, *, guard: bool = False) -> None:
-        self.journal = run / "journal"
-        self._from = self.journal.stat().st_size if self.journal.exists() else 0
-        self.process = start_run(folder, run, speed, guard=guard)
-
-    def written(self) -> bytes:
-        if not self.journal.exists():
-            return b""
-        with self.journal.open("rb") as file:
-            file.seek(self._from)
-            return file.read()
-
-    def await_word(self, word: bytes) -> bool:
-        """False when the run ended before."""
-        end = time.monotonic() + 120.0
-        while word not in self.written():
-            if self.process.poll() is not None:
-                return False
-            assert time.monotonic() < end, f"never came: {word!r}"
-            time.sleep(0.01)
-        return True
-
-    def lasts(self, real_s: float) -> bool:
-        """Wait so long; False when the run ended before."""
-        try:
-            self.process.wait(timeout=real_s)
-        except subprocess.TimeoutExpired:
-            return True
-        return False
-
-    def end(self) -> str:
-        """Wait for the process, and for its guard where that had to act, and close their pipe; what they said."""
-        assert self.process.stdout is not None
-        said = self.process.stdout.read()
-        self.process.wait()
-        self.process.stdout.close()
-        return said
+# A run waits for the temperature for about so long, real s.
+_WAITS_S = 3.0
+_WHILE_IT_STARTS, _WHILE_SAFE = 0.1, 0.15
 
 
 @dataclass
@@ -84,12 +41,11 @@ class Killer:
         that was killed, and what its guard added."""
         torn, records = b"", []
         while True:
-            done = [int(event.data["number"]) for event in parse_journal(torn).events if event.name == "step done"]
-            first = max(done, default=-1) + 1
-            run = Watched(self.folder, path, self.speed, guard=self.guard)
-            aim = AIMS[int(self.random.choice(len(AIMS), p=SHARES))]
-            killed = self.kills.total() < self.most and self._strike(run, aim, first)
-            said = run.end()
+            run = start_run(self.folder, path, self.speed, guard=self.guard)
+            killed = self.kills.total() < self.most and self._strike(
+                run, path / "journal", runs_begun(path / "journal")
+            )
+            said, _ = run.communicate()
             journal = (path / "journal").read_bytes() if (path / "journal").exists() else b""
             # Nothing that was on the disk is ever lost or changed, and it reads as it did.
             assert journal.startswith(torn)
@@ -101,42 +57,41 @@ class Killer:
                 after_a_kill(fresh)
             torn, records = journal, contents.records
             # A kill may come between the run's last word and the end of its process.
-            if run.process.returncode == 0 or exit_status(contents) == "success":
+            if run.returncode == 0 or exit_status(contents) == "success":
                 return
-            assert run.process.returncode == -signal.SIGKILL or "SIGTERM" in said, said
+            assert run.returncode == -signal.SIGKILL or "SIGTERM" in said, said
             if not (path / "run.json").exists():
                 for entry in path.glob("*"):
                     entry.unlink()
 
-    def _strike(self, run: Watched, aim: str, first: int) -> bool:
-        """Let the run come to where it is to be killed, and kill it there. False when it ended before."""
-        random, steps = self.random, self.track.steps
-        if aim == STARTING:
-            alive = run.lasts(float(random.uniform(0.0, 1.2)))
-        elif aim == WAITING:
-            alive = run.await_word(b'"state":"running"') and run.lasts(float(random.uniform(0.0, 0.8)))
+    def _strike(self, run: "subprocess.Popen[str]", journal: Path) -> bool:
+        """Kill the run at an instant, some while they start or make the rig safe; False when it ended before."""
+        random, begun = self.random, runs_begun(journal)
+        if random.random() < _WHILE_IT_STARTS:
+            alive = lasts(run, float(random.uniform(0.0, 1.2)))
         else:
-            # A step with data, of those that come next, and an instant in it; beyond the last there is only the end.
-            coming = [number for number in range(first, len(steps)) if steps[number].read_at_s]
-            ahead = int(random.choice(3, p=(0.3, 0.4, 0.3)))
-            if coming and aim != SAFE:
-                ahead = min(ahead, len(coming) - 1)
-            if ahead < len(coming):
-                step = steps[coming[ahead]]
-                begins = b'"event":"step begins","step":"%s"' % step.name.encode()
-                turns = [(move.start_s, move.start_s + move.duration_s) for move in step.moves]
-                span = turns[int(random.choice(len(turns)))] if aim == TURNING else (0.0, step.duration_s)
-                alive = run.await_word(begins) and run.lasts(float(random.uniform(*span)) / self.speed)
-            else:
-                alive = aim == SAFE
-            if alive and aim == SAFE:
-                if ahead < len(coming):
-                    run.process.send_signal(signal.SIGTERM)
-                run.await_word(b'"event":"ending"')
-                alive = run.lasts(float(random.uniform(0.0, 0.1)))
+            while lasts(run, 0.05) and runs_begun(journal) == begun:
+                pass
+            alive = lasts(run, float(random.uniform(0.0, _WAITS_S + self.track.duration_s / self.speed)))
+        if alive and random.random() < _WHILE_SAFE:
+            run.send_signal(signal.SIGTERM)
+            alive = lasts(run, float(random.uniform(0.0, 0.15)))
         if alive:
-            run.process.send_signal(signal.SIGKILL)
+            run.send_signal(signal.SIGKILL)
         return alive
+
+
+def runs_begun(journal: Path) -> int:
+    return journal.read_bytes().count(b'"state":"running"') if journal.exists() else 0
+
+
+def lasts(run: "subprocess.Popen[str]", real_s: float) -> bool:
+    """Wait so long; False when the run ended before."""
+    try:
+        run.wait(timeout=real_s)
+    except subprocess.TimeoutExpired:
+        return True
+    return False
 
 
 def fell_in(events: list[Event]) -> str:

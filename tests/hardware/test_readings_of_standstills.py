@@ -143,21 +143,3 @@ def test_readings_that_were_not_made_are_not_counted(ran) -> None:
     deviations = [np.sqrt(np.diag(fit.solution.known.covariance(built.model.to_reported))) for fit in known]
     across = built.model.names().index("gyro_y.m_x0")
     assert deviations[1][across] > 1.2 * deviations[0][across]
-
-
-def test_a_reading_that_is_stamped_before_the_gyros_see_a_standstill_counts(ran) -> None:
-    _, log, built = ran
-    rows, _ = imu_rows(built, [log], log.units[0], Options())
-    done = executed_imu(rows, built.motion.geometry)
-    # The first of several readings after a move of tilt, put 0.1 s before the gyros' standstill.
-    events = np.flatnonzero(np.isfinite(rows.angles[:, 0]))
-    move = int(np.flatnonzero(done.averaged[0][:, 0] > 3)[0])
-    ends = done.rows[1:][done.motion.axis == 0][move]
-    first = int(events[np.searchsorted(events, ends - round(0.4 / np.median(np.diff(rows.time_s))))])
-    early = int(ends - round(0.1 / np.median(np.diff(rows.time_s))))
-    angles, at_a_stop = rows.angles.copy(), rows.at_a_stop.copy()
-    angles[early, 0], angles[first, 0] = angles[first, 0], np.nan if first != early else angles[first, 0]
-    at_a_stop[early] = True
-    found = executed_imu(rows._replace(angles=angles, at_a_stop=at_a_stop), built.motion.geometry)
-    assert found.averaged[0][move, 0] == done.averaged[0][move, 0]
-    np.testing.assert_allclose(found.motion.angles()[1], done.motion.angles()[1], rtol=0.0, atol=1e-9)

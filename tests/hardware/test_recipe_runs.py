@@ -8,21 +8,17 @@ import numpy as np
 import pytest
 from hardware_bench import short_recipe, unpredicted
 from hardware_evidence import record
-from journal_log import log_of
 from simulated_devices.faults import Faults
 from simulated_devices.port_lab import SimulatedLab
 
 from gradcal_jax.hardware.clock import VirtualClock
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.execute import run_session
-from gradcal_jax.hardware.journal import Chunk, JournalContents
 from gradcal_jax.hardware.run_folder import (
     RunFolder,
     RunFolderError,
-    exit_status,
     new_folder,
     prepare_resume,
-    sessions,
 )
 from gradcal_jax.hardware.runner import Runner, RunProgress, RunResult
 from gradcal_jax.hardware.track import Track, track_of
@@ -173,39 +169,6 @@ def executed(folder: RunFolder, seed: int, *, stop_at_step: int | None = None, b
         return run_session(
             folder, lab.rig, clock, first_step=first, simulated=True, on_progress=look, with_runner=runners.append
         )
-
-
-@pytest.mark.long
-def test_a_resumed_run_gives_the_same_data_with_a_seam(tmp_path: Path) -> None:
-    made = short_recipe(2.0)
-    with SimulatedLab(made.spec, VirtualClock()) as lab:
-        folder = new_folder(tmp_path / "run", made, lab.rig, simulated={})
-        whole = new_folder(tmp_path / "whole", made, lab.rig, simulated={})
-    assert executed(whole, 4).exit_status == "success"
-    assert executed(folder, 4, stop_at_step=3).reason == "enough"
-    before = folder.journal_path.read_bytes()
-    latest = max(entry.time_s for entry in folder.contents().records)
-    assert executed(folder, 4, begins_s=latest + 100.0).exit_status == "success"
-    assert folder.journal_path.read_bytes().startswith(before)
-    contents = folder.contents()
-    assert contents.damaged_bytes == 0
-    assert (sessions(contents), exit_status(contents)) == (2, "success")
-    done = [event.data["number"] for event in contents.events if event.name == "step done"]
-    assert done == list(range(len(track_of(made, ["x"]).steps)))
-    log, uninterrupted = (log_of(f.contents(), made, f.rig()) for f in (folder, whole))
-    assert log.provenance["seams"] == "1"
-    assert len(log.stretch_starts) == 2
-    # The interrupted cycle was made again: one more of it, up to where it was interrupted.
-    more = len(log.time_s) - len(uninterrupted.time_s)
-    assert 0 < more < 14 * 125
-    # A session that was killed after its first bytes gives nothing, and costs nothing but the count of its samples.
-    first = next(n for n, entry in enumerate(contents.records) if isinstance(entry, Chunk) and entry.line == "unit1")
-    torn = JournalContents([*contents.records[: first + 1], *contents.records])
-    again = log_of(torn, made, folder.rig())
-    np.testing.assert_array_equal(again.rate_rad_per_s, log.rate_rad_per_s)
-    assert 0 < again.rows_read - log.rows_read < 200
-    with pytest.raises(RunFolderError, match="is complete"):
-        prepare_resume(folder)
 
 
 def test_resuming_refuses_another_recipe_another_version_and_another_device(tmp_path: Path) -> None:

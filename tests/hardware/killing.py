@@ -42,9 +42,7 @@ class Killer:
         torn, records = b"", []
         while True:
             run = start_run(self.folder, path, self.speed, guard=self.guard)
-            killed = self.kills.total() < self.most and self._strike(
-                run, path / "journal", runs_begun(path / "journal")
-            )
+            killed = self.kills.total() < self.most and self._strike(run, path / "journal")
             said, _ = run.communicate()
             journal = (path / "journal").read_bytes() if (path / "journal").exists() else b""
             # Nothing that was on the disk is ever lost or changed, and it reads as it did.

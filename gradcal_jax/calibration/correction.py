@@ -40,9 +40,6 @@ _ROWS_AT_ONCE = 1 << 15
 _SLOPE_WINDOW_S = 60.0
 # SI units of coefficients under [[path]] that multiply dT/dt: those of a bias, and of a scale factor.
 _BY_SLOPE, _SCALE_BY_SLOPE = ("rad/K", "m/s/K"), "s/K"
-Followed = Mapping[float, Floats]
-"""Temperatures `(n,)`, °C, that the maps of a channel follow, by the lag (s) of a map behind its channel; 0: none.
-Where a lag is missing, the map follows without it."""
 SIGNALS = tuple(f"{kind} {axis}" for kind in ("rate", "force") for axis in "xyz")
 """The inputs of an IMU, in the order of its matrices."""
 
@@ -62,20 +59,20 @@ class Corrected(NamedTuple):
     __repr__ = summary
 
 
-def maps_of(channel: CalibratedChannel, followed: Followed) -> list[Floats]:
+def maps_of(channel: CalibratedChannel, followed: Floats) -> list[Floats]:
     """The maps of all terms at these temperatures, `(n, functions of the rate)` each."""
-    within = {lag: np.clip(at, *channel.valid_temperature) for lag, at in followed.items()}
-    return [at_temperatures(term, within.get(float(term.lag or 0.0), within[0.0])) for term in channel.term]
+    within = np.clip(followed, *channel.valid_temperature)
+    return [at_temperatures(term, within) for term in channel.term]
 
 
 def channel_error(
-    channel: CalibratedChannel, followed: Followed, signals: Mapping[str, Floats], maps: Sequence[Floats] | None = None
+    channel: CalibratedChannel, followed: Floats, signals: Mapping[str, Floats], maps: Sequence[Floats] | None = None
 ) -> Floats:
     """The error of a channel's output, `(n,)`, for the true inputs `signals` ("rate x" rad/s, "force z" m/s²; an
     unknown input counts as zero). `maps`: `maps_of` the channel, where they are known already."""
     both = zip(channel.term, maps_of(channel, followed) if maps is None else maps, strict=True)
     known = [(term, of) for term, of in both if all(name.strip("|") in signals for name in term.signals)]
-    total = np.zeros_like(followed[0.0])
+    total = np.zeros_like(followed)
     for term, of_temperature in known:
         if channel.misaligns(term):
             total += of_temperature[:, 0] * signals[term.signals[0]]
@@ -123,26 +120,22 @@ def linear_part(
 def correct(
     channels: Sequence[CalibratedChannel],
     readings: Mapping[str, Floats],
-    followed: Floats | Sequence[Followed],
+    followed: Floats | Sequence[Floats],
     temperature_rate: Floats | None = None,
 ) -> dict[str, Floats]:
     """True inputs `(n,)` by name for measured ones ("rate x": rad/s, "force z": m/s²; NaN: not known).
 
-    `followed`: temperatures `(n,)`, °C, or those of each channel by lag; `temperature_rate`: K/s, where a term needs
+    `followed`: temperatures `(n,)`, °C, or those of each channel; `temperature_rate`: K/s, where a term needs
     it. Readings without a channel count as true. Raises `ValueError` where a map is so steep that it cannot be
     inverted.
     """
-    of_each = [{0.0: followed}] * len(channels) if isinstance(followed, np.ndarray) else followed
+    of_each = [followed] * len(channels) if isinstance(followed, np.ndarray) else followed
     inputs = list(readings)
     result = np.stack([readings[name] for name in inputs])
     for begin in range(0, result.shape[1], _ROWS_AT_ONCE):
         rows = slice(begin, begin + _ROWS_AT_ONCE)
         slope = {} if temperature_rate is None else {TEMPERATURE_RATE: temperature_rate[rows]}
-        part = [
-            (channel, {lag: at[rows] for lag, at in of.items()})
-            for channel, of in zip(channels, of_each, strict=True)
-            if channel.input in readings
-        ]
+        part = [(channel, of[rows]) for channel, of in zip(channels, of_each, strict=True) if channel.input in readings]
         result[:, rows] = _correct(part, inputs, result[:, rows], slope)
     return dict(zip(inputs, result, strict=True))
 
@@ -158,12 +151,12 @@ def correct_triads(
 
 
 def _correct(
-    channels: Sequence[tuple[CalibratedChannel, Followed]],
+    channels: Sequence[tuple[CalibratedChannel, Floats]],
     inputs: list[str],
     measured: Floats,
     slope: Mapping[str, Floats],
 ) -> Floats:
-    middle = float(np.median(np.concatenate([np.clip(of[0.0], *c.valid_temperature) for c, of in channels])))
+    middle = float(np.median(np.concatenate([np.clip(of, *c.valid_temperature) for c, of in channels])))
     inverse = np.linalg.inv(linear_part([c for c, _ in channels], middle, inputs)[0])
     # The temperature stays as it is from round to round.
     maps = [maps_of(channel, followed) for channel, followed in channels]
@@ -186,7 +179,7 @@ def _correct(
                 return now
         for channel, followed in channels:
             k = inputs.index(channel.input)
-            _refuse_or_leave(channel, followed[0.0], measured[k], change[k], now[k])
+            _refuse_or_leave(channel, followed, measured[k], change[k], now[k])
     return now
 
 
@@ -253,19 +246,13 @@ def apply(calibration: Calibration, log: Log, unit: str | int = 0) -> Corrected:
         temperature = np.full(len(log.time_s), float(channels[0].valid_temperature[0]))
     if slopes:
         slope = temperature_slope(temperature, log.time_s)
-
-    def later(values: Floats, lag: float) -> Floats:
-        return formulas.followed(values, log.time_s, log.stretch_starts, lag)
-
-    followed: list[Followed] = []
-    for channel in channels:
-        own = later(temperature, float(channel.thermal_lag or 0.0))
-        followed.append({lag: later(own, lag) for lag in {0.0, *(float(term.lag or 0.0) for term in channel.term)}})
+    lags = [float(channel.thermal_lag or 0.0) for channel in channels]
+    followed = [formulas.followed(temperature, log.time_s, log.stretch_starts, lag) for lag in lags]
     readings = {_input(name): values for name, values in columns.items() if np.isfinite(values).any()}
     corrected = correct(channels, readings, followed, slope)
     beyond, outside_rate = np.zeros(len(usable), bool), 0
     for channel, of in zip(channels, followed, strict=True):
-        beyond |= _outside(of[0.0], channel.valid_temperature)
+        beyond |= _outside(of, channel.valid_temperature)
         if channel.kind == "gyro":
             outside_rate += int(np.sum(_outside(corrected[channel.input], channel.valid_rate) & usable))
     done = {channel.label: corrected[channel.input] for channel in channels}

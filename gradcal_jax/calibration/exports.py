@@ -143,7 +143,7 @@ def _rows(calibration: Calibration) -> list[dict[str, str]]:
     rows: list[dict[str, str]] = []
     for channel in calibration.channel:
         for term in channel.term:
-            lag = float(channel.thermal_lag or 0.0) + float(term.lag or 0.0) if term.temperature is not None else 0.0
+            lag = float(channel.thermal_lag or 0.0) if term.temperature is not None else 0.0
             row = {"channel": channel.name, "term": term.name, "signals": " * ".join(term.signals), "unit": term.unit}
             for key, basis in (("temperature_basis", term.temperature), ("rate_basis", term.rate)):
                 keys = {} if basis is None else basis.model_dump(mode="json")

@@ -60,8 +60,6 @@ class CalibratedTerm(Section):
     """Basis over temperature; absent: constant."""
     rate: RateBasis | None = None
     """Basis over the channel's own rate; absent: the same at every rate."""
-    lag: q.Time | None = None
-    """First-order lag of this term behind the temperature of its channel; absent: no lag."""
     coefficients: dict[str, q.Number]
     """Coefficients by name, in SI: for each function of temperature, in order, those of all functions of rate."""
 

@@ -104,7 +104,5 @@ def readings(
     signals = dict(zip(inputs, true.T, strict=True)) | {TEMPERATURE_RATE: np.full(len(true), slope)}
     for channel in calibration.channel:
         own = temperature_c - slope * float(channel.thermal_lag or 0.0)
-        lags = {0.0, *(float(term.lag or 0.0) for term in channel.term)}
-        error = channel_error(channel, {lag: own - slope * lag for lag in lags}, signals)
-        raw[:, inputs.index(channel.input)] += error
+        raw[:, inputs.index(channel.input)] += channel_error(channel, own, signals)
     return raw

@@ -33,7 +33,7 @@ from gradcal_jax.information.prediction import requirement_rows
 from gradcal_jax.information.residual import GridElement, statistic
 from gradcal_jax.information.unseen import floor_of_plan
 from gradcal_jax.information.verdicts import UNIT_OF
-from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Map, Polynomial, constant
+from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Polynomial, constant
 from gradcal_jax.model.build import BuiltImu, build_imu, chamber_programme
 from gradcal_jax.motion import EARTH_RATE, Programme
 from gradcal_jax.spec.absent import with_typical
@@ -50,9 +50,8 @@ from gradcal_jax.units import time_text
 _MOST_WINDOWS = 40
 _PARTS = 48
 _AT_KNOT = 1e-6
-# An axis this near to a gyro's is the same, by 1 less the cosine. Lags that differ by a smaller share are equal.
+# An axis this near to a gyro's is the same, by 1 less the cosine.
 _ALONG = 1e-12
-_APART = 1e-6
 _PROVEN = ("gyro_scale_factor", "gyro_bias", "mission_heading")
 _RELAXED = (
     "everything else is known exactly",
@@ -151,22 +150,8 @@ class _PlanData:
                 if self.tied:
                     self.visits, same = visits, ", at the same times as in this plan"
         at_table = f"{time_text(float(round(self.turning)))} at the table{same}"
+        self.course: Course = _sensor_course(self.chamber, self.built.spec.sensor.lag)
         self.kept = (at_table, "the chamber follows the temperatures of this plan")
-
-    def course(self, term: Map) -> Course:
-        """The course of the temperature that a map follows."""
-        lag, late = self.built.spec.sensor.lag, term.late
-        if not late or not lag:
-            return _sensor_course(self.chamber, late.lag if late else lag)
-        # One lag after another, in partial fractions; of two equal ones the limit, to a millionth of the lag.
-        then = late.lag if abs(late.lag / lag - 1.0) > _APART else lag * (1.0 + _APART)
-        first, second = _sensor_course(self.chamber, lag), _sensor_course(self.chamber, then)
-
-        def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            level, slope = ((lag * a - then * b) / (lag - then) for a, b in zip(first(t), second(t), strict=True))
-            return level, slope
-
-        return at
 
     def spacing(self) -> tuple[float, float]:
         """The least time between readings, and between standstills (s), of this plan and of any plan in a search."""
@@ -224,7 +209,7 @@ def _bounds(data: _PlanData, requirement: Requirement, element: GridElement) -> 
     if bias is not None and np.any(rows[:, channel.where(BIAS)]):
         of_bias = rows[:, channel.where(BIAS)]
         noise = float(channel.angle_random_walk), channel.processes
-        left = bias_seen_continuously(bias, *noise, data.windows, data.course(bias), of_bias)
+        left = bias_seen_continuously(bias, *noise, data.windows, data.course, of_bias)
         value = float(statistic(requirement.statistic, left.reshape(shape)))
         yield Limit(value, value), (*_RELAXED, *more)
     if scale is None or not isinstance(scale.rate, Polynomial) or not np.any(rows[:, channel.where(SCALE_FACTOR)]):
@@ -238,7 +223,7 @@ def _bounds(data: _PlanData, requirement: Requirement, element: GridElement) -> 
         if clock := data.built.spec.sensor.clock_error:
             processes = processes + constant(clock, rate_gain=1.0)
         density, relaxed = _density_alone(data, channel)
-    course, floor = data.course(scale), np.zeros(shape)
+    course, floor = data.course, np.zeros(shape)
     if heading:
         relaxed += ("the bias is known", "errors that multiply the rate are left out")
     else:

@@ -298,7 +298,7 @@ def report_of(
     added += angle_tests(of_angles, tests.excess)
     advice = _advice(named, tests) | {one.name: one.advice for one in added}
     findings = [*shown.findings, *failed(named | {one.name: one.test for one in added}, advice)]
-    values, priors = model.to_reported @ solution.parameters, prior_deviations(built)
+    values, priors = model.to_reported @ solution.parameters, prior_deviations(model)
     findings += [*beyond_the_spec(model, values, priors), *turned_together(model.names(), values, priors)]
     contradicted = tuple(one.name for one in findings if one.contradicts)
     beyond = [beyond_the_data(requirement, *covered) for requirement in built.spec.requirement]
@@ -318,7 +318,7 @@ def report_of(
         *lag.sentences,
         *sentences_of([*_remarks(tests, named, solution), *(one for one in findings if one not in shown.findings)]),
         *([f"not observable: {', '.join(calibration.unobservable)}"] if calibration.unobservable else []),
-        *one_way_sentences(built, solution.known, done.motion.line),
+        *one_way_sentences(built, solution.known),
         *branch_sentences(built.spec),
         *attitude_sentences(built.spec),
         *backlash_sentences(estimated, solution, of_angles, requirements),

@@ -87,7 +87,7 @@ def _may_lag(built: BuiltImu) -> bool:
     """Whether the spec leaves a lag of the maps to the data: it does not state that there is none, and no term of the
     model has another temperature of its own."""
     sensor, terms = built.spec.sensor, built.model.terms
-    others = any(getattr(t, "other", None) or getattr(t, "late", None) for t in terms)
+    others = any(getattr(t, "other", None) for t in terms)
     return not (others or sensor.second_thermometer is not None or sensor.temperature_lag == 0.0)
 
 
@@ -184,7 +184,7 @@ def _pass(
 
 def _refuse_the_implausible(built: BuiltImu, name: str, solution: ImuEstimate) -> None:
     """Raise `LogError` for the first channel with coefficients that no device has."""
-    model, priors = built.model, prior_deviations(built)
+    model, priors = built.model, prior_deviations(built.model)
     values, begin = model.to_reported @ solution.parameters, 0
     # What the data hardly determine proves nothing.
     doubt = _SURE * solution.known.deviations(model.to_reported)
@@ -336,7 +336,7 @@ def calibration_of(
     reported = model.to_reported
     values, deviations = reported @ solution.parameters, solution.known.deviations(reported)
     names, units = model.names(), model.units()
-    priors = prior_deviations(built)
+    priors = prior_deviations(model)
     own = slice(0, model.calibrated)
     held = [
         one.model_copy(update={"residuals": residuals_of(solution.residuals_of(k))})
@@ -367,7 +367,7 @@ def calibration_of(
             for k in range(model.calibrated, model.size)
         ),
         "fit": fit_rows(tests.items()),
-        "unobservable": tuple(n for n in unobserved_parameters(built, solution.known) if n in kept),
+        "unobservable": tuple(n for n in unobserved_parameters(model, solution.known) if n in kept),
         "noise": _noise(spec, logs[0]),
         "result": tuple(map(result_of_requirement, requirements)),
         "provenance": provenance_of(
@@ -424,7 +424,6 @@ def _terms(spec: Spec, channel: Channel, values: np.ndarray) -> Iterator[Calibra
         section = getattr(triad, section_of(triad, term.name))
         assert isinstance(term, Map)
         bases = {"temperature": section.temperature, "rate": getattr(section, "rate", None)}
-        bases |= {"lag": Quantity.of(term.late.lag, "s")} if term.late is not None else {}
         yield build_term(term.name, term.unit, term.signals, coefficients, **bases)
 
 

@@ -375,7 +375,7 @@ def readings_counted(done: ExecutedImu, model: ImuModel) -> ExecutedImu:
     if not done.averaged or not model.encoder.held:
         return done
     motion, share = done.motion, np.ones(len(done.motion.axis))
-    last, expected = segments_of(motion, model).last, readings_of_standstills(motion, model)
+    last, expected = segments_of(motion, model).last, readings_of_standstills(motion, model)[1:].T
     for k, (made, of_segments) in enumerate(zip(done.averaged, expected, strict=True)):
         moves = np.flatnonzero(np.asarray(motion.axis) == k)
         # Readings that are nearer to each other than those of the spec are not independent.

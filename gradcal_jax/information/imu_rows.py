@@ -41,7 +41,7 @@ from gradcal_jax.information.posterior import (
     square_root,
 )
 from gradcal_jax.information.whitening import SINGLE_PRECISION, whiten, whitened_factor
-from gradcal_jax.model import BodyGroup, BodyNodes, EncoderNoise, ImuModel
+from gradcal_jax.model import BodyGroup, BodyNodes, ImuModel
 from gradcal_jax.model.terms import Term, block_diagonal
 from gradcal_jax.motion import TableMotion
 
@@ -316,96 +316,71 @@ def _encoder_errors(motion: TableMotion, model: ImuModel, at: Segments) -> _Enco
     """The encoders' errors over the segments of a motion."""
     line, of, axes = motion.line, model.encoder, motion.geometry.axis_count
     xp, count = namespace(line.duration, of, motion.axis), len(at.first)
+    every, now = slice(None), np.arange(axes)
     if line.rates:
         turned = at.sums(xp.where(motion.turns, line.turned()[:, None], 0.0))
-        each = np.arange(axes)
-        spread = placed((count, axes, axes), ((slice(None), each, each), xp.square(of.rate * turned)))
+        spread = placed((count, axes, axes), ((every, now, now), xp.square(of.rate * turned)))
         return _EncoderErrors(np.zeros((count, axes, axes)), spread, np.zeros((axes, axes)))
+    moved = xp.where(_moves(motion, at), 1.0, 0.0)
+    share = xp.asarray(line.share)[at.last][:, None]
+    offset, reading, timing = (of.offset**2)[None], (of.reading**2)[None], (np.zeros(axes) + of.timing)[None]
+    if of.held:
+        readings = readings_of_standstills(motion, model, at)
+        shares = xp.concatenate([xp.ones((1, axes)), xp.where(moved > 0.0, share, 1.0)])
+        drawn = offset + reading / (readings * shares)
+        fresh, spread, first = moved, moved * drawn[1:], drawn[0]
+    else:
+        gap, read, at_rest = (np.asarray(x)[at.last][:, None] for x in (line.gap, line.read, line.at_rest))
+        # The empty slots of a search take no time, and are not read.
+        reads = xp.where(at.sums(line.duration)[:, None] > 0.0, (read | gap).astype(float), 0.0)
+        stands = reads * xp.where(motion.turns[at.last], at_rest.astype(float), 1.0)
+        timed = xp.square(line.end_rate()[at.last][:, None] * timing) * (reads - stands)
+        fresh, first, drawn = reads * np.ones((1, axes)), (reading + offset)[0], offset
+        spread = reads * reading / share + timed + stands * moved * drawn
+    before, still = now + axes, now + 2 * axes
+    transition = [((every, at_, at_), 1.0 - fresh) for at_ in (now, before)] + [((every, before, now), fresh)]
+    covariance, initial = [((every, now, now), spread)], [((now, now), first)]
     kinds = 2 if of.held or not of.has_offset else 3
-    moves = xp.where(at.sums(xp.where(motion.turns, 1.0, 0.0)) > 0.0, 1.0, 0.0)
-    gap, read, at_rest = (np.asarray(x)[at.last] for x in (line.gap, line.read, line.at_rest))
-    start, lasting = line.start[at.first], at.sums(line.duration)
-    # The empty slots of a search take no time, and are not read.
-    reads = np.ones(count) if of.held else xp.where(lasting > 0.0, (read | gap).astype(float), 0.0)
-    readings = _readings_of_standstills(of, moves > 0.0, start, lasting, gap) if of.held else []
-    parts: tuple[list, list, list] = ([], [], [])
-    for k in range(axes):
-        now, before, still = k, k + axes, k + 2 * axes
-        moved = moves[:, k]
-        fresh = moved if of.held else reads
-        transition, covariance, initial = parts
-        every = slice(None)
-        transition += [
-            ((every, now, now), 1.0 - fresh),
-            ((every, before, before), 1.0 - fresh),
-            ((every, before, now), fresh),
-        ]
-        if of.held:
-            spread, first = _standstills(
-                of, k, moved > 0.0, readings[k], xp.where(moved > 0.0, xp.asarray(line.share)[at.last], 1.0)
-            )
-            covariance.append(((every, now, now), spread))
-            initial.append(((now, now), first))
-            continue
-        stands = reads * xp.where(motion.turns[at.last, k], at_rest.astype(float), 1.0)
-        white, drawn = of.reading[k] ** 2, of.offset[k] ** 2
-        share = xp.asarray(line.share)[at.last]
-        timed = xp.square(line.end_rate()[at.last] * (xp.zeros(axes) + of.timing)[k]) * (reads - stands)
-        covariance.append(((every, now, now), reads * white / share + timed + stands * moved * drawn))
-        initial.append(((now, now), white + drawn))
-        if kinds == 3:
-            both = stands * moved * drawn
-            transition += [((every, now, still), stands * (1.0 - moved)), ((every, still, still), 1.0 - moved)]
-            covariance += [
-                ((every, still, still), moved * drawn),
-                ((every, now, still), both),
-                ((every, still, now), both),
-            ]
-            initial += [(at_, drawn) for at_ in ((now, still), (still, now), (still, still))]
+    if kinds == 3:
+        both = stands * moved * drawn
+        transition += [((every, now, still), stands * (1.0 - moved)), ((every, still, still), 1.0 - moved)]
+        covariance += [((every, still, still), moved * drawn)]
+        covariance += [((every, *at_), both) for at_ in ((now, still), (still, now))]
+        initial += [(at_, drawn[0]) for at_ in ((now, still), (still, now), (still, still))]
     size = kinds * axes
-    shapes = (count, size, size), (count, size, size), (size, size)
+    shapes, parts = ((count, size, size), (count, size, size), (size, size)), (transition, covariance, initial)
     return _EncoderErrors(*(placed(shape, *of_shape) for shape, of_shape in zip(shapes, parts, strict=True)))
 
 
-def readings_of_standstills(motion: TableMotion, model: ImuModel) -> list[Float[AnyArray, " S"]]:
-    """How often every axis of a table that is held is read before it moves again, after every segment."""
-    at, line = segments_of(motion, model), motion.line
-    moves = at.sums(np.where(motion.turns, 1.0, 0.0)) > 0.0
-    starts, gap = np.asarray(line.start)[at.first], np.asarray(line.gap)[at.last]
-    counts = _readings_of_standstills(model.encoder, moves, starts, at.sums(line.duration), gap)
-    return [count[1:] for count in counts]
+def _moves(motion: TableMotion, at: Segments) -> Bool[AnyArray, "S L"]:
+    """Whether each segment moves each axis."""
+    return at.sums(namespace(motion.turns).where(motion.turns, 1.0, 0.0)) > 0.0
 
 
-def _readings_of_standstills(encoder: EncoderNoise, moves: Bool[AnyArray, "S L"], start, duration, gap) -> list:
-    """Of every axis, the number of its readings at the standstill before all segments and after each, `(S + 1,)`."""
-    xp = namespace(encoder, start, duration, moves)
-    end = start[-1:] + duration[-1:]
+def readings_of_standstills(
+    motion: TableMotion, model: ImuModel, at: Segments | None = None
+) -> Float[AnyArray, "readings L"]:
+    """How often every axis of a table that is held is read before it moves again: before all segments, and after
+    each."""
+    at, line = at or segments_of(motion, model), motion.line
+    xp, moves, gap = namespace(motion, model.encoder), _moves(motion, at), np.asarray(line.gap)[at.last]
+    start, lasting = line.start[at.first], at.sums(line.duration)
+    end = start[-1:] + lasting[-1:]
     # Of a move in a gap, nothing is read in the whole gap.
     of_gap = np.maximum.accumulate(np.where(gap & ~np.append(False, gap[:-1]), np.arange(len(gap)), 0))
     after = np.flatnonzero(~np.append(gap, False))
     following = after[np.searchsorted(after, np.arange(len(gap)))]
-    ends = xp.where(gap, xp.concatenate([start, end])[following], start + duration)
-    begins = xp.concatenate([start[:1], ends])
-
-    def of_axis(k: int):
-        # A standstill lasts until the axis moves again: of every segment, the begin of the next one that moves it.
-        marked = xp.concatenate([xp.where(moves[:, k], xp.where(gap, start[of_gap], start), end), end])
-        stops = xp.flip(_running_least(xp.flip(marked)))
-        return xp.floor((stops - begins) / encoder.every[k] * (1.0 + 1e-9) + 1e-9) + 1.0
-
-    return [of_axis(k) for k in range(moves.shape[1])]
+    ends = xp.where(gap, xp.concatenate([start, end])[following], start + lasting)
+    begins = xp.concatenate([start[:1], ends])[:, None]
+    # A standstill lasts until the axis moves again: of every segment, the begin of the next one that moves it.
+    marked = xp.where(moves, xp.where(gap, start[of_gap], start)[:, None], end[None])
+    marked = xp.concatenate([marked, xp.broadcast_to(end[None], (1, moves.shape[1]))])
+    stops = xp.flip(_running_least(xp.flip(marked, axis=0)), axis=0)
+    return xp.floor((stops - begins) / model.encoder.every[None] * (1.0 + 1e-9) + 1e-9) + 1.0
 
 
-def _standstills(encoder: EncoderNoise, k: int, moves: Bool[AnyArray, " S"], readings, share):
-    """Variance of the encoder error that each move of axis k draws, `(S,)`, and of the first one, by the number of
-    `readings`; `share` `(S,)`: of this number that were read."""
-    xp = namespace(encoder, moves, readings, share)
-    variance = encoder.offset[k] ** 2 + encoder.reading[k] ** 2 / (readings * xp.concatenate([xp.ones(1), share]))
-    return xp.where(moves, variance[1:], 0.0), variance[0]
-
-
-def _running_least(values: Float[AnyArray, " n"]) -> Float[AnyArray, " n"]:
-    """The least value up to and including each one."""
+def _running_least(values: Float[AnyArray, "n L"]) -> Float[AnyArray, "n L"]:
+    """The least row up to and including each one."""
     return np.minimum.accumulate(values) if namespace(values) is np else jax.lax.cummin(values)
 
 

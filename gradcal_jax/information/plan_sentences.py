@@ -8,9 +8,9 @@ import numpy as np
 
 from gradcal_jax.information import Posterior, posterior, square_root
 from gradcal_jax.information.imu_residual import UNITS_OF_TERMS
-from gradcal_jax.model import AXIS_NAMES, Discrepancy, Hysteresis, OwnTerm
-from gradcal_jax.model.build import HYSTERESIS, SCALE_FACTOR_HYSTERESIS, BuiltImu, build_imu, imu_posterior
-from gradcal_jax.motion import Trajectory, frames
+from gradcal_jax.model import AXIS_NAMES, Discrepancy, Hysteresis, ImuModel, OwnTerm
+from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.motion import frames
 from gradcal_jax.spec.absent import minutes_of_change
 from gradcal_jax.spec.requirement import GyroScaleFactorRequirement, MissionHeadingRequirement
 from gradcal_jax.spec.spec import expect_spec
@@ -26,17 +26,15 @@ _NEARLY = 1e-3
 _PLACES = 33
 # Change of temperature within a piece that counts as none, K.
 _SAME_K = 1e-6
-_POSES = "rest with the axis up, down and horizontal, at more temperatures"
 # What a plan needs to observe a term, by kind of channel and the beginning of the term's name.
 _REMEDIES = {
     ("gyro", "scale_factor"): "turn about the gyro, at more rates and temperatures",
     ("gyro", "bias"): "rest at more temperatures, and in four directions that are not in one plane",
     ("gyro", "misalignment"): "turn about the other axes, and again with the inner axis rotated by 180 deg",
     ("gyro", "g_sensitivity"): "rest in four directions that are not in one plane",
-    ("accelerometer", ""): _POSES,
+    ("accelerometer", ""): "rest with the axis up, down and horizontal, at more temperatures",
 }
-# Cosine to the vertical beyond which gravity does not see an axis's turns.
-_UPRIGHT = 0.995
+_BY_GRAVITY = " (gravity does not show turns about a vertical axis: turn while it is tilted)"
 
 
 def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
@@ -45,9 +43,8 @@ def plan_warnings(built: BuiltImu, known: Posterior) -> list[str]:
     fastest = _fastest(built)
     return [
         *_unobserved(built, known),
-        *_limited_by_priors(built, known),
+        *_limited_by_priors(built.model, known),
         *one_way_sentences(built, known),
-        *_unseen_by_gravity(built),
         *_saturated(built, fastest),
         *_beyond_temperatures(built),
         *_beyond_rates(built, fastest),
@@ -64,126 +61,93 @@ def check(spec: Spec) -> list[str]:
     return plan_warnings(built, imu_posterior(built))
 
 
-def unobserved_parameters(built: BuiltImu, known: Posterior) -> list[str]:
+def prior_deviations(model: ImuModel, rows: np.ndarray | None = None) -> np.ndarray:
+    """Prior standard deviation of every reported parameter, or of functions of the parameters; `inf` where flat."""
+    return posterior(square_root(model.prior_rows())).deviations(model.to_reported if rows is None else rows)
+
+
+def _stays(model: ImuModel, known: Posterior) -> np.ndarray:
+    """Which of all parameters are not observed."""
+    after, before = known.deviations(model.to_reported), prior_deviations(model)
+    return ~np.isfinite(after) | ((after > NOT_OBSERVED * before) & np.isfinite(before))
+
+
+def unobserved_parameters(model: ImuModel, known: Posterior) -> list[str]:
     """Names of the unit's own parameters that a plan, or data, do not observe, those of hidden structure and of the
     state at the beginning left out."""
-    hidden = {
-        f"{c.name}.{name}"
-        for c in built.model.channels
-        for t in c.terms
-        if isinstance(t, Discrepancy | OwnTerm)
-        for name in (t.nuisances if isinstance(t, OwnTerm) else t.names())
-    }
-    stays = _stays(built, known)[: built.model.calibrated]
-    return [name for name, same in zip(built.model.names(), stays, strict=False) if same and name not in hidden]
-
-
-def prior_deviations(built: BuiltImu) -> np.ndarray:
-    """Prior standard deviation of every reported parameter; `inf` where flat."""
-    return posterior(square_root(built.model.prior_rows())).deviations(built.model.to_reported)
-
-
-def _stays(built: BuiltImu, known: Posterior) -> np.ndarray:
-    """Which of all parameters are not observed."""
-    after, before = known.deviations(built.model.to_reported), prior_deviations(built)
-    return ~np.isfinite(after) | ((after > NOT_OBSERVED * before) & np.isfinite(before))
+    hidden = set[str]()
+    for c in model.channels:
+        for t in c.terms:
+            if isinstance(t, Discrepancy | OwnTerm):
+                names = t.nuisances if isinstance(t, OwnTerm) else t.names()
+                hidden.update(f"{c.name}.{name}" for name in names)
+    stays = _stays(model, known)[: model.calibrated]
+    return [name for name, same in zip(model.names(), stays, strict=False) if same and name not in hidden]
 
 
 def _unobserved(built: BuiltImu, known: Posterior) -> list[str]:
     """Sentences on parameters that nothing observes, or that keep their priors, each with what a plan needs."""
     groups: dict[str, list[str]] = {}
-    unobserved = {name for name in unobserved_parameters(built, known) if "hysteresis_" not in name}
+    unobserved, more = unobserved_parameters(built.model, known), _BY_GRAVITY if built.spec.rig.table.by_gravity else ""
     for c in built.model.channels:
         for term in c.terms:
             fits = [of for (kind, head), of in _REMEDIES.items() if kind == c.kind and term.name.startswith(head)]
-            names = [f"{c.name}.{name}" for name in term.names()]
-            groups.setdefault(fits[0] if fits else "change the plan", []).extend(n for n in names if n in unobserved)
+            names = [] if isinstance(term, Hysteresis) else [f"{c.name}.{name}" for name in term.names()]
+            own = groups.setdefault(fits[0] if fits else "change the plan", [])
+            own += [name for name in names if name in unobserved]
     return [
-        f"the plan cannot observe {', '.join(names)}: {of}, or state a prior" for of, names in groups.items() if names
+        f"the plan cannot observe {', '.join(names)}: {of}, or state a prior{more}"
+        for of, names in groups.items()
+        if names
     ]
 
 
-def _limited_by_priors(built: BuiltImu, known: Posterior) -> list[str]:
+def _limited_by_priors(model: ImuModel, known: Posterior) -> list[str]:
     """Errors of the installation that the plan does not observe and that dominate the error of a parameter of the unit:
     any plan, or this one, cannot separate the two (a gauge freedom of the measurement)."""
-    model, names, priors = built.model, built.model.names(), prior_deviations(built)
-    spread = model.to_reported[: model.calibrated] @ known.spread
-    size = np.linalg.norm(spread, axis=1)
-    groups: dict[tuple[str, float], tuple[list[str], dict[str, None]]] = {}
-    for i in np.flatnonzero(_stays(built, known)):
-        std = float(np.linalg.norm(known.spread[i]))
-        if i < model.calibrated or not std:
-            continue
-        share = np.abs(spread @ known.spread[i]) / np.where(size > 0.0, size * std, 1.0)
-        limited = [names[j] for j in np.flatnonzero(share > NOT_OBSERVED)]
-        if limited:
-            common, own = groups.setdefault((model.units()[i], float(priors[i])), ([], {}))
-            common.append(names[i])
-            own |= dict.fromkeys(limited)
-    return [
-        f"the plan does not reduce the uncertainty of {', '.join(common)} ({prior * UNITS_OF_TERMS[si][1]:.3g} "
-        f"{UNITS_OF_TERMS[si][0]}), which alone limits {', '.join(own)}, however long the plan is: {_cure(common)}"
-        for (si, prior), (common, own) in groups.items()
-    ]
-
-
-def _cure(names: list[str]) -> str:
-    """What observes parameters of the installation."""
-    if any(name.startswith("orthogonality_") for name in names):
-        return "repeat the turns with the inner axis rotated by 180 deg, or measure it by other means"
-    return "measure it by other means"
-
-
-def _unseen_by_gravity(built: BuiltImu) -> list[str]:
-    """Sentences on axes that are vertical in all of their turns, where gravity alone refers their angles."""
-    motion, table = built.motion, built.spec.rig.table
-    moves = np.flatnonzero((motion.axis >= 0) & ~motion.line.gap)
-    if not table.by_gravity or not len(moves):
-        return []
-    stages = frames(motion.geometry, motion.angles()[0][moves], motion.mounting[moves])
+    own, names, priors = model.calibrated, model.names(), prior_deviations(model)
+    spread = model.to_reported @ known.spread
+    spread = spread / np.maximum(np.linalg.norm(spread, axis=1, keepdims=True), np.finfo(float).tiny)
+    limits = _stays(model, known)[own:, None] & (np.abs(spread[own:] @ spread[:own].T) > NOT_OBSERVED)
+    groups: dict[tuple[str, float], list[int]] = {}
+    for k in np.flatnonzero(np.any(limits, axis=1)):
+        groups.setdefault((model.units()[own + k], float(priors[own + k])), []).append(int(k))
     sentences: list[str] = []
-    for k, axis in enumerate(table.axis):
-        own = np.flatnonzero(motion.axis[moves] == k)
-        vertical = np.abs(np.einsum("ni,ni->n", stages.axes[own, k], stages.attitude[own, 2]))
-        if len(own) and np.min(vertical) >= _UPRIGHT:
-            sentences.append(
-                f'gravity does not show turns of "{axis.name}", which is vertical in all of them: turn it also while '
-                "it is tilted"
-            )
+    for (si, prior), members in groups.items():
+        common = [names[own + k] for k in members]
+        limited = [names[j] for j in np.flatnonzero(np.any(limits[members], axis=0))]
+        unit, factor = UNITS_OF_TERMS[si]
+        turned = any(name.startswith("orthogonality_") for name in common)
+        cure = "repeat the turns with the inner axis rotated by 180 deg, or " if turned else ""
+        sentences.append(
+            f"the plan does not reduce the uncertainty of {', '.join(common)} ({prior * factor:.3g} {unit}), which "
+            f"alone limits {', '.join(limited)}, however long the plan is: {cure}measure it by other means"
+        )
     return sentences
 
 
-def one_way_sentences(built: BuiltImu, known: Posterior, line: Trajectory | None = None) -> list[str]:
-    """What a plan that does not return leaves of every hysteresis, and the shortest return that observes it. `line`: of
-    an executed motion in the place of the plan's."""
-    model, before = built.model, posterior(square_root(built.model.prior_rows()))
-    course = _course_in_words(line or built.motion.line)
-    sentences: list[str] = []
+def one_way_sentences(built: BuiltImu, known: Posterior) -> list[str]:
+    """What a temperature that does not return leaves of every hysteresis, and the shortest return that observes it."""
+    model, sentences = built.model, list[str]()
     for c in model.channels:
-        for head, words in ((HYSTERESIS, "bias"), (SCALE_FACTOR_HYSTERESIS, "scale factor")):
-            head = head.partition("{")[0]
-            plays = [t for t in c.terms if isinstance(t, Hysteresis) and t.name.startswith(head)]
+        for words, of_scale in (("bias", False), ("scale factor", True)):
+            plays = [t for t in c.terms if isinstance(t, Hysteresis) and bool(t.signals) == of_scale]
+            if not plays:
+                continue
             row = np.zeros((1, model.size))
             for play in plays:
                 row[0, model.where(c.kind, c.axis, play.name).start] = float(play.width)
-            after = float(known.deviations(row)[0])
-            if not plays or after <= _HARDLY_SEEN * float(before.deviations(row)[0]):
+            after, before = float(known.deviations(row)[0]), float(prior_deviations(model, row)[0])
+            if after <= _HARDLY_SEEN * before:
                 continue
             unit, factor = UNITS_OF_TERMS[plays[0].unit.removesuffix("/K")]
             back = 2.0 * max(float(play.width) for play in plays)
             sentences.append(
-                f"{course}: hysteresis is not observable; ±{after * factor:.3g} {unit} of hysteresis remain in the "
-                f"{words} of {c.kind} {AXIS_NAMES[c.axis]}: change the temperature back by {back:g} K or "
+                f"hysteresis is not observable; ±{after * factor:.3g} {unit} of hysteresis remain in the {words} of "
+                f"{c.kind} {AXIS_NAMES[c.axis]}: change the temperature back by {back:g} K or "
                 f"more{minutes_of_change(built.spec, back)}"
             )
     return sentences
-
-
-def _course_in_words(line: Trajectory) -> str:
-    """Why the branches of the temperature are not told apart."""
-    begin, end = (of[~line.gap] for of in line.ends())
-    ways = {1.0 if b > a else -1.0 for a, b in zip(begin, end, strict=True) if abs(b - a) > _SAME_K}
-    return {0: "constant temperature", 1: "one-way ramp"}.get(len(ways), "legs too short")
 
 
 def _fastest(built: BuiltImu) -> np.ndarray:

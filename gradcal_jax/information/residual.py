@@ -58,14 +58,14 @@ class GridElement(NamedTuple):
 
 
 def grid_element(
-    model: ImuModel, label: str, rows: Float[np.ndarray, "g p"], states: Float[np.ndarray, "s g p"] | None = None
+    model: ImuModel, label: str, rows: Float[np.ndarray, "g p"], states: Float[np.ndarray, "s 1 p"] | None = None
 ) -> GridElement:
     """An element from functions of all parameters; `states`: what each state of the service adds to them."""
-    stds = model.discrepancy_stds
-    alone, beyond = np.where(stds > 0.0, rows, 0.0), rows**2 @ stds**2
-    every = rows[None] if states is None else rows + states
-    where = np.flatnonzero(np.any(every, axis=(0, 1)))
-    return GridElement(label, where, every[:, :, where], alone[:, where], beyond)
+    seen = np.any(rows, axis=0) if states is None else np.any(rows, axis=0) | np.any(states, axis=(0, 1))
+    where = np.flatnonzero(seen)
+    own, stds = rows[:, where], model.discrepancy_stds[where]
+    every = own[None] if states is None else own + states[:, :, where]
+    return GridElement(label, where, every, own * (stds > 0.0), own**2 @ stds**2)
 
 
 def map_rows(

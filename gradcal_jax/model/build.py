@@ -101,14 +101,10 @@ class BuiltImu(NamedTuple):
         return trajectory.body_nodes(self.motion, self.points)
 
 
-def build_imu(
-    spec: Spec,
-    change: Callable[[Schedule], Schedule] | None = None,
-    like: BuiltImu | None = None,
-) -> BuiltImu:
-    """Model and motion of an IMU's spec. `change`: what the times and rates of the plan become. `like`: an IMU with the
-    same plan and other error terms, whose motion serves if the terms need the same pieces. Errors: `MemoryError` for a
-    plan with more readings than this machine can hold, `ValueError` for a fixture of several IMUs."""
+def build_imu(spec: Spec, like: BuiltImu | None = None) -> BuiltImu:
+    """Model and motion of an IMU's spec. `like`: an IMU with the same plan and other error terms, whose motion serves
+    if the terms need the same pieces. Errors: `MemoryError` for a plan with more readings than this machine can hold,
+    `ValueError` for a fixture of several IMUs."""
     if spec.rig.table.place:
         raise ValueError(
             "the spec has a fixture of several IMUs, and only predict, optimise and estimate support fixtures; for "
@@ -127,12 +123,7 @@ def build_imu(
     if like is not None and _divisions(spec, model_, like) == _divisions(like.spec, like.model, like):
         return BuiltImu(spec, model_, like.motion, points, rough, sources, gears=like.gears)
     gears = gears_of(spec) if like is None else like.gears
-    return BuiltImu(spec, model_, _motion(spec, model_, change), points, rough, sources, gears=gears)
-
-
-def plan_schedule(spec: Spec) -> Schedule:
-    """The schedule of a spec's plan."""
-    return table_schedule(spec.schedule, spec)
+    return BuiltImu(spec, model_, _motion(spec, model_), points, rough, sources, gears=gears)
 
 
 def course_before(spec: Spec) -> np.ndarray | None:
@@ -309,7 +300,6 @@ def _map(
     hidden = None
     if beyond is not None:
         hidden = float(beyond.standard_deviation), beyond.temperature_degree, getattr(beyond, "rate_degree", 0)
-    late = getattr(section, "lag", None)
     return make_map(
         _CONSTANT if temperature is None else basis(temperature),
         None if rate is None else basis(rate),
@@ -322,7 +312,6 @@ def _map(
         smoothness_std=or_infinite(getattr(section, "smoothness", None)),
         common_std=float(triad.turn_on_bias or 0.0) if key == "bias" else 0.0,
         discrepancy=hidden,
-        late=OtherTemperature.late(float(late)) if late else None,
     )
 
 
@@ -403,10 +392,14 @@ def rest_poses(built: BuiltImu) -> RestPoses:
     return RestPoses(line.start[first], at.sums(line.duration)[rests], stages.attitude[first][:, 2, :])
 
 
-def _motion(spec: Spec, of: ImuModel, change: Callable[[Schedule], Schedule] | None) -> TableMotion:
-    """The motion of a spec's plan; `change`: what its times and rates become."""
-    schedule, axes, start = _schedule(spec.schedule, spec)
-    schedule = schedule if change is None else change(schedule)
+def _motion(spec: Spec, of: ImuModel) -> TableMotion:
+    """The motion of a spec's plan."""
+    plan, schedule = spec.schedule, plan_schedule(spec)
+    # The axis of each move (−1: a rest), and the axes' angles (rad) as the plan begins.
+    if isinstance(plan, StandardSchedule):
+        axes, start = [-1] + [0] * len(plan.rates), np.zeros(len(spec.rig.table.axis))
+    else:
+        axes, start = [s.axis for s in (*plan.steps, *plan.after)], np.array(plan.start)
     line = schedule.trajectory(spec.sensor.lag)
     # What fills a stretch stands.
     axis = np.array([*axes, -1])[np.minimum(np.asarray(schedule.pieces.move), len(axes))]
@@ -442,22 +435,14 @@ def _divisions(spec: Spec, of: ImuModel, built: BuiltImu) -> tuple[object, ...]:
     return spec.sensor.lag, times, _breaks(of), fineness(spec, of, built.motion.line)
 
 
-def _schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> tuple[Schedule, list[int], np.ndarray]:
-    """The schedule of a plan as a channel sees it that every axis turns, the axis of each of its moves (−1: a rest),
-    and the axes' angles (rad) at its begin."""
-    schedule = table_schedule(plan, spec)
-    if isinstance(plan, StandardSchedule):
-        return schedule, [-1] + [0] * len(plan.rates), np.zeros(len(spec.rig.table.axis))
-    return schedule, [s.axis for s in (*plan.steps, *plan.after)], np.array(plan.start)
-
-
 def _divisions_by_decay(line: trajectory.Trajectory, decay: float) -> tuple[np.ndarray, np.ndarray]:
     """Pieces and fractions of them at which they are bisected towards their start, so that an exponential that decays
     at `decay` for s (of a thermal lag) changes little in each part."""
     decays = np.where(line.gap, 0.0, line.duration) * decay
     halves = np.ceil(np.log2(np.maximum(decays / _LAG_TIMES, 1.0))).astype(int)
     pieces = np.repeat(np.arange(len(halves)), halves)
-    order = np.concatenate([np.zeros(0), *(np.arange(count, 0, -1) for count in halves)])
+    # Of a piece with k divisions k, k − 1, …, 1.
+    order = np.repeat(np.cumsum(halves), halves) - np.arange(len(pieces))
     return pieces, 0.5**order
 
 
@@ -507,8 +492,9 @@ def _breaks(of: ImuModel) -> tuple[tuple[float, ...], dict[int, tuple[float, ...
     return tuple(sorted(warm)), {axis: tuple(sorted(at)) for axis, at in fast.items()}
 
 
-def table_schedule(plan: PlanSchedule | StandardSchedule, spec: Spec) -> Schedule:
-    """The schedule of a plan as a channel sees it that every axis turns."""
+def plan_schedule(spec: Spec) -> Schedule:
+    """The schedule of a spec's plan as a channel sees it that every axis turns."""
+    plan = spec.schedule
     if isinstance(plan, StandardSchedule):
         points = (plan.temperatures, plan.soak_each, plan.integration, plan.rates)
         return trajectory.standard_plan(*points, points=plan.shared)

@@ -23,12 +23,11 @@ import numpy as np
 from jaxtyping import Float
 
 from gradcal_jax.arrays import AnyArray, PytreeModule, namespace, placed
-from gradcal_jax.model.bases import Basis, Polynomial
+from gradcal_jax.model.bases import Basis
 from gradcal_jax.model.installation import InstallationTerm
 from gradcal_jax.model.nodes import AXIS_NAMES, INPUTS, BodyGroup, BodyNodes, OtherTemperature
 from gradcal_jax.model.noise import Processes
 from gradcal_jax.model.terms import (
-    DISCREPANCY,
     Discrepancy,
     GradientOfBias,
     Map,
@@ -176,9 +175,8 @@ class ImuModel(PytreeModule):
     @property
     def others(self) -> tuple[OtherTemperature, ...]:
         """The temperatures beside that of the sensor on which its terms depend."""
-        late = {term.late for term in self.terms if isinstance(term, Map)}
         other = {term.other for term in self.terms if isinstance(term, ProductTerm)}
-        return tuple(sorted(of for of in late | other if of is not None))
+        return tuple(sorted(of for of in other if of is not None))
 
     def names(self) -> list[str]:
         """Names of the reported parameters in order: `gyro_x.b00`, `accelerometer_z.k2`, `azimuth`."""
@@ -217,7 +215,7 @@ class ImuModel(PytreeModule):
         for group in nodes.groups:
             across, shared = np.zeros((*group.weight.shape, 2 * len(AXIS_NAMES))), group.shared()
             for number, term, places in terms:
-                functions = np.mean(term.temperature(shared.temperature_at(term.late)), axis=1)
+                functions = np.mean(term.temperature(shared.temperature), axis=1)
                 size, channel = (functions @ parameters[places])[:, None], self.channels[number]
                 across[..., channel.index] += size * shared.signal(term.signals[0])
                 if channel.kind == "gyro":
@@ -240,7 +238,7 @@ class ImuModel(PytreeModule):
         # Terms of all channels with the same functions of temperature are integrated together.
         ends, begin = [], 0
         parts: list[tuple] = []
-        alike: list[dict[tuple[Basis, OtherTemperature | None], list[tuple[np.ndarray, AnyArray]]]]
+        alike: list[dict[Basis, list[tuple[np.ndarray, AnyArray]]]]
         alike = [{} for _ in nodes.groups]
         for c in self.channels:
             view = nodes.channel(c.kind, c.axis)
@@ -251,47 +249,37 @@ class ImuModel(PytreeModule):
                     places = np.arange(begin, end).reshape(basis.size, -1)
                     for group, own, known in zip(nodes.groups, view.groups, alike, strict=True):
                         if c.kind == "gyro" or not group.moving:
-                            known.setdefault((basis, term.late), []).append((places, term.drive(own)))
+                            known.setdefault(basis, []).append((places, term.drive(own)))
                 else:
                     parts.append(((slice(None), slice(begin, end)), term.columns(view)))
                 begin = end
             ends.append(begin)
         for group, known in zip(nodes.groups, alike, strict=True):
             shared = group.shared()
-            for (basis, late), terms in known.items():
+            for basis, terms in known.items():
                 drive = namespace(group.weight).concatenate([d for _, d in terms], axis=-1)
                 places = np.concatenate([at for at, _ in terms], axis=1).ravel()
                 where: tuple = group.pieces[:, None], places
                 if np.all(np.diff(places) == 1):  # (half the time)
                     where = group.pieces, slice(places[0], places[-1] + 1)
-                parts.append((where, shared.sums(basis(shared.temperature_at(late)), drive)))
+                parts.append((where, shared.sums(basis(shared.temperature), drive)))
         columns = placed((len(nodes.kind), begin), *parts)
         return [columns[:, a:b] for a, b in pairwise([0, *ends])]
 
     def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k p p"] | None:
         """S with `columns at T + by = (columns at T) S` for each `by` (K); None unless all are polynomials of T."""
-        result, known = np.tile(np.eye(self.size), (len(by), 1, 1)), {}
-        begin = 0
-        for channel, term in ((c, term) for c in self.channels for term in c.terms):
-            if isinstance(term, Map):
-                basis, count = term.temperature, term.size // term.temperature.size
-                if not isinstance(basis, Polynomial) or term.late is not None:
+        result, every = np.tile(np.eye(self.size), (len(by), 1, 1)), np.arange(self.size)
+        for c in self.channels:
+            for term in c.terms:
+                if isinstance(term, Map):
+                    own = term.shifts(by)
+                    if own is None:
+                        return None
+                    names = [term.name] if term.beyond is None else [term.name, term.beyond.name]
+                    places = np.concatenate([every[self.where(c.kind, c.axis, name)] for name in names])
+                    result[:, places[:, None], places] = own
+                elif not isinstance(term, Discrepancy | GradientOfBias):
                     return None
-                places = begin + np.arange(term.size).reshape(basis.size, count).T
-                if (key := (basis.degree, basis.centre, basis.scale)) not in known:
-                    known[key] = basis.shifts(by)[:, None]
-                result[:, places[:, :, None], places[:, None, :]] = known[key]
-            elif isinstance(term, Discrepancy) and term.late is None:
-                of = channel
-                own = term.name.removesuffix(DISCREPANCY.format(""))
-                first = begin - of.where(term.name).start
-                places = np.append(first + np.arange(of.size)[of.where(own)], begin + np.arange(term.size))
-                function = of.map(own)
-                assert function is not None
-                result[:, places[:, None], places] = term.shifts(function, by)
-            elif not isinstance(term, GradientOfBias):
-                return None
-            begin += term.size
         return result
 
     def prior_rows(self) -> Float[AnyArray, "q p"]:

@@ -5,7 +5,6 @@ integrates on Gauss–Legendre nodes of smooth motion, a log on its samples; the
 of both.
 """
 
-from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -15,16 +14,11 @@ from gradcal_jax.arrays import AnyArray, PytreeModule, cross, namespace, placed,
 
 
 class OtherTemperature(NamedTuple):
-    """A temperature beside that of the maps: a first-order lag of it, of `lag` s, or that of the second thermometer,
-    which such a lag stands for in a plan."""
+    """A temperature beside that of the maps, such as that of the second thermometer: in a plan a first-order lag of it,
+    of `lag` s."""
 
     name: str
     lag: float
-
-    @classmethod
-    def late(cls, lag: float) -> "OtherTemperature":
-        """The temperature of the maps, later by a first-order lag (s)."""
-        return cls(f"{lag:g} s", lag)
 
 
 SECOND: Final = "second"
@@ -72,13 +66,6 @@ class SharedNodes(NamedTuple):
             xp.swapaxes(weights[self.kind] @ first, -1, -2), (first.shape[0], first.shape[2] * second.shape[2])
         )
 
-    def temperature_at(self, of: OtherTemperature | None) -> Float[AnyArray, "k m"]:
-        """Another temperature at the points (°C); None: that of the maps."""
-        if of is None:
-            return self.temperature
-        assert self.others is not None
-        return self.others[of.name]
-
 
 class Nodes(PytreeModule):
     """All nodes of a channel's pieces, and values of each piece for terms that are no integrals.
@@ -91,12 +78,6 @@ class Nodes(PytreeModule):
     temperature_change: Float[AnyArray, " P"]
     temperature_before: Float[AnyArray, " P"] | None = None
     history: Float[AnyArray, " H"] | None = None
-
-    def at(self, other: OtherTemperature | None) -> "Nodes":
-        """The same at another temperature; None: at that of the maps."""
-        if other is None:
-            return self
-        return replace(self, groups=tuple(g._replace(temperature=g.temperature_at(other)) for g in self.groups))
 
     def integrals(self, of_group, size: int) -> Float[AnyArray, "P size"]:
         """`of_group(group) -> (k, size)` of every group at its pieces; zero at pieces without a group."""

@@ -80,7 +80,6 @@ class Discrepancy(Term):
     rate: HigherPolynomials | None
     std: Float[AnyArray, ""]
     name: str = eqx.field(static=True)
-    late: OtherTemperature | None = eqx.field(static=True, default=None)
 
     @property
     def of_own_input(self) -> bool:
@@ -146,7 +145,7 @@ class Discrepancy(Term):
             parts = [group.sums(t, w * drive) for t, w in pairs if t.shape[-1] and w.shape[-1]]
             return namespace(group.weight).concatenate(parts, axis=-1)
 
-        return nodes.at(self.late).integrals(of_group, self.size)
+        return nodes.integrals(of_group, self.size)
 
 
 class Map(Term):
@@ -156,8 +155,7 @@ class Map(Term):
     `prior_std`: standard deviation of every *reported* coefficient, or of each (`has_prior`: finite). `common_std`: of
     an error common to the whole map, inseparable from its constant (turn-on bias of B). `smoothness_std`: of the
     difference of neighbouring coefficients (`has_smoothness`: finite). `beyond`: functions that the structure omits, a
-    term of its own in a model. `late`: the temperature that the map follows; None: the sensor's own. `symbol`: of the
-    coefficients; `numbered`: even if there is one.
+    term of its own in a model. `symbol`: of the coefficients; `numbered`: even if there is one.
     """
 
     temperature: Basis
@@ -173,7 +171,6 @@ class Map(Term):
     numbered: bool = eqx.field(static=True)
     has_prior: bool = eqx.field(static=True)
     has_smoothness: bool = eqx.field(static=True)
-    late: OtherTemperature | None = eqx.field(static=True)
 
     @property
     def unit(self) -> str:
@@ -228,6 +225,15 @@ class Map(Term):
         both = [np.kron(steps(self.temperature), np.eye(n_w)), np.kron(np.eye(n_t), steps(self.rate))]
         return np.concatenate(both) @ self.to_reported
 
+    def shifts(self, by: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k s s"] | None:
+        """S with `f(T + by) = f(T) S` for all T (°C), f its functions and then those that it omits; None unless these
+        are polynomials of T."""
+        if not isinstance(self.temperature, Polynomial):
+            return None
+        if self.beyond is not None:
+            return self.beyond.shifts(self, by)
+        return np.kron(self.temperature.shifts(by), np.eye(1 if self.rate is None else self.rate.size)[None])
+
     def prior_rows(self) -> Float[AnyArray, "q size"]:
         xp, rows = namespace(self.prior_std, self.smoothness_std, self.common_std), []
         if self.has_prior:
@@ -237,7 +243,6 @@ class Map(Term):
         return xp.concatenate(rows) if rows else xp.zeros((0, self.size))
 
     def columns(self, nodes: Nodes) -> Float[AnyArray, "P size"]:
-        nodes = nodes.at(self.late)
         return nodes.integrals(lambda g: g.sums(self.temperature(g.temperature), self.drive(g)), self.size)
 
     def drive(self, group: SharedNodes) -> Float[AnyArray, "U q b"]:
@@ -259,7 +264,6 @@ def make_map(
     smoothness_std: float | np.ndarray = np.inf,
     common_std: float = 0.0,
     discrepancy: tuple[float, int, int] | None = None,
-    late: OtherTemperature | None = None,
 ) -> Map:
     """A map from plain numbers (SI). `discrepancy` is (standard deviation, highest degree in T, highest degree in ω).
 
@@ -280,7 +284,7 @@ def make_map(
         ]
         of_rate = None if rate is None else bases[1]
         hidden = DISCREPANCY.format(name)
-        beyond = Discrepancy(temperature=bases[0], rate=of_rate, std=scalar(std), name=hidden, late=late)
+        beyond = Discrepancy(temperature=bases[0], rate=of_rate, std=scalar(std), name=hidden)
         if beyond.size == 0:
             raise ValueError(
                 "the discrepancy's degrees must exceed the model's, otherwise the discrepancy adds nothing"
@@ -299,7 +303,6 @@ def make_map(
         numbered=numbered,
         has_prior=bool(np.all(np.isfinite(prior_std))),
         has_smoothness=bool(np.isfinite(smoothness_std)),
-        late=late,
     )
 
 
@@ -464,7 +467,8 @@ class ProductTerm(OwnTerm):
             assert nodes.slope is not None
             of_path = of_path * nodes.slope[..., None] ** self.slopes
         if self.other is not None:
-            of_path = of_path * (nodes.temperature_at(self.other) - nodes.temperature)[..., None]
+            assert nodes.others is not None
+            of_path = of_path * (nodes.others[self.other.name] - nodes.temperature)[..., None]
         return of_path, nodes.product(self.signals)
 
     def in_service(self, sign: float, slope: float) -> float:

@@ -9,10 +9,10 @@ from gradcal_jax.estimation.calibrations import calibrated_parameters, calibrate
 from gradcal_jax.information import Posterior, posterior
 from gradcal_jax.information.imu_residual import ImuResidual, quantity_of
 from gradcal_jax.information.posterior import square_root
-from gradcal_jax.information.prediction import counted_posteriors
+from gradcal_jax.information.prediction import judged_plan
 from gradcal_jax.information.unseen import TURN_ON, CountedPosteriors, widened
 from gradcal_jax.information.verdicts import run_of
-from gradcal_jax.model.build import BuiltImu, build_imu, imu_posterior
+from gradcal_jax.model.build import BuiltImu
 from gradcal_jax.pages.sources import Sources
 from gradcal_jax.pages.tables import results as results_of
 from gradcal_jax.spec.requirement import MissionHeadingRequirement, Requirement
@@ -90,8 +90,7 @@ class _Plan:
     """A spec's model and posteriors before and after its plan."""
 
     def __init__(self, spec: Spec) -> None:
-        built = build_imu(spec)
-        self.counted: CountedPosteriors = counted_posteriors(built, imu_posterior(built))
+        self.counted: CountedPosteriors = judged_plan(spec).budget
         self._prior = posterior(square_root(np.asarray(self.counted.built.model.prior_rows())))
 
     def left(self, requirement: Requirement) -> ImuResidual | None:

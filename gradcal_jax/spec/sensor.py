@@ -124,9 +124,6 @@ class ScaleFactorDiscrepancy(HiddenStructure[q.ScaleFactor]):
 class GyroMap(EstimatedTerm[Value], Generic[Value]):
     """A map of a gyro."""
 
-    lag: q.Time | None = None
-    """Known first-order lag of this map behind the sensor's temperature; absent: no lag. At the start, the lag is in
-    equilibrium, as after a soak."""
     temperature: TemperatureBasis
     """Basis over temperature."""
     smoothness: q.Positive[Value] | None = None
@@ -137,8 +134,6 @@ class GyroMap(EstimatedTerm[Value], Generic[Value]):
     def _problems(self) -> Iterator[Problem]:
         polynomials = {name: of for name, of in self._bases.items() if isinstance(of, PolynomialKeys)}
         all_polynomials, hidden = polynomials == self._bases, self.discrepancy
-        if self.lag is not None and "temperature" not in polynomials:
-            yield Problem(("lag",), "a map with its own lag must be a polynomial in temperature", self.lag.text)
         if self.smoothness is not None and all_polynomials:
             message = 'neighbouring coefficients exist only for "b-spline" and "bins"; leave this key out'
             yield Problem(("smoothness",), message, str(self.smoothness))

@@ -73,8 +73,7 @@ class Spec(TitledFile):
         gyro, table, frame = self.sensor.gyro, self.rig.table, self.sensor.frame
         if gyro is None or not self.is_one_axis:
             return False
-        lags = (getattr(of, "lag", None) for of in (gyro.bias, gyro.scale_factor))
-        simple = not gyro.on_path and not any(lags)
+        simple = not gyro.on_path
         level = not table.tilt and not table.azimuth
         begins = 0.0
         if isinstance(self.plan, MotionPlan) and self.plan.cycle is not None:

@@ -126,4 +126,4 @@ def readings(truth: dict[str, float], count: int = 400) -> tuple[Log, np.ndarray
 def gyro(calibration: Calibration, rate: np.ndarray, temperature: np.ndarray, axis: str = "x") -> np.ndarray:
     """The output of a calibration's gyro for true rates: the calibration forwards."""
     channel = next(channel for channel in calibration.channel if channel.name == f"gyro_{axis}")
-    return rate + channel_error(channel, {0.0: temperature}, {channel.input: rate})
+    return rate + channel_error(channel, temperature, {channel.input: rate})

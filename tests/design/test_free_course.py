@@ -39,7 +39,6 @@ def turning(*, back: bool = False, late: bool = False) -> Spec:
         "sensor.second_thermometer": {"lag": "10 min"},
         "sensor.clock": "sensor",
         "sensor.gyro.term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "0.5 deg/h/K"}],
-        "sensor.gyro.scale_factor.lag": "2 min",
     }
     return gj.changed(
         spec_of(ways=2 if back else 1),

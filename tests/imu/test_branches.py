@@ -137,12 +137,10 @@ def test_a_branch_counts_the_hysteresis_of_the_class_where_the_spec_names_none()
 
 def test_a_one_way_ramp_says_what_remains_and_the_cure():
     sentences = check(required(ONE_WAY, {"hysteresis": PLAY} | KNOWN_GRADIENT))
-    (said,) = [s for s in sentences if "one-way" in s]
-    assert said == (
-        "one-way ramp: hysteresis is not observable; ±18.6 deg/h of hysteresis remain in the bias of gyro z: change "
-        "the temperature back by 10 K or more (3.33 min at 3 K/min)"
-    )
-    assert not any("one-way" in s for s in check(required(TWO_WAY, {"hysteresis": PLAY} | KNOWN_GRADIENT)))
+    (said,) = [s for s in sentences if s.startswith("hysteresis is not observable; ±18.6 deg/h")]
+    assert said.endswith("bias of gyro z: change the temperature back by 10 K or more (3.33 min at 3 K/min)")
+    returning = check(required(TWO_WAY, {"hysteresis": PLAY} | KNOWN_GRADIENT))
+    assert not any("hysteresis is not observable" in s for s in returning)
 
 
 def test_slopes_that_a_branch_does_not_have_are_refused():

@@ -29,14 +29,14 @@ from gradcal_jax.tables.problems import SpecError
 HOUR = np.pi / 180.0 / 3600.0
 LINEAR = {"degree": 1, "centre": "20 degC", "scale": "30 K"}
 BY_RATE = {"degree": 0, "centre": "0 deg/s", "scale": "100 deg/s"}
-SECOND_S, BIAS_S, SCALE_S = 120.0, 200.0, 90.0
+SECOND_S = 120.0
 PATH: dict[str, Any] = {
     "term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "5 deg/h/K"}],
 }  # fmt: skip
 GYRO: dict[str, Any] = {
     "axes": ["z"], "angle_random_walk": "0.3 deg/sqrt(h)", **PATH,
-    "bias": {"temperature": LINEAR, "prior": "100 deg/h", "lag": f"{BIAS_S} s"},
-    "scale_factor": {"temperature": LINEAR, "rate": BY_RATE, "prior": "5000 ppm", "lag": f"{SCALE_S} s"},
+    "bias": {"temperature": LINEAR, "prior": "100 deg/h"},
+    "scale_factor": {"temperature": LINEAR, "rate": BY_RATE, "prior": "5000 ppm"},
 }  # fmt: skip
 FORCE: dict[str, Any] = {
     "axes": ["z"], "velocity_random_walk": "0.05 m/s/sqrt(h)",
@@ -102,8 +102,7 @@ def dense_columns(built: BuiltImu, channel: str) -> dict[str, np.ndarray]:
     drive = earth - np.where(built.motion.axis[:, None] == 0, rate, 0.0)
     result = {"thermometer_difference": late(SECOND_S) - temperature}
     if channel == "gyro_z":
-        result["a1"] = (late(BIAS_S) - 20.0) / 30.0
-        result["b01"] = (late(SCALE_S) - 20.0) / 30.0 * drive
+        result["b01"] = (temperature - 20.0) / 30.0 * drive
     return {name: np.sum(of * weight, axis=1) for name, of in result.items()}
 
 
@@ -123,30 +122,12 @@ def test_columns_are_the_integrals_of_the_definition(lag):
             assert size > 0.0, name
             assert own == pytest.approx(dense[kept], rel=1e-5, abs=1e-6 * size), name
             compared += 1
-    assert compared == 4
+    assert compared == 3
 
 
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        ({"second_thermometer": None}, "needs a second thermometer"),
-        (
-            {
-                "gyro": GYRO
-                | {
-                    "bias": {
-                        "temperature": {"degree": 0, "knots": ["0 degC", "20 degC", "40 degC"]},
-                        "lag": "1 min",
-                    }
-                }
-            },
-            "must be a polynomial in temperature",
-        ),
-    ],
-)
-def test_what_has_no_meaning_is_refused(changes, says):
-    with pytest.raises(SpecError, match=says):
-        spec_with({key: value for key, value in (SENSOR | changes).items() if value is not None})
+def test_the_difference_needs_a_second_thermometer():
+    with pytest.raises(SpecError, match="needs a second thermometer"):
+        spec_with({key: value for key, value in SENSOR.items() if key != "second_thermometer"})
 
 
 def test_a_requirement_counts_the_slope_of_the_service():
@@ -164,7 +145,6 @@ FOLLOWED = {
     "sensor.second_thermometer": {"lag": "4 min"},
     "sensor.gyro.hysteresis": [],
     "sensor.gyro.term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "4 deg/h/K"}],
-    "sensor.gyro.bias.lag": "2 min",
 }
 
 
@@ -199,14 +179,12 @@ def test_a_calibration_takes_off_what_follows_late_and_names_the_rest(tmp_path):
     write_calibration(report.calibration, tmp_path / "calibration.toml")
     calibration = read_calibration(tmp_path / "calibration.toml")
     assert calibration.path == report.calibration.path
-    assert {str(term.lag) for channel in calibration.channel for term in channel.term} == {"120 s"}
     kept = [f"{one.channel}.{one.name}" for one in calibration.path if one.second_thermometer]
     assert len(kept) == 3
     assert apply(calibration, log).left_in == tuple(kept)
     with pytest.raises(LogError, match="no second temperature"):
         estimate_sensors(report.built.spec, [replace(log, second_temperature_c=None)])
     done = export(calibration, "px4")
-    assert ("gyro x", "while the temperature changes") in {(loss.channel, loss.what) for loss in done.losses}
     assert sum(note.endswith("is lost") for note in done.notes) == len(calibration.path)
 
 

@@ -46,12 +46,6 @@ def said(spec) -> float:
     return row.mean_of_max
 
 
-def test_its_value_is_what_predict_says_and_jit_changes_nothing(spec, residual):
-    assert residual({})["full range"] == pytest.approx(said(spec), rel=1e-13)
-    compiled = jax.jit(lambda q: residual(q)["full range"])(residual.quantities)
-    assert float(compiled) == pytest.approx(said(spec), rel=1e-11)
-
-
 @pytest.mark.parametrize(
     ("name", "key", "nominal", "unit"),
     [

@@ -1,10 +1,8 @@
 """What the plans' room promises by itself: moves end where they should, and timelines are on time."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import SCENES, plan_of
 
 from gradcal_jax import motion as trajectory
 from gradcal_jax.formulas import SHAPES
@@ -109,19 +107,3 @@ def test_a_standard_plan_soaks_then_holds_each_rate():
     np.testing.assert_allclose(line.start[line.read], [100.0, 130.0, 160.0, 290.0, 320.0, 350.0])
     np.testing.assert_allclose(line.turned()[line.read], [-30.0, 0.0, 60.0] * 2)
     np.testing.assert_allclose(line.level, [-20.0] * 4 + [50.0] * 4)
-
-
-def everything(line):
-    """What a trajectory is, of the pieces that last."""
-    lasts = line.duration > 0.0
-    names = ("start", "duration", "terms", "level", "slope", "excess", "read", "at_rest", "moving", "gap", "share")
-    return {name: np.asarray(getattr(line, name))[lasts] for name in names}
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_arrays_of_jax_are_the_same_plan(name):
-    plan = plan_of(SCENES[name])
-    lag = SCENES[name].lag
-    plain, traced = everything(plan.trajectory(lag)), everything(jax.tree.map(jnp.asarray, plan).trajectory(lag))
-    for field, values in traced.items():
-        np.testing.assert_allclose(values, plain[field], rtol=1e-12, atol=1e-13, err_msg=field)

@@ -137,8 +137,7 @@ class _Draws:
                 self.values[f"{kind}_{_XYZ[row]}.{symbols[row][column]}{ending}"] = float(values[row, column, power])
             else:
                 values[row, column, power] = 0.0
-        # A bias and a scale factor may lag by themselves.
-        return ErrorTerm(values, basis, factors, float(getattr(section, "lag", None) or 0.0))
+        return ErrorTerm(values, basis, factors)
 
     def _scale_factors(self, section: Any, size: float, axes: tuple[str, ...]) -> ErrorTerm:
         of_t, of_w = section.temperature, section.rate
@@ -148,7 +147,7 @@ class _Draws:
             symbol = f"b{j}{i}" if powers else f"b{_ordinal(of_w, j)}_{_ordinal(of_t, i)}"
             if _XYZ[row] in axes:
                 self.values[f"gyro_{_XYZ[row]}.{symbol}"] = float(values[row, i, j])
-        return ErrorTerm(values.transpose(0, 2, 1), of_t.values, of_w.values, float(section.lag or 0.0))
+        return ErrorTerm(values.transpose(0, 2, 1), of_t.values, of_w.values)
 
 
 def _named(kind: Kind, name: str, values: Vectors, axes: Sequence[str]) -> dict[str, float]:
@@ -176,7 +175,7 @@ def _draw_hidden(triad: Any, random: np.random.Generator) -> Iterator[ErrorTerm]
             values[:, : section.temperature.size, :known] = 0.0
             basis = partial(_legendre, section.temperature, of.temperature_degree)
             factors = partial(_legendre, section.rate, of.rate_degree) if of_input else "one"
-            yield ErrorTerm(values.transpose(0, 2, 1), basis, factors, float(section.lag or 0.0))
+            yield ErrorTerm(values.transpose(0, 2, 1), basis, factors)
 
 
 def _legendre(powers: PolynomialKeys, degree: int, x: Vectors) -> Vectors:

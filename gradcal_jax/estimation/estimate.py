@@ -286,7 +286,7 @@ def report_of(
     one_way = bool(abs(temperature[record][-1] - temperature[record][0]) > _ONE_WAY * np.ptp(temperature[record]))
     whiten = Whitener(readings)
     # At stable temperatures nothing lags, and between them no data are used.
-    answers = answers_of(built, (), ()) if stable else whiten.answers(solution)
+    answers = answers_of(built) if stable else whiten.answers(solution)
     run = EstimatedRun(solution.parameters, covered[0], answers, lag.uncounted, one_way, options.clock_doubt)
     estimated = built._replace(about=solution.parameters)
     known = solution.known._replace(spread=solution.known.spread * tests.excess)

@@ -87,7 +87,7 @@ class Differentiable:
         at = segments_of(self.built.motion, self.built.model)
         info, columns = plan_information(self.built._replace(motion=motion, model=model), self._terms, at)
         root, results = info.root(), dict[str, Any]()
-        unseen = unseen_columns(self.built, answers_of(self.built, self._terms, columns))
+        unseen = unseen_columns(self.built, answers_of(self.built, columns if self._terms else None))
         for name, of in self._required.items():
             value = of.statistic(of.requirement.statistic, unseen)(root)
             results[name] = xp.asarray(value * UNIT_OF[of.requirement.quantity][1])

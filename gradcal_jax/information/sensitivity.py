@@ -29,6 +29,7 @@ from gradcal_jax.information.figures import correlation_times
 from gradcal_jax.information.imu_residual import imu_residual
 from gradcal_jax.information.unseen import budget_of_imu
 from gradcal_jax.information.verdicts import UNIT_OF
+from gradcal_jax.model import Map
 from gradcal_jax.model.build import BuiltImu, imu_posterior
 from gradcal_jax.spec.requirement import Requirement
 from gradcal_jax.spec.spec import expect_spec
@@ -142,4 +143,8 @@ def _of_plan(of: Differentiable) -> dict[str, tuple[Change, float]]:
     turned = waves * float(np.max(np.abs(after - before[0]), initial=0.0))
     step = min(_STEP, _PHASE / turned) if turned and not kept else _STEP
     figures: dict[str, tuple[Change, float]] = {TIME: (longer, step)}
-    return figures | ({RATES: (faster, _SMALL_STEP if kept else step)} if len(line.moving_pieces) else {})
+    # Where functions of the rate are divided, faster turns divide the pieces elsewhere.
+    divided = any(isinstance(t, Map) and t.rate is not None and t.rate.breaks for t in built.model.terms)
+    if len(line.moving_pieces) and not divided:
+        figures[RATES] = faster, _SMALL_STEP if kept else step
+    return figures

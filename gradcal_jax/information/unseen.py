@@ -102,33 +102,32 @@ class CountedPosteriors(NamedTuple):
 
 
 def drifting_terms(built: BuiltImu) -> list[tuple[int, Term]]:
-    """What of a plan's errors by dT/dt the estimate does not know, as far as the spec names it: of every channel a bias
-    by dT/dt and, of its class's slopes over temperature, a scale factor by dT/dt."""
-    sensor, terms = built.spec.sensor, list[tuple[int, Term]]()
-    unknown = bool(sensor.temperature_lag)
-    still = not np.any(built.motion.line.slope) and not np.any(built.motion.line.excess)
-    for number, c in enumerate(built.model.channels):
-        if still or unweighted_estimator(built.spec):
-            break
+    """Errors by dT/dt that a plan's estimate does not know, of every channel a bias and a scale factor; none where the
+    temperature stays, and where the spec names none."""
+    sensor, line, channels = built.spec.sensor, built.motion.line, built.model.channels
+    still = not np.any(line.slope) and not np.any(line.excess)
+    biases = [getattr(sensor, c.kind).gradient_std for c in channels if c.term(TEMPERATURE_GRADIENT) is None]
+    terms = list[tuple[int, Term]]()
+    if still or unweighted_estimator(built.spec) or not (sensor.temperature_lag or any(biases)):
+        return terms
+    for number, c in enumerate(channels):
         own = f"{INPUTS[c.kind]} {AXIS_NAMES[c.axis]}"
-        if unknown or (getattr(sensor, c.kind).gradient_std and c.term(TEMPERATURE_GRADIENT) is None):
-            terms.append((number, GradientOfBias(std=np.ones(()), has_prior=False)))
-        if unknown:
-            terms.append(
-                (number, ProductTerm(std=np.ones(()), name=SCALE_FACTOR, si_unit="s/K", signals=(own,), slopes=1))
-            )
+        of_scale = ProductTerm(std=np.ones(()), name=SCALE_FACTOR, si_unit="s/K", signals=(own,), slopes=1)
+        terms += [(number, GradientOfBias(std=np.ones(()), has_prior=False)), (number, of_scale)]
     return terms
 
 
-def answers_of(built: BuiltImu, terms: Sequence[tuple[int, Term]], columns: Any) -> Answers:
-    """The answers of a plan's estimate, of which `columns` `(p, k)` are those to its drifting terms."""
-    none = np.zeros(built.model.size)
-    gradient, lag = [none] * len(built.model.channels), [none] * len(built.model.channels)
-    for k, (number, term) in enumerate(terms):
-        by_bias, by_scale = slopes_of(built.spec.sensor, built.model.channels[number].kind)
-        if isinstance(term, GradientOfBias):
-            gradient[number] = columns[:, k]
-        lag[number] = lag[number] - (by_bias if isinstance(term, GradientOfBias) else by_scale) * columns[:, k]
+def answers_of(built: BuiltImu, columns: Any = None) -> Answers:
+    """The answers of a plan's estimate, of which `columns` `(p, k)` are those to its drifting terms (None: it has
+    none)."""
+    channels, gradient, lag = built.model.channels, list[Any](), list[Any]()
+    if columns is None:
+        return Answers([np.zeros(built.model.size)] * len(channels), [np.zeros(built.model.size)] * len(channels))
+    for number, c in enumerate(channels):
+        by_bias, by_scale = slopes_of(built.spec.sensor, c.kind)
+        of_bias, of_scale = columns[:, 2 * number], columns[:, 2 * number + 1]
+        gradient.append(of_bias)
+        lag.append(-by_bias * of_bias - by_scale * of_scale)
     return Answers(gradient, lag)
 
 
@@ -137,9 +136,9 @@ def posterior_and_answers(built: BuiltImu, known: Posterior | None = None) -> tu
     if it was computed."""
     terms = drifting_terms(built)
     if not terms:
-        return known or imu_posterior(built), answers_of(built, (), ())
+        return known or imu_posterior(built), answers_of(built)
     info, columns = plan_information(built, terms)
-    return posterior(info), answers_of(built, terms, columns)
+    return posterior(info), answers_of(built, columns)
 
 
 def unseen_columns(
@@ -287,7 +286,7 @@ def floor_of_plan(spec: Spec) -> tuple[BuiltImu, Posterior]:
     built = build_imu(spec)
     nothing = np.zeros((built.model.size, 0))
     # Longer turns lose less to backlash, and another course less to what the temperature's rate adds.
-    columns = unseen_columns(built, answers_of(built, (), ()))
+    columns = unseen_columns(built, answers_of(built))
     return built, widened(Posterior(nothing, nothing), {n: c for n, c in columns.items() if n != BACKLASH})
 
 

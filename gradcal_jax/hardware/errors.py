@@ -1,6 +1,6 @@
 """Errors between the program and a device, classified by the possible response.
 
-Reads may be repeated after `ReplyTimeout`, `FramingError` and `ChecksumError`. Writes are repeated only after a
+Reads may be repeated after `ReplyTimeout` and `FramingError`. Writes are repeated only after a
 read-back has shown that they did not take effect. `Rejected` and `DeviceFault` are statements of the device and are
 never repeated blindly. Every message says what was observed and what to do.
 """
@@ -41,11 +41,7 @@ class ReplyTimeout(HardwareError):
 
 
 class FramingError(HardwareError):
-    """The bytes received are not a message of this protocol."""
-
-
-class ChecksumError(FramingError):
-    """The checksum of a message does not match its contents."""
+    """The bytes received are not a message of this protocol, or a damaged one."""
 
 
 class Rejected(HardwareError):

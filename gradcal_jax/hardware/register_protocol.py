@@ -1,8 +1,7 @@
-"""`gradcal-registers/1`: the description of a chamber that is read and commanded by Modbus registers, without code;
-`presets/devices` has examples.
+"""`gradcal-registers/1`: the description of a chamber that is read and commanded by Modbus registers, without code.
 
 Every value that is written is read back, from its own register or from the one that `shown_in` names. The order of
-commands and their verification are in the driver (`hardware.drivers.registers`).
+commands and their verification are in the drivers (`hardware.drivers`).
 """
 
 from collections.abc import Iterator, Mapping
@@ -10,12 +9,12 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from gradcal_jax.hardware.line_protocol import Condition, DeviceDescription
+from gradcal_jax.hardware.description import DeviceDescription, missing
 from gradcal_jax.tables.problems import Problem, instead
 from gradcal_jax.tables.quantity import Count, Flag, Quantity, SizeOfTime, Text, Time
 from gradcal_jax.tables.section import Section
 
-FORMAT: Final = "gradcal-registers/1"
+REGISTERS: Final = "gradcal-registers/1"
 _COMMANDS: Final = ("setpoint", "ramp", "on", "off", "no_ramp", "end_program")
 
 
@@ -66,15 +65,11 @@ class RegisterProtocol(DeviceDescription):
     """Kind of device."""
     line: ModbusLine = ModbusLine()
     """Settings of the connection."""
-    on_first: Flag = False
-    """Whether the device accepts a set point only while it is switched on and conditions the chamber."""
     registers: dict[str, Register]
     """Registers of the device, by name. Names that the program knows: air, setpoint, product, mode, lowest, highest,
     model, serial, firmware."""
     tell: dict[str, dict[str, int | float | Text]]
     """Commands, by name: the registers to write, and the values for them."""
-    alarm: dict[str, Condition] = Field(default_factory=dict[str, Condition])
-    """Alarms of the device, by name."""
 
     @property
     def fields(self) -> dict[str, Register]:
@@ -82,24 +77,19 @@ class RegisterProtocol(DeviceDescription):
         return self.registers
 
     def _problems(self) -> Iterator[Problem]:
-        needed = (("registers", "air"), ("registers", "setpoint"), ("tell", "setpoint"))
-        for key in (key for key in needed if key[1] not in getattr(self, key[0])):
-            yield Problem(key, "this key is missing; a chamber needs it", kind="missing")
+        for table, name in (("registers", "air"), ("registers", "setpoint"), ("tell", "setpoint")):
+            if name not in getattr(self, table):
+                yield missing((table, name), "; a chamber needs it")
         for name in ("lowest", "highest"):
             if name not in self.registers and getattr(self.limits, name) is None:
-                message = f"this key is missing; give it, or describe a register {name}"
-                yield Problem(("limits", name), message, kind="missing")
+                yield missing(("limits", name), f"; give it, or describe a register {name}")
         if ("on" in self.tell) is not ("off" in self.tell):
             yield Problem(("tell",), "expected both commands, on and off, or neither")
-        if "ramp" in self.tell and "no_ramp" not in self.tell and self.limits.free_ramp is None:
-            message = "this key is missing: it is the command that ends a ramp"
-            yield Problem(("tell", "no_ramp"), message, kind="missing")
+        if "ramp" in self.tell and "no_ramp" not in self.tell:
+            yield missing(("tell", "no_ramp"), ": it is the command that ends a ramp")
         for name, entry in self.registers.items():
-            named = {"shown_in": entry.shown_in, "decimals": entry.decimals}
-            for key, other in named.items():
-                yield from self._unknown(("registers", name, key), *([other] if isinstance(other, str) else []))
-        for name, entry in self.alarm.items():
-            yield from self._unknown(("alarm", name, "field"), entry.field)
+            yield from self.unknown(("registers", name, "shown_in"), entry.shown_in)
+            yield from self.unknown(("registers", name, "decimals"), entry.decimals)
         for name, writes in self.tell.items():
             yield from self._of_command(name, writes)
 
@@ -109,7 +99,7 @@ class RegisterProtocol(DeviceDescription):
         placeholder = f"{{{name}}}" if name in ("setpoint", "ramp") else ""
         for register, value in writes.items():
             key = ("tell", name, register)
-            yield from self._unknown(key, register)
+            yield from self.unknown(key, register)
             entry = self.registers.get(register)
             if entry is not None and (entry.input or entry.type == "text"):
                 yield Problem(key, "this register can only be read")

@@ -227,9 +227,6 @@ class OperatorAsked(Protocol):
     """A person at a terminal, who is asked one question at a time."""
 
     def ask(self, question: str) -> None: ...
-    def ring(self) -> None:
-        """Remind of the question."""
-
     def answer(self) -> tuple[str, float] | None:
         """The typed line and the time of its end; None until there is one."""
 
@@ -309,8 +306,6 @@ class ImuDecoder(Protocol):
     """Sampling interval by the IMU's own clock."""
     round_samples: int
     """The number of samples after which the IMU's counter wraps; 0 if its time stamps are absolute."""
-    repeated_datagrams: int
-    """Repeated datagrams, which are ignored."""
 
     def push(self, data: bytes, host_time_s: float) -> ImuBatch: ...
 

@@ -21,23 +21,21 @@ import numpy as np
 from pydantic import Field
 
 from gradcal_jax.hardware.checksums import xor8
-from gradcal_jax.hardware.framing import LineFramer
-from gradcal_jax.hardware.line_protocol import DescribedSensor, reply_pattern, unit_problems
+from gradcal_jax.hardware.description import AccelerationUnit, DescribedSensor, RateUnit, TemperatureUnit
 from gradcal_jax.hardware.roles import Floats, ImuBatch, join
-from gradcal_jax.hardware.sample_times import SECONDS, SampleDecoder, conversion
+from gradcal_jax.hardware.sample_times import QUANTITIES, SECONDS, SampleDecoder, converted
+from gradcal_jax.hardware.templates import FIELD, reply_pattern
 from gradcal_jax.tables.problems import Problem, instead
 from gradcal_jax.tables.quantity import Text
 from gradcal_jax.tables.section import Section
 
-NAMES: Final = (
-    *(f"{quantity}_{axis}" for quantity in ("gyro", "acceleration") for axis in "xyz"),
-    "temperature",
-    "second_temperature",
-    "count",
-    "time",
-)
-_FIELD: Final = re.compile(r"\{([a-z_]*)(?::(text))?\}")
+# The fields of each quantity, and the stamps.
+_FIELDS: Final = {
+    name: [name] if "temperature" in name else [f"{name}_{axis}" for axis in "xyz"] for name in QUANTITIES
+}
+NAMES: Final = (*(field for fields in _FIELDS.values() for field in fields), "count", "time")
 _NUMBER: Final = r"(?>[-+]?(?:\d++\.?\d*+|\.\d++)(?:[eE][-+]?\d{1,2}+)?|[nN][aA][nN])"
+_LONGEST_LINE: Final = 4096
 
 
 class SensorTime(Section):
@@ -56,11 +54,11 @@ class TextSensor(DescribedSensor):
     """Name and version of this file format."""
     line: Text
     """A line that the sensor prints, with fields in braces in place of the numbers."""
-    gyro: Text = "deg/s"
+    gyro: RateUnit = "deg/s"
     """Unit of rates."""
-    acceleration: Text = "m/s^2"
+    acceleration: AccelerationUnit = "m/s^2"
     """Unit of accelerations."""
-    temperature: Text = "degC"
+    temperature: TemperatureUnit = "degC"
     """Unit of temperatures."""
     counter: Annotated[int, Field(strict=True, ge=2, le=2**64)] | None = None
     """Value at which the field `{count}` restarts at 0."""
@@ -70,14 +68,22 @@ class TextSensor(DescribedSensor):
     """Text at the end of the line: "none"; or "xor8": an asterisk and two hexadecimal digits, the exclusive or of
     the characters between "$" and "*"."""
 
+    def decoder(self) -> "TextUnitDecoder":
+        return TextUnitDecoder(self)
+
     @property
-    def fields(self) -> tuple[str, ...]:
+    def expected(self) -> dict[str, str]:
+        """What a unit must print, for messages and the journal."""
+        return {"line": self.line, "checksum": self.checksum}
+
+    @property
+    def fields(self) -> list[str]:
         """The names of its fields."""
-        return tuple(match[1] for match in _FIELD.finditer(self.line) if match[1])
+        return [match[1] for match in FIELD.finditer(self.line) if match[1]]
 
     def _problems(self) -> Iterator[Problem]:
         fields = self.fields
-        if {"{", "}"} & set(_FIELD.sub("", self.line)) or re.search(r"\}\{", self.line):
+        if {"{", "}"} & set(FIELD.sub("", self.line)) or "}{" in self.line:
             message = "expected fields in braces, such as {gyro_x}, with a character between two fields"
             yield Problem(("line",), message, self.line)
             return
@@ -90,66 +96,58 @@ class TextSensor(DescribedSensor):
             yield Problem(("line",), message, self.line)
         if ("count" in fields) is not (self.counter is not None):
             message = (
-                "this key (the value at which the count restarts at 0) is required if the line has a field {count}, "
-                "and not allowed otherwise"
+                "this key, the value at which the count restarts at 0, belongs to a line with {count}, and only there"
             )
             yield Problem(("counter",), message)
         if {"count", "time"} <= set(fields):
             yield Problem(("line",), "expected {count} or {time}, not both: replace one of the two by {}", self.line)
-        kinds = {"gyro": "angular rate", "acceleration": "acceleration", "temperature": "temperature"}
-        yield from unit_problems(self, kinds)
-
-    def pattern(self) -> re.Pattern[str]:
-        """The pattern of a line, with the fields as named groups."""
-        return reply_pattern(self.line, _NUMBER, tabs=True, padded=True)
 
 
 class TextUnitDecoder(SampleDecoder):
-    """Lines -> samples. A line that comes twice in succession counts once, if it has a counter or a time."""
+    """Lines -> samples. Lines end at CR, LF or both; a line of more than 4096 bytes is noise."""
 
     def __init__(self, unit: TextSensor) -> None:
-        self._unit, self._pattern, self._framer = unit, unit.pattern(), LineFramer()
-        rate = float(unit.rate)
-        self._stamp = next((name for name in ("count", "time") if name in unit.fields), "")
-        timed = self._stamp == "time"
-        modulus = unit.time.modulus if timed else unit.counter
-        super().__init__(self._stamp, rate, SECONDS[unit.time.unit] if timed else 1.0 / rate, modulus)
-        self._last_line = b""
+        self._unit, self._pattern = unit, reply_pattern(unit.line, _NUMBER)
+        self._buffer = b""
+        self._stamp = "time" if "time" in unit.fields else "count"
+        rate_hz = float(unit.rate)
+        if self._stamp == "time":
+            super().__init__("time", rate_hz, SECONDS[unit.time.unit], unit.time.modulus)
+        else:
+            super().__init__("count" if unit.counter else "", rate_hz, 1.0 / rate_hz, unit.counter)
 
-    def matches(self, frame: bytes) -> re.Match[str] | None:
+    def _matches(self, line: bytes) -> re.Match[str] | None:
         if self._unit.checksum == "xor8":
-            body, star, check = frame.rstrip().rpartition(b"*")
+            body, star, check = line.rstrip().rpartition(b"*")
             if not star or body[:1] != b"$" or check.upper() != b"%02X" % xor8(body[1:]):
                 return None
-            frame = body
-        return self._pattern.fullmatch(frame.decode("latin-1").strip())
+            line = body
+        return self._pattern.fullmatch(line.decode("latin-1").strip())
 
     def push(self, data: bytes, host_time_s: float) -> ImuBatch:
         rows: list[list[float]] = []
         disturbed: list[bool] = []
-        for frame in self._framer.push(data):
-            match = self.matches(frame)
+        *lines, self._buffer = (self._buffer + data.replace(b"\r", b"\n")).split(b"\n")
+        if len(self._buffer) > _LONGEST_LINE:
+            # What remains of the line is too long with it, whatever it is.
+            self._noise(len(self._buffer) - _LONGEST_LINE)
+            self._buffer = self._buffer[:_LONGEST_LINE]
+        for line in filter(None, lines):
+            match = self._matches(line) if len(line) < _LONGEST_LINE else None
             if match is None:
                 # The first line may be the end of one that began before.
-                self._noise(len(frame))
-            elif self._stamp and frame == self._last_line:
-                self.repeated_datagrams += 1
-            else:
-                fields = match.groupdict()
-                rows.append([float(fields.get(name, "nan")) for name in NAMES])
-                disturbed.append(self._disturbed)
-                self._disturbed, self._last_line = False, frame
+                self._noise(len(line))
+                continue
+            fields = match.groupdict()
+            rows.append([float(fields.get(name, "nan")) for name in NAMES])
+            disturbed.append(self._disturbed)
+            self._disturbed = False
         if not rows:
             return join([])
-        table, values = np.array(rows), dict[str, Floats]()
-        temperature = conversion(self._unit.temperature, "degC")
-        scales = {
-            "gyro": (0, 3, conversion(self._unit.gyro, "deg/s")),
-            "acceleration": (3, 6, conversion(self._unit.acceleration, "mg", 1e-3)),
-            "temperature": (6, 7, temperature),
-            "second_temperature": (7, 8, temperature),
-        }
-        for name, (first, end, (scale, zero)) in scales.items():
-            values[name] = np.repeat(table[:, first:end] * scale + zero, 3 // (end - first), axis=1)
-        stamps = table[:, NAMES.index(self._stamp or "count")]
-        return self._batch(host_time_s, stamps, values, np.array(disturbed))
+        table = dict(zip(NAMES, np.array(rows).T, strict=True))
+        values: dict[str, Floats] = {}
+        for name, fields in _FIELDS.items():
+            numbers = np.stack([table[field] for field in fields], axis=1)
+            unit = self._unit.temperature if len(fields) == 1 else getattr(self._unit, name)
+            values[name] = np.repeat(converted(name, numbers, unit), 3 // len(fields), axis=1)
+        return self._batch(host_time_s, table[self._stamp], values, np.array(disturbed))

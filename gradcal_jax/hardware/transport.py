@@ -45,19 +45,18 @@ def same_port(url: str) -> str:
 
 
 class PortLock:
-    """One process, one port: a lock file that the operating system releases when its owner dies."""
+    """One process, one port: a lock file that the operating system releases when its owner dies. All accounts of a
+    computer share it."""
 
     def __init__(self, url: str) -> None:
-        folder = Path(tempfile.gettempdir()) / "gradcal-ports"
-        self._path = folder / (hashlib.sha256(same_port(url).encode()).hexdigest()[:24] + ".lock")
+        name = f"gradcal-port-{hashlib.sha256(same_port(url).encode()).hexdigest()[:24]}.lock"
+        path = Path(tempfile.gettempdir()) / name
         try:
-            folder.mkdir(exist_ok=True)
-            self._handle = self._open(folder)
+            self._handle = _opened(path)
         except OSError as problem:
             raise PortRefused(
-                f"The port {url} cannot be locked against other runs: {self._path}: {problem.strerror}. Give "
-                f"every account that uses the rig write permission for {folder}, or remove this folder while no run is "
-                "active."
+                f"The port {url} cannot be locked against other runs: {path}: {problem.strerror}. Give every account "
+                "that uses the rig write permission for this file, or remove it while no run is active."
             ) from None
         try:
             take(self._handle)
@@ -75,33 +74,22 @@ class PortLock:
             holds = owner or f"process {os.getpid()}"
             os.write(self._handle, f"\n{holds}, since {time.strftime('%Y-%m-%d %H:%M:%S')}\n".encode())
 
-    def _open(self, folder: Path) -> int:
-        """Open the lock file without following links, of folder or file: their target would be changed."""
-        flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
-        if sys.platform == "win32":
-            return os.open(self._path, flags | os.O_CREAT, 0o666)
-        inside = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        try:
-            _share(inside, 0o1777)
-            try:
-                # Linux may forbid O_CREAT for a file of another account in a folder that is writable for all.
-                handle = os.open(self._path.name, flags, dir_fd=inside)
-            except FileNotFoundError:
-                handle = os.open(self._path.name, flags | os.O_CREAT, 0o666, dir_fd=inside)
-            _share(handle, 0o666)
-            return handle
-        finally:
-            os.close(inside)
-
     def release(self) -> None:
         # The file stays: unlinking it would let two processes hold locks on two files of one name.
         os.close(self._handle)
 
 
-def _share(handle: int, mode: int) -> None:
-    """Let all accounts of a computer use its lock files. Only the owner can change the mode, and has done so."""
-    with contextlib.suppress(OSError):
-        os.fchmod(handle, mode)
+def _opened(path: Path) -> int:
+    """The lock file, not by way of a link: its target would be changed."""
+    flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
+    try:
+        # Linux may forbid O_CREAT for a file of another account in a folder that is writable for all.
+        return os.open(path, flags)
+    except FileNotFoundError:
+        handle = os.open(path, flags | os.O_CREAT, 0o666)
+        if sys.platform != "win32":
+            os.fchmod(handle, 0o666)
+        return handle
 
 
 def _refused(url: str, problem: BaseException) -> PortRefused:

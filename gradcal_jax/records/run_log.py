@@ -93,7 +93,6 @@ class _Part:
     read: int
     restarts: int = 0
     bad_bytes: int = 0
-    repeated: int = 0
     first: int = 0
     end: int = 0
 
@@ -141,7 +140,7 @@ def _part_of(session: Session, rows: Rows) -> _Part | None:
     if not ranges:
         return None
     restarts = int(np.count_nonzero(own["restarted"][1:]))
-    counts = restarts, decoder.bad_bytes, decoder.repeated_datagrams
+    counts = restarts, decoder.bad_bytes
     return _Part(session, clock, ranges, decoder.sample_s, len(own), *counts)
 
 
@@ -402,7 +401,7 @@ def _findings(rows: Rows, parts: Sequence[_Part]) -> tuple[Finding, ...]:
     broken = np.setdiff1d(np.flatnonzero(rows["gap"] > 0), [part.first for part in parts])
     missing, gaps = int(rows["gap"][broken].sum()), len(broken)
     unsure = max(part.clock.residual_max_s for part in parts)
-    anew, bad, twice = (sum(getattr(p, name) for p in parts) for name in ("restarts", "bad_bytes", "repeated"))
+    anew, bad = (sum(getattr(p, name) for p in parts) for name in ("restarts", "bad_bytes"))
     refused = sum(part.session.refused() for part in parts)
     lateness = (
         f"the computer was so busy that its time stamps are accurate only to {unsure:.2g} s: as an additional "
@@ -416,7 +415,6 @@ def _findings(rows: Rows, parts: Sequence[_Part]) -> tuple[Finding, ...]:
         (anew, Finding("unit restarted", "split", anew, f"the IMU restarted {times}")),
         (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no valid datagram")),
         (refused, Finding("refused attempt", "mask", refused, attempts)),
-        (twice, Finding("repeated datagram", "keep", 0, f"{twice} datagrams arrived twice; each is used once")),
     )
     return tuple(finding for there, finding in all_of if there)
 

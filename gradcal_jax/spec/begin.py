@@ -13,7 +13,10 @@ from typing import Any, Final, NamedTuple
 
 from gradcal_jax import units
 from gradcal_jax.calibration.text_template import rendered
-from gradcal_jax.hardware import frames, line_protocol, register_protocol
+from gradcal_jax.hardware.description import described, shipped
+from gradcal_jax.hardware.frames import FRAMES
+from gradcal_jax.hardware.line_protocol import LINES, LineProtocol
+from gradcal_jax.hardware.register_protocol import REGISTERS
 from gradcal_jax.records.column_names import EXAMPLE
 from gradcal_jax.spec import presets, started_spec
 from gradcal_jax.spec.typical import grades
@@ -71,16 +74,14 @@ another sensor would be wrong."""
 
 def _described_chambers() -> dict[str, str]:
     """The chambers that are described, each with its driver."""
-    described = {name: line_protocol.described(line_protocol.LineProtocol, name) for name in line_protocol.shipped()}
-    lines = [name for name, of in described.items() if of.role == "chamber"]
-    registers = line_protocol.shipped(register_protocol.FORMAT)
-    return dict.fromkeys(lines, "lines") | dict.fromkeys(registers, "registers")
+    lines = [name for name in shipped(LINES) if described(LineProtocol, name).role == "chamber"]
+    return dict.fromkeys(lines, "lines") | dict.fromkeys(shipped(REGISTERS), "registers")
 
 
 _CHOICES: Final[Mapping[str, Callable[[], tuple[str, ...]]]] = {
     "grade": grades,
     "kind": lambda: ("gyro", "gyros", "imu"),
-    "stream": lambda: (*line_protocol.shipped(frames.FORMAT), "text", "own"),
+    "stream": lambda: (*shipped(FRAMES), "text", "own"),
     "table": lambda: ("grbl", "aerosmith-like", "none"),
     "axes": lambda: ("1", "2"),
     "chamber": lambda: (*_described_chambers(), "none"),

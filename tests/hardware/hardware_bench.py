@@ -3,28 +3,27 @@
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from simulated_devices.espec import SimulatedEspec
 from simulated_devices.frames import SimulatedFrames
-from simulated_devices.line_chambers import SimulatedCts, SimulatedThermotron
+from simulated_devices.line_chambers import SimulatedCts
 from simulated_devices.line_tables import SimulatedAerosmith, SimulatedGrbl
 from simulated_devices.port import SimulatedPort
-from simulated_devices.watlow_f4 import SimulatedWatlowF4
 from simulated_devices.watlow_f4t import SimulatedWatlowF4T
 from simulated_devices.wire import Wire, line_to
 
 from gradcal_jax.hardware.clock import Clock, VirtualClock
-from gradcal_jax.hardware.drivers import lines, listening, registers
+from gradcal_jax.hardware.drivers import lines, registers
 from gradcal_jax.hardware.interlocks import InterlockLimits
 from gradcal_jax.hardware.journal import Chunk, Event, Journal, JournalContents, read_journal
 from gradcal_jax.hardware.roles import STANDARD_GRAVITY
 from gradcal_jax.hardware.runner import Runner, RunProgress
 from gradcal_jax.hardware.setup import only_of, open_rig
 from gradcal_jax.hardware.simulate.imu import EARTH_RATE, ErrorTerm, ImuTruth, SimulatedImu, TableTruth, TriadTruth
-from gradcal_jax.hardware.simulate.lab import unit_options
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 from gradcal_jax.hardware.track import Track, track_of
 from gradcal_jax.recipe.recipe import Predicted, Recipe, RecipeOrigin
@@ -38,7 +37,10 @@ from gradcal_jax.spec.spec import Spec, parse_spec
 from gradcal_jax.tables.quantity import Quantity
 
 # The simulated board takes accelerations that no stepper motor does, so that tests are short, and starts at once.
-BOARD_CHANGES: dict[str, Any] = {"limits": {"max_acceleration": "2000 deg/s^2"}, "line": {"boot": "0 s"}}
+BOARD_CHANGES: dict[str, Any] = {
+    "limits": {"max_rate": "300 deg/s", "max_acceleration": "2000 deg/s^2"},
+    "line": {"boot": "0 s"},
+}
 
 
 def fit_clock(device_time_s: Any, host_time_s: Any, *, resolution_s: float = 0.0) -> ClockMap:
@@ -66,22 +68,12 @@ def espec_config(
     return lines.LinesConfig(protocol="espec", changes={"line": line, **changes}, reply_timeout=reply_timeout)
 
 
-def f4_config(reply_timeout: str = "0.2 s", changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
-    """A rig with a limit controller on input 1 and a probe in the load, or with other changes."""
-    own = {
-        "registers": {"limit": {"address": 201}, "product": {"address": 104, "decimals": "places2"}},
-        "alarm": {"limit input 1": {"field": "limit", "equals": "1"}},
-    }
-    changes = own if changes is None else changes
-    return registers.RegistersConfig(protocol="watlow-f4", changes=changes, reply_timeout=reply_timeout)
-
-
 def f4t_config(reply_timeout: str = "0.2 s", changes: dict[str, Any] | None = None) -> registers.RegistersConfig:
     return registers.RegistersConfig(protocol="watlow-f4t", changes=changes, reply_timeout=reply_timeout)
 
 
-def _lines_config(protocol: str) -> Callable[[], lines.LinesConfig]:
-    return lambda: lines.LinesConfig(protocol=protocol, reply_timeout="0.2 s", home_timeout="2.0 s")
+def lines_config(protocol: str, **more: Any) -> lines.LinesConfig:
+    return lines.LinesConfig(protocol=protocol, reply_timeout="0.2 s", home_timeout="2.0 s", **more)
 
 
 def _bench(simulated: Any, plant_of: Any, config_of: Callable[[], Any]) -> Any:
@@ -109,12 +101,10 @@ def _axis(truth: AxisTruth | None, clock: Clock) -> AxisPlant:
 
 
 espec_bench = _bench(SimulatedEspec, _chamber, espec_config)
-f4_bench = _bench(SimulatedWatlowF4, _chamber, f4_config)
 f4t_bench = _bench(SimulatedWatlowF4T, _chamber, f4t_config)
-thermotron_bench = _bench(SimulatedThermotron, _chamber, _lines_config("thermotron-3800"))
-cts_bench = _bench(SimulatedCts, _chamber, _lines_config("cts"))
-grbl_bench = _bench(SimulatedGrbl, _axis, _lines_config("grbl"))
-aerosmith_bench = _bench(SimulatedAerosmith, _axis, _lines_config("aerosmith-like"))
+cts_bench = _bench(SimulatedCts, _chamber, partial(lines_config, "cts"))
+grbl_bench = _bench(SimulatedGrbl, _axis, partial(lines_config, "grbl"))
+aerosmith_bench = _bench(SimulatedAerosmith, _axis, partial(lines_config, "aerosmith-like"))
 
 
 EARTH_RATE_DPS = float(np.degrees(EARTH_RATE))
@@ -148,21 +138,6 @@ def sensor_on_table(
     )
 
 
-@contextmanager
-def frames_bench(
-    clock: Clock,
-    sensor: SimulatedImu | None = None,
-    rate_hz: float = 125.0,
-    burst_s: float = 0.016,
-    **port_options: Any,
-) -> Iterator[tuple[listening.ListeningImu, SimulatedFrames, Wire]]:
-    config = listening.FramesConfig(**unit_options(rate_hz))
-    sensor = sensor or sensor_on_table(clock, sample_rate_hz=rate_hz)
-    device = SimulatedFrames(sensor, clock, rate_hz=rate_hz, burst_s=burst_s)
-    with served(device, clock, config.line_settings["baudrate"], **port_options) as (port, transport):
-        yield config.device(config.link(transport, clock), clock), device, port
-
-
 class Rig:
     """A simulated rig under the template's rig file, on lines in memory, or on pseudo-terminals for other processes.
     The unit sends its samples every `burst_s`. The board is opened without its waiting time."""
@@ -183,7 +158,7 @@ class Rig:
         for index, port in enumerate(self.ports):
             text = text.replace(f"/dev/ttyUSB{index}", port.open().url)
         self.rig = parse_rig(text)
-        self.rig.axis[0].options.update({"changes": BOARD_CHANGES, "max_acceleration": "2000 deg/s^2"})
+        self.rig.axis[0].options["changes"] = BOARD_CHANGES
 
     def __enter__(self) -> "Rig":
         return self

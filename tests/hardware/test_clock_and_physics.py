@@ -5,10 +5,9 @@ import time
 
 import numpy as np
 import pytest
-from hardware_bench import EARTH_RATE_DPS, frames_bench, perfect, sensor_on_table
+from hardware_bench import sensor_on_table
 
 from gradcal_jax.hardware.clock import RealClock, VirtualClock
-from gradcal_jax.hardware.roles import join
 from gradcal_jax.hardware.simulate.imu import ImuTruth, Process, TriadTruth
 from gradcal_jax.hardware.simulate.plants import AxisPlant, AxisTruth, ChamberPlant, ChamberTruth
 
@@ -165,38 +164,6 @@ def test_sensor_samples_do_not_depend_on_how_many_are_taken_at_once() -> None:
     whole = one.take(400).rate_dps
     parts = np.concatenate([many.take(count).rate_dps for count in (1, 2, 16, 31, 50, 300)])
     np.testing.assert_allclose(parts, whole, rtol=0, atol=1e-12)
-
-
-# --- the whole chain --------------------------------------------------------------------------------------------------
-
-
-def test_a_turn_read_through_the_line_is_the_turn_that_was_made() -> None:
-    """Angle by frames over a pseudo-terminal against the plant's true angle, with exact host stamps."""
-    clock = VirtualClock()
-    axis = AxisPlant()
-    axis.move_to(20.0, 720.0, 150.0, 300.0)
-    sensor = sensor_on_table(clock, perfect(clock_error=50e-6), axis=axis)
-    with frames_bench(clock, sensor, burst_s=0.064) as (unit, _, _):
-        unit.configure()
-        decoder = unit.decoder()
-        unit.start()
-        batches = []
-        started = time.monotonic()
-        while clock.now() < 60.0:
-            batches.append(decoder.push(*unit.read_bytes(0.5)))
-        real = time.monotonic() - started
-    samples = join(batches)
-    assert decoder.bad_bytes == 0
-    assert np.all(samples.gap_before == 0)
-    angle = float(np.sum(samples.gyro_dps[:, 2]) * sensor.true_period_s)
-    earth = EARTH_RATE_DPS * np.sin(np.radians(45.0)) * len(samples) * sensor.true_period_s
-    assert angle - earth == pytest.approx(720.0, abs=0.01)
-    # Host stamps are bursts of virtual time: they never come before the sample, and at most a burst late.
-    slope = np.polyfit(samples.device_time_s, samples.host_time_s, 1)[0]
-    assert slope == pytest.approx(1.0 / (1.0 + 50e-6), abs=20e-6)
-    late = samples.host_time_s - samples.device_time_s / (1.0 + 50e-6)
-    assert np.ptp(late) < 0.075
-    assert real < 30.0
 
 
 def test_a_command_that_was_held_up_changes_nothing_that_the_sensor_was_told() -> None:

@@ -429,21 +429,6 @@ def test_a_turn_that_a_stage_swallowed_is_not_done(tmp_path: Path) -> None:
     was_executed(tmp_path)
 
 
-def test_a_chamber_that_agrees_with_itself_and_stays_where_it_is_does_not_pass(tmp_path: Path) -> None:
-    limits = InterlockLimits(temperature_band_k=0.5, temperature_lag_s=10.0)
-    with running(tmp_path, short_track(), limits=limits) as (rig, runner):
-
-        def ignore() -> None:
-            """It takes every command, reports a set point where the air is, and does nothing."""
-            rig.chamber.plant._gradient_k_per_s = None
-            rig.chamber.plant.command = lambda *_, **__: None
-
-        acting(runner, (lambda progress: progress.steps_done >= 1, ignore), every_s=5.0)
-        result = runner.run()
-    assert (result.exit_status, result.verified_safe) == ("aborted", True)
-    assert "from the temperature profile" in result.reason
-
-
 def test_attempts_that_the_run_refused_are_no_data() -> None:
     """The step 1 is refused while step 2 is under way, twice; the second time the run ends with that."""
 

@@ -43,33 +43,8 @@ from gradcal_jax.spec.spec import parse_spec
 from gradcal_jax.tables.problems import SpecError
 from gradcal_jax.tables.quantity import Quantity
 from gradcal_jax.tables.writing import to_toml, write_toml
-from gradcal_jax.units import UnitError
-
-# ------------------------------------------------------------------------------------------------------------ words
 
 ASKS = "let it come to rest and type the angle that its scale shows: "
-
-
-@pytest.mark.parametrize(
-    ("text", "unit", "deg"),
-    [
-        ("360.02 deg", "", 360.02),
-        ("-0.5 deg", "deg", -0.5),
-        ("12.25", "deg", 12.25),
-        ("30 arcsec", "deg", 30.0 / 3600.0),
-    ],
-)
-def test_angles_as_people_type_them(text: str, unit: str, deg: float) -> None:
-    assert operator.angle_deg(text, unit) == pytest.approx(deg, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("text", "unit"),
-    [("360.02", ""), ("360,02 deg", ""), ("36o deg", "deg"), ("", "deg"), ("12 s", ""), ("1 2", "deg")],
-)
-def test_what_is_not_an_angle_is_not_taken_for_one(text: str, unit: str) -> None:
-    with pytest.raises(UnitError):
-        operator.angle_deg(text, unit)
 
 
 # ------------------------------------------------------------------------------------------------------ the driver
@@ -128,7 +103,7 @@ def test_slips_are_asked_again_and_angles_far_from_the_goal_are_asked_once_more(
             assert settled(axis, clock) == pytest.approx(plant.state(clock.now())[0], abs=0.05)
         assert sum("," in typed for typed in person.typed) > 0
         assert sum("is not understood" in heard for heard in person.heard) > 0
-    with gimbal(clock, SimulatedHand(miss_deg=0.001), miss="1 deg") as (axis, person, plant):
+    with gimbal(clock, SimulatedHand(miss_deg=0.001)) as (axis, person, plant):
         axis.home()
         settled(axis, clock)
         axis.move_to(90.0, 30.0, 10.0)
@@ -145,7 +120,7 @@ def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
     with gimbal(clock, travel="400 deg") as (axis, person, _):
         axis.home()
         settled(axis, clock)
-        with pytest.raises(LimitExceeded, match="outside the travel of 400 deg in each direction"):
+        with pytest.raises(LimitExceeded, match="its travel is -400 to 400 deg"):
             axis.move_to(500.0, 30.0, 10.0)
         axis.move_to(360.0, 30.0, 10.0)
         clock.sleep(3.0)
@@ -162,15 +137,11 @@ def test_a_question_is_taken_back_and_then_nobody_knows_the_angle() -> None:
         assert settled(axis, clock) == pytest.approx(0.0, abs=2.0)
 
 
-def test_who_is_late_is_rung_for_and_a_port_that_is_gone_is_said() -> None:
+def test_a_port_that_is_gone_is_said() -> None:
     clock = VirtualClock()
-    bells: list[bytes] = []
-    with gimbal(clock, SimulatedHand(reading_s=100.0), remind="30 s") as (axis, person, _):
-        listen = person.receive
-        person.receive = lambda data: bells.append(data) or listen(data)  # type: ignore[method-assign]
+    with gimbal(clock) as (axis, _, _):
         axis.home()
         settled(axis, clock)
-        assert b"".join(bells).count(b"\a") == 1 + 3
         axis.move_to(10.0, 30.0, 10.0)
         axis._console._line.close()  # type: ignore[attr-defined]
         end = time.monotonic() + 5.0
@@ -292,20 +263,6 @@ def hand_recipe(**more: object) -> Recipe:
     return unpredicted(changed(parse_spec(presets.text("rig-hand")), keys | more))
 
 
-def test_a_rehearsal_turns_by_hand_too(tmp_path: Path) -> None:
-    made = hand_recipe()
-    result = run(made, tmp_path / "run", simulate=True, seed=3)
-    assert (result.exit_status, result.reason, result.verified_safe) == ("success", "", True)
-    log = run_log.log(tmp_path / "run")
-    assert log.standstill is not None
-    for number in range(2 * made.motion[0].repeat + 1):
-        rows = log.standstill == number
-        # Every rest keeps its length, however late somebody was; nobody hits the mark exactly.
-        assert np.count_nonzero(rows) >= 5.8 * 125.0
-        angle = np.degrees(angles_of_rests(log)[number])
-        assert 0.0 < abs((angle + 180.0) % 360.0 - 180.0) < 2.0
-
-
 READ_AT_REST = [
     move | ({"read_every": "1 s"} if "rest" in move else {})
     for move in ({"rest": "6 s"}, {"turn": "360 deg", "duration": "8 s", "shape": "hand"}, {"rest": "6 s"})
@@ -319,6 +276,10 @@ def readings_of_rests(folder: Path, made: Recipe) -> list[int]:
     assert log.standstill is not None
     assert log.readings is not None
     rows = log.readings.of_axis(0, ReadingKind.PLANNED).row
+    angles = (np.degrees(angles_of_rests(log)) + 180.0) % 360.0 - 180.0
+    # Every rest keeps its length, however late somebody was; nobody hits the mark exactly.
+    assert np.bincount(log.standstill + 1)[1:].min() >= 5.8 * 125.0
+    assert np.all((np.abs(angles) > 0.0) & (np.abs(angles) < 2.0))
     return np.bincount(log.standstill[rows] + 1)[1:].tolist()
 
 

@@ -21,8 +21,8 @@ port = "/dev/b"
 safe = "hold"
 gravity_loaded = false
 [axis.options]
-max_rat = "300 deg/s"
-max_acceleration = 300
+home_timout = "3 s"
+reply_timeout = 300
 zero = "3 s"
 direction = "one"
 [[imu]]
@@ -38,9 +38,9 @@ protocol = "stim301"
     for fragment in (
         'chamber.driver = "linez"',
         'nearest: "lines"',
-        "axis[0].options.max_rat",
-        'nearest: "max_rate"',
-        "axis[0].options.max_acceleration = 300: expected an angular acceleration as text with a unit",
+        "axis[0].options.home_timout",
+        'nearest: "home_timeout"',
+        "axis[0].options.reply_timeout = 300: expected a time as text with a unit",
         "axis[0].options.zero",
         'axis[0].options.direction = "one"',
         "imu[0].options: expected the name of a",

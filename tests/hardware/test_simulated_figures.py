@@ -83,3 +83,29 @@ def test_dies_follow_a_thermometer_that_is_off():
     assert abs(slope * behind) > 1e-4
     expected = truth.names["gyro_x.a0"] + slope * (load - behind - 20.0)
     np.testing.assert_allclose(np.radians(shown.rate_dps[:, 0]), expected, atol=1e-3 * abs(slope * behind))
+
+
+OF_BIAS = gj.changed(SPEC, {"sensor.gyro.bias": {"temperature": LINE}})
+HIDDEN = {
+    "sensor.gyro.scale_factor.discrepancy": {
+        "standard_deviation": "20 ppm", "temperature_degree": 5, "rate_degree": 4},
+    "sensor.gyro.bias.discrepancy": {"standard_deviation": "3 deg/h", "temperature_degree": 5},
+}  # fmt: skip
+
+
+def test_functions_beyond_the_maps_have_the_size_that_the_spec_says():
+    """Simulated devices have the structure that a discrepancy says the maps lack; other draws are as without it."""
+    known = draw_truth(OF_BIAS, 3, 0)
+    drawn = [draw_truth(gj.changed(OF_BIAS, HIDDEN), seed, 0) for seed in range(200)]
+    assert drawn[3].names == known.names
+    beyond = [error for truth in drawn for error in truth.triads["gyro"].errors[len(known.triads["gyro"].errors) :]]
+    scales = np.array([error.values[0].T for error in beyond if callable(error.factors)])
+    biases = np.array([error.values[0, 0] for error in beyond if error.factors == "one"])
+    gyro = OF_BIAS.sensor.gyro
+    in_map = np.zeros((6, 5), bool)
+    in_map[: gyro.scale_factor.temperature.size, : gyro.scale_factor.rate.size] = True
+    assert not np.any(scales[:, in_map])
+    assert np.std(scales[:, ~in_map]) == pytest.approx(20e-6, rel=0.05)
+    of_t = gyro.bias.temperature.size
+    assert not np.any(biases[:, :of_t])
+    assert np.std(biases[:, of_t:]) == pytest.approx(np.radians(3.0) / 3600.0, rel=0.1)

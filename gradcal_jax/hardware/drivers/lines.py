@@ -1,78 +1,53 @@
 """Devices with a text protocol that a rig file describes (`hardware.line_protocol`): chambers and axes.
 
-The description has the queries, commands and replies; this driver has their order and verification:
-
-* a chamber's commands are read back; it shows a ramp's rate before it gets the target, so that no lost line makes it go
-  at full speed;
-* an axis that moves is stopped before another command, unless commands can be read back; after the command of a move
-  the driver verifies that the axis moves or has arrived.
-
-Damage can turn a line without a checksum into another valid line: a move is verified only by the axis's final angle,
-which the caller must compare (`hardware.axis_control` does).
+An axis that moves is stopped before another command, unless commands can be read back; after the command of a move the
+driver verifies that the axis moves or has arrived. Damage can turn a line without a checksum into another valid line: a
+move is verified only by the axis's final angle, which the caller must compare (`hardware.axis_control` does).
 
 Unverified on real hardware: everything; each description says what its sources leave open.
 """
 
 import math
-import re
 import threading
+from collections import deque
 from collections.abc import Mapping
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
+from typing import Literal
 
 from gradcal_jax import units
 from gradcal_jax.hardware.checksums import xor8
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.base import (
-    AxisDriver,
-    AxisOptions,
-    DescribedChamber,
-    DescribedDevice,
-    RequestOptions,
-    Texts,
-)
-from gradcal_jax.hardware.errors import (
-    ChecksumError,
-    DeviceFault,
-    FramingError,
-    NotVerified,
-    Rejected,
-    ReplyTimeout,
-    printable,
-)
-from gradcal_jax.hardware.framing import LineFramer, NotThisReply
-from gradcal_jax.hardware.line_protocol import LineProtocol, LineQuestion, described, formatted, reply_pattern, shows
+from gradcal_jax.hardware.drivers.base import command_and_verify, require_within
+from gradcal_jax.hardware.drivers.described import DescribedChamber, DescribedDevice, RequestOptions, Speaker, Texts
+from gradcal_jax.hardware.errors import DeviceFault, FramingError, NotVerified, Rejected, ReplyTimeout
+from gradcal_jax.hardware.line_protocol import LineProtocol, LineQuestion
 from gradcal_jax.hardware.request_reply import Exchange
-from gradcal_jax.hardware.roles import AxisLimits, AxisReading, Identity, KeptSettings, SafeReport
-from gradcal_jax.hardware.transport import Transport
-from gradcal_jax.tables.quantity import Angle, PositiveAcceleration, PositiveRate
+from gradcal_jax.hardware.roles import AxisLimits, AxisReading, KeptSettings, MotionAxis, SafeReport
+from gradcal_jax.hardware.templates import formatted, reply_pattern, shows
+from gradcal_jax.tables.quantity import Angle, Quantity, Time
 
-_STOPS_AGAIN_S = 1.0
+_POLL_S = 0.05
+_STOPS_AGAIN_S, _LONGEST_STOP_S = 1.0, 30.0
+_RATE_OVER_S = 0.4
 _pattern = cache(reply_pattern)
 
 
-class LinesConfig(RequestOptions, AxisOptions):
-    """Options of the rig file; limits that are absent are the description's."""
+class LinesConfig(RequestOptions):
+    """Options of the rig file."""
 
-    max_rate: PositiveRate | None = None
-    """Largest rate of the axis."""
-    max_acceleration: PositiveAcceleration | None = None
-    """Largest acceleration of the axis."""
-    lowest: Angle | None = None
-    """Lowest angle of the axis."""
-    highest: Angle | None = None
-    """Highest angle of the axis."""
-
-    @cached_property
-    def described(self) -> LineProtocol:
-        return described(LineProtocol, self.protocol, self.changes)
-
-    def link(self, line: Transport, clock: Clock) -> Exchange:
-        return self.exchange(line, clock, Codec(self.described).framer(), boot_s=float(self.described.line.boot))
+    kind = LineProtocol
+    direction: Literal[-1, 1] = 1
+    """Sign of the axis's direction."""
+    zero: Angle = Quantity(0.0, "0 deg", "angle")
+    """The rig's angle at the axis's 0."""
+    home_timeout: Time = Quantity(120.0, "120 s", "time")
+    """Longest search for the reference."""
 
     def device(
         self, link: Exchange, clock: Clock, name: str = "", encoder: object = None
-    ) -> "LinesChamber | LinesAxis":
-        return (LinesChamber if self.described.role == "chamber" else LinesAxis)(link, self)
+    ) -> "DescribedChamber | LinesAxis":
+        lines = Lines(link, self)
+        return DescribedChamber(lines) if self.described.role == "chamber" else LinesAxis(lines)
 
     def lacks_for(self, safe: str) -> str:
         if safe != "unpower" or {"off", "powered"} <= {*self.described.tell, *self.described.state}:
@@ -81,202 +56,214 @@ class LinesConfig(RequestOptions, AxisOptions):
 
 
 class Codec:
-    def __init__(self, protocol: LineProtocol) -> None:
-        self._protocol = protocol
-        self._framed = protocol.line.frame == "stx-etx-xor8"
+    """Messages of a protocol: to bytes, and from them."""
 
-    def framer(self) -> LineFramer:
-        ends = b"\x03" if self._framed else self._protocol.line.reply_ends.encode("latin-1")
-        return LineFramer(ends or None, keep_empty=bool(ends))
+    def __init__(self, protocol: LineProtocol) -> None:
+        self._line = protocol.line
+        self._framed = self._line.frame == "stx-etx-xor8"
+        self._reply_ends = b"\x03" if self._framed else self._line.reply_ends.encode("latin-1")
 
     def message(self, text: str, *, bare: bool = False) -> bytes:
-        body = (self._protocol.line.prefix + text).encode("latin-1")
+        body = (self._line.prefix + text).encode("latin-1")
         if not self._framed:
-            return body if bare else body + self._protocol.line.ends.encode("latin-1")
-        body = bytes([self._protocol.line.address]) + bytes(byte | 0x80 for byte in body)
+            return body if bare else body + self._line.ends.encode("latin-1")
+        body = bytes([self._line.address]) + bytes(byte | 0x80 for byte in body)
         return b"\x02" + body + bytes([xor8(body) | 0x80, 3])
 
-    def text(self, frame: bytes) -> str:
-        """Raises `ChecksumError`, `FramingError`, and `Rejected` for a refusal."""
+    def texts(self, received: bytes) -> list[str]:
+        """The complete messages among bytes; those that are damaged are left out."""
+        if not self._reply_ends:
+            *lines, _ = received.replace(b"\r", b"\n").split(b"\n")
+            frames = [line for line in lines if line]
+        else:
+            *frames, _ = received.split(self._reply_ends)
         if self._framed:
-            begins = frame.rfind(b"\x02")
-            body = bytes(byte & 0x7F for byte in frame[begins + 1 :])
-            if begins < 0 or len(body) < 2 or body[0] != self._protocol.line.address & 0x7F or xor8(body):
-                raise ChecksumError(f"{printable(frame)!r} has a wrong checksum. Check the line's shielding.")
-            frame = body[1:-1]
-        text = frame.strip(b" \t\r\n\x11\x13").decode("latin-1")
-        if not text.isprintable():
-            raise FramingError(f"{self._protocol.title} answered {printable(frame)!r}, which is not text. Baud rate?")
-        refusal = self._protocol.line.refusal
-        if refusal is not None and _pattern(refusal).fullmatch(text) is not None:
-            raise Rejected(f"{self._protocol.title} refuses: {text!r}. See its manual.")
-        return text
+            bodies = (bytes(byte & 0x7F for byte in frame.rpartition(b"\x02")[2]) for frame in frames if 2 in frame)
+            address = self._line.address & 0x7F
+            frames = [body[1:-1] for body in bodies if len(body) > 1 and body[0] == address and not xor8(body)]
+        texts = [frame.strip(b" \t\r\n\x11\x13").decode("latin-1") for frame in frames]
+        return [text for text in texts if text.isprintable()]
 
 
-class _Spoken(DescribedDevice[LinesConfig]):
-    _DRIVER = "lines"
+class Lines(Speaker):
+    name = "lines"
 
     def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
         super().__init__(exchange, config)
-        self._protocol, self._codec = config.described, Codec(config.described)
-        replies = (reply for command in self._protocol.tell.values() for reply in command.reply)
-        self._acknowledgements = [_pattern(reply) for reply in replies]
+        self._codec = Codec(self.said)
         self._homes = False
         self._cut_short = threading.Event()
 
-    def identify(self) -> Identity:
-        try:
-            return super().identify()
-        except ReplyTimeout as silence:
-            raise ReplyTimeout(f"{silence} {self._protocol.line.hint or ''}".strip()) from None
-
-    def _read(self, *names: str) -> Texts:
+    def read(self, *names: str) -> Texts:
         fields: Texts = {}
-        where = self._protocol.fields
+        where = self.said.fields
         for question in dict.fromkeys(where[name] for name in names if name in where):
-            fields |= self._ask(self._protocol.ask[question])
+            fields |= self._ask(self.said.ask[question])
         return fields
 
     def _ask(self, question: LineQuestion) -> Texts:
-        fields: Texts = {}
+        forms = [_pattern(reply) for reply in question.reply]
+        last = None if question.last is None else _pattern(question.last)
+        # Lines that one reply lacks may be in the next.
+        fields: Texts = {} if last else dict.fromkeys(question.fields, "")
 
-        def parse(frame: bytes) -> Texts:
-            try:
-                text = self._codec.text(frame)
-            except Rejected as refused:
-                # Devices do not refuse queries: it was damaged on its way, and is repeated.
-                raise FramingError(str(refused)) from None
-            if question.last is None and any(known.fullmatch(text) for known in self._acknowledgements):
-                # The late acknowledgement of a command is no answer to a question.
-                raise NotThisReply
-            for reply in question.reply:
-                if (match := _pattern(reply).fullmatch(text)) is not None:
-                    fields.update({} if question.last else dict.fromkeys(question.fields, ""), **match.groupdict())
-                    break
-            else:
-                if question.last is None:
-                    raise FramingError(f"{self._title} answered {question.send!r} by {text!r}. Is it the right device?")
-            if question.last is not None and _pattern(question.last).fullmatch(text) is None:
-                raise NotThisReply
-            if missing := set(question.fields) - set(fields):
-                raise FramingError(f"The reply to {question.send!r} has no {', '.join(sorted(missing))}.")
-            return fields
+        def parse(received: bytes) -> Texts | None:
+            for text in self._codec.texts(received):
+                if last is not None and last.fullmatch(text) and set(question.fields) <= set(fields):
+                    return fields
+                # Devices do not refuse queries, so one that is refused was damaged on its way; and the late
+                # acknowledgement of a command is no answer.
+                if self._refused(text) or (last is None and self._acknowledges(text)):
+                    continue
+                match = next((match for form in forms if (match := form.fullmatch(text))), None)
+                if match is not None:
+                    fields.update(match.groupdict())
+                    if last is None:
+                        return fields
+            return None
 
-        return self._exchange.query(self._codec.message(question.send, bare=question.bare), parse)
+        return self.exchange.query(self._codec.message(question.send, bare=question.bare), parse)
 
-    def _tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
-        command = self._protocol.tell[name]
+    def tell(self, name: str, values: Mapping[str, float] | None = None) -> Texts:
+        command = self.said.tell[name]
         written: Texts = {}
         for number, send in enumerate(command.send):
             text, values_sent = formatted(send, values or {})
             written |= values_sent
             message = self._codec.message(text, bare=command.bare)
             if not command.reply:
-                self._exchange.write(message, pause_after_s=float(self._protocol.line.pause_after_command))
+                self.exchange.write(message)
                 continue
-            reply = _pattern(command.reply[min(number, len(command.reply) - 1)])
-            self._exchange.query(
-                message,
-                lambda frame, text=text, reply=reply: self._acknowledged(frame, text, reply),
-                repeat=False,
-                reply_timeout_s=float(self._config.home_timeout) if command.reply_when_done else None,
-                pause_after_s=float(self._protocol.line.pause_after_command) or None,
-            )
+            reply = command.reply[min(number, len(command.reply) - 1)]
+            longest_s = float(self.config.home_timeout) if command.reply_when_done else None
+            parse = partial(self._acknowledgement, reply)
+            self.exchange.query(message, parse, repeat=False, reply_timeout_s=longest_s)
         return written
 
-    def _acknowledged(self, frame: bytes, text: str, reply: re.Pattern[str]) -> None:
-        received = self._codec.text(frame)
-        if self._homes and self._cut_short.is_set():
-            raise Rejected(f"{text!r} was interrupted by a stop.")
-        if reply.fullmatch(received) is None:
-            raise FramingError(
-                f"{self._title} acknowledged {text!r} by {received!r}, which is the reply to a different command."
-            )
+    def _acknowledgement(self, reply: str, received: bytes) -> str | None:
+        for text in self._codec.texts(received):
+            if self._homes and self._cut_short.is_set():
+                raise Rejected("It was interrupted by a stop.")
+            if self._refused(text):
+                raise Rejected(f"It refuses: {text!r}. See its manual.")
+            if _pattern(reply).fullmatch(text):
+                return text
+        return None
 
-    def _until_shown(self, name: str, values: Mapping[str, float], *shown_by: str) -> Texts:
-        """Send a command's value until the device shows it in these fields; returns them."""
-        (value,) = {text for send in self._protocol.tell[name].send for text in formatted(send, values)[1].values()}
-        return self._verify(
+    def _refused(self, text: str) -> bool:
+        refusal = self.said.line.refusal
+        return refusal is not None and _pattern(refusal).fullmatch(text) is not None
+
+    def _acknowledges(self, text: str) -> bool:
+        return any(_pattern(reply).fullmatch(text) for command in self.said.tell.values() for reply in command.reply)
+
+    def tell_shown(self, name: str, value: float, *, ramps: bool = False) -> float:
+        return float(self.until_shown(name, {name: value}))
+
+    def until_shown(self, name: str, values: Mapping[str, float]) -> str:
+        """Send a command's value until the device shows it; returns what is shown."""
+        command = self.said.tell[name]
+        shown_by = command.shown_by or ("target" if "target" in self.said.fields else "setpoint",)
+        (value,) = {text for send in command.send for text in formatted(send, values)[1].values()}
+        shown = command_and_verify(
+            self.clock,
             f"{name} {value}",
-            lambda: self._tell(name, values),
-            lambda: self._read(*shown_by),
-            lambda shown: all(shows(value, shown[part]) for part in shown_by),
+            lambda: self.tell(name, values),
+            lambda: self.read(*shown_by),
+            lambda texts: all(shows(value, texts[field]) for field in shown_by),
         )
+        return shown[shown_by[0]]
+
+    def step_of(self, command: str) -> float:
+        (text,) = {
+            text for send in self.said.tell[command].send for text in formatted(send, {command: 1.0})[1].values()
+        }
+        return 10.0 ** -len(text.partition(".")[2]) if "." in text else 0.0
+
+    def home(self) -> None:
+        self._cut_short.clear()
+        self._homes = True
+        try:
+            self.tell("home")
+        finally:
+            self._homes = False
+
+    def stop_homing(self) -> None:
+        """A device that answers the command to home only when it has homed hears nothing else until then, but a
+        command that interrupts the search; what it says then ends the wait for its answer."""
+        interrupt = self.said.tell.get("stop_homing")
+        if interrupt is None or not self._homes:
+            return
+        self._cut_short.set()
+        for send in interrupt.send:
+            self.exchange.transport.write(self._codec.message(send, bare=interrupt.bare))
 
 
-class LinesChamber(_Spoken, DescribedChamber[LinesConfig]):
-    def _tell_shown(self, name: str, value: float, *, ramps: bool = False) -> float:
-        target = ("target" if "target" in self._protocol.fields else "setpoint",)
-        shown_by = target if name == "setpoint" else self._protocol.tell[name].shown_by
-        return float(self._until_shown(name, {name: value}, *shown_by)[shown_by[0]])
-
-    def _step_of(self, command: str) -> float:
-        text = formatted(self._protocol.tell[command].send[0], {command: 1.0})[1][command]
-        return 10.0 ** -len(text.partition(".")[2])
-
-    def _free_ramp(self) -> None:
-        shown_by = self._protocol.tell["ramp"].shown_by if "ramp" in self._protocol.tell else ()
-        shown = self._read(*shown_by)
-        if not all(shows(str(self._protocol.limits.free_ramp), shown[part]) for part in shown_by):
-            super()._free_ramp()
-
-
-class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
+class LinesAxis(DescribedDevice, MotionAxis):
     """Role `MotionAxis`. An axis is referenced after this driver has homed it, until it shows a fault."""
 
-    def __init__(self, exchange: Exchange, config: LinesConfig) -> None:
-        _Spoken.__init__(self, exchange, config)
+    _speaker: Lines
+
+    def __init__(self, lines: Lines) -> None:
+        DescribedDevice.__init__(self, lines)
         self._referenced = self._moved = self._powered = False
-        self._own_max_rate: float | None = None
+        # The times of requests of readings, and the positions.
+        self._recent: deque[tuple[float, float]] = deque()
         self.settings = KeptSettings(self._setting, self._set, lambda left, right: shows(right, left))
 
     def limits(self) -> AxisLimits:
-        known, config = self._protocol.limits, self._config
-        fastest: list[float | None] = [known.max_rate, config.max_rate]
-        if "max_rate" in self._protocol.fields:
-            # Read once: some boards refuse to show their settings while the axis moves.
-            if self._own_max_rate is None:
-                shown = float(self._read("max_rate")["max_rate"])
-                self._own_max_rate = units.convert(shown, self._protocol.units.rate, "rad/s")
-            fastest.append(self._own_max_rate)
-        strongest = [known.max_acceleration, config.max_acceleration]
-        lowest = known.lowest_angle if config.lowest is None else config.lowest
-        highest = known.highest_angle if config.highest is None else config.highest
-        rate, acceleration = (min(value for value in values if value is not None) for values in (fastest, strongest))
-        first, last = (None if end is None else math.degrees(end) for end in (lowest, highest))
-        step_deg = math.degrees(known.step or 0.0)
-        return AxisLimits(math.degrees(rate), math.degrees(acceleration), first, last, step_deg)
+        said = self._said.limits
+        rate, acceleration, step = (math.degrees(of) for of in (said.max_rate, said.max_acceleration, said.step))
+        ends = (None if end is None else math.degrees(end) for end in (said.lowest_angle, said.highest_angle))
+        return AxisLimits(min(rate, self._own_max_rate_dps), acceleration, *ends, step)
+
+    @cached_property
+    def _own_max_rate_dps(self) -> float:
+        """Read once: some boards refuse to show their settings while the axis moves."""
+        shown = self._speaker.read("max_rate").get("max_rate")
+        return math.inf if shown is None else units.convert(float(shown), self._said.units.rate, "deg/s")
 
     def read(self) -> AxisReading:
         # The motion is read first: a position read after that is the final one if the axis stood.
-        names = self._asks_of("moving", "fault", "powered")
+        names = self._fields_of("moving", "fault", "powered")
         asked_s = self._clock.now()
-        texts = self._read(*names)
+        texts = self._speaker.read(*names)
         if self._moved and not self._is("moving", texts):
             # One damaged character can turn motion into a standstill: the query is sent twice.
             asked_s = self._clock.now()
-            texts = self._read(*names)
+            texts = self._speaker.read(*names)
         if "position" not in texts:
             asked_s = self._clock.now()
-            texts |= self._read("position")
+            texts |= self._speaker.read("position")
         time_s = self._clock.now()
         moving = self._moved = self._is("moving", texts)
-        faults = (texts[self._protocol.state["fault"].field],) if self._is("fault", texts) else ()
+        faults = (texts[self._said.state["fault"].field],) if self._is("fault", texts) else ()
         self._referenced = self._referenced and not faults
-        position = self._degrees(float(texts["position"]))
-        rate = self._mean_rate(asked_s, time_s, position, moving=moving)
-        return AxisReading(time_s, position, rate, moving, self._referenced, faults)
+        own_deg = units.convert(float(texts["position"]), self._said.units.angle, "deg")
+        position_deg = self._zero_deg + self._config.direction * own_deg
+        rate_dps = self._mean_rate(asked_s, time_s, position_deg) if moving else 0.0
+        self._recent.append((asked_s, position_deg))
+        return AxisReading(time_s, position_deg, rate_dps, moving, self._referenced, faults)
+
+    def _mean_rate(self, asked_s: float, time_s: float, position_deg: float) -> float:
+        """The mean rate since a reading at least 0.4 s before, because a noisy encoder that is read twice in a
+        millisecond could show any rate. A host that was busy in between makes it too small, never too large."""
+        recent = self._recent
+        while len(recent) > 1 and time_s - recent[1][0] >= _RATE_OVER_S:
+            recent.popleft()
+        if not recent or time_s - recent[0][0] < _RATE_OVER_S:
+            return 0.0
+        return (position_deg - recent[0][1]) / (time_s - recent[0][0])
 
     def home(self) -> None:
         self._powered = False
         self._make_ready()
-        self._cut_short.clear()
-        self._homes = True
-        try:
-            self._tell("home")
-        finally:
-            self._homes = False
-        reading = self._until_still(float(self._config.home_timeout), "homing", raise_faults=False)
+        self._speaker.home()
+        end_s = self._clock.now() + float(self._config.home_timeout)
+        while (reading := self.read()).moving:
+            if self._clock.now() > end_s:
+                raise NotVerified(f"The axis still turns after {self._config.home_timeout} of homing. Look at it.")
+            self._clock.sleep(_POLL_S)
         if reading.faults:
             raise DeviceFault(f"The axis did not find its reference: {reading.faults[0]}.")
         self._referenced = True
@@ -286,81 +273,90 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         self._require_ready(referenced=True)
         self._make_ready()
         self._prepare(rate_dps, acceleration_dps2)
-        values = {"position": self._own(position_deg), **self._motion(rate_dps, acceleration_dps2)}
-        self._verify(
+        own_deg = (position_deg - self._zero_deg) * self._config.direction
+        position = units.convert(own_deg, "deg", self._said.units.angle)
+        values = {"position": position, **self._motion(rate_dps, acceleration_dps2)}
+        command_and_verify(
+            self._clock,
             f"The move to {position_deg:g} deg",
-            lambda: self._tell("move", values),
+            lambda: self._speaker.tell("move", values),
             self.read,
             lambda reading: reading.moving or abs(reading.position_deg - position_deg) <= limits.resolution_deg,
         )
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
-        if "spin" not in self._protocol.tell:
+        if "spin" not in self._said.tell:
             raise Rejected(f"The protocol of {self._title} has no command for a constant rate: use turns in the plan.")
         self._check(abs(rate_dps), acceleration_dps2)
         self._require_ready(referenced=False)
-        shown_by = self._protocol.tell["spin"].shown_by
+        shown_by = self._said.tell["spin"].shown_by
         self._make_ready(stands=not shown_by)
         self._prepare(abs(rate_dps), acceleration_dps2)
         signed = rate_dps * self._config.direction
-        velocity = units.convert(signed, "deg/s", self._protocol.units.rate)
+        velocity = units.convert(signed, "deg/s", self._said.units.rate)
         values = {"velocity": velocity, **self._motion(abs(rate_dps), acceleration_dps2)}
-        if self._protocol.limits.spin_angle is not None:
-            far = units.to_unit(float(self._protocol.limits.spin_angle), self._protocol.units.angle)
+        if self._said.limits.spin_angle is not None:
+            far = units.to_unit(float(self._said.limits.spin_angle), self._said.units.angle)
             values["way"] = math.copysign(far, signed)
         if shown_by:
-            self._until_shown("spin", values, *shown_by)
-        else:
-            what = f"The rate {rate_dps:g} deg/s"
-            self._verify(what, lambda: self._tell("spin", values), self.read, lambda reading: reading.moving)
+            self._speaker.until_shown("spin", values)
+            return
+        what, send = f"The rate {rate_dps:g} deg/s", lambda: self._speaker.tell("spin", values)
+        command_and_verify(self._clock, what, send, self.read, lambda reading: reading.moving)
 
     def stop(self) -> None:
         # A stop is harmless when repeated: it is sent until the axis stands.
-        end = self._clock.now() + float(self._config.stop_timeout)
-        self._stop_homing()
+        end_s = self._clock.now() + _LONGEST_STOP_S
+        self._speaker.stop_homing()
         while True:
             try:
-                self._tell("stop")
-            except (ReplyTimeout, FramingError) as problem:
-                if self._clock.now() > end:
-                    raise problem from None
-            again = self._clock.now() + _STOPS_AGAIN_S
-            while self._clock.now() < again:
+                self._speaker.tell("stop")
+            except (ReplyTimeout, FramingError):
+                if self._clock.now() > end_s:
+                    raise
+            again_s = self._clock.now() + _STOPS_AGAIN_S
+            while self._clock.now() < again_s:
                 if not self.read().moving:
                     return
-                self._clock.sleep(self._POLL_S)
-            if self._clock.now() > end:
-                raise NotVerified(
-                    f"The axis is still moving {float(self._config.stop_timeout):g} s after the stop command."
-                )
-
-    def _stop_homing(self) -> None:
-        """A device that answers the command to home only when it has homed hears nothing else until then, but a
-        command that interrupts the search; what it says then ends the wait for its answer."""
-        interrupt = self._protocol.tell.get("stop_homing")
-        if interrupt is None or not self._homes:
-            return
-        self._cut_short.set()
-        for send in interrupt.send:
-            self._exchange.transport.write(self._codec.message(send, bare=interrupt.bare))
+                self._clock.sleep(_POLL_S)
+            if self._clock.now() > end_s:
+                raise NotVerified(f"The axis is still moving {_LONGEST_STOP_S:g} s after the stop command.")
 
     def safe(self, policy: str) -> SafeReport:
         self.stop()
-        lack = self._config.lacks_for(policy)
-        return self._left_safe(policy, lack, lambda: self._switch("off", "powered", False))
+        if policy == "unpower":
+            if lack := self._config.lacks_for(policy):
+                raise Rejected(f"{self._title} cannot be unpowered: {lack}.")
+            self._switch("off", "powered", False)
+        reading = self.read()
+        state = "; ".join(reading.faults) or "no faults"
+        return SafeReport(not reading.moving, f"stands at {reading.position_deg:.4f} deg, {state}")
 
-    def _per_turn(self) -> float:
-        return units.convert(360.0, "deg", self._protocol.units.angle)
+    @property
+    def _zero_deg(self) -> float:
+        return math.degrees(self._config.zero)
+
+    def _check(self, rate_dps: float, acceleration_dps2: float, position_deg: float | None = None) -> AxisLimits:
+        limits = self.limits()
+        require_within(limits.beyond(rate_dps, acceleration_dps2, position_deg))
+        return limits
+
+    def _require_ready(self, *, referenced: bool) -> None:
+        reading = self.read()
+        if reading.faults or (referenced and not reading.referenced):
+            raise DeviceFault(
+                f"The axis cannot be moved: {', '.join(reading.faults) or 'it has no reference'}. Home it first."
+            )
 
     def _motion(self, rate_dps: float, acceleration_dps2: float) -> dict[str, float]:
-        unit = self._protocol.units
+        unit = self._said.units
         acceleration = units.convert(acceleration_dps2, "deg/s^2", unit.acceleration)
         return {"rate": units.convert(rate_dps, "deg/s", unit.rate), "acceleration": acceleration}
 
     def _make_ready(self, *, stands: bool = True) -> None:
         """Power the motor the first time; what is without power later was switched off by a person, and stays off."""
-        if "on" in self._protocol.tell:
-            if self._powered and not self._is("powered", self._read(*self._asks_of("powered"))):
+        if "on" in self._said.tell:
+            if self._powered and not self._is("powered", self._speaker.read(*self._fields_of("powered"))):
                 raise DeviceFault(f"The motor of {self._title} is off, and this run did not switch it off.")
             self._switch("on", "powered", True)
             self._powered = True
@@ -371,13 +367,13 @@ class LinesAxis(_Spoken, AxisDriver[LinesConfig]):
         """Settings that the device keeps between moves are set before a move, and restored at the end of a run."""
         values = self._motion(rate_dps, acceleration_dps2)
         for name in ("acceleration", "rate"):
-            if name in self._protocol.tell:
-                (template, *_) = self._protocol.tell[name].send
+            if name in self._said.tell:
+                (template, *_) = self._said.tell[name].send
                 self.settings.change(name, formatted(template, values)[1][name])
 
     def _setting(self, name: str) -> str:
-        shown_by = self._protocol.tell[name].shown_by
-        return self._read(*shown_by)[shown_by[0]]
+        shown_by = self._said.tell[name].shown_by
+        return self._speaker.read(*shown_by)[shown_by[0]]
 
     def _set(self, name: str, value: str) -> None:
-        self._until_shown(name, {name: float(value)}, *self._protocol.tell[name].shown_by)
+        self._speaker.until_shown(name, {name: float(value)})

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from gradcal_jax.hardware import roles
 from gradcal_jax.hardware.checksums import CrcOfRows
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.base import AxisDriver, AxisOptions, ChamberDriver
+from gradcal_jax.hardware.drivers.base import ChamberDriver, require_within
 from gradcal_jax.hardware.drivers.listening import FramesConfig
 from gradcal_jax.hardware.drivers.operator import OperatorAxis, OperatorConfig
 from gradcal_jax.hardware.frames import FrameDecoder
@@ -45,38 +45,30 @@ _LATENCY_US: Final = 506
 
 def datagrams(samples: SensorSamples, first: int, rate_hz: float) -> NDArray[np.uint8]:
     """A row for each sample, of which `first` is the number since the unit began; of a range of 10 g."""
-    count = samples.time_s.shape[0]
-    none = np.zeros((count, 1), np.uint8)
-    gyro = samples.rate_dps * 2.0**14
+    rows = np.zeros((samples.time_s.shape[0], 42), np.uint8)
+    rows[:, 0] = _IDENTIFIER
     second = samples.temperature_c if samples.second_c is None else samples.second_c
-    gyros, forces = (_int16(of) for of in (samples.temperature_c, second))
-    number: NDArray[np.int64] = first + np.arange(count, dtype=np.int64)
-    counter = ((number + 1) * round(2000.0 / rate_hz) % 256).astype(np.uint8)[:, None]
-    latency = np.tile(np.frombuffer(_LATENCY_US.to_bytes(2, "big"), np.uint8), (count, 1))
-    rates = none + np.uint8(_IDENTIFIER), _int24(gyro), _overload(gyro)
-    accelerations = _int24(samples.acceleration_g * 2.0**19), none
-    bodies = np.concatenate([*rates, *accelerations, gyros, none, forces, none, counter, latency], axis=1)
-    return np.hstack([bodies, _CRC(bodies).astype(">u4")[:, None].view(np.uint8)])
+    gyro = samples.rate_dps * 2.0**14
+    _put(rows, 1, 3, gyro)
+    # Status bit 4 and the channel's bit where a rate is beyond the 24 bits.
+    beyond = ((np.abs(gyro) >= 2**23 - 1) * np.array([1, 2, 4])).sum(axis=1)
+    rows[:, 10] = np.where(beyond, 0x10 | beyond, 0)
+    _put(rows, 11, 3, samples.acceleration_g * 2.0**19)
+    _put(rows, 21, 2, samples.temperature_c[:, None] * 256.0)
+    _put(rows, 28, 2, second[:, None] * 256.0)
+    rows[:, 35] = (first + 1 + np.arange(len(rows))) * round(2000.0 / rate_hz) % 256
+    rows[:, 36:38] = divmod(_LATENCY_US, 256)
+    rows[:, 38:] = _CRC(rows[:, :38]).astype(">u4")[:, None].view(np.uint8)
+    return rows
 
 
-def _int16(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """(n,) temperatures -> (n, 6) bytes of three channels of them."""
-    raw = np.clip(np.rint(values * 256.0), -32768, 32767).astype(">i2")
-    return np.ascontiguousarray(np.repeat(raw[:, None], 3, axis=1)).view(np.uint8).reshape(-1, 6)
-
-
-def _int24(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """(n, 3) numbers -> (n, 9) big-endian bytes of the nearest 24-bit integers, clipped to the range."""
+def _put(rows: NDArray[np.uint8], at: int, size: int, values: NDArray[np.float64]) -> None:
+    """Write (n, 3) or (n, 1) numbers as three big-endian integers of a size in bytes, clipped to their range."""
     # A sensor that the unit lacks has no number: zero.
-    whole = np.clip(np.rint(np.nan_to_num(values)), -(2**23), 2**23 - 1).astype(">i4")
-    return np.ascontiguousarray(whole).view(np.uint8).reshape(-1, 3, 4)[:, :, 1:].reshape(-1, 9)
-
-
-def _overload(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Status bit 4 and the channel's bit where a value is beyond the 24 bits."""
-    beyond = np.abs(values) >= 2**23 - 1
-    bits = (beyond * np.array([1, 2, 4])).sum(axis=1)
-    return np.where(bits, 0x10 | bits, 0).astype(np.uint8)[:, None]
+    most = 2 ** (8 * size - 1)
+    whole = np.clip(np.rint(np.nan_to_num(values)), -most, most - 1).astype(">i4")
+    parts = np.repeat(whole, 3 // whole.shape[1], axis=1).view(np.uint8).reshape(-1, 3, 4)
+    rows[:, at : at + 3 * size] = parts[:, :, 4 - size :].reshape(-1, 3 * size)
 
 
 _HANG: Final = re.compile(r"mount the IMUs as follows: mounting (\d+)")
@@ -87,7 +79,7 @@ _HOME_S, _HANGS_S, _HOMES_AT_DPS = 5.0, 120.0, 30.0
 _STOPS_OFF_DEG = 5.0
 
 
-class SimulatedChamber(ChamberDriver[ChamberPlant]):
+class SimulatedChamber(ChamberDriver):
     """Role `TemperatureChamber`, on a plant: from `lowest_c` to `highest_c`, ramps of any rate."""
 
     def __init__(self, plant: ChamberPlant, clock: Clock, lowest_c: float, highest_c: float) -> None:
@@ -127,7 +119,7 @@ class SimulatedChamber(ChamberDriver[ChamberPlant]):
         self.plant.switch(self._clock.now(), False)
 
 
-class SimulatedAxis(AxisDriver[AxisOptions]):
+class SimulatedAxis(roles.MotionAxis):
     def __init__(self, plant: AxisPlant, clock: Clock, limits: roles.AxisLimits) -> None:
         self.plant, self._clock, self._title, self._limits = plant, clock, "The simulated axis", limits
         self.settings = roles.KeptSettings()
@@ -156,7 +148,7 @@ class SimulatedAxis(AxisDriver[AxisOptions]):
         self._referenced, self._off_deg = True, 0.0
 
     def move_to(self, position_deg: float, rate_dps: float, acceleration_dps2: float) -> None:
-        self._check(rate_dps, acceleration_dps2, position_deg)
+        require_within(self._limits.beyond(rate_dps, acceleration_dps2, position_deg))
         self._acceleration_dps2 = acceleration_dps2
         if self._limits.told:
             # A motor that is switched on and off stops anywhere near, and nothing shows where.
@@ -165,7 +157,7 @@ class SimulatedAxis(AxisDriver[AxisOptions]):
         self.plant.move_to(self._clock.now(), goal_deg, rate_dps, acceleration_dps2)
 
     def spin(self, rate_dps: float, acceleration_dps2: float) -> None:
-        self._check(abs(rate_dps), acceleration_dps2)
+        require_within(self._limits.beyond(abs(rate_dps), acceleration_dps2))
         self._acceleration_dps2 = acceleration_dps2
         self.plant.spin(self._clock.now(), rate_dps, acceleration_dps2)
 
@@ -175,14 +167,12 @@ class SimulatedAxis(AxisDriver[AxisOptions]):
 
     def safe(self, policy: str) -> roles.SafeReport:
         self.stop()
-        return self._left_safe(policy, "", self.read)
+        reading = self.read()
+        return roles.SafeReport(not reading.moving, f"stands at {reading.position_deg:.4f} deg")
 
     def _on_grid(self, angle_deg: float) -> float:
         step = self._limits.resolution_deg
         return step * round(angle_deg / step)
-
-    def _per_turn(self) -> float:
-        return 360.0
 
 
 @dataclass(frozen=True)
@@ -233,9 +223,6 @@ class SimulatedPerson:
             self._turn(zero[1], 0.0, now + hand.reaction_s, _HOME_S)
         else:
             self.answers_s = now + hand.reading_s
-
-    def ring(self) -> None:
-        """It is late, and turns no faster."""
 
     def answer(self) -> tuple[str, float] | None:
         at_s = self.answers_s
@@ -289,15 +276,9 @@ class SimulatedStream:
         return FrameDecoder(self._config.described)
 
 
-# Bits/s. 2000 datagrams/s of rates, forces and temperatures leave no margin on the usual line.
-_BAUDRATE: Final = 921_600
-_BAUDRATE_AT_FULL_RATE: Final = 1_843_200
-
-
 def unit_options(sample_rate_hz: float) -> dict[str, Any]:
     """The options of a unit in the rig file."""
-    baudrate = _BAUDRATE if sample_rate_hz < RATES_HZ[-1] else _BAUDRATE_AT_FULL_RATE
-    return {"protocol": "stim300", "changes": {"rate": f"{sample_rate_hz:g} Hz"}, "baudrate": baudrate}
+    return {"protocol": "stim300", "changes": {"rate": f"{sample_rate_hz:g} Hz"}}
 
 
 _AXIS_STEP_DEG: Final = 360.0 / 1_152_000

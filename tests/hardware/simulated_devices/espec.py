@@ -1,7 +1,7 @@
 """A simulated ESPEC P-300 chamber, written from the protocol.
 
 Strict: it does not answer before CR LF, refuses set points outside its alarm limits, and changes its state only after
-its `OK`. With `echo_off` it is silent, as an EHS with that setting.
+its `OK`.
 """
 
 import re
@@ -15,7 +15,6 @@ from gradcal_jax.hardware.simulate.plants import ChamberPlant
 class EspecOptions:
     address: int | None = None
     knows_detail: bool = True
-    echo_off: bool = False
     decimals: int = 1
     blanks: bool = False
     """After commas of a reply."""
@@ -34,7 +33,7 @@ class SimulatedEspec:
     def receive(self, data: bytes) -> list[bytes]:
         *lines, self._buffer = (self._buffer + data).split(b"\r\n")
         replies = [reply for reply in map(self._line, lines) if reply]
-        return [] if self.options.echo_off else [reply.encode("ascii") + b"\r\n" for reply in replies]
+        return [reply.encode("ascii") + b"\r\n" for reply in replies]
 
     def raise_alarm(self, code: int) -> None:
         """Raise an alarm: the chamber stops conditioning and shows the code."""

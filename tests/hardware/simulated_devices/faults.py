@@ -15,7 +15,6 @@ import numpy as np
 Fault = Literal["drop", "flip", "noise", "duplicate", "truncate", "delay", "split"]
 Spoils = Callable[[bytes], list[tuple[float, bytes]]]
 """The bytes that arrive in place of a message, each with how much later (s) than it was sent."""
-FAULTS: tuple[Fault, ...] = ("drop", "flip", "noise", "duplicate", "truncate", "delay", "split")
 
 
 @dataclass
@@ -37,12 +36,9 @@ class Faults:
     mute: bool = False
 
     def __post_init__(self) -> None:
-        if unknown := set(self.probability) - set(FAULTS):
-            raise ValueError(f"{', '.join(sorted(unknown))}: no such fault; there are {', '.join(FAULTS)}.")
         self._random = np.random.default_rng(self.seed)
         self._next: deque[Fault] = deque()
         self._lock = threading.Lock()
-        self.count: dict[Fault, int] = dict.fromkeys(FAULTS, 0)
 
     def once(self, *faults: Fault) -> None:
         """The next messages suffer these faults, one each, in this order."""
@@ -51,12 +47,11 @@ class Faults:
 
     def __call__(self, message: bytes) -> list[tuple[float, bytes]]:
         with self._lock:
-            fault = None if self.mute or not message else self._choose()
             if self.mute or not message:
                 return []
+            fault = self._choose()
             if fault is None:
                 return [(0.0, message)]
-            self.count[fault] += 1
             place = int(self._random.integers(len(message)))
             bit = int(self._random.integers(8))
             noise = self._random.bytes(int(self._random.integers(1, 20)))

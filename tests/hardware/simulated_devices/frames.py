@@ -1,7 +1,5 @@
 """A simulated unit that sends the frames of the description "stim300", and takes no commands."""
 
-from collections import Counter
-
 import numpy as np
 
 from gradcal_jax.hardware.checksums import CrcOfRows
@@ -18,7 +16,6 @@ class SimulatedFrames:
 
     def __init__(self, sensor: SampledSensor, clock: Clock, *, rate_hz: float = 125.0, burst_s: float = 0.016) -> None:
         self.sensor, self.rate_hz, self.burst_s = sensor, rate_hz, burst_s
-        self.counters: Counter[str] = Counter()
         self._clock = clock
         self.reboot()
 
@@ -43,5 +40,4 @@ class SimulatedFrames:
         rows = datagrams(samples, first, self.rate_hz)
         rows[samples.time_s - self._booted_s < 1.0, 10] |= 0x40
         rows[:, 38:] = self._CRC(rows[:, :38]).astype(">u4")[:, None].view(np.uint8)
-        self.counters["normal"] += count
         return [row.tobytes() for row in rows]

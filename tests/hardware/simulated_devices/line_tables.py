@@ -14,8 +14,8 @@ _FRICTION_DPS2 = 20.0  # alone slows what has no power
 
 class SimulatedGrbl:
     """The X axis of a board. With its homing cycle on it begins, always anew, in ALARM, and takes nothing but $H, $X
-    and questions; while it homes it answers nothing, not even "?"; a hard limit silences it until a reset; "!" holds it
-    where nothing moves, too, until "~"; jogs queue; $ settings are taken only when idle."""
+    and questions; while it homes it answers nothing, not even "?"; a hard limit silences it until a reset; jogs queue;
+    $ settings are taken only when idle."""
 
     def __init__(self, plant: AxisPlant, clock: Clock) -> None:
         self.plant = plant
@@ -59,10 +59,6 @@ class SimulatedGrbl:
                 replies += self._status()
             elif letter == b"\x85":
                 self._cancel_jog()
-            elif letter == b"!":
-                self._hold()
-            elif letter == b"~":
-                self._state = "Idle" if self._state == "Hold" else self._state
             elif letter in b"\r\n":
                 line, self._buffer = self._buffer, b""
                 if letter == b"\n" or line:
@@ -117,20 +113,13 @@ class SimulatedGrbl:
             return []
         now = self._now()
         rate = abs(self.plant.state(now)[1]) * 60.0
-        state = "Hold:0" if self._state == "Hold" else self._state
-        return [f"<{state}|MPos:{self._counted(now):.3f},0.000,0.000|FS:{rate:.0f},0>\r\n".encode()]
+        return [f"<{self._state}|MPos:{self._counted(now):.3f},0.000,0.000|FS:{rate:.0f},0>\r\n".encode()]
 
     def _cancel_jog(self) -> None:
         now = self._now()
         if self._state == "Jog":
             self._jogs.clear()
             self.plant.spin(now, 0.0, self.settings[120])
-
-    def _hold(self) -> None:
-        if self._state == "Jog":
-            self._cancel_jog()
-        elif self._state == "Idle":
-            self._state = "Hold"
 
     def _line(self, text: str) -> list[bytes]:
         if self._homed_s is not None or self._silent:
@@ -215,7 +204,6 @@ class SimulatedAerosmith:
         self.acceleration = self.velocity = 10.0
         self.jog = 0.0
         self._homed_s: float | None = None
-        self.refused: list[str] = []
 
     def receive(self, data: bytes) -> list[bytes]:
         *lines, self._buffer = (self._buffer + data).split(b"\r")
@@ -245,7 +233,6 @@ class SimulatedAerosmith:
             return answers[match[1]]
         if match is not None and self._obeys(match[1] or match[2], float(match[3] or 0.0), now, busy):
             return ""
-        self.refused.append(text)
         return f"{text} ?"
 
     def _obeys(self, word: str, value: float, now: float, busy: bool) -> bool:

@@ -19,7 +19,6 @@ class ModbusSlave:
     def __init__(self, words: dict[int, int], *, address: int = 1, tcp: bool = False) -> None:
         self.words, self._address, self._tcp = words, address, tcp
         self._buffer, self._heard_s = b"", 0.0
-        self.bad_frames = 0
 
     def receive(self, data: bytes) -> list[bytes]:
         if not self._tcp and time.monotonic() - self._heard_s > 0.05:
@@ -50,7 +49,6 @@ class ModbusSlave:
             return None
         frame = self._buffer[:length]
         if crc16_modbus(frame[:-2]) != frame[-2:]:
-            self.bad_frames += 1
             self._buffer = self._buffer[1:]
             return b""
         self._buffer = self._buffer[length:]

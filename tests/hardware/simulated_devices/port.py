@@ -1,8 +1,8 @@
 """The other end of a serial line of the system: a pseudo-terminal, or a TCP port, with a simulated device behind it.
 
-For other processes and for the transport's own tests; within one process a line in memory is enough (`wire`). The port
-keeps its own descriptor of the terminal's other side open, because reading a terminal without one is an error. A
-terminal has no baud rate: a wrong one cannot be simulated.
+For other processes and for the transport's own tests; within one process a line in memory is enough (`wire`), and here
+its host is a thread that hands bytes on. The port keeps its own descriptor of the terminal's other side open, because
+reading a terminal without one is an error. A terminal has no baud rate: a wrong one cannot be simulated.
 """
 
 import os
@@ -17,11 +17,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-from simulated_devices.faults import Spoils, arrivals
+from simulated_devices.wire import Wire
 
 from gradcal_jax.hardware.clock import Clock, RealClock
 
-_TO_FETCH_S = 0.2
+_LOOKS_S, _TO_FETCH_S = 0.005, 0.2
 
 
 class FastClock(RealClock):
@@ -38,22 +38,19 @@ class FastClock(RealClock):
             time.sleep(left / self.speed)
 
 
-class SimulatedPort:
+class SimulatedPort(Wire):
     """Serves a device (see `wire`) at `url`, from `open` to the end of the context, in real time. The name of a
     pseudo-terminal lasts, which allows `unplug` and `replug`. If the host does not read, bytes are dropped and counted,
     as a UART does."""
 
     def __init__(self, device: Any, clock: Clock, *, on_socket: bool = False) -> None:
-        self.device, self._clock = device, clock
-        self.faults: Spoils | None = None
-        self.commands: Spoils | None = None
-        self.lost_bytes, self._nobody_reads = 0, False
+        super().__init__(device, clock)
+        self.by_url.pop(self.url)
         self._folder = tempfile.TemporaryDirectory(prefix="gradcal-sim-")
-        self._of_device, self._of_port = threading.Lock(), threading.Lock()
-        self._stop, self._speaks = threading.Event(), threading.Event()
+        self._of_port, self._stop = threading.Lock(), threading.Event()
         self._ends: tuple[int, ...] = ()
         self._listener: socket.socket | None = None
-        self._threads: list[threading.Thread] = []
+        self._thread = threading.Thread(target=self._serve, daemon=True)
         if on_socket:
             self._listener = socket.create_server(("127.0.0.1", 0))
             self._listener.settimeout(0.05)
@@ -63,20 +60,16 @@ class SimulatedPort:
             self.replug()
 
     def open(self) -> Self:
-        if not self._threads:
-            loops = [self._serve] + ([self._speak] if hasattr(self.device, "next_emission_s") else [])
-            self._threads = [threading.Thread(target=loop, daemon=True) for loop in loops]
-            for thread in self._threads:
-                thread.start()
+        if not self._thread.ident:
+            self._thread.start()
         return self
 
     __enter__ = open
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
-        self._speaks.set()
-        for thread in self._threads:
-            thread.join(timeout=5.0)
+        if self._thread.ident:
+            self._thread.join(timeout=5.0)
         self._hang_up()
         if self._listener is not None:
             self._listener.close()
@@ -108,23 +101,17 @@ class SimulatedPort:
 
     def _serve(self) -> None:
         while not self._stop.is_set():
-            data = b""
-            with suppress(OSError):
-                data = self._receive()
-            for after_s, message in arrivals(self.commands, data) if data else ():
-                time.sleep(after_s)
-                with self._of_device:
-                    replies = self.device.receive(message)
-                for reply in replies:
-                    self._deliver(reply)
-                self._speaks.set()
+            with suppress(OSError, ValueError):
+                if data := self._from_host():
+                    self.write(data)
+                self._to_host_now(self.read(0.0))
 
-    def _receive(self) -> bytes:
+    def _from_host(self) -> bytes:
         if self._listener is not None and not self._ends:
             connection, _ = self._listener.accept()
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._keep(connection.detach())
-        if not self._ends or not select.select(self._ends[:1], [], [], 0.05)[0]:
+        if not self._ends or not select.select(self._ends[:1], [], [], _LOOKS_S)[0]:
             time.sleep(0.0 if self._ends else 0.02)
             return b""
         with self._of_port:
@@ -134,35 +121,11 @@ class SimulatedPort:
             self._hang_up()
         return data
 
-    def _speak(self) -> None:
-        while not self._stop.is_set():
-            due_s = self.device.next_emission_s()
-            if due_s is None:
-                self._speaks.wait(0.5)
-                self._speaks.clear()
-                continue
-            self._clock.sleep_until(due_s)
-            with self._of_device:
-                messages = self.device.emit(self._clock.now())
-            for message in messages if self.faults is not None else [b"".join(messages)]:
-                self._deliver(message)
-
-    def _deliver(self, message: bytes) -> None:
-        for after_s, chunk in arrivals(self.faults, message):
-            time.sleep(after_s)
-            with self._of_port, suppress(OSError):
-                while chunk and self._ends:
-                    chunk = chunk[self._write(chunk) :]
-            self.lost_bytes += len(chunk)
-
-    def _write(self, data: bytes) -> int:
-        """The number of bytes written. Raises `BlockingIOError` where the terminal is full and is not read."""
-        try:
-            count = os.write(self._ends[0], data)
-        except BlockingIOError:
-            if self._nobody_reads or not select.select([], self._ends[:1], [], _TO_FETCH_S)[1]:
-                self._nobody_reads = True
-                raise
-            return 0
-        self._nobody_reads = False
-        return count
+    def _to_host_now(self, data: bytes) -> None:
+        """What the terminal takes; the rest is dropped, where the host fetches nothing for a while."""
+        while data:
+            with self._of_port, suppress(BlockingIOError):
+                data = data[os.write(self._ends[0], data) if self._ends else len(data) :]
+            if data and not select.select([], self._ends[:1], [], _TO_FETCH_S)[1]:
+                self.lost_bytes += len(data)
+                return

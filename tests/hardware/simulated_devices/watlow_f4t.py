@@ -1,4 +1,4 @@
-"""A simulated Watlow F4T on Modbus TCP: the peer of `drivers.watlow_f4t`, with the state that the controller has.
+"""A simulated Watlow F4T on Modbus TCP, with the state that the controller has.
 
 While its control loop is off it takes set points and does nothing with them, also once the loop is on again. A set
 point that is written while the loop is on is gone to at once, or by the ramp where the ramp's action says so. Set
@@ -6,30 +6,19 @@ points outside its limits are refused (exception 3).
 """
 
 import struct
-from dataclasses import dataclass, field
 
 from simulated_devices.modbus import ModbusSlave
 
 from gradcal_jax.hardware.clock import Clock
 from gradcal_jax.hardware.simulate.plants import ChamberPlant
 
-_OFF, _ON, _AUTO = 62, 63, 10
+_OFF, _AUTO = 62, 10
+_LOW_C, _HIGH_C = -70.0, 180.0
 
 
-@dataclass
-class WatlowF4TOptions:
-    low_c: float = -70.0
-    high_c: float = 180.0
-    fahrenheit: bool = False
-    locked: bool = False
-    """An input at the back keeps the control loop off."""
-    conditioning_event: int = 0
-    """Event that switches the plant in this rig; 0: the loop alone does."""
-
-
-@dataclass
-class _Memory:
-    words: dict[int, int] = field(default_factory=dict[int, int])
+class Memory:
+    def __init__(self, words: dict[int, int]) -> None:
+        self.words = words
 
     def put(self, register: int, value: float) -> None:
         """A float, its low word first."""
@@ -42,26 +31,20 @@ class _Memory:
 
 
 class SimulatedWatlowF4T(ModbusSlave):
+    """`locked`: an input at the back keeps the control loop off."""
+
     read_only = frozenset({2810, 2814, 2820, 1356})
 
-    def __init__(self, plant: ChamberPlant, clock: Clock, options: WatlowF4TOptions | None = None) -> None:
-        self.plant = plant
-        self.options = options or WatlowF4TOptions()
-        self._clock = clock
-        words = (
-            {4: 4, 5: 0, 12: 0xE240, 13: 1, 2730: _OFF, 2794: _OFF, 2796: 57, 2814: _OFF, 16566: 61, 16568: 251}
-            | {16 + place: ord(letter) for place, letter in enumerate("F4T1L1EAA1D1AAA")}
-            | {6730: 30 if self.options.fahrenheit else 15}
-            | {1356 + 100 * number: 88 for number in range(6)}
-            | dict.fromkeys((16594, 16596, 16598, 16600, 16822, 16824, 16826, 16828), _OFF)
-        )
+    def __init__(self, plant: ChamberPlant, clock: Clock) -> None:
+        self.plant, self._clock, self.locked = plant, clock, False
+        words = {4: 4, 12: 0xE240, 13: 1, 2730: _OFF, 2794: _OFF, 2796: 57, 2814: _OFF, 16566: 61, 16568: 251, 6730: 15}
+        words |= {16 + place: ord(letter) for place, letter in enumerate("F4T1L1EAA1D1AAA")}
+        words |= {1356 + 100 * number: 88 for number in range(6)}
         super().__init__(words, tcp=True)
-        self.memory = _Memory(self.words)
-        low, high = self.options.low_c, self.options.high_c
-        floats = {2774: low, 2776: high, 2782: 23.0, 2798: 1.0, 2810: 0.0, 2820: 0.0}
-        for register, value in floats.items():
+        self.memory = Memory(self.words)
+        for register, value in {2774: _LOW_C, 2776: _HIGH_C, 2782: 23.0, 2798: 1.0, 2810: 0.0, 2820: 0.0}.items():
             self.memory.put(register, value)
-        plant.switch(clock.now(), False)
+        self._switch()
 
     def reboot(self) -> None:
         """The loop comes back off."""
@@ -82,7 +65,7 @@ class SimulatedWatlowF4T(ModbusSlave):
         super().write(register, values)
         if register == 2782:
             target = memory.get(2782)
-            if not self.options.low_c <= target <= self.options.high_c:
+            if not _LOW_C <= target <= _HIGH_C:
                 self.words |= before
                 return 3
             if memory.words[2814] == _AUTO:
@@ -90,14 +73,11 @@ class SimulatedWatlowF4T(ModbusSlave):
                 per_minute = memory.get(2798) / (1.0 if memory.words[2796] == 57 else 60.0)
                 self.plant.command(now, target_c=target, gradient_k_per_min=per_minute if ramps else None)
         elif register == 2730:
-            memory.words[2814] = _OFF if self.options.locked else values[0]
+            memory.words[2814] = _OFF if self.locked else values[0]
         elif register == 16566 and values[0] == 148:
             memory.words[16568] = 253
         self._switch()
         return 0
 
     def _switch(self) -> None:
-        event = self.options.conditioning_event
-        switches = (16594, 16596, 16598, 16600, 16822, 16824, 16826, 16828)
-        on = not event or self.memory.words[switches[event - 1]] == _ON
-        self.plant.switch(self._clock.now(), on and self.memory.words[2814] == _AUTO)
+        self.plant.switch(self._clock.now(), self.memory.words[2814] == _AUTO)

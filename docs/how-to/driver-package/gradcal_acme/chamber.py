@@ -1,9 +1,8 @@
 """A chamber that is asked `T?`, `SP?` and `ON?`, and told `SP 25.0`, `ON` and `OFF`. It has no ramps of its own."""
 
 from gradcal_jax.hardware.clock import Clock
-from gradcal_jax.hardware.drivers.base import ChamberDriver, DriverOptions
-from gradcal_jax.hardware.errors import FramingError, Rejected
-from gradcal_jax.hardware.framing import LineFramer
+from gradcal_jax.hardware.drivers.base import ChamberDriver, DriverOptions, command_and_verify
+from gradcal_jax.hardware.errors import Rejected
 from gradcal_jax.hardware.request_reply import Exchange
 from gradcal_jax.hardware.roles import ChamberLimits, ChamberReading, Identity
 from gradcal_jax.hardware.transport import Transport
@@ -19,13 +18,13 @@ class AcmeConfig(DriverOptions):
     highest: Temperature = Quantity.read("120 degC", "temperature")
 
     def link(self, line: Transport, clock: Clock) -> Exchange:
-        return Exchange(line, LineFramer(), clock, "The ACME chamber", float(self.reply_timeout))
+        return Exchange(line, clock, "The ACME chamber", float(self.reply_timeout))
 
     def device(self, link: Exchange, clock: Clock, name: str = "", encoder: object = None) -> "AcmeChamber":
         return AcmeChamber(link, self)
 
 
-class AcmeChamber(ChamberDriver[AcmeConfig]):
+class AcmeChamber(ChamberDriver):
     """`safe` is the base's, by `hold`, `standby` and `read`."""
 
     def identify(self) -> Identity:
@@ -39,9 +38,12 @@ class AcmeChamber(ChamberDriver[AcmeConfig]):
         return ChamberReading(self._clock.now(), air, None, setpoint, "ON" if on else "OFF", bool(on), ())
 
     def hold(self, temperature_c: float) -> None:
+        self.set_point(temperature_c)
+        self._until("ON", "ON?", 1.0)
+
+    def set_point(self, temperature_c: float) -> None:
         self._check(temperature_c)
         self._until(f"SP {temperature_c:.1f}", "SP?", round(temperature_c, 1))
-        self._until("ON", "ON?", 1.0)
 
     def ramp(self, temperature_c: float, rate_k_per_min: float) -> float:
         raise Rejected("This chamber has no ramps; it is ramped by steps of its set point.")
@@ -53,13 +55,15 @@ class AcmeChamber(ChamberDriver[AcmeConfig]):
         """Command until the chamber shows it."""
         words = command.encode() + b"\n"
         send, near = lambda: self._exchange.write(words), lambda shown: abs(shown - value) < 0.05
-        self._verify(command, send, lambda: self._number(question), near)
+        command_and_verify(self._clock, command, send, lambda: self._number(question), near)
 
     def _number(self, question: str) -> float:
-        def parse(frame: bytes) -> float:
+        def parse(received: bytes) -> float | None:
+            """The reply among all bytes that have come; None: it is not, or not yet, there."""
+            *lines, _ = received.split(b"\n")
             try:
-                return float(frame)
+                return float(lines[0]) if lines else None
             except ValueError:
-                raise FramingError(f"{question} was answered {frame!r}, which is no number.") from None
+                return None
 
         return self._exchange.query(question.encode() + b"\n", parse)

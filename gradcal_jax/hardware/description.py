@@ -1,0 +1,239 @@
+"""What all descriptions of devices in rig files have; `presets/devices` has examples.
+
+A description has no logic, and no regular expression, because a file may be untrusted. A device that answers requests
+has fields (readings as its own text, by name), states and alarms (conditions on fields), commands, limits, units, and
+settings that it must have.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from importlib import resources
+from typing import Annotated, Any, Final, Literal, cast, get_args
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from gradcal_jax import units
+from gradcal_jax.tables import quantity as q
+from gradcal_jax.tables.document import Model, model_of, read_toml
+from gradcal_jax.tables.problems import Key, Problem, instead
+from gradcal_jax.tables.section import Section
+
+DeviceState = Literal["conditioning", "program", "ramps", "moving", "fault", "powered"]
+# The state in which the effect of a command is seen.
+SHOWN_IN: Final = {"on": ("conditioning", "powered"), "end_program": ("program",), "no_ramp": ("ramps",)}
+_DEVICES: Final = resources.files("gradcal_jax.spec.presets") / "devices"
+
+
+def listed(value: object) -> object:
+    return (value,) if isinstance(value, str) else value
+
+
+def _unit_of(dimension: str) -> Callable[[str], str]:
+    def check(text: str) -> str:
+        units.parse(f"1 {text}", dimension)
+        return text
+
+    return check
+
+
+TextList = Annotated[tuple[q.AnyText, ...], BeforeValidator(listed), Field(max_length=8)]
+TemperatureUnit = Annotated[q.Text, AfterValidator(_unit_of("temperature"))]
+RampUnit = Annotated[q.Text, AfterValidator(_unit_of("temperature slope"))]
+AngleUnit = Annotated[q.Text, AfterValidator(_unit_of("angle"))]
+RateUnit = Annotated[q.Text, AfterValidator(_unit_of("angular rate"))]
+AngularAccelerationUnit = Annotated[q.Text, AfterValidator(_unit_of("angular acceleration"))]
+AccelerationUnit = Annotated[q.Text, AfterValidator(_unit_of("acceleration"))]
+
+
+class DeviceUnits(Section):
+    """`[units]`: units of the numbers that the device sends and receives."""
+
+    temperature: TemperatureUnit = "degC"
+    """Unit of temperatures."""
+    ramp: RampUnit = "K/min"
+    """Unit of the chamber's slopes."""
+    angle: AngleUnit = "deg"
+    """Unit of angles."""
+    rate: RateUnit = "deg/s"
+    """Unit of rates."""
+    acceleration: AngularAccelerationUnit = "deg/s^2"
+    """Unit of accelerations."""
+
+
+class DeviceLimits(Section):
+    """`[limits]`: limits of a chamber or of an axis."""
+
+    lowest: q.Temperature | None = None
+    """Coldest temperature that the device accepts."""
+    highest: q.Temperature | None = None
+    """Warmest temperature that the device accepts."""
+    resolution: q.PositiveTemperatureDifference = q.Quantity(0.1, "0.1 K", "temperature difference")
+    """Smallest step of the temperature set point, if its text or register does not show it."""
+    slowest: q.PositiveTemperatureSlope | None = None
+    """Slowest ramp that the device accepts."""
+    fastest: q.PositiveTemperatureSlope | None = None
+    """Fastest ramp that the device accepts."""
+    free_ramp: q.Number | None = None
+    """Number that the device interprets as a ramp "as fast as possible"."""
+    max_rate: q.PositiveRate | None = None
+    """Largest rate of the axis."""
+    max_acceleration: q.PositiveAcceleration | None = None
+    """Largest acceleration of the axis."""
+    step: q.PositiveAngle | None = None
+    """Smallest step of the angle set point."""
+    lowest_angle: q.Angle | None = None
+    """Lowest angle that the device accepts."""
+    highest_angle: q.Angle | None = None
+    """Highest angle that the device accepts."""
+    spin_angle: q.PositiveAngle | None = None
+    """Largest angle of a turn at constant rate (a spin)."""
+
+
+class Condition(Section):
+    """`[state.NAME]` or `[alarm.NAME]`: it holds if a field equals one of these texts, equals none of them, begins with
+    one of them, has a bit set, or is below a number."""
+
+    field: q.Text
+    """Name of the field."""
+    equals: TextList = ()
+    """It holds if the field equals one of these texts."""
+    not_equals: TextList = ()
+    """It holds if the field equals none of these texts."""
+    begins: TextList = ()
+    """It holds if the field begins with one of these texts."""
+    bit: q.Whole | None = None
+    """It holds if this bit of the field, counted from 0, is set."""
+    below: q.Number | None = None
+    """It holds if the field is a number below this value."""
+
+    def _problems(self) -> Iterator[Problem]:
+        tests = (self.equals, self.not_equals, self.begins, self.bit is not None, self.below is not None)
+        if sum(map(bool, tests)) != 1:
+            yield Problem((), "use exactly one of equals, not_equals, begins, bit and below")
+
+    def holds(self, text: str) -> bool:
+        """Whether it holds, by the device's reply. An invalid number raises `ValueError`."""
+        if self.bit is not None:
+            return bool(int(float(text)) >> self.bit & 1)
+        if self.below is not None:
+            return float(text) < self.below
+        if self.not_equals:
+            return text not in self.not_equals
+        return text in self.equals or (bool(self.begins) and text.startswith(self.begins))
+
+
+class RequiredSetting(Section):
+    """`[[require]]`: a setting that the device must have before the first command, and the reason for it."""
+
+    field: q.Text
+    """Name of the field of a reply that shows the setting."""
+    equals: TextList
+    """Texts that are allowed in the field."""
+    why: q.Text
+    """What goes wrong if the setting is different."""
+
+
+class DeviceDescription(Section):
+    """What the descriptions of all devices that answer requests have."""
+
+    title: q.Text
+    """A title for tables and pages."""
+    on_first: q.Flag = False
+    """Whether the device accepts a set point only while it is switched on and conditions the chamber."""
+    units: DeviceUnits = DeviceUnits()
+    """Units of the numbers that the device sends and receives."""
+    limits: DeviceLimits = DeviceLimits()
+    """Limits of the device."""
+    state: dict[DeviceState, Condition] = Field(default_factory=dict[DeviceState, Condition])
+    """States of the device that can be seen in fields, by name."""
+    alarm: dict[str, Condition] = Field(default_factory=dict[str, Condition])
+    """Alarms of a chamber, by name."""
+    require: Annotated[tuple[RequiredSetting, ...], Field(max_length=20)] = ()
+    """Settings that the device must have before the first command."""
+
+    @property
+    def fields(self) -> Mapping[str, Any]:
+        """Every field that can be read."""
+        return {}
+
+    def unknown(self, key: Key, *fields: object) -> Iterator[Problem]:
+        """Fields that no reply has."""
+        for field in fields:
+            if isinstance(field, str) and field not in self.fields:
+                yield Problem(key, f"no reply has the field {{{field}}}; {instead(field, self.fields)}", field)
+
+    def _problems(self) -> Iterator[Problem]:
+        for table, conditions in {"state": self.state, "alarm": self.alarm}.items():
+            for name, entry in conditions.items():
+                yield from self.unknown((table, name, "field"), entry.field)
+        for index, entry in enumerate(self.require):
+            yield from self.unknown(("require", index, "field"), entry.field)
+        for command, states in SHOWN_IN.items():
+            if command in getattr(self, "tell", ()) and not set(states) & set(self.state):
+                message = f"this key is missing: without this state, no reply shows the effect of tell.{command}"
+                yield Problem(("state", states[0]), message, kind="missing")
+
+
+class DescribedSensor(Section):
+    """What the descriptions of all sensors have."""
+
+    title: q.Text = "The sensor"
+    """A title for tables and pages."""
+    rate: q.Frequency
+    """Number of samples per second."""
+    baudrate: q.Count | Annotated[int, Field(strict=True, gt=10**6, le=10**7)] = 115200
+    """Bits per second."""
+    boot: q.SizeOfTime = q.Quantity(0.0, "0 s", "time")
+    """Waiting time after the port is opened, because opening it restarts many boards."""
+    timeout: q.Time = q.Quantity(3.0, "3 s", "time")
+    """Timeout for the sensor's first samples."""
+
+
+def missing(key: Key, message: str) -> Problem:
+    """A key that is missing, and why it is needed."""
+    return Problem(key, f"this key is missing{message}", kind="missing")
+
+
+def described(kind: type[Model], value: object, changes: object = None) -> Model:
+    """The description of a rig file: the name of one of this program's, or its own tables; and what differs from it.
+
+    Raises:
+        ValueError: no such name, or (as `SpecError`) everything that is wrong with the tables.
+    """
+    (form,) = get_args(kind.model_fields["format"].annotation)
+    name, names = value if isinstance(value, str) else "", shipped(form)
+    if isinstance(value, Mapping):
+        tables = cast("Mapping[str, Any]", value)
+    elif name in names:
+        tables = read_toml(protocol_text(name), name)
+    else:
+        raise ValueError(f"expected the name of a protocol, or the tables of one; {instead(name, names)}")
+    return model_of(kind, changed_tables(tables, changes), form, name)
+
+
+def changed_tables(tables: Mapping[str, Any], changes: object) -> dict[str, Any]:
+    """Tables with some keys changed, table by table; `false` in the place of a table removes it."""
+    if changes is None:
+        return dict(tables)
+    if not isinstance(changes, Mapping):
+        raise ValueError("changes must be a table, with the changed keys in the tables of the description")
+    result = dict(tables)
+    for name, change in cast("Mapping[str, Any]", changes).items():
+        before = result.get(name)
+        if change is False and not isinstance(before, bool):
+            result.pop(name, None)
+        elif isinstance(change, Mapping) and isinstance(before, Mapping):
+            result[name] = changed_tables(cast("Mapping[str, Any]", before), cast("object", change))
+        else:
+            result[name] = change
+    return result
+
+
+def shipped(kind: str) -> tuple[str, ...]:
+    """The names of the descriptions of a format that come with this program."""
+    names = (file.name for file in _DEVICES.iterdir() if file.name.endswith(".toml"))
+    return tuple(sorted(n.removesuffix(".toml") for n in names if f'"{kind}"' in (_DEVICES / n).read_text("utf-8")))
+
+
+def protocol_text(name: str) -> str:
+    """The TOML text of a description that comes with this program."""
+    return (_DEVICES / f"{name}.toml").read_text(encoding="utf-8")

@@ -102,7 +102,7 @@ _SURE = (
 """Rooms whose tests use the core by ways that its own tests, and the recorded numbers, have checked."""
 _ESTIMATES = ("estimate", "recording", "logs", "read_tables", "several", "late_terms", "without_encoder", "known_plans")
 """The same of files in `imu`, and of whole plans, whose figures have sources of their own."""
-_SEARCHES = ("pose_search", "free_course", "limits_of_cycles", "optimise", "imu_limit", "robust", "steps", "exact")
+_SEARCHES = ("pose_search", "free_course", "optimise", "imu_limit", "exact")
 """The same of files in `design`, of searches of whole specs."""
 
 
@@ -112,14 +112,6 @@ def _annotations(request):
     sure = parts[0] in _SURE or (parts[0] == "imu" and any(word in parts[-1] for word in _ESTIMATES))
     sure |= parts[0] == "design" and any(word in parts[-1] for word in _SEARCHES)
     jaxtyping.config.update("jaxtyping_disable", sure)
-
-
-@pytest.fixture(scope="module")
-def without_prices():
-    """What limits are worth is a program of its own after every search, of which test_limits_of_cycles.py is."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gradcal_jax.design.searching.shadow_prices", lambda *_: ())
-        yield
 
 
 @pytest.fixture(scope="session")

@@ -61,10 +61,9 @@ def main() -> None:
     plan = CyclePlan(spec, visit_choices(spec, spec.design)[0])
     begins = []
     for _ in range(options.starts + 1):
-        cycle = plan.drawn(rng)
-        of = plan.structure(cycle)
-        args = (jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, SHARPNESS, plan.objective.targets)
-        begins.append((plan.point(cycle, of), args))
+        drawn = plan.drawn(rng)
+        of = plan.coordinates.structure(drawn.turns)
+        begins.append((plan.point(drawn), (jax.tree.map(jnp.asarray, of), SHARPNESS)))
     ends, seconds = {}, {}
     for name, descend in engines(plan, options.evaluations).items():
         descend(*begins[0])

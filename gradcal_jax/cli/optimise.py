@@ -161,15 +161,6 @@ def optimum_text(best: "Optimised") -> str:
     before = "not observable with the plan in the spec" if best.before is None else amount(best.before, best.unit)
     head = f"{best.name}: {before} -> {amount(best.now, best.unit)} (rounded to the controllers' steps)"
     lines = [strong(head), best.structure, best.sentence, belief_of(best.spec)]
-    if best.active:
-        lines.append("limits that restrict the plan: " + "; ".join(best.active))
-    priced = [
-        (f"1 {p.per} of {p.limit}", f"{p.change:+.3g} {best.unit}" if p.change else "nothing")
-        for p in best.prices
-        if p.per
-    ]
-    if priced:
-        lines.append("\n" + Table.of(["if this limit is relaxed by", "the residual changes by"], priced).text())
     if len(best.rows) > 1:
         rows = [(row.name, amount(row.before, row.unit), amount(row.now, row.unit)) for row in best.rows]
         lines.append("\n" + Table.of(["requirement", "before", "now"], rows).text())

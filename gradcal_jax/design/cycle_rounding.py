@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from gradcal_jax.design.cycle_moves import Cycle
-from gradcal_jax.design.slots import SHAPE, STEEPNESS, PoseTurn, TableLimits, Visits
+from gradcal_jax.design.slots import SHAPE, Cycle, TableLimits, Turn, Visits
 
 # A smaller turn, deg, says nothing of a sensor, and is lost among the readings about it.
 _SHOWS = 0.5
@@ -19,34 +18,16 @@ _SLACK = 1e-9
 
 
 class CycleRounding(NamedTuple):
-    """Of cycles on the `axes` of a table within `limits`: the controllers' step of time `grid` (s), that of all angles
-    (rad; None: any angle), and whether a cycle is `closed`."""
+    """Of cycles on the `axes` of a table within `limits`: the controllers' step of time `grid` (s), and whether a cycle
+    is `closed`."""
 
     limits: TableLimits
     axes: tuple[str, ...]
     grid: float
-    angle_step: float | None
     closed: bool
-
-    def on_steps(self, cycle: Cycle, *, slots: bool = False) -> Cycle:
-        """The cycle with its turns rounded to whole angle steps, without turns of none. `slots`: these stay, empty."""
-        step, result = self.angle_step or 1.0, list[PoseTurn]()
-        wanted, made = np.zeros(len(self.axes)), np.zeros(len(self.axes))
-        for t in cycle:
-            if t.axis >= 0:
-                wanted[t.axis] += t.angle
-                angle = float(round((wanted[t.axis] - made[t.axis]) / step) * step)
-                made[t.axis] += angle
-                t = t._replace(angle=angle)
-            if t.angle or t.rest or t.axis < 0:
-                result.append(t)
-            elif slots:
-                result.append(t._replace(axis=-1))
-        return tuple(result)
 
     def rounded(self, cycle: Cycle, period: float, whole: Float[np.ndarray, " L"]) -> Cycle:
         """Rounded turns, rates and rests that fit into the `period` (s) and turn every axis by the `whole` (rad)."""
-        step = _ANGLE if self.angle_step is None else 0.0
         items, goals, here = [], {}, {}
         bounded = np.flatnonzero(np.isfinite(self.limits.reach[:, 1]))
         for t in cycle:
@@ -54,15 +35,13 @@ class CycleRounding(NamedTuple):
             if t.axis >= 0:
                 # Poses are rounded: errors of turns would add up.
                 goals[t.axis] = goals.get(t.axis, 0.0) + degrees
-                if step:
-                    degrees = self._within(t.axis, goals[t.axis], step) - here.get(t.axis, 0.0)
+                degrees = self._within(t.axis, goals[t.axis]) - here.get(t.axis, 0.0)
                 here[t.axis] = here.get(t.axis, 0.0) + degrees
                 most = math.floor(math.degrees(float(self.limits.rates[t.axis])) / _RATE + _SLACK) * _RATE
                 rate = min(math.ceil(rate / _RATE - _SLACK) * _RATE, most)
             rest = max(round(t.rest / _REST) * _REST, self.limits.shortest) if t.rest > 0.0 else 0.0
             items.append([t.axis, round(degrees, 6), round(rate, 6), round(rest, 6)])
-        net = here
-        for axis, total in net.items() if self.closed else ():
+        for axis, total in here.items() if self.closed else ():
             last = max(k for k, item in enumerate(items) if item[0] == axis)
             items[last][1] = round(items[last][1] - total + math.degrees(float(whole[axis])), 6)
         for item in items:
@@ -81,12 +60,12 @@ class CycleRounding(NamedTuple):
             item = rests[k % len(rests)]
             item[3] = max(round(item[3] + math.copysign(_REST, change), 6), self.limits.shortest)
         over = math.fsum([*(self._made(l, a, w)[1] for l, a, w, _ in items if l >= 0 and a), *(i[3] for i in items)])
-        if over > period + _SLACK and not self.closed and self.angle_step is None:
+        if over > period + _SLACK and not self.closed:
             # The rests are the shortest: the largest turn ends earlier.
             longest = max(items, key=lambda item: abs(item[1]))
             less = longest[2] * (math.ceil((over - period) / self.grid - _SLACK) + 1) * self.grid
             longest[1] = round(math.copysign(max(abs(longest[1]) - less, 0.0), longest[1]), 6)
-        return tuple(PoseTurn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
+        return tuple(Turn(l, math.radians(a), math.radians(w), r) for l, a, w, r in items)
 
     def visits(self, cycle: Cycle, of: Visits) -> list[tuple[Cycle, float]]:
         """The rounded cycle of each visit, and how long other axes have the table after it (s): until the next one."""
@@ -110,21 +89,20 @@ class CycleRounding(NamedTuple):
             start = start + np.array([sum(t.angle for t in turns if t.axis == k) for k in range(len(start))])
         return result
 
-    def _within(self, axis: int, goal: float, step: float) -> float:
+    def _within(self, axis: int, goal: float) -> float:
         """The nearest pose (deg from the start) in whole steps that an axis reaches."""
         low, high = (math.degrees(float(end - self.limits.start[axis])) for end in self.limits.reach[axis])
-        pose = round(goal / step) * step
+        pose = round(goal / _ANGLE) * _ANGLE
         if pose > high:
-            return math.floor(high / step) * step
-        return math.ceil(low / step) * step if pose < low else pose
+            return math.floor(high / _ANGLE) * _ANGLE
+        return math.ceil(low / _ANGLE) * _ANGLE if pose < low else pose
 
     def _made(self, axis: int, degrees: float, rate: float) -> tuple[float, float]:
         """Peak rate (deg/s) and duration (s) of a turn in whole steps of the controllers' time: steepest, in the
         nearest number of steps that its limits allow; one near its largest rate, which says most, keeps it."""
-        size, grid, slow = math.radians(abs(degrees)), self.grid, self.limits.slow
-        most = min(float(self.limits.rates[axis]), slow if math.radians(rate) <= slow else math.inf)
+        size, grid, most = math.radians(abs(degrees)), self.grid, float(self.limits.rates[axis])
         # θ = A·(duration − ramp), with ramp = steep·A and no flat part at the least.
-        steep = STEEPNESS / float(self.limits.accelerations[axis])
+        steep = 1.0 / float(self.limits.accelerations[axis])
         peaks = (min(w, math.sqrt(size / steep)) for w in (math.radians(rate), most))
         planned, quickest = ((size / w + steep * w) / grid for w in peaks)
         duration = max(round(planned), math.ceil(quickest - _SLACK)) * grid

@@ -8,15 +8,13 @@ function of these observations.
 A **scale factor** is also a function of the rate: its limit is that of an axis (`design.relaxed_limit`) that turns all
 the time that it has the table, in white noise and under what multiplies its rate. Where the gyro is alone on a table of
 one axis, readings, drift and clock count, too; the errors of an encoder that other channels see are no noise.
-
-A **heading** after a mission depends on both: its limit is the larger one of those with one of the maps known.
 """
 
-from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 
 from gradcal_jax.design.noise_floor import (
     PRIOR_OF_WALK,
@@ -27,16 +25,16 @@ from gradcal_jax.design.noise_floor import (
     scale_factor_floor,
 )
 from gradcal_jax.design.relaxed_limit import Limit, RelaxedProblem, relaxed_limit
-from gradcal_jax.design.visits import LEAST_TURN, motion_time, with_motion
+from gradcal_jax.design.slots import LEAST_TURN
+from gradcal_jax.design.visits import motion_time, with_motion
 from gradcal_jax.information.imu_residual import imu_residual, quantity_of
 from gradcal_jax.information.prediction import requirement_rows
-from gradcal_jax.information.residual import GridElement, statistic
+from gradcal_jax.information.residual import statistic
 from gradcal_jax.information.unseen import floor_of_plan
 from gradcal_jax.information.verdicts import UNIT_OF
 from gradcal_jax.model import AXIS_NAMES, BIAS, SCALE_FACTOR, Channel, Polynomial, constant
 from gradcal_jax.model.build import BuiltImu, build_imu, chamber_programme
 from gradcal_jax.motion import EARTH_RATE, Programme
-from gradcal_jax.spec.absent import with_typical
 from gradcal_jax.spec.design import Design
 from gradcal_jax.spec.motion_plan import PlanSchedule
 from gradcal_jax.spec.requirement import Requirement
@@ -52,7 +50,6 @@ _PARTS = 48
 _AT_KNOT = 1e-6
 # An axis this near to a gyro's is the same, by 1 less the cosine.
 _ALONG = 1e-12
-_PROVEN = ("gyro_scale_factor", "gyro_bias", "mission_heading")
 _RELAXED = (
     "everything else is known exactly",
     "the IMU is read continuously, at rest and during moves, with the best distribution of turns and poses",
@@ -64,9 +61,8 @@ class PlanLimit(NamedTuple):
     """No plan leaves less than `certified` (`unit`) of a requirement; `reached`: the optimum of the relaxed problem.
 
     `value`: what the spec's plan leaves (None: not observable); `efficiency`: certified over value. `relaxed`: limits
-    of the rig that the proof leaves out; `kept`: what all plans of the
-    proof have in common; both in words. All of that is by the terms that the spec names; `counted`, `judged`: certified
-    and value with those that it omits, at typical figures.
+    of the rig that the proof leaves out; `kept`: what all plans of the proof have in common; both in words. All of that
+    is by the terms that the spec names.
     """
 
     name: str
@@ -78,8 +74,6 @@ class PlanLimit(NamedTuple):
     efficiency: float | None
     relaxed: tuple[str, ...]
     kept: tuple[str, ...]
-    counted: float
-    judged: float | None
 
     __repr__ = summary
 
@@ -101,19 +95,17 @@ def limit(spec: Spec, *, motion: float | None = None) -> list[PlanLimit]:
     data = _PlanData(build_imu(spec if motion is None else with_motion(spec, motion)))
     rows = {row.name: row for row in requirement_rows(spec)}
     # What no residual shows, no plan removes: it adds in quadrature, at least its smallest value in the box.
-    floors = [floor_of_plan(one) for one in (spec, with_typical(spec))]
+    built, floor = floor_of_plan(spec)
     proven: list[PlanLimit] = []
     for r in spec.requirement:
-        if (bound := _largest_bound(data, r)) is None:
+        if (bound := _bound(data, r)) is None:
             continue
         of, relaxed = bound
-        (unit, factor), row = UNIT_OF[r.quantity], rows[r.name]
-        named, every = (float(np.min(imu_residual(built, floor, r).values)) for built, floor in floors)
-        certified, best = (float(np.hypot(factor * value, named)) for value in of)
-        counted = float(np.hypot(factor * of.certified, every))
-        share = None if row.decisive is None else certified / row.decisive
-        bounds = certified, best, row.decisive, share
-        proven.append(PlanLimit(r.name, r.statistic, unit, *bounds, relaxed, data.kept, counted, row.judged))
+        (unit, factor), value = UNIT_OF[r.quantity], rows[r.name].decisive
+        hidden = float(np.min(imu_residual(built, floor, r).values))
+        certified, best = (float(np.hypot(factor * value, hidden)) for value in of)
+        share = None if value is None else certified / value
+        proven.append(PlanLimit(r.name, r.statistic, unit, certified, best, value, share, relaxed, data.kept))
     if not proven:
         raise ValueError(
             "limits are proven for the biases and polynomial scale factors of gyros; the spec has no requirement on "
@@ -150,8 +142,8 @@ class _PlanData:
                 if self.tied:
                     self.visits, same = visits, ", at the same times as in this plan"
         at_table = f"{time_text(float(round(self.turning)))} at the table{same}"
-        self.course: Course = _sensor_course(self.chamber, self.built.spec.sensor.lag)
         self.kept = (at_table, "the chamber follows the temperatures of this plan")
+        self.course = _sensor_course(self.chamber, built.spec.sensor.lag)
 
     def spacing(self) -> tuple[float, float]:
         """The least time between readings, and between standstills (s), of this plan and of any plan in a search."""
@@ -181,67 +173,51 @@ class _PlanData:
         return min(largest, np.inf if usable is None else float(usable)) + earth
 
 
-def _largest_bound(data: _PlanData, requirement: Requirement) -> tuple[Limit, tuple[str, ...]] | None:
-    """The largest limit of a requirement, SI, and what its proof leaves out; None where there is no proof."""
-    if requirement.quantity not in _PROVEN:
+def _bound(data: _PlanData, requirement: Requirement) -> tuple[Limit, tuple[str, ...]] | None:
+    """The limit of a requirement, SI, and what its proof leaves out; None where there is no proof."""
+    name = {"gyro_bias": BIAS, "gyro_scale_factor": SCALE_FACTOR}.get(requirement.quantity)
+    if name is None:
         return None
     # Of several gyros the first, since all are alike.
-    elements = quantity_of(data.built, requirement).elements[:1]
-    bounds = [bound for element in elements for bound in _bounds(data, requirement, element)]
-    return max(bounds, key=lambda bound: bound[0].certified, default=None)
-
-
-def _bounds(data: _PlanData, requirement: Requirement, element: GridElement) -> Iterator[tuple[Limit, tuple[str, ...]]]:
-    """Limits of a requirement's element, and what their proofs leave out."""
-    channel = next(c for c in data.built.model.channels if c.kind == "gyro" and AXIS_NAMES[c.axis] == element.label[0])
-    alone = data.alone(channel)
-    heading = requirement.quantity == "mission_heading"
-    if heading and not alone:
-        return
-    grid, model = quantity_of(data.built, requirement), data.built.model
+    quantity, model = quantity_of(data.built, requirement), data.built.model
+    element = quantity.elements[0]
+    channel = next(c for c in model.channels if c.kind == "gyro" and AXIS_NAMES[c.axis] == element.label[0])
+    of = channel.map(name)
+    if of is None or (name == SCALE_FACTOR and not isinstance(of.rate, Polynomial)):
+        return None
+    carried = ("the calibration contains the discrepancy as far as the data determine it",)
+    more, shape = carried if np.any(element.alone) else (), (len(quantity.temperatures), len(quantity.rates))
+    functions = (of,) if of.beyond is None else (of, of.beyond)
     rows = np.zeros((len(element.beyond), model.size))
     rows[:, element.where] = element.rows[0]
     rows = rows[:, model.where(channel.kind, channel.axis)]
-    shape = len(grid.temperatures), len(grid.rates)
-    carried = ("the calibration contains the discrepancy as far as the data determine it",)
-    more = carried if np.any(element.alone) else ()
-    bias, scale = channel.map(BIAS), channel.map(SCALE_FACTOR)
-    if bias is not None and np.any(rows[:, channel.where(BIAS)]):
-        of_bias = rows[:, channel.where(BIAS)]
+    if name == BIAS:
         noise = float(channel.angle_random_walk), channel.processes
-        left = bias_seen_continuously(bias, *noise, data.windows, data.course, of_bias)
-        value = float(statistic(requirement.statistic, left.reshape(shape)))
-        yield Limit(value, value), (*_RELAXED, *more)
-    if scale is None or not isinstance(scale.rate, Polynomial) or not np.any(rows[:, channel.where(SCALE_FACTOR)]):
-        return
+        left = bias_seen_continuously(of, *noise, data.windows, data.course, rows[:, channel.where(BIAS)])
+        value = float(np.asarray(statistic(requirement.statistic, left.reshape(shape))))
+        return Limit(value, value), (*_RELAXED, *more)
     # Of a channel among others, the noise is white and its clock is one with that of all.
-    functions = (scale,) if scale.beyond is None else (scale, scale.beyond)
-    of_scale = np.concatenate([rows[:, channel.where(f.name)] for f in functions], axis=1)
-    processes = channel.processes
+    alone, processes = data.alone(channel), channel.processes
     density, relaxed = float(channel.angle_random_walk) ** 2, _RELAXED
     if alone:
         if clock := data.built.spec.sensor.clock_error:
             processes = processes + constant(clock, rate_gain=1.0)
         density, relaxed = _density_alone(data, channel)
-    course, floor = data.course, np.zeros(shape)
-    if heading:
-        relaxed += ("the bias is known", "errors that multiply the rate are left out")
-    else:
-        windows = _between_knots(data.visits, data.chamber)
-        floor += scale_factor_floor(scale, processes, windows, course, grid.temperatures)[:, None]
+    windows = _between_knots(data.visits, data.chamber)
+    floor = scale_factor_floor(of, processes, windows, data.course, quantity.temperatures)
     share = PRIOR_OF_WALK if np.any(floor) else 1.0
     problem = RelaxedProblem(
         functions,
-        of_scale,
-        floor.ravel(),
+        np.concatenate([rows[:, channel.where(f.name)] for f in functions], axis=1),
+        np.repeat(floor, shape[1]),
         shape,
         requirement.statistic,
-        _stacked([np.asarray(f.prior_rows()) / np.sqrt(share) for f in functions]),
-        course(_middles_of_parts(data.visits))[0],
+        np.asarray(scipy.linalg.block_diag(*(np.asarray(f.prior_rows()) / np.sqrt(share) for f in functions))),
+        data.course(_middles_of_parts(data.visits))[0],
         data.fastest(alone=alone),
         data.turning / density,
     )
-    yield relaxed_limit(problem), (*relaxed, *more)
+    return relaxed_limit(problem), (*relaxed, *more)
 
 
 def _density_alone(data: _PlanData, channel: Channel) -> tuple[float, tuple[str, ...]]:
@@ -263,13 +239,6 @@ def _density_alone(data: _PlanData, channel: Channel) -> tuple[float, tuple[str,
     if not data.tied:
         relaxed.append("the turns may be at any time; only their total time is limited, to the axis's part of a cycle")
     return density, tuple(relaxed)
-
-
-def _stacked(blocks: list[np.ndarray]) -> np.ndarray:
-    """Blocks on a diagonal."""
-    from scipy.linalg import block_diag
-
-    return np.asarray(block_diag(*blocks))
 
 
 def _between_knots(windows: Windows, chamber: Programme) -> Windows:

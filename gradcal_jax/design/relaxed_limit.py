@@ -32,7 +32,7 @@ import numpy as np
 import scipy.linalg
 from numpy.polynomial import chebyshev
 
-from gradcal_jax.information.residual import Statistic
+from gradcal_jax.information.residual import Statistic, statistic
 from gradcal_jax.model.terms import Discrepancy, Map
 
 # Sharpness of the soft maximum by stage; between stages the most useful rates join the grid, with this weight.
@@ -103,7 +103,7 @@ def relaxed_limit(problem: RelaxedProblem, *, tolerance: float = 2e-3) -> Limit:
     for sharpness in _SHARPNESS:
         logs = _descended(few, rates, logs, sharpness)
         certified, peaks = _certificate(few, rates, logs, sharpness)
-        reached = _exact(problem.statistic, _Solution(problem, rates, logs).values)
+        reached = float(np.asarray(statistic(problem.statistic, _Solution(problem, rates, logs).values)))
         best = Limit(max(best.certified, certified), min(best.reached, reached))
         if best.reached <= best.certified * (1.0 + tolerance):
             break
@@ -194,12 +194,8 @@ def _squares(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return np.sum((rows @ matrix) * rows, axis=-1)
 
 
-def _exact(name: Statistic, values: np.ndarray) -> float:
-    return _soft(name, values, np.inf)[0]
-
-
 def _soft(name: Statistic, values: np.ndarray, sharpness: float) -> tuple[float, np.ndarray]:
-    """A statistic with `(Σ s^k)^(1/k)` for a maximum (exact for an infinite k), and its slope in each value."""
+    """A statistic with `(Σ s^k)^(1/k)` for a maximum, and its slope in each value."""
     if name == "mean":
         return float(np.mean(values)), np.full(values.shape, 1.0 / values.size)
     if name == "rms":
@@ -207,8 +203,6 @@ def _soft(name: Statistic, values: np.ndarray, sharpness: float) -> tuple[float,
         return value, values / (values.size * value)
     columns = values.reshape(-1, 1) if name == "max" else values
     top = np.max(columns, axis=0)
-    if np.isinf(sharpness):
-        return float(np.mean(top)), np.zeros(values.shape)
     total = np.sum((columns / top) ** sharpness, axis=0) ** (1.0 / sharpness)
     slope = (columns / (top * total)) ** (sharpness - 1.0) / columns.shape[1]
     return float(np.mean(top * total)), slope.reshape(values.shape)

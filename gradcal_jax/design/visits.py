@@ -7,16 +7,20 @@ gradient: a search tries a few of them.
 import math
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
+from gradcal_jax.design.slots import EMPTY, LEAST_TURN, Cycle, TableLimits, Turn, Visits
 from gradcal_jax.formulas import repetitions
+from gradcal_jax.recipe.rounding import steps_of
 from gradcal_jax.spec.changes import changed
 from gradcal_jax.spec.design import Design
 from gradcal_jax.spec.motion_plan import MotionPlan, duration_of
 from gradcal_jax.spec.moves import ResolvedMove
-from gradcal_jax.spec.plan import RampItem, StandardPlan
+from gradcal_jax.spec.plan import RampItem
 from gradcal_jax.spec.spec_sections import Spec
 
-# Shortest useful turn; s.
-LEAST_TURN: Final = 1.0
+# A shorter time of other axes behind the last visit is none, s.
+_LEFT: Final = 1e-3
 # Largest number of visits with moves of their own; beyond, the cycle repeats.
 _MOST_OWN: Final = 20
 # Turns of all visits together, about, and of each at least: one for every power of a cubic.
@@ -87,11 +91,6 @@ def visit_times(spec: Spec) -> tuple[float, float]:
     return own / len(visits), others[0] if others else duration_of(schedule.after)
 
 
-def reading_spacing(spec: Spec) -> float:
-    """Spacing (s) of the readings of the only axis where the plan does not say it; infinite: at the end of a rest."""
-    return float(spec.rig.table.axis[0].angle.read_every)
-
-
 class VisitTimes(NamedTuple):
     """A cycle of so many `visits` of `own` s, after each of which other axes have the table for `other` s; how many
     such `cycles` the plan has; and the number of `turns` in each visit."""
@@ -142,15 +141,36 @@ def shortest_rest(spec: Spec, design: Design) -> float:
 
 def rest_spacing(spec: Spec) -> float:
     """How often a table of one axis is read at rest, s: as its first rest that is read so, or else the table."""
-    table = reading_spacing(spec)
+    table = float(spec.rig.table.axis[0].angle.read_every)
     rests = (step.move for step in spec.gradient_schedule.steps if step.move.is_rest)
     spacings = (table if rest.reads_as_table else rest.read_every for rest in rests)
     return next((float(every) for every in spacings if every and math.isfinite(every)), table)
 
 
-def reading_spacing_of_others(spec: Spec, spacing: float) -> float:
-    """How often the table is read (s) while other axes turn, where it is read as at rest every `spacing` s; infinite:
-    not at all."""
-    cycle = None if isinstance(spec.plan, StandardPlan) else spec.plan.cycle
-    others = None if cycle is None else cycle.other_axes
-    return spacing if others is not None and others.read_every is not None else math.inf
+def cycle_in_visits(spec: Spec, times: VisitTimes, limits: TableLimits) -> tuple[Visits, Cycle]:
+    """The slots of the visits: a rest before the first turn of all, then turns with rests between them and, where no
+    other axis waits, behind the last; with the moves of the file's cycle, as many as it has, in every visit."""
+    own, slots, group = moves_of_visits(spec), list[Turn](), list[int]()
+    whole = spec.gradient_schedule.stretches[0].duration
+    tail = times.other if times.cycles > 1 else whole - times.visits * times.own - (times.visits - 1) * times.other
+    tail = tail if tail > _LEFT else 0.0
+    for visit in range(times.visits):
+        turns = [Turn(-1, 0.0, 0.0, limits.shortest)]
+        for move in own[visit % len(own)]:
+            if move.is_rest:
+                turns[-1] = turns[-1]._replace(rest=turns[-1].rest + move.duration)
+            else:
+                turns.append(Turn(0, move.angle, move.fastest, 0.0))
+        turns = turns if visit == 0 else turns[1:]
+        if times.other and (visit < times.visits - 1 or tail):
+            turns[-1] = turns[-1]._replace(rest=0.0)
+        empty = times.turns + (visit == 0) - len(turns)
+        slots += turns + [EMPTY] * empty
+        group += [visit] * (times.turns + (visit == 0))
+    plan = spec.plan
+    others = plan.cycle.other_axes if isinstance(plan, MotionPlan) and plan.cycle is not None else None
+    every = limits.read_every if others is not None and others.read_every is not None else math.inf
+    # For the steps of time to which turns are rounded.
+    spare = 0.5 * float(steps_of(spec).time) * (times.turns + 1)
+    other = times.other + spare if times.other else 0.0
+    return Visits(np.array(group), times.own - spare, other, every, tail), tuple(slots)

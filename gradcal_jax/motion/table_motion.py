@@ -115,8 +115,8 @@ class TableMotion(PytreeModule):
     `start_angles` rad: of the axes at the begin of the motion. Pieces of one `kind` differ only in temperature and by
     whole turns; `example` is a piece of each of the `K` kinds, and `nodes` its number of nodes. `history` °C: turning
     points of the temperature before the motion, in order; `others`: temperatures beside that of the sensor, as first-
-    order lags of it, and `behind` K: how far they are behind as the motion begins (None: not at all). `divisions`: the
-    divisions of the plan's line by which the pieces arose, in order (`Trajectory.divided`).
+    order lags of it. `divisions`: the divisions of the plan's line by which the pieces arose, in order
+    (`Trajectory.divided`).
     """
 
     line: Trajectory
@@ -129,7 +129,6 @@ class TableMotion(PytreeModule):
     nodes: Int[np.ndarray, " K"]
     history: Float[AnyArray, " H"] | None = None
     others: tuple[OtherTemperature, ...] = eqx.field(static=True, default=())
-    behind: Float[AnyArray, " O"] | None = None
     divisions: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
 
     @once
@@ -266,7 +265,7 @@ def _divided(
     division = pieces[apart], at[apart]
     line, source = motion.line.divided(*division)
     of_pieces = motion.axis[source], motion.mounting[source], motion.geometry, motion.start_angles
-    path = {"history": motion.history, "others": motion.others, "behind": motion.behind}
+    path = {"history": motion.history, "others": motion.others}
     return replace(table_motion(line, *of_pieces, waves, least), **path, divisions=(*motion.divisions, division))
 
 
@@ -370,8 +369,7 @@ def body_nodes(motion: TableMotion, points: int) -> BodyNodes:
     all_before, all_after = motion.angles()
     before, after = all_before[example], all_after[example]
     begin, end = motion.line.ends()
-    firsts = [0.0] * len(motion.others) if motion.behind is None else list(motion.behind)
-    late = [(of, motion.line.behind(of.lag, first)) for of, first in zip(motion.others, firsts, strict=True)]
+    late = [(of, motion.line.behind(of.lag)) for of in motion.others]
     groups = tuple(
         _group(motion, np.flatnonzero(motion.nodes == n), int(n), points, all_before, late)
         for n in np.unique(motion.nodes)

@@ -91,17 +91,17 @@ class Trajectory(PytreeModule):
             return xp.broadcast_to(slope, since.shape)
         return slope - self.lag_rate * self.excess[pieces][:, None] * xp.exp(-self.lag_rate * since)
 
-    def behind(self, lag: float, first: AnyArray | float = 0.0) -> Float[AnyArray, " P"]:
-        """How far (K) a first-order lag (s) of the temperature is behind it as each piece begins; `first`: the first
-        one (0: a long time at one temperature)."""
+    def behind(self, lag: float) -> Float[AnyArray, " P"]:
+        """How far (K) a first-order lag (s) of the temperature is behind it as each piece begins, after a long time at
+        one temperature."""
         xp, (begin, end) = namespace(self.duration, self.level), self.ends()
         ended = self.start + self.duration
         # A lag is continuous where the temperature jumps, and goes on where there are no pieces.
         keep, added = follow_ramp(self.duration, self.slope, self.excess, self.lag_rate, lag)
         later = xp.exp((ended[:-1] - self.start[1:]) / lag)
         keep, added = keep[:-1] * later, (added[:-1] + begin[1:] - end[:-1]) * later
-        factor, added = running_affine(keep, added)
-        return xp.concatenate([xp.reshape(xp.asarray(first), (1,)), factor * first + added])
+        _, added = running_affine(keep, added)
+        return xp.concatenate([xp.zeros(1), added])
 
     def lagging(self, v: Float[AnyArray, "k q"], lag: float, behind: AnyArray, pieces: Any) -> Float[AnyArray, "k q"]:
         """A first-order lag (s) of the temperature at fractions `v` of each of the `pieces`, where it is `behind`

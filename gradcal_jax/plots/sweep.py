@@ -23,8 +23,8 @@ def draw_sweep(
 ) -> Figure:
     """A sweep's residuals: a row for each requirement, or for the one `variable`; on `figure` or a new one.
 
-    For a grid, the axis with most values is the abscissa, and the next has a curve for each of (at most eight) values;
-    further ones are at their middle value, which is in the title. Random points are plotted against each axis in turn.
+    The axis with most values is the abscissa, and the next has a curve for each of (at most eight) values; further ones
+    are at their middle value, which is in the title.
     Errors: `ValueError` where there is nothing to draw.
     """
     decisive = [str(name) for name, of in results.data_vars.items() if of.attrs.get("decisive") == "yes"]
@@ -32,15 +32,9 @@ def draw_sweep(
     unknown = [name for name in names if name not in results.data_vars]
     if unknown or not names:
         raise ValueError(f"the results have no variable {unknown[0]!r}" if unknown else "the results have no residuals")
-    random = "point" in results.dims
-    panels = [str(c) for c in results.coords if results[c].dims == ("point",)] if random else [""]
-    figure = new_figure(figure, (max(6.4, 3.4 * len(panels)), 3.9 * len(names)))
-    for row, name in zip(figure.subplots(len(names), len(panels), squeeze=False, sharey="row"), names, strict=True):
-        for ax, across in zip(row, panels, strict=True):
-            if random:
-                _draw_points(ax, results, name, across)
-            else:
-                _draw_grid(ax, results, name)
+    figure = new_figure(figure, (6.4, 3.9 * len(names)))
+    for ax, name in zip(figure.subplots(len(names), squeeze=False)[:, 0], names, strict=True):
+        _draw_grid(ax, results, name)
     if title := results.attrs.get("title"):
         figure.suptitle(title)
     return figure.get_figure(root=True)
@@ -69,16 +63,6 @@ def _draw_grid(ax: Any, results: "xarray.Dataset", name: str) -> None:
     if curves:
         ax.legend(fontsize="small")
     ax.set_title(", ".join(titles), fontsize="medium")
-    _label(ax, results, across, name)
-
-
-def _draw_points(ax: Any, results: "xarray.Dataset", name: str, across: str) -> None:
-    x = results[across].values
-    if x.dtype.kind != "f":
-        words, x = np.unique(x, return_inverse=True)
-        ax.set_xticks(range(len(words)), words, rotation=30, ha="right")
-    ax.scatter(x, results[name].values, s=6, color=style_of(0)["color"], rasterized=True)
-    ax.set_title(results[name].attrs["requirement"], fontsize="medium")
     _label(ax, results, across, name)
 
 

@@ -1,4 +1,4 @@
-"""Changing single keys of a spec by their dotted names: for sweeps, scenarios, sensitivities and optimised plans.
+"""Changing single keys of a spec by their dotted names: for sweeps, sensitivities and optimised plans.
 
     changed(spec, {"plan.cycle.moves[1].peak_rate": "200 deg/s", "design.starts": 4})
 

@@ -5,7 +5,7 @@ every other IMU a cycle of turns and poses. Keys of the other kind are refused.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -13,22 +13,9 @@ from gradcal_jax.tables import quantity as q
 from gradcal_jax.tables.problems import Problem, hint, one_of
 from gradcal_jax.tables.section import Section
 
-TIMES = ("motion time", "total time")
-"""What can be minimised instead of a requirement's residual; the targets are then limits."""
 Free = Literal["cycle", "programme"]
 """What may change: `cycle` (all moves; of one axis always its moves, and with this word its length) and `programme`
 (the chamber's legs, turning points and slopes)."""
-
-
-class Scenario(Section):
-    """A variant of the sensor or the rig for which the plan must also be good: changes of single keys, and a weight."""
-
-    weight: Annotated[q.Number, Field(gt=0.0)] = 1.0
-    """Weight of this scenario in the mean over all scenarios."""
-    sensor: dict[str, Any] = Field(default_factory=dict)
-    """Keys of [sensor] that this scenario changes, with their values."""
-    rig: dict[str, Any] = Field(default_factory=dict)
-    """Keys of [rig] that this scenario changes, with their values."""
 
 
 ALL = "all requirements"
@@ -39,9 +26,8 @@ class Design(Section):
     """What `optimise` minimises, and what it may change."""
 
     minimise: q.Text = ALL
-    """A requirement's name, "all requirements" (geometric mean of the residuals, each divided by its target), "worst
-    ratio" (largest of these ratios), "motion time" or "total time". If one requirement is minimised, the targets of the
-    others are limits."""
+    """A requirement's name, "all requirements" (geometric mean of the residuals, each divided by its target) or "worst
+    ratio" (largest of these ratios). If one requirement is minimised, the targets of the others are limits."""
     free: Annotated[tuple[Free, ...], Field(min_length=1)] = ()
     """Which parts of the plan may change: "cycle" and "programme". Absent: the cycle and, with a `hysteresis` in the
     spec or a table at rest, the programme. Of one axis: its moves; with "cycle" also the length of its cycle."""
@@ -56,12 +42,6 @@ class Design(Section):
     """Number of searches from different plans."""
     seed: q.Whole = 0
     """Seed of the search."""
-    robust: Literal["mean", "worst"] = "mean"
-    """Whether the mean or the worst case counts, over the scenarios."""
-    scenario: Annotated[tuple[Scenario, ...], Field(max_length=1000)] = ()
-    """Variants of the sensor or the rig for which the plan must also be good."""
-    angle_step: q.PositiveAngle | None = None
-    """Every turn is a multiple of this angle; absent: any angle."""
     shortest_rest: q.Time = q.Quantity(2.0, "2 s", "time")
     """Shortest rest. Of one axis, absent: 2 s, or the time between two readings of its angle, if this is shorter."""
     longest_rest: q.Time = q.Quantity(120.0, "2 min", "time")
@@ -79,7 +59,7 @@ def design_problems(design: Design, names: Sequence[str], *, of_axis: bool) -> I
 
     `names`: of the requirements. `of_axis`: whether the turns of one axis are searched, or poses.
     """
-    others, useless = (ALL, WORST, *TIMES), _OF_POSES if of_axis else _OF_AXIS
+    others, useless = (ALL, WORST), _OF_POSES if of_axis else _OF_AXIS
     if design.minimise not in (*names, *others):
         ending = hint(design.minimise, [*names, *others])
         of = f"the name of a requirement ({one_of(names)}) or " if names else "a requirement's name or "

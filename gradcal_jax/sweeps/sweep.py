@@ -7,7 +7,6 @@ records follow from the sweep file alone, so they depend neither on the workers 
 import hashlib
 import itertools
 import json
-import math
 import os
 import re
 import signal
@@ -64,19 +63,9 @@ class SweepIncomplete(RuntimeError):
 
 
 def points_of(job: Sweep) -> tuple[tuple[int, ...], list[tuple[object, ...]]]:
-    """The shape of the results, and for each point one value of every axis; of a grid the last axis is fastest."""
-    axes, samples = job.file.axis, job.file.samples
-    if samples is None:
-        listed = [axis.listed() for axis in axes]
-        return tuple(map(len, listed)), list(itertools.product(*listed))
-    from scipy.stats import qmc
-
-    kind = qmc.LatinHypercube if samples.method == "latin hypercube" else qmc.Sobol
-    sampler = kind(len(axes), rng=np.random.default_rng(samples.seed))
-    # Of a Sobol sequence a power of two is drawn, so that its balance does not depend on the number of points.
-    count = samples.count if kind is qmc.LatinHypercube else 2 ** math.ceil(math.log2(samples.count))
-    drawn = sampler.random(count)[: samples.count]
-    return (samples.count,), [tuple(a.at(float(u)) for a, u in zip(axes, row, strict=True)) for row in drawn]
+    """The shape of the results, and for each point one value of every axis; the last axis is fastest."""
+    listed = [axis.listed() for axis in job.file.axis]
+    return tuple(map(len, listed)), list(itertools.product(*listed))
 
 
 def changes_of(job: Sweep, values: tuple[object, ...]) -> dict[str, object]:
@@ -264,7 +253,7 @@ def sweep(
         ordered = [records[i] for i in range(len(points))]
         if all(record["failure"] for record in ordered):
             raise ValueError(f"none of the {len(points)} points has a result; the first: {ordered[0]['failure']}")
-        results = dataset_of(job, shape, points, ordered)
+        results = dataset_of(job, shape, ordered)
         save_netcdf(results, output)
     return results
 
@@ -275,23 +264,18 @@ def variable_name(text: str) -> str:
     return plain if plain and not plain[0].isdigit() else f"v_{plain}"
 
 
-def dataset_of(
-    job: Sweep, shape: tuple[int, ...], points: list[tuple[object, ...]], records: list[Record]
-) -> xarray.Dataset:
-    """The results: dimensions are the axes of a grid, or `point` for drawn points. Requirements give
-    `<name>_<statistic>` (1σ; NaN: no result, or not observable) and `<name>_verdict`; `failure` says why a point has no
-    result."""
-    grid, names = job.file.samples is None, [variable_name(axis.label) for axis in job.file.axis]
-    dims = tuple(names) if grid else ("point",)
+def dataset_of(job: Sweep, shape: tuple[int, ...], records: list[Record]) -> xarray.Dataset:
+    """The results over the axes. Requirements give `<name>_<statistic>` (1σ; NaN: no result, or not observable) and
+    `<name>_verdict`; `failure` says why a point has no result."""
+    dims = tuple(variable_name(axis.label) for axis in job.file.axis)
     coordinates, variables = dict[str, Any](), dict[str, Any]()
-    for k, (axis, name) in enumerate(zip(job.file.axis, names, strict=True)):
-        of_axis = axis.listed() if grid else [values[k] for values in points]
-        numbers = [axis.number_of(value) for value in of_axis]
+    for axis, name in zip(job.file.axis, dims, strict=True):
+        numbers = [axis.number_of(value) for value in axis.listed()]
         attributes = {"long_name": axis.label, "keys": ", ".join(axis.changes), "spacing": axis.spacing}
         words = None in numbers
         attributes |= {} if words else {"units": axis.unit or "1"}
-        column = np.array([*map(str, of_axis)] if words else numbers, dtype=object if words else float)
-        coordinates[name] = ((name,) if grid else ("point",), column, attributes)
+        column = np.array([*map(str, axis.listed())] if words else numbers, dtype=object if words else float)
+        coordinates[name] = ((name,), column, attributes)
 
     def add(name: str, key: str, attributes: dict[str, str], *, text: bool = False) -> None:
         column = [record.get(key) for record in records]

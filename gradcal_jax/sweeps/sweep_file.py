@@ -9,6 +9,7 @@ from decimal import Context, Decimal
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from gradcal_jax import units
@@ -20,7 +21,7 @@ from gradcal_jax.spec.spec_sections import Spec
 from gradcal_jax.tables.display import summary
 from gradcal_jax.tables.document import TitledFile, parsed, read_text, read_toml
 from gradcal_jax.tables.problems import Problem, SpecError, repeated_names
-from gradcal_jax.tables.quantity import Count, Text, Whole
+from gradcal_jax.tables.quantity import Text
 from gradcal_jax.tables.section import Section, refuse
 
 FORMAT: Final = "gradcal-sweep/1"
@@ -69,8 +70,8 @@ class SweptAxis(Section):
         limits = [name for name in ("start", "stop", "count") if getattr(self, name) is not None]
         if self.values is not None:
             problems += [Problem((name,), 'cannot be combined with "values"', getattr(self, name)) for name in limits]
-        elif self.start is None or self.stop is None:
-            problems.append(Problem((), 'expected either "values", or both "start" and "stop"', kind="missing"))
+        elif None in (self.start, self.stop, self.count):
+            problems.append(Problem((), 'expected either "values", or "start", "stop" and "count"', kind="missing"))
         refuse(*problems)
         if self.values is None:
             try:
@@ -129,15 +130,6 @@ class SweptAxis(Section):
             refuse(Problem((name,), str(error), end))
             raise
 
-    def at(self, share: float) -> object:
-        """The value at a share (0 … 1) of the way from start to stop, or of the list; as the spec's file holds it."""
-        if self.values is not None:
-            return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
-        low, high = self.ends()
-        if self.spacing == "logarithmic":
-            return self._written(low * (high / low) ** share)
-        return self._written(low + (high - low) * share)
-
     def _written(self, number: float) -> object:
         """A number as the file writes it, to twelve digits: what is swept can be written again by hand."""
         if self.unit is not None:
@@ -146,13 +138,12 @@ class SweptAxis(Section):
         return round(number) if whole and abs(number - round(number)) < 1e-9 else float(_short(number))
 
     def listed(self) -> tuple[object, ...]:
-        """All values of the axis of a grid. Raises `SpecError` where it has ends alone."""
+        """All values of the axis, as the spec's file holds them."""
         if self.values is not None:
             return self.values
-        if self.count is None:
-            refuse(Problem(("count",), 'a grid needs "count" between start and stop', kind="missing"))
         assert self.count is not None
-        return tuple(self.at(k / (self.count - 1)) for k in range(self.count))
+        spaced = np.geomspace if self.spacing == "logarithmic" else np.linspace
+        return tuple(self._written(float(number)) for number in spaced(*self.ends(), self.count))
 
     def number_of(self, value: object) -> float | None:
         """A value in the axis's unit, for the results' coordinate; None for words."""
@@ -180,17 +171,6 @@ def _short(number: float) -> str:
     return format(rounded.normalize(_DIGITS), "f") if -6 < rounded.adjusted() < 12 or rounded == 0 else f"{rounded:e}"
 
 
-class Samples(Section):
-    """`[samples]`: random points over all axes together instead of a grid; the same seed gives the same points."""
-
-    method: Literal["latin hypercube", "sobol"]
-    """Method by which the points are drawn."""
-    count: Count
-    """Number of points."""
-    seed: Whole = 0
-    """Seed of the random numbers; the same seed draws the same points."""
-
-
 class SweepFile(TitledFile):
     """A whole sweep file."""
 
@@ -203,8 +183,6 @@ class SweepFile(TitledFile):
     """Keys of the base spec to change at every point, with their new values."""
     axis: Annotated[tuple[SweptAxis, ...], Field(min_length=1, max_length=20)]
     """What is varied."""
-    samples: Samples | None = None
-    """Random points over all axes together; absent: the grid of all combinations."""
 
     def _problems(self) -> Iterable[Problem]:
         message = 'two axes have this name; give one of them a different "name"'
@@ -215,9 +193,6 @@ class SweepFile(TitledFile):
                 if key in seen:
                     problems.append(Problem(("axis", i, "key"), "another axis also sets this key", key))
                 seen.add(key)
-            if self.samples is None and axis.values is None and axis.count is None:
-                message = 'a grid needs "count" between start and stop'
-                problems.append(Problem(("axis", i, "count"), message, kind="missing"))
         if not problems and self.count > MOST_POINTS:
             problems.append(
                 Problem(("axis",), f"the sweep has {self.count} points; at most {MOST_POINTS} are possible")
@@ -227,8 +202,6 @@ class SweepFile(TitledFile):
     @property
     def count(self) -> int:
         """How many points the sweep has."""
-        if self.samples is not None:
-            return self.samples.count
         return math.prod(len(axis.listed()) for axis in self.axis)
 
 
@@ -292,7 +265,7 @@ def _named(name: str, folder: Path, source: str) -> tuple[Mapping[str, Any], str
 
 def _known(axis: SweptAxis, base: Spec) -> None:
     """A key that no spec has is a slip, and is said at once, not a thousand times."""
-    trial = {key: axis.at(0.0) for key in axis.changes}
+    trial = {key: axis.listed()[0] for key in axis.changes}
     try:
         changed(base, trial)
     except SpecError as error:

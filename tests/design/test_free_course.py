@@ -18,11 +18,7 @@ from gradcal_jax.tables import writing
 # Legs of a course, and where its coordinates are: logits of the legs' times, of their slopes, of the first temperature.
 LEGS = 4
 STEPS = (1e-2, 1e-3, 1e-4)
-# No play begins to move within the two smaller ones.
 SMALLER = (1e-3, 1e-4, 1e-5)
-
-
-pytestmark = pytest.mark.usefixtures("without_prices")
 
 
 @lru_cache
@@ -69,9 +65,8 @@ def standing(**changes) -> Spec:
 
 
 def objective(plan: CyclePlan, sharpness: float):
-    of = plan.structure(plan.start)
-    args = jax.tree.map(jnp.asarray, of), None, sharpness, plan.objective.targets
-    return lambda z: plan.value(z, args), of
+    of = jax.tree.map(jnp.asarray, plan.coordinates.structure(plan.start.turns))
+    return lambda z: plan.value(z, (of, sharpness))
 
 
 @pytest.mark.long
@@ -80,10 +75,10 @@ def test_the_gradient_goes_through_turning_points_and_slopes(late):
     """Central differences at three steps: between the smaller ones the error falls with the square of the step, until
     rounding; within the largest, a play may begin to move. The course has reversals within the width of the play."""
     plan = CyclePlan(turning(late=late))
-    value, of = objective(plan, 30.0)
+    value = objective(plan, 30.0)
     random = np.random.default_rng(3)
     starts = plan.starts()
-    begin = plan.point(starts[1], of)
+    begin = plan.point(starts[1])
     course = np.array([0.3, -0.2, 0.4, -0.5, 0.5, -0.15, 0.4, -0.6, -0.6])
     z = begin + 0.05 * random.standard_normal(len(begin))
     z[-len(course) :] = course
@@ -107,34 +102,10 @@ def test_the_gradient_goes_through_turning_points_and_slopes(late):
 )
 def test_the_objective_of_a_free_course_is_about_that_of_its_plan(back, late):
     plan = CyclePlan(turning(back=back, late=late))
-    value, of = objective(plan, np.inf)
-    left = float(np.exp(jax.jit(value)(plan.point(plan.start, of))))
+    left = float(np.exp(jax.jit(objective(plan, np.inf))(plan.point(plan.start))))
     found = plan.spec_of(plan.start)
-    assert found.gradient_schedule.stretches[0].cycles == plan.start.cycles
-    assert left == pytest.approx(np.exp(plan.exact.value_of(plan.exact.residuals(found))), rel=0.2)
-
-
-SECOND = {
-    "sensor.gyro.hysteresis": [],
-    "sensor.gyro.scale_factor_hysteresis": [],
-    "sensor.second_thermometer": {"lag": "4 min"},
-    "sensor.clock": "sensor",
-    "sensor.gyro.term": [{"name": "thermometer_difference", "factors": ["T2 - T"], "prior": "4 deg/h/K"}],
-    "design": {"free": ["cycle"]},
-}
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("back", "within"), [(False, 1e-3), (True, 0.03)])
-def test_the_objective_of_a_fixed_course_with_two_thermometers_is_about_that_of_its_plan(back, within):
-    """No window extends before its leg, where the difference of the thermometers is another one; there and back, so
-    that the lag of the first leg acts on the second one."""
-    plan = CyclePlan(gj.changed(turning(back=back), SECOND))
-    of = plan.structure(plan.start)
-    args = jax.tree.map(jnp.asarray, of), plan.course(plan.start.cycles).ramps, np.inf, plan.objective.targets
-    left = float(np.exp(jax.jit(lambda z: plan.value(z, args))(plan.point(plan.start, of))))
-    expected = np.exp(plan.exact.value_of(plan.exact.residuals(plan.spec_of(plan.start))))
-    assert left == pytest.approx(expected, rel=within)
+    assert found.gradient_schedule.stretches[0].cycles == plan.cycles
+    assert left == pytest.approx(np.exp(plan.exact.value_of(plan.exact.left(found))), rel=0.02)
 
 
 def test_the_plan_of_the_file_is_a_start_and_others_keep_its_time():
@@ -171,16 +142,16 @@ def test_the_command_finds_a_plan_of_two_ways_from_one_way(tmp_path, capsys):
         assert row.decisive < 0.5 * old.decisive
 
 
-def test_a_course_that_is_not_free_stays():
-    spec = gj.changed(turning(), {"design": {"free": ["cycle"]}})
-    plan = CyclePlan(spec)
-    assert plan.starts() == [plan.start]
-    assert plan.start.course == ()
-    # Without a hysteresis the course is fixed, unless it is freed by name.
-    plain = gj.changed(turning(), {"sensor.gyro.hysteresis": [], "sensor.gyro.scale_factor_hysteresis": []})
-    held = gj.changed(plain, {"rig.table.standing": "held"})
-    assert CyclePlan(held).start.course == ()
-    assert len(CyclePlan(gj.changed(held, {"design": {"free": ["cycle", "programme"]}})).start.course) == 2 * LEGS + 1
+def test_a_course_is_free_with_a_hysteresis_or_by_name():
+    plain = {"sensor.gyro.hysteresis": [], "sensor.gyro.scale_factor_hysteresis": []}
+    named = {"design": {"free": ["cycle", "programme"]}}
+    held = {"rig.table.standing": "held"}
+    for changes, free in (
+        ({"design": {"free": ["cycle"]}}, False),
+        (plain | held, False),
+        (plain | held | named, True),
+    ):
+        assert len(CyclePlan(gj.changed(turning(), changes)).start.course) == (2 * LEGS + 1 if free else 0)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from search_problem import SPEC, exact
 
-from gradcal_jax.design.cycle_plan import CyclePlan, RepeatedCycle
-from gradcal_jax.design.slots import time_of
+from gradcal_jax.design.cycle_plan import CyclePlan, Proposal
 from gradcal_jax.design.visits import visit_choices
 from gradcal_jax.recipe.rounding import rounded
 from gradcal_jax.spec.changes import changed
@@ -66,8 +65,8 @@ def test_any_vector_is_a_plan_within_the_limits(spec, kind):
     def holds(seed: int, size: float) -> None:
         rng = np.random.default_rng(seed)
         drawn = plan.drawn(rng)
-        of = plan.structure(drawn)
-        z = plan.point(drawn, of) + size * rng.standard_normal(3 * plan.slots)
+        of = plan.coordinates.structure(drawn.turns)
+        z = plan.point(drawn) + size * rng.standard_normal(3 * plan.coordinates.slots)
         decoded = plan.coordinates.decode(jnp.asarray(z.reshape(3, -1)), jax.tree.map(jnp.asarray, of))
         angle, rate, ramp, turning, rests, left = (np.asarray(x) for x in decoded)
         assert np.all(np.abs(rate) <= limits.rates[0] * (1 + 1e-9))
@@ -80,7 +79,7 @@ def test_any_vector_is_a_plan_within_the_limits(spec, kind):
         np.testing.assert_allclose(angle, np.sign(rate) * np.abs(rate) * (turning - ramp), rtol=1e-5, atol=1e-2)
         if left > 0.0:
             filled = np.bincount(visits.group, turning * (of.axis >= 0) + rests)
-            np.testing.assert_allclose(filled, visits.own, atol=0.6 if not plan.by_time else 1e-6)
+            np.testing.assert_allclose(filled, visits.own, atol=1e-6 if plan.coordinates.timed else 0.6)
 
     holds()
 
@@ -89,26 +88,24 @@ def test_numbers_of_a_plan_are_found_again(spec):
     for kind in ("own moves in each visit", "much travel"):
         plan = plan_of(KINDS[kind](spec))
         drawn = plan.drawn(np.random.default_rng(1))
-        of = plan.structure(drawn)
-        again = plan.cycle_at(plan.point(drawn, of), of, drawn.cycles)
+        again = plan.at(plan.point(drawn), plan.coordinates.structure(drawn.turns))
         for one, other in zip(drawn.turns, again.turns, strict=True):
             assert one.axis == other.axis
             np.testing.assert_allclose(one[1:], other[1:], rtol=2e-2, atol=1e-2)
 
 
-def too_long(plan: CyclePlan, cycle: RepeatedCycle) -> bool:
-    """Whether turns by pose, or of whole steps, take longer than there is time with the shortest rests."""
-    turns, visits = plan.snapped(cycle).turns if plan.design.angle_step else cycle.turns, plan.coordinates.visits
-    rests = [plan.limits.shortest * (t.rest > 0.0) for t in turns]
-    taken = np.bincount(visits.group, [time_of(t, plan.limits) + rest for t, rest in zip(turns, rests, strict=True)])
+def too_long(plan: CyclePlan, of: Proposal) -> bool:
+    """Whether turns by pose take longer than there is time with the shortest rests."""
+    visits = plan.coordinates.visits
+    rests = [plan.limits.shortest * (t.rest > 0.0) for t in of.turns]
+    taken = np.bincount(visits.group, [plan.limits.time_of(t) + rest for t, rest in zip(of.turns, rests, strict=True)])
     return bool(np.any(taken > visits.own + 0.5))
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "whole turns"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_any_plan_is_written_as_it_is_executed(spec, kind):
     """Nothing is left to round, the axis leaves the table on time, and stays within its travel."""
-    given = changed(spec, {"design.angle_step": "360 deg"}) if kind == "whole turns" else KINDS[kind](spec)
-    given = changed(given, {"rig.resolution.acceleration": "0.0000001 deg/s^2"})
+    given = changed(KINDS[kind](spec), {"rig.resolution.acceleration": "0.0000001 deg/s^2"})
     plan, written = plan_of(given), 0
     for seed in range(6):
         drawn = plan.drawn(np.random.default_rng(seed))
@@ -116,14 +113,13 @@ def test_any_plan_is_written_as_it_is_executed(spec, kind):
             # (Random poses so far apart take too long.)
             turns = tuple(t._replace(rate=math.radians(200.0) if t.angle else 0.0) for t in plan.start.turns)
             start = plan.start._replace(turns=turns)
-            of = plan.structure(start)
-            near = 0.02 * np.random.default_rng(seed).standard_normal(3 * plan.slots)
-            drawn = plan.cycle_at(plan.point(start, of) + near, of, 1)
+            near = 0.02 * np.random.default_rng(seed).standard_normal(3 * plan.coordinates.slots)
+            drawn = plan.at(plan.point(start) + near, plan.coordinates.structure(turns))
         if too_long(plan, drawn):
             continue
         made, written = plan.spec_of(drawn), written + 1
         assert rounded(made).changes == ()
-        assert sum(s.cycles for s in made.gradient_schedule.stretches) == plan.start.cycles
+        assert sum(s.cycles for s in made.gradient_schedule.stretches) == plan.cycles
         assert made.gradient_schedule.motion == pytest.approx(given.gradient_schedule.motion, rel=1e-9)
         made_moves = [step.move for step in made.gradient_schedule.steps]
         places = np.cumsum([m.angle for m in made_moves]) / DEG
@@ -132,10 +128,6 @@ def test_any_plan_is_written_as_it_is_executed(spec, kind):
         if kind != "the same moves in many":
             assert len(others) == 3
             assert min(others) >= 780.0 - 1e-6
-        if kind == "whole turns":
-            turns = [m.angle / (2.0 * math.pi) for m in made_moves if not m.is_rest]
-            assert turns
-            np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
     assert written
 
 
@@ -146,40 +138,29 @@ CHANGES = {
     "hidden structure": {"sensor.gyro.scale_factor.discrepancy": DISCREPANCY},
     "instability, lag": {"sensor.gyro.scale_factor_instability": UNSTABLE, "sensor.thermal_lag": "2 min"},
     "offsets of standstills": {"rig.table.axis[0].angle.standstill_offset": "0.02 deg"},
-    "scenarios": {
-        "design.scenario": [{}, {"sensor": {"gyro": {"angle_random_walk": "0.2 deg/sqrt(h)"}}}],
-        "design.robust": "worst",
-    },
 }
-
-
-def objective_at(plan: CyclePlan, cycle, sharpness: float):
-    of = plan.structure(cycle)
-    args = jax.tree.map(jnp.asarray, of), plan.course(cycle.cycles).ramps, sharpness, plan.objective.targets
-    return jnp.asarray(plan.point(cycle, of)), args
 
 
 @pytest.mark.parametrize("name", [*(pytest.param(n, marks=pytest.mark.long) for n in CHANGES if n != "plain"), "plain"])
 def test_the_objective_of_a_search_is_that_of_its_plan(spec, name):
     """But for rounding, and for the few readings that stand for those of other axes' time; with its gradient."""
-    given = changed(spec, CHANGES[name] | {"rig.table.axis[0].angle.read_every": "1 s"})
-    plan = plan_of(given)
-    cycle = plan.drawn(np.random.default_rng(2))
-    z, args = objective_at(plan, cycle, 1e5)
-    value, gradient = jax.jit(jax.value_and_grad(plan.value))(z, (*args[:2], 50.0, args[3]))
-    sharp = float(jax.jit(plan.value)(z, args))
-    assert math.exp(sharp) == pytest.approx(exact(plan.spec_of(cycle)), rel=0.03)
+    plan = plan_of(changed(spec, CHANGES[name] | {"rig.table.axis[0].angle.read_every": "1 s"}))
+    drawn = plan.drawn(np.random.default_rng(2))
+    z, of = jnp.asarray(plan.point(drawn)), jax.tree.map(jnp.asarray, plan.coordinates.structure(drawn.turns))
+    value, gradient = jax.jit(jax.value_and_grad(plan.value))(z, (of, 50.0))
+    at = jax.jit(plan.value)
+    assert math.exp(float(at(z, (of, 1e5)))) == pytest.approx(exact(plan.spec_of(drawn)), rel=0.03)
     direction = np.random.default_rng(3).standard_normal(z.shape)
-    along = [float(jax.jit(plan.value)(z + h * direction, (*args[:2], 50.0, args[3]))) for h in (1e-5, -1e-5)]
+    along = [float(at(z + h * direction, (of, 50.0))) for h in (1e-5, -1e-5)]
     assert float(gradient @ direction) == pytest.approx((along[0] - along[1]) / 2e-5, rel=1e-5)
-    assert float(value) == pytest.approx(sharp, abs=0.05)
+    assert float(value) == pytest.approx(float(at(z, (of, 1e5))), abs=0.05)
 
 
 def test_turns_that_shrink_to_nothing_are_left_out(spec):
     plan = plan_of(spec)
     drawn = plan.drawn(np.random.default_rng(1))
     brief = drawn.turns[1]._replace(angle=0.5, rate=1.0)
-    assert time_of(brief, plan.limits) < 3.0
+    assert plan.limits.time_of(brief) < 3.0
     fewer = plan.without_brief(drawn._replace(turns=(drawn.turns[0], brief, *drawn.turns[2:])))
     assert [t.axis for t in fewer.turns[:3]] == [-1, -1, 0]
     assert fewer.turns[0].rest == pytest.approx(drawn.turns[0].rest + brief.rest)

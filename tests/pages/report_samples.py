@@ -63,7 +63,7 @@ def spec(**changes: object) -> Spec:
 def recipe() -> Recipe:
     """Of `spec`, as it stands."""
     record = {"objective": "all rates (mean of max)", "unit": "ppm", "now": 3.25}
-    return make_recipe(spec(), optimisation=record)
+    return make_recipe(spec()).model_copy(update={"optimisation": record})
 
 
 def write(folder: Path) -> None:

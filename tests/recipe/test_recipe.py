@@ -125,13 +125,6 @@ def test_rounding_keeps_whole_turns_repetitions_and_the_period():
     assert "trapezoids" in result.notes[0]
 
 
-def test_a_plan_on_the_grid_is_not_changed():
-    once = rounded(MEMS, COARSE).spec
-    again = rounded(once, COARSE)
-    assert again.changes == ()
-    assert again.spec == once
-
-
 MOVES = st.fixed_dictionaries(
     {
         "turn": st.floats(2.0, 4000.0).map(lambda v: f"{v!r} deg"),

@@ -16,23 +16,6 @@ from gradcal_jax.spec.changes import tables_of
 from gradcal_jax.sweeps.sweep import changes_of, evaluate, identity_of, kept_records, local_workers, points_of, sweep
 from gradcal_jax.sweeps.sweep_file import parse_sweep, read_sweep
 
-SAMPLES = """
-format = "gradcal-sweep/1"
-base = "small.toml"
-[[axis]]
-key = "plan.cycle.moves[2].rest"
-start = "3 s"
-stop = "6 s"
-[[axis]]
-name = "walk"
-key = "sensor.gyro.angle_random_walk"
-start = "0.05 deg/sqrt(h)"
-stop = "0.5 deg/sqrt(h)"
-spacing = "logarithmic"
-[samples]
-method = "latin hypercube"
-count = 3
-"""
 IMU = """format = "gradcal-sweep/1"
 base = "accelerometer-six-positions"
 [[axis]]
@@ -86,16 +69,6 @@ def test_results_carry_their_units_their_file_and_their_failures(done):
     assert failed[:, 2].all()
     assert "exceeds max_rate of axis" in results["failure"].values[0, 2]
     assert np.isnan(results["scale_mean"].values[failed]).all()
-
-
-def test_drawn_points(tmp_path, pool):
-    job = read_sweep(written(tmp_path, SAMPLES))
-    results = sweep(job, tmp_path / "results.nc", workers=pool)
-    assert results.sizes == {"point": 3}
-    _, points = points_of(job)
-    expected = gj.predict(gj.changed(job.base, changes_of(job, points[2]))).requirements[0]
-    assert results["scale_mean_of_max"].values[2] == pytest.approx(expected.mean_of_max, rel=1e-12)
-    assert results["walk"].values[2] == pytest.approx(float(points[2][1].split()[0]))
 
 
 def test_a_killed_worker_changes_nothing(done, tmp_path):

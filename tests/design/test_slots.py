@@ -1,15 +1,15 @@
-"""Cycles as coordinates: within the limits whatever the numbers, and the sums over repeated cycles."""
+"""Cycles as coordinates: within the limits whatever the numbers."""
 
 import math
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from gradcal_jax.design.cycle_moves import Neighbourhood
-from gradcal_jax.design.pose_cycle import inverse_root, largest_alike, largest_log, nodes_for
-from gradcal_jax.design.slots import CycleCoordinates, PoseTurn, TableLimits, structure_of
+from gradcal_jax.design.plan_objective import largest_log
+from gradcal_jax.design.plan_value import inverse_root, largest_alike, nodes_for
+from gradcal_jax.design.slots import CycleCoordinates, TableLimits, Turn, Visits
 
 LIMITS = TableLimits(
     rates=np.array([3.0, 5.0]),
@@ -19,26 +19,25 @@ LIMITS = TableLimits(
     largest=20.0,
     shortest=2.0,
     longest=100.0,
-    slow=0.1,
 )
 CYCLE = (
-    PoseTurn(1, 7.0, 2.5, 4.0),
-    PoseTurn(0, 0.9, 1.0, 0.0),
-    PoseTurn(1, -3.0, 0.08, 6.0),
-    PoseTurn(0, -0.9, 0.7, 3.0),
-    PoseTurn(1, 2.0 * math.pi - 4.0, 1.5, 2.5),
+    Turn(1, 7.0, 2.5, 4.0),
+    Turn(0, 0.9, 1.0, 0.0),
+    Turn(1, -3.0, 0.8, 6.0),
+    Turn(0, -0.9, 0.7, 3.0),
+    Turn(1, 2.0 * math.pi - 4.0, 1.5, 2.5),
 )
 
 
-def lasting(t: PoseTurn) -> float:
-    """A trapezoid at the axis's acceleration, then its rest; s."""
-    return abs(t.angle) / t.rate + t.rate / LIMITS.accelerations[t.axis] + t.rest
+def coordinates(own: float = 60.0) -> CycleCoordinates:
+    """Of eight slots and so much time, s."""
+    return CycleCoordinates(LIMITS, Visits(np.zeros(8, int), own))
 
 
 def test_a_cycle_is_what_its_coordinates_are_decoded_to():
-    of = structure_of(CYCLE, 8, LIMITS, sum(map(lasting, CYCLE)))
-    coordinates = CycleCoordinates(LIMITS, 8)
-    again = coordinates.cycle(coordinates.encode(CYCLE, of), of)
+    plan = coordinates(sum(LIMITS.time_of(t) + t.rest for t in CYCLE))
+    of = plan.structure(CYCLE)
+    again = plan.cycle(plan.decode(jnp.asarray(plan.encode(CYCLE)), of), of)
     assert [t.axis for t in again] == [t.axis for t in CYCLE]
     for new, old in zip(again, CYCLE, strict=True):
         assert new.angle == pytest.approx(old.angle, rel=1e-6)
@@ -50,12 +49,11 @@ def test_a_cycle_is_what_its_coordinates_are_decoded_to():
 @pytest.mark.parametrize("size", [0.3, 3.0, 30.0])
 def test_whatever_the_coordinates_the_cycle_keeps_the_limits_and_closes(size):
     """The time excepted, which a penalty keeps."""
-    coordinates, rng = CycleCoordinates(LIMITS, 8), np.random.default_rng(round(10 * size))
-    of = structure_of(CYCLE, 8, LIMITS, 60.0)
+    plan, rng = coordinates(), np.random.default_rng(round(10 * size))
+    of = plan.structure(CYCLE)
     for _ in range(50):
-        z = size * rng.standard_normal((3, 8))
-        decoded = coordinates.decode(jnp.asarray(z), of)
-        cycle = coordinates.cycle(z, of)
+        decoded = plan.decode(jnp.asarray(size * rng.standard_normal((3, 8))), of)
+        cycle = plan.cycle(decoded, of)
         for axis in (0, 1):
             poses = LIMITS.start[axis] + np.cumsum([t.angle for t in cycle if t.axis == axis])
             assert np.all(poses >= LIMITS.reach[axis, 0] - 1e-12)
@@ -66,29 +64,14 @@ def test_whatever_the_coordinates_the_cycle_keeps_the_limits_and_closes(size):
         # The ramps alone do not turn further than the move does.
         ramps = [t.rate**2 / LIMITS.accelerations[t.axis] for t in cycle]
         assert all(r <= math.hypot(t.angle, 1e-3) for r, t in zip(ramps, cycle, strict=True))
-        assert cycle[2].rate <= LIMITS.slow
         assert cycle[1].rest == 0.0
         assert all(t.rest >= LIMITS.shortest for k, t in enumerate(cycle) if k != 1)
         whole = float(jnp.sum(decoded.turning) + jnp.sum(decoded.rest))
         if decoded.left > 5.0:
             assert whole == pytest.approx(60.0, abs=1e-3)
-            assert float(coordinates.penalty(decoded, of.period)) >= 0.0
+            assert float(plan.penalty(decoded)) >= 0.0
         elif decoded.left < 0.0:
-            assert float(coordinates.penalty(decoded, of.period)) > 0.0
-
-
-def test_poses_that_are_not_free_have_no_derivative():
-    coordinates = CycleCoordinates(LIMITS, 8)
-    z = coordinates.encode(CYCLE, structure_of(CYCLE, 8, LIMITS, 60.0))
-
-    def moved(turnable: bool) -> np.ndarray:
-        of = structure_of(CYCLE, 8, LIMITS, 60.0, turnable=turnable)
-        decoded = lambda x: jnp.sum(coordinates.decode(x, of).turning ** 2)  # noqa: E731
-        return np.asarray(jax.grad(decoded)(jnp.asarray(z)))
-
-    assert np.all(moved(False)[0] == 0.0)
-    # The last turn of each axis closes the cycle.
-    assert np.flatnonzero(moved(True)[0]).tolist() == [0, 1, 2]
+            assert float(plan.penalty(decoded)) > 0.0
 
 
 def test_the_soft_largest_logarithm_is_above_the_largest_and_near_it():
@@ -137,7 +120,7 @@ def test_changed_cycles_keep_the_reach_and_the_number_of_turns():
         assert np.all((poses >= -1.5 - 1e-12) & (poses <= 2.0 + 1e-12))
     assert len(kinds) >= 6
     # A turn beyond one end goes the other way, as far as the axis does; at its end nothing is left of a turn.
-    far = PoseTurn(0, 9.0, 1.0, 3.0)
+    far = Turn(0, 9.0, 1.0, 3.0)
     assert [t.angle for t in around.within([CYCLE[0], far, far])] == pytest.approx([7.0, -1.8])
     drawn = around.random(30, rng)
     assert 7 < len(drawn) <= 30

@@ -1,0 +1,88 @@
+"""The information of a cycle that a plan repeats on one ramp, from three of its cycles.
+
+The noise of every cycle is the same, and only the temperature of its columns differs: a polynomial at a shifted
+temperature is a polynomial, so that the columns of a cycle are those of another times a small matrix S. The first
+cycle is filtered reading by reading from the begin of the noise, one within and the last one from any state of it
+(`whitening.passage`). These passages then follow one another as often as there are cycles (`through`), a few small
+products each: exactly the information of all readings.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from gradcal_jax.arrays import AnyArray, fixed
+from gradcal_jax.information.noise_steps import NoiseSteps
+from gradcal_jax.information.whitening import Passage, passage
+from gradcal_jax.model.build import BuiltImu
+from gradcal_jax.spec.motion_plan import PlanSchedule
+
+# Cycles that are filtered reading by reading: the first, one within, the last.
+FILTERED = 3
+# Cycles from which on this saves time.
+_MANY = 6
+
+
+class RepeatedCycle(NamedTuple):
+    """`cycles` that begin at `begins` °C on a ramp of `slope` K/s, `period` s after one another."""
+
+    cycles: int
+    begins: float
+    slope: float
+    period: float
+
+    def gram(self, built: BuiltImu, steps: NoiseSteps, columns: Float[AnyArray, "N p"]) -> Float[AnyArray, "p p"]:
+        """The Gram matrix of all cycles, by the steps and columns of the filtered ones."""
+        step = self.slope * self.period
+        # Of those within, one is filtered where the second one is, and the last one where the third one is.
+        shifts = built.model.shifts(step * np.append(np.arange(self.cycles - 2), self.cycles - FILTERED))
+        assert shifts is not None
+        filtered = [_of_cycle(k, steps, columns) for k in range(FILTERED)]
+        begun = passage(*filtered[0], known=True)
+        within, ends = (passage(*cycle, known=False) for cycle in filtered[1:])
+        known, _ = jax.lax.scan(
+            lambda known, shift: (through(known, within, shift), None), begun, jnp.asarray(shifts[:-1])
+        )
+        return through(known, ends, jnp.asarray(shifts[-1])).product
+
+
+def repeated_cycle(schedule: PlanSchedule, builts: Sequence[BuiltImu], period: float) -> RepeatedCycle | None:
+    """The cycle that is all of a plan; None where cycles differ in more than a polynomial of temperature."""
+    count, more = schedule.stretches[0].cycles, schedule.stretches[1:]
+    ramps = [s for s in schedule.segments if s.used]
+    lags = any(b.spec.sensor.lag is not None or b.gears or b.model.shifts(np.zeros(1)) is None for b in builts)
+    if more or len(ramps) > 1 or count < _MANY or schedule.after or lags:
+        return None
+    return RepeatedCycle(count, ramps[0].temperature_start, ramps[0].slope, period)
+
+
+def through(known: Passage, after: Passage, shift: Float[AnyArray, "p p"]) -> Passage:
+    """What is known after a passage from any state of the noise, with columns times `shift`."""
+    p, state, covariance = len(shift), known.after, known.left
+    own, both, of_state = after.product[:p, :p], after.product[:p, p:], after.product[p:, p:]
+    missing = both.T @ shift - of_state @ state
+    # The covariance of the state before, given the readings after: (I + P J)⁻¹ P.
+    size = fixed(jnp.sqrt(jnp.diagonal(covariance)))
+    size = jnp.where(size > 0.0, size, 1.0)
+    sizes = size[:, None] * size[None, :]
+    scaled = covariance / sizes
+    smoothed = jnp.linalg.solve(jnp.eye(len(size)) + scaled @ (of_state * sizes), scaled) * sizes
+    cross = shift.T @ both @ state
+    seen = shift.T @ own @ shift - cross - cross.T + state.T @ of_state @ state - missing.T @ smoothed @ missing
+    begin, onward = state + smoothed @ missing, -after.after[:, p:]
+    return Passage(
+        known.product + 0.5 * (seen + seen.T),
+        after.after[:, :p] @ shift + onward @ begin,
+        onward @ (0.5 * (smoothed + smoothed.T)) @ onward.T + after.left,
+    )
+
+
+def _of_cycle(number: int, steps: NoiseSteps, columns: AnyArray) -> tuple[NoiseSteps, AnyArray]:
+    """The readings of one of the cycles."""
+    count = len(columns) // FILTERED
+    rows = slice(number * count, (number + 1) * count)
+    return NoiseSteps(*(x if x is None or x is steps.initial else x[rows] for x in steps)), columns[rows]

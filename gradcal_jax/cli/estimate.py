@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from gradcal_jax.spec.spec_sections import Spec
     from gradcal_jax.tables.table import Table
 
-Axes = Annotated[tuple[str, ...], Parameter(name="--axis", negative="")]
 SpecFile = Annotated[Path | None, Parameter(name=["--spec", "--recipe"])]
 # More coefficients than these are read in the file.
 _MOST_COEFFICIENTS: Final = 30
@@ -49,7 +48,7 @@ def estimate(
     *,
     spec: SpecFile = None,
     output: OptionalOutput = None,
-    axis: Axes = (),
+    axis: str | None = None,
     gravity: str | None = None,
     temperature: str | None = None,
     lag: str = "auto",
@@ -80,7 +79,7 @@ def estimate(
         is added to the name of the file.
     axis
         If the spec has one gyro on a table of one axis: the sensor axis about which the table turned; by default the
-        axis in the spec, or the only axis in the log. Without a spec: the axes to calibrate; may be repeated.
+        axis in the spec, or the only axis in the log.
     gravity
         Local gravity, such as "9.80665 m/s^2". Gravity is then the only reference for three accelerometers and three
         gyros; no table and no spec are needed.
@@ -108,10 +107,8 @@ def estimate(
     model = None if spec is None else spec_in(spec)
     if gravity is not None and (model is not None or axis or more):
         raise ValueError("--gravity: an IMU that was turned by hand needs no --spec, --axis or second log")
-    if model is None and (lag != "auto" or clock is not None):
-        raise ValueError("--lag and --clock need --spec")
-    if len(axis) > 1 and model is not None:
-        raise ValueError("a table with one axis turns only one axis of an IMU: give --axis only once")
+    if model is None and (lag != "auto" or clock is not None or axis is not None):
+        raise ValueError("--lag, --clock and --axis need --spec")
     g = None if gravity is None else quantity(gravity, "acceleration", "--gravity")
     if model is None and g is None:
         logs = load_all(log, columns)
@@ -125,11 +122,11 @@ def estimate(
     sources = {"log": ", ".join(path.name for path in (log, *more)), "spec": "" if spec is None else spec.name}
     if model is not None:
         options = {"temperature_c": at, "lag": lag_s, "clock": clock}
-        done = _with_model(model, logs, axis[0] if axis else None, options, sources)
+        done = _with_model(model, logs, axis, options, sources)
     elif g is not None:
         done = _by_hand(logs[0], g, at, sources)
     else:
-        done = _warm_up(logs, axis, sources)
+        done = _warm_up(logs, sources)
     if json:
         print(as_json(done.rows))
     else:
@@ -170,11 +167,11 @@ def _with_model(
     return _Done(estimate_rows(report), texts, report.calibrations, draw, report.as_wished)
 
 
-def _warm_up(logs: "Sequence[Log]", axes: Sequence[str], sources: dict[str, str]) -> _Done:
+def _warm_up(logs: "Sequence[Log]", sources: dict[str, str]) -> _Done:
     """The biases over temperature of IMUs that warm up at rest, without a spec."""
     from gradcal_jax.estimation.warm_up import estimate_warm_up, warm_up_rows
 
-    report = estimate_warm_up(logs, axes=axes, sources={"log": sources["log"]})
+    report = estimate_warm_up(logs, sources={"log": sources["log"]})
     texts = [text_of_warm_up(one, report.messages[one.serial_number]) for one in report.calibrations]
     draw = lambda plots: plots.calibration.draw_warm_up(report.calibrations[0])  # noqa: E731
     return _Done(warm_up_rows(report), texts, report.calibrations, draw, report.as_wished)

@@ -5,7 +5,7 @@ from math import sqrt
 from typing import Any
 
 import gradcal_jax
-from gradcal_jax.calibration import LOG_HASH, Calibration, Covariance, FitTest, Result, UnseenError
+from gradcal_jax.calibration import LOG_HASH, Calibration, FitTest, Result, UnseenError
 from gradcal_jax.estimation.consistency import Test
 from gradcal_jax.records.log import Log
 from gradcal_jax.spec.sensor import AccelerometerTriad, GyroTriad
@@ -18,11 +18,6 @@ def section_of(triad: GyroTriad | AccelerometerTriad, term: str) -> str:
     return next(key for key in type(triad).model_fields if term.startswith(key))
 
 
-def deviations_of(covariance: Covariance | None) -> dict[str, float]:
-    """One sigma of every coefficient that has one."""
-    return {} if covariance is None else {n: sqrt(covariance.matrix[k][k]) for k, n in enumerate(covariance.names)}
-
-
 def counted_std(name: str, std: float | None, unseen: Sequence[UnseenError]) -> float | None:
     """One sigma of a coefficient with the errors that no residual of the fit shows."""
     return None if std is None else sqrt(std**2 + sum(e.coefficients.get(name, 0.0) ** 2 for e in unseen))
@@ -31,7 +26,7 @@ def counted_std(name: str, std: float | None, unseen: Sequence[UnseenError]) -> 
 def coefficient_rows(calibration: Calibration) -> list[dict[str, Any]]:
     """Every coefficient of a calibration with its standard deviation, where the file has one, by the fit and
     with what no residual shows (`std_counted`), and its unit."""
-    deviations, unseen = deviations_of(calibration.covariance), calibration.unseen
+    deviations, unseen = calibration.deviations(), calibration.unseen
     return [
         {
             "name": name,

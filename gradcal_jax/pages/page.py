@@ -15,7 +15,7 @@ from gradcal_jax.pages.history import RunHistory, history_of
 from gradcal_jax.pages.residuals import outcome_table, residuals_of
 from gradcal_jax.pages.section import PagePart, PageSection
 from gradcal_jax.pages.sources import Sources, read_sources
-from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path, terms, tests
+from gradcal_jax.pages.tables import coefficients, errors_of_table, of_path, tests
 from gradcal_jax.recipe.bench_tables import CHAMBER_HEAD, block_heading, chamber_rows, chamber_words
 from gradcal_jax.spec.rig import read_rig
 from gradcal_jax.tables.table import Table
@@ -159,7 +159,7 @@ def _calibrated(sources: Sources) -> list[PageSection]:
         "The p-value is the probability that the noise of the spec alone causes a statistic of this size or larger. If "
         "it is below 1 %, the model lacks an effect that is in the data."
     )
-    tables = [terms(calibration), tests(calibration), of_path(calibration), errors_of_table(calibration)]
+    tables = [tests(calibration), of_path(calibration), errors_of_table(calibration)]
     name = sources.calibration_name
     commands = [
         f"gradcal apply {name} LOG -o corrected.nc",

@@ -56,18 +56,6 @@ def results(calibration: Calibration) -> Table:
     return Table.of(["quantity", "axis", "statistic", "u", "k", "U", "unit", "limit", "decision"], rows)
 
 
-def terms(calibration: Calibration) -> Table:
-    """The calibration in the vocabulary of IEEE 952, 1431 and 1780."""
-    from gradcal_jax.estimation.calibrations import standard_terms
-
-    rows = [
-        (channel.label, term.name, term.value, term.std, term.unit, term.computed)
-        for channel in calibration.channel
-        for term in standard_terms(calibration, channel)
-    ]
-    return Table.of(["channel", "term", "value", _ONE_SIGMA, "unit", "computed as"], rows)
-
-
 def tests(calibration: Calibration) -> Table:
     """The tests of the fit."""
     rows = [

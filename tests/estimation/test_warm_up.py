@@ -1,154 +1,99 @@
-"""The loop of a flight controller's temperature calibration, by simulated vehicles: log, parameters, correction.
+"""The loop of a flight controller's temperature calibration, by simulated vehicles: log, parameters, correction by the
+controller's own formulas."""
 
-The controllers' formulas here are written from their sources, not taken from the package: PX4 `TemperatureCompensation`
-(`calc_thermal_offsets_3D`), ArduPilot `AP_InertialSensor_TCal::correct_sensor`.
-"""
-
-import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from controllers import TAKEN_OFF, ardupilot, parameters_of
+from scipy.stats import chi2
 from vehicle_samples import dataflash, imu_rows, sensor_gyro, ulog
-from warm_ups import DEG_PER_H, output, vehicle, warming
+from warm_ups import DEG_PER_H, MICRO_G, accelerometers, gyros, output, warm_up, warming
 
 from gradcal_jax.calibration import read_calibration
-from gradcal_jax.calibration.correction import term_values
+from gradcal_jax.calibration.file import term_values
 from gradcal_jax.cli import main
 from gradcal_jax.estimation.calibrations import calibration_map
-from gradcal_jax.estimation.warm_up import estimate_warm_up
+from gradcal_jax.estimation.warm_up import estimate_warm_up, warm_up_rows
 from gradcal_jax.records.examination import Columns, examine
-from gradcal_jax.records.log import Log, LogError
+from gradcal_jax.records.log import LogError
 
 FIT = np.linspace(15.5, 48.0, 40)
 
 
-def px4_offset(values, number, axis, temperature):
-    f = lambda name: np.float32(values[f"TC_G{number}_{name}"])  # noqa: E731
-    delta = np.clip(temperature.astype(np.float32), f("TMIN"), f("TMAX")) - f("TREF")
-    return sum(f(f"X{k}_{axis}") * delta**k for k in range(4)).astype(float)
-
-
-def ardupilot_correction(values, number, axis, temperature):
-    """What is taken off: the polynomial less its value at CALTEMP, and the offset."""
-    f = lambda name: np.float32(values.get(f"INS_{name}", 0.0))  # noqa: E731
-    low, high = f(f"TCAL{number}_TMIN"), f(f"TCAL{number}_TMAX")
-
-    def polynomial(t):
-        d = np.clip(np.asarray(t, np.float32), low, high) - np.float32(35)
-        return sum(f(f"TCAL{number}_GYR{k}_{axis}") * np.float32(1e-6) * d**k for k in (1, 2, 3))
-
-    at = polynomial(f(f"GYR{number}_CALTEMP"))
-    offset = f(f"GYR{number if number > 1 else ''}OFFS_{axis}")
-    return (polynomial(temperature) - at + offset).astype(float)
-
-
-def left(errors, calibration):
-    """Errors `(temperatures, 3)` in the stated σ of the calibration's fit at `FIT`, and that σ in deg/h."""
+def left(taken, bias, calibration):
+    """Errors at `FIT` `(temperatures, 3)` in the stated σ of the calibration's fit, and that σ in rad/s."""
     fit = calibration.model_copy(update={"unseen": ()})
-    gyros = [c for c in fit.channel if c.kind == "gyro"]
-    sigma = np.stack([calibration_map(fit, c, "bias", FIT, np.zeros(1))[1].values[:, 0] for c in gyros], axis=1)
-    return errors / (sigma * DEG_PER_H), sigma
+    gyro = [c for c in fit.channel if c.kind == "gyro"]
+    sigma = np.stack([calibration_map(fit, c, "bias", FIT, np.zeros(1))[1].values[:, 0] for c in gyro], axis=1)
+    return (taken - bias(FIT)) / (sigma * DEG_PER_H), sigma * DEG_PER_H
 
 
-def biases(calibration):
-    return np.stack([term_values(channel.term_of("bias"), FIT) for channel in calibration.channel], axis=1)
-
-
-def numbers(path, name=0, value=1):
-    rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
-    return {row[name]: float(row[value]) for row in rows}
+def within_sigma(target, path, out, bias, number, *options):
+    """Export a calibration, and expect that what the controller makes of it is within σ; its parameters."""
+    assert main(["export", str(out), "--format", target, *options, "-o", str(path)]) == 0
+    values = parameters_of(path.read_text(encoding="utf-8"), target)
+    taken = np.stack([TAKEN_OFF[target](values, axis, FIT, number) for axis in range(3)], axis=1)
+    sigmas, sigma = left(taken, bias, read_calibration(out))
+    assert np.sqrt(np.mean(sigmas**2)) < 1.5
+    assert np.abs(sigmas).max() < 4.0
+    assert 2.0 < sigma.mean() / DEG_PER_H < 30.0
+    return values
 
 
 @pytest.mark.long
 def test_px4_from_its_log_to_its_parameters(tmp_path, capsys):
-    """Two gyros, each with a clock of its own: what PX4 makes of the parameters is within their σ."""
-    units, (time, temperature) = (vehicle(1), vehicle(2)), warming(2400.0, 25.0)
-    stamps = (time * 1e6).astype(np.int64) + 10**6
+    """Two gyros, each with a clock of its own; on another warm-up they leave a hundredth."""
+    biases, (time, temperature) = (gyros(1), gyros(2)), warming(2400.0, 25.0)
+    stamps, devices = (time * 1e6).astype(np.int64) + 10**6, (1310988, 3670026)
+    raw = [output(bias, time, temperature, 1 + k) for k, bias in enumerate(biases)]
     path = ulog(
         tmp_path / "warm.ulg",
-        ("sensor_gyro", 0, sensor_gyro(stamps, output(units[0], time, temperature, 1), temperature, 1310988)),
-        ("sensor_gyro", 1, sensor_gyro(stamps + 777, output(units[1], time, temperature, 2), temperature, 3670026)),
+        ("sensor_gyro", 0, sensor_gyro(stamps, raw[0], temperature, devices[0])),
+        ("sensor_gyro", 1, sensor_gyro(stamps + 777, raw[1], temperature, devices[1])),
     )
     assert main(["estimate", str(path), "-o", str(tmp_path / "cal.toml")]) in (0, 1)
     said = capsys.readouterr().out
     assert "Earth's" in said
     assert "IMU 1310988" in said
-    for number, (unit, device) in enumerate(zip(units, (1310988, 3670026), strict=True)):
-        parameters = tmp_path / f"tc-{number}.params"
-        wanted = ["--format", "px4", "--instance", str(number), "--device-id", str(device), "-o", str(parameters)]
-        assert main(["export", str(tmp_path / f"cal-{device}.toml"), *wanted]) == 0
-        assert "TC_G" not in capsys.readouterr().out
-        values = numbers(parameters, 2, 3)
-        assert values["TC_G_ENABLE"] == 1.0
-        assert values[f"TC_G{number}_ID"] == device
-        truth = unit.true_bias(FIT)
-        taken = np.stack([px4_offset(values, number, axis, FIT) for axis in range(3)], axis=1)
-        sigmas, sigma = left(taken - truth, read_calibration(tmp_path / f"cal-{device}.toml"))
-        assert np.sqrt(np.mean(sigmas**2)) < 1.5
-        assert np.abs(sigmas).max() < 4.0
-        assert 2.0 < sigma.mean() < 30.0
-        # On another warm-up, corrected by PX4's formula: a hundredth of what it was, and within σ but for the noise.
-        other_time, other = warming(1800.0, 25.0, cold=18.0, warmer_by=29.0)
-        raw = output(unit, other_time, other, 50 + number)
-        corrected = raw - np.stack([px4_offset(values, number, axis, other) for axis in range(3)], axis=1)
-        means = corrected.reshape(18, -1, 3).mean(axis=1) / DEG_PER_H
-        assert np.sqrt(np.mean(means**2)) < 2.0 * np.hypot(sigma.mean(), 8.0)
-        assert np.sqrt(np.mean(raw**2)) / DEG_PER_H > 500.0
+    for number, (bias, device) in enumerate(zip(biases, devices, strict=True)):
+        out, wanted = tmp_path / f"cal-{device}.toml", ["--instance", str(number), "--device-id", str(device)]
+        values = within_sigma("px4", tmp_path / "tc.params", out, bias, number, *wanted, "--force")
+        assert (values["TC_G_ENABLE"], values[f"TC_G{number}_ID"]) == (1.0, device)
+        time, other = warming(1800.0, 25.0, cold=18.0, warmer_by=29.0)
+        again = output(bias, time, other, 50 + number)
+        taken = np.stack([TAKEN_OFF["px4"](values, axis, other, number) for axis in range(3)], axis=1)
+        means = (again - taken).reshape(18, -1, 3).mean(axis=1) / DEG_PER_H
+        assert np.sqrt(np.mean(means**2)) < 60.0 < 500.0 < np.sqrt(np.mean(again**2)) / DEG_PER_H
 
 
 @pytest.mark.long
 def test_ardupilot_from_its_log_to_its_parameters(tmp_path):
     """A log that was corrected by other parameters on the way: they are undone, and the new ones are within their σ."""
-    unit, (time, temperature) = vehicle(3), warming(2400.0, 25.0)
-    raw = output(unit, time, temperature, 3)
+    bias, (time, temperature) = gyros(3), warming(2400.0, 25.0)
     old = {
         "AHRS_ORIENTATION": 0.0, "INS_TCAL1_ENABLE": 1.0, "INS_TCAL1_TMIN": 20.0, "INS_TCAL1_TMAX": 45.0,
         "INS_GYR1_CALTEMP": 31.0, "INS_TCAL1_GYR1_X": 90.0, "INS_TCAL1_GYR2_Y": -3.0, "INS_GYROFFS_Z": 0.004,
     }  # fmt: skip
-    logged = raw - np.stack([ardupilot_correction(old, 1, axis, temperature) for axis in "XYZ"], axis=1)
-    path = dataflash(tmp_path / "cal.bin", imu_rows((time * 1e6).astype(np.int64), 0, logged, temperature), old)
-    out, parameters = tmp_path / "cal.toml", tmp_path / "tcal.parm"
+    taken = np.stack([ardupilot(old, axis, temperature) for axis in range(3)], axis=1)
+    rows = imu_rows((time * 1e6).astype(np.int64), 0, output(bias, time, temperature, 3) - taken, temperature)
+    path, out = dataflash(tmp_path / "cal.bin", rows, old), tmp_path / "cal.toml"
     assert main(["estimate", str(path), "-o", str(out)]) in (0, 1)
-    assert main(["export", str(out), "--format", "ardupilot", "-o", str(parameters)]) == 0
-    values = numbers(parameters)
+    values = within_sigma("ardupilot", tmp_path / "tcal.parm", out, bias, 1)
     assert values["INS_TCAL1_ENABLE"] == 1.0
-    taken = np.stack([ardupilot_correction(values, 1, axis, FIT) for axis in "XYZ"], axis=1)
-    sigmas, sigma = left(taken - unit.true_bias(FIT), read_calibration(out))
-    assert np.sqrt(np.mean(sigmas**2)) < 1.5
-    assert np.abs(sigmas).max() < 4.0
-    assert 2.0 < sigma.mean() < 30.0
-
-
-def log_of(unit, time, temperature, seed):
-    rates = output(unit, time, temperature, seed)
-    return Log(time, rates[None], ("g",), ("x", "y", "z"), temperature[None])
-
-
-@pytest.mark.long
-def test_a_thermometer_that_steps_by_a_degree():
-    """Half a step times the slope of B is 25 to 86 deg/h; between the steps' instants the temperature is known."""
-    unit, (time, temperature) = vehicle(5), warming(2400.0, 25.0)
-    log = log_of(unit, time, temperature, 5)
-    coarse = estimate_warm_up([Log(time, log.rate_rad_per_s, ("g",), log.axes, np.rint(temperature)[None])])
-    (result,) = coarse.calibrations
-    errors = biases(result) - unit.true_bias(FIT)
-    sigmas, _ = left(errors, result)
-    assert np.abs(sigmas).max() < 3.0
-    assert np.sqrt(np.mean(errors**2)) / DEG_PER_H < 12.0
 
 
 def test_masked_rows_change_no_bit_of_a_calibration():
     """Rows that the device marks as bad, and some seconds of false temperatures, which the examination masks."""
-    unit, (time, course) = vehicle(5), warming(1800.0, 5.0)
-    rates, marked = output(unit, time, course, 5), np.random.default_rng(5).random(len(time)) < 0.02
+    time, course = warming(1800.0, 5.0)
+    rates, marked = output(gyros(5), time, course, 5), np.random.default_rng(5).random(len(time)) < 0.02
 
     def estimated(rate, temperature, false_reading):
         read = np.round(course, 3)
         read[3000:3030] = false_reading
         values = {f"gyro {axis}": np.where(marked, rate, rates[:, k])[None] for k, axis in enumerate("xyz")}
         values |= {"time": time, "temperature": np.where(marked, temperature, read)[None], "marked": marked[None]}
-        columns = Columns(("g",), values)
-        (result,) = estimate_warm_up([examine(columns)], axes=("x",)).calibrations
+        (result,) = estimate_warm_up([examine(Columns(("g",), values))]).calibrations
         return result
 
     first, other = estimated(0.0, 20.0, 85.0), estimated(1e300, -273.0, -127.0)
@@ -157,44 +102,21 @@ def test_masked_rows_change_no_bit_of_a_calibration():
     assert course.min() - 0.1 <= low < high <= course.max() + 0.1
 
 
-def test_what_is_no_warm_up_is_said(tmp_path, capsys):
-    unit, (time, temperature) = vehicle(5), warming(300.0, 25.0)
+def test_what_is_no_warm_up_is_said():
+    log = warm_up(5, 900.0)
     with pytest.raises(LogError, match=r"changes by 7\.\d K at rest"):
-        estimate_warm_up([log_of(unit, *warming(160.0, 25.0), 5)])
-    rates = output(unit, time, temperature, 5)
+        estimate_warm_up([warm_up(5, 160.0)])
     with pytest.raises(LogError, match="no temperature of IMU g"):
-        estimate_warm_up([Log(time, rates[None], ("g",), ("x", "y", "z"))])
-    with pytest.raises(LogError, match="there is no IMU 'h' in this log; it has g"):
-        estimate_warm_up([log_of(unit, *warming(900.0, 10.0), 5)], units=("h",))
-    table = tmp_path / "a.csv"
-    table.write_text("t,x\n" + "\n".join(f"{k / 10},{k % 7 * 1e-4}" for k in range(999)), encoding="utf-8")
-    columns = tmp_path / "a.toml"
-    columns.write_text(
-        'format = "gradcal-columns/1"\ntime = { column = "t", unit = "s" }\nrate.x = { column = "x", unit = "rad/s" }'
-    )
-    asked = ["estimate", str(table), "--columns", str(columns)]
-    assert main(asked) == 2
-    assert "no temperature" in capsys.readouterr().err
-
-
-def test_a_table_with_a_column_map_is_a_warm_up_too(tmp_path, capsys):
-    unit, (time, temperature) = vehicle(6), warming(1500.0, 10.0)
-    rates = output(unit, time, temperature, 6)
-    np.savez(tmp_path / "a.npz", t=time, w=rates, c=temperature)
-    (tmp_path / "a.toml").write_text(
-        'format = "gradcal-columns/1"\ntime = { column = "t", unit = "s" }\n'
-        'temperature = { column = "c", unit = "degC" }\nrate.x = { column = "w", index = 0, unit = "rad/s" }'
-    )
-    assert main(["estimate", str(tmp_path / "a.npz"), "--columns", str(tmp_path / "a.toml"), "--json"]) in (0, 1)
-    (channel,) = json.loads(capsys.readouterr().out)["units"]
-    assert [p["name"] for p in channel["parameters"]] == ["gyro_x.a0", "gyro_x.a1", "gyro_x.a2", "gyro_x.a3"]
+        estimate_warm_up([replace(log, temperature_c=None)])
+    with pytest.raises(LogError, match="in steps of 1 K"):
+        estimate_warm_up([replace(log, temperature_c=np.rint(log.temperature_c))])
 
 
 KINDS = {
-    "drift of 1 min": {"correlation_time_s": 60.0},
-    "drift of 5 min": {"correlation_time_s": 300.0},
-    "drift of 25 min": {"correlation_time_s": 1500.0},
-    "random walk": {"drift_std": 400.0 * DEG_PER_H, "correlation_time_s": 1e7},
+    "drift of 1 min": {"correlation_s": 60.0},
+    "drift of 5 min": {"correlation_s": 300.0},
+    "drift of 25 min": {"correlation_s": 1500.0},
+    "random walk": {"drift": 400.0 * DEG_PER_H, "correlation_s": 1e7},
 }
 
 
@@ -206,28 +128,85 @@ def test_the_stated_sigma_covers_what_is_left(kind):
     (The slow noise is that of the class: of a gyro that is better than its class, σ is larger than need be.)"""
     inside, sizes, errors = [], [], []
     for seed in range(20):
-        unit = vehicle(seed, **KINDS[kind])
-        (result,) = estimate_warm_up([log_of(unit, *warming(2400.0, 10.0), seed)]).calibrations
-        truth = unit.true_bias(FIT)
+        log, bias = warm_up(seed, **KINDS[kind]), gyros(seed)
         if kind == "random walk":  # its beginning is this run's bias
-            truth = truth + drift_at_start(unit, seed)
-        taken = biases(result)
-        sigmas, sigma = left(taken - truth, result)
+            start = first_push(seed, len(log.time_s)) * KINDS[kind]["drift"]
+        (result,) = estimate_warm_up([log]).calibrations
+        taken = np.stack([term_values(channel.term_of("bias"), FIT) for channel in result.channel], axis=1)
+        taken -= start if kind == "random walk" else 0.0
+        sigmas, sigma = left(taken, bias, result)
         inside.append(np.mean(np.abs(sigmas) < 1.96))
         sizes.append(sigma)
-        errors.append((taken - truth) / DEG_PER_H)
+        errors.append(sigmas * sigma)
     share, sigma, error = np.mean(inside), np.mean(sizes), np.sqrt(np.mean(np.square(errors)))
-    print(f"{kind}: {share:.3f} within 1.96 sigma; sigma {sigma:.3g}, error {error:.3g} deg/h rms")
+    print(
+        f"{kind}: {share:.3f} within 1.96 sigma; sigma {sigma / DEG_PER_H:.3g}, error {error / DEG_PER_H:.3g} deg/h rms"
+    )
     assert share >= 0.90
     assert sigma < 3.0 * error
 
 
-def drift_at_start(unit, seed):
-    return unit.drift_std * first_pushes(seed)
-
-
-def first_pushes(seed):
+def first_push(seed, count):
+    """The begin of a drift, in its standard deviations: drawn last by `output`."""
     rng = np.random.default_rng([seed, 2])
-    count = len(warming(2400.0, 10.0)[0])
-    rng.standard_normal((count, 3))
+    rng.standard_normal((2 * count, 3))
     return rng.standard_normal(3)
+
+
+# --- accelerometers, with a tilt that nobody knows --------------------------------------------------------------------
+
+
+def test_changes_of_accelerometers_over_temperature_are_within_their_covariance():
+    """The normalised errors of the values at three temperatures, less that in the middle: χ² of three coefficients."""
+    total = 0.0
+    for seed in range(8):
+        (found,) = estimate_warm_up([warm_up(seed, force=True)]).calibrations
+        assert not any(name.startswith("acc") for name in found.contradicted)
+        covariance = np.array(found.covariance.matrix)[12:, 12:]
+        for k, channel in enumerate(found.channel[3:]):
+            term = channel.term[0]
+            centre, scale = float(term.temperature.centre), float(term.temperature.scale)
+            at = centre + scale * np.array([-0.9, 0.5, 0.9])
+            powers = ((at - centre)[:, None] / scale) ** np.arange(1, 4)
+            truth = accelerometers(seed)(np.array([*at, centre]))[:, k]
+            error = powers @ [term.coefficients[f"a{i}"] for i in (1, 2, 3)] - (truth[:3] - truth[3])
+            own = powers @ covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] @ powers.T
+            total += float(error @ np.linalg.solve(own, error))
+    assert chi2.ppf(0.001, 3 * 24) < total < chi2.ppf(0.999, 3 * 24)
+
+
+def test_a_vehicle_that_tilts_during_the_record_contradicts_the_model():
+    log = warm_up(1, force=True)
+    moved = log.specific_force_m_per_s2 + 0.05 * (log.time_s > 900.0)[None, :, None] * np.array([1.0, 0.0, 0.0])
+    report = estimate_warm_up([replace(log, specific_force_m_per_s2=moved)])
+    (whole,) = report.calibrations
+    assert "accelerometer_x: chi-squared" in whole.contradicted
+    assert "accelerometer_y: chi-squared" not in whole.contradicted
+    assert not report.as_wished
+    assert any("not valid: accelerometer_x" in message for message in report.messages["g"])
+    (row,) = warm_up_rows(report)["units"]
+    assert [of["name"] for of in row["parameters"][:5]] == [*(f"gyro_x.a{k}" for k in range(4)), "gyro_y.a0"]
+
+
+@pytest.mark.parametrize("target", ["px4", "ardupilot"])
+def test_from_a_table_to_the_parameters_of_a_controller(tmp_path, capsys, target):
+    log = warm_up(3, force=True)
+    both = np.concatenate([log.rate_rad_per_s[0], log.specific_force_m_per_s2[0]], axis=1)
+    np.savez(tmp_path / "a.npz", t=log.time_s, c=log.temperature_c[0], w=both)
+    columns = 'format = "gradcal-columns/1"\ntime = { column = "t", unit = "s" }\n'
+    columns += 'temperature = { column = "c", unit = "degC" }\n'
+    for k, axis in enumerate("xyz"):
+        columns += f'rate.{axis} = {{ column = "w", index = {k}, unit = "rad/s" }}\n'
+        columns += f'force.{axis} = {{ column = "w", index = {3 + k}, unit = "m/s^2" }}\n'
+    (tmp_path / "a.toml").write_text(columns, encoding="utf-8")
+    out, parameters = tmp_path / "cal.toml", tmp_path / "parameters"
+    assert main(["estimate", str(tmp_path / "a.npz"), "--columns", str(tmp_path / "a.toml"), "-o", str(out)]) in (0, 1)
+    said = capsys.readouterr().out
+    assert "a bias and a tilt cannot be separated" in said
+    assert "accelerometer_z.a3" in said
+    assert main(["export", str(out), "--format", target, "-o", str(parameters)]) == 0
+    values = parameters_of(parameters.read_text(encoding="utf-8"), target)
+    for k in range(3):
+        number, truth = int(target == "ardupilot"), accelerometers(3)(FIT)[:, k]
+        apart = truth - TAKEN_OFF[target](values, k, FIT, number, "accelerometer")
+        assert np.ptp(apart) < min(0.25 * np.ptp(truth), 1500.0 * MICRO_G)

@@ -57,28 +57,17 @@ def test_equals_the_definition_over_all_starts(seed, samples, before, lengths, k
         assert abs(there) == pytest.approx(result.largest_drift[row], rel=1e-9, abs=1e-12 * scale)
 
 
-def test_long_record_equals_the_difference_passes():
-    rng = np.random.default_rng(8)
-    rate = rng.standard_normal((200_000, 2)) + np.cumsum(rng.standard_normal((200_000, 2)), axis=0) * [1e-3, 0.0]
-    times = integration_times(0.5, 500.0, 0.01, count=12)
-    for channel in rate.T:
-        result = largest_drift(channel, 0.01, times, 10.0)
-        for row, time in enumerate(result.integration_time_s):
-            values = np.abs(drifts(channel, 0.01, float(time), 10.0))
-            assert result.largest_drift[row] == pytest.approx(values.max(), rel=1e-10)
-            assert result.start_index[row] == 1000 + values.argmax()
-            assert result.start_count[row] == len(values)
+def test_long_record_equals_the_plain_formula():
+    rate = np.cumsum(np.random.default_rng(8).standard_normal(200_000)) * 1e-3
+    result = largest_drift(rate, 0.01, integration_times(0.5, 500.0, 0.01, count=12), 10.0)
+    for row, time in enumerate(result.integration_time_s):
+        values = np.abs(drifts(rate, 0.01, float(time), 10.0))
+        assert result.largest_drift[row] == pytest.approx(values.max(), rel=1e-10)
+        assert result.start_index[row] == 1000 + values.argmax()
 
 
-def test_what_is_masked_counts_in_no_window():
-    rate = np.zeros(400)
-    rate[150] = 100.0
-    valid = rate == 0.0
-    results = [largest_drift(rate, 1.0, np.array([10.0]), 20.0, valid=mask) for mask in (np.ones(400, bool), valid)]
-    # The lone sample of 100 in a window of ten; masked, nothing is left.
-    np.testing.assert_allclose([result.largest_drift[0] for result in results], [10.0, 0.0], atol=1e-12)
-    assert [result.start_count[0] for result in results] == [371, (150 - 29) + (249 - 29)]
-    assert longest_integration_time(valid, 1.0, 20.0) == 229.0
+def test_the_longest_integration_time_lies_between_masked_rows():
+    assert longest_integration_time(np.arange(400) != 150, 1.0, 20.0) == 229.0
 
 
 @pytest.mark.parametrize(

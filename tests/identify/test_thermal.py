@@ -32,19 +32,6 @@ def test_a_lagging_cubic_is_found(lag):
     np.testing.assert_allclose(fit.bias(CYCLE, INTERVAL), truth, atol=0.01)
 
 
-def test_heating_fitted_cooling_predicted_needs_the_lag():
-    up_and_down = np.interp(TIME, [0, 200, 1800, 2200, 3800, 4000], [-20.0, -20.0, 60.0, 60.0, -20.0, -20.0])
-    z = (lagged(up_and_down, INTERVAL, 60.0) - 20) / 40
-    rate = z + 0.2 * z**2 + 0.01 * np.random.default_rng(1).standard_normal(len(z))
-    heating = TIME < 2000
-    left = {}
-    for name, lag in (("at once", 0.0), ("lagging", None)):
-        fit = fit_thermal_bias(rate, up_and_down, INTERVAL, degree=2, lag_time_s=lag, valid=heating)
-        left[name] = float(np.std((rate - fit.bias(up_and_down, INTERVAL))[~heating]))
-    assert left["lagging"] < 0.012
-    assert left["at once"] > 5 * left["lagging"]
-
-
 def test_gaps_in_temperature_are_bridged_and_masked_rates_do_not_count():
     temperature = CYCLE.copy()
     temperature[1000:1010] = np.nan

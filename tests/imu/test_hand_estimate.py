@@ -148,11 +148,17 @@ def squared(report: HandReport, truth: dict[str, float], only: str = "", earth=E
     return float(error @ np.linalg.solve(np.array(known.matrix)[np.ix_(at, at)], error)), len(at)
 
 
-def test_a_simulated_unit_is_found_within_its_covariance():
+@pytest.fixture(scope="module")
+def sound() -> tuple[dict[str, float], Log, HandReport]:
     rng = np.random.default_rng(5)
     truth = drawn(rng)
     log = held(truth, rng)
     (report,) = estimate_by_hand(log, G, **AT)
+    return truth, log, report
+
+
+def test_a_simulated_unit_is_found_within_its_covariance(sound):
+    truth, log, report = sound
     assert report.calibration.simulated
     assert set(values_of(report)) == set(truth)
     square, size = squared(report, truth)
@@ -163,10 +169,10 @@ def test_a_simulated_unit_is_found_within_its_covariance():
     assert all(test.probability > 1e-4 for test in report.solution.tests.values())
     # Three g of hand-made error become a tenth of a milligram and less.
     assert report.gravity_left < 1e-4 * G
-    corrected = apply(report.calibration, log).log
     rests = log.standstill >= 0
-    norm = np.linalg.norm(corrected.specific_force_m_per_s2[0][rests].reshape(-1, 3), axis=1)
-    assert abs(norm.mean() / G - 1.0) < 1e-4
+    force = apply(report.calibration, log).log.specific_force_m_per_s2[0][rests]
+    assert abs(np.linalg.norm(force, axis=1).mean() / G - 1.0) < 1e-4
+    assert not any("bridged" in words or "neighbours" in words for words in report.messages)
 
 
 def test_without_noise_the_estimate_is_the_truth():
@@ -298,3 +304,57 @@ def test_turns_that_contradict_the_model_enlarge_the_covariance_and_are_said():
     assert any("gravity's direction after a turn" in message for message in report.messages)
     square, size = squared(report, truth, "gyro")
     assert square < stats.chi2.isf(1e-3, size)
+
+
+# --- records with rows lost, spikes and rows of zeros -----------------------------------------------------------------
+
+
+def lost(log: Log, rng: np.random.Generator, count: int) -> Log:
+    """Single rows and pairs are missing anywhere."""
+    kept = np.ones(len(log.time_s), bool)
+    begins = rng.choice(len(kept) - 20, count, replace=False) + 10
+    kept[begins] = False
+    kept[begins[::2] + 1] = False
+    after = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1
+    assert log.specific_force_m_per_s2 is not None
+    assert log.standstill is not None
+    return replace(
+        log,
+        time_s=log.time_s[kept],
+        rate_rad_per_s=log.rate_rad_per_s[:, kept],
+        specific_force_m_per_s2=log.specific_force_m_per_s2[:, kept],
+        standstill=log.standstill[kept],
+        stretch_starts=np.concatenate([[0], after]),
+        rows_read=-1,
+    )
+
+
+def test_lost_rows_in_turns_are_filled(sound):
+    truth, log, before = sound
+    thin = lost(log, np.random.default_rng(2), 150)
+    (report,) = estimate_by_hand(thin, G, **AT)
+    assert report.solution.turns >= before.solution.turns - 2
+    assert any("gaps of one or two rows are bridged" in words for words in report.messages)
+    distance, count = squared(report, truth)
+    assert distance < 2.0 * count
+
+
+@pytest.mark.parametrize("kind", ["spikes", "zeros"])
+def test_rare_wrong_rows_are_left_out(sound, kind: str):
+    truth, log, _ = sound
+    rng = np.random.default_rng(3)
+    rate, force = log.rate_rad_per_s.copy(), log.specific_force_m_per_s2.copy()
+    rows = rng.choice(len(log.time_s) - 20, 40, replace=False) + 10
+    if kind == "spikes":
+        rate[0, rows, 1] += 5.0
+        force[0, rows[:20], 2] -= 40.0
+    else:
+        rate[0, rows], force[0, rows] = 0.0, 0.0
+    (report,) = estimate_by_hand(
+        replace(log, rate_rad_per_s=rate, specific_force_m_per_s2=force, standstill=None), G, **AT
+    )
+    (alone,) = estimate_by_hand(replace(log, standstill=None), G, **AT)
+    assert report.solution.turns >= 0.6 * alone.solution.turns
+    assert any("differ from their neighbours by more than" in words for words in report.messages)
+    distance, count = squared(report, truth)
+    assert distance < 2.0 * count

@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any, Final
 
 from gradcal_jax.cli.app import build
-from gradcal_jax.records.log import FORMAT, OF_READINGS, VARIABLES
+from gradcal_jax.records.log import FORMAT, AngleReadings, Log, variables_of
 from gradcal_jax.tables import schemas
 
 _PLAIN: Final = {"string": "text", "integer": "whole number", "number": "number", "boolean": "`true` or `false`"}
@@ -45,10 +45,9 @@ def log_page() -> str:
         "required. Its attributes have the number of rows of the source (`rows_read`), those removed by reason, the "
         "findings and the provenance (JSON).\n\n| variable | dimensions | unit | meaning |\n|---|---|---|---|\n"
     )
-    variables = {**VARIABLES, **OF_READINGS}
     rows = [
-        f"| `{name}` | {', '.join(v.dimensions)} | {v.unit} | {v.words[:1].upper()}{v.words[1:]}. |"
-        for name, v in variables.items()
+        f"| `{v.name}` | {', '.join(v.dimensions)} | {v.unit} | {v.words[:1].upper()}{v.words[1:]}. |"
+        for v in (*variables_of(Log).values(), *variables_of(AngleReadings).values())
     ]
     return head + "\n".join(rows) + "\n"
 

@@ -20,7 +20,7 @@ Rows = Annotated[
     str | None,
     Parameter(
         name="--rows",
-        help='Read only these rows of the file, counted from 0: "1000..250000", or "1000.." for all from 1000 on.',
+        help='Of a table or a flight log only these rows, from 0: "1000..250000", or "1000.." for all from 1000 on.',
     ),
 ]
 Unit = Annotated[str | None, Parameter(name="--unit", help="Which IMU, if the log has several.")]
@@ -29,20 +29,19 @@ _NETCDF: Final = (".nc", ".nc4", ".h5", ".hdf5")
 
 
 def load(path: Path, columns: Path | None = None, rows: str | None = None, *, unit: str | None = None) -> "Log":
-    """Read the requested rows of a log of this program (netCDF), a flight log, or a table with its column map.
+    """Read a log of this program (netCDF), or the requested rows of a flight log or a table with its column map.
 
     `unit` is needed for a flight log with several IMUs on different clocks. Raises `ValueError`.
     """
     from gradcal_jax.records.flight_logs import is_vehicle_log, read_vehicle_log
-    from gradcal_jax.records.log import part_of
     from gradcal_jax.records.log_file import read_log
 
     _exists(path)
     between = None if rows is None else _rows(rows)
     if path.suffix.lower() in _NETCDF:
-        if columns is not None:
-            raise ValueError(f"{path} is a log of this program, and needs no --columns: leave the option out")
-        return part_of(read_log(path), begin_s=None, end_s=None, rows=between)
+        if columns is not None or rows is not None:
+            raise ValueError(f"{path} is a log of this program: leave out --columns and --rows")
+        return read_log(path)
     from gradcal_jax.records.importers import import_log, read_column_map
 
     if columns is not None:

@@ -15,7 +15,7 @@ from gradcal_jax import formulas, identify, units
 from gradcal_jax.identify.allan import TERMS
 from gradcal_jax.information.verdicts import finite
 from gradcal_jax.records.log import SENSOR_RATE, EvenSeries, Log, LogError, Reason
-from gradcal_jax.records.signal_checks import changing_noise, refuse_unlike_noise, without_faults
+from gradcal_jax.records.signal_checks import refuse_unlike_noise, without_faults
 from gradcal_jax.tables.display import summary
 from gradcal_jax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H
 
@@ -169,7 +169,6 @@ def at_rest(
     log, faults = without_faults(log, {f"{kind} {label}"}, at_rest=True)
     even = log.even(axis, unit, force=force)
     valid = even.valid.copy()
-    said += changing_noise(where, log.channel(axis, unit, force=force)[still])
     messages = [*said, *faults[name].sentences]
     if log.standstill is not None:
         valid &= (even.row >= 0) & (log.standstill[even.row] >= 0)

@@ -21,77 +21,68 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_ARRIVALS_A_STRETCH: Final = 8
-_STRETCHES: Final = 128
+_ARRIVALS_A_STRETCH, _STRETCHES = 8, 128
 _ROUNDING_S: Final = 1e-9
-_CREDIBLE: Final = 0.01  # no unit's clock is off by more
+# No unit's clock is off by more.
+_CREDIBLE: Final = 0.01
 _WINDOW_S: Final = 60.0
 """Before and after a gap, in which the quickest arrivals are compared."""
 
 
 @dataclass(frozen=True)
 class ClockMap:
-    """`host = offset_s + rate · device`. `rate_error` = rate − 1; residuals of the arrivals that were used."""
+    """`host = offset_s + rate · device`; residuals of the arrivals that were used."""
 
     offset_s: float
     rate: float
     rate_std: float
-    residual_rms_s: float
     residual_max_s: float
-    used: int
-    late: int
-
-    @property
-    def rate_error(self) -> float:
-        """How much longer the unit's second is than the host's; positive: the unit's clock runs slow."""
-        return self.rate - 1.0
-
-    def host_time_s(self, device_time_s: Floats) -> Floats:
-        return self.offset_s + self.rate * device_time_s
 
 
 def fit_arrivals(device: Floats, host: Floats, *, resolution_s: float = 0.0) -> ClockMap:
-    """Fit the line to the last samples of all chunks, in the order of arrival.
+    """Fit the line to the last samples of all chunks, in the order of arrival; three at least.
 
     `resolution_s` of the coarser of the two stamps limits `rate_std` from below, over the whole span.
     An implausible rate, from a stretch too short to show one, counts as 1, known to `_CREDIBLE`.
-
-    Raises `ValueError` for fewer than three arrivals, or times that do not increase.
     """
     count = len(device)
-    if count < 3 or not np.all(np.diff(device) > 0.0):
-        raise ValueError(
-            f"The relation of two clocks needs at least three samples whose device times increase; there are "
-            f"{count} samples."
-        )
     middle = float(device.mean())
     x = device - middle
-    offset, rate = _line(x, host)
+    rate, offset = _line(x, host)
     stretches = np.array_split(np.arange(count), min(max(3, count // _ARRIVALS_A_STRETCH), _STRETCHES))
     quickest = np.zeros(0, np.int64)
     for _ in range(20):
-        residual = host - offset - rate * x
-        fresh = np.array([rows[np.argmin(residual[rows])] for rows in stretches])
-        fresh = fresh[_not_above(residual[fresh])]
+        late = host - offset - rate * x
+        fresh = np.array([rows[np.argmin(late[rows])] for rows in stretches])
+        # Without the stretches that lie above the bulk, which had no quick arrival.
+        above = late[fresh] - np.median(late[fresh])
+        kept = above <= max(4.0 * 1.4826 * float(np.median(np.abs(above))), _ROUNDING_S)
+        fresh = fresh[kept] if kept.sum() >= 3 else fresh
         if np.array_equal(fresh, quickest):
             break
         quickest = fresh
-        offset, rate = _line(x[quickest], host[quickest])
-    most = max(float((host - offset - rate * x)[quickest].max()), _ROUNDING_S)
-    near = host - offset - rate * x <= most
-    offset, rate = _line(x[near], host[near])
+        rate, offset = _line(x[quickest], host[quickest])
+    late = host - offset - rate * x
+    near = late <= max(float(late[quickest].max()), _ROUNDING_S)
+    rate, offset = _line(x[near], host[near])
     unknown = 0.0
     if abs(rate - 1.0) > _CREDIBLE:
         # The stretch is too short and all arrivals are late: the slope is that of the delays.
         unknown, rate, offset = _CREDIBLE, 1.0, float(np.min(host - x))
         near = host - offset - x <= np.sort(host - offset - x)[2]
-    residual = (host - offset - rate * x)[near]
-    largest = float(np.max(np.abs(residual)))
+    late = (host - offset - rate * x)[near]
+    largest = float(np.max(np.abs(late)))
     # Errors at both ends, each anywhere within the residuals (± a/√3) and within a step of the grid (resolution / √12).
     ends = math.hypot(largest / math.sqrt(3.0), resolution_s / math.sqrt(12.0))
     rate_std = max(math.sqrt(2.0) * ends / float(np.ptp(x[near])), unknown)
-    rms = float(np.sqrt(np.mean(residual**2)))
-    return ClockMap(offset - rate * middle, rate, rate_std, rms, largest, len(residual), count - len(residual))
+    return ClockMap(offset - rate * middle, rate, rate_std, largest)
+
+
+def _line(x: Floats, y: Floats) -> tuple[float, float]:
+    """Least squares: slope, and value at x = 0."""
+    x_mean, y_mean = float(x.mean()), float(y.mean())
+    slope = float((x - x_mean) @ (y - y_mean)) / float((x - x_mean) @ (x - x_mean))
+    return slope, y_mean - slope * x_mean
 
 
 def bridge_gaps(samples: Any, round_s: float, sample_s: float) -> None:
@@ -108,51 +99,29 @@ def bridge_gaps(samples: Any, round_s: float, sample_s: float) -> None:
         return
     device: Floats = samples["time_s"].copy()
     host: Floats = samples["host_s"].copy()
-    late: Floats = host - _rate_of_longest(device, host, places) * device
-    restarts = np.append(np.flatnonzero(restarted), len(device))
-    shift: Floats = np.zeros(len(device))
-    total_s = 0.0
-    for row, end in zip(places.tolist(), [*places[1:].tolist(), len(device)], strict=True):
-        low = int(np.searchsorted(host, host[row] - _WINDOW_S))
-        # (Later gaps make what follows later still, and a restart has another clock.)
-        high = int(np.searchsorted(host, host[row] + _WINDOW_S, side="right"))
-        high = min(high, int(restarts[np.searchsorted(restarts, row, side="right")]))
-        later_s = float(late[row:high].min() - (late[low:row] - shift[low:row]).min()) - total_s
-        if restarted[row]:
-            least_s = float(device[row - 1] - device[row]) + sample_s
-            total_s += max(later_s, least_s)
-        elif later_s > 0.5 * round_s:
-            samples["gap"][row] += round(later_s / sample_s)
-            total_s += later_s
-        shift[row:end] = total_s
-    samples["time_s"] = device + shift
-
-
-def _rate_of_longest(device: Floats, host: Floats, places: NDArray[np.int64]) -> float:
-    """The rate of the clock in the longest part between two of the `places`."""
     edges = np.concatenate([[0], places, [len(device)]])
     longest = int(np.argmax(np.diff(edges)))
     part = slice(edges[longest], edges[longest + 1])
     arrivals = last_of_chunks(device[part], host[part])
-    return fit_arrivals(*arrivals).rate if len(arrivals[0]) > 2 else 1.0
+    late = host - (fit_arrivals(*arrivals).rate if len(arrivals[0]) > 2 else 1.0) * device
+    shift: Floats = np.zeros(len(device))
+    total_s = 0.0
+    for row in places.tolist():
+        low, high = np.searchsorted(host, [host[row] - _WINDOW_S, host[row] + _WINDOW_S])
+        # (Later gaps make what follows later still, and a restart has another clock.)
+        again = places[(places > row) & restarted[places]]
+        high = min(int(high), *again[:1].tolist(), len(device))
+        later_s = float(late[row:high].min() - (late[low:row] - shift[low:row]).min()) - total_s
+        if restarted[row]:
+            total_s += max(later_s, float(device[row - 1] - device[row]) + sample_s)
+        elif later_s > 0.5 * round_s:
+            samples["gap"][row] += round(later_s / sample_s)
+            total_s += later_s
+        shift[row:] = total_s
+    samples["time_s"] = device + shift
 
 
 def last_of_chunks(device: Floats, host: Floats) -> tuple[Floats, Floats]:
     """The stamps of the last samples of all chunks, which waited least: samples of one chunk share the host's time."""
     last = np.append(host[1:] > host[:-1], True)
     return device[last], host[last]
-
-
-def _not_above(residual: Floats) -> NDArray[np.bool_]:
-    """Without the stretches that lie above the bulk, which had no quick arrival. At least three stay."""
-    middle = float(np.median(residual))
-    spread = 1.4826 * float(np.median(np.abs(residual - middle)))
-    kept = residual <= middle + max(4.0 * spread, _ROUNDING_S)
-    return kept if kept.sum() >= 3 else np.ones(residual.size, bool)
-
-
-def _line(x: Floats, y: Floats) -> tuple[float, float]:
-    """Least squares: value at x = 0, and slope."""
-    x_mean, y_mean = float(x.mean()), float(y.mean())
-    slope = float((x - x_mean) @ (y - y_mean)) / float((x - x_mean) @ (x - x_mean))
-    return y_mean - slope * x_mean, slope

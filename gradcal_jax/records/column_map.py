@@ -1,17 +1,15 @@
 """gradcal-columns/1: what the columns of a table of numbers mean, with a unit for every column.
 
 `templates/columns.toml` is a map to start from. A number is (number - zero) × scale in the column's unit; columns of
-text and `.npy` are named by number, too, and those of a two-dimensional array by `index`. Of several sensors on one
-table there are `[[sensor]]` tables with `name`, `rate`, `force`, `temperature` and `status`, in place of those at the
-top. Raw counts of unknown scale are kept unchanged with `values = "keep"` under [policy].
+text and `.npy` are named by number, too, and those of a two-dimensional array by `index`.
+Raw counts of unknown scale are kept unchanged with `values = "keep"` under [policy].
 """
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, ClassVar, Final, Literal
 
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from gradcal_jax import units
 from gradcal_jax.records.stamps import Policy
@@ -127,38 +125,19 @@ class TemperatureColumn(Measured):
     DIMENSION = "temperature"
 
 
-def _pattern(value: str) -> str:
-    try:
-        re.compile(value)
-    except re.error as error:
-        raise ValueError(f"is not a regular expression: {error}") from None
-    plain = re.sub(r"\\.|\[[^\]]*\]", "x", value)
-    if len(re.findall(r"[*+]|\{\d*,\}", plain)) > 1 or re.search(r"\)[*+{]|\(\?P?=", plain):
-        raise ValueError("at most one *, + or {n,}, and none behind a group: others can take hours for one line")
-    return value
-
-
-Pattern = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_pattern)]
-
-
 class TextTable(Section):
     """Layout of a text file."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=10)] = ","
     """Character between columns: ",", ";", "tab" or "whitespace"."""
     header: Flag = True
-    """Whether a line names the columns. This line is the first one that has all names of the map; other lines may stand
-    above it."""
-    comment: Annotated[str, Field(min_length=1, max_length=1)] = "#"
-    """Lines that begin with this text are left out."""
+    """Whether a line names the columns: the first that has all names of the map."""
     skip: Whole = 0
     """Number of lines above the table."""
     decimal: Literal[".", ","] = "."
     """Decimal sign of the numbers."""
-    lines: Pattern | None = None
-    """Regular expression, such as "^.VNYMR": below the header, only lines that match it are read."""
-    strip: Pattern = r"\*[0-9A-Fa-f]{2,8}\s*$"
-    """Regular expression of a text that is removed from every line; a checksum after an asterisk is always removed."""
+    lines: Text = ""
+    """If lines of other kinds stand between the rows: the text that those of the table begin with, such as "$VNYMR"."""
     encoding: Text = "utf-8-sig"
     """Encoding of the file's text."""
 
@@ -197,12 +176,14 @@ class ClockColumn(Source):
     """Number of samples a second."""
 
 
-class SensorColumns(Section):
-    """Columns of one sensor, if a recording has several."""
+class ColumnMap(Section):
+    """What the columns of a recording mean."""
 
-    name: Name
+    format: Literal["gradcal-columns/1"]
+    """Name and version of this file format."""
+    name: Name = "sensor"
     """Name or serial number of the sensor."""
-    rate: Annotated[dict[Name, RateColumn], Field(min_length=1, max_length=20)]
+    rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
     """Columns of the gyros' rates, by axis."""
     force: Annotated[dict[Name, ForceColumn], Field(max_length=20, default_factory=dict[str, ForceColumn])]
     """Columns of the accelerometers' specific forces, by axis."""
@@ -212,23 +193,6 @@ class SensorColumns(Section):
     """Column of a second thermometer's temperature, for example on the case."""
     status: StatusColumn | None = None
     """Column of the device's status."""
-
-    def channels(self) -> dict[str, Source]:
-        """Its columns by the names that they have in an examination."""
-        named: dict[str, Source | None] = {f"gyro {axis}": column for axis, column in self.rate.items()}
-        named |= {f"accelerometer {axis}": column for axis, column in self.force.items()}
-        named |= {"temperature": self.temperature, "second temperature": self.second_temperature}
-        named["marked"] = self.status
-        return {name: column for name, column in named.items() if column is not None}
-
-
-class ColumnMap(SensorColumns):
-    """What the columns of a recording mean."""
-
-    format: Literal["gradcal-columns/1"]
-    """Name and version of this file format."""
-    name: Name = "sensor"
-    rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
     sample_rate: Frequency | None = None
     """Stated sample rate; required if there is no `time`."""
     sensor_rate: Frequency | None = None
@@ -251,8 +215,6 @@ class ColumnMap(SensorColumns):
     """Columns of the table's angles, by axis."""
     table_rate: Annotated[dict[Name, RateColumn], Field(max_length=20, default_factory=dict[str, RateColumn])]
     """Columns of the table's rates, by axis."""
-    sensor: Annotated[tuple[SensorColumns, ...], Field(max_length=1000)] = ()
-    """Columns of several sensors, instead of `rate`, `force`, `temperature` and `status` at the top."""
     interpolate: Flag = False
     """Set this key if different channels are in different rows: the rows with rates are used, and the other channels
     are interpolated."""
@@ -265,44 +227,31 @@ class ColumnMap(SensorColumns):
     """What to do with each kind of fault in the recording."""
 
     def _problems(self) -> Iterator[Problem]:
-        if self.sensor and self.channels():
-            text = "belong in each [[sensor]], or at the top if there is only one sensor"
-            yield Problem(("sensor",), f"rate, force, temperature and status {text}")
-        if not self.sensor and not self.rate:
+        if not self.rate:
             yield Problem(("rate",), "this key is missing; name at least one axis", kind="missing")
-        axes = {(tuple(sensor.rate), tuple(sensor.force)) for sensor in self.sensor}
-        if len(axes) > 1:
-            yield Problem(("sensor",), "every sensor needs the same axes, in the same order")
-        if len({sensor.name for sensor in self.sensor}) < len(self.sensor):
-            yield Problem(("sensor",), "two sensors have the same name")
         if self.time is not None and self.clock is not None:
             yield Problem(("clock",), "cannot be combined with `time`: keep one of them")
         if self.time is None and self.clock is None and self.sample_rate is None:
             message = 'give the column of the time, or the sample rate as in sample_rate = "100 Hz"'
             yield Problem(("time",), message, kind="missing")
-        if not self.interpolate and any(isinstance(one, Measured) and one.where is not None for one in self.sources()):
+        if not self.interpolate and any(
+            isinstance(one, Measured) and one.where is not None for one in self.named().values()
+        ):
             text = "expected true, because columns that are selected by `where` are in different rows"
             yield Problem(("interpolate",), text, self.interpolate)
         if self.table_angle and self.table_rate and list(self.table_angle) != list(self.table_rate):
             yield Problem(("table_rate",), "must name the same axes as table_angle")
 
-    @property
-    def sensors(self) -> tuple[SensorColumns, ...]:
-        """The sensors; the map itself where `[[sensor]]` is absent."""
-        return self.sensor or (self,)
-
-    def of_table(self) -> dict[str, Source]:
-        """The columns that are no sensor's, by the names that they have in an examination."""
-        named: dict[str, Source | None] = {f"table angle {axis}": one for axis, one in self.table_angle.items()}
+    def named(self) -> dict[str, Source]:
+        """The columns by the names that they have in an examination."""
+        named: dict[str, Source | None] = {f"gyro {axis}": column for axis, column in self.rate.items()}
+        named |= {f"accelerometer {axis}": column for axis, column in self.force.items()}
+        named |= {f"table angle {axis}": one for axis, one in self.table_angle.items()}
         named |= {f"table rate {axis}": one for axis, one in self.table_rate.items()}
+        named |= {"temperature": self.temperature, "second temperature": self.second_temperature}
         named |= {"time": self.time or self.clock, "host time": self.host_time, "standstill": self.standstill}
+        named["marked"] = self.status
         return {name: column for name, column in named.items() if column is not None}
-
-    def sources(self) -> Iterator[Source]:
-        """Every column that the map names."""
-        for sensor in self.sensors:
-            yield from sensor.channels().values()
-        yield from self.of_table().values()
 
 
 def parse_column_map(text: str, source: str = "") -> ColumnMap:

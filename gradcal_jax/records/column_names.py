@@ -5,15 +5,11 @@ are read by one table. A unit of one or two letters counts only where it is of t
 """
 
 import contextlib
-import gzip
-import importlib
 import re
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final
-
-import numpy as np
+from typing import Final
 
 from gradcal_jax import units
 from gradcal_jax.records.column_map import ForceColumn, Measured, RateColumn
@@ -41,6 +37,7 @@ _SPELLINGS: Final = {
         "g": "g",
         "mg": "mg",
         "m/s^2": "m/s2 ms2 ms-2 m/s/s mss mps2",
+        "counts": "raw lsb lsbs count counts cnt cnts tick ticks digit digits adc int16",
     }.items()
     for spelling in spellings.split()
 }
@@ -49,64 +46,50 @@ _SAME: Final = str.maketrans({"°": "deg", "µ": "u", "μ": "u", "²": "2", "⁻
 # (An axis in brackets is no unit.)
 _BRACKET: Final = re.compile(r"[(\[](?![xyzXYZ\d][)\]])([^()\[\]]+)[)\]]\s*$")
 _JOINT: Final = re.compile(r"[ _.]+|-(?=[A-Za-z])|(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
-_COUNTS: Final = re.compile(r"(?:raw|lsb|counts?|cnts?|ticks?|digits?|adc|int16)", re.IGNORECASE)
 _AXIS: Final = r"[ _.\-\[]*[xyz0-2]\]?"
 _ROTATION: Final = r"(?:gyro?(?:scope)?|gyr|ang(?:ular)?[ _.]?(?:velocity|vel|rate)|omega)"
 _FORCE: Final = r"(?:(?:lin(?:ear)?[ _.]?)?acc(?:el(?:eration|erometer)?)?|specific[ _]?force)"
 _INCREMENT: Final = r"d(?:elta|el)?[ _.]?(?:theta|ang(?:le)?|v|vel(?:ocity)?)"
 _QUANTITIES: Final = {
-    quantity: re.compile(pattern, re.IGNORECASE)
-    for quantity, pattern in {
-        "a time": r"time|stamp|time[ _]?stamp|t",
-        "a temperature": r"(?:imu|sensor|gyro)?[ _]?temp(?:erature)?",
-        "a rate": rf"{_ROTATION}{_AXIS}",
-        "a specific force": rf"{_FORCE}{_AXIS}",
-        "an increment per row": rf"{_INCREMENT}{_AXIS}",
-        "a quaternion": r"q(?:uat(?:ernion)?)?[ _.\-\[]*[wxyz0-3]\]?|orientation[ _.]?[wxyz]",
-        "an angle": rf"roll|pitch|yaw|heading|azimuth|(?:euler|angle)[ _.\-]?(?:roll|pitch|yaw)|(?:euler|angle){_AXIS}",
-        "a magnetic field": rf"mag(?:net(?:ic|ometer)?)?(?:[ _.]?field)?{_AXIS}",
-    }.items()
+    "a time": r"time|stamp|time[ _]?stamp|t",
+    "a temperature": r"(?:imu|sensor|gyro)?[ _]?temp(?:erature)?",
+    "a rate": rf"{_ROTATION}{_AXIS}",
+    "a specific force": rf"{_FORCE}{_AXIS}",
+    "an increment per row": rf"{_INCREMENT}{_AXIS}",
+    "a quaternion": r"q(?:uat(?:ernion)?)?[ _.\-\[]*[wxyz0-3]\]?|orientation[ _.]?[wxyz]",
+    "an angle": rf"roll|pitch|yaw|heading|azimuth|(?:euler|angle)[ _.\-]?(?:roll|pitch|yaw)|(?:euler|angle){_AXIS}",
+    "a magnetic field": rf"mag(?:net(?:ic|ometer)?)?(?:[ _.]?field)?{_AXIS}",
 }
 """Names that leave no doubt."""
 _SHORT: Final = {
-    "a rate": re.compile(rf"(?:g|w|rate){_AXIS}|[xyz][ _]?(?:rate|gyro)", re.IGNORECASE),
-    "a specific force": re.compile(rf"(?:a|f){_AXIS}|[xyz][ _]?acc(?:el)?", re.IGNORECASE),
+    "a rate": rf"(?:g|w|rate){_AXIS}|[xyz][ _]?(?:rate|gyro)",
+    "a specific force": rf"(?:a|f){_AXIS}|[xyz][ _]?acc(?:el)?",
 }
 """Names that probably mean these."""
-_DIMENSIONS: Final = {
-    "a time": "time",
-    "a temperature": "temperature",
-    "a rate": "angular rate",
-    "a specific force": "acceleration",
+_MEASURED: Final = {
+    "a time": ("time", "time"),
+    "a temperature": ("temperature", "temperature"),
+    "a rate": ("rate", "angular rate"),
+    "a specific force": ("force", "acceleration"),
 }
-_KEYS: Final = {"a time": "time", "a temperature": "temperature", "a rate": "rate", "a specific force": "force"}
+"""By quantity the key of a map, and the dimension."""
 
 
 def question_of(name: str, source: Measured) -> str | None:
     """A question where a column's name says another quantity or unit than its map; None where neither."""
     plain = _BRACKET.sub("", name).strip()
     own = "a rate" if isinstance(source, RateColumn) else "a specific force" if isinstance(source, ForceColumn) else ""
-    stated = _quantity(plain, short=False)
-    if own and source.per == "second" and source.scale == 1.0 and stated == "an increment per row":
+    stated = _quantity(plain, _QUANTITIES)
+    begin = f"the name of column '{name}' states"
+    if own and stated == "an increment per row" and source.per == "second" and source.scale == 1.0:
         return (
-            f"the name of column '{name}' states an increment since the row before: for a rate, write the unit of the "
+            f"{begin} an increment since the row before: for a rate, write the unit of the "
             'angle with per = "row", such as unit = "mdeg", per = "row"; for a specific force, give scale = the sample '
             "rate in Hz"
         )
     if own and stated not in (None, own, "an increment per row", "a time", "a temperature"):
-        return (
-            f"the name of column '{name}' states {stated}, and the column map states {own}: which of the two is "
-            "correct?"
-        )
-    if source.scale != 1.0 or source.zero != 0.0:
-        return None
-    bracket = _BRACKET.search(name)
-    if bracket and _COUNTS.fullmatch(bracket[1].strip()):
-        return (
-            f"the name of column '{name}' states counts, and the column map states {source.unit}: give the scale of "
-            "one count"
-        )
-    return contradiction(name, source.unit)
+        return f"{begin} {stated}, and the column map states {own}: which of the two is correct?"
+    return contradiction(name, source.unit) if source.scale == 1.0 and source.zero == 0.0 else None
 
 
 def contradiction(name: str, unit: str) -> str | None:
@@ -114,13 +97,13 @@ def contradiction(name: str, unit: str) -> str | None:
     text, named = unit_in(name)
     if named is None or named == unit:
         return None
+    begin = f"the name of column '{name}' states"
+    if named == "counts":
+        return f"{begin} counts, and the column map states {unit}: give the scale of one count"
     with contextlib.suppress(units.UnitError):
         if abs(units.convert(1.0, named, unit) - 1.0) < 1e-9:
             return None
-    return (
-        f"the name of column '{name}' states the unit {text}, and the column map states {unit}: which of the two is "
-        "correct?"
-    )
+    return f"{begin} the unit {text}, and the column map states {unit}: which of the two is correct?"
 
 
 def unit_in(name: str) -> tuple[str, str | None]:
@@ -129,9 +112,12 @@ def unit_in(name: str) -> tuple[str, str | None]:
         return bracket[1], _unit_of(bracket[1])
     for text, rest in _ends_of(name):
         unit = _SPELLINGS.get(_spelling(text)) or (_unit_of(text) if "/" in text else None)
-        quantity = _quantity(rest, short=True)
-        alike = unit is not None and _DIMENSIONS.get(quantity or "") == _dimension(unit)
-        if alike or (unit is not None and len(_spelling(text)) > 2 and quantity != "an increment per row"):
+        quantity = _quantity(rest, _QUANTITIES, _SHORT)
+        if unit is None or unit == "counts":
+            continue
+        dimension = "temperature" if unit == "K" else units.dimension_of(unit)
+        alike = quantity in _MEASURED and _MEASURED[quantity][1] == dimension
+        if alike or (len(_spelling(text)) > 2 and quantity != "an increment per row"):
             return text, unit
     return "", None
 
@@ -147,12 +133,12 @@ def _ends_of(name: str) -> Iterator[tuple[str, str]]:
 
 
 def _spelling(text: str) -> str:
-    return text.lower().translate(_SAME)
+    return text.strip().lower().translate(_SAME)
 
 
 def _unit_of(text: str) -> str | None:
     """A unit as people write it, as this program writes it."""
-    if known := _SPELLINGS.get(_spelling(text.strip())):
+    if known := _SPELLINGS.get(_spelling(text)):
         return known
     with contextlib.suppress(units.UnitError):
         units.dimension_of(text.strip())
@@ -160,17 +146,10 @@ def _unit_of(text: str) -> str | None:
     return None
 
 
-def _dimension(unit: str) -> str:
-    return "temperature" if unit == "K" else units.dimension_of(unit)
-
-
-def _quantity(plain: str, *, short: bool) -> str | None:
-    """The quantity that a name without its unit states; `short`: or probably means."""
-    for names in (_QUANTITIES, _SHORT) if short else (_QUANTITIES,):
-        for quantity, pattern in names.items():
-            if pattern.fullmatch(plain):
-                return quantity
-    return None
+def _quantity(plain: str, *tables: dict[str, str]) -> str | None:
+    """The quantity that a name without its unit states."""
+    named = (item for table in tables for item in table.items())
+    return next((quantity for quantity, names in named if re.fullmatch(names, plain, re.IGNORECASE)), None)
 
 
 def without_a_map(path: Path) -> LogError:
@@ -189,22 +168,21 @@ def without_a_map(path: Path) -> LogError:
 
 
 def map_to_fill_in(path: Path) -> str | None:
-    """A column map in TOML from the header of a text table, or the names in an .npz or Parquet file; ??? where the
-    names say no unit. None if no name says a rate."""
+    """A column map in TOML from the header of a text table; ??? where the names say no unit. None if no name says a
+    rate."""
     names, delimiter = _header(path)
     lines = dict[str, str]()
     for name in names:
-        text, unit = unit_in(name)
-        plain = _BRACKET.sub("", name).strip() if _BRACKET.search(name) else name.replace(text, "").strip(" _.-")
-        quantity = _quantity(plain, short=True)
-        if quantity not in _KEYS:
+        quantity, plain, unit = _read(name)
+        if quantity not in _MEASURED:
             continue
-        key = _KEYS[quantity]
+        key, _ = _MEASURED[quantity]
         if key in ("rate", "force"):
-            axis = re.findall("[xyz0-2]", plain.lower())
-            key += "." + (axis[-1] if axis[-1] in "xyz" else "xyz"[int(axis[-1])])
+            axis = re.findall("[xyz0-2]", plain.lower())[-1]
+            key += "." + (axis if axis in "xyz" else "xyz"[int(axis)])
+        known = "???" if unit in (None, "counts") else unit
         escaped = name.replace("\\", "\\\\").replace('"', '\\"')
-        lines.setdefault(key, f'{key} = {{ column = "{escaped}", unit = "{unit or "???"}" }}')
+        lines.setdefault(key, f'{key} = {{ column = "{escaped}", unit = "{known}" }}')
     if not any(key.startswith("rate.") for key in lines):
         return None
     head = ['format = "gradcal-columns/1"', *([] if "time" in lines else ['sample_rate = "???"'])]
@@ -212,22 +190,20 @@ def map_to_fill_in(path: Path) -> str | None:
     return "\n".join([*head, *(lines[key] for key in sorted(lines)), *tail])
 
 
+def _read(name: str) -> tuple[str | None, str, str | None]:
+    """The quantity that a name states, the name without its unit, and the unit."""
+    text, unit = unit_in(name)
+    plain = _BRACKET.sub("", name).strip() if _BRACKET.search(name) else name.replace(text, "").strip(" _.-")
+    return _quantity(plain, _QUANTITIES, _SHORT), plain, unit
+
+
 def _header(path: Path) -> tuple[Sequence[str], str | None]:
     """The names of the columns, and their delimiter."""
-    if path.suffix.lower() == ".npz":
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
-            return list(opened.files), None
-    if path.suffix.lower() == ".parquet":
-        parquet: Any = importlib.import_module("pyarrow.parquet")
-        return list(parquet.read_schema(path).names), None
-    text = gzip.open if path.suffix.lower() == ".gz" else open
-    with text(path, "rt", encoding="utf-8-sig") as lines:
+    with path.open(encoding="utf-8-sig") as lines:
         begin = [line[:2000].lstrip("# ").strip() for line in islice(lines, 60)]
     for line in begin:
         for delimiter, mark in ((";", ";"), ("tab", "\t"), (",", ","), ("whitespace", None)):
             names = [name.strip().strip('"') for name in line.split(mark)]
-            plain = [_BRACKET.sub("", name).strip() for name in names]
-            plain += [rest for name in names for _, rest in _ends_of(name)]
-            if len(names) > 1 and any(_quantity(name, short=True) == "a rate" for name in plain):
+            if len(names) > 1 and any(_read(name)[0] == "a rate" for name in names):
                 return names, delimiter
     return (), None

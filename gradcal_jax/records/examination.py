@@ -7,18 +7,27 @@ clock, and values that no sensor has in the unit that the column map states.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from gradcal_jax.records.log import Bools, Floats, Log, LogError, Reason, Whole, mean_interval, without_masked
+from gradcal_jax.records.log import (
+    Bools,
+    Flags,
+    Floats,
+    Log,
+    LogError,
+    Reason,
+    Whole,
+    intervals_within,
+    mean_interval,
+    without_masked,
+)
 from gradcal_jax.records.signal_checks import at_a_limit, frozen_temperature, jumped_temperature, wrapped
 from gradcal_jax.records.stamps import ABSURD, Findings, Policy, counted, rows_in_order, stretches, wander
 
 # Clock errors: possible with any crystal, and no clock error.
 _DRIFT, _OTHER_RATE = 50e-6, 0.2
-# Between units that are taken for one another.
-_FACTORS: Final = (180 / np.pi, 60.0, 1e3, 3600.0)
 _PLAUSIBLE: Final[Mapping[str, tuple[float, float, str]]] = {
     "interval": (2e-5, 1.5, "time stamps are {1:.3g} s apart: are they in another unit?"),
     "duration": (0.0, 14 * 86400.0, "time stamps span {1:.3g} s: are they in another unit?"),
@@ -31,12 +40,6 @@ _PLAUSIBLE: Final[Mapping[str, tuple[float, float, str]]] = {
         "{0} has a noise of {1:.3g} rad/√s, and no gyro is so noisy: does the column map state rad/s instead of deg/s, "
         "or s instead of ms?",
     ),
-    "turns": (
-        1.0,
-        1.0,
-        "{0} measures {1:.4g} times the rate of the table: is a unit wrong (deg instead of rad, per hour or per minute "
-        "instead of per second)?",
-    ),
 }
 """Of a statistic in SI the least and the largest value that a sensor has, and the question beyond these."""
 
@@ -45,26 +48,27 @@ _PLAUSIBLE: Final[Mapping[str, tuple[float, float, str]]] = {
 class Columns:
     """The columns of a source in SI by their names, unchecked."""
 
-    units: tuple[str, ...]
-    """Names of the sensors."""
+    sensor: str
+    """Name of the sensor."""
     values: dict[str, Floats]
-    """`(units, rows)`: "gyro x", "accelerometer x" (any axes), "temperature", "second temperature", and "marked", not 0
-    if the device marks its output as bad. `(rows,)`: "time" (absent: evenly sampled at `sample_rate_hz`), "host time",
-    "table angle x", "table rate x", and "standstill": truth values (counted up run by run) or numbers, negative while
-    moving."""
+    """`(rows,)`: "gyro x", "accelerometer x" (any axes), "temperature", "second temperature", "table angle x", "table
+    rate x", "time" (absent: evenly sampled at `sample_rate_hz`), "host time", "marked", not 0 if the device marks its
+    output as bad, and "standstill": truth values (counted up run by run) or numbers, negative while moving."""
     sample_rate_hz: float | None = None
     """The stated sample rate, if there is one."""
     full_scale_rad_per_s: float | None = None
+    increments: tuple[str, ...] = ()
+    """The columns of rates that hold the angles turned since the row before, rad."""
     rows_before: int = 0
     """Number of rows of the source before the first row here."""
     rows_after: int = 0
     simulated: bool = False
-    provenance: Mapping[str, str] = field(default_factory=dict[str, str])
+    provenance: dict[str, str] = field(default_factory=dict[str, str])
 
     @property
     def rows(self) -> int:
         """The number of rows."""
-        return next(iter(self.values.values())).shape[-1]
+        return len(next(iter(self.values.values())))
 
     def part(self, rows: tuple[int, int | None]) -> "Columns":
         """The rows between two numbers alone, the last not included. Raises `LogError` where there are none."""
@@ -75,38 +79,36 @@ class Columns:
 
     def of_rows(self, kept: slice | Bools | Whole) -> "Columns":
         """The same of some rows."""
-        return replace(self, values={name: array[..., kept] for name, array in self.values.items()})
+        return replace(self, values={name: array[kept] for name, array in self.values.items()})
 
     def measured(self, *kinds: str) -> dict[str, Floats]:
         """The columns whose names begin with one of the `kinds`, by name."""
         return {name: array for name, array in self.values.items() if name.startswith(kinds)}
 
-    def stacked(self, kind: str, unit: int | None = None) -> tuple[tuple[str, ...], Floats | None]:
-        """The axes of a kind, and their values along a last dimension, of all units or one."""
-        own = {name.removeprefix(kind + " "): values for name, values in self.measured(kind + " ").items()}
-        if not own:
-            return (), None
-        return tuple(own), np.stack([values if unit is None else values[unit] for values in own.values()], axis=-1)
+    def stacked(self, kind: str) -> tuple[tuple[str, ...], Floats | None]:
+        """The axes of a kind, and their values `(rows, axes)`."""
+        own = self.measured(kind + " ")
+        axes = tuple(name.removeprefix(kind + " ") for name in own)
+        return axes, np.stack(list(own.values()), axis=-1) if own else None
 
 
-CHANNELS: Final = ("gyro ", "accelerometer ", "temperature", "second temperature", "table angle ", "table rate ")
+_OF_SENSOR: Final = ("gyro ", "accelerometer ", "temperature", "second temperature")
+_OF_TABLE: Final = ("table angle ", "table rate ")
 
 
 def at_rows_with_rates(columns: Columns) -> Columns:
     """The rows in which all rates are given, with the other channels interpolated to their stamps; farther from a
-    channel's own rows than three of its intervals it is missing. Rows of one stamp, each of other channels, are one.
-    Raises `LogError` where there are no two rows with all rates."""
-    columns = _of_one_stamp(columns)
-    rated = _finite(columns.measured("gyro "), np.all)
+    channel's own rows than three of its intervals it is missing. Raises `LogError` where there are no two rows with all
+    rates."""
+    rated = np.all([np.isfinite(rate) for rate in columns.measured("gyro ").values()], axis=0)
     if np.count_nonzero(rated) < 2:
         raise LogError(
             "interpolate: fewer than two rows have all rates; leave out channels with separate rows, or join the rows"
         )
     time: Floats = columns.values.get("time", np.arange(columns.rows, dtype=np.float64))
     joined = columns.of_rows(rated)
-    for name, values in columns.measured(*CHANNELS[1:]).items():
-        each = [interpolated(one, time, time[rated]) for one in np.atleast_2d(values)]
-        joined.values[name] = np.stack(each).reshape(*values.shape[:-1], -1)
+    for name, values in columns.measured(*_OF_SENSOR[1:], *_OF_TABLE).items():
+        joined.values[name] = interpolated(values, time, time[rated])
     return replace(joined, rows_after=columns.rows - joined.rows)
 
 
@@ -122,31 +124,11 @@ def interpolated(values: Floats, time: Floats, at: Floats) -> Floats:
     return np.where(away <= 3.0 * np.median(np.diff(x)), np.interp(at, x, values[known]), np.nan)
 
 
-def _of_one_stamp(columns: Columns) -> Columns:
-    """Rates that stand in rows of their own joined where rows in succession have one stamp and no rate twice."""
-    rates, time = columns.measured("gyro "), columns.values.get("time")
-    if time is None or _finite(rates, np.all).all():
-        return columns
-    begins = np.flatnonzero(np.diff(time, prepend=np.nan) != 0.0)
-    joined = dict[str, Floats]()
-    for name, rate in rates.items():
-        if np.any(np.add.reduceat(np.isfinite(rate), begins, axis=1, dtype=int) > 1):
-            return columns
-        joined[name] = rate.copy()
-        joined[name][:, begins] = np.fmax.reduceat(rate, begins, axis=1)
-    return replace(columns, values=columns.values | joined)
-
-
-def _finite(channels: Mapping[str, Floats], which: Any) -> Bools:
-    """`(rows,)`: rows in which all (`np.all`) or any (`np.any`) of the channels of all units have a number."""
-    return which([which(np.isfinite(np.atleast_2d(values)), axis=0) for values in channels.values()], axis=0)
-
-
 def examine(columns: Columns, policy: Policy | None = None) -> Log:
     """The log of a source's columns, with every fault treated by the policy.
 
-    Rows are removed only where their stamp is unusable; all others stay, masked unit by unit. Every row is counted: for
-    every unit, used, masked and removed rows add up to the rows of the source.
+    Rows are removed only where their stamp is unusable; all others stay, or are masked. Every row is counted: used,
+    masked and removed rows add up to the rows of the source.
 
     **Raises:** `LogError` where the policy refuses a fault, and where fewer than two rows are left.
     """
@@ -158,44 +140,46 @@ def examine(columns: Columns, policy: Policy | None = None) -> Log:
     with np.errstate(all="ignore"):
         kept, time = _timed(_with_values(columns, found), found)
         time, starts = stretches(time, found)
-        kept, status = _masked(kept, time, starts, found)
-        for name, value, what in _statistics(kept, time, starts, status == 0):
+        interval = mean_interval(time, intervals_within(time, starts))
+        rates = {name: kept.values[name] / interval for name in columns.increments}
+        kept, status = _masked(replace(kept, values=kept.values | rates), time, starts, found)
+        for name, value, what in _statistics(kept, time, status == 0):
             low, high, question = _PLAUSIBLE[name]
             if not low <= value <= high:
                 found.question("question", question.format(what, value))
         _compare_clocks(kept, time, starts, found)
-    axes, rates = kept.stacked("gyro")
-    force_axes, forces = kept.stacked("accelerometer")
-    angle_axes, angles = kept.stacked("table angle")
-    rate_axes, table_rates = kept.stacked("table rate")
+    (axes, gyros), (force_axes, forces) = kept.stacked("gyro"), kept.stacked("accelerometer")
+    (angle_axes, angles), (rate_axes, table_rates) = kept.stacked("table angle"), kept.stacked("table rate")
+    of_unit = {name: kept.values[name][None] for name in _OF_SENSOR[2:] if name in kept.values}
     log = Log(
         time_s=time,
-        rate_rad_per_s=np.zeros((*status.shape, 0)) if rates is None else rates,
-        units=columns.units,
+        rate_rad_per_s=np.zeros((1, len(time), 0)) if gyros is None else gyros[None],
+        units=(columns.sensor,),
         axes=axes,
-        temperature_c=kept.values.get("temperature"),
+        temperature_c=of_unit.get("temperature"),
         table_axes=angle_axes or rate_axes,
         table_angle_rad=angles,
         table_rate_rad_per_s=table_rates,
         standstill=_numbered(kept.values.get("standstill")),
         host_time_s=kept.values.get("host time"),
-        status=status,
+        status=status[None],
         stretch_starts=starts,
         rows_read=columns.rows + outside,
         rows_removed=found.removed,
         findings=tuple(found),
         simulated=columns.simulated,
-        provenance=dict(columns.provenance),
-        specific_force_m_per_s2=forces,
+        provenance=columns.provenance,
+        specific_force_m_per_s2=None if forces is None else forces[None],
         force_axes=force_axes,
-        second_temperature_c=kept.values.get("second temperature"),
+        second_temperature_c=of_unit.get("second temperature"),
     )
     return without_masked(log)
 
 
 def _with_values(columns: Columns, found: Findings) -> Columns:
     """Without rows of channels that the map does not name, if they are many: they are no rows of the record."""
-    held = _finite(columns.measured(*CHANNELS), np.any)
+    channels = columns.measured(*_OF_SENSOR, *_OF_TABLE).values()
+    held = np.any([np.isfinite(values) for values in channels], axis=0)
     count = int(np.count_nonzero(~held))
     if "time" not in columns.values or count < max(20, 0.1 * len(held)) or len(held) - count < 2:
         return columns
@@ -214,63 +198,55 @@ def _timed(columns: Columns, found: Findings) -> tuple[Columns, Floats]:
     return columns, np.arange(columns.rows) / float(columns.sample_rate_hz)
 
 
-def _masked(columns: Columns, time: Floats, starts: Whole, found: Findings) -> tuple[Columns, Any]:
-    """The columns without values in rows that are masked whatever they hold, and the status of every unit's rows."""
-    status = np.zeros((len(columns.units), len(time)), np.uint16)
+def _masked(columns: Columns, time: Floats, starts: Whole, found: Findings) -> tuple[Columns, Flags]:
+    """The columns without values in rows that are masked whatever they hold, and the status of the rows."""
+    status = np.zeros(len(time), np.uint16)
 
     def mask(reason: Reason, rows: Bools, words: str) -> None:
         count = int(np.count_nonzero(rows))
         if count:
-            first = int(np.argwhere(rows)[0][1])
-            found.rows(reason.words, count, f"{counted(count)} {words}, first row {first}")
+            found.rows(reason.words, count, f"{counted(count)} {words}, first row {np.argmax(rows)}")
             status[rows] |= reason.value
 
-    if "marked" in columns.values:
-        mask(Reason.MARKED, columns.values["marked"] != 0, "marked bad by the device")
+    mask(Reason.MARKED, columns.values.get("marked", 0.0 * time) != 0.0, "marked bad by the device")
     whole = status != 0
     # What is masked whatever it holds has no value, and lacks none.
-    own = {name: np.where(whole, np.nan, values) for name, values in columns.measured(*CHANNELS[:4]).items()}
+    own = {name: np.where(whole, np.nan, values) for name, values in columns.measured(*_OF_SENSOR).items()}
     columns = replace(columns, values=columns.values | own)
 
     def lacking(kind: str) -> Bools:
-        known = np.ones_like(whole)
-        for values in columns.measured(kind).values():
-            known &= np.abs(values) < ABSURD
-        return ~known & ~whole
+        known = [np.abs(values) < ABSURD for values in columns.measured(kind).values()]
+        return ~np.all(known, axis=0) & ~whole
 
     mask(Reason.MISSING_RATE, lacking("gyro "), "without a rate")
     limit, over = np.zeros_like(whole), np.zeros_like(whole)
     full = columns.full_scale_rad_per_s
-    for rates in columns.measured("gyro ").values():
-        for unit, rate in enumerate(rates):
-            limit[unit] |= at_a_limit(rate) if full is None else np.abs(rate) >= full * (1 - 1e-9)
-            over[unit] |= wrapped(rate)
+    for rate in columns.measured("gyro ").values():
+        limit |= at_a_limit(rate) if full is None else np.abs(rate) >= full * (1 - 1e-9)
+        over |= wrapped(rate)
     mask(Reason.SATURATED, limit, "at full scale, or stuck at the largest or smallest rate of the record")
     words = "whose rate wrapped at full scale, from one end of its range to the other: choose a larger full scale"
     mask(Reason.SATURATED, over, words)
     mask(Reason.MISSING_FORCE, lacking("accelerometer "), "without a specific force")
-    for unit, warm in enumerate(own.get("temperature", ())):
-        known = np.where(np.abs(warm) < ABSURD, warm, np.nan)
-        if not np.isfinite(known).any():
-            continue  # (A sensor without a thermometer lacks none.)
-        here = (np.arange(len(status)) == unit)[:, None]
-        missing = ~np.isfinite(known) & ~whole[unit]
-        jumped = jumped_temperature(known, starts)
-        mask(Reason.MISSING_TEMPERATURE, here & missing, "without a temperature")
-        words = "with a temperature that jumps for a while, as if the thermometer restarted or lost contact"
-        mask(Reason.MISSING_TEMPERATURE, here & jumped, words)
-        known[jumped] = np.nan
-        frozen = frozen_temperature(time, known, starts)
-        if frozen[np.isfinite(known)].all():
-            text = "never changes: is it constant, or is the thermometer not connected?"
-            found.note("constant temperature", f"the temperature of {columns.units[unit]} {text}")
-        else:
-            words = "with a constant temperature, although the temperature changes in the rest of the record"
-            mask(Reason.FROZEN_TEMPERATURE, here & frozen, words)
+    warm = np.where(np.abs(own.get("temperature", time + np.nan)) < ABSURD, own.get("temperature", time), np.nan)
+    if not np.isfinite(warm).any():
+        return columns, status  # (A sensor without a thermometer lacks none.)
+    missing, jumped = ~np.isfinite(warm) & ~whole, jumped_temperature(warm, starts)
+    mask(Reason.MISSING_TEMPERATURE, missing, "without a temperature")
+    words = "with a temperature that jumps for a while, as if the thermometer restarted or lost contact"
+    mask(Reason.MISSING_TEMPERATURE, jumped, words)
+    warm[jumped] = np.nan
+    frozen = frozen_temperature(time, warm, starts)
+    if frozen[np.isfinite(warm)].all():
+        text = "never changes: is it constant, or is the thermometer not connected?"
+        found.note("constant temperature", f"the temperature of {columns.sensor} {text}")
+    else:
+        words = "with a constant temperature, although the temperature changes in the rest of the record"
+        mask(Reason.FROZEN_TEMPERATURE, frozen, words)
     return columns, status
 
 
-def _statistics(columns: Columns, time: Floats, starts: Whole, usable: Bools) -> Iterator[tuple[str, float, str]]:
+def _statistics(columns: Columns, time: Floats, usable: Bools) -> Iterator[tuple[str, float, str]]:
     """The statistics of a recording that have a plausible range, with what they are of."""
     interval = float(np.median(np.diff(time)))
     longest = float(np.max(np.diff(time)))
@@ -282,49 +258,24 @@ def _statistics(columns: Columns, time: Floats, starts: Whole, usable: Bools) ->
             )
         yield "interval", interval, ""
         yield "duration", float(time[-1] - time[0]), ""
-    turns = columns.measured("table rate ")
-    for name, angle in () if turns else columns.measured("table angle ").items():
-        turns[name] = np.gradient(angle, time)
-    for unit, name in enumerate(columns.units):
-        rows = usable[unit]
-        if not rows.any():
-            continue
-        warm = columns.values["temperature"][unit, rows] if "temperature" in columns.values else np.zeros(0)
-        if np.isfinite(warm).any():
-            yield "temperature", float(np.nanmedian(warm)), name
-        axes, forces = columns.stacked("accelerometer", unit)
-        if forces is not None:
-            usual = float(np.median(np.linalg.norm(forces[rows], axis=1)))
-            if len(axes) == 3 and usual > 0.5:
-                yield "force", usual, name
-        for axis, rates in columns.measured("gyro ").items():
-            rate, where = rates[unit, rows], f"{axis} of {name}"
-            yield "rate", float(np.percentile(np.abs(rate), 99)), where
-            yield "noise", _least_walk(rate, interval), where
-            for turned in turns.values():
-                if ratio := _factor(rate, turned[rows]):
-                    yield "turns", ratio, where
-
-
-def _factor(rate: Floats, turned: Floats) -> float:
-    """The rate of a sensor axis over that of a table axis of the same motion, where it is a factor between units, or
-    0."""
-    known = np.isfinite(turned)
-    if np.count_nonzero(known) < 10:
-        return 0.0
-    turned, rate = turned[known] - turned[known].mean(), rate[known] - rate[known].mean()
-    along, power = abs(float(turned @ rate)), float(np.sqrt((turned @ turned) * (rate @ rate)))
-    if not 0.0 < power < np.inf or along < 0.98 * power:
-        return 0.0
-    ratio = along / float(turned @ turned)
-    mistaken = any(abs(one * factor - 1.0) < 0.05 for factor in _FACTORS for one in (ratio, 1.0 / ratio))
-    return ratio if mistaken else 0.0
+    if not usable.any():
+        return
+    warm = columns.values.get("temperature", time + np.nan)[usable]
+    if np.isfinite(warm).any():
+        yield "temperature", float(np.nanmedian(warm)), columns.sensor
+    axes, forces = columns.stacked("accelerometer")
+    usual = 0.0 if forces is None else float(np.median(np.linalg.norm(forces[usable], axis=1)))
+    if len(axes) == 3 and usual > 0.5:
+        yield "force", usual, columns.sensor
+    for axis, rates in columns.measured("gyro ").items():
+        rate, where = rates[usable], f"{axis} of {columns.sensor}"
+        yield "rate", float(np.percentile(np.abs(rate), 99)), where
+        yield "noise", _least_walk(rate, interval), where
 
 
 def _compare_clocks(columns: Columns, time: Floats, starts: Whole, found: Findings) -> None:
-    """The intervals of the stamps against the stated ones, each other, and the sensor's clock against the "
-    "computer's."""
-    within = np.delete(np.diff(time), starts[1:] - 1)
+    """The intervals of the stamps against the stated ones and each other, the sensor's clock against the computer's."""
+    within = intervals_within(time, starts)
     stated, host = columns.sample_rate_hz, columns.values.get("host time")
     if stated is not None and "time" in columns.values:
         ratio = mean_interval(time, within) * stated
@@ -353,14 +304,14 @@ def _least_walk(values: Floats, interval: float) -> float:
 
     From the median of their differences, which is that of the quieter half: the other half may contain motion.
     """
-    walks = [0.0]
+    walks = list[float]()
     for size in (1, 8, 64):
         means = values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
         if len(means) > 20:
             steps = np.diff(means)
             spread = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
             walks.append(spread * float(np.sqrt(size * interval / 2)))
-    return min(walks[1:], default=0.0)
+    return min(walks, default=0.0)
 
 
 def _numbered(standstill: Floats | None) -> Whole | None:

@@ -1,10 +1,8 @@
 """gradcal-log/1: what was recorded, as labelled NumPy arrays with units; `log_file` keeps them in netCDF files.
 
-    unit      the sensors on one table, by serial number or name          [unit]
-    time      one clock for all of them, strictly increasing, s           [time]
-    rate      integrated or sampled angular rate, rad/s                   [unit, time, axis]
-    specific_force  of the accelerometers, m/s^2, where there are any     [unit, time, force_axis]
-    reading   events at which the table's angle was read                  [reading]
+A column's dimensions, unit and meaning are those that stand beside it: `unit`, the sensors on one table, by serial
+number or name; `time`, one clock for all of them, strictly increasing; `reading`, events at which the table's angle was
+read.
 
 The table's angle is known at its readings alone. `table_angle` is a column of another logger, which read the encoder at
 every row.
@@ -22,7 +20,7 @@ from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum, IntFlag
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,6 +111,30 @@ class ReadingKind(IntEnum):
     """The axis moved."""
 
 
+class LogVariable(NamedTuple):
+    """A column of a log in a file: its name, dimensions, unit, meaning and type."""
+
+    name: str
+    shape: str
+    unit: str
+    words: str
+    kind: type[np.generic] = np.float64
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        return tuple(self.shape.split())
+
+
+def variables_of(holder: type[Any]) -> dict[str, LogVariable]:
+    """The columns of a `Log` or of `AngleReadings` by their fields."""
+    hints = get_type_hints(holder, include_extras=True)
+    return {name: hint.__metadata__[0] for name, hint in hints.items() if get_origin(hint) is Annotated}
+
+
+_BITS: Final = ", ".join(f"{reason.value} {reason.words}" for reason in Reason)
+_KINDS: Final = ", ".join(f"{kind.value} {kind.name.lower()}" for kind in ReadingKind)
+
+
 @dataclass(frozen=True)
 class AngleReadings:
     """Readings of the table's angle, in order of time. All arrays `[reading]`.
@@ -121,24 +143,30 @@ class AngleReadings:
     time). `standard_deviation_rad`: NaN where it is that of the spec.
     """
 
-    time_s: Floats
-    row: Whole
-    axis: Whole
-    """Index of the log's table axes."""
-    angle_rad: Floats
-    standard_deviation_rad: Floats
-    kind: Whole
-    """`ReadingKind`s."""
+    time_s: Annotated[
+        Floats,
+        LogVariable("reading_time", "reading", "s", "time of the reading of the table's angle, on the log's clock"),
+    ]
+    row: Annotated[
+        Whole, LogVariable("reading_row", "reading", "1", "row at the end of which this angle is valid", np.int64)
+    ]
+    axis: Annotated[Whole, LogVariable("reading_axis", "reading", "1", "number of the table axis, from 0", np.int64)]
+    angle_rad: Annotated[Floats, LogVariable("reading_angle", "reading", "rad", "angle read, not wrapped")]
+    standard_deviation_rad: Annotated[
+        Floats, LogVariable("reading_std", "reading", "rad", "standard deviation; NaN: the value in the spec")
+    ]
+    kind: Annotated[Whole, LogVariable("reading_kind", "reading", "1", f"kind of the reading: {_KINDS}", np.int64)]
 
     __repr__ = summary
 
     @classmethod
     def in_order(cls, parts: Sequence["AngleReadings"]) -> "AngleReadings":
         """The readings of several axes or parts, in order of time."""
-        arrays: dict[str, Any] = {}
-        for name, _, kind, *_ in OF_READINGS.values():
-            # (An empty array of the type, for no parts.)
-            arrays[name] = np.concatenate([np.zeros(0, kind), *(getattr(part, name) for part in parts)])
+        # (An empty array of the type, for no parts.)
+        arrays: dict[str, Any] = {
+            name: np.concatenate([np.zeros(0, variable.kind), *(getattr(part, name) for part in parts)])
+            for name, variable in variables_of(cls).items()
+        }
         return cls(**arrays)._chosen(np.argsort(arrays["time_s"], kind="stable"))
 
     def of_axis(self, axis: int, *kinds: ReadingKind) -> "AngleReadings":
@@ -146,63 +174,8 @@ class AngleReadings:
         chosen = (self.axis == axis) & (np.isin(self.kind, kinds) if kinds else True)
         return self._chosen(chosen)
 
-    def between(self, first: int, last: int) -> "AngleReadings":
-        """The readings of the rows from `first` to before `last`, counted from `first`."""
-        inside = self._chosen((self.row >= first) & (self.row < last))
-        return replace(inside, row=inside.row - first)
-
     def _chosen(self, chosen: Bools | Whole) -> "AngleReadings":
         return AngleReadings(**{one.name: getattr(self, one.name)[chosen] for one in fields(self)})
-
-
-class LogVariable(NamedTuple):
-    """A column of a log: the field that holds it, its dimensions, its type, and its unit and meaning in a file."""
-
-    field: str
-    dimensions: tuple[str, ...]
-    kind: type[np.generic]
-    unit: str
-    words: str
-
-
-_BITS: Final = ", ".join(f"{reason.value} {reason.words}" for reason in Reason)
-VARIABLES: Final[Mapping[str, LogVariable]] = {
-    name: LogVariable(field, tuple(dimensions.split()), kind, unit, words)
-    for name, field, dimensions, kind, unit, words in (
-        ("time", "time_s", "time", np.float64, "s", "time stamp of the sensor's clock"),
-        ("rate", "rate_rad_per_s", "unit time axis", np.float64, "rad s-1", "mean angular rate since the previous row"),
-        ("specific_force", "specific_force_m_per_s2", "unit time force_axis", np.float64, "m s-2", "specific force"),
-        ("temperature", "temperature_c", "unit time", np.float64, "degC", "temperature of the sensor"),
-        (
-            "second_temperature",
-            "second_temperature_c",
-            "unit time",
-            np.float64,
-            "degC",
-            "temperature of the second thermometer",
-        ),
-        ("table_angle", "table_angle_rad", "time table_axis", np.float64, "rad", "angle of the table, not wrapped"),
-        ("table_rate", "table_rate_rad_per_s", "time table_axis", np.float64, "rad s-1", "rate of the table"),
-        ("standstill", "standstill", "time", np.int64, "1", "number of the standstill; -1: the table moves"),
-        ("mounting", "mounting", "time", np.int64, "1", "number of the mounting, from 0"),
-        ("host_time", "host_time_s", "time", np.float64, "s", "time stamp of the computer"),
-        ("status", "status", "unit time", np.uint16, "1", f"0: usable; otherwise bits: {_BITS}"),
-        ("stretch_start", "stretch_starts", "stretch", np.int64, "1", "row at which a stretch begins"),
-    )
-}
-NEEDED: Final = ("time", "rate", "stretch_start")
-_KINDS: Final = ", ".join(f"{kind.value} {kind.name.lower()}" for kind in ReadingKind)
-OF_READINGS: Final[Mapping[str, LogVariable]] = {
-    f"reading_{name}": LogVariable(field, ("reading",), kind, unit, words)
-    for name, field, kind, unit, words in (
-        ("time", "time_s", np.float64, "s", "time of the reading of the table's angle, on the log's clock"),
-        ("row", "row", np.int64, "1", "row at the end of which this angle is valid"),
-        ("axis", "axis", np.int64, "1", "number of the table axis, from 0"),
-        ("angle", "angle_rad", np.float64, "rad", "angle read, not wrapped"),
-        ("std", "standard_deviation_rad", np.float64, "rad", "standard deviation; NaN: the value in the spec"),
-        ("kind", "kind", np.int64, "1", f"kind of the reading: {_KINDS}"),
-    )
-}
 
 
 @dataclass(frozen=True)
@@ -239,42 +212,57 @@ class Log:
     times do not increase.
     """
 
-    time_s: Floats
-    """[time]"""
-    rate_rad_per_s: Floats
-    """[unit, time, axis]; no axis if the IMU has only accelerometers."""
+    time_s: Annotated[Floats, LogVariable("time", "time", "s", "time stamp of the sensor's clock")]
+    rate_rad_per_s: Annotated[
+        Floats, LogVariable("rate", "unit time axis", "rad s-1", "mean angular rate since the previous row")
+    ]
+    """No axis if the IMU has only accelerometers."""
     units: tuple[str, ...]
     axes: tuple[str, ...]
-    temperature_c: Floats | None = None
-    """[unit, time]"""
+    temperature_c: Annotated[
+        Floats | None, LogVariable("temperature", "unit time", "degC", "temperature of the sensor")
+    ] = None
     table_axes: tuple[str, ...] = ()
-    table_angle_rad: Floats | None = None
-    """[time, table axis]; not wrapped. The encoder's angle in every row, if a logger recorded it so."""
-    table_rate_rad_per_s: Floats | None = None
-    """[time, table axis]"""
-    standstill: Whole | None = None
-    """[time]; the number of the standstill a row belongs to, -1 while the table moves."""
-    mounting: Whole | None = None
-    """[time]; the number of the IMU's mounting in its spec, from 0. `None`: always the first."""
-    host_time_s: Floats | None = None
-    """[time]; the computer's stamp of each row, if the sensor has a clock of its own."""
-    status: Flags | None = None
-    """[unit, time]; 0: usable, otherwise `Reason`s. `None`: all usable."""
-    stretch_starts: Whole = field(default_factory=lambda: np.zeros(1, np.int64))
-    """The row at which each unbroken stretch begins; the first is 0."""
+    table_angle_rad: Annotated[
+        Floats | None, LogVariable("table_angle", "time table_axis", "rad", "angle of the table, not wrapped")
+    ] = None
+    """The encoder's angle in every row, if a logger recorded it so."""
+    table_rate_rad_per_s: Annotated[
+        Floats | None, LogVariable("table_rate", "time table_axis", "rad s-1", "rate of the table")
+    ] = None
+    standstill: Annotated[
+        Whole | None, LogVariable("standstill", "time", "1", "number of the standstill; -1: the table moves", np.int64)
+    ] = None
+    mounting: Annotated[
+        Whole | None, LogVariable("mounting", "time", "1", "number of the mounting, from 0", np.int64)
+    ] = None
+    """The number of the IMU's mounting in its spec. `None`: always the first."""
+    host_time_s: Annotated[Floats | None, LogVariable("host_time", "time", "s", "time stamp of the computer")] = None
+    """If the sensor has a clock of its own."""
+    status: Annotated[
+        Flags | None, LogVariable("status", "unit time", "1", f"0: usable; otherwise bits: {_BITS}", np.uint16)
+    ] = None
+    """`Reason`s. `None`: all usable."""
+    stretch_starts: Annotated[
+        Whole, LogVariable("stretch_start", "stretch", "1", "row at which a stretch begins", np.int64)
+    ] = field(default_factory=lambda: np.zeros(1, np.int64))
+    """The first is 0."""
     rows_read: int = -1
     """Rows of the source; -1: exactly these rows."""
     rows_removed: Mapping[str, int] = field(default_factory=dict[str, int])
     findings: tuple[Finding, ...] = ()
     simulated: bool = False
     provenance: Mapping[str, str] = field(default_factory=dict[str, str])
-    specific_force_m_per_s2: Floats | None = None
-    """[unit, time, force axis]; +1 g along an axis that points up at rest."""
+    specific_force_m_per_s2: Annotated[
+        Floats | None, LogVariable("specific_force", "unit time force_axis", "m s-2", "specific force")
+    ] = None
+    """+1 g along an axis that points up at rest."""
     force_axes: tuple[str, ...] = ()
     readings: AngleReadings | None = None
     """Readings of the table's angle. `None`: their times are not recorded; `table_angle_rad` is valid in every row."""
-    second_temperature_c: Floats | None = None
-    """[unit, time]; temperature of the second thermometer."""
+    second_temperature_c: Annotated[
+        Floats | None, LogVariable("second_temperature", "unit time", "degC", "temperature of the second thermometer")
+    ] = None
 
     __repr__ = summary
 
@@ -309,9 +297,9 @@ class Log:
         if not (np.isfinite(self.time_s).all() and np.all(self.time_s[1:] > self.time_s[:-1])):
             raise LogError("the times of a log must increase from row to row")
         sizes = {"time": rows, "stretch": len(self.stretch_starts)} | {name: len(of) for name, of in labels.items()}
-        _check_shapes(self, VARIABLES, sizes)
+        _check_shapes(self, sizes)
         if (known := self.readings) is not None:
-            _check_shapes(known, OF_READINGS, {"reading": len(known.time_s)})
+            _check_shapes(known, {"reading": len(known.time_s)})
             for name, values, end in (("row", known.row, rows), ("axis", known.axis, len(self.table_axes))):
                 if np.any((values < 0) | (values >= end)):
                     raise LogError(f"a reading of the table's angle has a {name} that the log does not have")
@@ -449,13 +437,13 @@ def without_masked(log: Log) -> Log:
     return replace(log, **changed)
 
 
-def _check_shapes(holder: object, variables: Mapping[str, LogVariable], sizes: Mapping[str, int]) -> None:
-    for name, variable in variables.items():
-        array: NDArray[Any] | None = getattr(holder, variable.field)
+def _check_shapes(holder: Any, sizes: Mapping[str, int]) -> None:
+    for name, variable in variables_of(holder.__class__).items():
+        array: NDArray[Any] | None = getattr(holder, name)
         wanted = tuple(sizes[dimension] for dimension in variable.dimensions)
         if array is not None and array.shape != wanted:
             words = f"expected [{', '.join(variable.dimensions)}] = {wanted}"
-            raise LogError(f"the {name.replace('_', ' ')} has the shape {array.shape}; {words}")
+            raise LogError(f"the {variable.name.replace('_', ' ')} has the shape {array.shape}; {words}")
 
 
 def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:
@@ -469,46 +457,6 @@ def intervals_within(time_s: Floats, stretch_starts: Whole) -> Floats:
 def mean_interval(time_s: Floats, within: Floats) -> float:
     """The mean of the intervals `within` the stretches, s; the median of all where no stretch has two rows."""
     return float(within.mean()) if len(within) else float(np.median(np.diff(time_s)))
-
-
-def part_of(
-    log: Log, *, begin_s: float | None = None, end_s: float | None = None, rows: tuple[int, int | None] | None = None
-) -> Log:
-    """The rows of a log between two times and two row numbers (the last not included); its clock stays as it is.
-
-    What is left out is counted as such. Errors: `LogError` where fewer than two rows are left.
-    """
-    first, last = (0, None) if rows is None else rows
-    last = len(log.time_s) if last is None else min(last, len(log.time_s))
-    if begin_s is not None:
-        first = max(first, int(np.searchsorted(log.time_s, begin_s)))
-    if end_s is not None:
-        last = min(last, int(np.searchsorted(log.time_s, end_s, side="right")))
-    if last - first < 2:
-        raise LogError(
-            f"the selected part has fewer than two rows: the record has {len(log.time_s)} rows, from "
-            f"{log.time_s[0]:g} s to {log.time_s[-1]:g} s"
-        )
-    left_out = len(log.time_s) - (last - first)
-    if left_out == 0:
-        return log
-    kept = slice(first, last)
-    cut = {
-        variable.field: values[:, kept] if variable.dimensions[0] == "unit" else values[kept]
-        for variable in VARIABLES.values()
-        if "time" in variable.dimensions and (values := getattr(log, variable.field)) is not None
-    }
-    starts = log.stretch_starts
-    inside = starts[(starts > first) & (starts < last)] - first
-    readings = None if log.readings is None else log.readings.between(first, last)
-    reason = Reason.LEFT_OUT.words
-    return replace(
-        log,
-        **cut,
-        readings=readings,
-        stretch_starts=np.concatenate([[0], inside]).astype(np.int64),
-        rows_removed={**log.rows_removed, reason: log.rows_removed.get(reason, 0) + left_out},
-    )
 
 
 def _index(label: str | int, labels: tuple[str, ...], kind: str) -> int:

@@ -25,19 +25,18 @@ from numpy.typing import NDArray
 from gradcal_jax import formulas
 from gradcal_jax.hardware.errors import HardwareError
 from gradcal_jax.hardware.journal import Chunk, Event, JournalContents, records_of
-from gradcal_jax.hardware.run_folder import SESSION, RunFolder, exit_status, rig_as_run
+from gradcal_jax.hardware.run_folder import SESSION, RunFolder, rig_as_run
 from gradcal_jax.recipe.recipe import Recipe
-from gradcal_jax.records.alignment import Alignment, AngleTrack, align
+from gradcal_jax.records.alignment import AngleTrack, NoAlignment, align
 from gradcal_jax.records.clockmap import ClockMap, bridge_gaps, fit_arrivals, last_of_chunks
 from gradcal_jax.records.log import SERIAL_NUMBER, AngleReadings, Finding, Log, Reason
-from gradcal_jax.records.samples import Rows, SampleFile, compacted
-from gradcal_jax.records.sessions import Session, sessions_of
+from gradcal_jax.records.sessions import Rows, SampleFile, Session, compacted, sessions_of
 from gradcal_jax.records.table_angles import (
     MARGIN_S,
     MOVE_COMMANDS,
     SETTLED_S,
+    course_of,
     held_rates,
-    known_standstills,
     standstills,
     table_readings,
 )
@@ -65,12 +64,12 @@ def log(
     """
     run = RunFolder(Path(folder))
     about = {name: str(text) for name, text in run.notes().get("about", {}).items()}
+    events = (one for one in records_of(run.journal_path) if isinstance(one, Event) and one.name == SESSION)
+    rig = rig_as_run(JournalContents(list(itertools.islice(events, 1))), run.rig())
     scratch = Path(folder if scratch is None else scratch)
     if recording is not None:
-        of_run = _of_recording(run.events(), run.recipe(), run.rig(), recording, unit, scratch)
+        of_run = _log_of_recording(run.events().records, run.recipe(), rig, recording, unit, scratch)
     else:
-        events = (one for one in records_of(run.journal_path) if isinstance(one, Event) and one.name == SESSION)
-        rig = rig_as_run(JournalContents(list(itertools.islice(events, 1))), run.rig())
         of_run = log_of_records(records_of(run.journal_path), run.recipe(), rig, unit, scratch)
     return replace(of_run, provenance={**about, **of_run.provenance})
 
@@ -90,9 +89,6 @@ class _Part:
     ranges: list[tuple[int, int]]
     """Of the samples of the file."""
     sample_s: float
-    read: int
-    restarts: int = 0
-    bad_bytes: int = 0
     first: int = 0
     end: int = 0
 
@@ -103,170 +99,20 @@ def log_of_records(
     """The log of a unit from all records of the journal; `rig`: as it was when the run began."""
     device = _device(rig, unit)
     names = [axis.name for axis in rig.axis]
-    with SampleFile(scratch, table_axes=len(names)) as file:
-        sessions = sessions_of(records, device, file)
-        rows = file.rows()
+    file = SampleFile(scratch, table_axes=len(names))
+    sessions = sessions_of(records, device, file)
+    rows = file.rows()
+    parts = [part for session in sessions if (part := _part_of(session, rows)) is not None]
     # The axes of the spec, in that order; a single axis may have another name.
     drawn = [axis.name for axis in recipe.spec.rig.table.axis]
     axes = _axes_of(sessions, drawn if set(drawn) <= set(names) else names)
-    parts = [part for session in sessions if (part := _part_of(session, rows)) is not None]
-    if not parts:
-        raise HardwareError(
-            "The journal has no samples to use: the run ended before the first part whose data are used."
-        )
     provenance = {"unit": device.name, "driver": device.driver}
     events = (event for session in sessions for event in session.events)
     identities = (e.data for e in events if e.name == "identity" and e.data["device"] == device.name)
     if number := next((str(of["serial_number"]) for of in identities if of.get("serial_number")), ""):
         provenance[SERIAL_NUMBER] = number
-    labels = _labels(axes, recipe, rig)
-    made = _joined(rows, parts, axes, labels, device.serial_number or device.name, ("x", "y", "z"))
-    return replace(made, provenance=_provenance(made, parts, sessions, recipe) | provenance)
-
-
-def _part_of(session: Session, rows: Rows) -> _Part | None:
-    """The samples of a session in stretches with data; None where there are too few."""
-    stream = session.stream
-    if stream is None or (decoder := stream.decoder) is None or not session.stretches():
-        return None
-    own = rows[stream.first : stream.end]
-    bridge_gaps(own, decoder.round_samples * decoder.sample_s, decoder.sample_s)
-    device, host = last_of_chunks(own["time_s"], own["host_s"])
-    if len(device) < _FEWEST_ARRIVALS:
-        return None
-    resolution_s = max(decoder.resolution_s, time.get_clock_info("monotonic").resolution)
-    clock = fit_arrivals(device, host, resolution_s=resolution_s)
-    ranges = _ranges_that_count(session, own, clock, stream.first)
-    if not ranges:
-        return None
-    restarts = int(np.count_nonzero(own["restarted"][1:]))
-    counts = restarts, decoder.bad_bytes
-    return _Part(session, clock, ranges, decoder.sample_s, len(own), *counts)
-
-
-def _ranges_that_count(session: Session, own: Rows, clock: ClockMap, first: int) -> list[tuple[int, int]]:
-    """The samples in stretches with data, which get the computer's times; none where there are fewer than two."""
-    # (In place, and by comparisons: an array of all rows in memory is as large as they are many.)
-    host = own["host_s"]
-    np.multiply(own["time_s"], clock.rate, out=host)
-    host += clock.offset_s
-    kept = np.zeros(len(own), bool)
-    for start_s, end_s in session.stretches():
-        kept |= (host > start_s) & (host <= end_s)
-    ranges = [(low, high) for low, high in (formulas.runs(kept) + first).tolist()]
-    return ranges if np.count_nonzero(kept) > 1 else []
-
-
-def _of_recording(
-    contents: JournalContents, recipe: Recipe, rig: RigFile, recorded: Log, unit: str | None, scratch: Path
-) -> Log:
-    """The log of a unit that another logger recorded, with the run's table and chamber.
-
-    Each session of the run is aligned with the recording by the motion (`alignment`). Temperatures are the
-    recording's, or else the chamber's. Raises `HardwareError` where the run has no stretch with data, `NoAlignment` (a
-    `ValueError`) where the recording does not show the run's motion.
-    """
-    rig = rig_as_run(contents, rig)
-    number = recorded.unit_index(unit or 0)
-    sessions = sessions_of(contents.records)
-    axes = _axes_of(sessions, [axis.name for axis in rig.axis])
-    labels = _labels(axes, recipe, rig)
-    rates = {axis: np.degrees(recorded.rate_rad_per_s[number, :, k]) for k, axis in enumerate(recorded.axes)}
-    if len(labels) == len(rates) == 1:
-        # Both have one axis only: its name does not matter.
-        rates = dict(zip(labels, rates.values(), strict=True))
-    table = recipe.spec.rig.table
-    turned = rates
-    if not set(rates) & set(labels) and table.axis[-1].name in labels:
-        turned = {table.axis[-1].name: _about_innermost(table, rates)}
-    alignments: list[Alignment] = []
-    recorded_in = [session for session in sessions if session.stretches()]
-    with SampleFile(scratch, len(rates), len(rig.axis)) as file:
-        for session in recorded_in:
-            tracks = {label: _track(session.events, axis) for axis, label in zip(axes, labels, strict=True)}
-            alignments.append(align(recorded.time_s, turned, tracks))
-            file.write(_as_rows(recorded, number, alignments[-1], session.events, file.kind))
-        rows = file.rows()
-    parts: list[_Part] = []
-    for place, (session, alignment) in enumerate(zip(recorded_in, alignments, strict=True)):
-        first, end = place * len(recorded.time_s), (place + 1) * len(recorded.time_s)
-        clock = _clock_of(alignment)
-        if ranges := _ranges_that_count(session, rows[first:end], clock, first):
-            parts.append(_Part(session, clock, ranges, recorded.sample_interval_s, end - first))
-    if not parts:
-        raise HardwareError("The recording has no samples from any part of the run whose data are used.")
-    who = recorded.units[number]
-    made = _joined(rows, parts, axes, labels, who, tuple(rates))
-    provenance = _provenance(made, parts, sessions, recipe) | {"unit": who, "driver": "recorded elsewhere"}
-    provenance["clock_offset_std_s"] = ", ".join(f"{one.offset_std_s:.1e}" for one in alignments)
-    message = "; ".join(
-        f"the recording's clock was determined from {one.readings} readings of {one.bursts} turns, to "
-        f"{one.offset_std_s:.2g} s and {1e6 * one.rate_std:.2g} ppm (1σ; delays of the table's readings are not "
-        "included)"
-        for one in alignments
-    )
-    findings = (*made.findings, Finding("clock determined from the motion", "keep", 0, message))
-    return replace(made, findings=findings, provenance=provenance)
-
-
-def _about_innermost(table: RigTable, rates_dps: Mapping[str, Floats]) -> Floats:
-    """The rate about the table's innermost axis, as an IMU senses it whose mounting at that time is not known yet."""
-    names, turning = tuple(rates_dps), table.axis[-1].unit_vector
-    along = np.array(
-        [[np.dot(one.columns["xyz".index(name)], turning) for name in names] for one in table.mounting], np.float64
-    )
-    rates = np.stack(list(rates_dps.values()), axis=-1)
-    rates = rates - np.nanmedian(rates, axis=0)
-    if len(along) == 1:
-        return rates @ along[0]
-    fastest = np.abs(np.nan_to_num(rates)).argmax(axis=1)
-    signs = np.sign(along[np.abs(along).argmax(axis=0), np.arange(len(names))])
-    sensed = np.take_along_axis(rates, fastest[:, None], axis=1)[:, 0]
-    return np.linalg.norm(rates, axis=1) * np.sign(sensed) * signs[fastest]
-
-
-def _track(events: Sequence[Event], axis: str) -> AngleTrack:
-    rows = [
-        (float(e.data["time_s"]), float(e.data["position_deg"]))
-        for e in events
-        if e.name in ("angle", "track") and e.data["axis"] == axis and e.data["position_deg"] is not None
-    ]
-    times, angles = np.array(sorted(rows)).reshape(-1, 2).T
-    # Two entries of one time are one reading. Homing, which may reset the count, precedes all data.
-    first = np.append(True, np.diff(times) > 0.0)[: len(times)]
-    return AngleTrack(times[first], angles[first])
-
-
-def _as_rows(recorded: Log, number: int, clock: Alignment, events: Sequence[Event], kind: np.dtype[Any]) -> Rows:
-    """The samples of a recording at the run's times. Temperatures are the recording's, or else the chamber's."""
-    rows = np.zeros(len(recorded.time_s), kind)
-    rows["time_s"] = recorded.time_s
-    rows["host_s"] = clock.host_time_s(recorded.time_s)
-    rows["rate"] = recorded.rate_rad_per_s[number]
-    rows["force"] = rows["temperature_c"] = rows["second_c"] = np.nan
-    if recorded.force_axes == ("x", "y", "z") and recorded.specific_force_m_per_s2 is not None:
-        rows["force"] = recorded.specific_force_m_per_s2[number]
-    if recorded.temperature_c is not None:
-        rows["temperature_c"] = recorded.temperature_c[number]
-    elif chamber := [event for event in events if event.name == "chamber"]:
-        at_s = [event.time_s for event in chamber]
-        loads = [event.data.get("product_c") for event in chamber]
-        read_c = [float(e.data["air_c"] if load is None else load) for e, load in zip(chamber, loads, strict=True)]
-        rows["temperature_c"] = np.interp(rows["host_s"], at_s, read_c)
-    if (second := recorded.bridged_temperature(number, second=True)) is not None:
-        rows["second_c"] = second
-    if recorded.status is not None:
-        rows["status"] = np.where(recorded.status[number] != 0, Reason.MARKED.value, 0)
-    steps = np.diff(recorded.time_s, prepend=recorded.time_s[0])
-    rows["gap"] = np.maximum(np.round(steps / recorded.sample_interval_s).astype(np.int64) - 1, 0)
-    return rows
-
-
-def _clock_of(alignment: Alignment) -> ClockMap:
-    """The alignment as the line of a stream's clock: five sigmas are removed at both ends of a rest."""
-    offset_s = alignment.offset_s - alignment.rate * alignment.middle_s
-    std_s = alignment.offset_std_s
-    return ClockMap(offset_s, alignment.rate, alignment.rate_std, std_s, 5.0 * std_s, alignment.readings, 0)
+    made = _joined(rows, parts, axes, _labels(axes, recipe, rig), device.serial_number or device.name, ("x", "y", "z"))
+    return replace(made, provenance=_provenance(parts, sessions, recipe) | provenance)
 
 
 def _device(rig: RigFile, unit: str | None) -> ImuDevice:
@@ -292,45 +138,74 @@ def _labels(axes: Sequence[str], recipe: Recipe, rig: RigFile) -> tuple[str, ...
     return tuple(turned) if len(axes) == len(rig.axis) == len(turned) == 1 else tuple(axes)
 
 
+def _part_of(session: Session, rows: Rows) -> _Part | None:
+    """The samples of a session in stretches with data; None where there are too few."""
+    own = rows[slice(*session.samples)]
+    if (decoder := session.decoder) is None or not session.stretches():
+        return None
+    bridge_gaps(own, decoder.round_samples * decoder.sample_s, decoder.sample_s)
+    device, host = last_of_chunks(own["time_s"], own["host_s"])
+    if len(device) < _FEWEST_ARRIVALS:
+        return None
+    resolution_s = max(decoder.resolution_s, time.get_clock_info("monotonic").resolution)
+    clock = fit_arrivals(device, host, resolution_s=resolution_s)
+    return _counting(session, own, clock, session.samples[0], decoder.sample_s)
+
+
+def _counting(session: Session, own: Rows, clock: ClockMap, first: int, sample_s: float) -> _Part | None:
+    """The samples in stretches with data, which get the computer's times; None where there are fewer than two."""
+    # (In place, and by comparisons: an array of all rows in memory is as large as they are many.)
+    host = own["host_s"]
+    np.multiply(own["time_s"], clock.rate, out=host)
+    host += clock.offset_s
+    kept = np.zeros(len(own), bool)
+    for start_s, end_s in session.stretches():
+        kept |= (host > start_s) & (host <= end_s)
+    ranges = [(low, high) for low, high in (formulas.runs(kept) + first).tolist()]
+    return _Part(session, clock, ranges, sample_s) if np.count_nonzero(kept) > 1 else None
+
+
 def _joined(
     rows: Rows, parts: Sequence[_Part], axes: Sequence[str], labels: tuple[str, ...], unit: str, gyros: tuple[str, ...]
 ) -> Log:
     """The log of the samples in the ranges of the parts, which are moved to the beginning of `rows`."""
+    if not parts:
+        raise HardwareError("There are no samples to use: none is from a part of the run whose data are used.")
     read = len(rows)
-    starts: list[int] = []
+    ranges = [some for part in parts for some in part.ranges]
+    starts = np.cumsum([0, *(high - low for low, high in ranges)])[:-1]
     count = 0
     for part in parts:
         part.first = count
-        for low, high in part.ranges:
-            starts.append(count)
-            count += high - low
-        part.end = count
-    rows = compacted(rows, [some for part in parts for some in part.ranges])
-    broken = np.flatnonzero((rows["gap"] > 0) | rows["restarted"])
-    readings: list[AngleReadings] = []
-    since_s: list[Floats] = []
-    standing, spins = 0, True
+        count = part.end = count + sum(high - low for low, high in part.ranges)
+    rows = compacted(rows, ranges)
     rows["standstill"] = -1
+    readings = list[tuple[AngleReadings, Floats]]()
+    standing, spins = 0, True
     for part in parts:
         own, events = rows[part.first : part.end], part.session.events
         host = own["host_s"].copy()
         for first_s, mounting in part.session.mountings():
             own["mounting"][int(np.searchsorted(host, first_s)) :] = mounting - 1
-        for low, high in _standing(part, host, axes):
-            own["standstill"][low:high] = standing
-            standing += 1
-        late_s = part.sample_s + part.clock.residual_max_s
-        of_axes = [table_readings(events, axis, k, host, late_s) for k, axis in enumerate(axes)]
-        of_part = AngleReadings.in_order(of_axes)
-        readings.append(replace(of_part, row=of_part.row + part.first))
-        since_s.append(of_part.time_s - host[of_part.row])
-        held = [held_rates(events, axis, float(host[-1])) for axis in axes]
-        for k, knots in enumerate(held):
-            own["table_rate"][:, k] = 0.0 if knots is None else np.radians(np.interp(host, *knots))
-        spins = spins and any(knots is not None for knots in held)
+        courses = [course_of(events, axis) for axis in axes]
+        # The stamps are as uncertain as the residuals of the clocks' line: a row may be earlier or later by that much.
+        unsure_s = part.clock.residual_max_s
+        for start_s, end_s in standstills(courses, max((event.time_s for event in events), default=0.0)):
+            low = int(np.searchsorted(host, start_s + SETTLED_S + part.sample_s + unsure_s))
+            high = int(np.searchsorted(host, end_s - MARGIN_S - unsure_s))
+            # Of a standstill that a pause cut short no row may be left.
+            if low < high:
+                own["standstill"][low:high] = standing
+                standing += 1
+        for k, course in enumerate(courses):
+            read_in = table_readings(course, k, host, part.sample_s + unsure_s)
+            readings.append((replace(read_in, row=read_in.row + part.first), read_in.time_s - host[read_in.row]))
+            own["table_rate"][:, k] = held_rates(course, host)
+        spins = spins and any(course.spins for course in courses)
     _place(rows, parts)
     # The reading's time by the rows' two clocks, which differ by less than a part in a thousand.
-    placed = [replace(r, time_s=rows["time_s"][r.row] + s) for r, s in zip(readings, since_s, strict=True)]
+    placed = [replace(one, time_s=rows["time_s"][one.row] + since_s) for one, since_s in readings]
+    has_forces = bool(np.isfinite(rows["force"]).any())
     return Log(
         time_s=rows["time_s"],
         rate_rad_per_s=rows["rate"][None],
@@ -343,31 +218,16 @@ def _joined(
         mounting=rows["mounting"] if np.all(rows["mounting"] >= 0) else None,
         host_time_s=rows["host_s"],
         status=rows["status"][None],
-        stretch_starts=np.union1d(starts, broken).astype(np.int64),
+        stretch_starts=np.union1d(starts, np.flatnonzero((rows["gap"] > 0) | rows["restarted"])).astype(np.int64),
         rows_read=read,
         rows_removed={"not in a stretch of data": read - count} if read > count else {},
         findings=_findings(rows, parts),
         simulated=any(part.session.simulated for part in parts),
-        specific_force_m_per_s2=rows["force"][None] if np.isfinite(rows["force"]).any() else None,
-        force_axes=("x", "y", "z") if np.isfinite(rows["force"]).any() else (),
+        specific_force_m_per_s2=rows["force"][None] if has_forces else None,
+        force_axes=("x", "y", "z") if has_forces else (),
         readings=AngleReadings.in_order(placed) if labels else None,
         second_temperature_c=rows["second_c"][None] if np.isfinite(rows["second_c"]).any() else None,
     )
-
-
-def _standing(part: _Part, host: Floats, axes: Sequence[str]) -> list[tuple[int, int]]:
-    """First row of every standstill of known angles, and the row after its last one."""
-    # The stamps are as uncertain as the residuals of the clocks' line: a row may be earlier or later by that much.
-    unsure_s = part.clock.residual_max_s
-    times = np.array(standstills(part.session.events, axes)).reshape(-1, 2)
-    low = np.searchsorted(host, times[:, 0] + SETTLED_S + part.sample_s + unsure_s)
-    high = np.searchsorted(host, times[:, 1] - MARGIN_S - unsure_s)
-    # Of a standstill that a pause cut short no row may be left.
-    low, high = low[low < high], high[low < high]
-    known = np.ones(len(low), bool)
-    for axis in axes:
-        known &= known_standstills(part.session.events, axis, host[low], host[high - 1])
-    return list(zip(low[known].tolist(), high[known].tolist(), strict=True))
 
 
 def _place(rows: Rows, parts: Sequence[_Part]) -> None:
@@ -378,10 +238,9 @@ def _place(rows: Rows, parts: Sequence[_Part]) -> None:
     and the distance between two parts.
     """
     shift_s, begins_s = 0.0, float(rows["host_s"][0])
-    for number, part in enumerate(parts):
+    for before, part in zip([None, *parts], parts, strict=False):
         own = rows[part.first : part.end]
-        if number:
-            before = parts[number - 1]
+        if before is not None:
             stood_s = part.session.origin_s - before.session.origin_s
             # Simulated devices run on their own clock, which is independent of the wall clock.
             if stood_s > _CLOCK_SET_S and not part.session.simulated:
@@ -399,38 +258,148 @@ def _place(rows: Rows, parts: Sequence[_Part]) -> None:
 
 def _findings(rows: Rows, parts: Sequence[_Part]) -> tuple[Finding, ...]:
     broken = np.setdiff1d(np.flatnonzero(rows["gap"] > 0), [part.first for part in parts])
-    missing, gaps = int(rows["gap"][broken].sum()), len(broken)
-    unsure = max(part.clock.residual_max_s for part in parts)
-    anew, bad = (sum(getattr(p, name) for p in parts) for name in ("restarts", "bad_bytes"))
-    refused = sum(part.session.refused() for part in parts)
-    lateness = (
-        f"the computer was so busy that its time stamps are accurate only to {unsure:.2g} s: as an additional "
-        "margin, this time is left out at both ends of every standstill"
-    )
-    times = f"{anew} time{'s' * (anew > 1)} during the run; the samples lost in a restart are not counted as missing"
+    found = list[Finding]()
+
+    def say(count: int, kind: str, done: str, message: str) -> None:
+        if count:
+            found.append(Finding(kind, done, count, message))
+
+    missing = int(rows["gap"][broken].sum())
+    say(len(broken), "gap", "split", f"about {missing} samples are missing at {len(broken)} places")
+    unsure_s = max(part.clock.residual_max_s for part in parts)
+    if unsure_s > SETTLED_S:
+        lateness = (
+            f"the computer was so busy that its time stamps are accurate only to {unsure_s:.2g} s: as an additional "
+            "margin, this time is left out at both ends of every standstill"
+        )
+        found.append(Finding("late stamps", "mask", 0, lateness))
+    anew = int(np.count_nonzero(rows["restarted"])) - sum(bool(rows["restarted"][part.first]) for part in parts)
+    lost = "the samples lost in a restart are not counted as missing"
+    say(anew, "unit restarted", "split", f"the IMU restarted {anew} time{'s' * (anew > 1)} during the run; {lost}")
+    decoders = [part.session.decoder for part in parts if part.session.decoder is not None]
+    bad = sum(one.bad_bytes for one in decoders)
+    say(bad, "unreadable bytes", "keep", f"{bad} bytes belong to no valid datagram")
     attempts = "attempts at a step that the run itself did not accept are left out: see the journal for the reasons"
-    all_of = (
-        (gaps, Finding("gap", "split", gaps, f"about {missing} samples are missing at {gaps} places")),
-        (unsure > SETTLED_S, Finding("late stamps", "mask", 0, lateness)),
-        (anew, Finding("unit restarted", "split", anew, f"the IMU restarted {times}")),
-        (bad, Finding("unreadable bytes", "keep", 0, f"{bad} bytes belong to no valid datagram")),
-        (refused, Finding("refused attempt", "mask", refused, attempts)),
-    )
-    return tuple(finding for there, finding in all_of if there)
+    say(sum(part.session.count("not done") for part in parts), "refused attempt", "mask", attempts)
+    return tuple(found)
 
 
-def _provenance(log: Log, parts: Sequence[_Part], sessions: Sequence[Session], recipe: Recipe) -> dict[str, str]:
+def _provenance(parts: Sequence[_Part], sessions: Sequence[Session], recipe: Recipe) -> dict[str, str]:
     clocks = [part.clock for part in parts]
     entries: dict[str, Any] = {
         "recipe": recipe.fingerprint,
-        "title": recipe.title or "",
-        "run": exit_status(JournalContents([event for session in sessions for event in session.events])),
         "sessions": len(sessions),
-        "simulated": "the devices were simulated" if log.simulated else "no",
         "clock_from_row": ", ".join(str(part.first) for part in parts),
-        "clock_rate_error": ", ".join(f"{clock.rate_error:.3e}" for clock in clocks),
+        "clock_rate_error": ", ".join(f"{clock.rate - 1.0:.3e}" for clock in clocks),
         "clock_rate_std": ", ".join(f"{clock.rate_std:.1e}" for clock in clocks),
-        "clock_residual_rms_s": ", ".join(f"{clock.residual_rms_s:.1e}" for clock in clocks),
-        "seams": sum(event.name == "seam" for session in sessions for event in session.events),
+        "seams": sum(session.count("seam") for session in sessions),
     }
     return {name: str(value) for name, value in entries.items()}
+
+
+# ------------------------------------------------------------------------------------------ another logger's recording
+
+
+def _log_of_recording(
+    records: Iterable[Event | Chunk], recipe: Recipe, rig: RigFile, recorded: Log, unit: str | None, scratch: Path
+) -> Log:
+    """The log of a unit that another logger recorded, with the run's table and chamber.
+
+    The recording is aligned by the motion (`alignment`). Temperatures are the recording's, or else the chamber's.
+    Raises `HardwareError` where the run has not one session with data, `NoAlignment` (a `ValueError`) where the
+    recording does not show the run's motion.
+    """
+    number = recorded.unit_index(unit or 0)
+    sessions = sessions_of(records)
+    axes = _axes_of(sessions, [axis.name for axis in rig.axis])
+    labels = _labels(axes, recipe, rig)
+    rates = {axis: np.degrees(recorded.rate_rad_per_s[number, :, k]) for k, axis in enumerate(recorded.axes)}
+    if len(labels) == len(rates) == 1:
+        # Both have one axis only: its name does not matter.
+        rates = dict(zip(labels, rates.values(), strict=True))
+    table = recipe.spec.rig.table
+    common = [label for label in labels if label in rates]
+    if not common and table.axis[-1].name in labels:
+        common = [table.axis[-1].name]
+        rates |= {common[0]: _about_innermost(table, rates)}
+    if not common:
+        raise NoAlignment("the run did not turn any axis of the recording, so the recording cannot be aligned with it")
+    with_data = [session for session in sessions if session.stretches()]
+    if len(with_data) != 1:
+        raise HardwareError(
+            "Only a run of one session with data can be aligned with another logger's recording; this one has "
+            f"{len(with_data)}: make a run for each recording."
+        )
+    (session,) = with_data
+    tracks = [(_track(session.events, axes[labels.index(label)]), rates[label]) for label in common]
+    track, rate = max(tracks, key=lambda one: float(np.abs(np.diff(one[0].angle_deg)).sum()))
+    by_motion = align(recorded.time_s, rate, track)
+    # The alignment as the line of a stream's clock: five sigmas are removed at both ends of a rest.
+    offset_s, unsure_s = by_motion.offset_s - by_motion.rate * by_motion.middle_s, by_motion.offset_std_s
+    clock = ClockMap(offset_s, by_motion.rate, by_motion.rate_std, 5.0 * unsure_s)
+    file = SampleFile(scratch, len(recorded.axes), len(rig.axis))
+    file.write(_as_rows(recorded, number, file.kind))
+    rows = file.rows()
+    rows["temperature_c"] = _chamber(session.events, offset_s + clock.rate * rows["time_s"], rows["temperature_c"])
+    part = _counting(session, rows, clock, 0, recorded.sample_interval_s)
+    parts = [] if part is None else [part]
+    who = recorded.units[number]
+    names = labels if len(labels) == len(recorded.axes) == 1 else recorded.axes
+    made = _joined(rows, parts, axes, labels, who, names)
+    provenance = _provenance(parts, sessions, recipe) | {"unit": who, "driver": "recorded elsewhere"}
+    message = (
+        f"the recording's clock was determined from {by_motion.readings} readings of {by_motion.turns} turns, to "
+        f"{unsure_s:.2g} s and {1e6 * clock.rate_std:.2g} ppm (1σ; delays of the table's readings are not included)"
+    )
+    findings = (*made.findings, Finding("clock determined from the motion", "keep", 0, message))
+    return replace(made, findings=findings, provenance=provenance)
+
+
+def _about_innermost(table: RigTable, rates_dps: Mapping[str, Floats]) -> Floats:
+    """The rate about the table's innermost axis, by the mounting. Raises `NoAlignment` where there are several."""
+    mountings = list(table.mounting)
+    if len(mountings) > 1:
+        raise NoAlignment("a recording with several mountings cannot be aligned: make a run of each mounting")
+    turning, columns = table.axis[-1].unit_vector, mountings[0].columns
+    along = np.array([np.dot(columns["xyz".index(name)], turning) for name in rates_dps])
+    rates = np.stack(list(rates_dps.values()), axis=-1)
+    return (rates - np.nanmedian(rates, axis=0)) @ along
+
+
+def _track(events: Sequence[Event], axis: str) -> AngleTrack:
+    rows = {
+        float(e.data["time_s"]): float(e.data["position_deg"])
+        for e in events
+        if e.name in ("angle", "track") and e.data["axis"] == axis and e.data["position_deg"] is not None
+    }
+    # Two entries of one time are one reading. Homing, which may reset the count, precedes all data.
+    times, angles = np.array(sorted(rows.items())).reshape(-1, 2).T
+    return AngleTrack(times, angles)
+
+
+def _chamber(events: Sequence[Event], times_s: Floats, own_c: Floats) -> Floats:
+    """The recording's temperatures, or else those of the chamber's load or air, °C."""
+    chamber = [event for event in events if event.name == "chamber"]
+    if not chamber or np.isfinite(own_c).any():
+        return own_c
+    loads = [event.data.get("product_c") for event in chamber]
+    read_c = [float(e.data["air_c"] if load is None else load) for e, load in zip(chamber, loads, strict=True)]
+    return np.interp(times_s, [event.time_s for event in chamber], read_c)
+
+
+def _as_rows(recorded: Log, number: int, kind: np.dtype[Any]) -> Rows:
+    """The samples of a recording as those of a run."""
+    rows = np.zeros(len(recorded.time_s), kind)
+    rows["time_s"] = recorded.time_s
+    rows["rate"] = recorded.rate_rad_per_s[number]
+    rows["force"] = rows["temperature_c"] = rows["second_c"] = np.nan
+    if recorded.force_axes == ("x", "y", "z") and recorded.specific_force_m_per_s2 is not None:
+        rows["force"] = recorded.specific_force_m_per_s2[number]
+    if recorded.temperature_c is not None:
+        rows["temperature_c"] = recorded.temperature_c[number]
+    if (second := recorded.bridged_temperature(number, second=True)) is not None:
+        rows["second_c"] = second
+    rows["status"] = np.where(recorded.usable(number), 0, Reason.MARKED.value)
+    steps = np.diff(recorded.time_s, prepend=recorded.time_s[0])
+    rows["gap"] = np.maximum(np.round(steps / recorded.sample_interval_s).astype(np.int64) - 1, 0)
+    return rows

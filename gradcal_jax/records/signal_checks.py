@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from gradcal_jax import formulas
-from gradcal_jax.records.log import Bools, Floats, Log, LogError, Reason, Whole, without_masked
+from gradcal_jax.records.log import Bools, Flags, Floats, Log, LogError, Reason, Whole, without_masked
 
 FAR: Final = 10.0
 """Standard deviations from the neighbours' median beyond which a row is an outlier."""
@@ -30,9 +30,8 @@ _FROZEN, _HELD, _AT_LIMIT, _UNUSUAL, _FROZEN_S = 60, 3, 10, 10.0, 30.0
 # Outliers: rows of the median in motion and at rest, of the local noise, at the ends of a standstill that still settle,
 # about an outlier in which more than a pair is a bump; and the largest share.
 _BESIDE, _AROUND, _LOCAL, _SETTLING, _CROWD, _PAIR, _RARE = 5, 51, 200, 25, 21, 2, 0.01
-# A gap is longer than these seconds and intervals: over less, a rate is interpolated. Below this rate (Hz) a single row
-# may be the motion itself.
-_GAP_S, _GAP_ROWS, _LEAST_RATE = 0.25, 4.0, 20.0
+# Below this rate (Hz) a single row may be the motion itself.
+_LEAST_RATE: Final = 20.0
 # K between rows that no thermometer jumps, and the largest share of rows between such jumps.
 _JUMP_K, _JUMPED = 5.0, 0.2
 # Rows of a window at rest; the share of a step from which rounding counts.
@@ -41,8 +40,6 @@ _WINDOW, _OFF = 64, 0.02
 _FLAT: Final = 2.2
 # A step across the range over the largest value; rows over which the slopes beside it are measured.
 _ACROSS, _SLOPES = 1.5, (5, 20, 80)
-# Rows in which the size of the noise is measured, and the factor by which it may change.
-_NOISE_BLOCK, _CHANGES = 500, 1.4
 _SHOWN: Final = {"gyro": ("deg/s", np.pi / 180.0), "accelerometer": ("g", 9.80665)}
 
 
@@ -75,11 +72,11 @@ class StepSizes(NamedTuple):
 
 
 class SignalFaults(NamedTuple):
-    """What one unit's samples show: rows `(n,)` by the reason they are masked for; sentences on them; and by name those
-    on coarse steps, which no choice of rows mends."""
+    """What one unit's samples show: by row `(n,)` the reasons for which it is masked; sentences on them; and by name
+    those on coarse steps, which no choice of rows mends."""
 
-    masked: dict[Reason, Bools]
-    sentences: tuple[str, ...]
+    status: Flags
+    sentences: list[str]
     coarse: dict[str, str]
 
 
@@ -331,113 +328,61 @@ def _steps_over_noise(known: Floats) -> float:
     return 0.0
 
 
-def changing_noise(where: str, values: Floats) -> list[str]:
-    """A sentence where the noise from row to row of a channel at rest `(n,)` changes in the course of the record."""
-    known = values[np.isfinite(values)]
-    count = min(len(known) // _NOISE_BLOCK, 20)
-    if count < 2:
-        return []
-    blocks = [np.diff(part[: len(known) // count]).std() for part in np.array_split(known, count)]
-    low, high = np.quantile(blocks, [0.1, 0.9])
-    if low > 0.0 and high < _CHANGES * low:
-        return []
-    change = high / low if low > 0.0 else np.inf
-    return [f"{where}: the noise changes during the record, by a factor of {change:.2g}; the result is an average"]
-
-
-def after_gaps(log: Log) -> tuple[Whole, list[str]]:
-    """Rows at which a log's stretches begin, gaps that it does not mark included, and a sentence on those."""
-    interval = np.diff(log.time_s)
-    usual = float(np.median(interval))
-    gaps = np.flatnonzero(interval > max(_GAP_S, _GAP_ROWS * usual)) + 1
-    new = np.setdiff1d(gaps, log.stretch_starts)
-    if not len(new):
-        return log.stretch_starts, []
-    lost = np.sum(interval[new - 1] / usual - 1.0)
-    return np.union1d(log.stretch_starts, new).astype(np.int64), [
-        f"{len(new)} gap{'s' if len(new) > 1 else ''} with about {lost:.0f} samples lost, the longest "
-        f"{np.max(interval[new - 1]):.3g} s, the first at {log.time_s[new[0] - 1]:.6g} s: moves during the gaps are "
-        "left out"
-    ]
-
-
 def _faults_of(log: Log, number: int, channels: Container[str] | None, at_rest: bool) -> SignalFaults:
     """What the samples of a unit show by themselves, of rows that are not masked."""
     usable = log.usable(number)
-    sentences = list[str]()
-    masked = dict[Reason, Bools]()
-    coarse = dict[str, str]()
-    frozen = dict[bytes, tuple[Bools, list[str]]]()
-
-    def mask(reason: Reason, rows: Bools) -> bool:
-        masked[reason] = masked.get(reason, np.zeros(len(usable), bool)) | rows
-        return bool(rows.any())
-
+    found = SignalFaults(np.zeros(len(usable), np.uint16), [], {})
     slow = log.standstill is None and log.sample_interval_s * _LEAST_RATE > 1.0
+
+    def mask(reason: Reason, rows: Bools, words: str) -> None:
+        if rows.any():
+            found.status[rows] |= reason.value
+            first, last = formulas.runs(rows)[0].tolist()
+            found.sentences.append(
+                f"{words}: {np.count_nonzero(rows)} rows are left out, the first from {log.time_s[first]:.6g} to "
+                f"{log.time_s[last - 1]:.6g} s"
+            )
+
     for where, values in log.channels(number).items():
         if channels is not None and where not in channels:
             continue
         shown, size = _SHOWN[where.split()[0]]
         own = np.where(usable, values, np.nan)
         if (steps := coarse_steps(own)).off:
-            coarse[f"coarse steps of {where}"] = (
+            found.coarse[f"coarse steps of {where}"] = (
                 f"{where}: its steps of {steps.step / size:.3g} {shown} are coarse compared with its noise: quantised "
                 f"values may be wrong by {steps.off / size:.2g} {shown}, however long they are averaged; log more "
                 "digits, or use a smaller full scale"
             )
         limit = at_a_limit(own) | wrapped(own)
-        if mask(Reason.SATURATED, _whole_segments(log.standstill, limit)):
-            sentences.append(
-                f"{where} is saturated in {np.count_nonzero(limit)} rows, at "
-                f"{np.max(np.abs(own[limit])) / size:.4g} {shown}: the moves and standstills with these rows are left "
-                "out"
-            )
+        largest = float(np.max(np.abs(own[limit]), initial=0.0)) / size
+        words = f"{where} is saturated, at {largest:.4g} {shown} (with all of the moves and standstills concerned)"
+        mask(Reason.SATURATED, _whole_segments(log.standstill, limit), words)
         still = standing_still(own) & ~limit
-        if mask(Reason.FROZEN_VALUES, still):
-            frozen.setdefault(still.tobytes(), (still, []))[1].append(where)
+        mask(Reason.FROZEN_VALUES, still, f"frozen: {where} (the value is constant, but not in the rest of the record)")
         own[limit | still] = np.nan
         if at_rest and log.standstill is not None:
             own[log.standstill < 0] = np.nan
         if at_rest or not slow:
-            far = outliers(own, log.standstill, at_rest=at_rest)
-            if mask(Reason.FAR_FROM_NEIGHBOURS, far):
-                count = np.count_nonzero(far)
-                sentences.append(
-                    f"{where}: {count} rows ({count / len(own):.2g} of all) differ from their neighbours by more than "
-                    f"{FAR:g} standard deviations, and are left out"
-                )
+            words = f"rows of {where} differ from their neighbours by more than {FAR:g} standard deviations"
+            mask(Reason.FAR_FROM_NEIGHBOURS, outliers(own, log.standstill, at_rest=at_rest), words)
     if log.temperature_c is not None:
         unknown = frozen_temperature(log.time_s, log.temperature_c[number], log.stretch_starts) & usable
         # (A constant temperature is judged elsewhere.)
-        if not unknown[usable].all() and mask(Reason.FROZEN_TEMPERATURE, unknown):
-            frozen[b""] = (unknown, ["the thermometer"])
-    for rows, names in frozen.values():
-        first, last = formulas.runs(rows)[0].tolist()
-        sentences.append(
-            f"frozen: {', '.join(names)} from {log.time_s[first]:.6g} to {log.time_s[last - 1]:.6g} s (the value is "
-            f"constant there, but not in the rest of the record): {np.count_nonzero(rows)} rows are left out"
-        )
-    return SignalFaults(masked, tuple(sentences), coarse)
+        if not unknown[usable].all():
+            mask(Reason.FROZEN_TEMPERATURE, unknown, "frozen: the thermometer")
+    return found
 
 
 def without_faults(
     log: Log, channels: Container[str] | None = None, *, at_rest: bool = False
 ) -> tuple[Log, dict[str, SignalFaults]]:
-    """The log without rows that its `channels` ("gyro x"; None: all) show to be no measurement, with stretches that
-    begin after gaps, and by unit what was found. `at_rest`: of a record in which everything that is not marked as
-    moving stands still."""
-    starts, gaps = after_gaps(log)
-    found = dict[str, SignalFaults]()
-    for number, name in enumerate(log.units):
-        own = _faults_of(log, number, channels, at_rest)
-        found[name] = own._replace(sentences=(*gaps, *own.sentences))
-    status = np.zeros((len(log.units), len(log.time_s)), np.uint16) if log.status is None else log.status.copy()
-    for k, faults in enumerate(found.values()):
-        for reason, rows in faults.masked.items():
-            status[k, rows] |= reason.value
-    if not status.any() and len(starts) == len(log.stretch_starts):
-        return log, found
-    return without_masked(replace(log, status=status, stretch_starts=starts)), found
+    """The log without rows that its `channels` ("gyro x"; None: all) show to be no measurement, and by unit what was
+    found. `at_rest`: of a record in which everything that is not marked as moving stands still."""
+    found = {name: _faults_of(log, number, channels, at_rest) for number, name in enumerate(log.units)}
+    status = np.stack([one.status for one in found.values()])
+    status |= 0 if log.status is None else log.status
+    return without_masked(replace(log, status=status)) if status.any() else log, found
 
 
 def _whole_segments(standstill: Whole | None, rows: Bools) -> Bools:

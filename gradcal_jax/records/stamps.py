@@ -7,17 +7,17 @@ intervals are counted in samples:
     uneven stamps   (bursts, radio events, whole milliseconds) come back to an even clock again and again; rows counted
                     against time give its rate
 
-A pause between two bursts of much more than the usual period is a gap. Where both may be, the answer is a question.
+Where both may be, the answer is a question.
 """
 
 import bisect
 import importlib
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from gradcal_jax import formulas
-from gradcal_jax.records.log import Bools, Finding, Floats, LogError, Whole, intervals_within, mean_interval
+from gradcal_jax.records.log import Bools, Finding, Floats, LogError, Whole
 from gradcal_jax.tables.section import Section
 
 ABSURD: Final = 1e12
@@ -26,24 +26,17 @@ ABSURD: Final = 1e12
 _MANY, _SHARE = 20, 0.1
 # Rows on end that are not single outliers; share of the span within which late packets are sorted.
 _RESTART, _SHUFFLED = 10, 0.01
-_COUNTERS: Final = {
-    "32 bits of µs": 2**32 * 1e-6,
-    "32 bits of ms": 2**32 * 1e-3,
-    "32 bits of ns": 2**32 * 1e-9,
-    "24 bits of µs": 2**24 * 1e-6,
-    "16 bits of ms": 2**16 * 1e-3,
-    "16 bits of µs": 2**16 * 1e-6,
-}
 # Median intervals that are a gap, unless stamps within so many rows make up for it.
 _GAP, _JITTER_ROWS = 1.6, 5
 # An interval is short below this share of the median; if more than the second share are, stamps come in bursts.
 _SHORT, _OFTEN = 0.3, 0.05
 # If more than this share of the intervals are gaps, they must be whole numbers of intervals or of an even clock.
 _UNEVEN: Final = 0.005
-# Bursts over which a wandering clock is averaged, and longest intervals by which stamps may leave it.
-_BURSTS, _WITHIN = 40, 1.5
-# Bursts come evenly within this share of their period; least share of whole bursts by which their rows are counted.
-_EVENLY, _WHOLE = 0.02, 0.3
+# Bursts over which a wandering clock is averaged, longest intervals by which stamps may leave it, and usual intervals
+# between bursts beyond which one is a pause.
+_BURSTS, _WITHIN, _PAUSE = 40, 1.5, 3.0
+# Bursts come evenly within this share of their period.
+_EVENLY: Final = 0.02
 # Rows in which a pattern of intervals is looked for, its largest length, and its least share of their variance.
 _PATTERN_ROWS, _PATTERN, _REPEATS = 1 << 16, 100, 0.3
 # Even intervals over those within a burst: up to the first it is the same clock, from the second on these are arrivals.
@@ -185,12 +178,11 @@ def _refuse_restart(time: Floats, kept: Bools, rows_before: int) -> None:
         steps = np.diff(time[max(start - 1, 0) : stop + 1])
         row = max(start - 1, 0) + 1 + int(np.argmin(steps))
         step = float(-np.min(steps))
-        wrap = [words for words, turn in _COUNTERS.items() if abs(step + usual - turn) < 0.01 * turn]
         row += rows_before
         raise LogError(
             f"the clock steps back at row {row}, by {step:.6g} s, and continues from the earlier time: "
-            + (f"did a counter of {wrap[0]} wrap? " if wrap else "did the clock restart, or a counter wrap? ")
-            + f'Read the parts separately, with --rows "0..{row}" and --rows "{row}..", or correct the time stamps; or '
+            "did the clock restart, or a counter wrap? "
+            f'Read the parts separately, with --rows "0..{row}" and --rows "{row}..", or correct the time stamps; or '
             "do rows of another sensor follow? If so, select one sensor's rows with the key `where`"
         )
 
@@ -216,7 +208,7 @@ def stretches(time: Floats, found: Findings) -> tuple[Floats, Whole]:
     even = None if removed > _OFTEN * len(time) else _even_clock(time, gaps)
     own_rate = f'"{(len(time) - 1) / float(time[-1] - time[0]):.6g} Hz" (rows over time)'
     if removed <= _OFTEN * len(time) and (
-        _like_regular_losses(time) or (even is not None and _like_pauses(time, even.time_s, usual))
+        _like_regular_losses(time) or (even is not None and _like_pauses(time, even, usual))
     ):
         even = None
         found.question(
@@ -229,15 +221,13 @@ def stretches(time: Floats, found: Findings) -> tuple[Floats, Whole]:
     starts = np.concatenate([[0], gaps + 1]).astype(np.int64)
     lost, longest_s = 0, float(np.max(interval[gaps], initial=0.0))
     if even is not None:
-        inside = np.delete(interval, even.starts[1:] - 1)
-        time, starts, lost = even
-        longest_s = float(np.max(np.diff(time)))
-        rate = 1.0 / mean_interval(time, intervals_within(time, starts))
+        time, starts = even, np.zeros(1, np.int64)
         found.note(
             "uneven stamps",
-            f"the time stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * inside.max():.3g} ms apart, "
-            f"and {'most rows are present' if lost else 'no row is missing'}: the samples are taken as evenly spaced, "
-            f"at {rate:.6g} Hz on average (to confirm, state this sample_rate instead of time)",
+            f"the time stamps are uneven, {1e3 * np.quantile(interval, 0.01):.3g} … {1e3 * interval.max():.3g} ms "
+            "apart, and no row is missing: the samples are taken as evenly spaced, at "
+            f"{1.0 / float(np.mean(np.diff(time))):.6g} Hz on average (to confirm, state this sample_rate instead of "
+            "time)",
         )
     elif len(gaps):
         longer = interval[gaps] / usual
@@ -251,7 +241,7 @@ def stretches(time: Floats, found: Findings) -> tuple[Floats, Whole]:
                 "counted, give the counter as `clock`",
             )
     count = len(starts) - 1
-    if count and (lost or even is None):
+    if count:
         found.rows(
             "gap",
             count,
@@ -270,17 +260,12 @@ def _gaps(time: Floats, usual: float) -> Whole:
     return suspect[(time[last] - time[first]) / usual - (last - first) > _GAP - 1.0]
 
 
-def _blocks(interval: Floats) -> Floats | None:
-    """The intervals in blocks `(_BLOCKS, size)`; None where they are few."""
-    size = len(interval) // _BLOCKS
-    return None if size < 4 else interval[: size * _BLOCKS].reshape(_BLOCKS, size)
-
-
 def _changed_rate(interval: Floats) -> tuple[int, float, float] | None:
     """Of intervals `(n,)` that are alike in one part and others in another the row of the change, and both rates (Hz);
     None where they do not change so. Bursts, jitter and lost rows are in every part."""
-    if (blocks := _blocks(interval)) is None:
+    if (size := len(interval) // _BLOCKS) < 4:
         return None
+    blocks = interval[: size * _BLOCKS].reshape(_BLOCKS, size)
     usual = np.median(blocks, axis=1)
     even = np.mean(np.abs(blocks / usual[:, None] - 1.0) < 0.1, axis=1) > _EVEN
     if np.count_nonzero(even) < 2 * _SOME * _BLOCKS:
@@ -292,7 +277,6 @@ def _changed_rate(interval: Floats) -> tuple[int, float, float] | None:
     first = usual[np.argmax(even)]
     other = high if first < np.sqrt(low * high) else low
     nearer = np.abs(np.log(interval / other)) < np.abs(np.log(interval / first))
-    size = blocks.shape[1]
     ahead = np.convolve(nearer, np.ones(size), "full")[size - 1 :]
     row = int(np.argmax(nearer & (ahead > _EVEN * size)))
     return row + 1, float(1.0 / first), float(1.0 / other)
@@ -300,74 +284,39 @@ def _changed_rate(interval: Floats) -> tuple[int, float, float] | None:
 
 def wander(interval: Floats) -> float:
     """Deviation of block means of the interval from their mean, beyond jitter; relative rms."""
-    if (blocks := _blocks(interval)) is None:
+    if (size := len(interval) // _BLOCKS) < 4:
         return 0.0
+    blocks = interval[: size * _BLOCKS].reshape(_BLOCKS, size)
     means = blocks.mean(axis=1)
     # Jitter of stamps cancels in a block except at its ends.
-    jitter = np.sqrt(2) * float(np.std(blocks - means[:, None])) / blocks.shape[1]
+    jitter = np.sqrt(2) * float(np.std(blocks - means[:, None])) / size
     return float(np.sqrt(max(float(np.var(means)) - 4 * jitter**2, 0.0))) / float(means.mean())
 
 
-class _Even(NamedTuple):
-    """Even times, the rows at which stretches begin, and the number of lost rows."""
-
-    time_s: Floats
-    starts: Whole
-    lost: int
-
-
-def _even_clock(time: Floats, suspects: Whole) -> _Even | None:
-    """The even clock of stamps `(n,)` with seeming gaps after the rows `suspects`; None where there is none."""
-    count = len(suspects)
-    if count < max(_MANY, _UNEVEN * len(time)):
+def _even_clock(time: Floats, suspects: Whole) -> Floats | None:
+    """The even times of stamps `(n,)` with seeming gaps after the rows `suspects`: the line through them, or its
+    running mean over many bursts, if all stamps stay within a burst of it; None where there are none."""
+    if len(suspects) < max(_MANY, _UNEVEN * len(time)):
         return None
     interval = np.diff(time)
-    usual = float(np.median(interval[suspects]))
-    # (Shorter ones are of rows lost within a burst.)
-    suspects = suspects[interval[suspects] > 0.5 * usual]
-    begins = np.concatenate([[0], suspects + 1])
-    period = float(np.median(np.diff(time[begins])))
-    pauses = suspects[interval[suspects] > usual + _GAP * period - min(period, usual)]
-    # A pause is taken out, the rest is looked at as one, and it is put back.
-    shift = np.zeros(len(time))
-    shift[pauses + 1] = interval[pauses] - usual
-    shift = np.cumsum(shift)
-    sizes = np.diff(begins, append=len(time))
-    most = int(np.bincount(sizes).argmax())
-    rows = np.arange(len(time), dtype=np.float64)
-    lost = 0
-    starts = np.concatenate([[0], pauses + 1])
-    if _counts_bursts(time - shift, begins, sizes, most, period):
-        burst = np.repeat(np.arange(len(sizes)), sizes)
-        rows = burst * most + rows - begins[burst]
-        lost = int(np.sum(most - sizes[:-1]))
-    if lost:
-        starts = np.union1d(starts, begins[1:][sizes[:-1] < most])
-    even = _even(time - shift, rows, count)
-    if even is None:
+    longest = float(np.max(interval))
+    if longest > _PAUSE * np.quantile(interval[suspects], 0.95):
         return None
-    return _Even(even + shift, starts.astype(np.int64), lost + round(float(shift[-1]) / (period / most)))
-
-
-def _counts_bursts(time: Floats, begins: Whole, sizes: Whole, most: int, period: float) -> bool:
-    """Whether bursts come evenly and some have fewer rows than `most`: rows were lost within these."""
-    apart = np.abs(np.diff(time[begins]) - period)
-    evenly = float(np.quantile(apart, 0.9)) < _EVENLY * period
-    larger, smaller = np.mean(sizes[:-1] > most), np.mean(sizes[:-1] < most)
-    # (A row that falls into the next burst is not lost.)
-    return bool(evenly and most > 1 and larger < 0.1 * smaller < 0.1 * (1.0 - _WHOLE))
-
-
-def _even(time: Floats, rows: Floats, suspects: int) -> Floats | None:
-    """The line through stamps, or its running mean over many bursts, if all stamps stay within a burst of it."""
+    begins = np.concatenate([[0], suspects + 1])
+    sizes, periods = np.diff(begins), np.diff(time[begins])
+    most, period = int(np.bincount(sizes).argmax()), float(np.median(periods))
+    larger, smaller = np.mean(sizes > most), np.mean(sizes < most)
+    # Bursts come evenly, and some have fewer rows, which did not fall into the next one: rows were lost.
+    if np.quantile(np.abs(periods - period), 0.9) < _EVENLY * period and larger < 0.1 * smaller:
+        return None
+    rows = np.arange(len(time), dtype=np.float64)
     slope, first = np.polyfit(rows, time, 1)
     line = first + slope * rows
-    burst = _WITHIN * float(np.max(np.diff(time)))
     ndimage: Any = importlib.import_module("scipy.ndimage")
-    width = 2 * (_BURSTS * len(time) // suspects // 2) + 1
+    width = 2 * (_BURSTS * len(time) // len(suspects) // 2) + 1
     slow: Floats = ndimage.uniform_filter1d(time - line, width, mode="nearest")
     for even in (line, line + slow):
-        if np.ptp(time - even) <= burst and np.all(np.diff(even) > 0.0):
+        if np.ptp(time - even) <= _WITHIN * longest and np.all(np.diff(even) > 0.0):
             return even
     return None
 

@@ -1,8 +1,9 @@
-"""The angles of a run's table, from the events of its journal: standstills, readings, rates of spins."""
+"""The angles of a run's table, from the events of its journal: how long each axis is held, standstills, readings."""
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,141 +23,142 @@ _LATE_S: Final = 0.2
 Floats = NDArray[np.float64]
 
 
-def standstills(events: Sequence[Event], axes: Sequence[str]) -> list[tuple[float, float]]:
-    """When no axis moves: from the reading that shows it to the next command of motion, or to the run's interruption.
+class Reading(NamedTuple):
+    """An angle that was read."""
 
-    An axis that stood at an interruption stands again where the next step begins: a typed angle is not read again.
-    """
-    moving = set(axes)
-    intervals: list[tuple[float, float]] = []
-    since: float | None = None
-    latest = 0.0
+    time_s: float
+    angle_rad: float
+    kind: ReadingKind
+
+
+@dataclass
+class Held:
+    """A time in which an axis stands, from the reading that shows it to its next command or an interruption of the run,
+    or spins at the commanded rate."""
+
+    begin_s: float
+    end_s: float = math.inf
+    rate_dps: float = 0.0
+    readings: list[Reading] = field(default_factory=list[Reading])
+
+
+@dataclass
+class AxisCourse:
+    """What is known of an axis: when it is held, in order, and the readings while it moves."""
+
+    held: list[Held]
+    moving: list[Reading]
+
+    @property
+    def spins(self) -> bool:
+        return any(one.rate_dps != 0.0 for one in self.held)
+
+
+def course_of(events: Sequence[Event], axis: str) -> AxisCourse:
+    """The course of an axis. One that stood at an interruption stands again where the next step begins: a typed angle
+    is not read again, and holds until the axis is turned."""
+    course = AxisCourse([], [])
+    now: Held | None = None
+    last: Reading | None = None
+    stood = False
     for event in events:
-        latest = max(latest, event.time_s)
-        if event.name == "angle" and not event.data["moving"] and event.data["axis"] in moving:
-            moving.discard(str(event.data["axis"]))
-            if not moving:
-                since = float(event.data["time_s"])
-        elif event.name == "step begins" and since is None and axes and not moving:
-            since = float(event.data["begins_s"])
-        elif event.name in MOVE_COMMANDS or breaks_off(event):
-            if since is not None:
-                intervals.append((since, float(event.data.get("began_s", event.time_s))))
-                since = None
-            if event.name in MOVE_COMMANDS:
-                moving.add(str(event.data["axis"]))
-    if since is not None:
-        intervals.append((since, latest))
-    return [(start, end) for start, end in intervals if end > start]
+        own, data = event.data.get("axis") == axis, event.data
+        if event.name == "angle" and own:
+            time_s = float(data["time_s"])
+            kind = ReadingKind.PLANNED if data.get("planned", True) else ReadingKind.STANDING
+            kind = ReadingKind.MOVING if data["moving"] else kind
+            known = data["position_deg"] is not None
+            reading = Reading(time_s, math.radians(float(data["position_deg"])), kind) if known else None
+            if data["moving"]:
+                course.moving += [reading] if reading else []
+                continue
+            if now is None and not stood:
+                now = Held(time_s)
+                course.held.append(now)
+            if reading is not None:
+                last = reading
+                if now is not None:
+                    now.readings.append(reading)
+        elif (commanded := event.name in MOVE_COMMANDS and own) or breaks_off(event):
+            began_s = float(data.get("began_s", event.time_s))
+            before = now.rate_dps if now is not None else 0.0
+            stood = not commanded and (stood or (now is not None and now.rate_dps == 0.0))
+            if now is not None:
+                now.end_s, now = began_s, None
+            if commanded:
+                last = None
+                if event.name == "move" and data["kind"] == "spin":
+                    rate = float(data["rate_dps"])
+                    ramp_s = abs(rate - before) / float(data["acceleration_dps2"])
+                    now = Held(began_s + ramp_s + _LATE_S, rate_dps=rate)
+                    course.held.append(now)
+        elif event.name == "step begins" and stood:
+            stood, begin_s = False, float(data["begins_s"])
+            now = Held(begin_s, readings=[] if last is None else [last._replace(time_s=begin_s)])
+            course.held.append(now)
+    course.held = [one for one in course.held if one.end_s > one.begin_s]
+    return course
 
 
-def known_standstills(events: Sequence[Event], axis: str, first_s: Floats, last_s: Floats) -> NDArray[np.bool_]:
-    """For standstills from `first_s` to `last_s`, whether the angle of the axis was read since its last command of
-    motion (a typed angle holds until the axis is turned again)."""
-    own = [event for event in events if event.data.get("axis") == axis]
-    moved = np.array([-math.inf, *(e.data.get("began_s", e.time_s) for e in own if e.name in MOVE_COMMANDS)])
-    still = [e.data for e in own if e.name == "angle" and not e.data["moving"]]
-    times = np.array(sorted(float(data["time_s"]) for data in still if data["position_deg"] is not None))
-    since_s = moved[np.maximum(np.searchsorted(moved, first_s) - 1, 0)]
-    return np.searchsorted(times, since_s) < np.searchsorted(times, last_s + 2.0 * MARGIN_S, side="right")
+def standstills(courses: Sequence[AxisCourse], latest_s: float) -> list[tuple[float, float]]:
+    """When all axes stand at angles that were read, up to `latest_s`."""
+    of_axes = [[one for one in course.held if one.rate_dps == 0.0 and one.readings] for course in courses]
+    begins = [one.begin_s for held in of_axes for one in held]
+    ends = [one.end_s for held in of_axes for one in held]
+    times = np.minimum([*ends, *begins], latest_s)
+    order = np.argsort(times, kind="stable")
+    standing = np.cumsum(np.repeat([-1, 1], [len(ends), len(begins)])[order])
+    first = np.flatnonzero(standing == len(courses)) if courses else np.zeros(0, np.int64)
+    times = times[order]
+    return [(float(times[k]), float(times[k + 1])) for k in first.tolist() if times[k + 1] > times[k]]
 
 
-def table_readings(events: Sequence[Event], axis: str, number: int, host: Floats, late_s: float) -> AngleReadings:
+def table_readings(course: AxisCourse, number: int, host: Floats, late_s: float) -> AngleReadings:
     """The readings of an axis, `number` of the log's, at the times `host` of its rows.
 
     A standing axis is at its angle from the first reading that shows it standing to its next command. Its row is the
-    nearest to the reading's time in between, without `late_s` and the margins of a standstill. An axis that is not read
-    again (its angle was typed) has its last reading where samples begin, also behind an interruption at which it stood.
+    nearest to the reading's time in between, without `late_s` and the margins of a standstill.
     """
-    rows: list[tuple[float, int, float, ReadingKind]] = []
-    stands: list[tuple[float, Event]] = []
-    last: Event | None = None
-    again_s = math.nan
+    rows: list[tuple[float, int, float, int]] = []
 
-    def add(
-        time_s: float,
-        event: Event,
-        at_s: float,
-        kind: ReadingKind,
-        *,
-        next_row: bool = False,
-        until_s: float | None = None,
-    ) -> None:
+    def add(reading: Reading, at_s: float, near_s: float, *, next_row: bool = False) -> None:
         row = int(np.searchsorted(host, at_s))
         if not next_row and row > 0 and (row == len(host) or at_s - host[row - 1] < host[row] - at_s):
             row -= 1
         # Where no samples are near, the reading has no row.
-        near_s = SETTLED_S + late_s if until_s is None else until_s - at_s
         if row < len(host) and abs(host[row] - at_s) <= near_s:
-            rows.append((time_s, row, math.radians(float(event.data["position_deg"])), kind))
+            rows.append((reading.time_s, row, reading.angle_rad, reading.kind))
 
-    def close(until_s: float) -> None:
-        """Place the readings of one standstill, which ends at `until_s`."""
-        if not stands and last is not None and math.isfinite(again_s):
-            stands.append((again_s, last))
-        first_s = stands[0][0] if stands else 0.0
-        begin_s, end_s = first_s + SETTLED_S + late_s, until_s - MARGIN_S - late_s
-        count, kind = len(rows), ReadingKind.PLANNED
-        for time_s, event in stands:
-            kind = ReadingKind.PLANNED if event.data.get("planned", True) else ReadingKind.STANDING
+    near_s = SETTLED_S + late_s
+    for reading in course.moving:
+        add(reading, reading.time_s, near_s)
+    for held in course.held:
+        if held.rate_dps != 0.0 or not held.readings:
+            continue
+        first_s = held.readings[0].time_s
+        begin_s, end_s = first_s + near_s, held.end_s - MARGIN_S - late_s
+        count = len(rows)
+        for reading in held.readings:
             if begin_s > end_s:
-                add(time_s, event, 0.5 * (first_s + until_s), kind)
+                add(reading, 0.5 * (first_s + held.end_s), near_s)
             else:
-                at_s = max(time_s, begin_s)
-                add(time_s, event, min(at_s, end_s), kind, next_row=at_s < end_s)
-        if stands and len(rows) == count and begin_s < end_s:
-            time_s, event = stands[-1]
-            row = min(int(np.searchsorted(host, max(time_s, begin_s))), len(host) - 1)
-            add(time_s, event, float(host[row]) + 2.0 * SETTLED_S, kind, next_row=True, until_s=end_s)
-        stands.clear()
-
-    for event in events:
-        own = event.data.get("axis") == axis
-        if event.name == "angle" and own and event.data["position_deg"] is not None:
-            time_s = float(event.data["time_s"])
-            if event.data["moving"]:
-                add(time_s, event, time_s, ReadingKind.MOVING)
-            else:
-                stands.append((time_s, event))
-                last = event
-        elif (moves := event.name in MOVE_COMMANDS and own) or breaks_off(event):
-            close(float(event.data.get("began_s", event.time_s)))
-            last, again_s = None if moves else last, math.nan
-        elif event.name == "step begins" and not stands:
-            again_s = float(event.data["begins_s"])
-    close(math.inf)
+                at_s = min(max(reading.time_s, begin_s), end_s)
+                add(reading, at_s, near_s, next_row=at_s < end_s)
+        if len(rows) == count and begin_s < end_s:
+            row = min(int(np.searchsorted(host, max(held.readings[-1].time_s, begin_s))), len(host) - 1)
+            at_s = float(host[row]) + 2.0 * SETTLED_S
+            add(held.readings[-1], at_s, end_s - at_s, next_row=True)
     times, at, angles, kinds = np.array(rows).reshape(-1, 4).T
     whole, none = np.int64, np.full(len(rows), np.nan)
     return AngleReadings(times, at.astype(whole), np.full(len(rows), number, whole), angles, none, kinds.astype(whole))
 
 
-def held_rates(events: Sequence[Event], axis: str, end_s: float) -> tuple[Floats, Floats] | None:
-    """Times up to `end_s`, and the rates of an axis between which straight lines are drawn, deg/s: the commanded rate
-    of its spins, the reference of the standard method, zero where it stands. None for an axis that never spins."""
-    if not any(_spins(event, axis) for event in events):
-        return None
-    knots: list[tuple[float, float]] = []
-    since_s, rate = math.inf, 0.0
-
-    def close(until_s: float) -> None:
-        if since_s < until_s:
-            knots.extend([(since_s, rate), (until_s, rate)])
-
-    for event in events:
-        own = event.data.get("axis") == axis
-        if event.name == "angle" and own and not event.data["moving"] and since_s == math.inf:
-            since_s, rate = float(event.data["time_s"]), 0.0
-        elif (event.name in MOVE_COMMANDS and own) or breaks_off(event):
-            began_s = float(event.data.get("began_s", event.time_s))
-            close(began_s)
-            before, since_s = (rate if since_s < math.inf else 0.0), math.inf
-            if _spins(event, axis):
-                rate = float(event.data["rate_dps"])
-                since_s = began_s + abs(rate - before) / float(event.data["acceleration_dps2"]) + _LATE_S
-    close(end_s)
-    times, rates = np.array(knots).reshape(-1, 2).T
-    return (times, rates) if len(knots) else None
-
-
-def _spins(event: Event, axis: str) -> bool:
-    return event.name == "move" and event.data["axis"] == axis and event.data["kind"] == "spin"
+def held_rates(course: AxisCourse, times_s: Floats) -> Floats:
+    """`(n,)`: the rate of an axis, rad/s: the commanded one of its spins, the reference of the standard method, zero
+    where it stands, and straight lines between these."""
+    ends = np.array([(one.begin_s, min(one.end_s, float(times_s[-1]))) for one in course.held]).reshape(-1, 2)
+    rates = np.array([one.rate_dps for one in course.held])
+    before = ends[:, 0] < ends[:, 1]
+    if not before.any():
+        return np.zeros(len(times_s))
+    return np.radians(np.interp(times_s, ends[before].ravel(), np.repeat(rates[before], 2)))

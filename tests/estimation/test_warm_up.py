@@ -91,9 +91,9 @@ def test_masked_rows_change_no_bit_of_a_calibration():
     def estimated(rate, temperature, false_reading):
         read = np.round(course, 3)
         read[3000:3030] = false_reading
-        values = {f"gyro {axis}": np.where(marked, rate, rates[:, k])[None] for k, axis in enumerate("xyz")}
-        values |= {"time": time, "temperature": np.where(marked, temperature, read)[None], "marked": marked[None]}
-        (result,) = estimate_warm_up([examine(Columns(("g",), values))]).calibrations
+        values = {f"gyro {axis}": np.where(marked, rate, rates[:, k]) for k, axis in enumerate("xyz")}
+        values |= {"time": time, "temperature": np.where(marked, temperature, read), "marked": 1.0 * marked}
+        (result,) = estimate_warm_up([examine(Columns("g", values))]).calibrations
         return result
 
     first, other = estimated(0.0, 20.0, 85.0), estimated(1e300, -273.0, -127.0)

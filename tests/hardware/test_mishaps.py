@@ -442,7 +442,7 @@ def test_attempts_that_the_run_refused_are_no_data() -> None:
     first = [Event(0.0, "session", {"number": 0, "simulated": False, "wall_clock_s": 0.0}), *step(0, 10.0)]
     (ended,) = sessions_of([*first, *refused(20.0), *refused(40.0), Event(51.0, "ending", {})])
     assert ended.stretches() == [(10.0, 20.0)]
-    assert ended.refused() == 2
+    assert ended.count("not done") == 2
     done = [*step(1, 40.0), *step(2, 50.0), Event(60.0, "ending", {})]
     (repeated,) = sessions_of([*first, *refused(20.0), *done])
     assert repeated.stretches() == [(10.0, 20.0), (40.0, 60.0)]

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from motion_and_recording import Motion, Recorded, readings, recording, turns
 
+import gradcal_jax as gj
 from gradcal_jax.records.alignment import Alignment, AngleTrack, NoAlignment, align
+from gradcal_jax.records.run_log import _about_innermost
 
 UNKNOWN = "from another run|agrees with the run at more than one start time"
 
@@ -16,7 +18,7 @@ def one(seed: int, cycles: int = 12) -> tuple[Alignment, Recorded]:
     unit = recording(
         random, motion, begins_s=-random.uniform(0.0, 2000.0), ends_s=end + 200.0, ppm=50.0 * random.choice([-1.0, 1.0])
     )
-    found = align(unit.time_s, {"x": unit.rate_dps}, {"x": AngleTrack(*readings(random, motion))})
+    found = align(unit.time_s, unit.rate_dps, AngleTrack(*readings(random, motion)))
     return found, unit
 
 
@@ -57,46 +59,44 @@ def test_another_run_or_another_axis_is_refused() -> None:
     end = float(motion.time_s[-1])
     other = recording(random, turns(random, 10), begins_s=0.0, ends_s=1500.0, ppm=50.0)
     with pytest.raises(NoAlignment, match=UNKNOWN):
-        align(other.time_s, {"x": other.rate_dps}, {"x": track})
+        align(other.time_s, other.rate_dps, track)
     unit = recording(random, motion, begins_s=-50.0, ends_s=end, ppm=-50.0)
     still = 0.3 * random.standard_normal(len(unit.time_s))
     with pytest.raises(NoAlignment, match="another axis"):
-        align(unit.time_s, {"x": still}, {"x": track})
+        align(unit.time_s, still, track)
     # An axis that lies askew senses some of the turns.
     with pytest.raises(NoAlignment, match=r"sensor measures 0\.5"):
-        align(unit.time_s, {"x": 0.5 * unit.rate_dps}, {"x": track})
+        align(unit.time_s, 0.5 * unit.rate_dps, track)
     with pytest.raises(NoAlignment, match="opposite sign"):
-        align(unit.time_s, {"x": -unit.rate_dps}, {"x": track})
-    with pytest.raises(NoAlignment, match="did not turn any axis of the recording"):
-        align(unit.time_s, {"y": unit.rate_dps}, {"x": track})
+        align(unit.time_s, -unit.rate_dps, track)
 
 
 def test_turns_that_are_all_alike_tell_their_place_only_with_their_first_or_last() -> None:
     random, motion, track = run_and_unit(6, alike=True)
     end = float(motion.time_s[-1])
     whole = recording(random, motion, begins_s=-500.0, ends_s=end + 500.0, ppm=50.0)
-    found = align(whole.time_s, {"x": whole.rate_dps}, {"x": track})
+    found = align(whole.time_s, whole.rate_dps, track)
     assert np.abs(errors(found, whole)).max() < 4.0
     # What turns in one and not in the other, and the other way round, counts against a place.
     inside = (track.time_s > 98.0) & (track.time_s < end - 128.0)
     short = AngleTrack(track.time_s[inside], track.angle_deg[inside])
     close = recording(random, motion, begins_s=95.0, ends_s=end - 125.0, ppm=50.0)
-    found = align(close.time_s, {"x": close.rate_dps}, {"x": short})
+    found = align(close.time_s, close.rate_dps, short)
     assert np.abs(errors(found, close)).max() < 4.0
     middle = recording(random, motion, begins_s=0.4 * end, ends_s=0.7 * end, ppm=50.0)
     with pytest.raises(NoAlignment, match="more than one start time"):
-        align(middle.time_s, {"x": middle.rate_dps}, {"x": track})
+        align(middle.time_s, middle.rate_dps, track)
 
 
 def test_a_part_of_a_run_whose_turns_differ_is_enough_and_a_gap_does_no_harm() -> None:
     random, motion, track = run_and_unit(7)
     end = float(motion.time_s[-1])
     unit = recording(random, motion, begins_s=0.3 * end, ends_s=1.4 * end, ppm=-50.0)
-    found = align(unit.time_s, {"x": unit.rate_dps}, {"x": track})
+    found = align(unit.time_s, unit.rate_dps, track)
     assert np.abs(errors(found, unit)).max() < 4.0
     kept = np.ones(len(unit.time_s), bool)
     kept[20000:23000] = False
-    found = align(unit.time_s[kept], {"x": unit.rate_dps[kept]}, {"x": track})
+    found = align(unit.time_s[kept], unit.rate_dps[kept], track)
     assert np.abs(errors(found, unit)).max() < 4.0
 
 
@@ -106,4 +106,12 @@ def test_readings_at_rest_alone_do_not_tell_the_clock() -> None:
     rests = np.abs(rate) == 0.0
     unit = recording(random, motion, begins_s=-10.0, ends_s=float(motion.time_s[-1]), ppm=50.0)
     with pytest.raises(NoAlignment, match=f"readings|{UNKNOWN}"):
-        align(unit.time_s, {"x": unit.rate_dps}, {"x": AngleTrack(track.time_s[rests], track.angle_deg[rests])})
+        align(unit.time_s, unit.rate_dps, AngleTrack(track.time_s[rests], track.angle_deg[rests]))
+
+
+def test_of_several_axes_the_innermost_is_sensed_by_the_mounting() -> None:
+    rates = dict(zip("xyz", np.random.default_rng(0).standard_normal((3, 101)), strict=True))
+    two, one = (gj.parse_spec(gj.presets.text(f"{name}-axis-table")).rig.table for name in ("two", "one"))
+    np.testing.assert_allclose(_about_innermost(two, rates), rates["z"] - np.median(rates["z"]), atol=1e-12)
+    with pytest.raises(NoAlignment, match="a run of each mounting"):
+        _about_innermost(one, rates)

@@ -1,6 +1,5 @@
 """Maps from the headers that programs write, and questions where a name contradicts the map."""
 
-import gzip
 import tomllib
 from pathlib import Path
 
@@ -43,8 +42,6 @@ def test_a_map_is_made_from_a_header(header: str, tmp_path: Path):
     assert HEADERS[header].items() <= columns_of(text).items()
     assert ('delimiter = "tab"' in text) == ("\t" in header)
     assert "???" in text or parse_column_map(text).rate
-    (tmp_path / "b.csv.gz").write_bytes(gzip.compress((header + "\n").encode()))
-    assert map_to_fill_in(tmp_path / "b.csv.gz") == text
     (tmp_path / "a.csv").write_text("one,two,three\n1,2,3\n", encoding="utf-8")
     assert map_to_fill_in(tmp_path / "a.csv") is None
 
@@ -57,19 +54,6 @@ def test_any_header_gives_a_map_or_none(tmp_path_factory, header):
     found = map_to_fill_in(path)
     if found is not None and "???" not in found:
         parse_column_map(found)
-
-
-@pytest.mark.parametrize(
-    ("name", "unit", "says"),
-    [
-        ("tempF", "degC", "F"), ("temp_K", "degC", "K"), ("gx_deg_h", "deg/s", "deg_h"), ("gyroXDps", "rad/s", "Dps"),
-        ("mdps_x", "deg/s", "mdps"), ("TimeUS", "ms", "US"),
-    ],
-)  # fmt: skip
-def test_a_unit_joined_to_a_name_that_contradicts_the_map_is_a_question(name: str, unit: str, says: str):
-    question = contradiction(name, unit)
-    assert question is not None
-    assert f"states the unit {says}, and the column map states {unit}" in question
 
 
 @pytest.mark.parametrize(

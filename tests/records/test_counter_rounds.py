@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from gradcal_jax.hardware.roles import imu_batch
 from gradcal_jax.hardware.sample_times import SampleTimes
 from gradcal_jax.records.clockmap import bridge_gaps
-from gradcal_jax.records.samples import SampleFile
+from gradcal_jax.records.sessions import SampleFile
 
 SAMPLE_S, ROUND, BURST = 0.008, 16, 10
 ROUND_S = ROUND * SAMPLE_S
@@ -23,18 +23,18 @@ def sent(folder, bursts, lost, late_s, damaged):
     """The samples of `bursts` bursts, the samples `lost` before some of them, and each sample's true number."""
     times = SampleTimes("count", 1.0 / SAMPLE_S, SAMPLE_S, ROUND)
     truth, count, arrived = [], 0, 0.0
-    with SampleFile(folder) as file:
-        for number in range(bursts):
-            count += lost.get(number, 0)
-            index = count + np.arange(BURST)
-            count += BURST
-            arrived = max(arrived + 1e-5, count * SAMPLE_S + late_s[number])
-            device, gaps, _ = times.push(index % ROUND)
-            first = (np.arange(BURST) == 0) & (number in lost) & damaged
-            none = np.zeros((BURST, 3))
-            file.push(imu_batch(arrived, device, none, none, none, gap_before=gaps, disturbed=first))
-            truth.append(index)
-        return file.rows(), np.concatenate(truth) if truth else np.zeros(0)
+    file = SampleFile(folder)
+    for number in range(bursts):
+        count += lost.get(number, 0)
+        index = count + np.arange(BURST)
+        count += BURST
+        arrived = max(arrived + 1e-5, count * SAMPLE_S + late_s[number])
+        device, gaps, _ = times.push(index % ROUND)
+        first = (np.arange(BURST) == 0) & (number in lost) & damaged
+        none = np.zeros((BURST, 3))
+        file.push(imu_batch(arrived, device, none, none, none, gap_before=gaps, disturbed=first))
+        truth.append(index)
+    return file.rows(), np.concatenate(truth)
 
 
 @st.composite
@@ -62,16 +62,3 @@ def test_behind_a_loss_the_clock_goes_on_by_the_computers_however_late_the_other
     within_s = QUICK_S * len(lost) + 1e-9
     np.testing.assert_allclose(rows["time_s"] - rows["time_s"][0], (truth - truth[0]) * SAMPLE_S, atol=within_s)
     assert rows["gap"][1:].sum() == pytest.approx(sum(lost.values()), abs=within_s / SAMPLE_S + len(lost))
-
-
-def test_a_long_counter_counts_by_itself(tmp_path):
-    rows, _ = sent(tmp_path, 10, {5: 3}, [0.0] * 10, damaged=False)
-    before = rows["time_s"].copy()
-    bridge_gaps(rows, 0.0, SAMPLE_S)
-    np.testing.assert_array_equal(rows["time_s"], before)
-
-
-def test_a_stream_without_samples_has_no_gaps(tmp_path):
-    rows, _ = sent(tmp_path, 0, {}, [], damaged=False)
-    bridge_gaps(rows, ROUND_S, SAMPLE_S)
-    assert len(rows) == 0

@@ -6,10 +6,8 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from gradcal_jax.records.log import Log, LogError, Reason, part_of
+from gradcal_jax.records.log import Log, LogError, Reason
 from gradcal_jax.records.log_file import read_log, write_log
 from gradcal_jax.tables.netcdf import load_netcdf
 
@@ -83,15 +81,6 @@ def test_other_files_get_a_sentence(tmp_path):
             read_log(tmp_path / "cut.nc")
 
 
-@given(content=st.binary(max_size=300), honest=st.booleans())
-@settings(max_examples=20, deadline=None)
-def test_arbitrary_bytes_are_no_log(tmp_path_factory, content, honest):
-    path = tmp_path_factory.mktemp("bytes") / "log.nc"
-    path.write_bytes(b"\x89HDF\r\n\x1a\n" + content if honest else content)
-    with pytest.raises(LogError):
-        read_log(path)
-
-
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -121,16 +110,3 @@ def test_even_grid_marks_each_gap_with_one_invalid_point():
     assert even.valid.tolist() == [False] + [True] * 5 + [False] + [True] * 4
     assert even.row.tolist() == [0, 1, 2, 3, 4, 5, -1, 6, 7, 8, 9]
     assert even.rate_rad_per_s[even.valid].tolist() == [1, 2, 3, 4, 5, 6, 7, 8, 9]
-
-
-def test_a_part_of_a_log_keeps_its_clock_and_counts_what_is_left_out():
-    log = whole_log()
-    part = part_of(log, begin_s=2.0, end_s=4.0)
-    assert part.time_s[0] == pytest.approx(2.0)
-    assert part.stretch_starts.tolist() == [0, 10]
-    assert part.counts() == {"used": 21, "duplicate stamp": 4, "left out": 39}
-    np.testing.assert_array_equal(part.rate_rad_per_s, log.rate_rad_per_s[:, 20:41])
-    np.testing.assert_array_equal(part_of(log, rows=(10, 20)).temperature_c, log.temperature_c[:, 10:20])
-    assert part_of(log) is log
-    with pytest.raises(LogError, match="fewer than two rows"):
-        part_of(log, begin_s=50.0)

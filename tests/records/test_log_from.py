@@ -37,10 +37,6 @@ def same(log, imported):
         np.testing.assert_allclose(getattr(log, name), getattr(imported, name), rtol=1e-12, atol=1e-15)
 
 
-def test_arrays_in_si(imported):
-    same(gj.log_from(TIME, np.radians(RATES), temperature=WARM, angle={"inner": np.radians(ANGLE)}), imported)
-
-
 def test_columns_of_a_data_frame_with_units(imported):
     pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame(NAMES)
@@ -64,9 +60,6 @@ def test_columns_of_a_data_frame_with_units(imported):
 def test_what_does_not_fit_is_a_sentence(arguments, said):
     with pytest.raises(LogError, match=said):
         gj.log_from(*arguments)
-
-
-def test_units_are_checked():
     with pytest.raises(LogError, match="nearest: 'rate'"):
         gj.log_from(TIME, RATES, units={"rates": "deg/s"})
 

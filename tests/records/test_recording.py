@@ -201,28 +201,6 @@ def test_datagrams_lost_whole_are_counted_with_their_rounds() -> None:
     require_rest_in_standstills(log)
 
 
-def test_a_gap_whose_length_nobody_can_tell_goes_on_by_the_computers_clock() -> None:
-    # Six periods of the counter, and 48 ms of one of 128 ms.
-    log = recorded(
-        THERE_AND_BACK,
-        60.0,
-        late_s=lambda number: 0.002 if number < 80 else 0.05,
-        lost=lose_101,
-    )
-    (gap,) = (finding for finding in log.findings if finding.kind == "gap")
-    assert gap.count == 1
-    begins = int(np.argmax(np.diff(log.time_s))) + 1
-    assert begins in log.stretch_starts
-    assert np.diff(log.time_s).max() == pytest.approx(102 * 0.008 + 0.048, abs=2e-3)
-
-
-def test_stamps_that_come_later_from_some_place_on_change_no_time() -> None:
-    log = recorded(THERE_AND_BACK, 60.0, late_s=lambda number: 0.002 if number < 80 else 0.14)
-    assert log.findings == ()
-    assert np.diff(log.time_s).max() == pytest.approx(0.008)
-    require_rest_in_standstills(log)
-
-
 def test_a_unit_that_begins_anew_in_mid_run_splits_the_log_and_is_said() -> None:
     turns = (*THERE_AND_BACK, Turn(60.0, 360.0), Turn(75.0, 0.0))
     log = recorded(
@@ -272,24 +250,6 @@ def test_a_repeated_step_ends_stretch_and_standstill_and_what_stood_stands_behin
     assert (before, behind) == (2, 3)
     assert angles_at_rest(log) == pytest.approx([0.0, 360.0, 0.0, 0.0])
     assert np.count_nonzero(log.standstill == behind) > 14.0 * 125.0
-
-
-@pytest.mark.parametrize("place", ["before", "behind"])
-def test_an_axis_that_nobody_turns_or_reads_changes_nothing(place: str) -> None:
-    plain = recorded(THERE_AND_BACK, 40.0)
-    lines = TEMPLATE.splitlines()
-    start = lines.index("# [[axis]]")
-    by_hand = "\n".join(line.removeprefix("# ") for line in lines[start : start + 7]) + "\n"
-    table = TEMPLATE.index("[[axis]]  ")
-    rig = TEMPLATE[:table] + by_hand + TEMPLATE[table:] if place == "before" else TEMPLATE + by_hand
-    log = recorded(THERE_AND_BACK, 40.0, rig=rig)
-    assert log.standstill is not None
-    assert plain.standstill is not None
-    np.testing.assert_array_equal(log.standstill, plain.standstill)
-    assert angles_at_rest(log) == pytest.approx([0.0, 360.0, 0.0])
-    assert log.table_axes == ("table",)
-    # With one axis here and there its name is the recipe's.
-    assert plain.table_axes == ("x",)
 
 
 DAY_S = 86400.0

@@ -1,7 +1,5 @@
 """What the samples of a channel show by themselves."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,6 @@ from gradcal_jax.records.log import Log, Reason
 from gradcal_jax.records.signal_checks import (
     at_a_limit,
     coarse_steps,
-    frozen_temperature,
     standing_still,
     without_faults,
     wrapped,
@@ -70,10 +67,9 @@ def test_values_that_stand_still_are_masked_and_named():
     assert np.array_equal(np.flatnonzero(~cleaned.usable()), np.arange(1000, 1200))
     assert cleaned.status is not None
     assert cleaned.status[0, 1100] == Reason.FROZEN_VALUES
-    assert found["A"].sentences == (
-        "frozen: gyro x from 20 to 23.98 s (the value is constant there, but not in the rest of the record): 200 rows "
-        "are left out",
-    )
+    (sentence,) = found["A"].sentences
+    assert sentence.startswith("frozen: gyro x")
+    assert sentence.endswith("200 rows are left out, the first from 20 to 23.98 s")
 
 
 def test_a_sample_that_is_read_several_times_is_neither_frozen_nor_coarse():
@@ -91,48 +87,20 @@ def test_coarse_steps_are_the_fault_and_nothing_else(ratio: float, off: float | 
     assert seen.off > 0.02 * step
     assert off is None or seen.off == pytest.approx(off * step)
     faults = without_faults(log_of(values))[1]["A"]
-    assert not any(rows.any() for rows in faults.masked.values())
+    assert not faults.status.any()
     assert list(faults.coarse) == ["coarse steps of gyro x"]
 
 
-def test_a_frozen_thermometer_is_forgotten_and_a_coarse_or_constant_one_is_not():
+def test_a_frozen_thermometer_is_forgotten():
     rate = turning(60_000)
     time = np.arange(len(rate)) * 0.02
     smooth = 20.0 + time / 60.0 + 0.01 * np.random.default_rng(3).standard_normal(len(rate))
-    frozen = smooth.copy()
-    frozen[20_000:40_000] = frozen[20_000]
-    cleaned, found = without_faults(log_of(rate, frozen))
+    smooth[20_000:40_000] = smooth[20_000]
+    cleaned, found = without_faults(log_of(rate, smooth))
     assert cleaned.temperature_c is not None
-    assert np.array_equal(np.isnan(cleaned.temperature_c[0]), found["A"].masked[Reason.FROZEN_TEMPERATURE])
+    assert np.flatnonzero(np.isnan(cleaned.temperature_c[0])).tolist() == list(range(20_000, 40_000))
     assert np.count_nonzero(~cleaned.usable()) == 20_000
-    assert "frozen: the thermometer from 400 to 799.98 s" in found["A"].sentences[0]
-    for other in (np.rint(smooth / 2.0) * 2.0, np.full(len(rate), 20.0)):
-        cleaned, found = without_faults(log_of(rate, other))
-        assert cleaned.usable().all()
-        assert not found["A"].sentences
-    assert not frozen_temperature(time, smooth, np.zeros(1, np.int64)).any()
-
-
-def test_gaps_begin_new_stretches_and_single_lost_rows_do_not():
-    log = log_of(turning())
-    kept = np.ones(len(log.time_s), bool)
-    kept[[1000, 1500, 3000]] = False
-    kept[2000:2100] = False
-    assert log.standstill is not None
-    thin = replace(
-        log,
-        time_s=log.time_s[kept],
-        rate_rad_per_s=log.rate_rad_per_s[:, kept],
-        standstill=log.standstill[kept],
-        rows_read=-1,
-    )
-    cleaned, found = without_faults(thin)
-    assert cleaned.stretch_starts.tolist() == [0, 1998]
-    assert found["A"].sentences == (
-        "1 gap with about 100 samples lost, the longest 2.02 s, the first at 39.98 s: "
-        "moves during the gaps are left out",
-    )
-    assert without_faults(cleaned)[0].stretch_starts.tolist() == [0, 1998]
+    assert "frozen: the thermometer" in found["A"].sentences[0]
 
 
 @pytest.mark.parametrize("peak", [105.0, 150.0])

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vehicle_samples import at_rest, dataflash, imu_rows, sensor_gyro, sensor_gyro_fifo, ulog
+from vehicle_samples import at_rest, dataflash, imu_rows, sensor_gyro, ulog
 
 from gradcal_jax.cli import main
 from gradcal_jax.records.flight_logs import read_vehicle_log
@@ -78,51 +78,27 @@ def test_a_pixracers_dataflash_log_is_what_pymavlink_exports(name, message, offs
     exported = import_log(tmp_path / "a.csv", parse_column_map(MAP.format(time="t", temperature="T")))
     assert parameters["AHRS_ORIENTATION"] == 8.0
     raw = exported.rate_rad_per_s[0] * [1, -1, -1] + [parameters[f"INS_{offsets}OFFS_{axis}"] for axis in "XYZ"]
-    unit = log.units.index(name)
-    np.testing.assert_allclose(log.rate_rad_per_s[unit], raw, rtol=1e-12)
+    np.testing.assert_allclose(log.rate_rad_per_s[0], raw, rtol=1e-12)
     np.testing.assert_allclose(log.time_s - log.time_s[0], exported.time_s, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(log.temperature_c[unit], exported.temperature_c[0], rtol=1e-12)
+    np.testing.assert_allclose(log.temperature_c[0], exported.temperature_c[0], rtol=1e-12)
     assert np.abs(raw).max() < 0.3  # it stands on the ground
 
 
-def test_gyros_of_one_ulog_are_units_by_device_id(tmp_path):
-    """Of equal stamps in one log; of a clock of its own, named, and to be had by its name."""
+def test_gyros_of_one_ulog_are_named_by_device_id(tmp_path):
     path = ulog(
         tmp_path / "a.ulg",
         ("sensor_gyro", 0, sensor_gyro(STAMPS_US, RATE, TEMPERATURE, 11)),
-        ("sensor_gyro", 1, sensor_gyro(STAMPS_US, 2 * RATE, TEMPERATURE, 12)),
-        ("sensor_gyro", 2, sensor_gyro(STAMPS_US[::2] + 37, 3 * RATE[::2], np.full(ROWS // 2, np.nan), 13)),
+        ("sensor_gyro", 1, sensor_gyro(STAMPS_US[::2] + 37, 3 * RATE[::2], np.full(ROWS // 2, np.nan), 13)),
     )
     log = read_vehicle_log(path)
-    assert log.units == ("11", "12")
-    np.testing.assert_array_equal(log.rate_rad_per_s[1], 2 * log.rate_rad_per_s[0])
+    assert log.units == ("11",)
     assert any("13" in finding.message and "--unit" in finding.message for finding in log.findings)
     other = read_vehicle_log(path, unit="13")
     assert other.units == ("13",)
     assert other.temperature_c is None
-    assert len(other.time_s) == ROWS // 2
-    with pytest.raises(LogError, match="no IMU '14' in this log; it has 11, 12, 13"):
+    np.testing.assert_array_equal(other.rate_rad_per_s[0], 3 * RATE[::2])
+    with pytest.raises(LogError, match="no IMU '14' in this log; it has 11, 13"):
         read_vehicle_log(path, unit="14")
-
-
-def test_a_fifo_is_unrolled_and_takes_the_temperature_of_its_device(tmp_path):
-    """Eight samples of 125 µs in a message, the last one at its stamp."""
-    counts = RNG.integers(-500, 500, (ROWS, 3, 32))
-    single = sensor_gyro(STAMPS_US[::10], RATE[::10], TEMPERATURE[::10], 7)
-    fifo = sensor_gyro_fifo(STAMPS_US, counts, 8, 125.0, 2.0**-12, 7)
-    log = read_vehicle_log(ulog(tmp_path / "a.ulg", ("sensor_gyro", 0, single), ("sensor_gyro_fifo", 0, fifo)))
-    assert log.units == ("7",)
-    assert len(log.time_s) == 8 * ROWS
-    np.testing.assert_allclose(np.diff(log.time_s), 125e-6, rtol=1e-6)
-    np.testing.assert_allclose(log.time_s[7] - (STAMPS_US[0] - 1_000_000) * 1e-6, 0, atol=1e-9)
-    expected = counts[:, :, :8].transpose(0, 2, 1).reshape(-1, 3) * 2.0**-12
-    np.testing.assert_allclose(log.rate_rad_per_s[0], expected, rtol=1e-12)
-    inside = log.time_s < (STAMPS_US[::10][-1] - 1_000_000) * 1e-6
-    np.testing.assert_allclose(
-        log.temperature_c[0, inside],
-        np.interp(log.time_s[inside], (STAMPS_US[::10] - 1_000_000) * 1e-6, TEMPERATURE[::10]),
-        rtol=1e-12,
-    )
 
 
 def test_sensor_combined_is_refused(tmp_path):
@@ -133,54 +109,39 @@ def test_sensor_combined_is_refused(tmp_path):
         read_vehicle_log(ulog(tmp_path / "a.ulg", ("sensor_combined", 0, rows)))
 
 
-PARAMETERS = {
-    "AHRS_ORIENTATION": 0.0, "INS_GYROFFS_X": 0.01, "INS_GYROFFS_Y": -0.02, "INS_GYROFFS_Z": 0.003,
-    "INS_GYR2OFFS_X": 0.5, "INS_TCAL1_ENABLE": 1.0, "INS_TCAL2_ENABLE": 2.0, "INS_TCAL1_TMIN": 31.0,
-    "INS_TCAL1_TMAX": 36.5, "INS_GYR1_CALTEMP": 33.0, "INS_TCAL1_GYR1_X": 50.0, "INS_TCAL1_GYR2_X": -7.0,
-    "INS_TCAL1_GYR3_X": 1.5, "INS_TCAL1_GYR1_Z": 20.0,
-}  # fmt: skip
-
-
-def thermal(axis, temperature):
-    """AP_InertialSensor_tempcal's polynomial, per parameter file."""
-    clamped = min(max(temperature, 31.0), 36.5) - 35.0
-    coefficients = [PARAMETERS.get(f"INS_TCAL1_GYR{k}_{axis}", 0.0) for k in (1, 2, 3)]
-    return sum(1e-6 * c * clamped**k for k, c in zip((1, 2, 3), coefficients, strict=True))
-
-
 def test_what_ardupilot_took_off_is_put_back(tmp_path):
-    """Simulated in ArduPilot's own order: thermal, offset; IMU1 is learning, its thermal part is not applied."""
-    raw = RATE.astype(float) * 4
-    logged = raw.copy()
-    for row in range(ROWS):
-        for axis, letter in enumerate("XYZ"):
-            logged[row, axis] += thermal(letter, 33.0) - thermal(letter, float(TEMPERATURE[row]))
-            logged[row, axis] -= PARAMETERS[f"INS_GYROFFS_{letter}"]
-    second = raw - [0.5, 0, 0]
-    rows = np.concatenate([imu_rows(STAMPS_US, 0, logged, TEMPERATURE), imu_rows(STAMPS_US, 1, second, TEMPERATURE)])
-    log = read_vehicle_log(dataflash(tmp_path / "a.bin", rows, PARAMETERS))
-    assert log.units == ("IMU0", "IMU1")
-    np.testing.assert_allclose(log.rate_rad_per_s[0], raw, atol=5e-7)  # float32 in the log
-    np.testing.assert_allclose(log.rate_rad_per_s[1], raw, atol=5e-7)
-    assert any("offsets and thermal calibration have been removed" in f.message for f in log.findings)
-
-
-def test_what_ardupilot_took_off_accelerometers_is_put_back(tmp_path):
-    """In its own order: thermal part, offset, scale; then the board, yaw 90 (2), from the sensor's axes."""
-    raw = at_rest(ROWS)
-    own = {"INS_ACC1_CALTEMP": 33.0, "INS_TCAL1_ACC1_Y": 900.0, "INS_TCAL1_ACC2_Y": -30.0}
+    """In its own order: offset, scale of accelerometers; then the board, yaw 90 (2), from the sensor's axes. The offset
+    of the gyro changes half-way; IMU1 has its own."""
+    half = int(STAMPS_US[ROWS // 2])
+    parameters = [(0, "AHRS_ORIENTATION", 2.0), (0, "INS_GYROFFS_X", 0.25), (half, "INS_GYROFFS_X", 0.125)]
     offsets, scales = [0.2, -0.1, 0.05], [1.02, 0.99, 1.0]
     for letter, offset, scale in zip("XYZ", offsets, scales, strict=True):
-        own |= {f"INS_ACCOFFS_{letter}": offset, f"INS_ACCSCAL_{letter}": scale}
-    clamped, at = np.clip(TEMPERATURE.astype(float), 31.0, 36.5) - 35.0, 33.0 - 35.0
-    corrected = raw.copy()
-    corrected[:, 1] -= 1e-6 * (900.0 * (clamped - at) - 30.0 * (clamped**2 - at**2))
-    corrected = (corrected - offsets) * scales
-    turned = np.stack([-corrected[:, 1], corrected[:, 0], corrected[:, 2]], axis=1)
-    rows = imu_rows(STAMPS_US, 0, RATE, TEMPERATURE, turned)
-    log = read_vehicle_log(dataflash(tmp_path / "a.bin", rows, PARAMETERS | own | {"AHRS_ORIENTATION": 2.0}))
-    assert log.force_axes == ("x", "y", "z")
-    np.testing.assert_allclose(log.specific_force_m_per_s2[0], raw, atol=3e-6)
+        parameters += [(0, f"INS_ACCOFFS_{letter}", offset), (0, f"INS_ACCSCAL_{letter}", scale)]
+    parameters += [(0, "INS_GYR2OFFS_X", 0.5), (0, "INS_TCAL2_ENABLE", 2.0)]
+
+    def on_board(vectors):
+        return np.stack([-vectors[:, 1], vectors[:, 0], vectors[:, 2]], axis=1)
+
+    raw, force = RATE.astype(float), at_rest(ROWS)
+    offset = np.where(half > STAMPS_US, 0.25, 0.125)
+    logged = on_board(raw - np.stack([offset, 0 * offset, 0 * offset], axis=1))
+    rows = imu_rows(STAMPS_US, 0, logged, TEMPERATURE, on_board((force - offsets) * scales))
+    other = imu_rows(STAMPS_US, 1, on_board(raw - [0.5, 0, 0]), TEMPERATURE)
+    path = dataflash(tmp_path / "a.bin", np.concatenate([rows, other]), parameters)
+    log = read_vehicle_log(path)
+    assert (log.units, log.force_axes) == (("IMU0",), ("x", "y", "z"))
+    np.testing.assert_allclose(log.rate_rad_per_s[0], raw, atol=5e-7)  # float32 in the log
+    np.testing.assert_allclose(log.specific_force_m_per_s2[0], force, atol=3e-6)
+    np.testing.assert_allclose(read_vehicle_log(path, unit="IMU1").rate_rad_per_s[0], raw, atol=5e-7)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"), [({}, "no parameters"), ({"INS_TCAL1_ENABLE": 1.0}, "set it to 0 .* and log again")]
+)
+def test_what_cannot_be_put_back_is_refused(tmp_path, parameters, words):
+    path = dataflash(tmp_path / "a.bin", imu_rows(STAMPS_US, 0, RATE, TEMPERATURE), parameters)
+    with pytest.raises(LogError, match=words):
+        read_vehicle_log(path)
 
 
 @pytest.mark.parametrize("later_us", [0, 130])
@@ -195,25 +156,6 @@ def test_accelerometers_of_a_ulog_are_beside_the_gyro_of_their_device(tmp_path, 
     np.testing.assert_allclose(log.specific_force_m_per_s2[0][1:], expected[1:], atol=2e-5)
     other = [topics[0], ("sensor_accel", 0, sensor_gyro(STAMPS_US, slope, TEMPERATURE, 12))]
     assert read_vehicle_log(ulog(tmp_path / "b.ulg", *other)).force_axes == ()
-
-
-def test_offsets_that_change_in_the_log_and_a_turned_board(tmp_path):
-    """Yaw 90 (2): what the sensor shows about x, the vehicle has about y. The offset changes half-way."""
-    half = int(STAMPS_US[ROWS // 2])
-    changes = [(0, "AHRS_ORIENTATION", 2.0), (0, "INS_GYROFFS_X", 0.25), (half, "INS_GYROFFS_X", 0.125)]
-    sensor = RATE.astype(float)
-    offset = np.where(half > STAMPS_US, 0.25, 0.125)
-    corrected = sensor - np.stack([offset, 0 * offset, 0 * offset], axis=1)
-    vehicle = np.stack([-corrected[:, 1], corrected[:, 0], corrected[:, 2]], axis=1)
-    log = read_vehicle_log(dataflash(tmp_path / "a.bin", imu_rows(STAMPS_US, 0, vehicle, TEMPERATURE), changes))
-    np.testing.assert_allclose(log.rate_rad_per_s[0], sensor, atol=5e-7)
-
-
-def test_ardupilots_imu_without_parameters_is_refused(tmp_path):
-    path = tmp_path / "a.bin"
-    dataflash(path, imu_rows(STAMPS_US, 0, RATE, TEMPERATURE), {})
-    with pytest.raises(LogError, match="no parameters"):
-        read_vehicle_log(path)
 
 
 @pytest.mark.parametrize(("ending", "key"), [("tlog", "HIGHRES_IMU"), ("bag", "rosbags"), ("mcap", "rosbags")])

@@ -50,20 +50,6 @@ def sensor_gyro(stamps_us, rate, temperature, device):
     return rows
 
 
-def sensor_gyro_fifo(stamps_us, counts, used, dt_us, scale, device):
-    """`counts` [message, 3, 32]; the first `used` of each are samples."""
-    rows = np.zeros(
-        len(stamps_us),
-        [("timestamp", "<u8"), ("timestamp_sample", "<u8"), ("device_id", "<u4"), ("dt", "<f4"), ("scale", "<f4"),
-         ("x", "<i2", (32,)), ("y", "<i2", (32,)), ("z", "<i2", (32,)), ("samples", "u1")],
-    )  # fmt: skip
-    rows["timestamp"], rows["timestamp_sample"], rows["device_id"] = np.asarray(stamps_us) + 150, stamps_us, device
-    rows["dt"], rows["scale"], rows["samples"] = dt_us, scale, used
-    for axis, name in enumerate("xyz"):
-        rows[name] = counts[:, axis]
-    return rows
-
-
 IMU_FIELDS = [
     ("TimeUS", "<u8", "Q"), ("I", "u1", "B"), ("GyrX", "<f4", "f"), ("GyrY", "<f4", "f"), ("GyrZ", "<f4", "f"),
     ("AccX", "<f4", "f"), ("AccY", "<f4", "f"), ("AccZ", "<f4", "f"), ("EG", "<u4", "I"), ("EA", "<u4", "I"),

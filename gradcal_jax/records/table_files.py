@@ -239,7 +239,9 @@ class _TextReader:
                 f"several columns are named '{column}': give the number of the column instead, {' or '.join(places)} "
                 "(numbered from 0)"
             )
-        hint = "; or is the delimiter another one (delimiter under [csv])?" if len(header) == 1 else ""
+        marks = {";": ";", "\t": "tab", ",": ","} if len(header) == 1 else {}
+        mark = next((name for mark, name in marks.items() if mark in header[0]), None)
+        hint = f'; or is delimiter = "{mark}" missing under [csv]?' if mark else ""
         raise LogError(f"there is no column '{column}'; {instead(column, header)}{hint}")
 
 

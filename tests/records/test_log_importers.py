@@ -65,7 +65,7 @@ def test_text_tables_in_their_many_layouts(tmp_path, content, text):
         ("a.csv", b"t,gx\n2024-05-01T12:00:00,1\n2024-05-01T12:00:01,2\n", "'t' has dates or times of day"),
         ("a.csv", b"t,gx\n0,fast\n10,slow\n", "'gx' has no numbers, only texts such as 'slow'"),
         ("a.csv", b"t,gx,gx\n0,1,2\n10,3,4\n", "several columns are named 'gx': give the number .* 1 or 2"),
-        ("a.csv", b"t;gx\n0;1\n10;3\n", "or is delimiter = ";" missing"),
+        ("a.csv", b"t;gx\n0;1\n10;3\n", 'or is delimiter = ";" missing'),
         ("a.xyz", b"1", "unknown file name extension"),
         ("a.csv", b"", "is empty"),
         ("a.csv", b"t,gx\n", "no rows below the header"),

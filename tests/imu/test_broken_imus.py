@@ -71,7 +71,7 @@ BROKEN: list[tuple[str, Any, str, str]] = [
     # the rig
     ("rig.site", GONE, "rig.site.latitude", "missing"),
     ("rig.site.latitude", "unknown", "rig.site.latitude", "missing"),
-    ("rig.site.latitude", "91 deg", "rig.site.latitude", "at most 90 deg"),
+    ("rig.site.latitude", "91 deg", "rig.site.latitude", "from -90 deg to 90 deg"),
     ("rig.site.latitude", GONE, "rig.site.latitude", "missing"),
     ("rig.site.gravity", "0 m/s^2", "rig.site.gravity", "above"),
     ("rig.site.gravity", "9.8 m/s", "rig.site.gravity", "acceleration"),
